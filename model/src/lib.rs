@@ -1,24 +1,67 @@
-//! Rigid-body dynamics of a ceiling-mounted serial chain whose last joints are unactuated.
+//! Rigid-body dynamics of a serial chain of revolute joints whose last ones are unactuated.
 //!
-//! All quantities are SI. Vectors over joints run from the base to the tip: first the actuated joints
-//! q_A, then the unactuated ones q_U. The state is x = [q, qd], the input u = qdd_A (4).
+//! M(q) qdd + C(q, qd) qd + g(q) = [tau_A, 0] (1), partitioned into the actuated joints q_A and the
+//! unactuated ones q_U (2). With the input u = qdd_A the state x = [q, qd] obeys the partially
+//! feedback-linearised dynamics f(x, u) (4), (5), and the motor torque follows from u by (3b), (9).
+//!
+//! [`Model`] holds the constants of the robot; [`Workspace`] is the caller's scratch memory. Nothing
+//! here allocates (but for [`Model::from_urdf`]), does I/O or differentiates numerically. SI units; joints
+//! are ordered from base to tip.
 
-use nalgebra::SVector;
+mod derivatives;
+mod dynamics;
+mod model;
+mod rest;
+mod spatial;
+mod urdf;
 
-/// Number of actuated joints (q_A); with [`N_UNACTUATED`] the only place where a dimension is written down.
+pub use derivatives::{Derivatives, Hessian};
+pub use dynamics::{Accelerations, Workspace};
+pub use model::{Limits, Model, Pose};
+pub use rest::RestError;
+pub use urdf::UrdfError;
+
+use nalgebra::{SMatrix, SVector};
+
+/// Number of actuated joints, q_A. This and [`N_UNACTUATED`] are the only places where a dimension of the
+/// robot is written down.
 pub const N_ACTUATED: usize = 7;
-/// Number of unactuated joints (q_U) at the end of the chain.
+/// Number of unactuated joints, q_U, at the end of the chain.
 pub const N_UNACTUATED: usize = 2;
-/// Number of joints, q.
+/// Number of joints, q = [q_A, q_U].
 pub const NQ: usize = N_ACTUATED + N_UNACTUATED;
 /// Dimension of the state x = [q, qd].
 pub const NX: usize = 2 * NQ;
-/// Dimension of the input u = qdd_A.
+/// Dimension of the input u = qdd_A and of the torque tau_A.
 pub const NU: usize = N_ACTUATED;
+/// Dimension of one collocation knot z = [x, u].
+pub const NZ: usize = NX + NU;
 
-/// One number per joint (q in rad, qd in rad/s, ...).
+/// One number per joint (q in rad, qd in rad/s).
 pub type JointVector = SVector<f64, NQ>;
-/// One number per actuated joint (torque in N m, u in rad/s^2).
+/// One number per actuated joint (u in rad/s^2, tau in N m).
 pub type ActuatedVector = SVector<f64, NU>;
+/// One number per unactuated joint.
+pub type UnactuatedVector = SVector<f64, N_UNACTUATED>;
 /// State x = [q, qd] (rad, rad/s).
 pub type State = SVector<f64, NX>;
+/// One row and column per joint.
+pub type JointMatrix = SMatrix<f64, NQ, NQ>;
+
+/// Joint positions q of a state, rad.
+pub fn position(x: &State) -> JointVector {
+    x.fixed_rows::<NQ>(0).into()
+}
+
+/// Joint velocities qd of a state, rad/s.
+pub fn velocity(x: &State) -> JointVector {
+    x.fixed_rows::<NQ>(NQ).into()
+}
+
+/// The state x = [q, qd] (rad, rad/s).
+pub fn state(q: &JointVector, qd: &JointVector) -> State {
+    let mut x = State::zeros();
+    x.fixed_rows_mut::<NQ>(0).copy_from(q);
+    x.fixed_rows_mut::<NQ>(NQ).copy_from(qd);
+    x
+}

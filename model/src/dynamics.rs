@@ -1,0 +1,270 @@
+//! Equations of motion (1)-(5), (9), (11), (24), by recursions over the chain in the world frame.
+
+use crate::spatial::{Inertia, Spatial};
+use crate::{
+    ActuatedVector, JointMatrix, JointVector, Model, N_ACTUATED, N_UNACTUATED, NQ, NX, State,
+    UnactuatedVector, position, velocity,
+};
+use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+
+/// M_UU, the mass matrix of the unactuated joints.
+type UnactuatedMatrix = SMatrix<f64, N_UNACTUATED, N_UNACTUATED>;
+
+/// Scratch memory of the recursions, owned by the caller; holds the quantities of the state last evaluated.
+///
+/// Index i of a joint quantity is joint i; index i of `velocity` and `acceleration` is the body *before*
+/// joint i, so that index 0 is the base.
+#[derive(Clone, Debug)]
+pub struct Workspace {
+    /// S_i: joint axis.
+    pub(crate) axis: [Spatial; NQ],
+    pub(crate) body: [Inertia; NQ],
+    /// Inertia of bodies i..NQ.
+    pub(crate) composite: [Inertia; NQ],
+    /// V
+    pub(crate) velocity: [Spatial; NQ + 1],
+    /// A, with gravity as an upward acceleration of the base.
+    pub(crate) acceleration: [Spatial; NQ + 1],
+    /// psi_i = V_{i-1} x S_i
+    pub(crate) psi: [Spatial; NQ],
+    /// F_i: force that bodies i..NQ need.
+    pub(crate) force: [Spatial; NQ],
+}
+
+impl Default for Workspace {
+    fn default() -> Self {
+        let none = Inertia { mass: 0.0, moment: Vector3::zeros(), rotational: Matrix3::zeros() };
+        Self {
+            axis: [Spatial::ZERO; NQ],
+            body: [none; NQ],
+            composite: [none; NQ],
+            velocity: [Spatial::ZERO; NQ + 1],
+            acceleration: [Spatial::ZERO; NQ + 1],
+            psi: [Spatial::ZERO; NQ],
+            force: [Spatial::ZERO; NQ],
+        }
+    }
+}
+
+impl Workspace {
+    /// Row i of the mass matrix right of and on the diagonal times anything: I^C_i S_i.
+    #[inline]
+    pub(crate) fn composite_axis(&self, i: usize) -> Spatial {
+        self.composite[i].apply(&self.axis[i])
+    }
+
+    pub(crate) fn mass_matrix(&self) -> JointMatrix {
+        let mut m = JointMatrix::zeros();
+        for j in 0..NQ {
+            let carried = self.composite_axis(j);
+            for i in 0..=j {
+                m[(i, j)] = self.axis[i].dot(&carried);
+                m[(j, i)] = m[(i, j)];
+            }
+        }
+        m
+    }
+
+    /// Columns of the mass matrix that belong to the unactuated joints: [M_AU; M_UU], NQ x N_UNACTUATED.
+    pub(crate) fn unactuated_columns(&self) -> SMatrix<f64, NQ, N_UNACTUATED> {
+        let mut m = SMatrix::<f64, NQ, N_UNACTUATED>::zeros();
+        for c in 0..N_UNACTUATED {
+            let j = N_ACTUATED + c;
+            let carried = self.composite_axis(j);
+            for i in 0..=j {
+                m[(i, c)] = self.axis[i].dot(&carried);
+            }
+            for other in 0..c {
+                m[(j, other)] = m[(N_ACTUATED + other, c)];
+            }
+        }
+        m
+    }
+}
+
+/// What the input u = qdd_A causes at a state: (3a) and (3b).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Accelerations {
+    /// qdd_U, rad/s^2 (3a).
+    pub qdd_u: UnactuatedVector,
+    /// tau_A, N m (3b), (9).
+    pub tau: ActuatedVector,
+}
+
+impl Model {
+    /// M(q) qdd + C(q, qd) qd + g(q), N m: the left-hand side of (1). `qdd` in rad/s^2.
+    pub fn inverse_dynamics(
+        &self,
+        q: &JointVector,
+        qd: &JointVector,
+        qdd: &JointVector,
+        work: &mut Workspace,
+    ) -> JointVector {
+        self.place(q, work);
+        self.move_with(qd, work);
+        self.accelerate_with(qd, qdd, work);
+        generalized_force(work)
+    }
+
+    /// M(q), kg m^2 (1): symmetric, positive definite.
+    pub fn mass_matrix(&self, q: &JointVector, work: &mut Workspace) -> JointMatrix {
+        self.place(q, work);
+        work.mass_matrix()
+    }
+
+    /// C(q, qd) qd + g(q), N m (1); equal to [`Self::inverse_dynamics`] with qdd = 0.
+    pub fn nonlinear_effects(&self, q: &JointVector, qd: &JointVector, work: &mut Workspace) -> JointVector {
+        self.inverse_dynamics(q, qd, &JointVector::zeros(), work)
+    }
+
+    /// g(q), N m (1); equal to [`Self::nonlinear_effects`] with qd = 0.
+    pub fn gravity_torque(&self, q: &JointVector, work: &mut Workspace) -> JointVector {
+        self.nonlinear_effects(q, &JointVector::zeros(), work)
+    }
+
+    /// (3a) and (3b): acceleration of the unactuated joints and motor torque for the input `u` (rad/s^2).
+    pub fn accelerations(&self, x: &State, u: &ActuatedVector, work: &mut Workspace) -> Accelerations {
+        self.accelerations_at(&position(x), &velocity(x), u, work)
+    }
+
+    /// M~ u + C~ qd + g~ (9), N m; with u = u_d + K dx the torque law (24).
+    pub fn torque(&self, x: &State, u: &ActuatedVector, work: &mut Workspace) -> ActuatedVector {
+        self.accelerations(x, u, work).tau
+    }
+
+    /// M~ u + g~ (11), N m: the torque without its Coriolis part; equal to [`Self::torque`] at qd = 0.
+    pub fn torque_without_coriolis(
+        &self,
+        x: &State,
+        u: &ActuatedVector,
+        work: &mut Workspace,
+    ) -> ActuatedVector {
+        self.accelerations_at(&position(x), &JointVector::zeros(), u, work).tau
+    }
+
+    /// f(x, u) (4), (5): d/dt x = [qd, u, qdd_U] (rad/s, rad/s^2).
+    pub fn f(&self, x: &State, u: &ActuatedVector, work: &mut Workspace) -> State {
+        state_derivative(x, u, &self.accelerations(x, u, work).qdd_u)
+    }
+
+    /// qdd = M^-1 (tau - C qd - g), rad/s^2, of the whole chain under the torque `tau` (N m, one per joint,
+    /// friction of the unactuated joints included); `None` if M is not positive definite (corrupt q).
+    pub fn forward_dynamics(
+        &self,
+        q: &JointVector,
+        qd: &JointVector,
+        tau: &JointVector,
+        work: &mut Workspace,
+    ) -> Option<JointVector> {
+        let bias = self.nonlinear_effects(q, qd, work);
+        Some(work.mass_matrix().cholesky()?.solve(&(tau - bias)))
+    }
+
+    /// Kinetic plus potential energy, J.
+    pub fn energy(&self, x: &State, work: &mut Workspace) -> f64 {
+        let (q, qd) = (position(x), velocity(x));
+        0.5 * qd.dot(&(self.mass_matrix(&q, work) * qd)) + self.potential_energy(&q)
+    }
+
+    pub(crate) fn accelerations_at(
+        &self,
+        q: &JointVector,
+        qd: &JointVector,
+        u: &ActuatedVector,
+        work: &mut Workspace,
+    ) -> Accelerations {
+        let mut qdd = JointVector::zeros();
+        qdd.fixed_rows_mut::<N_ACTUATED>(0).copy_from(u);
+        let r = self.inverse_dynamics(q, qd, &qdd, work);
+        let columns = work.unactuated_columns();
+        let qdd_u = -solve_unactuated(&unactuated_block(&columns), &r.fixed_rows::<N_UNACTUATED>(N_ACTUATED).into());
+        let tau = r.fixed_rows::<N_ACTUATED>(0) + columns.fixed_rows::<N_ACTUATED>(0) * qdd_u;
+        Accelerations { qdd_u, tau }
+    }
+
+    /// Joint axes and inertias at q.
+    pub(crate) fn place(&self, q: &JointVector, work: &mut Workspace) {
+        let mut parent = self.base;
+        for (i, joint) in self.joints.iter().enumerate() {
+            parent = joint.frame(&parent, q[i]);
+            let axis = parent.rotation * joint.axis;
+            work.axis[i] = Spatial::new(axis, parent.origin.cross(&axis));
+            work.body[i] = joint.world_inertia(&parent);
+        }
+        work.composite[NQ - 1] = work.body[NQ - 1];
+        for i in (0..NQ - 1).rev() {
+            work.composite[i] = work.composite[i + 1] + work.body[i];
+        }
+    }
+
+    /// Velocities at qd; needs [`Self::place`].
+    pub(crate) fn move_with(&self, qd: &JointVector, work: &mut Workspace) {
+        work.velocity[0] = Spatial::ZERO;
+        for i in 0..NQ {
+            work.psi[i] = work.velocity[i].cross_motion(&work.axis[i]);
+            work.velocity[i + 1] = work.velocity[i] + work.axis[i] * qd[i];
+        }
+    }
+
+    /// Accelerations and forces at qdd; needs [`Self::move_with`].
+    pub(crate) fn accelerate_with(&self, qd: &JointVector, qdd: &JointVector, work: &mut Workspace) {
+        work.acceleration[0] = Spatial::new(Vector3::zeros(), -self.gravity);
+        for i in 0..NQ {
+            work.acceleration[i + 1] = work.acceleration[i] + work.axis[i] * qdd[i] + work.psi[i] * qd[i];
+        }
+        let mut carried = Spatial::ZERO;
+        for i in (0..NQ).rev() {
+            let (v, body) = (&work.velocity[i + 1], &work.body[i]);
+            carried += body.apply(&work.acceleration[i + 1]) + v.cross_force(&body.apply(v));
+            work.force[i] = carried;
+        }
+    }
+}
+
+/// S_i . F_i for every joint.
+fn generalized_force(work: &Workspace) -> JointVector {
+    JointVector::from_fn(|i, _| work.axis[i].dot(&work.force[i]))
+}
+
+/// [qd, u, qdd_U] (4).
+pub(crate) fn state_derivative(x: &State, u: &ActuatedVector, qdd_u: &UnactuatedVector) -> State {
+    let mut f = SVector::<f64, NX>::zeros();
+    f.fixed_rows_mut::<NQ>(0).copy_from(&x.fixed_rows::<NQ>(NQ));
+    f.fixed_rows_mut::<N_ACTUATED>(NQ).copy_from(u);
+    f.fixed_rows_mut::<N_UNACTUATED>(NQ + N_ACTUATED).copy_from(qdd_u);
+    f
+}
+
+/// M_UU out of [M_AU; M_UU].
+pub(crate) fn unactuated_block(columns: &SMatrix<f64, NQ, N_UNACTUATED>) -> UnactuatedMatrix {
+    columns.fixed_view::<N_UNACTUATED, N_UNACTUATED>(N_ACTUATED, 0).into()
+}
+
+/// M_UU^-1 r by elimination in place: M_UU is positive definite, so no pivot vanishes.
+pub(crate) fn solve_unactuated<const C: usize>(
+    m_u: &UnactuatedMatrix,
+    r: &SMatrix<f64, N_UNACTUATED, C>,
+) -> SMatrix<f64, N_UNACTUATED, C> {
+    let (mut m, mut x) = (*m_u, *r);
+    for p in 0..N_UNACTUATED {
+        for row in p + 1..N_UNACTUATED {
+            let factor = m[(row, p)] / m[(p, p)];
+            for c in p..N_UNACTUATED {
+                m[(row, c)] -= factor * m[(p, c)];
+            }
+            for c in 0..C {
+                x[(row, c)] -= factor * x[(p, c)];
+            }
+        }
+    }
+    for p in (0..N_UNACTUATED).rev() {
+        for c in 0..C {
+            let mut sum = x[(p, c)];
+            for k in p + 1..N_UNACTUATED {
+                sum -= m[(p, k)] * x[(k, c)];
+            }
+            x[(p, c)] = sum / m[(p, p)];
+        }
+    }
+    x
+}

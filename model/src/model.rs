@@ -1,0 +1,159 @@
+//! The constants of a robot.
+
+use crate::spatial::{Inertia, skew};
+use crate::{ActuatedVector, JointVector, NQ, NU};
+use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion, Vector3};
+
+/// Bounds of positions (rad), velocities (rad/s, symmetric) and motor torques (N m, symmetric).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Limits {
+    /// Lowest position of each joint, rad.
+    pub q_min: JointVector,
+    /// Highest position of each joint, rad.
+    pub q_max: JointVector,
+    /// Highest speed of each joint, rad/s.
+    pub qd_max: JointVector,
+    /// Highest torque of each motor, N m.
+    pub tau_max: ActuatedVector,
+}
+
+/// Position and orientation of a frame in the world frame.
+pub type Pose = Isometry3<f64>;
+
+/// A frame in another: as rotation matrix, which is cheaper to apply than a quaternion.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Frame {
+    pub rotation: Matrix3<f64>,
+    /// m
+    pub origin: Vector3<f64>,
+}
+
+impl Frame {
+    pub(crate) fn new(pose: &Isometry3<f64>) -> Self {
+        Self { rotation: *pose.rotation.to_rotation_matrix().matrix(), origin: pose.translation.vector }
+    }
+
+    fn pose(&self) -> Pose {
+        let rotation = Rotation3::from_matrix_unchecked(self.rotation);
+        Isometry3::from_parts(self.origin.into(), UnitQuaternion::from_rotation_matrix(&rotation))
+    }
+}
+
+/// One body with the revolute joint that carries it. Lengths in m, in the body's own frame.
+#[derive(Clone, Debug)]
+pub(crate) struct Joint {
+    pub name: String,
+    /// The body's frame in the parent's frame at q = 0.
+    pub placement: Frame,
+    /// Joint axis in the body's frame, of length 1.
+    pub axis: Vector3<f64>,
+    pub mass: f64,
+    pub com: Vector3<f64>,
+    /// Rotational inertia about the centre of mass, kg m^2.
+    pub inertia: Matrix3<f64>,
+}
+
+impl Joint {
+    /// Frame of the body at the joint angle `q` (rad), given its parent's.
+    #[inline]
+    pub(crate) fn frame(&self, parent: &Frame, q: f64) -> Frame {
+        let (sin, cos) = q.sin_cos();
+        let axis = &self.axis;
+        let turn = Matrix3::identity() * cos + skew(axis) * sin + axis * axis.transpose() * (1.0 - cos);
+        Frame {
+            rotation: parent.rotation * self.placement.rotation * turn,
+            origin: parent.rotation * self.placement.origin + parent.origin,
+        }
+    }
+
+    /// The body's inertia in the world frame.
+    #[inline]
+    pub(crate) fn world_inertia(&self, frame: &Frame) -> Inertia {
+        let about_com = frame.rotation * self.inertia * frame.rotation.transpose();
+        Inertia::new(self.mass, frame.rotation * self.com + frame.origin, about_com)
+    }
+}
+
+/// A serial chain of revolute joints of which the last ones are unactuated.
+#[derive(Clone, Debug)]
+pub struct Model {
+    pub(crate) joints: [Joint; NQ],
+    /// The world frame of the URDF, in which everything is expressed.
+    pub(crate) base: Frame,
+    /// Point on the last body farthest from its joint (the tip of the rod) for drawings, m.
+    pub(crate) tip: Vector3<f64>,
+    /// Gravity in the world frame, m/s^2.
+    pub(crate) gravity: Vector3<f64>,
+    pub(crate) rated_limits: Limits,
+    pub(crate) fingerprint: u64,
+}
+
+impl Model {
+    /// Identifies the dynamics: two models with the same fingerprint (xxh3 over all kinematic and inertial
+    /// parameters) produce the same numbers. Limits are not part of it.
+    pub fn fingerprint(&self) -> u64 {
+        self.fingerprint
+    }
+
+    /// Limits printed in the URDF (100 %; the motor torque of unactuated joints does not exist).
+    pub fn rated_limits(&self) -> &Limits {
+        &self.rated_limits
+    }
+
+    /// Name of each joint, as in the URDF.
+    pub fn joint_names(&self) -> [&str; NQ] {
+        std::array::from_fn(|i| self.joints[i].name.as_str())
+    }
+
+    /// Forward kinematics: pose of each body's frame O_1..O_9 in the world frame.
+    pub fn poses(&self, q: &JointVector) -> [Pose; NQ] {
+        self.frames(q).map(|frame| frame.pose())
+    }
+
+    fn frames(&self, q: &JointVector) -> [Frame; NQ] {
+        let mut parent = self.base;
+        std::array::from_fn(|i| {
+            parent = self.joints[i].frame(&parent, q[i]);
+            parent
+        })
+    }
+
+    /// Position of the pendulum's tip in the world frame, m.
+    pub fn tip(&self, q: &JointVector) -> Vector3<f64> {
+        let last = self.frames(q)[NQ - 1];
+        last.rotation * self.tip + last.origin
+    }
+
+    /// Potential energy, J; zero at the world origin.
+    pub fn potential_energy(&self, q: &JointVector) -> f64 {
+        let frames = self.frames(q);
+        frames.iter().zip(&self.joints).map(|(f, j)| -j.mass * self.gravity.dot(&(f.rotation * j.com + f.origin))).sum()
+    }
+
+    /// A copy whose masses and inertias are multiplied: those of the arm by `arm`, those of the unactuated
+    /// bodies by `pendulum` (dimensionless, positive). For runs with a mismatched plant.
+    pub fn with_scaled_masses(&self, arm: f64, pendulum: f64) -> Self {
+        let mut scaled = self.clone();
+        for (i, joint) in scaled.joints.iter_mut().enumerate() {
+            let factor = if i < NU { arm } else { pendulum };
+            joint.mass *= factor;
+            joint.inertia *= factor;
+        }
+        scaled.fingerprint = scaled.compute_fingerprint();
+        scaled
+    }
+
+    pub(crate) fn compute_fingerprint(&self) -> u64 {
+        let mut hash = xxhash_rust::xxh3::Xxh3::new();
+        let mut put = |v: f64| hash.update(&v.to_le_bytes());
+        for frame in std::iter::once(&self.base).chain(self.joints.iter().map(|j| &j.placement)) {
+            frame.origin.iter().chain(frame.rotation.iter()).for_each(|v| put(*v));
+        }
+        for j in &self.joints {
+            j.axis.iter().chain(j.com.iter()).chain(j.inertia.iter()).for_each(|v| put(*v));
+            put(j.mass);
+        }
+        self.gravity.iter().for_each(|v| put(*v));
+        hash.digest()
+    }
+}
