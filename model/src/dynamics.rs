@@ -147,6 +147,17 @@ impl Model {
         state_derivative(x, u, &self.accelerations(x, u, work).qdd_u)
     }
 
+    /// f(x, u) and the torque (9) of the same evaluation.
+    pub fn derivative_and_torque(
+        &self,
+        x: &State,
+        u: &ActuatedVector,
+        work: &mut Workspace,
+    ) -> (State, ActuatedVector) {
+        let a = self.accelerations(x, u, work);
+        (state_derivative(x, u, &a.qdd_u), a.tau)
+    }
+
     /// qdd = M^-1 (tau - C qd - g), rad/s^2, of the whole chain under the torque `tau` (N m, one per joint,
     /// friction of the unactuated joints included); `None` if M is not positive definite (corrupt q).
     pub fn forward_dynamics(

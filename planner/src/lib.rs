@@ -1,1 +1,4 @@
-//! Placeholder
+//! The planner.
+pub mod interior_point;
+pub mod kkt;
+pub mod problem;

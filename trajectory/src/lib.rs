@@ -1,6 +1,11 @@
-//! Swing-up trajectories xi (7), their spline (12), gains, checks and the database file.
+//! Swing-up trajectories xi (7): their spline (12), gain schedule, checks against limits, and the database
+//! file that holds them.
 
-/// Number of collocation intervals of a trajectory (the paper's N).
+/// Number of collocation intervals, the paper's N.
 pub const N: usize = 100;
 /// Number of knots x_0..x_N.
 pub const KNOTS: usize = N + 1;
+
+mod trajectory;
+
+pub use trajectory::Trajectory;

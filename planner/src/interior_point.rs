@@ -1,0 +1,761 @@
+//! Solves [`Problem`] with a primal-dual interior-point method and a filter line search (Waechter, Biegler,
+//! *On the implementation of an interior-point filter line-search algorithm for large-scale nonlinear
+//! programming*, Math. Program. 106, 2006), on top of the structured factorisation of [`crate::kkt`].
+//!
+//! Bounds of x_k, t_F and of slacks s_k = tau_k carry logarithmic barriers; the slacks are eliminated from the
+//! linear system. Constants without a comment are those of the publication.
+
+use crate::kkt::{Factor, Kkt, KnotDynamics, KnotMatrix, KnotVector, Rhs, Step};
+use crate::problem::{KnotDerivatives, Problem};
+use nalgebra::SVector;
+use upswing_model::{ActuatedVector, N_UNACTUATED, NQ, NU, NX, State, UnactuatedVector, Workspace};
+use upswing_trajectory::{KNOTS, N, Trajectory};
+
+/// When to stop.
+#[derive(Clone, Copy, Debug)]
+pub struct Options {
+    /// Largest residual of a solution: defects (rad, rad/s), scaled stationarity and complementarity.
+    pub tolerance: f64,
+    /// Most iterations.
+    pub max_iterations: usize,
+    /// Barrier parameter to begin with; small for a warm start.
+    pub barrier: f64,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { tolerance: 1e-9, max_iterations: 1000, barrier: 0.1 }
+    }
+}
+
+/// How a solve ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Status {
+    /// All residuals are within the tolerance.
+    Solved,
+    /// The iteration budget was used up.
+    MaxIterations,
+    /// No step reduces the constraint violation any more: the start is probably infeasible.
+    Stalled,
+}
+
+/// A trajectory with how it was found.
+#[derive(Clone, Debug)]
+pub struct Solution {
+    /// The last iterate.
+    pub trajectory: Trajectory,
+    /// Why the method stopped.
+    pub status: Status,
+    /// J (6a).
+    pub cost: f64,
+    /// Iterations done.
+    pub iterations: usize,
+    /// Largest violation of (6b), (6c), (8) and of the torque constraint (fraction of its range).
+    pub violation: f64,
+    /// Largest scaled residual of the stationarity conditions.
+    pub stationarity: f64,
+}
+
+/// A vector with lower and upper bounds, their multipliers and their steps.
+#[derive(Clone, Debug)]
+struct Bounded<const D: usize> {
+    lower: SVector<f64, D>,
+    upper: SVector<f64, D>,
+    z_lower: SVector<f64, D>,
+    z_upper: SVector<f64, D>,
+}
+
+impl<const D: usize> Bounded<D> {
+    /// Multipliers of a central point; `v` is moved inside by 1 % of the range where needed.
+    fn new(lower: SVector<f64, D>, upper: SVector<f64, D>, v: &mut SVector<f64, D>, barrier: f64) -> Self {
+        for i in 0..D {
+            let push = (1e-2 * (upper[i] - lower[i])).min(1e-2 * lower[i].abs().max(1.0));
+            v[i] = v[i].clamp(lower[i] + push, upper[i] - push);
+        }
+        let mut b = Self { lower, upper, z_lower: lower, z_upper: upper };
+        b.z_lower = (*v - b.lower).map(|gap| barrier / gap);
+        b.z_upper = (b.upper - *v).map(|gap| barrier / gap);
+        b
+    }
+
+    /// Diagonal of the barrier's second derivative, primal-dual.
+    fn sigma(&self, v: &SVector<f64, D>) -> SVector<f64, D> {
+        self.z_lower.component_div(&(v - self.lower)) + self.z_upper.component_div(&(self.upper - v))
+    }
+
+    /// Gradient of the barrier.
+    fn gradient(&self, v: &SVector<f64, D>, mu: f64) -> SVector<f64, D> {
+        SVector::from_fn(|i, _| mu / (self.upper[i] - v[i]) - mu / (v[i] - self.lower[i]))
+    }
+
+    /// Value of the barrier; infinite outside the bounds.
+    fn barrier(&self, v: &SVector<f64, D>, mu: f64) -> f64 {
+        (0..D)
+            .map(|i| {
+                let (low, high) = (v[i] - self.lower[i], self.upper[i] - v[i]);
+                if low > 0.0 && high > 0.0 { -mu * (low.ln() + high.ln()) } else { f64::INFINITY }
+            })
+            .sum()
+    }
+
+    /// Steps of the multipliers that belong to the step `dv`.
+    fn dual_step(
+        &self,
+        v: &SVector<f64, D>,
+        dv: &SVector<f64, D>,
+        mu: f64,
+    ) -> (SVector<f64, D>, SVector<f64, D>) {
+        let lower = SVector::from_fn(|i, _| {
+            let gap = v[i] - self.lower[i];
+            mu / gap - self.z_lower[i] - self.z_lower[i] / gap * dv[i]
+        });
+        let upper = SVector::from_fn(|i, _| {
+            let gap = self.upper[i] - v[i];
+            mu / gap - self.z_upper[i] + self.z_upper[i] / gap * dv[i]
+        });
+        (lower, upper)
+    }
+
+    /// Largest fractions of the steps that keep `share` of the distance to the bounds: (primal, dual).
+    fn to_boundary(
+        &self,
+        v: &SVector<f64, D>,
+        dv: &SVector<f64, D>,
+        dz: &(SVector<f64, D>, SVector<f64, D>),
+        share: f64,
+    ) -> (f64, f64) {
+        let (mut primal, mut dual) = (1.0_f64, 1.0_f64);
+        let limit = |gap: f64, rate: f64| if rate < 0.0 { -share * gap / rate } else { f64::INFINITY };
+        for i in 0..D {
+            primal = primal.min(limit(v[i] - self.lower[i], dv[i])).min(limit(self.upper[i] - v[i], -dv[i]));
+            dual = dual.min(limit(self.z_lower[i], dz.0[i])).min(limit(self.z_upper[i], dz.1[i]));
+        }
+        (primal, dual)
+    }
+
+    /// Moves the multipliers and keeps them near those of a central point.
+    fn advance(&mut self, v: &SVector<f64, D>, dz: &(SVector<f64, D>, SVector<f64, D>), alpha: f64, mu: f64) {
+        /// Largest ratio of a multiplier to mu / gap, and its inverse.
+        const KAPPA: f64 = 1e10;
+        self.z_lower += dz.0 * alpha;
+        self.z_upper += dz.1 * alpha;
+        for i in 0..D {
+            let (low, high) = (mu / (v[i] - self.lower[i]), mu / (self.upper[i] - v[i]));
+            self.z_lower[i] = self.z_lower[i].clamp(low / KAPPA, low * KAPPA);
+            self.z_upper[i] = self.z_upper[i].clamp(high / KAPPA, high * KAPPA);
+        }
+    }
+
+    /// Largest |z gap - mu|.
+    fn complementarity(&self, v: &SVector<f64, D>, mu: f64) -> f64 {
+        (0..D)
+            .map(|i| {
+                let low = (self.z_lower[i] * (v[i] - self.lower[i]) - mu).abs();
+                low.max((self.z_upper[i] * (self.upper[i] - v[i]) - mu).abs())
+            })
+            .fold(0.0, f64::max)
+    }
+
+    fn multiplier_sum(&self) -> f64 {
+        self.z_lower.sum() + self.z_upper.sum()
+    }
+}
+
+type Scalar = SVector<f64, 1>;
+
+/// Primal variables.
+#[derive(Clone, Debug)]
+struct Point {
+    t: f64,
+    x: Vec<State>,
+    u: Vec<ActuatedVector>,
+    /// Slacks of the constrained torque, in units of half its range.
+    s: Vec<ActuatedVector>,
+}
+
+/// Constraint values at a point.
+#[derive(Clone, Debug)]
+struct Residuals {
+    dynamics: Vec<State>,
+    target: Vec<f64>,
+    /// tau_k - s_k, scaled.
+    torque: Vec<ActuatedVector>,
+}
+
+impl Residuals {
+    /// Sum of absolute values.
+    fn total(&self) -> f64 {
+        let sum = |v: &[f64]| v.iter().map(|a| a.abs()).sum::<f64>();
+        self.dynamics.iter().map(|d| d.lp_norm(1)).sum::<f64>()
+            + sum(&self.target)
+            + self.torque.iter().map(|d| d.lp_norm(1)).sum::<f64>()
+    }
+
+    fn largest(&self) -> f64 {
+        let d = self.dynamics.iter().map(|d| d.amax()).fold(0.0, f64::max);
+        let t = self.target.iter().fold(0.0, |m: f64, t| m.max(t.abs()));
+        self.torque.iter().map(|d| d.amax()).fold(d.max(t), f64::max)
+    }
+
+    /// self * a + other
+    fn scaled_plus(&self, a: f64, other: &Self) -> Self {
+        Self {
+            dynamics: self.dynamics.iter().zip(&other.dynamics).map(|(p, q)| p * a + q).collect(),
+            target: self.target.iter().zip(&other.target).map(|(p, q)| p * a + q).collect(),
+            torque: self.torque.iter().zip(&other.torque).map(|(p, q)| p * a + q).collect(),
+        }
+    }
+}
+
+/// Full primal-dual step.
+struct Direction {
+    step: Step,
+    s: Vec<ActuatedVector>,
+    y: Vec<ActuatedVector>,
+    bound_x: Vec<(State, State)>,
+    bound_s: Vec<(ActuatedVector, ActuatedVector)>,
+    bound_t: (Scalar, Scalar),
+    /// Largest fractions to the boundary.
+    alpha: (f64, f64),
+}
+
+struct Solver<'a> {
+    problem: &'a Problem<'a>,
+    work: Workspace,
+    /// Centre and half range of the constrained torque.
+    torque_centre: ActuatedVector,
+    torque_half: ActuatedVector,
+    point: Point,
+    dynamics: Vec<State>,
+    target: Vec<f64>,
+    y: Vec<ActuatedVector>,
+    /// Bounds of x_1..x_N (x_0 is given).
+    bound_x: Vec<Bounded<NX>>,
+    bound_s: Vec<Bounded<NU>>,
+    bound_t: Bounded<1>,
+    mu: f64,
+    /// Last damping that a factorisation needed.
+    last_damping: f64,
+}
+
+/// Solves the problem from the `guess`.
+pub fn solve(problem: &Problem<'_>, guess: &Trajectory, options: &Options) -> Solution {
+    Solver::new(problem, guess, options).run(options)
+}
+
+/// Inputs are ten times larger than angles and velocities: their damping is smaller by the square of it.
+const INPUT_DAMPING: f64 = 1e-2;
+
+impl<'a> Solver<'a> {
+    fn new(problem: &'a Problem<'a>, guess: &Trajectory, options: &Options) -> Self {
+        let mut work = Workspace::default();
+        let mu = options.barrier;
+        let (low, high) = problem.torque.bounds(&problem.limits.tau_max);
+        let (torque_centre, torque_half) = ((low + high) * 0.5, (high - low) * 0.5);
+        let limits = &problem.limits;
+        let x_min = upswing_model::state(&limits.q_min, &-limits.qd_max);
+        let x_max = upswing_model::state(&limits.q_max, &limits.qd_max);
+        let mut t = Scalar::new(guess.t_f);
+        let bound_t = Bounded::new(Scalar::new(problem.t_f.0), Scalar::new(problem.t_f.1), &mut t, mu);
+        let mut point = Point { t: t[0], x: guess.x.clone(), u: guess.u.clone(), s: Vec::new() };
+        point.x[0] = problem.start;
+        let bound_x = point.x[1..].iter_mut().map(|x| Bounded::new(x_min, x_max, x, mu)).collect();
+        let one = ActuatedVector::repeat(1.0);
+        let mut bound_s = Vec::with_capacity(KNOTS);
+        for k in 0..KNOTS {
+            let (_, tau) = problem.knot(&point.x[k], &point.u[k], &mut work);
+            let mut s = (tau - torque_centre).component_div(&torque_half);
+            bound_s.push(Bounded::new(-one, one, &mut s, mu));
+            point.s.push(s);
+        }
+        Self {
+            problem,
+            work,
+            torque_centre,
+            torque_half,
+            point,
+            dynamics: vec![State::zeros(); N],
+            target: vec![0.0; problem.target.len()],
+            y: vec![ActuatedVector::zeros(); KNOTS],
+            bound_x,
+            bound_s,
+            bound_t,
+            mu,
+            last_damping: 0.0,
+        }
+    }
+
+    fn residuals(&mut self, p: &Point) -> Residuals {
+        let half_h = 0.5 * p.t / N as f64;
+        let mut f = Vec::with_capacity(KNOTS);
+        let mut torque = Vec::with_capacity(KNOTS);
+        for k in 0..KNOTS {
+            let (f_k, tau) = self.problem.knot(&p.x[k], &p.u[k], &mut self.work);
+            f.push(f_k);
+            torque.push((tau - self.torque_centre).component_div(&self.torque_half) - p.s[k]);
+        }
+        Residuals {
+            dynamics: (0..N).map(|k| p.x[k + 1] - p.x[k] - (f[k] + f[k + 1]) * half_h).collect(),
+            target: self.problem.target.iter().map(|r| r.coefficients.dot(&p.x[N]) - r.value).collect(),
+            torque,
+        }
+    }
+
+    /// Barrier function of the primal variables.
+    fn barrier_function(&self, p: &Point) -> f64 {
+        let mut phi = self.problem.cost(p.t, &p.u) + self.bound_t.barrier(&Scalar::new(p.t), self.mu);
+        for (b, x) in self.bound_x.iter().zip(&p.x[1..]) {
+            phi += b.barrier(x, self.mu);
+        }
+        for (b, s) in self.bound_s.iter().zip(&p.s) {
+            phi += b.barrier(s, self.mu);
+        }
+        phi
+    }
+
+    /// Multiplier sum w_k = lambda_{k-1} + lambda_k of the defects at knot k.
+    fn defect_multiplier(&self, k: usize) -> State {
+        let mut w = State::zeros();
+        if k > 0 {
+            w += self.dynamics[k - 1];
+        }
+        if k < N {
+            w += self.dynamics[k];
+        }
+        w
+    }
+
+    /// The matrix at the current point (without barrier and torque terms) and the knots' derivatives.
+    fn linearise(&mut self) -> (Kkt, Vec<KnotDerivatives>) {
+        let h = self.point.t / N as f64;
+        let r = self.problem.input_weight;
+        let mut kkt = Kkt {
+            h,
+            hessian: Vec::with_capacity(KNOTS),
+            with_t: Vec::with_capacity(KNOTS),
+            t_t: 0.0,
+            dynamics: Vec::with_capacity(KNOTS),
+            target: self.problem.target.clone(),
+        };
+        let mut knots = Vec::with_capacity(KNOTS);
+        for k in 0..KNOTS {
+            let (x, u) = (self.point.x[k], self.point.u[k]);
+            let w = self.defect_multiplier(k);
+            let w_u: UnactuatedVector = w.fixed_rows::<N_UNACTUATED>(NX - N_UNACTUATED) * (-0.5 * h);
+            let mu = self.y[k].component_div(&self.torque_half);
+            let (knot, mut hessian) = self.problem.knot_derivatives(&x, &u, &w_u, &mu, &mut self.work);
+            for i in NX..NX + NU {
+                hessian[(i, i)] += h * r;
+            }
+            let dynamics = KnotDynamics::new(&knot.dynamics, &x, &u);
+            let mut with_t = dynamics.apply_transposed(&w) * (-0.5 / N as f64);
+            for i in 0..NU {
+                with_t[NX + i] += r * u[i] / N as f64;
+            }
+            kkt.hessian.push(hessian);
+            kkt.with_t.push(with_t);
+            kkt.dynamics.push(dynamics);
+            knots.push(knot);
+        }
+        (kkt, knots)
+    }
+
+    /// d tau / dz, scaled: NU x NZ.
+    fn torque_jacobian(&self, knot: &KnotDerivatives) -> nalgebra::SMatrix<f64, NU, { NX + NU }> {
+        let d = knot.torque();
+        nalgebra::SMatrix::from_fn(|i, j| {
+            (if j < NX { d.tau_x[(i, j)] } else { d.tau_u[(i, j - NX)] }) / self.torque_half[i]
+        })
+    }
+
+    /// Gradient of the objective.
+    fn objective_gradient(&self) -> (Vec<KnotVector>, f64) {
+        let (h, r) = (self.point.t / N as f64, self.problem.input_weight);
+        let g = self
+            .point
+            .u
+            .iter()
+            .map(|u| KnotVector::from_fn(|i, _| if i < NX { 0.0 } else { h * r * u[i - NX] }))
+            .collect();
+        let effort: f64 = self.point.u.iter().map(|u| u.norm_squared()).sum();
+        (g, 1.0 + 0.5 * r * effort / N as f64)
+    }
+
+    /// Adds barrier and torque terms to the matrix and builds the gradient part of the right-hand side.
+    fn condense(&self, kkt: &mut Kkt, knots: &[KnotDerivatives]) {
+        kkt.t_t += self.bound_t.sigma(&Scalar::new(self.point.t))[0];
+        for k in 0..KNOTS {
+            if k > 0 {
+                let sigma = self.bound_x[k - 1].sigma(&self.point.x[k]);
+                for i in 0..NX {
+                    kkt.hessian[k][(i, i)] += sigma[i];
+                }
+            }
+            let jacobian = self.torque_jacobian(&knots[k]);
+            let sigma = self.bound_s[k].sigma(&self.point.s[k]);
+            let weighted = nalgebra::SMatrix::<f64, NU, { NX + NU }>::from_fn(|i, j| sigma[i] * jacobian[(i, j)]);
+            let term: KnotMatrix = jacobian.transpose() * weighted;
+            kkt.hessian[k] += term;
+        }
+    }
+
+    fn right_hand_side(&self, kkt: &Kkt, knots: &[KnotDerivatives], c: &Residuals) -> Rhs {
+        let mut rhs = kkt.zero_rhs();
+        let (g, g_t) = self.objective_gradient();
+        rhs.g = g;
+        rhs.g_t = g_t + self.bound_t.gradient(&Scalar::new(self.point.t), self.mu)[0];
+        rhs.dynamics.clone_from(&c.dynamics);
+        rhs.target.clone_from(&c.target);
+        for k in 0..KNOTS {
+            if k > 0 {
+                let barrier = self.bound_x[k - 1].gradient(&self.point.x[k], self.mu);
+                for i in 0..NX {
+                    rhs.g[k][i] += barrier[i];
+                }
+            }
+            let sigma = self.bound_s[k].sigma(&self.point.s[k]);
+            let pull = sigma.component_mul(&c.torque[k]) + self.bound_s[k].gradient(&self.point.s[k], self.mu);
+            rhs.g[k] += self.torque_jacobian(&knots[k]).transpose() * pull;
+        }
+        rhs
+    }
+
+    fn direction(
+        &self,
+        kkt: &Kkt,
+        factor: &Factor,
+        damping: f64,
+        knots: &[KnotDerivatives],
+        c: &Residuals,
+    ) -> Direction {
+        let rhs = self.right_hand_side(kkt, knots, c);
+        let step = kkt.solve(factor, &rhs, damping, damping * INPUT_DAMPING);
+        let share = (1.0 - self.mu).max(0.99);
+        let mut alpha = (1.0_f64, 1.0_f64);
+        let mut shorten = |a: (f64, f64)| alpha = (alpha.0.min(a.0), alpha.1.min(a.1));
+        let (mut s, mut y) = (Vec::with_capacity(KNOTS), Vec::with_capacity(KNOTS));
+        let (mut bound_x, mut bound_s) = (Vec::with_capacity(N), Vec::with_capacity(KNOTS));
+        for k in 0..KNOTS {
+            let (b, v) = (&self.bound_s[k], &self.point.s[k]);
+            let ds = self.torque_jacobian(&knots[k]) * step.z[k] + c.torque[k];
+            let new_y = b.sigma(v).component_mul(&ds) + b.gradient(v, self.mu);
+            let dz = b.dual_step(v, &ds, self.mu);
+            shorten(b.to_boundary(v, &ds, &dz, share));
+            y.push(new_y - self.y[k]);
+            s.push(ds);
+            bound_s.push(dz);
+            if k > 0 {
+                let (b, v) = (&self.bound_x[k - 1], &self.point.x[k]);
+                let dx: State = step.z[k].fixed_rows::<NX>(0).into();
+                let dz = b.dual_step(v, &dx, self.mu);
+                shorten(b.to_boundary(v, &dx, &dz, share));
+                bound_x.push(dz);
+            }
+        }
+        let (t, dt) = (Scalar::new(self.point.t), Scalar::new(step.t));
+        let bound_t = self.bound_t.dual_step(&t, &dt, self.mu);
+        shorten(self.bound_t.to_boundary(&t, &dt, &bound_t, share));
+        Direction { step, s, y, bound_x, bound_s, bound_t, alpha }
+    }
+
+    fn moved(&self, d: &Direction, alpha: f64) -> Point {
+        let mut p = self.point.clone();
+        p.t += alpha * d.step.t;
+        for k in 0..KNOTS {
+            p.x[k] += d.step.z[k].fixed_rows::<NX>(0) * alpha;
+            p.u[k] += d.step.z[k].fixed_rows::<NU>(NX) * alpha;
+            p.s[k] += d.s[k] * alpha;
+        }
+        p
+    }
+
+    /// Derivative of the barrier function along the primal step.
+    fn slope(&self, d: &Direction) -> f64 {
+        let (g, g_t) = self.objective_gradient();
+        let t = Scalar::new(self.point.t);
+        let mut slope = (g_t + self.bound_t.gradient(&t, self.mu)[0]) * d.step.t;
+        for k in 0..KNOTS {
+            slope += g[k].dot(&d.step.z[k]);
+            slope += self.bound_s[k].gradient(&self.point.s[k], self.mu).dot(&d.s[k]);
+            if k > 0 {
+                let dx = d.step.z[k].fixed_rows::<NX>(0);
+                slope += self.bound_x[k - 1].gradient(&self.point.x[k], self.mu).dot(&dx);
+            }
+        }
+        slope
+    }
+
+    fn accept(&mut self, p: Point, d: &Direction, alpha: f64) {
+        self.point = p;
+        self.dynamics.iter_mut().zip(&d.step.dynamics).for_each(|(l, new)| *l += (new - *l) * alpha);
+        self.target.iter_mut().zip(&d.step.target).for_each(|(l, new)| *l += (new - *l) * alpha);
+        self.y.iter_mut().zip(&d.y).for_each(|(y, dy)| *y += dy * alpha);
+        for k in 0..KNOTS {
+            self.bound_s[k].advance(&self.point.s[k], &d.bound_s[k], d.alpha.1, self.mu);
+            if k > 0 {
+                self.bound_x[k - 1].advance(&self.point.x[k], &d.bound_x[k - 1], d.alpha.1, self.mu);
+            }
+        }
+        self.bound_t.advance(&Scalar::new(self.point.t), &d.bound_t, d.alpha.1, self.mu);
+    }
+
+    /// (stationarity, complementarity for `mu`), scaled by the size of the multipliers.
+    fn optimality(&self, kkt: &Kkt, knots: &[KnotDerivatives], mu: f64) -> (f64, f64) {
+        let (g, g_t) = self.objective_gradient();
+        let mut worst = 0.0_f64;
+        let mut on_t = g_t - self.bound_t.z_lower[0] + self.bound_t.z_upper[0];
+        let mut complementarity = self.bound_t.complementarity(&Scalar::new(self.point.t), mu);
+        let mut bound_sum = 0.0;
+        let mut equality_sum = 0.0;
+        for k in 0..KNOTS {
+            let w = self.defect_multiplier(k);
+            let mut grad = g[k] - kkt.dynamics[k].apply_transposed(&w) * (0.5 * kkt.h);
+            on_t -= w.dot(&kkt.dynamics[k].f) * (0.5 / N as f64);
+            for i in 0..NX {
+                if k > 0 {
+                    grad[i] += self.dynamics[k - 1][i];
+                }
+                if k < N {
+                    grad[i] -= self.dynamics[k][i];
+                }
+            }
+            if k == N {
+                for (row, m) in kkt.target.iter().zip(&self.target) {
+                    for i in 0..NX {
+                        grad[i] += row.coefficients[i] * m;
+                    }
+                }
+            }
+            grad += self.torque_jacobian(&knots[k]).transpose() * self.y[k];
+            let b = &self.bound_s[k];
+            worst = worst.max((-self.y[k] - b.z_lower + b.z_upper).amax());
+            complementarity = complementarity.max(b.complementarity(&self.point.s[k], mu));
+            bound_sum += b.multiplier_sum();
+            equality_sum += self.y[k].lp_norm(1);
+            if k > 0 {
+                let b = &self.bound_x[k - 1];
+                for i in 0..NX {
+                    grad[i] += b.z_upper[i] - b.z_lower[i];
+                }
+                complementarity = complementarity.max(b.complementarity(&self.point.x[k], mu));
+                bound_sum += b.multiplier_sum();
+                equality_sum += self.dynamics[k - 1].lp_norm(1);
+                worst = worst.max(grad.amax());
+            } else {
+                // x_0 is given: only u_0 has a condition.
+                worst = worst.max(grad.fixed_rows::<NU>(NX).amax());
+            }
+        }
+        worst = worst.max(on_t.abs());
+        const S_MAX: f64 = 100.0;
+        let bounds = (2 * (N * NX + KNOTS * NU)) as f64;
+        let equalities = (N * NX + KNOTS * NU) as f64;
+        let scale_d = ((bound_sum + equality_sum) / (bounds + equalities)).max(S_MAX) / S_MAX;
+        let scale_c = (bound_sum / bounds).max(S_MAX) / S_MAX;
+        (worst / scale_d, complementarity / scale_c)
+    }
+
+    /// Factorises with as little damping as gives the right inertia, at least `least`.
+    fn factor(&mut self, kkt: &Kkt, least: f64) -> Option<(Factor, f64)> {
+        const FIRST: f64 = 1e-4;
+        const MOST: f64 = 1e10;
+        let mut damping = least;
+        loop {
+            if let Some(f) = kkt.factor(damping, damping * INPUT_DAMPING) {
+                if damping > 0.0 {
+                    self.last_damping = damping;
+                }
+                return Some((f, damping));
+            }
+            damping = if damping == 0.0 {
+                if self.last_damping == 0.0 { FIRST } else { (self.last_damping / 3.0).max(1e-12) }
+            } else if self.last_damping == 0.0 {
+                damping * 100.0
+            } else {
+                damping * 8.0
+            };
+            if damping > MOST {
+                return None;
+            }
+        }
+    }
+
+    fn run(mut self, options: &Options) -> Solution {
+        const THETA_MU: f64 = 1.5;
+        const KAPPA_MU: f64 = 0.2;
+        const KAPPA_EPSILON: f64 = 10.0;
+        let mut filter = Filter::default();
+        let mut iterations = 0;
+        let mut c = {
+            let p = self.point.clone();
+            self.residuals(&p)
+        };
+        filter.set_scale(c.total());
+        let (status, stationarity) = loop {
+            let (mut kkt, knots) = self.linearise();
+            let violation = c.largest();
+            let (stationarity, complementarity) = self.optimality(&kkt, &knots, 0.0);
+            if stationarity.max(complementarity).max(violation) <= options.tolerance {
+                break (Status::Solved, stationarity);
+            }
+            if iterations >= options.max_iterations {
+                break (Status::MaxIterations, stationarity);
+            }
+            // A barrier problem solved well enough gives way to the next.
+            loop {
+                let (stationarity, complementarity) = self.optimality(&kkt, &knots, self.mu);
+                let smallest = options.tolerance / 10.0;
+                if stationarity.max(complementarity).max(violation) > KAPPA_EPSILON * self.mu
+                    || self.mu <= smallest
+                {
+                    break;
+                }
+                self.mu = (KAPPA_MU * self.mu).min(self.mu.powf(THETA_MU)).max(smallest);
+                filter.clear();
+            }
+            iterations += 1;
+            self.condense(&mut kkt, &knots);
+            match self.iterate(&kkt, &knots, &c, &mut filter) {
+                Some(next) => c = next,
+                None => break (Status::Stalled, stationarity),
+            }
+        };
+        let cost = self.problem.cost(self.point.t, &self.point.u);
+        Solution {
+            trajectory: Trajectory { t_f: self.point.t, x: self.point.x, u: self.point.u },
+            status,
+            cost,
+            iterations,
+            violation: c.largest(),
+            stationarity,
+        }
+    }
+
+    /// One step: direction, line search, acceptance. `None` if no direction leads on.
+    fn iterate(
+        &mut self,
+        kkt: &Kkt,
+        knots: &[KnotDerivatives],
+        c: &Residuals,
+        filter: &mut Filter,
+    ) -> Option<Residuals> {
+        let (theta, phi) = (c.total(), self.barrier_function(&self.point));
+        let mut least = 0.0;
+        // A direction that fails is tried again shorter, and closer to the shortest one to feasibility.
+        const RETRIES: usize = 12;
+        for _ in 0..RETRIES {
+            let (factor, damping) = self.factor(kkt, least)?;
+            let d = self.direction(kkt, &factor, damping, knots, c);
+            let slope = self.slope(&d);
+            let mut alpha = d.alpha.0;
+            let smallest = alpha * 1e-4;
+            let mut first = true;
+            while alpha >= smallest {
+                let p = self.moved(&d, alpha);
+                let residuals = self.residuals(&p);
+                let (theta_p, phi_p) = (residuals.total(), self.barrier_function(&p));
+                if filter.accepts(theta, phi, theta_p, phi_p, alpha, slope) {
+                    self.accept(p, &d, alpha);
+                    return Some(residuals);
+                }
+                if first && theta_p >= theta {
+                    if let Some(next) =
+                        self.correct(kkt, &factor, damping, knots, c, residuals, alpha, slope, (theta, phi), filter)
+                    {
+                        return Some(next);
+                    }
+                }
+                first = false;
+                alpha *= 0.5;
+            }
+            least = if damping == 0.0 { self.last_damping.max(1e-4) } else { damping * 10.0 };
+        }
+        None
+    }
+
+    /// Second-order corrections of a full step that left the constraints.
+    fn correct(
+        &mut self,
+        kkt: &Kkt,
+        factor: &Factor,
+        damping: f64,
+        knots: &[KnotDerivatives],
+        c: &Residuals,
+        first: Residuals,
+        alpha: f64,
+        slope: f64,
+        (theta, phi): (f64, f64),
+        filter: &mut Filter,
+    ) -> Option<Residuals> {
+        const CORRECTIONS: usize = 4;
+        const KAPPA_SOC: f64 = 0.99;
+        let mut theta_old = first.total();
+        let mut corrected = c.scaled_plus(alpha, &first);
+        for _ in 0..CORRECTIONS {
+            let d = self.direction(kkt, factor, damping, knots, &corrected);
+            let p = self.moved(&d, d.alpha.0);
+            let residuals = self.residuals(&p);
+            let (theta_p, phi_p) = (residuals.total(), self.barrier_function(&p));
+            if filter.accepts(theta, phi, theta_p, phi_p, alpha, slope) {
+                self.accept(p, &d, d.alpha.0);
+                return Some(residuals);
+            }
+            if theta_p > KAPPA_SOC * theta_old || !theta_p.is_finite() {
+                return None;
+            }
+            theta_old = theta_p;
+            corrected = corrected.scaled_plus(d.alpha.0, &residuals);
+        }
+        None
+    }
+}
+
+/// Pairs (constraint violation, barrier function) that no later iterate may be worse than in both.
+#[derive(Default)]
+struct Filter {
+    entries: Vec<(f64, f64)>,
+    theta_min: f64,
+    theta_max: f64,
+}
+
+impl Filter {
+    fn set_scale(&mut self, theta: f64) {
+        self.theta_min = 1e-4 * theta.max(1.0);
+        self.theta_max = 1e4 * theta.max(1.0);
+    }
+
+    fn clear(&mut self) {
+        self.entries.clear();
+    }
+
+    /// Whether the trial point is acceptable; enters the current point into the filter where the step is not
+    /// one of descent in the barrier function.
+    fn accepts(&mut self, theta: f64, phi: f64, theta_p: f64, phi_p: f64, alpha: f64, slope: f64) -> bool {
+        const GAMMA_THETA: f64 = 1e-5;
+        const GAMMA_PHI: f64 = 1e-8;
+        const ETA_PHI: f64 = 1e-8;
+        const S_THETA: f64 = 1.1;
+        const S_PHI: f64 = 2.3;
+        if !(theta_p.is_finite() && phi_p.is_finite()) || theta_p > self.theta_max {
+            return false;
+        }
+        if self.entries.iter().any(|(t, p)| theta_p >= *t && phi_p >= *p) {
+            return false;
+        }
+        // Rounding of the barrier function near convergence.
+        let slack = 10.0 * f64::EPSILON * phi.abs();
+        let descent = slope < 0.0 && alpha * (-slope).powf(S_PHI) > theta.powf(S_THETA);
+        let armijo = phi_p <= phi + ETA_PHI * alpha * slope + slack;
+        let good = if theta <= self.theta_min && descent {
+            armijo
+        } else {
+            theta_p <= (1.0 - GAMMA_THETA) * theta || phi_p <= phi - GAMMA_PHI * theta + slack
+        };
+        if good && !(descent && armijo) {
+            self.entries.push(((1.0 - GAMMA_THETA) * theta, phi - GAMMA_PHI * theta));
+        }
+        good
+    }
+}
+
+const _: () = assert!(NQ + NQ == NX);

@@ -1,0 +1,147 @@
+//! The swing-up as an optimisation problem: (6), (8) with the torque constraint (9) or (11).
+
+use crate::kkt::TargetRow;
+use nalgebra::SVector;
+use upswing_model::{ActuatedVector, Derivatives, Hessian, Limits, Model, NQ, NX, State, UnactuatedVector, Workspace};
+use upswing_trajectory::{KNOTS, N, Trajectory};
+
+/// Which form of the motor torque is kept within its limits.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum TorqueConstraint {
+    /// (9): the torque itself.
+    Exact,
+    /// (11), the paper's: the torque without its Coriolis part, within bounds tightened by the bound c of that
+    /// part (N m).
+    WithoutCoriolis {
+        /// Smallest C~ qd of each motor.
+        lower: ActuatedVector,
+        /// Largest C~ qd of each motor.
+        upper: ActuatedVector,
+    },
+}
+
+impl TorqueConstraint {
+    /// Bounds (lower, upper) of the constrained torque, N m.
+    pub fn bounds(&self, tau_max: &ActuatedVector) -> (ActuatedVector, ActuatedVector) {
+        match self {
+            Self::Exact => (-tau_max, *tau_max),
+            Self::WithoutCoriolis { lower, upper } => (-tau_max - lower, tau_max - upper),
+        }
+    }
+}
+
+/// One trajectory to optimise.
+#[derive(Clone, Debug)]
+pub struct Problem<'a> {
+    /// The robot.
+    pub model: &'a Model,
+    /// Limits to keep (with the fractions of the settings applied).
+    pub limits: Limits,
+    /// Torque constraint.
+    pub torque: TorqueConstraint,
+    /// r of R = r I in (6a), s^3/rad^2.
+    pub input_weight: f64,
+    /// Bounds of t_F, s.
+    pub t_f: (f64, f64),
+    /// x_S
+    pub start: State,
+    /// The rows of (8).
+    pub target: Vec<TargetRow>,
+}
+
+/// x_T of (8): q1 = q3 = q5 = q7 = 0, q9 = 0, the given q8 and pitch q2 - q4 + q6 (rad), at rest; q2, q4, q6
+/// are free but for the pitch.
+pub fn upright_target(pitch: f64, q8: f64) -> Vec<TargetRow> {
+    /// Joints that (8) fixes, and q8's own place among them.
+    const FIXED: [usize; 6] = [0, 2, 4, 6, 7, 8];
+    let unit = |i: usize, value| {
+        let mut coefficients = State::zeros();
+        coefficients[i] = 1.0;
+        TargetRow { coefficients, value }
+    };
+    let mut rows: Vec<_> = FIXED.iter().map(|i| unit(*i, if *i == 7 { q8 } else { 0.0 })).collect();
+    let mut coefficients = State::zeros();
+    (coefficients[1], coefficients[3], coefficients[5]) = (1.0, -1.0, 1.0);
+    rows.push(TargetRow { coefficients, value: pitch });
+    rows.extend((NQ..NX).map(|i| unit(i, 0.0)));
+    rows
+}
+
+/// First derivatives at one knot, with the constrained torque.
+pub(crate) struct KnotDerivatives {
+    /// Of the dynamics.
+    pub dynamics: Derivatives,
+    /// Of (11) where that is the constraint.
+    pub constraint: Option<Derivatives>,
+}
+
+impl KnotDerivatives {
+    /// Derivatives of the torque that the constraint bounds.
+    pub(crate) fn torque(&self) -> &Derivatives {
+        self.constraint.as_ref().unwrap_or(&self.dynamics)
+    }
+}
+
+impl Problem<'_> {
+    /// J of (6a): t_F + h/2 sum u_k' R u_k.
+    pub fn cost(&self, t_f: f64, u: &[ActuatedVector]) -> f64 {
+        let effort: f64 = u.iter().map(|u| u.norm_squared()).sum();
+        t_f + 0.5 * t_f / N as f64 * self.input_weight * effort
+    }
+
+    /// f_k and the constrained torque at a knot.
+    pub(crate) fn knot(&self, x: &State, u: &ActuatedVector, work: &mut Workspace) -> (State, ActuatedVector) {
+        let exact = self.model.derivative_and_torque(x, u, work);
+        match self.torque {
+            TorqueConstraint::Exact => exact,
+            TorqueConstraint::WithoutCoriolis { .. } => {
+                (exact.0, self.model.torque_without_coriolis(x, u, work))
+            }
+        }
+    }
+
+    /// First derivatives, and second derivatives of `w` . qdd_U + `mu` . tau, at a knot.
+    pub(crate) fn knot_derivatives(
+        &self,
+        x: &State,
+        u: &ActuatedVector,
+        w: &UnactuatedVector,
+        mu: &ActuatedVector,
+        work: &mut Workspace,
+    ) -> (KnotDerivatives, Hessian) {
+        let dynamics = self.model.derivatives(x, u, work);
+        match self.torque {
+            TorqueConstraint::Exact => {
+                let hessian = self.model.hessian(w, mu, &dynamics, work);
+                (KnotDerivatives { dynamics, constraint: None }, hessian)
+            }
+            TorqueConstraint::WithoutCoriolis { .. } => {
+                let mut hessian = self.model.hessian(w, &ActuatedVector::zeros(), &dynamics, work);
+                let constraint = self.model.derivatives_without_coriolis(x, u, work);
+                hessian += self.model.hessian_without_coriolis(mu, &constraint, work);
+                (KnotDerivatives { dynamics, constraint: Some(constraint) }, hessian)
+            }
+        }
+    }
+
+    /// A straight line from the start to the nearest point of the target, with zero velocities and inputs.
+    pub fn straight_line(&self, t_f: f64) -> Trajectory {
+        let end = self.nearest_target(&self.start);
+        let x = (0..KNOTS)
+            .map(|k| {
+                let s = k as f64 / N as f64;
+                self.start * (1.0 - s) + end * s
+            })
+            .collect();
+        Trajectory { t_f, x, u: vec![ActuatedVector::zeros(); KNOTS] }
+    }
+
+    /// The state that meets the target rows closest to `x`. The rows of (8) are orthogonal, so that one
+    /// projection after the other does it.
+    pub fn nearest_target(&self, x: &State) -> State {
+        self.target.iter().fold(*x, |x, row| {
+            let c: &SVector<f64, NX> = &row.coefficients;
+            x + c * ((row.value - c.dot(&x)) / c.norm_squared())
+        })
+    }
+}
