@@ -6,6 +6,12 @@ pub const N: usize = 100;
 /// Number of knots x_0..x_N.
 pub const KNOTS: usize = N + 1;
 
+mod database;
+mod margins;
+mod plan;
 mod trajectory;
 
-pub use trajectory::Trajectory;
+pub use database::{Database, DatabaseError, Entry};
+pub use margins::{Margin, Margins};
+pub use plan::{Gain, Plan, Reference};
+pub use trajectory::{Spline, Trajectory};

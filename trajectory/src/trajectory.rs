@@ -1,4 +1,4 @@
-//! A trajectory at its knots.
+//! A trajectory at its knots and between them.
 
 use crate::N;
 use upswing_model::{ActuatedVector, Model, State, Workspace};
@@ -29,8 +29,56 @@ impl Trajectory {
     pub fn defect(&self, model: &Model, work: &mut Workspace) -> f64 {
         let f = self.f(model, work);
         let half_h = 0.5 * self.h();
-        (0..N)
-            .map(|k| (self.x[k + 1] - self.x[k] - (f[k] + f[k + 1]) * half_h).amax())
-            .fold(0.0, f64::max)
+        (0..N).map(|k| (self.x[k + 1] - self.x[k] - (f[k] + f[k + 1]) * half_h).amax()).fold(0.0, f64::max)
+    }
+
+    /// J of (6a) for R = `input_weight` I (s^3/rad^2): t_F + h/2 sum u_k' R u_k.
+    pub fn cost(&self, input_weight: f64) -> f64 {
+        let effort: f64 = self.u.iter().map(|u| u.norm_squared()).sum();
+        self.t_f + 0.5 * self.h() * input_weight * effort
+    }
+}
+
+/// The spline (12) through knots: x(t) quadratic, u(t) linear in each interval. Borrows x_k, u_k and
+/// f_k = f(x_k, u_k), all of the same length N + 1.
+#[derive(Clone, Copy, Debug)]
+pub struct Spline<'a> {
+    /// t_F, s.
+    pub t_f: f64,
+    /// x_k
+    pub x: &'a [State],
+    /// u_k
+    pub u: &'a [ActuatedVector],
+    /// f_k
+    pub f: &'a [State],
+}
+
+impl Spline<'_> {
+    /// The interval k that holds the time `t` (s), and the time since its knot (s). Times outside [0, t_F]
+    /// are moved to its ends.
+    #[inline]
+    pub fn locate(&self, t: f64) -> (usize, f64) {
+        let intervals = self.x.len() - 1;
+        let h = self.t_f / intervals as f64;
+        // `clamp` would let a NaN through.
+        let t = t.max(0.0).min(self.t_f);
+        let k = ((t / h) as usize).min(intervals - 1);
+        (k, t - k as f64 * h)
+    }
+
+    /// x(t), rad and rad/s (12).
+    #[inline]
+    pub fn state(&self, t: f64) -> State {
+        let (k, dt) = self.locate(t);
+        let h = self.t_f / (self.x.len() - 1) as f64;
+        self.x[k] + self.f[k] * dt + (self.f[k + 1] - self.f[k]) * (dt * dt / (2.0 * h))
+    }
+
+    /// u(t), rad/s^2 (12).
+    #[inline]
+    pub fn input(&self, t: f64) -> ActuatedVector {
+        let (k, dt) = self.locate(t);
+        let h = self.t_f / (self.x.len() - 1) as f64;
+        self.u[k] + (self.u[k + 1] - self.u[k]) * (dt / h)
     }
 }

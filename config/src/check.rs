@@ -1,0 +1,148 @@
+//! From the text of one file to numbers that hold what their key promises.
+
+use crate::ConfigError;
+use serde::de::DeserializeOwned;
+use std::fmt::Display;
+use std::ops::RangeInclusive;
+use toml::de::{DeTable, DeValue};
+use upswing_model::Limits;
+
+/// What a single number has to fulfil.
+pub(crate) struct Rule {
+    pub expected: &'static str,
+    pub holds: fn(f64) -> bool,
+}
+
+pub(crate) const POSITIVE: Rule =
+    Rule { expected: "a finite number above 0", holds: |v| v.is_finite() && v > 0.0 };
+pub(crate) const NON_NEGATIVE: Rule =
+    Rule { expected: "a finite number, 0 or above", holds: |v| v.is_finite() && v >= 0.0 };
+pub(crate) const NEGATIVE: Rule =
+    Rule { expected: "a finite number below 0", holds: |v| v.is_finite() && v < 0.0 };
+pub(crate) const FRACTION: Rule = Rule { expected: "a share in (0, 1]", holds: |v| v > 0.0 && v <= 1.0 };
+pub(crate) const SHARE: Rule = Rule { expected: "a share in [0, 1]", holds: |v| (0.0..=1.0).contains(&v) };
+pub(crate) const BELOW_ONE: Rule =
+    Rule { expected: "a number between 0 and 1, both excluded", holds: |v| v > 0.0 && v < 1.0 };
+pub(crate) const FULL_TURN: Rule =
+    Rule { expected: "an angle from -360 to 360 deg", holds: |v| (-360.0..=360.0).contains(&v) };
+pub(crate) const ACUTE: Rule =
+    Rule { expected: "an angle between 0 and 90 deg, both excluded", holds: |v| v > 0.0 && v < 90.0 };
+
+/// One file under check; its name goes into every error.
+#[derive(Clone, Copy)]
+pub(crate) struct Check<'a> {
+    pub file: &'a str,
+}
+
+impl Check<'_> {
+    /// Reads the file's raw mirror: syntax, unknown and missing keys, types.
+    pub fn parse<T: DeserializeOwned>(self, text: &str) -> Result<T, ConfigError> {
+        toml::from_str(text).map_err(|error| {
+            let at = error.span().map_or(0, |span| span.start).min(text.len());
+            let line = text.as_bytes()[..at].iter().filter(|byte| **byte == b'\n').count();
+            ConfigError::Toml {
+                file: self.file.into(),
+                line: line + 1,
+                text: text.lines().nth(line).unwrap_or_default().trim().chars().take(80).collect(),
+                key: DeTable::parse(text).ok().and_then(|table| key_at(table.get_ref(), at)),
+                reason: error.message().into(),
+            }
+        })
+    }
+
+    pub fn refuse(self, key: &str, expected: impl Display, got: impl Display, fix: &str) -> ConfigError {
+        ConfigError::Value {
+            file: self.file.into(),
+            key: key.into(),
+            expected: expected.to_string(),
+            got: got.to_string(),
+            fix: fix.into(),
+        }
+    }
+
+    pub fn number(self, key: &str, value: f64, rule: &Rule) -> Result<f64, ConfigError> {
+        if (rule.holds)(value) { Ok(value) } else { Err(self.refuse(key, rule.expected, value, SEE_COMMENT)) }
+    }
+
+    /// One number per joint from `first` (counted from 1) on.
+    pub fn list<const N: usize>(
+        self,
+        key: &str,
+        values: &[f64],
+        first: usize,
+        rule: &Rule,
+    ) -> Result<[f64; N], ConfigError> {
+        let list: [f64; N] = values.try_into().map_err(|_| {
+            let expected = format!("{N} numbers, for joints {first} to {}", first + N - 1);
+            self.refuse(key, expected, values.len(), "give one number per joint")
+        })?;
+        for (i, value) in list.into_iter().enumerate() {
+            if !(rule.holds)(value) {
+                let got = format!("{value} for joint {}", first + i);
+                return Err(self.refuse(key, rule.expected, got, SEE_COMMENT));
+            }
+        }
+        Ok(list)
+    }
+
+    pub fn integer<T: TryFrom<i64>>(
+        self,
+        key: &str,
+        value: i64,
+        range: RangeInclusive<i64>,
+    ) -> Result<T, ConfigError> {
+        let expected = format!("a whole number from {} to {}", range.start(), range.end());
+        range
+            .contains(&value)
+            .then(|| T::try_from(value).ok())
+            .flatten()
+            .ok_or_else(|| self.refuse(key, expected, value, SEE_COMMENT))
+    }
+
+    /// An angle of one joint (counted from 0) inside its limits: deg in, rad out.
+    pub fn angle(self, key: &str, deg: f64, joint: usize, limits: &Limits) -> Result<f64, ConfigError> {
+        let (low, high) = (limits.q_min[joint], limits.q_max[joint]);
+        let angle = deg.to_radians();
+        if (low..=high).contains(&angle) {
+            return Ok(angle);
+        }
+        let expected = format!("an angle from {} to {} deg", degrees(low), degrees(high));
+        let got = format!("{deg} for joint {}", joint + 1);
+        Err(self.refuse(key, expected, got, "stay inside the limits in robot.toml"))
+    }
+
+    /// `value` must be above `low`, the value of another key.
+    pub fn above(self, key: &str, value: f64, low: f64, low_key: &str) -> Result<(), ConfigError> {
+        if value > low {
+            return Ok(());
+        }
+        let fix = format!("raise it or lower {low_key}");
+        Err(self.refuse(key, format!("more than the {low} of {low_key}"), value, &fix))
+    }
+}
+
+/// An angle as a message shows it: deg, without the rounding errors of the way to rad and back.
+pub(crate) fn degrees(rad: f64) -> f64 {
+    (rad.to_degrees() * 1e6).round() / 1e6
+}
+
+const SEE_COMMENT: &str = "the comment at the key states its meaning and unit";
+
+/// Dotted name of the key that stands, or whose value stands, at a byte of the text.
+fn key_at(table: &DeTable<'_>, at: usize) -> Option<String> {
+    table.iter().find_map(|(key, value)| {
+        let inner = match value.get_ref() {
+            DeValue::Table(inner) => key_at(inner, at),
+            DeValue::Array(items) => {
+                items.iter().find_map(|item| item.get_ref().as_table().and_then(|inner| key_at(inner, at)))
+            }
+            _ => None,
+        };
+        match inner {
+            Some(inner) => Some(format!("{}.{inner}", key.get_ref())),
+            None => {
+                (key.span().contains(&at) || value.span().contains(&at)).then(|| key.get_ref().to_string())
+            }
+        }
+    })
+}

@@ -1,0 +1,80 @@
+use upswing_model::UrdfError;
+
+/// Why settings cannot be used. Each message names the file, what was expected, what came, and what to do.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// A file is missing or cannot be read.
+    #[error(
+        "{file}: cannot be read ({cause}); expected all of {}: `upswing config export DIR` writes a full copy to \
+         start from",
+        crate::file_names()
+    )]
+    Unreadable {
+        /// Path of the file.
+        file: String,
+        /// What the operating system said.
+        cause: std::io::Error,
+    },
+    /// A file that should be text is not.
+    #[error("{file}: expected UTF-8 text, got other bytes at offset {offset}: save the file as UTF-8")]
+    NotText {
+        /// Path of the file.
+        file: String,
+        /// First byte that is not UTF-8, counted from 0.
+        offset: usize,
+    },
+    /// No TOML, an unknown or missing key, or a value of the wrong type.
+    #[error(
+        "{file}, line {line}, `{text}`: {}{reason}: compare with the commented original, \
+         `upswing config export DIR` writes it",
+        .key.as_ref().map(|key| format!("{key}: ")).unwrap_or_default()
+    )]
+    Toml {
+        /// Path of the file.
+        file: String,
+        /// Line, counted from 1.
+        line: usize,
+        /// The line.
+        text: String,
+        /// The key with its section; none in text that is no TOML.
+        key: Option<String>,
+        /// What was expected and what came.
+        reason: String,
+    },
+    /// A value that the system cannot work with.
+    #[error("{file}: {key}: expected {expected}, got {got}: {fix}")]
+    Value {
+        /// Path of the file.
+        file: String,
+        /// The key with its section.
+        key: String,
+        /// What is possible.
+        expected: String,
+        /// What was found.
+        got: String,
+        /// What to do.
+        fix: String,
+    },
+    /// The robot description cannot be used.
+    #[error("{file}: {cause}: compare with the original, `upswing config export DIR` writes it")]
+    Urdf {
+        /// Path of the file.
+        file: String,
+        /// What is wrong with it.
+        cause: UrdfError,
+    },
+    /// An export would overwrite a file.
+    #[error("{file}: expected no such file, got an existing one: name a new folder, nothing is overwritten")]
+    Exists {
+        /// Path of the file.
+        file: String,
+    },
+    /// An export failed.
+    #[error("{file}: cannot be written ({cause}): name a folder that can be created or written to")]
+    Unwritable {
+        /// Path of the file or folder.
+        file: String,
+        /// What the operating system said.
+        cause: std::io::Error,
+    },
+}

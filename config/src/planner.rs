@@ -1,0 +1,254 @@
+//! `planner.toml`.
+
+use crate::check::{BELOW_ONE, Check, POSITIVE};
+use crate::{ConfigError, PendulumStart, RobotSettings};
+use serde::Deserialize;
+use upswing_model::{NQ, NU};
+
+/// How swing-ups are computed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlannerSettings {
+    /// Trajectory optimisation for the database.
+    pub offline: OfflineSettings,
+    /// Replanning from a measured start.
+    pub replan: ReplanSettings,
+    /// Weights of the trajectory controller.
+    pub lqr: LqrWeights,
+    /// Start poses of the database.
+    pub grid: GridSettings,
+}
+
+/// Trajectory optimisation (6), (8) with (9) or (11).
+#[derive(Clone, Debug, PartialEq)]
+pub struct OfflineSettings {
+    /// r of R = r I in (6a), s^4/rad^2.
+    pub input_weight: f64,
+    /// Shortest duration t_F, s.
+    pub t_f_min: f64,
+    /// Longest duration t_F, s.
+    pub t_f_max: f64,
+    /// Form of the torque constraint.
+    pub torque: TorqueConstraint,
+    /// Largest scaled residual of a solution, no unit.
+    pub tolerance: f64,
+    /// Iterations before giving up.
+    pub max_iterations: usize,
+}
+
+/// Form of the torque constraint.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum TorqueConstraint {
+    /// (9), with the Coriolis torques.
+    Exact,
+    /// (11), without them but tightened by their bound c.
+    Paper,
+}
+
+/// Replanning by quadratic programs, (14)-(17).
+#[derive(Clone, Debug, PartialEq)]
+pub struct ReplanSettings {
+    /// Quadratic programs per replan, each linearised around the result before; 1 is the paper's mode.
+    pub iterations: usize,
+    /// Diagonal of Q, (17).
+    pub weights: ReplanWeights,
+    /// How many of the nearest database entries are tried.
+    pub neighbours: usize,
+    /// Weight of each actuated joint in the squared distance between start poses, no unit.
+    pub metric: [f64; NU],
+}
+
+/// Diagonal of Q in (17), the same at every knot.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ReplanWeights {
+    /// Duration, 1/s^2.
+    pub t_f: f64,
+    /// Angles, 1/rad^2.
+    pub q: [f64; NQ],
+    /// Velocities, s^2/rad^2.
+    pub qd: [f64; NQ],
+    /// Inputs, s^4/rad^2.
+    pub u: [f64; NU],
+}
+
+/// Weights Q_c and R_c of (20).
+#[derive(Clone, Debug, PartialEq)]
+pub struct LqrWeights {
+    /// All angles, 1/rad^2.
+    pub q_angles: f64,
+    /// Velocities of the actuated joints, s^2/rad^2.
+    pub q_velocities_actuated: f64,
+    /// Velocities of the unactuated joints, s^2/rad^2.
+    pub q_velocities_unactuated: f64,
+    /// r of R_c = r I, s^4/rad^2.
+    pub r: f64,
+}
+
+/// Start poses of the database: the product of all axes; joints without an axis start at 0.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GridSettings {
+    /// One axis per varied joint, in the order of the file.
+    pub axes: Vec<GridAxis>,
+    /// How the pendulum starts.
+    pub start: PendulumStart,
+}
+
+/// Equally spaced angles of one joint, both ends included.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GridAxis {
+    /// Index of the joint, counted from 0 (the file counts from 1).
+    pub joint: usize,
+    /// First angle, rad.
+    pub from: f64,
+    /// Last angle, rad, above `from`.
+    pub to: f64,
+    /// Number of angles, at least 2.
+    pub points: usize,
+}
+
+impl GridAxis {
+    /// Angle of a point counted from 0, rad.
+    pub fn angle(&self, point: usize) -> f64 {
+        self.from + (self.to - self.from) * point as f64 / (self.points - 1) as f64
+    }
+}
+
+/// More start poses than any database will have; keeps a slip of the pen from filling the memory.
+const MOST_POSES: usize = 1_000_000;
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Raw {
+    offline: RawOffline,
+    replan: RawReplan,
+    lqr: RawLqr,
+    grid: RawGrid,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawOffline {
+    input_weight: f64,
+    t_f_min_s: f64,
+    t_f_max_s: f64,
+    torque: TorqueConstraint,
+    tolerance: f64,
+    max_iterations: i64,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawReplan {
+    iterations: i64,
+    weight_t_f: f64,
+    weight_q: Vec<f64>,
+    weight_qd: Vec<f64>,
+    weight_u: Vec<f64>,
+    neighbours: i64,
+    metric: Vec<f64>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawLqr {
+    q_angles: f64,
+    q_velocities_actuated: f64,
+    q_velocities_unactuated: f64,
+    r: f64,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawGrid {
+    joints: Vec<RawAxis>,
+    start: PendulumStart,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawAxis {
+    joint: i64,
+    from_deg: f64,
+    to_deg: f64,
+    points: i64,
+}
+
+impl PlannerSettings {
+    pub(crate) fn read(file: &str, text: &str, robot: &RobotSettings) -> Result<Self, ConfigError> {
+        let check = Check { file };
+        let Raw { offline, replan, lqr, grid } = check.parse(text)?;
+        Ok(Self {
+            offline: read_offline(check, &offline)?,
+            replan: ReplanSettings {
+                iterations: check.integer("replan.iterations", replan.iterations, 1..=1000)?,
+                weights: ReplanWeights {
+                    t_f: check.number("replan.weight_t_f", replan.weight_t_f, &POSITIVE)?,
+                    q: check.list("replan.weight_q", &replan.weight_q, 1, &POSITIVE)?,
+                    qd: check.list("replan.weight_qd", &replan.weight_qd, 1, &POSITIVE)?,
+                    u: check.list("replan.weight_u", &replan.weight_u, 1, &POSITIVE)?,
+                },
+                neighbours: check.integer("replan.neighbours", replan.neighbours, 1..=1000)?,
+                metric: check.list("replan.metric", &replan.metric, 1, &POSITIVE)?,
+            },
+            lqr: LqrWeights {
+                q_angles: check.number("lqr.q_angles", lqr.q_angles, &POSITIVE)?,
+                q_velocities_actuated: check.number(
+                    "lqr.q_velocities_actuated",
+                    lqr.q_velocities_actuated,
+                    &POSITIVE,
+                )?,
+                q_velocities_unactuated: check.number(
+                    "lqr.q_velocities_unactuated",
+                    lqr.q_velocities_unactuated,
+                    &POSITIVE,
+                )?,
+                r: check.number("lqr.r", lqr.r, &POSITIVE)?,
+            },
+            grid: GridSettings { axes: read_axes(check, &grid.joints, robot)?, start: grid.start },
+        })
+    }
+}
+
+fn read_offline(check: Check<'_>, raw: &RawOffline) -> Result<OfflineSettings, ConfigError> {
+    let t_f_min = check.number("offline.t_f_min_s", raw.t_f_min_s, &POSITIVE)?;
+    let t_f_max = check.number("offline.t_f_max_s", raw.t_f_max_s, &POSITIVE)?;
+    check.above("offline.t_f_max_s", t_f_max, t_f_min, "offline.t_f_min_s")?;
+    Ok(OfflineSettings {
+        input_weight: check.number("offline.input_weight", raw.input_weight, &POSITIVE)?,
+        t_f_min,
+        t_f_max,
+        torque: raw.torque,
+        tolerance: check.number("offline.tolerance", raw.tolerance, &BELOW_ONE)?,
+        max_iterations: check.integer("offline.max_iterations", raw.max_iterations, 1..=1_000_000)?,
+    })
+}
+
+fn read_axes(check: Check<'_>, raw: &[RawAxis], robot: &RobotSettings) -> Result<Vec<GridAxis>, ConfigError> {
+    let mut axes: Vec<GridAxis> = Vec::with_capacity(raw.len());
+    let mut poses = 1_usize;
+    for axis in raw {
+        let number: usize = check.integer("grid.joints.joint", axis.joint, 1..=NU as i64)?;
+        let joint = number - 1;
+        if axes.iter().any(|known| known.joint == joint) {
+            let got = format!("joint {number} twice");
+            return Err(check.refuse(
+                "grid.joints.joint",
+                "each joint at most once",
+                got,
+                "remove one of them",
+            ));
+        }
+        let from = check.angle("grid.joints.from_deg", axis.from_deg, joint, &robot.planning)?;
+        let to = check.angle("grid.joints.to_deg", axis.to_deg, joint, &robot.planning)?;
+        check.above("grid.joints.to_deg", axis.to_deg, axis.from_deg, "grid.joints.from_deg")?;
+        let points = check.integer("grid.joints.points", axis.points, 2..=MOST_POSES as i64)?;
+        poses = poses.saturating_mul(points);
+        axes.push(GridAxis { joint, from, to, points });
+    }
+    if axes.is_empty() || poses > MOST_POSES {
+        let expected = format!("at least one joint and at most {MOST_POSES} start poses");
+        let got = format!("{} joints, {poses} start poses", axes.len());
+        return Err(check.refuse("grid.joints", expected, got, "change the list or its numbers of points"));
+    }
+    Ok(axes)
+}

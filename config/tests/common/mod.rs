@@ -1,0 +1,32 @@
+//! An exported folder of settings to edit, and the message that the edit earns.
+
+use std::path::Path;
+use upswing_config::Config;
+
+/// Exports the default settings to a folder that vanishes with the returned guard.
+pub fn exported() -> tempfile::TempDir {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    Config::export(dir.path()).expect("export");
+    dir
+}
+
+/// Replaces text, which must occur exactly once, in a file of the folder.
+pub fn edit(dir: &Path, file: &str, from: &str, to: &str) {
+    let path = dir.join(file);
+    let text = std::fs::read_to_string(&path).expect("exported file");
+    assert_eq!(text.matches(from).count(), 1, "`{from}` in {file}");
+    std::fs::write(&path, text.replace(from, to)).expect("edited file");
+}
+
+/// Makes one edit and expects a message that contains the file's path and all of `parts`.
+#[allow(dead_code, reason = "not every test file refuses an edit")]
+pub fn refused(file: &str, from: &str, to: &str, parts: &[&str]) {
+    let dir = exported();
+    edit(dir.path(), file, from, to);
+    let Err(error) = Config::from_dir(dir.path()) else { panic!("{file}: `{to}` was accepted") };
+    let message = error.to_string();
+    let path = dir.path().join(file).display().to_string();
+    for part in parts.iter().copied().chain([path.as_str()]) {
+        assert!(message.contains(part), "{file}: `{to}`: no `{part}` in: {message}");
+    }
+}

@@ -1,0 +1,89 @@
+//! The embedded settings load; an export loads back to the same values and never overwrites anything.
+
+mod common;
+use common::{edit, exported};
+use std::time::Duration;
+use upswing_config::{Config, ConfigError, PendulumStart, TorqueConstraint};
+
+#[test]
+fn the_same_settings() {
+    let embedded = Config::embedded().expect("embedded settings");
+    let dir = exported();
+    let loaded = Config::load(Some(dir.path())).expect("exported settings");
+    assert_eq!(loaded.urdf, embedded.urdf);
+    assert_eq!(loaded.model.fingerprint(), embedded.model.fingerprint());
+    assert_eq!(loaded.robot, embedded.robot);
+    assert_eq!(loaded.planner, embedded.planner);
+    assert_eq!(loaded.daemon, embedded.daemon);
+    assert_eq!(loaded.plant, embedded.plant);
+    assert_eq!(loaded.database.bytes, embedded.database.bytes);
+    assert!(loaded.database.origin.ends_with("database.bin"));
+}
+
+#[test]
+fn an_edit_takes_effect_in_si_units() {
+    let dir = exported();
+    edit(dir.path(), "planner.toml", "torque = \"exact\"", "torque = \"paper\"");
+    edit(dir.path(), "robot.toml", "velocity_fraction_unactuated = 0.5", "velocity_fraction_unactuated = 1");
+    edit(dir.path(), "daemon.toml", "cpu = -1", "cpu = 3");
+    edit(dir.path(), "plant.toml", "pendulum = \"rest\"", "pendulum = \"zero\"");
+    let config = Config::from_dir(dir.path()).expect("edited settings");
+    assert_eq!(config.planner.offline.torque, TorqueConstraint::Paper);
+    assert_eq!(config.robot.planning.qd_max[7], 180_f64.to_radians());
+    assert_eq!(config.robot.planning.qd_max[6], 135_f64.to_radians() * 0.5);
+    assert_eq!(config.daemon.realtime.cpu, Some(3));
+    assert_eq!(config.plant.start.pendulum, PendulumStart::Zero);
+}
+
+#[test]
+fn the_papers_values() {
+    let config = Config::load(None).expect("embedded settings");
+    let deg = f64::to_radians;
+    let robot = &config.robot;
+    assert_eq!(robot.limits.q_max[8], deg(45.0));
+    assert_eq!(robot.limits.q_min[0], deg(-170.0));
+    assert_eq!(robot.planning.tau_max[2], 88.0);
+    assert!((robot.planning.q_max[7] - deg(200.0)).abs() < 1e-12);
+    assert!((robot.planning.q_min[7] + deg(200.0)).abs() < 1e-12);
+    assert_eq!(robot.planning.q_max[6], robot.limits.q_max[6]);
+    assert_eq!((robot.target.pitch, robot.target.q8), (deg(90.0), deg(180.0)));
+    assert_eq!((robot.coriolis_bound.lower[1], robot.coriolis_bound.upper[1]), (-7.0, 8.0));
+    assert_eq!(config.daemon.cycle.period, Duration::from_micros(125));
+    assert_eq!(config.daemon.cycle.velocity_filter, 0.012);
+    assert_eq!(config.daemon.realtime.cpu, None);
+    assert!((config.plant.encoder.pendulum_resolution - 4.79e-5).abs() < 1e-7);
+    assert_eq!(config.plant.start.q[3], deg(-95.0));
+
+    let axes = &config.planner.grid.axes;
+    assert_eq!(axes.iter().map(|axis| axis.joint).collect::<Vec<_>>(), [0, 1, 3, 5]);
+    assert_eq!(axes.iter().map(|axis| axis.points).product::<usize>(), 256);
+    for (point, angle) in [-60.0, -25.0, 10.0, 45.0].into_iter().enumerate() {
+        assert!((axes[0].angle(point) - deg(angle)).abs() < 1e-12);
+    }
+}
+
+#[test]
+fn nothing_is_overwritten() {
+    for present in ["robot.urdf", "plant.toml", "database.bin"] {
+        let dir = tempfile::tempdir().expect("temporary folder");
+        let path = dir.path().join(present);
+        std::fs::write(&path, "mine").expect("write");
+        let error = Config::export(dir.path()).expect_err("a file is there");
+        assert!(matches!(error, ConfigError::Exists { .. }), "{error}");
+        assert!(error.to_string().contains(present), "{error}");
+        assert_eq!(std::fs::read_to_string(&path).expect("read"), "mine");
+        assert_eq!(std::fs::read_dir(dir.path()).expect("folder").count(), 1, "nothing else was written");
+    }
+}
+
+#[test]
+fn a_new_folder_is_created() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let nested = dir.path().join("a/b");
+    Config::export(&nested).expect("export");
+    Config::from_dir(&nested).expect("exported settings");
+
+    let file = nested.join("robot.toml");
+    let error = Config::export(&file.join("c")).expect_err("below a file");
+    assert!(matches!(error, ConfigError::Unwritable { .. }), "{error}");
+}

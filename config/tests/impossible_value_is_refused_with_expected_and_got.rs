@@ -1,0 +1,176 @@
+//! A value the system cannot work with is refused with the key, what is possible and what was found.
+
+mod common;
+use common::refused;
+
+const POSITIVE: &str = "expected a finite number above 0";
+const NOT_NEGATIVE: &str = "expected a finite number, 0 or above";
+const SHARE: &str = "expected a share in (0, 1]";
+
+#[test]
+fn robot() {
+    for (from, to, parts) in [
+        ("q_deg = [170", "q_deg = [-170", &["limits.q_deg", POSITIVE, "got -170 for joint 1"]),
+        (
+            "qd_deg_s = [85, 85, 100",
+            "qd_deg_s = [85, 85, nan",
+            &["limits.qd_deg_s", POSITIVE, "got NaN for joint 3"],
+        ),
+        ("40, 40]", "40, inf]", &["limits.tau_nm", POSITIVE, "got inf for joint 7"]),
+        (
+            "fraction_actuated = 0.5",
+            "fraction_actuated = 0",
+            &["usage.velocity_fraction_actuated", SHARE, "got 0"],
+        ),
+        (
+            "fraction_unactuated = 0.5",
+            "fraction_unactuated = 1.5",
+            &["usage.velocity_fraction_unactuated", SHARE, "got 1.5"],
+        ),
+        ("torque_fraction = 0.5", "torque_fraction = -0.5", &["usage.torque_fraction", SHARE, "got -0.5"]),
+        (
+            "margin_deg = [20, 0]",
+            "margin_deg = [20, -1]",
+            &["usage.position_margin_deg", NOT_NEGATIVE, "got -1 for joint 9"],
+        ),
+        ("upper_nm = [6", "upper_nm = [-6", &["coriolis_bound.upper_nm", POSITIVE, "got -6 for joint 1"]),
+        ("lower_nm = [-6", "lower_nm = [6", &["coriolis_bound.lower_nm", "below 0", "got 6 for joint 1"]),
+        (
+            "lower_nm = [-6",
+            "lower_nm = [-160",
+            &["coriolis_bound.lower_nm", "less than the 160", "got -160 for joint 1"],
+        ),
+        ("pitch_deg = 90", "pitch_deg = inf", &["target.pitch_deg", "from -360 to 360 deg", "got inf"]),
+        ("q8_deg = 180", "q8_deg = 201", &["target.q8_deg", "from -200 to 200 deg", "got 201"]),
+    ] as [(&str, &str, &[&str]); 12]
+    {
+        refused("robot.toml", from, to, parts);
+    }
+}
+
+#[test]
+fn limits_that_differ_from_the_urdf() {
+    for (from, to, parts) in [
+        (
+            "q_deg = [170, 120",
+            "q_deg = [170, 119",
+            &["limits.q_deg", "the 120 of joint 2 in robot.urdf", "got 119"],
+        ),
+        ("qd_deg_s = [85", "qd_deg_s = [98", &["limits.qd_deg_s", "the 85 of joint 1", "got 98"]),
+        (
+            "110, 40, 40]",
+            "110, 40, 41]",
+            &["limits.tau_nm", "the 40 of joint 7", "got 41", "change both files"],
+        ),
+    ] as [(&str, &str, &[&str]); 3]
+    {
+        refused("robot.toml", from, to, parts);
+    }
+}
+
+#[test]
+fn planner() {
+    for (from, to, parts) in [
+        ("input_weight = 0.01", "input_weight = 0", &["offline.input_weight", POSITIVE, "got 0"]),
+        ("t_f_max_s = 8.0", "t_f_max_s = 0.2", &["offline.t_f_max_s", "more than the 0.3", "got 0.2"]),
+        ("tolerance = 1e-9", "tolerance = 1", &["offline.tolerance", "between 0 and 1", "got 1"]),
+        ("max_iterations = 3000", "max_iterations = 0", &["offline.max_iterations", "from 1 to", "got 0"]),
+        ("\niterations = 4", "\niterations = -4", &["replan.iterations", "from 1 to", "got -4"]),
+        ("weight_t_f = 1.0", "weight_t_f = -1.0", &["replan.weight_t_f", POSITIVE, "got -1"]),
+        ("weight_u = [0.01", "weight_u = [0", &["replan.weight_u", POSITIVE, "got 0 for joint 1"]),
+        ("neighbours = 3", "neighbours = 0", &["replan.neighbours", "from 1 to", "got 0"]),
+        ("metric = [1", "metric = [-1", &["replan.metric", POSITIVE, "got -1 for joint 1"]),
+        ("q_angles = 100", "q_angles = nan", &["lqr.q_angles", POSITIVE, "got NaN"]),
+        ("\nr = 0.01", "\nr = 0", &["lqr.r", POSITIVE, "got 0"]),
+        ("joint = 4,", "joint = 8,", &["grid.joints.joint", "from 1 to 7", "got 8"]),
+        ("joint = 4,", "joint = 2,", &["grid.joints.joint", "at most once", "got joint 2 twice"]),
+        (
+            "from_deg = -120",
+            "from_deg = -121",
+            &["grid.joints.from_deg", "from -120 to 120 deg", "got -121 for joint 4"],
+        ),
+        ("to_deg = 45", "to_deg = -60", &["grid.joints.to_deg", "more than the -60", "got -60"]),
+        ("to_deg = 45, points = 4", "to_deg = 45, points = 1", &["grid.joints.points", "from 2 to", "got 1"]),
+        (
+            "to_deg = 45, points = 4",
+            "to_deg = 45, points = 15626",
+            &["grid.joints", "at most 1000000", "1000064 start poses"],
+        ),
+    ] as [(&str, &str, &[&str]); 17]
+    {
+        refused("planner.toml", from, to, parts);
+    }
+}
+
+#[test]
+fn daemon() {
+    for (from, to, parts) in [
+        ("period_us = 125", "period_us = 0", &["cycle.period_us", "from 1 to", "got 0"]),
+        (
+            "filter_ms = 12",
+            "filter_ms = 0.1",
+            &["cycle.velocity_filter_ms", "more than the 0.125", "got 0.1"],
+        ),
+        ("stiffness = [100", "stiffness = [0", &["hold.stiffness", POSITIVE, "got 0 for joint 1"]),
+        ("damping = [20", "damping = [-20", &["hold.damping", POSITIVE, "got -20 for joint 1"]),
+        ("rad_s2 = [6", "rad_s2 = [inf", &["stop.deceleration_rad_s2", POSITIVE, "got inf for joint 1"]),
+        ("margin_deg = 5", "margin_deg = -5", &["limits.position_trip_margin_deg", NOT_NEGATIVE, "got -5"]),
+        (
+            "fraction = 1.1",
+            "fraction = 0.5",
+            &["limits.velocity_trip_fraction", "more than the 0.5", "got 0.5"],
+        ),
+        ("trip_rad = 0.5", "trip_rad = 0", &["limits.tracking_error_trip_rad", POSITIVE, "got 0"]),
+        ("age_cycles = 20", "age_cycles = 0", &["limits.measurement_max_age_cycles", "from 1 to", "got 0"]),
+        ("lost_deg = 25", "lost_deg = 90", &["balance.lost_deg", "between 0 and 90 deg", "got 90"]),
+        ("tolerance_rad = 0.05", "tolerance_rad = 0", &["start.tolerance_rad", POSITIVE, "got 0"]),
+        ("tolerance_rad_s = 0.2", "tolerance_rad_s = -1", &["start.tolerance_rad_s", POSITIVE, "got -1"]),
+        ("priority = 80", "priority = 100", &["realtime.priority", "from 1 to 99", "got 100"]),
+        ("cpu = -1", "cpu = -2", &["realtime.cpu", "from -1 to", "got -2"]),
+    ] as [(&str, &str, &[&str]); 14]
+    {
+        refused("daemon.toml", from, to, parts);
+    }
+}
+
+#[test]
+fn plant() {
+    for (from, to, parts) in [
+        ("substeps = 2", "substeps = 0", &["integrator.substeps", "from 1 to", "got 0"]),
+        ("resolution_rad = 2e-5", "resolution_rad = 0", &["encoder.arm_resolution_rad", POSITIVE, "got 0"]),
+        ("bits = 17", "bits = 33", &["encoder.pendulum_bits", "from 1 to 32", "got 33"]),
+        ("watchdog_cycles = 20", "watchdog_cycles = 0", &["drive.watchdog_cycles", "from 1 to", "got 0"]),
+        ("constant_ms = 10", "constant_ms = 0", &["drive.brake_time_constant_ms", POSITIVE, "got 0"]),
+        (
+            "viscous = [0.0005",
+            "viscous = [-1",
+            &["friction.pendulum_viscous", NOT_NEGATIVE, "got -1 for joint 8"],
+        ),
+        (
+            "arm_coulomb = [0.31909",
+            "arm_coulomb = [nan",
+            &["friction.arm_coulomb", NOT_NEGATIVE, "got NaN for joint 1"],
+        ),
+        ("compensation = 1.0", "compensation = 1.1", &["friction.arm_compensation", "[0, 1]", "got 1.1"]),
+        ("rad_s = 0.01", "rad_s = 0", &["friction.coulomb_smoothing_rad_s", POSITIVE, "got 0"]),
+        (
+            "q_deg = [0, -15, 0, -95",
+            "q_deg = [0, -15, 0, -125",
+            &["start.q_deg", "-120 to 120 deg", "got -125 for joint 4"],
+        ),
+    ] as [(&str, &str, &[&str]); 10]
+    {
+        refused("plant.toml", from, to, parts);
+    }
+}
+
+#[test]
+fn robot_description() {
+    refused("robot.urdf", "<robot name", "<robots name", &["not a readable URDF", "upswing config export"]);
+    refused(
+        "robot.urdf",
+        "<mass value=\"3.94781\"/>",
+        "<mass value=\"-1\"/>",
+        &["joint_1", "positive", "got -1 kg"],
+    );
+}

@@ -1,0 +1,44 @@
+//! A folder without one of the files is refused with the file's name and the way to get a full copy; a file
+//! that is no text is refused with the place of the first bad byte.
+
+mod common;
+use common::exported;
+use upswing_config::{Config, ConfigError};
+
+const FILES: [&str; 6] =
+    ["robot.urdf", "robot.toml", "planner.toml", "daemon.toml", "plant.toml", "database.bin"];
+
+#[test]
+fn each_file() {
+    for file in FILES {
+        let dir = exported();
+        let path = dir.path().join(file);
+        std::fs::remove_file(&path).expect("exported file");
+        let error = Config::load(Some(dir.path())).expect_err("incomplete folder");
+        assert!(matches!(error, ConfigError::Unreadable { .. }), "{error}");
+        let message = error.to_string();
+        for part in [path.display().to_string().as_str(), "upswing config export DIR"] {
+            assert!(message.contains(part), "no `{part}` in: {message}");
+        }
+    }
+}
+
+#[test]
+fn a_folder_that_does_not_exist() {
+    let dir = exported();
+    let message = Config::from_dir(&dir.path().join("none")).expect_err("no folder").to_string();
+    assert!(message.contains("none") && message.contains("upswing config export DIR"), "{message}");
+}
+
+#[test]
+fn bytes_that_are_no_text() {
+    for file in FILES.into_iter().filter(|file| *file != "database.bin") {
+        let dir = exported();
+        std::fs::write(dir.path().join(file), b"# caf\xe9\n").expect("write");
+        let message = Config::from_dir(dir.path()).expect_err("Latin-1").to_string();
+        assert!(
+            message.contains(file) && message.contains("UTF-8") && message.contains("offset 5"),
+            "{message}"
+        );
+    }
+}

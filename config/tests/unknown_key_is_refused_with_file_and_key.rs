@@ -1,0 +1,104 @@
+//! A key nobody reads, a key left out, a value of the wrong type and broken TOML are refused with the file, the
+//! line and the key.
+
+mod common;
+use common::{exported, refused};
+use upswing_config::Config;
+
+#[test]
+fn unknown_keys() {
+    for (file, from, to, parts) in [
+        ("robot.toml", "qd_deg_s =", "qd_rad_s =", &["limits.qd_rad_s", "expected one of", "`qd_deg_s`"]),
+        ("robot.toml", "[usage]", "[use]", &["use:", "unknown field `use`", "`usage`"]),
+        (
+            "planner.toml",
+            "neighbours =",
+            "neighbors =",
+            &["replan.neighbors", "unknown field", "`neighbours`"],
+        ),
+        ("planner.toml", "joint = 4, from_deg", "joint = 4, from", &["grid.joints.from", "`from_deg`"]),
+        ("daemon.toml", "lost_deg =", "lost =", &["balance.lost", "unknown field", "`lost_deg`"]),
+        ("plant.toml", "substeps = 2", "substeps = 2\nstep = 1", &["integrator.step", "`substeps`"]),
+    ] as [(&str, &str, &str, &[&str]); 6]
+    {
+        refused(file, from, to, parts);
+    }
+}
+
+#[test]
+fn missing_keys_and_sections() {
+    for (file, from, to, parts) in [
+        ("robot.toml", "pitch_deg = 90", "", &["target", "missing field `pitch_deg`"]),
+        ("planner.toml", "r = 0.01", "", &["lqr", "missing field `r`"]),
+        ("daemon.toml", "priority = 80", "", &["realtime", "missing field `priority`"]),
+        (
+            "plant.toml",
+            "[integrator]\n# Integration steps per control period. Assumed.\nsubsteps = 2",
+            "",
+            &["missing field `integrator`"],
+        ),
+    ] as [(&str, &str, &str, &[&str]); 4]
+    {
+        refused(file, from, to, parts);
+    }
+}
+
+#[test]
+fn values_of_the_wrong_type() {
+    for (file, from, to, parts) in [
+        (
+            "robot.toml",
+            "pitch_deg = 90",
+            "pitch_deg = \"90\"",
+            &["target.pitch_deg", "string \"90\"", "expected f64"],
+        ),
+        ("robot.toml", "tau_nm = [320,", "tau_nm = [true,", &["limits.tau_nm", "boolean", "expected f64"]),
+        (
+            "planner.toml",
+            "torque = \"exact\"",
+            "torque = \"fast\"",
+            &["offline.torque", "`fast`", "`exact` or `paper`"],
+        ),
+        (
+            "planner.toml",
+            "points = 4 },\n    { joint = 2",
+            "points = 4.5 },\n    { joint = 2",
+            &["grid.joints.points", "floating point `4.5`"],
+        ),
+        (
+            "daemon.toml",
+            "mode = \"warn\"",
+            "mode = \"off\"",
+            &["realtime.mode", "`off`", "`warn` or `strict`"],
+        ),
+        (
+            "plant.toml",
+            "pendulum = \"rest\"",
+            "pendulum = 0",
+            &["start.pendulum", "string", "`pendulum = 0`"],
+        ),
+    ] as [(&str, &str, &str, &[&str]); 6]
+    {
+        refused(file, from, to, parts);
+    }
+}
+
+#[test]
+fn broken_toml() {
+    refused("robot.toml", "pitch_deg = 90", "pitch_deg = ", &["line", "`pitch_deg =`"]);
+    refused("daemon.toml", "[balance]", "[balance", &["line", "`[balance`"]);
+    refused(
+        "plant.toml",
+        "substeps = 2",
+        "substeps = 2\nsubsteps = 3",
+        &["line", "`substeps = 3`", "duplicate key"],
+    );
+}
+
+#[test]
+fn the_line_counts_from_one() {
+    let dir = exported();
+    std::fs::write(dir.path().join("robot.toml"), "[limits]\nq_deg = 1\n").expect("write");
+    let message = Config::from_dir(dir.path()).expect_err("a number for a list").to_string();
+    assert!(message.contains("robot.toml, line 2, `q_deg = 1`: limits.q_deg: "), "{message}");
+}
