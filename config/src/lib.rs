@@ -9,6 +9,7 @@ mod check;
 mod daemon;
 mod error;
 mod planner;
+pub mod process;
 mod plant;
 mod robot;
 

@@ -1,1 +1,66 @@
-//! Placeholder
+//! Shared memory between the processes of upswing: payload layouts, services and how to join them.
+//!
+//! | service | pattern | from -> to | payload |
+//! |---|---|---|---|
+//! | `measurement/<epoch>` | blackboard | plant -> daemon | [`Measurement`] |
+//! | `command/<epoch>` | blackboard | daemon -> plant | [`Command`] |
+//! | `plan` | pub/sub, history 1 | planner -> daemon | [`Plan`] |
+//! | `telemetry` | pub/sub, no history | daemon -> planner, cli | [`TelemetryBatch`] |
+//! | `control` | request/response | cli -> daemon | [`ControlRequest`] -> [`ControlResponse`] |
+//! | `planner` | request/response | cli, harness -> planner | [`PlannerRequest`] -> [`PlannerResponse`] |
+//! | `plant` | request/response | harness -> plant | [`PlantRequest`] -> [`PlantResponse`] |
+//!
+//! A process picks a [`Domain`], connects to it and asks its [`Node`] for the ends it needs:
+//!
+//! ```
+//! use upswing_ipc::{Command, Domain};
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! # let name = format!("doc-{}", std::process::id());
+//! let domain = Domain::new(&name)?;
+//! let node = domain.connect("daemon")?;
+//! let (command, _ports) = node.command_writer()?.split();
+//! command.write(Command { seq: 1, ..Command::default() });
+//! # drop((command, _ports, node));
+//! # domain.remove_if_unused()?;
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! # Two kinds of threads
+//! Three objects may enter the real-time thread: [`WriterEntry`], [`Reader`] and [`Snapshot`]. Their methods
+//! neither allocate nor enter the kernel. All the rest (nodes, finders, publishers, clients, servers) opens
+//! files, maps memory and cleans up after dead peers; it stays in one other thread.
+//!
+//! # Trust
+//! Every process of a domain can write into what it shares with the others. The layouts therefore hold plain
+//! numbers only, codes become enums through checked conversions ([`UnknownCode`]), [`Text`] is checked when it
+//! is read, a [`Plan`] carries a checksum; sequence, age, range and finiteness are for the reader to check.
+//!
+//! This is the only crate that sees iceoryx2. Its version is exact, because every version of iceoryx2 has its
+//! own layout of shared memory; a payload whose layout changes gets a new version in its type name.
+
+mod blackboard;
+mod codes;
+mod domain;
+mod error;
+mod messages;
+mod node;
+mod payload;
+mod request;
+mod services;
+mod text;
+
+pub use blackboard::{Finder, Reader, Snapshot, Writer, WriterEntry, WriterPorts};
+pub use codes::{Clock, ControlCommand, Mode, PlannerKind, PlannerStatus, PlantKind, UnknownClock, UnknownCode};
+pub use domain::{Domain, DomainError};
+pub use error::{CallError, Cause, IpcError};
+pub use messages::{Publisher, Received, Subscriber};
+pub use node::Node;
+pub use payload::{
+    Command, ControlRequest, ControlResponse, Measurement, Plan, PlannerRequest, PlannerResponse, PlantRequest,
+    PlantResponse, TELEMETRY_BATCH, Telemetry, TelemetryBatch,
+};
+pub use request::{Client, Server};
+pub use services::{Latest, Request, Topic};
+pub use text::{Text, TextError};

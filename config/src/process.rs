@@ -1,0 +1,92 @@
+//! What all processes share: command-line options, logging, the shutdown flag and exit codes.
+
+use crate::{Config, ConfigError};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Options of every process.
+#[derive(Clone, Debug, clap::Args)]
+pub struct ProcessArgs {
+    /// Folder with a full set of settings [default: the embedded one; `upswing config export DIR` writes a copy]
+    #[arg(long, value_name = "DIR", global = true)]
+    pub config: Option<PathBuf>,
+    /// Name of the shared-memory world that daemon, planner, plant and clients meet in
+    #[arg(long, value_name = "NAME", default_value = "upswing", global = true)]
+    pub domain: String,
+}
+
+impl ProcessArgs {
+    /// Reads the settings.
+    ///
+    /// # Errors
+    /// [`Failure::BadInput`] with the message of the [`ConfigError`].
+    pub fn load(&self) -> Result<Config, Failure> {
+        Ok(Config::load(self.config.as_deref())?)
+    }
+}
+
+/// Why a process ends without success; decides its exit code.
+#[derive(Debug, thiserror::Error)]
+pub enum Failure {
+    /// An input (command line, file, request) cannot be used: exit code 2.
+    #[error("{0}")]
+    BadInput(String),
+    /// It ran, but the answer is no: exit code 1.
+    #[error("{0}")]
+    Failed(String),
+}
+
+impl From<ConfigError> for Failure {
+    fn from(e: ConfigError) -> Self {
+        Self::BadInput(e.to_string())
+    }
+}
+
+impl Failure {
+    /// The process's exit code.
+    pub fn code(&self) -> u8 {
+        match self {
+            Self::Failed(_) => 1,
+            Self::BadInput(_) => 2,
+        }
+    }
+}
+
+/// Ends `main`: prints the failure as one line on stderr and returns the exit code (0, 1 or 2).
+pub fn finish(result: Result<(), Failure>) -> ExitCode {
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            eprintln!("error: {failure}");
+            ExitCode::from(failure.code())
+        }
+    }
+}
+
+/// Sends logs to stderr, one line each, from level `info` on or what RUST_LOG asks for.
+pub fn start_logging() {
+    use std::io::IsTerminal;
+    let filter = tracing_subscriber::EnvFilter::try_from_default_env()
+        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info"));
+    // A second call (several roles in one test process) leaves the first logger in place.
+    let _ = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal())
+        .with_target(false)
+        .try_init();
+}
+
+/// A flag that SIGINT, SIGTERM and SIGHUP raise.
+///
+/// # Errors
+/// [`Failure::Failed`] if a handler is already installed.
+pub fn shutdown_flag() -> Result<Arc<AtomicBool>, Failure> {
+    let flag = Arc::new(AtomicBool::new(false));
+    let raised = Arc::clone(&flag);
+    ctrlc::set_handler(move || raised.store(true, Ordering::Release))
+        .map_err(|e| Failure::Failed(format!("cannot install a signal handler: {e}")))?;
+    Ok(flag)
+}

@@ -1,0 +1,175 @@
+//! Enumerations that cross shared memory as `u64` codes.
+
+use std::fmt;
+use std::str::FromStr;
+use thiserror::Error;
+
+/// A code that no variant of an enumeration has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[error("unknown {what} code {got}: expected 0..={max}; both sides must run the same version")]
+pub struct UnknownCode {
+    /// What the code should have named, for example "mode".
+    pub what: &'static str,
+    /// The code that came.
+    pub got: u64,
+    /// The largest code that has a meaning.
+    pub max: u64,
+}
+
+/// Defines an enumeration whose variants are numbered from 0, with its conversions and its name for people.
+macro_rules! codes {
+    ($(#[$meta:meta])* $name:ident is a $what:literal {
+        $($(#[$variant_meta:meta])* $variant:ident = $label:literal),+ $(,)?
+    }) => {
+        $(#[$meta])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+        pub enum $name {
+            $($(#[$variant_meta])* $variant),+
+        }
+
+        impl $name {
+            /// Every variant; the index is the code.
+            pub const ALL: &'static [$name] = &[$($name::$variant),+];
+
+            /// The number that stands for this variant in shared memory.
+            pub const fn code(self) -> u64 {
+                self as u64
+            }
+        }
+
+        impl TryFrom<u64> for $name {
+            type Error = UnknownCode;
+
+            fn try_from(got: u64) -> Result<Self, UnknownCode> {
+                usize::try_from(got).ok().and_then(|i| Self::ALL.get(i)).copied().ok_or(UnknownCode {
+                    what: $what,
+                    got,
+                    max: Self::ALL.len() as u64 - 1,
+                })
+            }
+        }
+
+        impl fmt::Display for $name {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.pad(match self { $($name::$variant => $label),+ })
+            }
+        }
+    };
+}
+
+codes! {
+    /// Who advances time.
+    Clock is a "clock" {
+        /// Daemon and plant each follow CLOCK_MONOTONIC; a late daemon meets a plant that has moved on.
+        Wall = "wall",
+        /// The plant advances one period per command, not faster than real time.
+        Paced = "paced",
+        /// The plant advances one period per command, as fast as both can go; deterministic.
+        Lockstep = "lockstep",
+    }
+}
+
+codes! {
+    /// What the daemon is doing.
+    Mode is a "mode" {
+        /// Brakes closed, no torque.
+        Idle = "idle",
+        /// Gravity-compensated hold of the joints.
+        Hold = "hold",
+        /// Following a plan.
+        Track = "track",
+        /// Final gain at the upright equilibrium x_T.
+        Balance = "balance",
+        /// Decelerating within the limits, then hold.
+        Stop = "stop",
+        /// Latched fault, brakes; only a reset leaves it.
+        Fault = "fault",
+    }
+}
+
+codes! {
+    /// What an operator asks of the daemon.
+    ControlCommand is a "control command" {
+        /// Release the brakes and hold.
+        Enable = "enable",
+        /// Hold the joints where they are.
+        Hold = "hold",
+        /// Decelerate within the limits, then hold.
+        Stop = "stop",
+        /// Leave a latched fault.
+        Reset = "reset",
+        /// Change nothing, only answer.
+        Status = "status",
+        /// Start the loaded plan.
+        Start = "start",
+    }
+}
+
+codes! {
+    /// What is asked of the planner.
+    PlannerKind is a "planner request" {
+        /// A trajectory from rest to the upright equilibrium.
+        SwingUp = "swing-up",
+        /// Change nothing, only answer.
+        Status = "status",
+        /// A trajectory from the upright equilibrium to rest.
+        SwingDown = "swing-down",
+    }
+}
+
+codes! {
+    /// How a request to the planner ended.
+    PlannerStatus is a "planner status" {
+        /// A plan that keeps every limit was found.
+        Solved = "solved",
+        /// The request itself makes no sense (unknown kind, a number that is not finite).
+        BadRequest = "bad request",
+        /// The start state violates a limit of the robot.
+        StartOutsideLimits = "start outside limits",
+        /// The start is not a pose of rest, or no pose of rest is near.
+        NoRestPose = "no rest pose",
+        /// The solver found no plan that keeps the limits.
+        Infeasible = "infeasible",
+        /// The planner has no database yet, or has not heard from the daemon.
+        NotReady = "not ready",
+        /// The time budget was used up first.
+        Deadline = "deadline",
+    }
+}
+
+codes! {
+    /// What is asked of the simulated plant.
+    PlantKind is a "plant request" {
+        /// Set q and qd.
+        ResetState = "reset-state",
+        /// Advance to a cycle number (paced and lockstep clocks).
+        AdvanceTo = "advance-to",
+        /// Inject a fault.
+        SetFault = "set-fault",
+        /// Clear all injected faults.
+        ClearFaults = "clear-faults",
+        /// Change nothing, only answer.
+        Status = "status",
+    }
+}
+
+/// A clock name that does not exist.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("unknown clock `{got}`: expected wall, paced or lockstep")]
+pub struct UnknownClock {
+    /// The name that came.
+    pub got: String,
+}
+
+impl FromStr for Clock {
+    type Err = UnknownClock;
+
+    fn from_str(name: &str) -> Result<Self, UnknownClock> {
+        match name {
+            "wall" => Ok(Clock::Wall),
+            "paced" => Ok(Clock::Paced),
+            "lockstep" => Ok(Clock::Lockstep),
+            other => Err(UnknownClock { got: other.to_owned() }),
+        }
+    }
+}

@@ -1,0 +1,297 @@
+//! A domain: one shared-memory world. Processes of different domains never meet.
+
+use crate::error::{Cause, IpcError};
+use crate::node::Node;
+use iceoryx2::prelude::{
+    CallbackProgression, Config, FileName, FilePath, LogLevel, Node as IoxNode, NodeBuilder, NodeName, NodeState, Path,
+    SemanticString, SignalHandlingMode, ipc, set_log_level,
+};
+use std::fmt;
+use std::fs::{DirBuilder, File, Permissions, TryLockError};
+use std::io::ErrorKind;
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt};
+use std::path::PathBuf;
+use std::sync::Once;
+use std::time::Duration;
+use thiserror::Error;
+
+/// Where all of shared memory lives.
+const SHM: &str = "/dev/shm";
+/// Digits of the hash (SHA-1 of a type name) with which iceoryx2 begins a file name after the prefix.
+const TYPE_HASH_DIGITS: usize = 40;
+/// How often a directory that vanishes under our hands is created again.
+const ENTER_ATTEMPTS: usize = 100;
+/// How long a new node waits for others that are cleaning up after the same dead one.
+const CLEANUP_PATIENCE: Duration = Duration::from_millis(200);
+
+/// Why a domain cannot have this name.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum DomainError {
+    /// Too short or too long.
+    #[error("domain name `{name}` has {got} characters: expected 1 to {max}", max = Domain::MAX_NAME)]
+    Length {
+        /// The name that came.
+        name: String,
+        /// Its length in characters.
+        got: usize,
+    },
+    /// A character that may not be part of it.
+    #[error("domain name `{name}` has {found:?} at character {at}: expected only a-z, 0-9, _ and -")]
+    Character {
+        /// The name that came.
+        name: String,
+        /// The first character that may not be part of it.
+        found: char,
+        /// Its place, counted from 1.
+        at: usize,
+    },
+}
+
+/// A shared-memory world of its own: directory `/dev/shm/upswing.<name>.iox/`, shared memory
+/// `/dev/shm/upswing_<name>_*`.
+#[derive(Clone, PartialEq, Eq)]
+pub struct Domain {
+    name: String,
+    config: Config,
+}
+
+impl fmt::Debug for Domain {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("Domain").field(&self.name).finish()
+    }
+}
+
+impl fmt::Display for Domain {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(&self.name)
+    }
+}
+
+impl Domain {
+    /// Longest name, characters.
+    pub const MAX_NAME: usize = 32;
+
+    /// A domain called `name`: 1 to [`Domain::MAX_NAME`] characters of a-z, 0-9, _ and -. Touches no file.
+    ///
+    /// # Errors
+    /// [`DomainError`] with the length or the first character that does not fit.
+    pub fn new(name: &str) -> Result<Self, DomainError> {
+        let got = name.chars().count();
+        if !(1..=Self::MAX_NAME).contains(&got) {
+            return Err(DomainError::Length { name: name.to_owned(), got });
+        }
+        let fits = |c: char| matches!(c, 'a'..='z' | '0'..='9' | '_' | '-');
+        if let Some((i, found)) = name.chars().enumerate().find(|&(_, c)| !fits(c)) {
+            return Err(DomainError::Character { name: name.to_owned(), found, at: i + 1 });
+        }
+        // Not `Config::global_config()`: that one looks for files in the working directory.
+        let mut config = Config::default();
+        // The two conversions cannot fail: the name is short and plain.
+        let unreachable = |_| DomainError::Length { name: name.to_owned(), got };
+        config.global.set_root_path(&Path::new(root_text(name).as_bytes()).map_err(unreachable)?);
+        config.global.prefix = FileName::new(shm_prefix(name).as_bytes()).map_err(unreachable)?;
+        Ok(Self { name: name.to_owned(), config })
+    }
+
+    /// The name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The directory of the domain.
+    pub fn root(&self) -> PathBuf {
+        PathBuf::from(root_text(&self.name))
+    }
+
+    pub(crate) fn config(&self) -> &Config {
+        &self.config
+    }
+
+    /// Joins the domain as `role` ("daemon", "planner", ...; for people and logs) and cleans up after processes
+    /// of the domain that died.
+    ///
+    /// Installs no signal handlers and reads no configuration file but the one it writes into the domain's own
+    /// directory.
+    ///
+    /// # Errors
+    /// [`IpcError::Root`] or [`IpcError::Foreign`] if the directory cannot be used, [`IpcError::Connect`] if the
+    /// node cannot be created.
+    pub fn connect(&self, role: &str) -> Result<Node, IpcError> {
+        let presence = self.hold_root()?;
+        self.set_process_defaults()?;
+        let failed = |cause: Cause| IpcError::Connect {
+            domain: self.name.clone(),
+            role: role.to_owned(),
+            cause,
+        };
+        let name = NodeName::new(role).map_err(|e| failed(e.into()))?;
+        let node = NodeBuilder::new()
+            .name(&name)
+            .config(&self.config)
+            .signal_handling_mode(SignalHandlingMode::Disabled)
+            .create::<ipc::Service>()
+            .map_err(|e| failed(e.into()))?;
+        node.blocking_cleanup_dead_nodes(CLEANUP_PATIENCE);
+        Ok(Node::new(node, self.clone(), presence))
+    }
+
+    /// Removes all traces of the domain if no process uses it, and says whether it did.
+    ///
+    /// For tests and demos: a service leaves its directory, so that a restart finds what it expects.
+    ///
+    /// # Errors
+    /// [`IpcError::Root`] or [`IpcError::Foreign`] if a file cannot be removed, [`IpcError::List`] if it cannot be
+    /// found out who uses the domain.
+    pub fn remove_if_unused(&self) -> Result<bool, IpcError> {
+        let presence = self.open_root()?;
+        match presence.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => return Ok(false),
+            Err(TryLockError::Error(cause)) => return Err(self.root_error("lock", cause)),
+        }
+        if !self.is_current(&presence) || self.has_foreign_peers()? {
+            return Ok(false);
+        }
+        let entries = std::fs::read_dir(SHM).map_err(|cause| self.root_error("read the directory above", cause))?;
+        for entry in entries.flatten() {
+            if entry.file_name().to_str().is_some_and(|file| self.owns(file)) {
+                ignore_missing(std::fs::remove_file(entry.path())).map_err(|cause| IpcError::Root {
+                    action: "remove",
+                    path: entry.path(),
+                    cause,
+                })?;
+            }
+        }
+        ignore_missing(std::fs::remove_dir_all(self.root())).map_err(|cause| self.root_error("remove", cause))?;
+        Ok(true)
+    }
+
+    /// Whether processes that do not take part in the lock of the directory (other languages) are alive.
+    fn has_foreign_peers(&self) -> Result<bool, IpcError> {
+        let mut alive = false;
+        IoxNode::<ipc::Service>::list(&self.config, |node| {
+            alive |= matches!(node, NodeState::Alive(_) | NodeState::Inaccessible(_));
+            CallbackProgression::Continue
+        })
+        .map_err(|e| IpcError::List { what: "nodes", domain: self.name.clone(), cause: e.into() })?;
+        Ok(alive)
+    }
+
+    /// Whether `file` in [`SHM`] is this domain's. The prefix alone does not tell: that of `a` also begins the
+    /// files of `a_b`. After it iceoryx2 writes a hash, longer than any name of a domain, so the hash does.
+    fn owns(&self, file: &str) -> bool {
+        file.strip_prefix(&shm_prefix(&self.name)).and_then(|rest| rest.split_once('_')).is_some_and(|(hash, _)| {
+            hash.len() == TYPE_HASH_DIGITS && hash.bytes().all(|b| b.is_ascii_hexdigit())
+        })
+    }
+
+    /// Opens the directory of the domain, creates it if need be, and insists that only this user can enter it.
+    fn open_root(&self) -> Result<File, IpcError> {
+        let root = self.root();
+        for _ in 0..ENTER_ATTEMPTS {
+            match DirBuilder::new().mode(0o700).create(&root) {
+                Err(e) if e.kind() != ErrorKind::AlreadyExists => return Err(self.root_error("create", e)),
+                _ => {}
+            }
+            let link = match root.symlink_metadata() {
+                Err(e) if e.kind() == ErrorKind::NotFound => continue,
+                other => other.map_err(|cause| self.root_error("inspect", cause))?,
+            };
+            // SAFETY: no arguments, cannot fail.
+            let expected = unsafe { libc::geteuid() };
+            if !link.is_dir() || link.uid() != expected {
+                return Err(IpcError::Foreign { path: root, expected });
+            }
+            let directory = match File::open(&root) {
+                Err(e) if e.kind() == ErrorKind::NotFound => continue,
+                other => other.map_err(|cause| self.root_error("open", cause))?,
+            };
+            if link.mode() & 0o077 != 0 {
+                directory
+                    .set_permissions(Permissions::from_mode(0o700))
+                    .map_err(|cause| self.root_error("restrict", cause))?;
+            }
+            if self.is_current(&directory) {
+                return Ok(directory);
+            }
+        }
+        Err(self.root_error("enter", ErrorKind::NotFound.into()))
+    }
+
+    /// The directory of the domain with a shared lock on it: as long as it is held nobody removes the domain.
+    fn hold_root(&self) -> Result<File, IpcError> {
+        for _ in 0..ENTER_ATTEMPTS {
+            let directory = self.open_root()?;
+            directory.lock_shared().map_err(|cause| self.root_error("lock", cause))?;
+            // The directory may have been removed before the lock was ours: then it is the lock of a ghost.
+            if self.is_current(&directory) {
+                return Ok(directory);
+            }
+        }
+        Err(self.root_error("hold", ErrorKind::NotFound.into()))
+    }
+
+    /// Whether `directory` is still what the path of the domain leads to.
+    fn is_current(&self, directory: &File) -> bool {
+        match (directory.metadata(), self.root().symlink_metadata()) {
+            (Ok(opened), Ok(named)) => (opened.dev(), opened.ino()) == (named.dev(), named.ino()),
+            _ => false,
+        }
+    }
+
+    /// Sets what iceoryx2 keeps once per process: its log level, and its global configuration.
+    ///
+    /// All calls of this crate pass their configuration, except inside iceoryx2: the clean-up after a process that
+    /// was killed before its node was complete falls back to the global one. Unless that is set, iceoryx2 would
+    /// look for it in the working directory. In a process with several domains the first one stays set.
+    fn set_process_defaults(&self) -> Result<(), IpcError> {
+        static QUIET: Once = Once::new();
+        QUIET.call_once(|| set_log_level(LogLevel::Error));
+
+        static LOADED: std::sync::Mutex<bool> = std::sync::Mutex::new(false);
+        let mut loaded = LOADED.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        if *loaded {
+            return Ok(());
+        }
+        let file = self.root().join("iceoryx2.toml");
+        let draft = self.root().join(format!("iceoryx2.toml.{}", std::process::id()));
+        let settings = format!(
+            "[global]\nroot-path = \"{}\"\nprefix = \"{}\"\n",
+            root_text(&self.name),
+            shm_prefix(&self.name)
+        );
+        let failed = |action| {
+            let path = file.clone();
+            move |cause| IpcError::Root { action, path, cause }
+        };
+        std::fs::write(&draft, settings).map_err(failed("write"))?;
+        std::fs::rename(&draft, &file).map_err(failed("write"))?;
+        let path = FilePath::new(file.as_os_str().as_encoded_bytes())
+            .map_err(|e| failed("name")(std::io::Error::other(format!("{e:?}"))))?;
+        Config::setup_global_config_from_file(&path).map_err(|e| failed("load")(std::io::Error::other(e)))?;
+        *loaded = true;
+        Ok(())
+    }
+
+    fn root_error(&self, action: &'static str, cause: std::io::Error) -> IpcError {
+        IpcError::Root { action, path: self.root(), cause }
+    }
+}
+
+// What makes `Domain::owns` unambiguous.
+const _: () = assert!(Domain::MAX_NAME < TYPE_HASH_DIGITS);
+
+fn root_text(name: &str) -> String {
+    format!("{SHM}/upswing.{name}.iox")
+}
+
+fn shm_prefix(name: &str) -> String {
+    format!("upswing_{name}_")
+}
+
+fn ignore_missing(result: std::io::Result<()>) -> std::io::Result<()> {
+    match result {
+        Err(e) if e.kind() == ErrorKind::NotFound => Ok(()),
+        other => other,
+    }
+}

@@ -1,0 +1,186 @@
+//! A process' seat in a domain, and the ends of services that it can ask for.
+
+use crate::blackboard::{Finder, Writer};
+use crate::domain::Domain;
+use crate::error::IpcError;
+use crate::messages::{Publisher, Subscriber};
+use crate::payload::{Command, ControlRequest, Measurement, Plan, PlannerRequest, PlantRequest, TelemetryBatch};
+use crate::request::{Client, Server};
+use iceoryx2::prelude::{Node as IoxNode, ipc};
+use std::fmt;
+use std::fs::File;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// Attempts at what other processes may be creating or cleaning up at the same moment.
+const ATTEMPTS: usize = 10;
+/// Pause between attempts; a clean-up takes a few milliseconds.
+const PAUSE: Duration = Duration::from_millis(10);
+
+/// A process' seat in a domain. Clones are the same seat; it is vacated when the last clone and the last end of a
+/// service that came from it are dropped.
+///
+/// A node may move to another thread; the ends of services stay in the thread that created them. None of its
+/// methods are for the real-time thread.
+#[derive(Clone)]
+pub struct Node {
+    inner: Arc<Inner>,
+}
+
+struct Inner {
+    iox: IoxNode<ipc::Service>,
+    domain: Domain,
+    /// A shared lock on the domain's directory: as long as it is held nobody removes the domain.
+    _presence: File,
+}
+
+impl fmt::Debug for Node {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Node").field("domain", &self.inner.domain).field("role", &self.role()).finish()
+    }
+}
+
+impl Node {
+    pub(crate) fn new(iox: IoxNode<ipc::Service>, domain: Domain, presence: File) -> Self {
+        Self { inner: Arc::new(Inner { iox, domain, _presence: presence }) }
+    }
+
+    pub(crate) fn iox(&self) -> &IoxNode<ipc::Service> {
+        &self.inner.iox
+    }
+
+    /// The domain that this node joined.
+    pub fn domain(&self) -> &Domain {
+        &self.inner.domain
+    }
+
+    /// The role under which it joined.
+    pub fn role(&self) -> String {
+        self.inner.iox.name().to_string()
+    }
+
+    /// Removes what dead processes of the domain left behind; nobody does it in the background. Some 0.1 ms when
+    /// nobody died, milliseconds otherwise.
+    pub fn clean_up(&self) {
+        self.inner.iox.try_cleanup_dead_nodes();
+    }
+
+    /// Measurements out (plant).
+    ///
+    /// # Errors
+    /// As [`Writer::create`].
+    pub fn measurement_writer(&self) -> Result<Writer<Measurement>, IpcError> {
+        Writer::create(self)
+    }
+
+    /// Measurements in (daemon).
+    pub fn measurement_finder(&self) -> Finder<Measurement> {
+        Finder::new(self)
+    }
+
+    /// Commands out (daemon).
+    ///
+    /// # Errors
+    /// As [`Writer::create`].
+    pub fn command_writer(&self) -> Result<Writer<Command>, IpcError> {
+        Writer::create(self)
+    }
+
+    /// Commands in (plant).
+    pub fn command_finder(&self) -> Finder<Command> {
+        Finder::new(self)
+    }
+
+    /// Plans out (planner).
+    ///
+    /// # Errors
+    /// As [`Publisher::create`].
+    pub fn plan_publisher(&self) -> Result<Publisher<Plan>, IpcError> {
+        Publisher::create(self)
+    }
+
+    /// Plans in (daemon).
+    ///
+    /// # Errors
+    /// As [`Subscriber::create`].
+    pub fn plan_subscriber(&self) -> Result<Subscriber<Plan>, IpcError> {
+        Subscriber::create(self)
+    }
+
+    /// Telemetry out (daemon).
+    ///
+    /// # Errors
+    /// As [`Publisher::create`].
+    pub fn telemetry_publisher(&self) -> Result<Publisher<TelemetryBatch>, IpcError> {
+        Publisher::create(self)
+    }
+
+    /// Telemetry in (planner, command line).
+    ///
+    /// # Errors
+    /// As [`Subscriber::create`].
+    pub fn telemetry_subscriber(&self) -> Result<Subscriber<TelemetryBatch>, IpcError> {
+        Subscriber::create(self)
+    }
+
+    /// Operator requests out (command line).
+    ///
+    /// # Errors
+    /// As [`Client::create`].
+    pub fn control_client(&self) -> Result<Client<ControlRequest>, IpcError> {
+        Client::create(self)
+    }
+
+    /// Operator requests in (daemon).
+    ///
+    /// # Errors
+    /// As [`Server::create`].
+    pub fn control_server(&self) -> Result<Server<ControlRequest>, IpcError> {
+        Server::create(self)
+    }
+
+    /// Planner requests out (command line, harness).
+    ///
+    /// # Errors
+    /// As [`Client::create`].
+    pub fn planner_client(&self) -> Result<Client<PlannerRequest>, IpcError> {
+        Client::create(self)
+    }
+
+    /// Planner requests in (planner).
+    ///
+    /// # Errors
+    /// As [`Server::create`].
+    pub fn planner_server(&self) -> Result<Server<PlannerRequest>, IpcError> {
+        Server::create(self)
+    }
+
+    /// Plant requests out (harness).
+    ///
+    /// # Errors
+    /// As [`Client::create`].
+    pub fn plant_client(&self) -> Result<Client<PlantRequest>, IpcError> {
+        Client::create(self)
+    }
+
+    /// Plant requests in (plant).
+    ///
+    /// # Errors
+    /// As [`Server::create`].
+    pub fn plant_server(&self) -> Result<Server<PlantRequest>, IpcError> {
+        Server::create(self)
+    }
+
+    /// Repeats `attempt`, cleaning up after dead processes in between: what one process opens another may be
+    /// creating or removing at the same moment, and the place of a dead process is taken until somebody cleans up.
+    pub(crate) fn persist<T, E>(&self, mut attempt: impl FnMut() -> Result<T, E>) -> Result<T, E> {
+        for _ in 1..ATTEMPTS {
+            if let Ok(done) = attempt() {
+                return Ok(done);
+            }
+            self.clean_up();
+            std::thread::sleep(PAUSE);
+        }
+        attempt()
+    }
+}

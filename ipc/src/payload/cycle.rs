@@ -1,0 +1,188 @@
+//! What is exchanged or recorded every control cycle.
+
+use super::{WORD, Zeroable, boxed_zeroed};
+use crate::codes::{Clock, Mode, UnknownCode};
+use iceoryx2::prelude::ZeroCopySend;
+use upswing_model::{NQ, NU};
+
+/// What the encoders and drives report, plant -> daemon.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
+#[type_name("upswing.Measurement.v1")]
+pub struct Measurement {
+    /// Cycle number of the plant since it started, counts from 1; 0: nothing measured yet.
+    pub seq: u64,
+    /// Time of the measurement, CLOCK_MONOTONIC, ns.
+    pub t_ns: u64,
+    /// q, joint positions, joint frames, rad, not wrapped.
+    pub q: [f64; NQ],
+    /// tau, torques measured at the actuated joints, joint frames, N m.
+    pub tau_measured: [f64; NU],
+    /// Bits [`Measurement::BRAKES_CLOSED`] .. [`Measurement::DRIVE_FAULT`]; all others 0.
+    pub status: u64,
+    /// Code of the plant's [`Clock`].
+    pub clock: u64,
+    /// Period of the plant's cycle, ns, above 0.
+    pub period_ns: u64,
+}
+
+const _: () = assert!(size_of::<Measurement>() == WORD * (5 + NQ + NU));
+
+impl Measurement {
+    /// Status bit: the brakes hold the actuated joints.
+    pub const BRAKES_CLOSED: u64 = 1 << 0;
+    /// Status bit: every drive is powered and follows torque commands.
+    pub const DRIVES_READY: u64 = 1 << 1;
+    /// Status bit: at least one drive cut the last command to its torque limit.
+    pub const SATURATED: u64 = 1 << 2;
+    /// Status bit: at least one drive reports a fault.
+    pub const DRIVE_FAULT: u64 = 1 << 3;
+
+    /// The plant's clock.
+    ///
+    /// # Errors
+    /// [`UnknownCode`] if `clock` names none.
+    pub fn clock(&self) -> Result<Clock, UnknownCode> {
+        Clock::try_from(self.clock)
+    }
+}
+
+/// What the drives shall do, daemon -> plant.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
+#[type_name("upswing.Command.v1")]
+pub struct Command {
+    /// Cycle number of the daemon since it started, counts from 1; 0: nothing commanded yet.
+    pub seq: u64,
+    /// Time of the command, CLOCK_MONOTONIC, ns.
+    pub t_ns: u64,
+    /// `seq` of the measurement that this command answers.
+    pub measurement_seq: u64,
+    /// tau, commanded torques of the actuated joints, joint frames, N m.
+    pub tau: [f64; NU],
+    /// 1: close the brakes, 0: release them.
+    pub brake: u64,
+}
+
+const _: () = assert!(size_of::<Command>() == WORD * (4 + NU));
+
+/// Everything of one control cycle, daemon -> whoever listens.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
+#[type_name("upswing.Telemetry.v1")]
+pub struct Telemetry {
+    /// Cycle number of the daemon since it started, counts from 1.
+    pub seq: u64,
+    /// Start of the cycle, CLOCK_MONOTONIC, ns.
+    pub t_ns: u64,
+    /// `seq` of the measurement used.
+    pub measurement_seq: u64,
+    /// Code of the [`Mode`] at the end of the cycle.
+    pub mode: u64,
+    /// Code of the daemon's latched fault, 0: none.
+    pub fault: u64,
+    /// Id of the running plan, 0: none.
+    pub plan_id: u64,
+    /// Bits [`Telemetry::OVERRUN`] .. [`Telemetry::BRAKE`]; all others 0.
+    pub flags: u64,
+    /// t, time since the plan started, s; 0 without a plan.
+    pub t_plan: f64,
+    /// q, measured joint positions, joint frames, rad.
+    pub q: [f64; NQ],
+    /// qd, estimated joint velocities, joint frames, rad/s.
+    pub qd: [f64; NQ],
+    /// q_d, reference positions, joint frames, rad.
+    pub q_d: [f64; NQ],
+    /// qd_d, reference velocities, joint frames, rad/s.
+    pub qd_d: [f64; NQ],
+    /// u_d, reference input (accelerations of the actuated joints), rad/s^2.
+    pub u_d: [f64; NU],
+    /// u = u_d + K dx, input after feedback, rad/s^2.
+    pub u: [f64; NU],
+    /// tau, commanded torques after the limiter, joint frames, N m.
+    pub tau: [f64; NU],
+    /// tau, measured torques, joint frames, N m.
+    pub tau_measured: [f64; NU],
+    /// From the planned start of the cycle to the actual one, ns.
+    pub wake_ns: u64,
+    /// Reading the measurement, ns.
+    pub read_ns: u64,
+    /// Filter, supervisor, control and torque law, ns.
+    pub compute_ns: u64,
+    /// Writing the command, ns.
+    pub write_ns: u64,
+}
+
+const _: () = assert!(size_of::<Telemetry>() == WORD * (12 + 4 * NQ + 4 * NU));
+
+impl Telemetry {
+    /// Flag: the cycle ended after the next one should have begun.
+    pub const OVERRUN: u64 = 1 << 0;
+    /// Flag: no new measurement since the last cycle.
+    pub const STALE: u64 = 1 << 1;
+    /// Flag: the torque limiter cut the command.
+    pub const LIMITED: u64 = 1 << 2;
+    /// Flag: the command closes the brakes.
+    pub const BRAKE: u64 = 1 << 3;
+
+    /// The daemon's mode.
+    ///
+    /// # Errors
+    /// [`UnknownCode`] if `mode` names none.
+    pub fn mode(&self) -> Result<Mode, UnknownCode> {
+        Mode::try_from(self.mode)
+    }
+}
+
+/// Records in one [`TelemetryBatch`].
+pub const TELEMETRY_BATCH: usize = 64;
+
+/// Consecutive cycles in one sample, because a sample per cycle would cost more than the cycle itself.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, ZeroCopySend)]
+#[type_name("upswing.TelemetryBatch.v1")]
+pub struct TelemetryBatch {
+    /// Records in use, 0..=[`TELEMETRY_BATCH`]; not to be trusted, read with [`TelemetryBatch::used`].
+    pub count: u64,
+    /// Records that the daemon lost before this batch, since its start.
+    pub dropped: u64,
+    /// The records, oldest first; meaningless from `count` on.
+    pub records: [Telemetry; TELEMETRY_BATCH],
+}
+
+const _: () =
+    assert!(size_of::<TelemetryBatch>() == WORD * 2 + TELEMETRY_BATCH * size_of::<Telemetry>());
+
+// SAFETY: numbers only, size above zero.
+unsafe impl Zeroable for TelemetryBatch {}
+
+impl TelemetryBatch {
+    /// An empty batch on the heap (it is too large for small stacks).
+    pub fn boxed_zeroed() -> Box<Self> {
+        boxed_zeroed()
+    }
+
+    /// The records in use; a `count` beyond the end counts as [`TELEMETRY_BATCH`].
+    pub fn used(&self) -> &[Telemetry] {
+        let count = usize::try_from(self.count).map_or(TELEMETRY_BATCH, |n| n.min(TELEMETRY_BATCH));
+        &self.records[..count]
+    }
+
+    /// Appends a record; false, and nothing done, if the batch is full.
+    pub fn push(&mut self, record: Telemetry) -> bool {
+        let slot = usize::try_from(self.count).ok().and_then(|i| self.records.get_mut(i));
+        match slot {
+            Some(slot) => {
+                *slot = record;
+                self.count += 1;
+                true
+            }
+            None => false,
+        }
+    }
+
+    /// Makes the batch empty.
+    pub fn clear(&mut self) {
+        self.count = 0;
+    }
+}

@@ -1,0 +1,87 @@
+//! Whoever needs a plan -> planner.
+
+use super::WORD;
+use crate::codes::{PlannerKind, PlannerStatus, UnknownCode};
+use crate::text::Text;
+use iceoryx2::prelude::ZeroCopySend;
+use upswing_model::NX;
+
+/// What is asked of the planner.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
+#[type_name("upswing.PlannerRequest.v1")]
+pub struct PlannerRequest {
+    /// Code of the [`PlannerKind`].
+    pub kind: u64,
+    /// 1: start from the state in the newest telemetry and ignore `start`; 0: start from `start`.
+    pub from_now: u64,
+    /// x_0 = [q, qd], start state, joint frames, rad and rad/s.
+    pub start: [f64; NX],
+    /// Iterations of the replanning QP, 0: as the planner's settings say.
+    pub iterations: u64,
+    /// Time budget, ms, 0: none.
+    pub budget_ms: u64,
+    /// 1: publish the plan to the daemon, 0: only answer.
+    pub publish: u64,
+}
+
+const _: () = assert!(size_of::<PlannerRequest>() == WORD * (5 + NX));
+
+impl PlannerRequest {
+    /// The kind of request.
+    ///
+    /// # Errors
+    /// [`UnknownCode`] if `kind` names none.
+    pub fn kind(&self) -> Result<PlannerKind, UnknownCode> {
+        PlannerKind::try_from(self.kind)
+    }
+}
+
+/// What the planner answers; numbers that do not apply to the status are 0.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
+#[type_name("upswing.PlannerResponse.v1")]
+pub struct PlannerResponse {
+    /// Code of the [`PlannerStatus`].
+    pub status: u64,
+    /// Id of the new plan, 0: none.
+    pub plan_id: u64,
+    /// t_F, duration of the plan, s.
+    pub t_f: f64,
+    /// Index of the nearest entry of the trajectory database.
+    pub nearest_entry: u64,
+    /// Distance from the start to that entry in the metric of the database.
+    pub distance: f64,
+    /// Iterations of the replanning QP.
+    pub iterations: u64,
+    /// Largest collocation defect of the plan, rad or rad/s.
+    pub defect: f64,
+    /// Smallest distance of a joint position to its limit, rad; negative: violated.
+    pub margin_q: f64,
+    /// Smallest distance of a joint velocity to its limit, rad/s; negative: violated.
+    pub margin_qd: f64,
+    /// Smallest distance of a torque to its limit, N m; negative: violated.
+    pub margin_tau: f64,
+    /// Search of the nearest entry, us.
+    pub time_nearest_us: f64,
+    /// All iterations of the QP, us.
+    pub time_qp_us: f64,
+    /// Gain synthesis, us.
+    pub time_lqr_us: f64,
+    /// From the request to the answer, us.
+    pub time_total_us: f64,
+    /// Why there is no plan, or a remark; for people.
+    pub reason: Text,
+}
+
+const _: () = assert!(size_of::<PlannerResponse>() == WORD * 14 + size_of::<Text>());
+
+impl PlannerResponse {
+    /// How the request ended.
+    ///
+    /// # Errors
+    /// [`UnknownCode`] if `status` names none.
+    pub fn status(&self) -> Result<PlannerStatus, UnknownCode> {
+        PlannerStatus::try_from(self.status)
+    }
+}

@@ -1,0 +1,61 @@
+//! Harness -> simulated plant.
+
+use super::WORD;
+use crate::codes::{PlantKind, UnknownCode};
+use crate::text::Text;
+use iceoryx2::prelude::ZeroCopySend;
+use upswing_model::{NQ, NU};
+
+/// What is asked of the simulated plant; fields that the kind does not name are ignored.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
+#[type_name("upswing.PlantRequest.v1")]
+pub struct PlantRequest {
+    /// Code of the [`PlantKind`].
+    pub kind: u64,
+    /// `ResetState`: q, joint positions, joint frames, rad.
+    pub q: [f64; NQ],
+    /// `ResetState`: qd, joint velocities, joint frames, rad/s.
+    pub qd: [f64; NQ],
+    /// `AdvanceTo`: cycle number at which the plant pauses.
+    pub seq: u64,
+    /// `SetFault`: code of the fault, as the plant numbers them.
+    pub fault: u64,
+    /// `SetFault`: its argument; meaning and unit depend on the fault.
+    pub fault_arg: f64,
+}
+
+const _: () = assert!(size_of::<PlantRequest>() == WORD * (4 + 2 * NQ));
+
+impl PlantRequest {
+    /// The kind of request.
+    ///
+    /// # Errors
+    /// [`UnknownCode`] if `kind` names none.
+    pub fn kind(&self) -> Result<PlantKind, UnknownCode> {
+        PlantKind::try_from(self.kind)
+    }
+}
+
+/// What the plant answers: whether it did it, and its true state (not the measured one) afterwards.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
+#[type_name("upswing.PlantResponse.v1")]
+pub struct PlantResponse {
+    /// 1: accepted, 0: refused (see `reason`).
+    pub accepted: u64,
+    /// Cycle number of the plant.
+    pub seq: u64,
+    /// q, true joint positions, joint frames, rad.
+    pub q: [f64; NQ],
+    /// qd, true joint velocities, joint frames, rad/s.
+    pub qd: [f64; NQ],
+    /// 1: the brakes hold, 0: they are released.
+    pub brakes_closed: u64,
+    /// Largest magnitude of each applied torque since the last reset, N m, at least 0.
+    pub tau_peak: [f64; NU],
+    /// Why it was refused, or a remark; for people.
+    pub reason: Text,
+}
+
+const _: () = assert!(size_of::<PlantResponse>() == WORD * (3 + 2 * NQ + NU) + size_of::<Text>());

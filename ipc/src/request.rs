@@ -1,0 +1,182 @@
+//! Requests to one server and its answers. Nothing here is for the real-time thread.
+
+use crate::error::{CallError, IpcError};
+use crate::node::Node;
+use crate::services::{MAX_CLIENTS, MAX_NODES, Request};
+use iceoryx2::port::DegradationAction;
+use iceoryx2::port::client::Client as IoxClient;
+use iceoryx2::port::server::Server as IoxServer;
+use iceoryx2::prelude::{BackpressureStrategy, PortFactory as _, ServiceName, ipc};
+use iceoryx2::service::port_factory::client::ClientCreateError;
+use iceoryx2::service::port_factory::request_response::PortFactory;
+use iceoryx2::service::port_factory::server::ServerCreateError;
+use std::time::{Duration, Instant};
+
+type Service<Q> = PortFactory<ipc::Service, Q, (), <Q as Request>::Response, ()>;
+
+/// How long a client waits without pause: most answers come in a few microseconds.
+const EAGER: Duration = Duration::from_micros(50);
+/// Shortest and longest pause of a waiting client.
+const PAUSE: (Duration, Duration) = (Duration::from_micros(50), Duration::from_millis(1));
+/// How often a waiting client makes sure that the server is still there.
+const ROLL_CALL: Duration = Duration::from_millis(100);
+
+/// Asks a server; stays in the thread that created it.
+pub struct Client<Q: Request> {
+    port: IoxClient<ipc::Service, Q, (), Q::Response, ()>,
+    service: Service<Q>,
+    node: Node,
+}
+
+impl<Q: Request> Client<Q> {
+    /// Becomes a client, whether or not there is a server.
+    ///
+    /// # Errors
+    /// [`IpcError::Taken`] if there are too many, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot
+    /// be used.
+    pub fn create(node: &Node) -> Result<Self, IpcError> {
+        let service = open::<Q>(node)?;
+        let create = || {
+            service
+                .client_builder()
+                .backpressure_strategy(BackpressureStrategy::DiscardData)
+                .set_request_degradation_handler(|_, _| DegradationAction::Ignore)
+                .set_response_degradation_handler(|_, _| DegradationAction::Ignore)
+                .create()
+        };
+        let port = node.persist(create).map_err(|e| match e {
+            ClientCreateError::ExceedsMaxSupportedClients => {
+                IpcError::Taken { service: Q::SERVICE.to_owned(), port: "client", max: MAX_CLIENTS }
+            }
+            e => IpcError::Port { service: Q::SERVICE.to_owned(), port: "client", cause: e.into() },
+        })?;
+        Ok(Self { port, service, node: node.clone() })
+    }
+
+    /// Whether a live server is there now.
+    pub fn has_server(&self) -> bool {
+        // The dead ones count until somebody cleans up.
+        self.node.clean_up();
+        self.service.dynamic_config().number_of_servers() > 0
+    }
+
+    /// Sends `request` and waits for the answer, at most `timeout`. A request that is not yet being handled when
+    /// the time is up is withdrawn.
+    ///
+    /// # Errors
+    /// [`CallError::NoServer`] at once if there is none, [`CallError::ServerGone`] if it goes away meanwhile,
+    /// [`CallError::Timeout`] if it does not answer in time.
+    pub fn call(&self, request: &Q, timeout: Duration) -> Result<Q::Response, CallError> {
+        if !self.has_server() {
+            return Err(self.no_server());
+        }
+        let start = Instant::now();
+        let pending = self.port.send_copy(*request);
+        let pending = pending.map_err(|e| IpcError::Send { service: Q::SERVICE, cause: e.into() })?;
+        if pending.number_of_server_connections() == 0 {
+            return Err(self.no_server());
+        }
+        let answer = || match pending.receive() {
+            Ok(answer) => Ok(answer.map(|a| *a)),
+            Err(e) => Err(CallError::Ipc(IpcError::Receive { service: Q::SERVICE, cause: e.into() })),
+        };
+        let mut pause = PAUSE.0;
+        let mut roll_call = start + ROLL_CALL;
+        loop {
+            // Before the look at the answer: a server that answers and goes away must not count as gone.
+            let served = pending.is_connected();
+            if let Some(answer) = answer()? {
+                return Ok(answer);
+            }
+            let now = Instant::now();
+            if !served || (now >= roll_call && !self.has_server()) {
+                return Err(CallError::ServerGone { service: Q::SERVICE });
+            }
+            let waited = now - start;
+            if waited >= timeout {
+                return Err(CallError::Timeout { service: Q::SERVICE, waited });
+            }
+            if now >= roll_call {
+                roll_call = now + ROLL_CALL;
+            }
+            if waited < EAGER {
+                std::thread::yield_now();
+            } else {
+                std::thread::sleep(pause.min(timeout - waited));
+                pause = (2 * pause).min(PAUSE.1);
+            }
+        }
+    }
+
+    fn no_server(&self) -> CallError {
+        CallError::NoServer { service: Q::SERVICE, domain: self.node.domain().name().to_owned() }
+    }
+}
+
+/// The only server of a service; stays in the thread that created it.
+pub struct Server<Q: Request> {
+    port: IoxServer<ipc::Service, Q, (), Q::Response, ()>,
+    _service: Service<Q>,
+    _node: Node,
+}
+
+impl<Q: Request> Server<Q> {
+    /// Becomes the server; takes the place of one that died.
+    ///
+    /// # Errors
+    /// [`IpcError::Taken`] if another live process serves, [`IpcError::Open`] or [`IpcError::Port`] if the service
+    /// cannot be used.
+    pub fn create(node: &Node) -> Result<Self, IpcError> {
+        let service = open::<Q>(node)?;
+        let create = || {
+            service
+                .server_builder()
+                .backpressure_strategy(BackpressureStrategy::DiscardData)
+                .set_request_degradation_handler(|_, _| DegradationAction::Ignore)
+                .set_response_degradation_handler(|_, _| DegradationAction::Ignore)
+                .create()
+        };
+        let port = node.persist(create).map_err(|e| match e {
+            ServerCreateError::ExceedsMaxSupportedServers => {
+                IpcError::Taken { service: Q::SERVICE.to_owned(), port: "server", max: 1 }
+            }
+            e => IpcError::Port { service: Q::SERVICE.to_owned(), port: "server", cause: e.into() },
+        })?;
+        Ok(Self { port, _service: service, _node: node.clone() })
+    }
+
+    /// Answers all waiting requests with `handle`; returns how many. Requests that nobody waits for any more are
+    /// not handled: a command must not take effect after its sender was told that it did not.
+    ///
+    /// # Errors
+    /// [`IpcError::Receive`] or [`IpcError::Send`].
+    pub fn poll(&self, mut handle: impl FnMut(&Q) -> Q::Response) -> Result<usize, IpcError> {
+        let receive =
+            || self.port.receive().map_err(|e| IpcError::Receive { service: Q::SERVICE, cause: e.into() });
+        let mut answered = 0;
+        while let Some(request) = receive()? {
+            // A copy: the client could change the request while it is being checked.
+            let question: Q = *request.payload();
+            let answer = handle(&question);
+            request.send_copy(answer).map_err(|e| IpcError::Send { service: Q::SERVICE, cause: e.into() })?;
+            answered += 1;
+        }
+        Ok(answered)
+    }
+}
+
+fn open<Q: Request>(node: &Node) -> Result<Service<Q>, IpcError> {
+    let failed = |cause| IpcError::Open { service: Q::SERVICE.to_owned(), cause };
+    let name = ServiceName::new(Q::SERVICE).map_err(|e| failed(e.into()))?;
+    let open = || {
+        node.iox()
+            .service_builder(&name)
+            .request_response::<Q, Q::Response>()
+            .max_servers(1)
+            .max_clients(MAX_CLIENTS)
+            .max_nodes(MAX_NODES)
+            .enable_fire_and_forget_requests(false)
+            .open_or_create()
+    };
+    node.persist(open).map_err(|e| failed(e.into()))
+}

@@ -1,0 +1,145 @@
+//! A writer that is killed and started again is found again, and nobody is disturbed meanwhile.
+
+mod common;
+
+use common::{TestDomain, Victim, domain_of_child, until_killed, wait_for};
+use std::sync::atomic::{AtomicBool, Ordering};
+use upswing_ipc::{Command, Measurement};
+
+/// Entry of the child process: writes measurements until it is killed.
+#[test]
+fn child_writes() {
+    let Some(domain) = domain_of_child() else { return };
+    let writer = domain.connect("plant").unwrap().measurement_writer().unwrap();
+    let mut seq = 0;
+    until_killed(|| {
+        seq += 1;
+        writer.write(Measurement { seq, t_ns: writer.epoch(), q: [seq as f64; _], ..Measurement::default() });
+    });
+}
+
+#[test]
+fn each_start_of_a_killed_writer_is_adopted() {
+    let domain = TestDomain::new("restart");
+    let node = domain.connect("daemon").unwrap();
+    let mut finder = node.measurement_finder();
+    assert!(finder.poll().unwrap().is_none());
+    assert!(!finder.peer_alive());
+
+    let mut previous = None;
+    for round in 0..4 {
+        let plant = Victim::start("child_writes", &domain);
+        let reader = wait_for("a new writer", || finder.poll().unwrap());
+        let measurement = wait_for("fresh data", || Some(reader.read()).filter(|m| m.seq > 3));
+        assert_eq!(measurement.t_ns, reader.epoch(), "data of this start of the writer");
+        assert!(finder.peer_alive());
+        assert_eq!(finder.epoch(), Some(reader.epoch()));
+        plant.kill();
+
+        let last = reader.read();
+        assert!(finder.poll().unwrap().is_none(), "round {round}: the dead writer is not found again");
+        assert!(!finder.peer_alive());
+        assert_eq!(reader.read(), last, "the last value stays readable");
+        if let Some(old) = previous.replace(reader) {
+            let new = previous.as_ref().unwrap();
+            assert!(new.epoch() > old.epoch());
+            let old_last = old.read();
+            assert_eq!(old_last.t_ns, old.epoch(), "readers of earlier starts stay valid");
+        }
+    }
+}
+
+#[test]
+fn a_finder_that_comes_late_takes_the_newest_writer() {
+    let domain = TestDomain::new("late");
+    let node = domain.connect("daemon").unwrap();
+    let older = node.command_writer().unwrap();
+    let newer = node.command_writer().unwrap();
+    older.write(Command { seq: 1, ..Command::default() });
+    newer.write(Command { seq: 2, ..Command::default() });
+
+    let peer = domain.connect("plant").unwrap();
+    let mut finder = peer.command_finder();
+    let reader = finder.poll().unwrap().unwrap();
+    assert_eq!((reader.read().seq, reader.epoch()), (2, newer.epoch()));
+    assert!(finder.poll().unwrap().is_none(), "the older one is not a newer one");
+    drop(newer);
+    assert!(!finder.peer_alive());
+    assert!(finder.poll().unwrap().is_none(), "nor is it when the newer one has left");
+}
+
+#[test]
+fn a_writer_that_leaves_in_order_is_not_found() {
+    let domain = TestDomain::new("left");
+    let node = domain.connect("plant").unwrap();
+    drop(node.measurement_writer().unwrap());
+    assert!(node.measurement_finder().poll().unwrap().is_none());
+}
+
+#[test]
+fn entries_work_in_other_threads_and_values_are_never_torn() {
+    let domain = TestDomain::new("torn");
+    let plant = domain.connect("plant").unwrap();
+    let daemon = domain.connect("daemon").unwrap();
+    let (entry, ports) = plant.measurement_writer().unwrap().split();
+    let mut finder = daemon.measurement_finder();
+    let reader = finder.poll().unwrap().unwrap();
+    assert_eq!(reader.epoch(), ports.epoch());
+    assert_eq!(reader.read(), Measurement::default());
+
+    let done = AtomicBool::new(false);
+    std::thread::scope(|threads| {
+        threads.spawn(|| {
+            let entry = entry; // dropped in this thread
+            for seq in 1..=200_000 {
+                entry.write(Measurement { seq, q: [seq as f64; _], status: seq, ..Measurement::default() });
+            }
+            done.store(true, Ordering::Release);
+        });
+        threads.spawn(|| {
+            let reader = reader; // dropped in this thread
+            let mut last = 0;
+            while !done.load(Ordering::Acquire) {
+                let m = reader.read();
+                assert!(m.seq >= last && m.status == m.seq && m.q.iter().all(|&q| q == m.seq as f64), "{m:?}");
+                last = m.seq;
+            }
+            assert_eq!(reader.read().seq, 200_000);
+        });
+    });
+    assert!(finder.poll().unwrap().is_none());
+}
+
+#[test]
+fn a_snapshot_is_new_until_something_is_written() {
+    let domain = TestDomain::new("snapshot");
+    let node = domain.connect("both").unwrap();
+    let writer = node.command_writer().unwrap();
+    let mut finder = node.command_finder();
+    let reader = finder.poll().unwrap().unwrap();
+
+    let before = reader.snapshot();
+    assert!(!reader.is_new(&before));
+    writer.write(Command { seq: 7, ..Command::default() });
+    assert!(reader.is_new(&before));
+    let after = reader.snapshot();
+    assert_eq!((before.seq, after.seq), (0, 7));
+    assert!(!reader.is_new(&after));
+}
+
+#[test]
+fn entries_outlive_their_ports() {
+    let domain = TestDomain::new("outlive");
+    let node = domain.connect("both").unwrap();
+    let mut finder = node.command_finder();
+    let (entry, ports) = node.command_writer().unwrap().split();
+    let reader = finder.poll().unwrap().unwrap();
+    drop((ports, finder, node));
+    std::thread::scope(|threads| {
+        threads.spawn(move || {
+            entry.write(Command { seq: 3, ..Command::default() });
+            assert_eq!(reader.read().seq, 3);
+        });
+    });
+    assert!(domain.remove_if_unused().unwrap());
+}

@@ -1,0 +1,168 @@
+//! A removed domain leaves no file, whatever was done in it; a used one is not removed.
+
+mod common;
+
+use common::{TestDomain, Victim, domain_of_child, until_killed, wait_for};
+use std::os::unix::fs::{PermissionsExt, symlink};
+use upswing_ipc::{Command, Domain, IpcError, Measurement, TelemetryBatch};
+
+/// Entry of the child process: holds every kind of end until it is killed.
+#[test]
+fn child_holds_everything() {
+    let Some(domain) = domain_of_child() else { return };
+    let node = domain.connect("victim").unwrap();
+    let writer = node.measurement_writer().unwrap();
+    let publisher = node.telemetry_publisher().unwrap();
+    let _subscriber = node.plan_subscriber().unwrap();
+    let _server = node.plant_server().unwrap();
+    let _client = node.control_client().unwrap();
+    let batch = TelemetryBatch::boxed_zeroed();
+    until_killed(|| {
+        writer.write(Measurement { seq: 1, ..Measurement::default() });
+        publisher.publish(&batch).unwrap();
+    });
+}
+
+/// All files of a domain, by a wider net than the one that removes them.
+fn traces(domain: &Domain) -> Vec<String> {
+    let names = std::fs::read_dir("/dev/shm").unwrap().map(|e| e.unwrap().file_name().into_string().unwrap());
+    names.filter(|n| n.contains(domain.name())).collect()
+}
+
+#[test]
+fn after_an_orderly_end() {
+    let domain = TestDomain::new("orderly");
+    let node = domain.connect("daemon").unwrap();
+    let writer = node.command_writer().unwrap();
+    writer.write(Command::default());
+    let mut finder = node.command_finder();
+    let reader = finder.poll().unwrap();
+    let ends = (
+        (node.plan_publisher().unwrap(), node.plan_subscriber().unwrap()),
+        (node.telemetry_publisher().unwrap(), node.telemetry_subscriber().unwrap()),
+        (node.control_server().unwrap(), node.control_client().unwrap()),
+    );
+    assert!(traces(&domain).len() > 1);
+    assert!(!domain.remove_if_unused().unwrap(), "it is in use");
+    drop(node);
+    assert!(!domain.remove_if_unused().unwrap(), "ends of services count as well");
+    drop((writer, finder, reader, ends));
+    assert!(domain.remove_if_unused().unwrap());
+    assert_eq!(traces(&domain), [""; 0]);
+    assert!(domain.remove_if_unused().unwrap(), "nothing to do is no error");
+    assert_eq!(traces(&domain), [""; 0]);
+}
+
+#[test]
+fn after_processes_were_killed() {
+    let domain = TestDomain::new("victims");
+    {
+        let node = domain.connect("observer").unwrap();
+        for _ in 0..3 {
+            let victim = Victim::start("child_holds_everything", &domain);
+            let mut finder = node.measurement_finder();
+            let reader = wait_for("the victim", || finder.poll().unwrap());
+            wait_for("its data", || (reader.read().seq == 1).then_some(()));
+            assert!(!domain.remove_if_unused().unwrap());
+            victim.kill();
+        }
+    }
+    let victim = Victim::start("child_holds_everything", &domain);
+    wait_for("the victim", || (traces(&domain).len() > 5).then_some(()));
+    assert!(!domain.remove_if_unused().unwrap(), "another process uses it");
+    victim.kill();
+    assert!(domain.remove_if_unused().unwrap());
+    assert_eq!(traces(&domain), [""; 0]);
+}
+
+#[test]
+fn after_processes_were_killed_while_they_started() {
+    let domain = TestDomain::new("births");
+    for delay_us in (0..20_000).step_by(1000) {
+        let victim = Victim::start("child_holds_everything", &domain);
+        std::thread::sleep(std::time::Duration::from_micros(delay_us));
+        victim.kill();
+    }
+    // A domain full of stillbirths still works.
+    let node = domain.connect("survivor").unwrap();
+    let writer = node.measurement_writer().unwrap();
+    assert_eq!(node.measurement_finder().poll().unwrap().unwrap().epoch(), writer.epoch());
+    node.plant_server().unwrap();
+    node.telemetry_publisher().unwrap();
+    drop((writer, node));
+    assert!(domain.remove_if_unused().unwrap());
+    assert_eq!(traces(&domain), [""; 0]);
+}
+
+#[test]
+fn a_removed_domain_can_be_used_again() {
+    let domain = TestDomain::new("again");
+    for seq in 1..=3 {
+        let node = domain.connect("daemon").unwrap();
+        let writer = node.command_writer().unwrap();
+        writer.write(Command { seq, ..Command::default() });
+        let reader = node.command_finder().poll().unwrap().unwrap();
+        assert_eq!(reader.read().seq, seq);
+        drop((reader, writer, node));
+        assert!(domain.remove_if_unused().unwrap());
+    }
+}
+
+#[test]
+fn joining_and_removing_at_the_same_time_is_safe() {
+    let domain = TestDomain::new("race");
+    std::thread::scope(|threads| {
+        for _ in 0..2 {
+            threads.spawn(|| {
+                for seq in 1..=10 {
+                    let node = domain.connect("daemon").unwrap();
+                    let writer = node.command_writer().unwrap();
+                    writer.write(Command { seq, ..Command::default() });
+                    assert!(domain.root().exists(), "a domain in use is not removed");
+                }
+            });
+        }
+        threads.spawn(|| {
+            for _ in 0..50 {
+                domain.remove_if_unused().unwrap();
+                std::thread::yield_now();
+            }
+        });
+    });
+    assert!(domain.remove_if_unused().unwrap());
+    assert_eq!(traces(&domain), [""; 0]);
+}
+
+#[test]
+fn only_this_user_can_enter_the_directory() {
+    let domain = TestDomain::new("private");
+    std::fs::create_dir(domain.root()).unwrap();
+    std::fs::set_permissions(domain.root(), std::fs::Permissions::from_mode(0o777)).unwrap();
+    let _node = domain.connect("daemon").unwrap();
+    assert_eq!(domain.root().metadata().unwrap().permissions().mode() & 0o777, 0o700);
+}
+
+#[test]
+fn a_path_that_is_not_our_directory_is_refused() {
+    let domain = TestDomain::new("foreign");
+    let link = domain.root();
+    let target = std::env::temp_dir();
+    symlink(&target, &link).unwrap();
+    let error = domain.connect("daemon").err().unwrap();
+    assert!(matches!(error, IpcError::Foreign { .. }), "{error}");
+    let error = domain.remove_if_unused().err().unwrap();
+    assert!(matches!(error, IpcError::Foreign { .. }), "{error}");
+    assert!(target.exists());
+    std::fs::remove_file(link).unwrap();
+}
+
+#[test]
+fn no_configuration_of_somebody_else_is_in_force() {
+    let domain = TestDomain::new("config");
+    let _node = domain.connect("daemon").unwrap();
+    // Where iceoryx2 falls back to the global configuration it must be that of a domain (the first one of this
+    // process), not that of a file in the working directory.
+    let global = &iceoryx2::prelude::Config::global_config().global;
+    let (root, prefix) = (global.root_path().to_string(), global.prefix.to_string());
+    assert!(root.starts_with("/dev/shm/upswing.") && prefix.starts_with("upswing_"), "{root} {prefix}");
+}

@@ -1,0 +1,152 @@
+//! A request ends in an answer or in an error that says which kind of silence it met.
+
+mod common;
+
+use common::{TestDomain, Victim, domain_of_child, until_killed, wait_for};
+use std::time::Duration;
+use upswing_ipc::{
+    CallError, ControlCommand, ControlRequest, ControlResponse, IpcError, Mode, PlannerRequest, PlantRequest, Text,
+};
+
+const PATIENCE: Duration = Duration::from_secs(30);
+const BRIEF: Duration = Duration::from_millis(20);
+
+/// Entry of the child process: serves `control` until it is killed.
+#[test]
+fn child_serves() {
+    let Some(domain) = domain_of_child() else { return };
+    let server = domain.connect("daemon").unwrap().control_server().unwrap();
+    let mut seq = 0;
+    until_killed(|| {
+        server.poll(|_| { seq += 1; ControlResponse { accepted: 1, seq, ..ControlResponse::default() } }).unwrap();
+    });
+}
+
+/// Entry of the child process: creates the server of `control` and never answers.
+#[test]
+fn child_is_deaf() {
+    let Some(domain) = domain_of_child() else { return };
+    let _server = domain.connect("daemon").unwrap().control_server().unwrap();
+    until_killed(|| {});
+}
+
+#[test]
+fn without_a_server_every_request_says_so() {
+    let domain = TestDomain::new("absent");
+    let node = domain.connect("cli").unwrap();
+    let control = node.control_client().unwrap();
+    assert!(!control.has_server());
+    let error = control.call(&ControlRequest::new(ControlCommand::Enable), PATIENCE).unwrap_err();
+    assert!(matches!(&error, CallError::NoServer { service: "control", domain: d } if d == domain.name()), "{error}");
+    let error = node.planner_client().unwrap().call(&PlannerRequest::default(), PATIENCE).unwrap_err();
+    assert!(matches!(error, CallError::NoServer { service: "planner", .. }), "{error}");
+    let error = node.plant_client().unwrap().call(&PlantRequest::default(), PATIENCE).unwrap_err();
+    assert!(matches!(error, CallError::NoServer { service: "plant", .. }), "{error}");
+}
+
+#[test]
+fn a_server_that_does_not_poll_times_out_and_never_sees_the_withdrawn_request() {
+    let domain = TestDomain::new("deaf");
+    let node = domain.connect("cli").unwrap();
+    let server = node.control_server().unwrap();
+    let client = node.control_client().unwrap();
+    // More often than a client may have requests under way: the withdrawn ones must not count.
+    for _ in 0..50 {
+        let error = client.call(&ControlRequest::new(ControlCommand::Enable), BRIEF).unwrap_err();
+        assert!(matches!(error, CallError::Timeout { service: "control", waited } if waited >= BRIEF), "{error}");
+    }
+    let handled = server.poll(|_| panic!("nobody waits for this request any more")).unwrap();
+    assert_eq!(handled, 0);
+}
+
+#[test]
+fn answers_carry_the_request_and_the_reason() {
+    let domain = TestDomain::new("answer");
+    let serving = std::sync::atomic::AtomicBool::new(true);
+    let node = domain.connect("cli").unwrap();
+    std::thread::scope(|threads| {
+        threads.spawn(|| {
+            let server = domain.connect("daemon").unwrap().control_server().unwrap();
+            let mut seq = 0;
+            while serving.load(std::sync::atomic::Ordering::Relaxed) {
+                server
+                    .poll(|request| {
+                        seq += 1;
+                        ControlResponse {
+                            accepted: u64::from(request.command() == Ok(ControlCommand::Hold)),
+                            mode: Mode::Hold.code(),
+                            seq,
+                            reason: Text::new("asked for"),
+                            ..ControlResponse::default()
+                        }
+                    })
+                    .unwrap();
+                std::thread::yield_now();
+            }
+        });
+        let client = node.control_client().unwrap();
+        wait_for("the server", || client.has_server().then_some(()));
+        for seq in 1..=1000 {
+            let command = if seq % 2 == 0 { ControlCommand::Hold } else { ControlCommand::Stop };
+            let answer = client.call(&ControlRequest::new(command), PATIENCE).unwrap();
+            assert_eq!((answer.accepted, answer.seq), (u64::from(seq % 2 == 0), seq));
+            assert_eq!(answer.mode(), Ok(Mode::Hold));
+            assert_eq!(answer.reason.as_str(), Ok("asked for"));
+        }
+        serving.store(false, std::sync::atomic::Ordering::Relaxed);
+    });
+}
+
+#[test]
+fn a_killed_server_is_reported_and_its_successor_answers() {
+    let domain = TestDomain::new("killed");
+    let node = domain.connect("cli").unwrap();
+    let client = node.control_client().unwrap();
+    let request = ControlRequest::new(ControlCommand::Status);
+    for _ in 0..3 {
+        let daemon = Victim::start("child_serves", &domain);
+        wait_for("the server", || client.has_server().then_some(()));
+        assert_eq!(client.call(&request, PATIENCE).unwrap().seq, 1);
+        assert_eq!(client.call(&request, PATIENCE).unwrap().seq, 2);
+        daemon.kill();
+        let error = client.call(&request, PATIENCE).unwrap_err();
+        assert!(matches!(error, CallError::NoServer { .. }), "{error}");
+    }
+}
+
+#[test]
+fn a_server_killed_during_a_request_is_reported() {
+    let domain = TestDomain::new("during");
+    let node = domain.connect("cli").unwrap();
+    let client = node.control_client().unwrap();
+    let daemon = Victim::start("child_is_deaf", &domain);
+    wait_for("the server", || client.has_server().then_some(()));
+    let killer = std::thread::spawn(move || {
+        std::thread::sleep(BRIEF);
+        daemon.kill();
+    });
+    let error = client.call(&ControlRequest::new(ControlCommand::Status), PATIENCE).unwrap_err();
+    // Where the kill is quicker than the request there is no server at all.
+    assert!(matches!(error, CallError::ServerGone { .. } | CallError::NoServer { .. }), "{error}");
+    killer.join().unwrap();
+}
+
+#[test]
+fn a_second_server_and_a_second_publisher_are_refused() {
+    let domain = TestDomain::new("second");
+    let first = domain.connect("daemon").unwrap();
+    let second = domain.connect("daemon").unwrap();
+
+    let server = first.control_server().unwrap();
+    let error = second.control_server().err().unwrap();
+    assert!(matches!(&error, IpcError::Taken { port: "server", max: 1, .. }), "{error}");
+    assert!(error.to_string().contains("control"), "{error}");
+    drop(server);
+    second.control_server().unwrap();
+
+    let publisher = first.telemetry_publisher().unwrap();
+    let error = second.telemetry_publisher().err().unwrap();
+    assert!(matches!(&error, IpcError::Taken { port: "publisher", .. }), "{error}");
+    drop(publisher);
+    second.telemetry_publisher().unwrap();
+}

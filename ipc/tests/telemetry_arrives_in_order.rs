@@ -1,0 +1,80 @@
+//! Batches of telemetry reach every subscriber, in order, and a slow one loses the oldest.
+
+mod common;
+
+use common::TestDomain;
+use upswing_ipc::{TELEMETRY_BATCH, Telemetry, TelemetryBatch};
+
+#[test]
+fn a_batch_holds_what_was_pushed_and_no_more() {
+    let mut batch = TelemetryBatch::boxed_zeroed();
+    assert!(batch.used().is_empty());
+    for seq in 1..=TELEMETRY_BATCH as u64 {
+        assert!(batch.push(Telemetry { seq, ..Telemetry::default() }));
+    }
+    assert!(!batch.push(Telemetry::default()), "full");
+    assert_eq!(batch.used().len(), TELEMETRY_BATCH);
+    assert_eq!(batch.used().last().unwrap().seq, TELEMETRY_BATCH as u64);
+    batch.clear();
+    assert!(batch.used().is_empty());
+    batch.count = u64::MAX;
+    assert_eq!(batch.used().len(), TELEMETRY_BATCH, "a garbled count stays within the records");
+    assert!(!batch.push(Telemetry::default()));
+}
+
+#[test]
+fn every_subscriber_gets_every_cycle_in_order() {
+    let domain = TestDomain::new("telemetry");
+    let node = domain.connect("daemon").unwrap();
+    let peer = domain.connect("monitor").unwrap();
+    let publisher = node.telemetry_publisher().unwrap();
+    let subscribers = [peer.telemetry_subscriber().unwrap(), node.telemetry_subscriber().unwrap()];
+
+    let batches = 300;
+    let mut expected = [0; 2];
+    let mut batch = TelemetryBatch::boxed_zeroed();
+    let mut seq = 0;
+    for _ in 0..batches {
+        batch.clear();
+        for _ in 0..5 {
+            seq += 1;
+            assert!(batch.push(Telemetry { seq, t_ns: 125_000 * seq, ..Telemetry::default() }));
+        }
+        publisher.publish(&batch).unwrap();
+        for (subscriber, expected) in subscribers.iter().zip(&mut expected) {
+            while let Some(received) = subscriber.receive().unwrap() {
+                for record in received.used() {
+                    *expected += 1;
+                    assert_eq!((record.seq, record.t_ns), (*expected, 125_000 * *expected));
+                }
+            }
+        }
+    }
+    assert_eq!(expected, [seq; 2]);
+}
+
+#[test]
+fn a_slow_subscriber_loses_the_oldest_and_never_stops_the_publisher() {
+    let domain = TestDomain::new("slow");
+    let node = domain.connect("daemon").unwrap();
+    let publisher = node.telemetry_publisher().unwrap();
+    let subscriber = node.telemetry_subscriber().unwrap();
+    let mut batch = TelemetryBatch::boxed_zeroed();
+    let published = 1000;
+    for seq in 1..=published {
+        batch.clear();
+        assert!(batch.push(Telemetry { seq, ..Telemetry::default() }));
+        publisher.publish(&batch).unwrap();
+    }
+    let mut seqs = Vec::new();
+    while let Some(received) = subscriber.receive().unwrap() {
+        seqs.push(received.used()[0].seq);
+    }
+    assert!(!seqs.is_empty() && seqs.len() < 1000, "{}", seqs.len());
+    assert!(seqs.is_sorted());
+    assert_eq!(*seqs.last().unwrap(), published);
+
+    let late = node.telemetry_subscriber().unwrap();
+    publisher.greet().unwrap();
+    assert!(late.receive().unwrap().is_none(), "telemetry has no history");
+}
