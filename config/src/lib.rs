@@ -12,6 +12,7 @@ mod planner;
 pub mod process;
 mod plant;
 mod robot;
+mod start;
 
 pub use daemon::{
     CycleSettings, DaemonSettings, HoldGains, RealtimeMode, RealtimeSettings, StartTolerance, TripLimits,
@@ -23,6 +24,7 @@ pub use planner::{
 };
 pub use plant::{DriveSettings, EncoderSettings, FrictionSettings, PendulumStart, PlantSettings, PlantStart};
 pub use robot::{CoriolisBound, RobotSettings, Target};
+pub use start::StartError;
 
 use check::{Check, degrees};
 use std::borrow::Cow;

@@ -1,4 +1,15 @@
-//! The planner.
+//! Swing-up trajectories, offline and in milliseconds.
+//!
+//! - [`problem`]: (6), (8), (9), (11) as an optimisation problem; [`interior_point`] solves it, [`kkt`] is the
+//!   structured linear algebra underneath, [`offline`] applies them to a configuration and builds databases.
+//! - [`nearest`]: the K-D tree over database entries; [`qp`]: (16); [`replan`]: both together with
+//!   [`lqr`], the gains (23).
+
 pub mod interior_point;
 pub mod kkt;
+pub mod lqr;
+pub mod nearest;
+pub mod offline;
 pub mod problem;
+pub mod qp;
+pub mod replan;

@@ -83,6 +83,12 @@ impl KnotDerivatives {
 }
 
 impl Problem<'_> {
+    /// J of (6a): t_F + h/2 sum u_k' R u_k.
+    pub fn cost(&self, t_f: f64, u: &[ActuatedVector]) -> f64 {
+        let effort: f64 = u.iter().map(|u| u.norm_squared()).sum();
+        t_f + 0.5 * t_f / N as f64 * self.input_weight * effort
+    }
+
 
 
     /// f_k and the constrained torque at a knot.

@@ -1,0 +1,87 @@
+//! States at rest from which a swing-up can begin.
+
+use crate::{Config, PendulumStart};
+use upswing_model::{ActuatedVector, JointVector, N_ACTUATED, NQ, RestError, State, Workspace, state};
+
+/// Why a pose cannot be a start.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum StartError {
+    /// The wrong number of angles.
+    #[error("expected {N_ACTUATED} joint angles, got {got}")]
+    Length {
+        /// Angles given.
+        got: usize,
+    },
+    /// An angle is NaN or infinite.
+    #[error("angle of joint {joint}: expected a number, got {value}")]
+    NotFinite {
+        /// The joint, counted from 1.
+        joint: usize,
+        /// What was given.
+        value: f64,
+    },
+    /// An angle is outside the limits.
+    #[error("angle of joint {joint}: expected {min_deg:.1} to {max_deg:.1} deg, got {got_deg:.2} deg")]
+    OutsideLimits {
+        /// The joint, counted from 1.
+        joint: usize,
+        /// Lowest angle, deg.
+        min_deg: f64,
+        /// Highest angle, deg.
+        max_deg: f64,
+        /// Angle given, deg.
+        got_deg: f64,
+    },
+    /// The pendulum would rest outside its limits.
+    #[error(
+        "in this pose the pendulum rests at {got_deg:.1} deg on joint {joint}, outside its {min_deg:.1} to \
+         {max_deg:.1} deg; choose a pose whose flange is closer to horizontal (q2 - q4 + q6 near 90 deg)"
+    )]
+    RestOutsideLimits {
+        /// The joint, counted from 1.
+        joint: usize,
+        /// Lowest angle, deg.
+        min_deg: f64,
+        /// Highest angle, deg.
+        max_deg: f64,
+        /// Angle of rest, deg.
+        got_deg: f64,
+    },
+    /// The pendulum has no rest position in this pose.
+    #[error(transparent)]
+    NoRest(#[from] RestError),
+}
+
+impl Config {
+    /// The state at rest with the arm at `q_a` (7 angles, rad) and the pendulum as `pendulum` says.
+    ///
+    /// # Errors
+    /// [`StartError`] if the pose is outside the limits open to plans, or the pendulum's rest position is.
+    pub fn start_state(&self, q_a: &[f64], pendulum: PendulumStart) -> Result<State, StartError> {
+        if q_a.len() != N_ACTUATED {
+            return Err(StartError::Length { got: q_a.len() });
+        }
+        if let Some(i) = q_a.iter().position(|v| !v.is_finite()) {
+            return Err(StartError::NotFinite { joint: i + 1, value: q_a[i] });
+        }
+        let mut q = JointVector::zeros();
+        q.fixed_rows_mut::<N_ACTUATED>(0).copy_from(&ActuatedVector::from_column_slice(q_a));
+        let limits = &self.robot.planning;
+        let outside = |i: &usize, q: &JointVector| !(q[*i] >= limits.q_min[*i] && q[*i] <= limits.q_max[*i]);
+        let degrees = |i: usize, q: &JointVector| {
+            (i + 1, limits.q_min[i].to_degrees(), limits.q_max[i].to_degrees(), q[i].to_degrees())
+        };
+        if let Some(i) = (0..N_ACTUATED).find(|i| outside(i, &q)) {
+            let (joint, min_deg, max_deg, got_deg) = degrees(i, &q);
+            return Err(StartError::OutsideLimits { joint, min_deg, max_deg, got_deg });
+        }
+        if pendulum == PendulumStart::Rest {
+            q = self.model.rest_position(&q, &mut Workspace::default())?;
+        }
+        if let Some(i) = (N_ACTUATED..NQ).find(|i| outside(i, &q)) {
+            let (joint, min_deg, max_deg, got_deg) = degrees(i, &q);
+            return Err(StartError::RestOutsideLimits { joint, min_deg, max_deg, got_deg });
+        }
+        Ok(state(&q, &JointVector::zeros()))
+    }
+}

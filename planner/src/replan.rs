@@ -1,0 +1,310 @@
+//! Replanning from a start near a database entry: (14)-(17), linearised again around each result.
+
+use crate::kkt::{KnotDynamics, KnotVector, TargetRow};
+use crate::lqr::{self, Gains};
+use crate::nearest::{NearestPose, Neighbour};
+use crate::offline::{problem, problem_fingerprint};
+use crate::problem::Problem;
+use crate::qp::{Qp, QpError, TorqueRows, solve};
+use std::time::{Duration, Instant};
+use upswing_config::Config;
+use upswing_model::{ActuatedVector, NU, NX, NZ, State, UnactuatedVector, Workspace, state};
+use upswing_trajectory::{Database, DatabaseError, Margins, N, Plan, Trajectory};
+
+/// Accuracy of each QP, relative. A tenth of the defect that four linearisations reach.
+const QP_TOLERANCE: f64 = 1e-8;
+/// Points between two knots at which margins are checked.
+const BETWEEN: usize = 4;
+/// Share of a limit's range by which the spline may exceed a limit between knots: the knots keep the limits,
+/// the trapezoidal rule has an error of this order between them.
+const MARGIN_SLACK: f64 = 5e-3;
+
+/// Largest defect (rad, rad/s per interval) of a replan that is accepted; the feedback absorbs it.
+const LARGEST_DEFECT: f64 = 1e-3;
+
+/// One neighbour that was tried.
+#[derive(Clone, Debug)]
+pub struct Attempt {
+    /// The entry and its distance.
+    pub entry: Neighbour,
+    /// Why it was not used, `None` for the one that was.
+    pub refused: Option<Refusal>,
+}
+
+/// Why a neighbour gave no plan.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum Refusal {
+    /// A QP had no solution.
+    #[error("QP {iteration}: {error}")]
+    Qp {
+        /// Which linearisation, from 1.
+        iteration: usize,
+        /// The QP's verdict.
+        error: QpError,
+    },
+    /// The real dynamics are not met.
+    #[error("defect {defect:.1e} rad/s of the real dynamics after {iterations} QPs; expected at most {LARGEST_DEFECT:.0e}")]
+    Defect {
+        /// Largest component of (6b).
+        defect: f64,
+        /// QPs solved.
+        iterations: usize,
+    },
+    /// A limit is exceeded between the knots.
+    #[error("{limit} limit of joint {} is exceeded by {:.2} % at {time:.3} s", joint + 1, -100.0 * share)]
+    Limit {
+        /// Position, velocity or torque.
+        limit: &'static str,
+        /// 0-based.
+        joint: usize,
+        /// Share of the range, negative.
+        share: f64,
+        /// s
+        time: f64,
+    },
+    /// No stabilising gain at the end.
+    #[error(transparent)]
+    Gain(#[from] lqr::NotStabilisable),
+}
+
+/// Times of the steps of a replan.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Times {
+    /// Search of the database.
+    pub nearest: Duration,
+    /// All QPs, with their linearisations.
+    pub qp: Duration,
+    /// Checks of the result on the real dynamics.
+    pub check: Duration,
+    /// Gains.
+    pub lqr: Duration,
+    /// Everything.
+    pub total: Duration,
+}
+
+/// A replanned trajectory with its gains.
+#[derive(Clone, Debug)]
+pub struct Replan {
+    /// The trajectory from the given start.
+    pub trajectory: Trajectory,
+    /// Its gains.
+    pub gains: Gains,
+    /// The entries tried, in order; the last one was used.
+    pub attempts: Vec<Attempt>,
+    /// QPs solved for the entry used.
+    pub iterations: usize,
+    /// Largest defect (6b) of the real dynamics.
+    pub defect: f64,
+    /// Margins to the limits, between knots too.
+    pub margins: Margins,
+    /// How long it took.
+    pub times: Times,
+}
+
+/// No neighbour led to a plan.
+#[derive(Clone, Debug)]
+pub struct NoPlan {
+    /// The entries tried, with the reasons.
+    pub attempts: Vec<Attempt>,
+}
+
+impl std::fmt::Display for NoPlan {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "none of the {} nearest database entries could be adapted", self.attempts.len())?;
+        for a in &self.attempts {
+            if let Some(refusal) = &a.refused {
+                write!(f, "; entry {} ({:.3} rad away): {refusal}", a.entry.index, a.entry.distance)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl std::error::Error for NoPlan {}
+
+/// Replans from measured starts.
+#[derive(Clone, Debug)]
+pub struct Planner {
+    config: Config,
+    database: Database,
+    tree: NearestPose,
+}
+
+impl Planner {
+    /// Decodes the configuration's database and builds the tree.
+    ///
+    /// # Errors
+    /// [`DatabaseError`] if the file is damaged or was made for another robot or other settings.
+    pub fn new(config: Config) -> Result<Self, DatabaseError> {
+        let database = Database::decode(&config.database.bytes)?;
+        database.check_made_for(config.model.fingerprint(), problem_fingerprint(&config))?;
+        Ok(Self::with_database(config, database))
+    }
+
+    /// Uses a database that is already checked.
+    pub fn with_database(config: Config, database: Database) -> Self {
+        let poses = database.entries.iter().map(|e| pose(&e.trajectory.x[0]));
+        let tree = NearestPose::new(poses, &config.planner.replan.metric);
+        Self { config, database, tree }
+    }
+
+    /// The settings.
+    pub fn config(&self) -> &Config {
+        &self.config
+    }
+
+    /// The database.
+    pub fn database(&self) -> &Database {
+        &self.database
+    }
+
+    /// The nearest entries to a start state, nearest first.
+    pub fn nearest(&self, start: &State) -> Vec<Neighbour> {
+        self.tree.nearest(&pose(start), self.config.planner.replan.neighbours)
+    }
+
+    /// Plans from `start` (rad, rad/s) with `iterations` QPs per entry (at least one).
+    ///
+    /// # Errors
+    /// [`NoPlan`] with the reason for each entry tried.
+    pub fn replan(&self, start: &State, iterations: usize) -> Result<Replan, NoPlan> {
+        let begin = Instant::now();
+        let neighbours = self.nearest(start);
+        let mut times = Times { nearest: begin.elapsed(), ..Times::default() };
+        let mut attempts: Vec<Attempt> = Vec::new();
+        for entry in neighbours {
+            match self.adapt(start, entry.index, iterations, &mut times) {
+                Ok((trajectory, gains, defect, margins)) => {
+                    attempts.push(Attempt { entry, refused: None });
+                    times.total = begin.elapsed();
+                    return Ok(Replan { trajectory, gains, attempts, iterations, defect, margins, times });
+                }
+                Err(refusal) => attempts.push(Attempt { entry, refused: Some(refusal) }),
+            }
+        }
+        Err(NoPlan { attempts })
+    }
+
+    fn adapt(
+        &self,
+        start: &State,
+        entry: usize,
+        iterations: usize,
+        times: &mut Times,
+    ) -> Result<(Trajectory, Gains, f64, Margins), Refusal> {
+        let problem = problem(&self.config, *start);
+        let reference = &self.database.entries[entry].trajectory;
+        let mut work = Workspace::default();
+        let mut trajectory = reference.clone();
+        let begin = Instant::now();
+        for iteration in 1..=iterations.max(1) {
+            let qp = self.qp(&problem, reference, &trajectory, &mut work);
+            let step = solve(&qp, QP_TOLERANCE).map_err(|error| Refusal::Qp { iteration, error })?;
+            trajectory.t_f += step.t;
+            for (k, dz) in step.z.iter().enumerate() {
+                trajectory.x[k] += dz.fixed_rows::<NX>(0);
+                trajectory.u[k] += dz.fixed_rows::<NU>(NX);
+            }
+        }
+        times.qp += begin.elapsed();
+        let begin = Instant::now();
+        let defect = trajectory.defect(&self.config.model, &mut work);
+        let margins = Margins::of(&trajectory, &self.config.model, &self.config.robot.planning, BETWEEN);
+        times.check += begin.elapsed();
+        // A NaN fails, too. With a single QP, the paper's mode, the defect is what it is.
+        if iterations > 1 && !(defect <= LARGEST_DEFECT) {
+            return Err(Refusal::Defect { defect, iterations });
+        }
+        for (limit, m) in [("position", &margins.q), ("velocity", &margins.qd), ("torque", &margins.tau)] {
+            if !(m.share >= -MARGIN_SLACK) {
+                return Err(Refusal::Limit { limit, joint: m.joint, share: m.share, time: m.time });
+            }
+        }
+        let begin = Instant::now();
+        let ts = self.config.daemon.cycle.period.as_secs_f64();
+        let gains = lqr::synthesize(&self.config.model, &trajectory, &self.config.planner.lqr, ts, &mut work)?;
+        times.lqr += begin.elapsed();
+        Ok((trajectory, gains, defect, margins))
+    }
+
+    /// (16) linearised around `at`, for the deviation from `reference`.
+    fn qp(&self, problem: &Problem<'_>, reference: &Trajectory, at: &Trajectory, work: &mut Workspace) -> Qp {
+        let weights = &self.config.planner.replan.weights;
+        let weight = KnotVector::from_fn(|i, _| match i {
+            i if i < NX / 2 => weights.q[i],
+            i if i < NX => weights.qd[i - NX / 2],
+            i => weights.u[i - NX],
+        });
+        let (tau_min, tau_max) = problem.torque.bounds(&problem.limits.tau_max);
+        let x_min = state(&problem.limits.q_min, &-problem.limits.qd_max);
+        let x_max = state(&problem.limits.q_max, &problem.limits.qd_max);
+        let mut dynamics = Vec::with_capacity(N + 1);
+        let mut torque = Vec::with_capacity(N + 1);
+        let mut gradient = Vec::with_capacity(N + 1);
+        for k in 0..=N {
+            let (x, u) = (&at.x[k], &at.u[k]);
+            let (knot, _) = problem.knot_derivatives(
+                x,
+                u,
+                &UnactuatedVector::zeros(),
+                &ActuatedVector::zeros(),
+                work,
+            );
+            dynamics.push(KnotDynamics::new(&knot.dynamics, x, u));
+            let d = knot.torque();
+            torque.push(TorqueRows {
+                jacobian: nalgebra::SMatrix::<f64, NU, NZ>::from_fn(|i, j| {
+                    if j < NX { d.tau_x[(i, j)] } else { d.tau_u[(i, j - NX)] }
+                }),
+                lower: tau_min - d.value.tau,
+                upper: tau_max - d.value.tau,
+            });
+            let (dx, du) = (x - reference.x[k], u - reference.u[k]);
+            gradient.push(KnotVector::from_fn(|i, _| weight[i] * if i < NX { dx[i] } else { du[i - NX] }));
+        }
+        let half_h = 0.5 * at.h();
+        Qp {
+            weight,
+            weight_t: weights.t_f,
+            gradient,
+            gradient_t: weights.t_f * (at.t_f - reference.t_f),
+            h: at.h(),
+            defects: (0..N)
+                .map(|k| at.x[k + 1] - at.x[k] - (dynamics[k].f + dynamics[k + 1].f) * half_h)
+                .collect(),
+            dynamics,
+            start: problem.start - at.x[0],
+            target: problem
+                .target
+                .iter()
+                .map(|row| TargetRow {
+                    coefficients: row.coefficients,
+                    value: row.value - row.coefficients.dot(&at.x[N]),
+                })
+                .collect(),
+            x: (1..=N).map(|k| (x_min - at.x[k], x_max - at.x[k])).collect(),
+            t: (problem.t_f.0 - at.t_f, problem.t_f.1 - at.t_f),
+            torque,
+        }
+    }
+}
+
+impl Replan {
+    /// The plan the daemon executes.
+    pub fn plan(&self, id: u64, config: &Config) -> Plan {
+        let mut work = Workspace::default();
+        Plan {
+            id,
+            fingerprint: config.model.fingerprint(),
+            f: self.trajectory.f(&config.model, &mut work),
+            trajectory: self.trajectory.clone(),
+            gains: self.gains.knots.clone(),
+            final_gain: self.gains.end,
+        }
+    }
+}
+
+/// q_A of a state, rad.
+fn pose(x: &State) -> [f64; NU] {
+    std::array::from_fn(|i| x[i])
+}
