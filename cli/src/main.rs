@@ -1,2 +1,52 @@
-//! Placeholder
-fn main() {}
+//! The operator's command line.
+
+use clap::{Parser, Subcommand};
+use std::process::ExitCode;
+use upswing::commands;
+use upswing_config::process::{finish, start_logging};
+
+/// Swings up and balances a spherical pendulum on a 7-DoF robot.
+///
+/// Exit codes: 0 success, 1 it ran but the answer is no, 2 bad input.
+#[derive(Parser)]
+#[command(version)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Demo(commands::demo::DemoArgs),
+    Request(commands::request::RequestArgs),
+    Status(commands::status::StatusArgs),
+    Plan(commands::plan::PlanArgs),
+    Optimize(commands::optimize::OptimizeArgs),
+    Db(commands::db::DbArgs),
+    Model(commands::model::ModelArgs),
+    Config(commands::config::ConfigArgs),
+    /// Run as the control daemon, like `upswingd`
+    Daemon(upswingd::DaemonArgs),
+    /// Run as the planner, like `upswing-planner`
+    Planner(upswing_planner::service::PlannerArgs),
+    /// Run as the plant simulator, like `upswing-plant`
+    Plant(upswing_plant::PlantArgs),
+}
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    start_logging();
+    finish(match &cli.command {
+        Command::Demo(args) => commands::demo::run(args),
+        Command::Request(args) => commands::request::run(args),
+        Command::Status(args) => commands::status::run(args),
+        Command::Plan(args) => commands::plan::run(args),
+        Command::Optimize(args) => commands::optimize::run(args),
+        Command::Db(args) => commands::db::run(args),
+        Command::Model(args) => commands::model::run(args),
+        Command::Config(args) => commands::config::run(args),
+        Command::Daemon(args) => upswingd::run(args.clone()),
+        Command::Planner(args) => upswing_planner::service::run(args),
+        Command::Plant(args) => upswing_plant::run(args.clone()),
+    })
+}

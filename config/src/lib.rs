@@ -9,8 +9,8 @@ mod check;
 mod daemon;
 mod error;
 mod planner;
-pub mod process;
 mod plant;
+pub mod process;
 mod robot;
 mod start;
 

@@ -10,10 +10,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 #[derive(Clone, Debug, clap::Args)]
 pub struct ProcessArgs {
     /// Folder with a full set of settings [default: the embedded one; `upswing config export DIR` writes a copy]
-    #[arg(long, value_name = "DIR", global = true)]
+    #[arg(long, value_name = "DIR")]
     pub config: Option<PathBuf>,
     /// Name of the shared-memory world that daemon, planner, plant and clients meet in
-    #[arg(long, value_name = "NAME", default_value = "upswing", global = true)]
+    #[arg(long, value_name = "NAME", default_value = "upswing")]
     pub domain: String,
 }
 

@@ -9,6 +9,7 @@
 //! entry only counts down; the memory is unmapped by the thread that owns the ports. So keep the ports longer than
 //! the entries. The other way round is sound, but then the thread that drops the entry does the unmapping.
 
+use crate::construction::Site;
 use crate::error::IpcError;
 use crate::node::Node;
 use crate::services::{Latest, MAX_NODES, MAX_READERS};
@@ -57,30 +58,35 @@ impl<T: Latest> Writer<T> {
     /// # Errors
     /// [`IpcError::Open`] or [`IpcError::Port`] if the blackboard cannot be created.
     pub fn create(node: &Node) -> Result<Self, IpcError> {
-        let (name, epoch, service) = node
-            .persist(|| {
-                // A new epoch at each attempt: what a failed attempt left must not be in the way.
-                let epoch = monotonic_ns();
-                let name = service_name::<T>(epoch);
-                let service_name = ServiceName::new(&name).map_err(|e| (name.clone(), e.into()))?;
-                let service = node
-                    .iox()
-                    .service_builder(&service_name)
-                    .blackboard_creator::<u64>()
-                    .max_readers(MAX_READERS)
-                    .max_nodes(MAX_NODES)
-                    .add::<T>(KEY, T::default())
-                    .create()
-                    .map_err(|e| (name.clone(), e.into()))?;
-                Ok((name, epoch, service))
-            })
-            .map_err(|(service, cause)| IpcError::Open { service, cause })?;
+        node.persist(|| Self::attempt(node))
+    }
+
+    fn attempt(node: &Node) -> Result<Self, IpcError> {
+        // A new epoch at each attempt: what a failed attempt left must not be in the way.
+        let epoch = monotonic_ns();
+        let name = service_name::<T>(epoch);
+        let unopened = |cause| IpcError::Open { service: name.clone(), cause };
         let failed = |cause| IpcError::Port { service: name.clone(), port: "writer", cause };
+        let service = node
+            .iox()
+            .service_builder(&ServiceName::new(&name).map_err(|e| unopened(e.into()))?)
+            .blackboard_creator::<u64>()
+            .max_readers(MAX_READERS)
+            .max_nodes(MAX_NODES)
+            .add::<T>(KEY, T::default())
+            .create()
+            .map_err(|e| unopened(e.into()))?;
         let port = service.writer_builder().create().map_err(|e| failed(e.into()))?;
         let handle = Arc::new(port.entry::<T>(&KEY).map_err(|e| failed(e.into()))?);
         Ok(Self {
             entry: WriterEntry { handle: Arc::clone(&handle), _not_sync: PhantomData },
-            ports: WriterPorts { _port: port, _service: service, _handle: handle, epoch, _node: node.clone() },
+            ports: WriterPorts {
+                _port: port,
+                _service: service,
+                _handle: handle,
+                epoch,
+                _node: node.clone(),
+            },
         })
     }
 
@@ -143,8 +149,8 @@ impl<T: Latest> Reader<T> {
         Snapshot(self.handle.get())
     }
 
-    /// Whether something was written after `than` was taken from this reader; one atomic load. True for a snapshot
-    /// of another reader's is meaningless. Rarely true without need: when a write ended while `than` was taken.
+    /// Whether something was written since `than` was taken; one atomic load. `than` must come from this reader.
+    /// A write that ends while `than` is taken may count as new although `than` shows it; none is ever missed.
     pub fn is_new(&self, than: &Snapshot<T>) -> bool {
         !self.handle.is_up_to_date(&than.0)
     }
@@ -185,10 +191,12 @@ impl<T: Latest> Finder<T> {
     /// [`IpcError::List`] if the services cannot be listed, [`IpcError::Open`] or [`IpcError::Port`] if the newest
     /// cannot be opened, [`IpcError::Layout`] if it carries another payload than `T`.
     pub fn poll(&mut self) -> Result<Option<Reader<T>>, IpcError> {
-        self.node.clean_up();
+        let site = Site::enter(self.node.domain());
+        self.node.clean_up_at(&site);
         self.close_unused();
         let current = self.epoch();
-        let mut epochs: Vec<u64> = self.list()?.into_iter().filter(|&e| current.is_none_or(|c| e > c)).collect();
+        let mut epochs: Vec<u64> =
+            self.list()?.into_iter().filter(|&e| current.is_none_or(|c| e > c)).collect();
         epochs.sort_unstable();
         for epoch in epochs.into_iter().rev() {
             if let Some(opened) = self.open(epoch)? {
@@ -219,7 +227,11 @@ impl<T: Latest> Finder<T> {
             epochs.extend(epoch_of::<T>(service.static_details.name().as_str()));
             CallbackProgression::Continue
         })
-        .map_err(|e| IpcError::List { what: "services", domain: domain.name().to_owned(), cause: e.into() })?;
+        .map_err(|e| IpcError::List {
+            what: "services",
+            domain: domain.name().to_owned(),
+            cause: e.into(),
+        })?;
         Ok(epochs)
     }
 
@@ -248,7 +260,8 @@ impl<T: Latest> Finder<T> {
             cause: e.into(),
         })?;
         let entry = port.entry::<T>(&KEY);
-        let entry = entry.map_err(|_| IpcError::Layout { service: name, expected: std::any::type_name::<T>() })?;
+        let entry =
+            entry.map_err(|_| IpcError::Layout { service: name, expected: std::any::type_name::<T>() })?;
         Ok(Some(Opened { _port: port, service, handle: Arc::new(entry), epoch }))
     }
 
@@ -271,7 +284,11 @@ fn service_name<T: Latest>(epoch: u64) -> String {
 
 fn epoch_of<T: Latest>(service: &str) -> Option<u64> {
     let digits = service.strip_prefix(T::CHANNEL)?.strip_prefix('/')?;
-    if digits.len() == EPOCH_DIGITS && digits.bytes().all(|b| b.is_ascii_digit()) { digits.parse().ok() } else { None }
+    if digits.len() == EPOCH_DIGITS && digits.bytes().all(|b| b.is_ascii_digit()) {
+        digits.parse().ok()
+    } else {
+        None
+    }
 }
 
 /// CLOCK_MONOTONIC, ns: the same for all processes since the machine started.

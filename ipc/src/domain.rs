@@ -1,10 +1,11 @@
 //! A domain: one shared-memory world. Processes of different domains never meet.
 
+use crate::construction::Site;
 use crate::error::{Cause, IpcError};
 use crate::node::Node;
 use iceoryx2::prelude::{
-    CallbackProgression, Config, FileName, FilePath, LogLevel, Node as IoxNode, NodeBuilder, NodeName, NodeState, Path,
-    SemanticString, SignalHandlingMode, ipc, set_log_level,
+    CallbackProgression, Config, FileName, FilePath, LogLevel, Node as IoxNode, NodeBuilder, NodeName,
+    NodeState, Path, SemanticString, SignalHandlingMode, ipc, set_log_level,
 };
 use std::fmt;
 use std::fs::{DirBuilder, File, Permissions, TryLockError};
@@ -12,7 +13,7 @@ use std::io::ErrorKind;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt};
 use std::path::PathBuf;
 use std::sync::Once;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use thiserror::Error;
 
 /// Where all of shared memory lives.
@@ -21,8 +22,9 @@ const SHM: &str = "/dev/shm";
 const TYPE_HASH_DIGITS: usize = 40;
 /// How often a directory that vanishes under our hands is created again.
 const ENTER_ATTEMPTS: usize = 100;
-/// How long a new node waits for others that are cleaning up after the same dead one.
-const CLEANUP_PATIENCE: Duration = Duration::from_millis(200);
+/// How long a removal waits for the last users to leave, and the pause between looks.
+const REMOVAL_PATIENCE: Duration = Duration::from_millis(100);
+const PAUSE: Duration = Duration::from_millis(1);
 
 /// Why a domain cannot have this name.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
@@ -90,6 +92,10 @@ impl Domain {
         let unreachable = |_| DomainError::Length { name: name.to_owned(), got };
         config.global.set_root_path(&Path::new(root_text(name).as_bytes()).map_err(unreachable)?);
         config.global.prefix = FileName::new(shm_prefix(name).as_bytes()).map_err(unreachable)?;
+        // This crate cleans up itself, under the lock of `construction`.
+        config.global.node.cleanup_dead_nodes_on_creation = false;
+        config.global.node.cleanup_dead_nodes_on_destruction = false;
+        config.global.service.cleanup_dead_nodes_on_open = false;
         Ok(Self { name: name.to_owned(), config })
     }
 
@@ -107,6 +113,13 @@ impl Domain {
         &self.config
     }
 
+    /// The shared memory of this domain, as paths in the file system.
+    pub(crate) fn memory(&self) -> impl Iterator<Item = PathBuf> {
+        let entries = std::fs::read_dir(SHM).into_iter().flatten().flatten();
+        let owned = entries.filter(|entry| entry.file_name().to_str().is_some_and(|file| self.owns(file)));
+        owned.map(|entry| entry.path())
+    }
+
     /// Joins the domain as `role` ("daemon", "planner", ...; for people and logs) and cleans up after processes
     /// of the domain that died.
     ///
@@ -119,20 +132,19 @@ impl Domain {
     pub fn connect(&self, role: &str) -> Result<Node, IpcError> {
         let presence = self.hold_root()?;
         self.set_process_defaults()?;
-        let failed = |cause: Cause| IpcError::Connect {
-            domain: self.name.clone(),
-            role: role.to_owned(),
-            cause,
-        };
+        let failed =
+            |cause: Cause| IpcError::Connect { domain: self.name.clone(), role: role.to_owned(), cause };
         let name = NodeName::new(role).map_err(|e| failed(e.into()))?;
+        let site = Site::enter(self);
         let node = NodeBuilder::new()
             .name(&name)
             .config(&self.config)
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<ipc::Service>()
             .map_err(|e| failed(e.into()))?;
-        node.blocking_cleanup_dead_nodes(CLEANUP_PATIENCE);
-        Ok(Node::new(node, self.clone(), presence))
+        let node = Node::new(node, self.clone(), presence);
+        node.clean_up_at(&site);
+        Ok(node)
     }
 
     /// Removes all traces of the domain if no process uses it, and says whether it did.
@@ -144,25 +156,30 @@ impl Domain {
     /// found out who uses the domain.
     pub fn remove_if_unused(&self) -> Result<bool, IpcError> {
         let presence = self.open_root()?;
-        match presence.try_lock() {
-            Ok(()) => {}
-            Err(TryLockError::WouldBlock) => return Ok(false),
-            Err(TryLockError::Error(cause)) => return Err(self.root_error("lock", cause)),
+        let start = Instant::now();
+        loop {
+            match presence.try_lock() {
+                Ok(()) => break,
+                // A process that is being started holds its parent's locks for an instant.
+                Err(TryLockError::WouldBlock) if start.elapsed() < REMOVAL_PATIENCE => {
+                    std::thread::sleep(PAUSE)
+                }
+                Err(TryLockError::WouldBlock) => return Ok(false),
+                Err(TryLockError::Error(cause)) => return Err(self.root_error("lock", cause)),
+            }
         }
         if !self.is_current(&presence) || self.has_foreign_peers()? {
             return Ok(false);
         }
-        let entries = std::fs::read_dir(SHM).map_err(|cause| self.root_error("read the directory above", cause))?;
-        for entry in entries.flatten() {
-            if entry.file_name().to_str().is_some_and(|file| self.owns(file)) {
-                ignore_missing(std::fs::remove_file(entry.path())).map_err(|cause| IpcError::Root {
-                    action: "remove",
-                    path: entry.path(),
-                    cause,
-                })?;
-            }
+        for path in self.memory() {
+            ignore_missing(std::fs::remove_file(&path)).map_err(|cause| IpcError::Root {
+                action: "remove",
+                path,
+                cause,
+            })?;
         }
-        ignore_missing(std::fs::remove_dir_all(self.root())).map_err(|cause| self.root_error("remove", cause))?;
+        ignore_missing(std::fs::remove_dir_all(self.root()))
+            .map_err(|cause| self.root_error("remove", cause))?;
         Ok(true)
     }
 
@@ -173,16 +190,20 @@ impl Domain {
             alive |= matches!(node, NodeState::Alive(_) | NodeState::Inaccessible(_));
             CallbackProgression::Continue
         })
-        .map_err(|e| IpcError::List { what: "nodes", domain: self.name.clone(), cause: e.into() })?;
+        .map_err(|e| IpcError::List {
+            what: "nodes",
+            domain: self.name.clone(),
+            cause: e.into(),
+        })?;
         Ok(alive)
     }
 
     /// Whether `file` in [`SHM`] is this domain's. The prefix alone does not tell: that of `a` also begins the
     /// files of `a_b`. After it iceoryx2 writes a hash, longer than any name of a domain, so the hash does.
     fn owns(&self, file: &str) -> bool {
-        file.strip_prefix(&shm_prefix(&self.name)).and_then(|rest| rest.split_once('_')).is_some_and(|(hash, _)| {
-            hash.len() == TYPE_HASH_DIGITS && hash.bytes().all(|b| b.is_ascii_hexdigit())
-        })
+        file.strip_prefix(&shm_prefix(&self.name)).and_then(|rest| rest.split_once('_')).is_some_and(
+            |(hash, _)| hash.len() == TYPE_HASH_DIGITS && hash.bytes().all(|b| b.is_ascii_hexdigit()),
+        )
     }
 
     /// Opens the directory of the domain, creates it if need be, and insists that only this user can enter it.

@@ -15,7 +15,9 @@ pub enum IpcError {
     #[error(transparent)]
     Domain(#[from] DomainError),
     /// The directory of the domain could not be used.
-    #[error("cannot {action} `{path}` of the domain: {cause}; check its permissions and the free space of /dev/shm")]
+    #[error(
+        "cannot {action} `{path}` of the domain: {cause}; check its permissions and the free space of /dev/shm"
+    )]
     Root {
         /// What was attempted, for example "create".
         action: &'static str,

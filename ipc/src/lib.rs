@@ -42,6 +42,7 @@
 
 mod blackboard;
 mod codes;
+mod construction;
 mod domain;
 mod error;
 mod messages;
@@ -52,14 +53,16 @@ mod services;
 mod text;
 
 pub use blackboard::{Finder, Reader, Snapshot, Writer, WriterEntry, WriterPorts};
-pub use codes::{Clock, ControlCommand, Mode, PlannerKind, PlannerStatus, PlantKind, UnknownClock, UnknownCode};
+pub use codes::{
+    Clock, ControlCommand, Mode, PlannerKind, PlannerStatus, PlantKind, UnknownClock, UnknownCode,
+};
 pub use domain::{Domain, DomainError};
 pub use error::{CallError, Cause, IpcError};
 pub use messages::{Publisher, Received, Subscriber};
 pub use node::Node;
 pub use payload::{
-    Command, ControlRequest, ControlResponse, Measurement, Plan, PlannerRequest, PlannerResponse, PlantRequest,
-    PlantResponse, TELEMETRY_BATCH, Telemetry, TelemetryBatch,
+    Command, ControlRequest, ControlResponse, Measurement, Plan, PlannerRequest, PlannerResponse,
+    PlantRequest, PlantResponse, TELEMETRY_BATCH, Telemetry, TelemetryBatch,
 };
 pub use request::{Client, Server};
 pub use services::{Latest, Request, Topic};

@@ -1,10 +1,13 @@
 //! A process' seat in a domain, and the ends of services that it can ask for.
 
 use crate::blackboard::{Finder, Writer};
+use crate::construction::Site;
 use crate::domain::Domain;
 use crate::error::IpcError;
 use crate::messages::{Publisher, Subscriber};
-use crate::payload::{Command, ControlRequest, Measurement, Plan, PlannerRequest, PlantRequest, TelemetryBatch};
+use crate::payload::{
+    Command, ControlRequest, Measurement, Plan, PlannerRequest, PlantRequest, TelemetryBatch,
+};
 use crate::request::{Client, Server};
 use iceoryx2::prelude::{Node as IoxNode, ipc};
 use std::fmt;
@@ -16,6 +19,8 @@ use std::time::Duration;
 const ATTEMPTS: usize = 10;
 /// Pause between attempts; a clean-up takes a few milliseconds.
 const PAUSE: Duration = Duration::from_millis(10);
+/// How long to wait for another thread or another language that is cleaning up after the same dead process.
+const CLEANUP_PATIENCE: Duration = Duration::from_millis(200);
 
 /// A process' seat in a domain. Clones are the same seat; it is vacated when the last clone and the last end of a
 /// service that came from it are dropped.
@@ -62,7 +67,12 @@ impl Node {
     /// Removes what dead processes of the domain left behind; nobody does it in the background. Some 0.1 ms when
     /// nobody died, milliseconds otherwise.
     pub fn clean_up(&self) {
-        self.inner.iox.try_cleanup_dead_nodes();
+        self.clean_up_at(&Site::enter(self.domain()));
+    }
+
+    /// As [`Node::clean_up`], for those who are on site already.
+    pub(crate) fn clean_up_at(&self, _site: &Site) {
+        self.inner.iox.blocking_cleanup_dead_nodes(CLEANUP_PATIENCE);
     }
 
     /// Measurements out (plant).
@@ -171,16 +181,22 @@ impl Node {
         Server::create(self)
     }
 
-    /// Repeats `attempt`, cleaning up after dead processes in between: what one process opens another may be
-    /// creating or removing at the same moment, and the place of a dead process is taken until somebody cleans up.
+    /// Repeats `attempt`, on site and cleaning up after dead processes: what one process opens another may be
+    /// dropping at the same moment, and the place of a dead process is taken until somebody cleans up.
     pub(crate) fn persist<T, E>(&self, mut attempt: impl FnMut() -> Result<T, E>) -> Result<T, E> {
         for _ in 1..ATTEMPTS {
+            let site = Site::enter(self.domain());
             if let Ok(done) = attempt() {
                 return Ok(done);
             }
-            self.clean_up();
+            self.clean_up_at(&site);
+            if let Ok(done) = attempt() {
+                return Ok(done);
+            }
+            drop(site);
             std::thread::sleep(PAUSE);
         }
+        let _site = Site::enter(self.domain());
         attempt()
     }
 }

@@ -10,6 +10,7 @@ use iceoryx2::prelude::{BackpressureStrategy, PortFactory as _, ServiceName, ipc
 use iceoryx2::service::port_factory::client::ClientCreateError;
 use iceoryx2::service::port_factory::request_response::PortFactory;
 use iceoryx2::service::port_factory::server::ServerCreateError;
+use std::cell::Cell;
 use std::time::{Duration, Instant};
 
 type Service<Q> = PortFactory<ipc::Service, Q, (), <Q as Request>::Response, ()>;
@@ -18,13 +19,15 @@ type Service<Q> = PortFactory<ipc::Service, Q, (), <Q as Request>::Response, ()>
 const EAGER: Duration = Duration::from_micros(50);
 /// Shortest and longest pause of a waiting client.
 const PAUSE: (Duration, Duration) = (Duration::from_micros(50), Duration::from_millis(1));
-/// How often a waiting client makes sure that the server is still there.
+/// How long a sign of life of the server counts.
 const ROLL_CALL: Duration = Duration::from_millis(100);
 
 /// Asks a server; stays in the thread that created it.
 pub struct Client<Q: Request> {
     port: IoxClient<ipc::Service, Q, (), Q::Response, ()>,
     service: Service<Q>,
+    /// When the server was last known to be alive.
+    alive: Cell<Option<Instant>>,
     node: Node,
 }
 
@@ -50,14 +53,22 @@ impl<Q: Request> Client<Q> {
             }
             e => IpcError::Port { service: Q::SERVICE.to_owned(), port: "client", cause: e.into() },
         })?;
-        Ok(Self { port, service, node: node.clone() })
+        Ok(Self { port, service, alive: Cell::new(None), node: node.clone() })
     }
 
     /// Whether a live server is there now.
     pub fn has_server(&self) -> bool {
         // The dead ones count until somebody cleans up.
         self.node.clean_up();
-        self.service.dynamic_config().number_of_servers() > 0
+        let found = self.service.dynamic_config().number_of_servers() > 0;
+        self.alive.set(found.then(Instant::now));
+        found
+    }
+
+    /// As [`Client::has_server`], but looks only if there was no sign of life lately: looking takes much longer
+    /// than a request.
+    fn had_server_lately(&self) -> bool {
+        self.alive.get().is_some_and(|seen| seen.elapsed() < ROLL_CALL) || self.has_server()
     }
 
     /// Sends `request` and waits for the answer, at most `timeout`. A request that is not yet being handled when
@@ -67,37 +78,32 @@ impl<Q: Request> Client<Q> {
     /// [`CallError::NoServer`] at once if there is none, [`CallError::ServerGone`] if it goes away meanwhile,
     /// [`CallError::Timeout`] if it does not answer in time.
     pub fn call(&self, request: &Q, timeout: Duration) -> Result<Q::Response, CallError> {
-        if !self.has_server() {
+        if !self.had_server_lately() {
             return Err(self.no_server());
         }
-        let start = Instant::now();
         let pending = self.port.send_copy(*request);
         let pending = pending.map_err(|e| IpcError::Send { service: Q::SERVICE, cause: e.into() })?;
         if pending.number_of_server_connections() == 0 {
             return Err(self.no_server());
         }
-        let answer = || match pending.receive() {
-            Ok(answer) => Ok(answer.map(|a| *a)),
-            Err(e) => Err(CallError::Ipc(IpcError::Receive { service: Q::SERVICE, cause: e.into() })),
-        };
+        let start = Instant::now();
         let mut pause = PAUSE.0;
-        let mut roll_call = start + ROLL_CALL;
         loop {
             // Before the look at the answer: a server that answers and goes away must not count as gone.
             let served = pending.is_connected();
-            if let Some(answer) = answer()? {
-                return Ok(answer);
+            let answer = pending.receive();
+            if let Some(answer) =
+                answer.map_err(|e| IpcError::Receive { service: Q::SERVICE, cause: e.into() })?
+            {
+                self.alive.set(Some(Instant::now()));
+                return Ok(*answer);
             }
-            let now = Instant::now();
-            if !served || (now >= roll_call && !self.has_server()) {
+            if !served || !self.had_server_lately() {
                 return Err(CallError::ServerGone { service: Q::SERVICE });
             }
-            let waited = now - start;
+            let waited = start.elapsed();
             if waited >= timeout {
                 return Err(CallError::Timeout { service: Q::SERVICE, waited });
-            }
-            if now >= roll_call {
-                roll_call = now + ROLL_CALL;
             }
             if waited < EAGER {
                 std::thread::yield_now();

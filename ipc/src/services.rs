@@ -1,8 +1,8 @@
 //! Which payload travels over which service: the only place where a service is named.
 
 use crate::payload::{
-    Command, ControlRequest, ControlResponse, Measurement, Plan, PlannerRequest, PlannerResponse, PlantRequest,
-    PlantResponse, TelemetryBatch,
+    Command, ControlRequest, ControlResponse, Measurement, Plan, PlannerRequest, PlannerResponse,
+    PlantRequest, PlantResponse, TelemetryBatch,
 };
 use iceoryx2::prelude::ZeroCopySend;
 use std::fmt::Debug;

@@ -4,7 +4,7 @@ mod common;
 
 use common::{TestDomain, Victim, domain_of_child, until_killed, wait_for};
 use std::sync::atomic::{AtomicBool, Ordering};
-use upswing_ipc::{Command, Measurement};
+use upswing_ipc::{Command, Domain, Measurement, Node, Reader, Snapshot, WriterEntry};
 
 /// Entry of the child process: writes measurements until it is killed.
 #[test]
@@ -101,13 +101,26 @@ fn entries_work_in_other_threads_and_values_are_never_torn() {
             let mut last = 0;
             while !done.load(Ordering::Acquire) {
                 let m = reader.read();
-                assert!(m.seq >= last && m.status == m.seq && m.q.iter().all(|&q| q == m.seq as f64), "{m:?}");
+                assert!(
+                    m.seq >= last && m.status == m.seq && m.q.iter().all(|&q| q == m.seq as f64),
+                    "{m:?}"
+                );
                 last = m.seq;
             }
             assert_eq!(reader.read().seq, 200_000);
         });
     });
     assert!(finder.poll().unwrap().is_none());
+}
+
+#[test]
+fn what_is_meant_to_move_between_threads_can() {
+    fn movable<T: Send>() {}
+    movable::<WriterEntry<Command>>();
+    movable::<Reader<Measurement>>();
+    movable::<Snapshot<Measurement>>();
+    movable::<Node>();
+    movable::<Domain>();
 }
 
 #[test]

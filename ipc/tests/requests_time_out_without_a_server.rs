@@ -5,7 +5,8 @@ mod common;
 use common::{TestDomain, Victim, domain_of_child, until_killed, wait_for};
 use std::time::Duration;
 use upswing_ipc::{
-    CallError, ControlCommand, ControlRequest, ControlResponse, IpcError, Mode, PlannerRequest, PlantRequest, Text,
+    CallError, ControlCommand, ControlRequest, ControlResponse, IpcError, Mode, PlannerRequest, PlantRequest,
+    Text,
 };
 
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -18,7 +19,12 @@ fn child_serves() {
     let server = domain.connect("daemon").unwrap().control_server().unwrap();
     let mut seq = 0;
     until_killed(|| {
-        server.poll(|_| { seq += 1; ControlResponse { accepted: 1, seq, ..ControlResponse::default() } }).unwrap();
+        server
+            .poll(|_| {
+                seq += 1;
+                ControlResponse { accepted: 1, seq, ..ControlResponse::default() }
+            })
+            .unwrap();
     });
 }
 
@@ -37,7 +43,10 @@ fn without_a_server_every_request_says_so() {
     let control = node.control_client().unwrap();
     assert!(!control.has_server());
     let error = control.call(&ControlRequest::new(ControlCommand::Enable), PATIENCE).unwrap_err();
-    assert!(matches!(&error, CallError::NoServer { service: "control", domain: d } if d == domain.name()), "{error}");
+    assert!(
+        matches!(&error, CallError::NoServer { service: "control", domain: d } if d == domain.name()),
+        "{error}"
+    );
     let error = node.planner_client().unwrap().call(&PlannerRequest::default(), PATIENCE).unwrap_err();
     assert!(matches!(error, CallError::NoServer { service: "planner", .. }), "{error}");
     let error = node.plant_client().unwrap().call(&PlantRequest::default(), PATIENCE).unwrap_err();
@@ -53,7 +62,10 @@ fn a_server_that_does_not_poll_times_out_and_never_sees_the_withdrawn_request() 
     // More often than a client may have requests under way: the withdrawn ones must not count.
     for _ in 0..50 {
         let error = client.call(&ControlRequest::new(ControlCommand::Enable), BRIEF).unwrap_err();
-        assert!(matches!(error, CallError::Timeout { service: "control", waited } if waited >= BRIEF), "{error}");
+        assert!(
+            matches!(error, CallError::Timeout { service: "control", waited } if waited >= BRIEF),
+            "{error}"
+        );
     }
     let handled = server.poll(|_| panic!("nobody waits for this request any more")).unwrap();
     assert_eq!(handled, 0);
@@ -109,6 +121,9 @@ fn a_killed_server_is_reported_and_its_successor_answers() {
         assert_eq!(client.call(&request, PATIENCE).unwrap().seq, 1);
         assert_eq!(client.call(&request, PATIENCE).unwrap().seq, 2);
         daemon.kill();
+        // It was alive a moment ago: the first request may find out only while it waits.
+        let error = client.call(&request, PATIENCE).unwrap_err();
+        assert!(matches!(error, CallError::ServerGone { .. } | CallError::NoServer { .. }), "{error}");
         let error = client.call(&request, PATIENCE).unwrap_err();
         assert!(matches!(error, CallError::NoServer { .. }), "{error}");
     }

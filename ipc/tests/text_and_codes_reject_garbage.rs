@@ -3,8 +3,8 @@
 use proptest::prelude::*;
 use std::str::FromStr;
 use upswing_ipc::{
-    Clock, ControlCommand, ControlRequest, Mode, PlannerKind, PlannerStatus, PlantKind, Text, TextError, UnknownClock,
-    UnknownCode,
+    Clock, ControlCommand, ControlRequest, Mode, PlannerKind, PlannerStatus, PlantKind, Text, TextError,
+    UnknownClock, UnknownCode,
 };
 
 fn text_of(len: u64, bytes: &[u8]) -> Text {

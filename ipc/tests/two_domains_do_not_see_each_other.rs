@@ -42,11 +42,13 @@ fn a_peer_in_the_same_domain_is_seen() {
 fn removing_a_domain_leaves_those_whose_names_begin_alike() {
     let short = TestDomain::new("alike");
     // An ending like the hash in a file name is the worst case for telling the files apart.
-    let longer: Vec<_> = ["_1", "_0123456789", "-c"].iter().map(|end| format!("{}{end}", short.name())).collect();
+    let longer: Vec<_> =
+        ["_1", "_0123456789", "-c"].iter().map(|end| format!("{}{end}", short.name())).collect();
     let longer: Vec<_> = longer.iter().map(|name| Domain::new(name).unwrap()).collect();
     let files = |domain: &Domain| {
         let prefix = format!("upswing_{}_", domain.name());
-        let names = std::fs::read_dir("/dev/shm").unwrap().map(|e| e.unwrap().file_name().into_string().unwrap());
+        let names =
+            std::fs::read_dir("/dev/shm").unwrap().map(|e| e.unwrap().file_name().into_string().unwrap());
         let mut names: Vec<_> = names.filter(|n| n.starts_with(&prefix)).collect();
         names.sort();
         names
@@ -76,8 +78,13 @@ fn names_that_are_no_plain_words_are_refused() {
     let longest = "x".repeat(Domain::MAX_NAME);
     assert!(Domain::new(&longest).is_ok());
     let too_long = longest + "x";
-    assert_eq!(Domain::new(&too_long), Err(DomainError::Length { name: too_long.clone(), got: Domain::MAX_NAME + 1 }));
-    for (name, found, at) in [("a/b", '/', 2), ("../etc", '.', 1), ("Lab", 'L', 1), ("häl", 'ä', 2), ("a b", ' ', 2)] {
+    assert_eq!(
+        Domain::new(&too_long),
+        Err(DomainError::Length { name: too_long.clone(), got: Domain::MAX_NAME + 1 })
+    );
+    for (name, found, at) in
+        [("a/b", '/', 2), ("../etc", '.', 1), ("Lab", 'L', 1), ("häl", 'ä', 2), ("a b", ' ', 2)]
+    {
         assert_eq!(Domain::new(name), Err(DomainError::Character { name: name.to_owned(), found, at }));
     }
     assert!(Domain::new("a\0").is_err());

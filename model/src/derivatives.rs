@@ -161,7 +161,12 @@ impl Model {
 
 impl Model {
     /// As [`Self::hessian`], of `mu` . (M~ u + g~) (11) after [`Self::derivatives_without_coriolis`].
-    pub fn hessian_without_coriolis(&self, mu: &ActuatedVector, first: &Derivatives, work: &Workspace) -> Hessian {
+    pub fn hessian_without_coriolis(
+        &self,
+        mu: &ActuatedVector,
+        first: &Derivatives,
+        work: &Workspace,
+    ) -> Hessian {
         let mut h = self.hessian(&UnactuatedVector::zeros(), mu, first, work);
         for i in NQ..NX {
             h.row_mut(i).fill(0.0);

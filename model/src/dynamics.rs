@@ -188,7 +188,8 @@ impl Model {
         qdd.fixed_rows_mut::<N_ACTUATED>(0).copy_from(u);
         let r = self.inverse_dynamics(q, qd, &qdd, work);
         let columns = work.unactuated_columns();
-        let qdd_u = -solve_unactuated(&unactuated_block(&columns), &r.fixed_rows::<N_UNACTUATED>(N_ACTUATED).into());
+        let qdd_u =
+            -solve_unactuated(&unactuated_block(&columns), &r.fixed_rows::<N_UNACTUATED>(N_ACTUATED).into());
         let tau = r.fixed_rows::<N_ACTUATED>(0) + columns.fixed_rows::<N_ACTUATED>(0) * qdd_u;
         Accelerations { qdd_u, tau }
     }

@@ -127,7 +127,11 @@ impl Model {
     /// Potential energy, J; zero at the world origin.
     pub fn potential_energy(&self, q: &JointVector) -> f64 {
         let frames = self.frames(q);
-        frames.iter().zip(&self.joints).map(|(f, j)| -j.mass * self.gravity.dot(&(f.rotation * j.com + f.origin))).sum()
+        frames
+            .iter()
+            .zip(&self.joints)
+            .map(|(f, j)| -j.mass * self.gravity.dot(&(f.rotation * j.com + f.origin)))
+            .sum()
     }
 
     /// A copy whose masses and inertias are multiplied: those of the arm by `arm`, those of the unactuated

@@ -14,8 +14,7 @@ pub(crate) struct Spatial {
 }
 
 impl Spatial {
-    pub(crate) const ZERO: Self =
-        Self { ang: Vector3::new(0.0, 0.0, 0.0), lin: Vector3::new(0.0, 0.0, 0.0) };
+    pub(crate) const ZERO: Self = Self { ang: Vector3::new(0.0, 0.0, 0.0), lin: Vector3::new(0.0, 0.0, 0.0) };
 
     pub(crate) fn new(ang: Vector3<f64>, lin: Vector3<f64>) -> Self {
         Self { ang, lin }

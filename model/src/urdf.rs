@@ -184,7 +184,14 @@ impl Model {
             tau_max: ActuatedVector::from_fn(|i, _| urdf_limits[i].effort),
         };
         let gravity = Vector3::new(0.0, 0.0, -GRAVITY);
-        let mut model = Self { joints, base: Frame::new(&Isometry3::identity()), tip, gravity, rated_limits, fingerprint: 0 };
+        let mut model = Self {
+            joints,
+            base: Frame::new(&Isometry3::identity()),
+            tip,
+            gravity,
+            rated_limits,
+            fingerprint: 0,
+        };
         model.fingerprint = model.compute_fingerprint();
         Ok(model)
     }

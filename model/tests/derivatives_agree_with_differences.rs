@@ -18,7 +18,11 @@ fn difference<const R: usize>(
     let h = 1e-3;
     let mut at = |offset: f64| {
         let (mut x, mut u) = (*x, *u);
-        if k < NX { x[k] += offset } else { u[k - NX] += offset }
+        if k < NX {
+            x[k] += offset
+        } else {
+            u[k - NX] += offset
+        }
         f(&x, &u)
     };
     (at(h) - at(-h)) * (8.0 / (12.0 * h)) - (at(2.0 * h) - at(-2.0 * h)) / (12.0 * h)
@@ -80,7 +84,8 @@ fn hessians() {
             };
             assert_close("symmetry", h.iter().copied(), h.transpose().iter().copied(), 1e-12);
             for k in 0..NZ {
-                let want = difference(&x, &u, k, |x, u| torque_gradient(&model, &w, &mu, x, u, with_coriolis));
+                let want =
+                    difference(&x, &u, k, |x, u| torque_gradient(&model, &w, &mu, x, u, with_coriolis));
                 assert_close("Hessian", h.column(k).iter().copied(), want.iter().copied(), 1e-7);
             }
         }

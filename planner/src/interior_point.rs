@@ -393,7 +393,8 @@ impl<'a> Solver<'a> {
             }
             let jacobian = self.torque_jacobian(&knots[k]);
             let sigma = self.bound_s[k].sigma(&self.point.s[k]);
-            let weighted = nalgebra::SMatrix::<f64, NU, { NX + NU }>::from_fn(|i, j| sigma[i] * jacobian[(i, j)]);
+            let weighted =
+                nalgebra::SMatrix::<f64, NU, { NX + NU }>::from_fn(|i, j| sigma[i] * jacobian[(i, j)]);
             let term: KnotMatrix = jacobian.transpose() * weighted;
             kkt.hessian[k] += term;
         }
@@ -414,7 +415,8 @@ impl<'a> Solver<'a> {
                 }
             }
             let sigma = self.bound_s[k].sigma(&self.point.s[k]);
-            let pull = sigma.component_mul(&c.torque[k]) + self.bound_s[k].gradient(&self.point.s[k], self.mu);
+            let pull =
+                sigma.component_mul(&c.torque[k]) + self.bound_s[k].gradient(&self.point.s[k], self.mu);
             rhs.g[k] += self.torque_jacobian(&knots[k]).transpose() * pull;
         }
         rhs
@@ -659,9 +661,18 @@ impl<'a> Solver<'a> {
                     return Some(residuals);
                 }
                 if first && theta_p >= theta {
-                    if let Some(next) =
-                        self.correct(kkt, &factor, damping, knots, c, residuals, alpha, slope, (theta, phi), filter)
-                    {
+                    if let Some(next) = self.correct(
+                        kkt,
+                        &factor,
+                        damping,
+                        knots,
+                        c,
+                        residuals,
+                        alpha,
+                        slope,
+                        (theta, phi),
+                        filter,
+                    ) {
                         return Some(next);
                     }
                 }

@@ -361,7 +361,14 @@ impl Kkt {
         let vt_u: ActuatedVector = value_t.fixed_rows::<NU>(NX).into();
         let gain_t = -pivot.solve(&vt_u);
         let pivot_t = t_t + vt_u.dot(&gain_t);
-        (pivot_t.is_finite() && pivot_t > 0.0).then_some(Factor { intervals, value, value_t, pivot, gain_t, pivot_t })
+        (pivot_t.is_finite() && pivot_t > 0.0).then_some(Factor {
+            intervals,
+            value,
+            value_t,
+            pivot,
+            gain_t,
+            pivot_t,
+        })
     }
 
     /// One solve with the factorised matrix; its target rows hold to 1 / stiffness only.

@@ -3,7 +3,7 @@
 //! - [`problem`]: (6), (8), (9), (11) as an optimisation problem; [`interior_point`] solves it, [`kkt`] is the
 //!   structured linear algebra underneath, [`offline`] applies them to a configuration and builds databases.
 //! - [`nearest`]: the K-D tree over database entries; [`qp`]: (16); [`replan`]: both together with
-//!   [`lqr`], the gains (23).
+//!   [`lqr`], the gains (23). [`service`]: the process that answers requests.
 
 pub mod interior_point;
 pub mod kkt;
@@ -13,3 +13,4 @@ pub mod offline;
 pub mod problem;
 pub mod qp;
 pub mod replan;
+pub mod service;

@@ -218,7 +218,9 @@ mod tests {
 
     fn rows() -> Rows {
         Rows {
-            a: SMatrix::from_fn(|i, j| ((3 * i + 5 * j) % 7) as f64 - 3.0 + if j == NQ - 1 { 20.0 } else { 0.0 }),
+            a: SMatrix::from_fn(|i, j| {
+                ((3 * i + 5 * j) % 7) as f64 - 3.0 + if j == NQ - 1 { 20.0 } else { 0.0 }
+            }),
             b: SMatrix::from_fn(|i, j| ((2 * i + 3 * j) % 5) as f64 * 0.4 - 0.9),
         }
     }

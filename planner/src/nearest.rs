@@ -30,8 +30,11 @@ impl NearestPose {
     /// Builds the tree of `poses` (rad) for the squared distance weighted by `metric`.
     pub fn new(poses: impl IntoIterator<Item = [f64; NU]>, metric: &[f64; NU]) -> Self {
         let scale = metric.map(f64::sqrt);
-        let mut nodes: Vec<_> =
-            poses.into_iter().enumerate().map(|(i, p)| (std::array::from_fn(|j| p[j] * scale[j]), i)).collect();
+        let mut nodes: Vec<_> = poses
+            .into_iter()
+            .enumerate()
+            .map(|(i, p)| (std::array::from_fn(|j| p[j] * scale[j]), i))
+            .collect();
         arrange(&mut nodes, 0);
         Self { scale, nodes }
     }
@@ -61,7 +64,13 @@ fn arrange(nodes: &mut [(Point, usize)], depth: usize) {
 }
 
 /// Collects the nearest (squared distance, index), sorted, at most `count`.
-fn search(nodes: &[(Point, usize)], depth: usize, point: &Point, count: usize, found: &mut Vec<(f64, usize)>) {
+fn search(
+    nodes: &[(Point, usize)],
+    depth: usize,
+    point: &Point,
+    count: usize,
+    found: &mut Vec<(f64, usize)>,
+) {
     if nodes.is_empty() {
         return;
     }

@@ -151,4 +151,3 @@ pub fn database(config: &Config, points: Vec<GridPoint>) -> Database {
         .collect();
     Database { model: config.model.fingerprint(), problem: problem_fingerprint(config), entries }
 }
-

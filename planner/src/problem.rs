@@ -2,7 +2,9 @@
 
 use crate::kkt::TargetRow;
 use nalgebra::SVector;
-use upswing_model::{ActuatedVector, Derivatives, Hessian, Limits, Model, NQ, NX, State, UnactuatedVector, Workspace};
+use upswing_model::{
+    ActuatedVector, Derivatives, Hessian, Limits, Model, NQ, NX, State, UnactuatedVector, Workspace,
+};
 use upswing_trajectory::{KNOTS, N, Trajectory};
 
 /// Which form of the motor torque is kept within its limits.
@@ -89,10 +91,13 @@ impl Problem<'_> {
         t_f + 0.5 * t_f / N as f64 * self.input_weight * effort
     }
 
-
-
     /// f_k and the constrained torque at a knot.
-    pub(crate) fn knot(&self, x: &State, u: &ActuatedVector, work: &mut Workspace) -> (State, ActuatedVector) {
+    pub(crate) fn knot(
+        &self,
+        x: &State,
+        u: &ActuatedVector,
+        work: &mut Workspace,
+    ) -> (State, ActuatedVector) {
         let exact = self.model.derivative_and_torque(x, u, work);
         match self.torque {
             TorqueConstraint::Exact => exact,

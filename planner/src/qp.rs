@@ -131,7 +131,8 @@ pub fn solve(qp: &Qp, tolerance: f64) -> Result<QpSolution, QpError> {
     }
     weights.push(qp.weight_t);
     gradient.push(qp.gradient_t);
-    let hessian = CscMatrix::new(variables, variables, (0..=variables).collect(), (0..variables).collect(), weights);
+    let hessian =
+        CscMatrix::new(variables, variables, (0..=variables).collect(), (0..variables).collect(), weights);
 
     let mut rows = Rows::default();
     let half_h = 0.5 * qp.h;
@@ -182,8 +183,7 @@ pub fn solve(qp: &Qp, tolerance: f64) -> Result<QpSolution, QpError> {
         rows.end(bound);
     }
     let cones = [ZeroConeT(equalities), NonnegativeConeT(rows.bound.len() - equalities)];
-    let matrix =
-        CscMatrix::new_from_triplets(rows.bound.len(), variables, rows.row, rows.column, rows.value);
+    let matrix = CscMatrix::new_from_triplets(rows.bound.len(), variables, rows.row, rows.column, rows.value);
     let settings = DefaultSettings {
         verbose: false,
         tol_gap_abs: tolerance,

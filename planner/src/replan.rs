@@ -43,7 +43,9 @@ pub enum Refusal {
         error: QpError,
     },
     /// The real dynamics are not met.
-    #[error("defect {defect:.1e} rad/s of the real dynamics after {iterations} QPs; expected at most {LARGEST_DEFECT:.0e}")]
+    #[error(
+        "defect {defect:.1e} rad/s of the real dynamics after {iterations} QPs; expected at most {LARGEST_DEFECT:.0e}"
+    )]
     Defect {
         /// Largest component of (6b).
         defect: f64,
@@ -61,6 +63,12 @@ pub enum Refusal {
         share: f64,
         /// s
         time: f64,
+    },
+    /// The time budget was used up.
+    #[error("the time budget was used up before QP {iteration}")]
+    Deadline {
+        /// The QP that was not begun, from 1.
+        iteration: usize,
     },
     /// No stabilising gain at the end.
     #[error(transparent)]
@@ -163,17 +171,23 @@ impl Planner {
         self.tree.nearest(&pose(start), self.config.planner.replan.neighbours)
     }
 
-    /// Plans from `start` (rad, rad/s) with `iterations` QPs per entry (at least one).
+    /// Plans from `start` (rad, rad/s) with `iterations` QPs per entry (at least one). No QP is begun after
+    /// `deadline`.
     ///
     /// # Errors
     /// [`NoPlan`] with the reason for each entry tried.
-    pub fn replan(&self, start: &State, iterations: usize) -> Result<Replan, NoPlan> {
+    pub fn replan(
+        &self,
+        start: &State,
+        iterations: usize,
+        deadline: Option<Instant>,
+    ) -> Result<Replan, NoPlan> {
         let begin = Instant::now();
         let neighbours = self.nearest(start);
         let mut times = Times { nearest: begin.elapsed(), ..Times::default() };
         let mut attempts: Vec<Attempt> = Vec::new();
         for entry in neighbours {
-            match self.adapt(start, entry.index, iterations, &mut times) {
+            match self.adapt(start, entry.index, iterations, deadline, &mut times) {
                 Ok((trajectory, gains, defect, margins)) => {
                     attempts.push(Attempt { entry, refused: None });
                     times.total = begin.elapsed();
@@ -190,6 +204,7 @@ impl Planner {
         start: &State,
         entry: usize,
         iterations: usize,
+        deadline: Option<Instant>,
         times: &mut Times,
     ) -> Result<(Trajectory, Gains, f64, Margins), Refusal> {
         let problem = problem(&self.config, *start);
@@ -198,6 +213,9 @@ impl Planner {
         let mut trajectory = reference.clone();
         let begin = Instant::now();
         for iteration in 1..=iterations.max(1) {
+            if deadline.is_some_and(|d| Instant::now() >= d) {
+                return Err(Refusal::Deadline { iteration });
+            }
             let qp = self.qp(&problem, reference, &trajectory, &mut work);
             let step = solve(&qp, QP_TOLERANCE).map_err(|error| Refusal::Qp { iteration, error })?;
             trajectory.t_f += step.t;
@@ -222,7 +240,8 @@ impl Planner {
         }
         let begin = Instant::now();
         let ts = self.config.daemon.cycle.period.as_secs_f64();
-        let gains = lqr::synthesize(&self.config.model, &trajectory, &self.config.planner.lqr, ts, &mut work)?;
+        let gains =
+            lqr::synthesize(&self.config.model, &trajectory, &self.config.planner.lqr, ts, &mut work)?;
         times.lqr += begin.elapsed();
         Ok((trajectory, gains, defect, margins))
     }
@@ -243,13 +262,8 @@ impl Planner {
         let mut gradient = Vec::with_capacity(N + 1);
         for k in 0..=N {
             let (x, u) = (&at.x[k], &at.u[k]);
-            let (knot, _) = problem.knot_derivatives(
-                x,
-                u,
-                &UnactuatedVector::zeros(),
-                &ActuatedVector::zeros(),
-                work,
-            );
+            let (knot, _) =
+                problem.knot_derivatives(x, u, &UnactuatedVector::zeros(), &ActuatedVector::zeros(), work);
             dynamics.push(KnotDynamics::new(&knot.dynamics, x, u));
             let d = knot.torque();
             torque.push(TorqueRows {
@@ -289,18 +303,36 @@ impl Planner {
     }
 }
 
+impl NoPlan {
+    /// Whether time, not feasibility, was the reason.
+    pub fn out_of_time(&self) -> bool {
+        self.attempts.iter().any(|a| matches!(a.refused, Some(Refusal::Deadline { .. })))
+    }
+}
+
 impl Replan {
     /// The plan the daemon executes.
-    pub fn plan(&self, id: u64, config: &Config) -> Plan {
+    pub fn plan(&self, config: &Config) -> Plan {
         let mut work = Workspace::default();
         Plan {
-            id,
+            id: self.id(),
             fingerprint: config.model.fingerprint(),
             f: self.trajectory.f(&config.model, &mut work),
             trajectory: self.trajectory.clone(),
             gains: self.gains.knots.clone(),
             final_gain: self.gains.end,
         }
+    }
+}
+
+impl Replan {
+    /// A name that follows from the contents: equal plans have equal ids, different ones different ids.
+    fn id(&self) -> u64 {
+        let mut hash = xxhash_rust::xxh3::Xxh3::new();
+        let t = &self.trajectory;
+        let numbers = t.x.iter().flat_map(|x| x.iter()).chain(t.u.iter().flat_map(|u| u.iter()));
+        numbers.chain(std::iter::once(&t.t_f)).for_each(|v| hash.update(&v.to_le_bytes()));
+        hash.digest().max(1)
     }
 }
 

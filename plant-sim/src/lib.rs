@@ -1,1 +1,91 @@
-//! Placeholder
+//! The simulated robot: dynamics (1) of arm and pendulum, drives, encoders and brakes.
+//!
+//! [`Plant`] is the physics: pure, deterministic, without clock or shared memory, to be coupled with a controller
+//! in the same process. [`run`] is the process around it, which advances on one of three clocks:
+//!
+//! - `wall`: cycle n begins at a deadline of CLOCK_MONOTONIC and applies the newest command. Without a fresh one
+//!   for `drive.watchdog_cycles` cycles the brakes close.
+//! - `paced`: cycle n waits for the command that answers measurement n, and lasts at least one period. Until the
+//!   first command arrives, time goes on with closed brakes.
+//! - `lockstep`: as `paced`, without deadlines, and only up to the cycle that `AdvanceTo` has granted. Until the first
+//!   command arrives, cycle 1 waits: so every run begins with an answered cycle.
+//!
+//! A daemon that answers nothing for one second in `paced` or `lockstep` counts as lost, until a command arrives.
+//!
+//! A cycle is complete when its measurement is answered and the state has moved on. The `plant` service states
+//! the last complete cycle and the true state that the next measurement will show. A plant that pauses has therefore
+//! no measurement outstanding, and what is asked of it or of the daemon takes effect in the next cycle.
+
+mod clock;
+mod link;
+mod plant;
+mod service;
+mod start;
+
+pub use plant::Plant;
+pub use start::StateError;
+
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use upswing_config::process::{Failure, ProcessArgs, shutdown_flag, start_logging};
+use upswing_config::{Config, PendulumStart};
+use upswing_ipc::{Clock, Domain};
+use upswing_model::NU;
+
+/// Options of the plant process.
+#[derive(Clone, Debug, clap::Args)]
+pub struct PlantArgs {
+    /// What every process has.
+    #[command(flatten)]
+    pub process: ProcessArgs,
+    /// Who advances time: wall (real time), paced (real time, waits for the daemon), lockstep (as granted)
+    #[arg(long, value_name = "CLOCK", default_value = "paced", value_parser = clock_parser())]
+    pub clock: Clock,
+    /// Start angles of joints 1 to 7, deg [default: start.q_deg of plant.toml]
+    #[arg(long, value_name = "Q1,..,Q7", value_delimiter = ',', allow_hyphen_values = true)]
+    pub start: Option<Vec<f64>>,
+    /// Start of the pendulum: hanging at rest, or q8 = q9 = 0 [default: start.pendulum of plant.toml]
+    #[arg(long, value_name = "START", value_parser = pendulum_parser())]
+    pub start_pendulum: Option<PendulumStart>,
+}
+
+impl PlantArgs {
+    /// The settings, with the start that the options name.
+    fn load(&self) -> Result<Config, Failure> {
+        let mut config = self.process.load()?;
+        if let Some(degrees) = &self.start {
+            let degrees: [f64; NU] = degrees.as_slice().try_into().map_err(|_| {
+                let got = degrees.len();
+                Failure::BadInput(format!("--start: expected {NU} angles, for joints 1 to {NU}, got {got}"))
+            })?;
+            config.plant.start.q = degrees.map(f64::to_radians);
+        }
+        if let Some(pendulum) = self.start_pendulum {
+            config.plant.start.pendulum = pendulum;
+        }
+        Ok(config)
+    }
+}
+
+/// Runs the plant until SIGINT or SIGTERM.
+///
+/// # Errors
+/// [`Failure::BadInput`] if the settings, the start pose or the domain cannot be used, [`Failure::Failed`] if shared
+/// memory cannot be used or another plant serves the domain.
+pub fn run(args: PlantArgs) -> Result<(), Failure> {
+    start_logging();
+    let config = args.load()?;
+    let plant = Plant::new(&config).map_err(|e| Failure::BadInput(format!("start pose: {e}")))?;
+    let domain = Domain::new(&args.process.domain).map_err(|e| Failure::BadInput(e.to_string()))?;
+    let shutdown = shutdown_flag()?;
+    let settings = service::Settings::new(args.clock, &config);
+    service::serve(settings, plant, &domain, &shutdown).map_err(|e| Failure::Failed(e.to_string()))
+}
+
+fn clock_parser() -> impl TypedValueParser<Value = Clock> {
+    PossibleValuesParser::new(["wall", "paced", "lockstep"]).try_map(|name| name.parse::<Clock>())
+}
+
+fn pendulum_parser() -> impl TypedValueParser<Value = PendulumStart> {
+    PossibleValuesParser::new(["rest", "zero"])
+        .map(|name| if name == "zero" { PendulumStart::Zero } else { PendulumStart::Rest })
+}

@@ -37,7 +37,9 @@ pub struct Database {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum DatabaseError {
     /// Too short or of an odd length.
-    #[error("expected {expected} bytes for {entries} entries, got {got}: the file is truncated or was appended to")]
+    #[error(
+        "expected {expected} bytes for {entries} entries, got {got}: the file is truncated or was appended to"
+    )]
     Length {
         /// Bytes that the header promises.
         expected: usize,
@@ -95,8 +97,15 @@ impl Database {
     pub fn encode(&self) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(HEADER + ENTRY * self.entries.len());
         bytes.extend_from_slice(MAGIC);
-        let header =
-            [VERSION, NX as u64, NU as u64, KNOTS as u64, self.model, self.problem, self.entries.len() as u64];
+        let header = [
+            VERSION,
+            NX as u64,
+            NU as u64,
+            KNOTS as u64,
+            self.model,
+            self.problem,
+            self.entries.len() as u64,
+        ];
         header.iter().for_each(|v| bytes.extend_from_slice(&v.to_le_bytes()));
         seal(&mut bytes, 0);
         for entry in &self.entries {
@@ -151,15 +160,15 @@ impl Database {
         }
         let decode_entry = |(i, chunk): (usize, &[u8])| {
             check(chunk, 0, ENTRY, || format!("entry {i}"))?;
-            let mut values =
-                chunk.chunks_exact(8).map(|c| f64::from_le_bytes(std::array::from_fn(|b| c[b])));
+            let mut values = chunk.chunks_exact(8).map(|c| f64::from_le_bytes(std::array::from_fn(|b| c[b])));
             let mut next = || values.next().unwrap_or(f64::NAN);
             let (cost, t_f) = (next(), next());
             let x = (0..KNOTS).map(|_| State::from_fn(|_, _| next())).collect();
             let u = (0..KNOTS).map(|_| ActuatedVector::from_fn(|_, _| next())).collect();
             Ok(Entry { cost, trajectory: Trajectory { t_f, x, u } })
         };
-        let entries = bytes[HEADER..].chunks_exact(ENTRY).enumerate().map(decode_entry).collect::<Result<_, _>>()?;
+        let entries =
+            bytes[HEADER..].chunks_exact(ENTRY).enumerate().map(decode_entry).collect::<Result<_, _>>()?;
         Ok(Self { model: word(5), problem: word(6), entries })
     }
 
@@ -168,7 +177,9 @@ impl Database {
     /// # Errors
     /// [`DatabaseError::Fingerprint`] with both fingerprints.
     pub fn check_made_for(&self, model: u64, problem: u64) -> Result<(), DatabaseError> {
-        for (what, expected, got) in [("robot model", model, self.model), ("set of limits and weights", problem, self.problem)] {
+        for (what, expected, got) in
+            [("robot model", model, self.model), ("set of limits and weights", problem, self.problem)]
+        {
             if expected != got {
                 return Err(DatabaseError::Fingerprint { what, expected, got });
             }

@@ -150,8 +150,7 @@ pub struct TelemetryBatch {
     pub records: [Telemetry; TELEMETRY_BATCH],
 }
 
-const _: () =
-    assert!(size_of::<TelemetryBatch>() == WORD * 2 + TELEMETRY_BATCH * size_of::<Telemetry>());
+const _: () = assert!(size_of::<TelemetryBatch>() == WORD * 2 + TELEMETRY_BATCH * size_of::<Telemetry>());
 
 // SAFETY: numbers only, size above zero.
 unsafe impl Zeroable for TelemetryBatch {}

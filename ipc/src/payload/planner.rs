@@ -50,17 +50,17 @@ pub struct PlannerResponse {
     pub t_f: f64,
     /// Index of the nearest entry of the trajectory database.
     pub nearest_entry: u64,
-    /// Distance from the start to that entry in the metric of the database.
+    /// Distance from the start to that entry in the metric of the settings, rad.
     pub distance: f64,
     /// Iterations of the replanning QP.
     pub iterations: u64,
     /// Largest collocation defect of the plan, rad or rad/s.
     pub defect: f64,
-    /// Smallest distance of a joint position to its limit, rad; negative: violated.
+    /// Smallest distance of a joint position to its limit, as a share of half the range; negative: violated.
     pub margin_q: f64,
-    /// Smallest distance of a joint velocity to its limit, rad/s; negative: violated.
+    /// Smallest distance of a joint velocity to its limit, as a share of it; negative: violated.
     pub margin_qd: f64,
-    /// Smallest distance of a torque to its limit, N m; negative: violated.
+    /// Smallest distance of a torque to its limit, as a share of it; negative: violated.
     pub margin_tau: f64,
     /// Search of the nearest entry, us.
     pub time_nearest_us: f64,

@@ -51,7 +51,12 @@ impl Golden {
 
 /// Fails unless `got` and `want` agree to `tolerance`, relative to the larger of 1 and |want|.
 #[allow(dead_code)]
-pub fn assert_close(what: &str, got: impl IntoIterator<Item = f64>, want: impl IntoIterator<Item = f64>, tolerance: f64) {
+pub fn assert_close(
+    what: &str,
+    got: impl IntoIterator<Item = f64>,
+    want: impl IntoIterator<Item = f64>,
+    tolerance: f64,
+) {
     for (i, (g, w)) in got.into_iter().zip(want).enumerate() {
         assert!((g - w).abs() <= tolerance * w.abs().max(1.0), "{what}[{i}]: got {g}, expected {w}");
     }

@@ -1,0 +1,122 @@
+//! `upswing demo`: the whole system on this machine.
+
+use super::{CommonArgs, failed};
+use crate::parse::{Degrees, start_state};
+use crate::picture;
+use crate::report::Report;
+use crate::session::{CleanUp, Options, Programs, Session, SessionError};
+use crate::swing_up::swing_up;
+use serde::Serialize;
+use std::path::PathBuf;
+use upswing_config::PendulumStart;
+use upswing_config::process::{Failure, shutdown_flag};
+use upswing_ipc::{Clock, Domain, IpcError};
+
+/// Starts daemon, planner and plant as three processes, swings the pendulum up and balances it.
+///
+/// Example: upswing demo --start 10,10,0,-100,0,-20,0 --clock lockstep --seconds 3
+#[derive(Clone, Debug, clap::Args)]
+pub struct DemoArgs {
+    /// Options of every command.
+    #[command(flatten)]
+    pub common: CommonArgs,
+    /// Start angles of joints 1-7, deg; the pendulum hangs at rest [default: the paper's experiment,
+    /// 0,-15,0,-95,0,10,0]
+    #[arg(long, value_name = "Q1,..,Q7", allow_hyphen_values = true)]
+    pub start: Option<Degrees>,
+    /// Clock: `paced` (real-time pace), `lockstep` (as fast as possible, deterministic) or `wall`
+    #[arg(long, default_value = "paced")]
+    pub clock: Clock,
+    /// How long to balance, s
+    #[arg(long, default_value_t = 5.0)]
+    pub seconds: f64,
+    /// Where to write the picture (SVG)
+    #[arg(long, value_name = "FILE", default_value = "upswing-demo.svg")]
+    pub picture: PathBuf,
+}
+
+#[derive(Serialize)]
+struct Answer {
+    #[serde(flatten)]
+    report: Report,
+    clock: String,
+    start_deg: Vec<f64>,
+    picture: PathBuf,
+}
+
+impl std::fmt::Display for Answer {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        writeln!(f, "{}", self.report)?;
+        write!(f, "  picture   {}", self.picture.display())
+    }
+}
+
+/// Runs the demo.
+///
+/// # Errors
+/// [`Failure::BadInput`] for an impossible start or duration, [`Failure::Failed`] if the pendulum does not end
+/// balanced.
+pub fn run(args: &DemoArgs) -> Result<(), Failure> {
+    /// An hour of records fills the memory of a laptop.
+    const LONGEST: f64 = 600.0;
+    if !(args.seconds >= 1.0 && args.seconds <= LONGEST) {
+        return Err(Failure::BadInput(format!("--seconds: expected 1 to {LONGEST}, got {}", args.seconds)));
+    }
+    let config = args.common.process.load()?;
+    let start = match &args.start {
+        Some(start) => start.clone(),
+        None => Degrees(config.plant.start.q.iter().map(|q| (q.to_degrees() * 1e9).round() / 1e9).collect()),
+    };
+    start_state(&config, &start, PendulumStart::Rest)?;
+    let stop = shutdown_flag()?;
+
+    let domain = format!("{}-demo-{}", args.common.process.domain, std::process::id());
+    let _clean = CleanUp(Domain::new(&domain).map_err(|e| Failure::BadInput(e.to_string()))?);
+    let logs = std::env::temp_dir().join(&domain);
+    std::fs::create_dir_all(&logs).map_err(|e| failed(format!("cannot create {}: {e}", logs.display())))?;
+    let options = Options {
+        config: args.common.process.config.clone(),
+        domain,
+        clock: args.clock,
+        start: Some(start.to_string()),
+        logs: logs.clone(),
+    };
+    let period = config.daemon.cycle.period.as_secs_f64();
+    if !args.common.json {
+        eprintln!("starting daemon, planner and plant ({} clock) ...", args.clock);
+    }
+    let swing = || -> Result<_, SessionError> {
+        let programs = Programs::own().map_err(|cause| SessionError::Spawn {
+            role: "daemon",
+            program: "upswing".into(),
+            cause,
+        })?;
+        let mut session = Session::start(programs, &options)?;
+        let plan = swing_up(&mut session, period, args.seconds, &stop)?;
+        let dropped = session.dropped;
+        let records = session.records.clone();
+        session.end()?;
+        Ok((plan, records, dropped))
+    };
+    let (plan, records, dropped) = swing().map_err(session_failure)?;
+    // Only a run that needs no explanation leaves no logs.
+    let _ = std::fs::remove_dir_all(&logs);
+    let report = Report::new(&config, &plan, &records, dropped, args.seconds);
+    picture::draw(&args.picture, &records, &config.robot.limits, period).map_err(Failure::Failed)?;
+    let success = report.success;
+    let answer =
+        Answer { report, clock: args.clock.to_string(), start_deg: start.0, picture: args.picture.clone() };
+    args.common.print(&answer)?;
+    if success { Ok(()) } else { Err(failed("the pendulum was not swung up and balanced")) }
+}
+
+/// A refusal of an input is the user's to mend; everything else is ours.
+fn session_failure(e: SessionError) -> Failure {
+    match e {
+        SessionError::Ended { status, .. } if status.code() == Some(2) => Failure::BadInput(e.to_string()),
+        SessionError::Ipc(IpcError::Taken { .. }) => {
+            failed(format!("{e}; is another system using this domain?"))
+        }
+        e => failed(e),
+    }
+}

@@ -1,0 +1,92 @@
+//! `upswing optimize`: one offline optimisation.
+
+use super::{CommonArgs, TrajectoryJson, failed, print_json, print_line};
+use crate::parse::{Degrees, start_state};
+use serde::Serialize;
+use std::time::Instant;
+use upswing_config::PendulumStart;
+use upswing_config::process::Failure;
+use upswing_planner::interior_point::Status;
+use upswing_planner::offline::optimize;
+use upswing_trajectory::Margins;
+
+/// Optimises the swing-up (6), (8) from a start at rest, from a straight line.
+///
+/// Example: upswing optimize --start 0,0,0,-90,0,0,0 --json > trajectory.json
+#[derive(Clone, Debug, clap::Args)]
+pub struct OptimizeArgs {
+    /// Options of every command.
+    #[command(flatten)]
+    pub common: CommonArgs,
+    /// Start angles of joints 1-7, deg
+    #[arg(long, value_name = "Q1,..,Q7", allow_hyphen_values = true)]
+    pub start: Degrees,
+    /// Start the pendulum at q8 = q9 = 0 (the paper's database) instead of hanging at rest
+    #[arg(long)]
+    pub zero: bool,
+}
+
+#[derive(Serialize)]
+struct Answer {
+    #[serde(flatten)]
+    trajectory: TrajectoryJson,
+    status: &'static str,
+    cost: f64,
+    iterations: usize,
+    violation: f64,
+    stationarity: f64,
+    margin_q: f64,
+    margin_qd: f64,
+    margin_tau: f64,
+    time_s: f64,
+}
+
+/// Runs the optimisation.
+///
+/// # Errors
+/// [`Failure::BadInput`] for an impossible start, [`Failure::Failed`] if no solution is found.
+pub fn run(args: &OptimizeArgs) -> Result<(), Failure> {
+    let config = args.common.process.load()?;
+    let pendulum = if args.zero { PendulumStart::Zero } else { PendulumStart::Rest };
+    let start = start_state(&config, &args.start, pendulum)?;
+    let begin = Instant::now();
+    let solution = optimize(&config, start);
+    let time_s = begin.elapsed().as_secs_f64();
+    let status = match solution.status {
+        Status::Solved => "solved",
+        Status::MaxIterations => "max iterations",
+        Status::Stalled => "stalled",
+    };
+    let margins = Margins::of(&solution.trajectory, &config.model, &config.robot.planning, 0);
+    let answer = Answer {
+        trajectory: (&solution.trajectory).into(),
+        status,
+        cost: solution.cost,
+        iterations: solution.iterations,
+        violation: solution.violation,
+        stationarity: solution.stationarity,
+        margin_q: margins.q.share,
+        margin_qd: margins.qd.share,
+        margin_tau: margins.tau.share,
+        time_s,
+    };
+    if args.common.json {
+        print_json(&answer)?;
+    } else {
+        print_line(&format!(
+            "{status}: t_F {:.4} s, cost {:.5}, {} iterations in {:.2} s\n\
+             largest violation {:.1e}, stationarity {:.1e}\n\
+             smallest margin at the knots (share of half the range): position {:.3}, velocity {:.3}, torque {:.3}",
+            answer.trajectory.t_f,
+            answer.cost,
+            answer.iterations,
+            time_s,
+            answer.violation,
+            answer.stationarity,
+            answer.margin_q,
+            answer.margin_qd,
+            answer.margin_tau
+        ))?;
+    }
+    if solution.status == Status::Solved { Ok(()) } else { Err(failed(format!("no solution: {status}"))) }
+}

@@ -1,0 +1,102 @@
+//! `upswing plan`: one replan, without a running system.
+
+use super::{CommonArgs, TrajectoryJson, failed, print_json, print_line};
+use crate::parse::{Degrees, start_state};
+use serde::Serialize;
+use upswing_config::PendulumStart;
+use upswing_config::process::Failure;
+use upswing_planner::replan::Planner;
+
+/// Adapts the nearest database entry to a start at rest, as the planner process does.
+///
+/// Example: upswing plan --start -15,-15,0,-95,0,10,0 --iterations 1
+#[derive(Clone, Debug, clap::Args)]
+pub struct PlanArgs {
+    /// Options of every command.
+    #[command(flatten)]
+    pub common: CommonArgs,
+    /// Start angles of joints 1-7, deg
+    #[arg(long, value_name = "Q1,..,Q7", allow_hyphen_values = true)]
+    pub start: Degrees,
+    /// Start the pendulum at q8 = q9 = 0 instead of hanging at rest
+    #[arg(long)]
+    pub zero: bool,
+    /// QPs, each linearised around the result before; 1 is the paper's mode [default: the setting]
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=100))]
+    pub iterations: Option<u32>,
+}
+
+#[derive(Serialize)]
+struct Answer {
+    #[serde(flatten)]
+    trajectory: TrajectoryJson,
+    status: &'static str,
+    cost: f64,
+    nearest_entry: usize,
+    distance: f64,
+    attempts: usize,
+    iterations: usize,
+    defect: f64,
+    margin_q: f64,
+    margin_qd: f64,
+    margin_tau: f64,
+    time_nearest_s: f64,
+    time_qp_s: f64,
+    time_lqr_s: f64,
+    time_s: f64,
+}
+
+/// Runs the replan.
+///
+/// # Errors
+/// [`Failure::BadInput`] for an impossible start or database, [`Failure::Failed`] if there is no plan.
+pub fn run(args: &PlanArgs) -> Result<(), Failure> {
+    let config = args.common.process.load()?;
+    let pendulum = if args.zero { PendulumStart::Zero } else { PendulumStart::Rest };
+    let start = start_state(&config, &args.start, pendulum)?;
+    let origin = config.database.origin.clone();
+    let planner = Planner::new(config).map_err(|e| Failure::BadInput(format!("{origin}: {e}")))?;
+    let settings = &planner.config().planner;
+    let iterations = args.iterations.map_or(settings.replan.iterations, |n| n as usize);
+    let replan = planner.replan(&start, iterations, None).map_err(failed)?;
+    // A plan has at least the attempt that gave it.
+    let used = replan.attempts.last().map(|a| a.entry);
+    let answer = Answer {
+        trajectory: (&replan.trajectory).into(),
+        status: "solved",
+        cost: replan.trajectory.cost(settings.offline.input_weight),
+        nearest_entry: used.map_or(0, |e| e.index),
+        distance: used.map_or(0.0, |e| e.distance),
+        attempts: replan.attempts.len(),
+        iterations: replan.iterations,
+        defect: replan.defect,
+        margin_q: replan.margins.q.share,
+        margin_qd: replan.margins.qd.share,
+        margin_tau: replan.margins.tau.share,
+        time_nearest_s: replan.times.nearest.as_secs_f64(),
+        time_qp_s: replan.times.qp.as_secs_f64(),
+        time_lqr_s: replan.times.lqr.as_secs_f64(),
+        time_s: replan.times.total.as_secs_f64(),
+    };
+    if args.common.json {
+        return print_json(&answer);
+    }
+    print_line(&format!(
+        "solved: t_F {:.4} s, cost {:.5}, from entry {} ({:.3} rad away), {} QPs\n\
+         defect of the real dynamics {:.1e}; smallest margin (share of half the range): position {:.3}, velocity \
+         {:.3}, torque {:.3}\n\
+         {:.0} ms: QPs {:.0} ms, gains {:.0} ms",
+        answer.trajectory.t_f,
+        answer.cost,
+        answer.nearest_entry,
+        answer.distance,
+        answer.iterations,
+        answer.defect,
+        answer.margin_q,
+        answer.margin_qd,
+        answer.margin_tau,
+        1e3 * answer.time_s,
+        1e3 * answer.time_qp_s,
+        1e3 * answer.time_lqr_s
+    ))
+}

@@ -1,0 +1,10 @@
+//! The operator's side of upswing: starts systems of three processes, drives a swing-up, reports and draws it.
+//!
+//! The `upswing` program is a thin layer of commands over this library; the end-to-end tests use it, too.
+
+pub mod commands;
+pub mod parse;
+pub mod picture;
+pub mod report;
+pub mod session;
+pub mod swing_up;

@@ -1,0 +1,41 @@
+//! Values on the command line.
+
+use upswing_config::Config;
+use upswing_config::process::Failure;
+use upswing_config::{PendulumStart, StartError};
+use upswing_model::State;
+
+/// Joint angles in degrees, separated by commas, as typed by a user.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Degrees(pub Vec<f64>);
+
+impl std::str::FromStr for Degrees {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        text.trim_matches(|c| c == '[' || c == ']')
+            .split(',')
+            .map(|part| {
+                let part = part.trim();
+                part.parse::<f64>().map_err(|_| format!("expected angles in degrees, got `{part}`"))
+            })
+            .collect::<Result<_, _>>()
+            .map(Self)
+    }
+}
+
+impl std::fmt::Display for Degrees {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let parts: Vec<_> = self.0.iter().map(f64::to_string).collect();
+        f.write_str(&parts.join(","))
+    }
+}
+
+/// The state at rest of a `--start` option.
+///
+/// # Errors
+/// [`Failure::BadInput`] that names joint, value and limit.
+pub fn start_state(config: &Config, start: &Degrees, pendulum: PendulumStart) -> Result<State, Failure> {
+    let radians: Vec<f64> = start.0.iter().map(|d| d.to_radians()).collect();
+    config.start_state(&radians, pendulum).map_err(|e: StartError| Failure::BadInput(format!("--start: {e}")))
+}

@@ -1,0 +1,170 @@
+//! What a swing-up was like, from its telemetry.
+
+use serde::Serialize;
+use upswing_config::Config;
+use upswing_ipc::{Mode, PlannerResponse, Telemetry};
+use upswing_model::{JointVector, Model, NQ, NU};
+
+/// Figures of one swing-up.
+#[derive(Clone, Debug, Serialize)]
+pub struct Report {
+    /// Balanced to the end, all limits kept.
+    pub success: bool,
+    /// Why not, for people.
+    pub failures: Vec<String>,
+    /// Duration of the planned swing-up t_F, s.
+    pub t_f: f64,
+    /// Time from the request to the plan, s.
+    pub planning_s: f64,
+    /// Index of the database entry and its distance, rad.
+    pub nearest_entry: u64,
+    /// See `nearest_entry`.
+    pub distance: f64,
+    /// Defect of the plan's real dynamics, rad/s per interval.
+    pub defect: f64,
+    /// Largest difference between a joint angle and its reference while tracking, rad, of joints 1-7 and 8-9.
+    pub tracking_error_arm: f64,
+    /// See `tracking_error_arm`.
+    pub tracking_error_pendulum: f64,
+    /// Largest share of the 100 % position limits that joints 1-7 reached.
+    pub peak_position: f64,
+    /// Largest share of the 100 % velocity limits that joints 1-7 reached.
+    pub peak_velocity: f64,
+    /// Largest share of the 100 % torque limits.
+    pub peak_torque: f64,
+    /// Largest angle of the rod from upright in the last second of balance, deg.
+    pub final_tilt_deg: f64,
+    /// Time in balance, s.
+    pub balance_s: f64,
+    /// Cycles recorded.
+    pub cycles: u64,
+    /// Records lost between daemon and here.
+    pub dropped: u64,
+    /// Cycles that ended late (clock `wall`).
+    pub overruns: u64,
+}
+
+/// Tilt up to which the pendulum counts as balanced, deg.
+const BALANCED_DEG: f64 = 2.0;
+
+/// Angle of the rod from upright, rad: between the line from the last joint to the tip and the vertical.
+pub fn tilt(model: &Model, q: &JointVector) -> f64 {
+    let rod = model.tip(q) - model.poses(q)[NQ - 1].translation.vector;
+    (rod.z / rod.norm()).clamp(-1.0, 1.0).acos()
+}
+
+impl Report {
+    /// Evaluates the records of a swing-up that shall balance for `seconds`.
+    pub fn new(
+        config: &Config,
+        plan: &PlannerResponse,
+        records: &[Telemetry],
+        dropped: u64,
+        seconds: f64,
+    ) -> Self {
+        let limits = &config.robot.limits;
+        let period = config.daemon.cycle.period.as_secs_f64();
+        let mut r = Self {
+            success: false,
+            failures: Vec::new(),
+            t_f: plan.t_f,
+            planning_s: plan.time_total_us * 1e-6,
+            nearest_entry: plan.nearest_entry,
+            distance: plan.distance,
+            defect: plan.defect,
+            tracking_error_arm: 0.0,
+            tracking_error_pendulum: 0.0,
+            peak_position: 0.0,
+            peak_velocity: 0.0,
+            peak_torque: 0.0,
+            final_tilt_deg: f64::NAN,
+            balance_s: 0.0,
+            cycles: records.len() as u64,
+            dropped,
+            overruns: 0,
+        };
+        let balance: Vec<_> = records.iter().filter(|t| t.mode() == Ok(Mode::Balance)).collect();
+        for t in records {
+            r.overruns += u64::from(t.flags & Telemetry::OVERRUN != 0);
+            for i in 0..NU {
+                let range = if t.q[i] < 0.0 { limits.q_min[i] } else { limits.q_max[i] };
+                r.peak_position = r.peak_position.max(t.q[i] / range);
+                r.peak_velocity = r.peak_velocity.max(t.qd[i].abs() / limits.qd_max[i]);
+                r.peak_torque = r.peak_torque.max(t.tau[i].abs() / limits.tau_max[i]);
+            }
+            if t.mode() == Ok(Mode::Track) {
+                for i in 0..NQ {
+                    let error = (t.q[i] - t.q_d[i]).abs();
+                    let worst =
+                        if i < NU { &mut r.tracking_error_arm } else { &mut r.tracking_error_pendulum };
+                    *worst = worst.max(error);
+                }
+            }
+        }
+        r.balance_s = balance.len() as f64 * period;
+        let last_second = (1.0 / period) as usize;
+        r.final_tilt_deg = balance
+            .iter()
+            .rev()
+            .take(last_second)
+            .map(|t| tilt(&config.model, &JointVector::from(t.q)).to_degrees())
+            .fold(if balance.is_empty() { f64::NAN } else { 0.0 }, f64::max);
+        let mut fail = |bad: bool, text: String| {
+            if bad {
+                r.failures.push(text);
+            }
+        };
+        fail(
+            !(r.final_tilt_deg <= BALANCED_DEG),
+            format!(
+                "rod {:.2} deg from upright in the last second, expected at most {BALANCED_DEG}",
+                r.final_tilt_deg
+            ),
+        );
+        fail(
+            r.balance_s + 2.0 * period < seconds,
+            format!("balanced {:.3} s, expected {seconds} s", r.balance_s),
+        );
+        fail(r.peak_torque > 1.0, format!("torque reached {:.0} % of its limit", 100.0 * r.peak_torque));
+        fail(r.peak_position > 1.0, format!("a joint reached {:.0} % of its range", 100.0 * r.peak_position));
+        fail(r.dropped > 0, format!("{} telemetry records were lost", r.dropped));
+        r.success = r.failures.is_empty();
+        r
+    }
+}
+
+impl std::fmt::Display for Report {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        writeln!(f, "{}", if self.success { "Swing-up: balanced" } else { "Swing-up: FAILED" })?;
+        for reason in &self.failures {
+            writeln!(f, "  {reason}")?;
+        }
+        writeln!(
+            f,
+            "  plan      {:.3} s long, made in {:.0} ms from database entry {} ({:.2} rad away), defect {:.1e}",
+            self.t_f,
+            1e3 * self.planning_s,
+            self.nearest_entry,
+            self.distance,
+            self.defect
+        )?;
+        writeln!(
+            f,
+            "  tracking  within {:.3} rad (joints 1-7), {:.3} rad (pendulum)",
+            self.tracking_error_arm, self.tracking_error_pendulum
+        )?;
+        writeln!(
+            f,
+            "  balance   {:.2} s, rod within {:.2} deg of upright in the last second",
+            self.balance_s, self.final_tilt_deg
+        )?;
+        writeln!(
+            f,
+            "  peaks     position {:.0} %, velocity {:.0} %, torque {:.0} % of the 100 % limits of joints 1-7",
+            100.0 * self.peak_position,
+            100.0 * self.peak_velocity,
+            100.0 * self.peak_torque
+        )?;
+        write!(f, "  cycles    {} recorded, {} lost, {} late", self.cycles, self.dropped, self.overruns)
+    }
+}

@@ -1,0 +1,59 @@
+//! A swing-up from the state the system is in: enable, plan, start, balance.
+
+use crate::session::{Session, SessionError};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+use upswing_ipc::{ControlCommand, Mode, PlannerResponse};
+
+/// Time in which the arm settles on its hold before the plan is made, s.
+const SETTLE: f64 = 0.25;
+/// Longest wait for a mode or a plan to take effect.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// Swings up and balances for `seconds`; the session then holds all records. `period` in s.
+///
+/// # Errors
+/// [`SessionError`], also if the daemon leaves the modes of a swing-up.
+pub fn swing_up(
+    session: &mut Session,
+    period: f64,
+    seconds: f64,
+    interrupted: &AtomicBool,
+) -> Result<PlannerResponse, SessionError> {
+    let cycles = |s: f64| (s / period).ceil() as u64;
+    session.control(ControlCommand::Enable)?;
+    session.advance(cycles(SETTLE))?;
+    expect_mode(session, &[Mode::Hold])?;
+    let plan = session.plan_from_now()?;
+    session.wait_for("the daemon to load the plan", PATIENCE, |s| {
+        let status = s.ask_control(ControlCommand::Status)?;
+        Ok(status.plan_id == plan.plan_id)
+    })?;
+    session.control(ControlCommand::Start)?;
+    // In portions, so that an interrupt or a fault ends the wait.
+    let mut left = cycles(plan.t_f + seconds);
+    while left > 0 {
+        if interrupted.load(Ordering::Acquire) {
+            return Err(SessionError::Interrupted);
+        }
+        let portion = left.min(cycles(0.1));
+        session.advance(portion)?;
+        expect_mode(session, &[Mode::Hold, Mode::Track, Mode::Balance])?;
+        left -= portion;
+    }
+    Ok(plan)
+}
+
+fn expect_mode(session: &Session, modes: &[Mode]) -> Result<(), SessionError> {
+    let Some(last) = session.records.last() else { return Ok(()) };
+    match last.mode() {
+        Ok(mode) if modes.contains(&mode) => Ok(()),
+        mode => {
+            let mode = mode.map_or_else(|e| e.to_string(), |m| m.to_string());
+            let cause = upswingd::fault_text(last.fault);
+            let reason =
+                format!("it is in mode {mode}{}", cause.map_or_else(String::new, |c| format!(": {c}")));
+            Err(SessionError::Refused { role: "daemon", reason })
+        }
+    }
+}

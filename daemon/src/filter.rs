@@ -1,0 +1,46 @@
+//! The differential filter of Section VI: joint velocities from joint angles.
+
+use upswing_model::JointVector;
+
+/// s / (T_1 s + 1) for every joint, discretised exactly for angles that are constant over a cycle.
+///
+/// With the state z: v = (q - z) / T_1 and, one cycle T_s later, z + (1 - exp(-T_s / T_1)) (q - z). The first
+/// sample sets z = q, so that v = 0.
+#[derive(Clone, Debug)]
+pub struct DifferentialFilter {
+    /// T_s, s.
+    period: f64,
+    /// T_1, s.
+    time_constant: f64,
+    /// z and the last q, rad; none before the first sample.
+    state: Option<(JointVector, JointVector)>,
+}
+
+impl DifferentialFilter {
+    /// A filter with the cycle T_s = `period` and the time constant T_1, both in s and above 0.
+    pub fn new(period: f64, time_constant: f64) -> Self {
+        Self { period, time_constant, state: None }
+    }
+
+    /// Forgets all samples.
+    pub fn reset(&mut self) {
+        self.state = None;
+    }
+
+    /// The last sample, rad.
+    pub fn last(&self) -> Option<&JointVector> {
+        self.state.as_ref().map(|(_, q)| q)
+    }
+
+    /// Takes the sample `q` (rad), `cycles` cycles after the last one; returns v, rad/s.
+    pub fn update(&mut self, q: &JointVector, cycles: u64) -> JointVector {
+        let z = match &self.state {
+            None => *q,
+            Some((z, last)) => {
+                z + (last - z) * -(-(cycles as f64) * self.period / self.time_constant).exp_m1()
+            }
+        };
+        self.state = Some((z, *q));
+        (q - z) / self.time_constant
+    }
+}

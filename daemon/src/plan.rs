@@ -1,0 +1,176 @@
+//! From a plan in shared memory to one that the controller may run.
+
+use thiserror::Error;
+use upswing_config::Config;
+use upswing_ipc::Plan as Payload;
+use upswing_model::{ActuatedVector, NQ, NU, NX, State, Workspace};
+use upswing_trajectory::{Gain, Plan, Trajectory};
+
+/// Longest plan, s.
+const LONGEST: f64 = 60.0;
+/// How far knots may be past what `robot.toml` leaves to plans: rad, rad/s and a share of the torque. A solver meets
+/// its limits up to a tolerance, and one QP around a database trajectory (14)-(17) meets the torque's linearisation.
+const POSITION_TOLERANCE: f64 = 1e-3;
+const VELOCITY_TOLERANCE: f64 = 1e-2;
+const TORQUE_TOLERANCE: f64 = 0.05;
+/// How far f_k may be from f(x_k, u_k) of this daemon's model, relative to 1 + |f|.
+const DERIVATIVE_TOLERANCE: f64 = 1e-6;
+
+/// Why a plan was refused: the first check that failed.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum PlanRefusal {
+    /// The bytes are not those that the planner sealed.
+    #[error("checksum: the plan names {expected:016x}, its contents give {got:016x}")]
+    Checksum {
+        /// In the plan.
+        expected: u64,
+        /// Of its contents.
+        got: u64,
+    },
+    /// Made for another robot.
+    #[error("fingerprint: the plan was made for the model {got:016x}, the daemon has {expected:016x}")]
+    Fingerprint {
+        /// Of the daemon's model.
+        expected: u64,
+        /// In the plan.
+        got: u64,
+    },
+    /// The id that means "no plan".
+    #[error("id: expected one above 0")]
+    Id,
+    /// A number is not finite.
+    #[error("{what} at knot {knot} is {got}, expected a finite number")]
+    NotFinite {
+        /// Which part of the plan.
+        what: &'static str,
+        /// Number of the knot.
+        knot: usize,
+        /// What was found.
+        got: f64,
+    },
+    /// t_F out of bounds.
+    #[error("t_F is {got} s, expected more than 0 and at most {LONGEST} s")]
+    Duration {
+        /// t_F, s.
+        got: f64,
+    },
+    /// A knot is beyond what plans may use.
+    #[error("{what} of joint {} at knot {knot} is {got:.4}, expected {lowest:.4} to {highest:.4} {unit}", .joint + 1)]
+    Limit {
+        /// Position, velocity or torque.
+        what: &'static str,
+        /// Unit of the numbers.
+        unit: &'static str,
+        /// The joint, 0-based.
+        joint: usize,
+        /// Number of the knot.
+        knot: usize,
+        /// What was found.
+        got: f64,
+        /// Lower limit.
+        lowest: f64,
+        /// Upper limit.
+        highest: f64,
+    },
+    /// f_k is not that of the model.
+    #[error("f at knot {knot}, row {row} is {got}, the model gives {expected}")]
+    Derivative {
+        /// Number of the knot.
+        knot: usize,
+        /// Row of f.
+        row: usize,
+        /// In the plan.
+        got: f64,
+        /// Of the model.
+        expected: f64,
+    },
+}
+
+/// Checks a plan in this order: checksum, fingerprint, id, finite numbers (states, inputs, derivatives, gains), t_F,
+/// and at each knot positions, velocities and torque (9) against the limits for plans, f against the model. `payload` must be a
+/// copy that nobody else can write to.
+///
+/// # Errors
+/// The first check that failed, with its numbers.
+pub fn accept(payload: &Payload, config: &Config) -> Result<Box<Plan>, PlanRefusal> {
+    if !payload.is_intact() {
+        return Err(PlanRefusal::Checksum { expected: payload.checksum, got: payload.checksum_of() });
+    }
+    let expected = config.model.fingerprint();
+    if payload.fingerprint != expected {
+        return Err(PlanRefusal::Fingerprint { expected, got: payload.fingerprint });
+    }
+    if payload.id == 0 {
+        return Err(PlanRefusal::Id);
+    }
+    finite("x", payload.x.iter().map(|x| x.as_slice()))?;
+    finite("u", payload.u.iter().map(|u| u.as_slice()))?;
+    finite("f", payload.f.iter().map(|f| f.as_slice()))?;
+    finite("K", payload.k.iter().map(|k| k.as_flattened()))?;
+    finite("the final K", std::iter::once(payload.k_final.as_flattened()))?;
+    // Written so that a NaN is refused.
+    if !(payload.t_f > 0.0 && payload.t_f <= LONGEST) {
+        return Err(PlanRefusal::Duration { got: payload.t_f });
+    }
+    let plan = convert(payload);
+    check_knots(&plan, config)?;
+    Ok(plan)
+}
+
+fn finite<'a>(what: &'static str, knots: impl Iterator<Item = &'a [f64]>) -> Result<(), PlanRefusal> {
+    for (knot, values) in knots.enumerate() {
+        if let Some(got) = values.iter().find(|v| !v.is_finite()) {
+            return Err(PlanRefusal::NotFinite { what, knot, got: *got });
+        }
+    }
+    Ok(())
+}
+
+fn convert(payload: &Payload) -> Box<Plan> {
+    let gain = |k: &[[f64; NX]; NU]| Gain::from_fn(|i, j| k[i][j]);
+    Box::new(Plan {
+        id: payload.id,
+        fingerprint: payload.fingerprint,
+        trajectory: Trajectory {
+            t_f: payload.t_f,
+            x: payload.x.iter().map(|x| State::from(*x)).collect(),
+            u: payload.u.iter().map(|u| ActuatedVector::from(*u)).collect(),
+        },
+        f: payload.f.iter().map(|f| State::from(*f)).collect(),
+        gains: payload.k.iter().map(gain).collect(),
+        final_gain: gain(&payload.k_final),
+    })
+}
+
+fn check_knots(plan: &Plan, config: &Config) -> Result<(), PlanRefusal> {
+    let limits = &config.robot.planning;
+    let mut work = Workspace::default();
+    for (knot, (x, u)) in plan.trajectory.x.iter().zip(&plan.trajectory.u).enumerate() {
+        let within = |what, unit, joint, got, lowest: f64, highest: f64| {
+            if (lowest..=highest).contains(&got) {
+                Ok(())
+            } else {
+                Err(PlanRefusal::Limit { what, unit, joint, knot, got, lowest, highest })
+            }
+        };
+        for i in 0..NQ {
+            let (lowest, highest) =
+                (limits.q_min[i] - POSITION_TOLERANCE, limits.q_max[i] + POSITION_TOLERANCE);
+            within("position", "rad", i, x[i], lowest, highest)?;
+            let fastest = limits.qd_max[i] + VELOCITY_TOLERANCE;
+            within("velocity", "rad/s", i, x[NQ + i], -fastest, fastest)?;
+        }
+        let (f, tau) = config.model.derivative_and_torque(x, u, &mut work);
+        for i in 0..NU {
+            let strongest = limits.tau_max[i] * (1.0 + TORQUE_TOLERANCE);
+            within("torque", "N m", i, tau[i], -strongest, strongest)?;
+        }
+        for row in 0..NX {
+            let (got, expected) = (plan.f[knot][row], f[row]);
+            if (got - expected).abs() > DERIVATIVE_TOLERANCE * (1.0 + expected.abs()) {
+                return Err(PlanRefusal::Derivative { knot, row, got, expected });
+            }
+        }
+    }
+    Ok(())
+}

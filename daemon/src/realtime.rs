@@ -1,0 +1,311 @@
+//! The real-time thread: waits for the next cycle, lets the controller compute it, writes the command.
+//!
+//! Once started it neither allocates nor frees, and its only system calls are those that read the clock and sleep.
+//! Everything comes and goes through wait-free rings ([`Ends`] holds the other ends).
+
+use crate::controller::{Controller, Order, Record};
+use crate::os::{monotonic_ns, sleep_until};
+use crate::supervisor::Refusal;
+use rtrb::{Consumer, Producer, RingBuffer};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use upswing_config::Config;
+use upswing_ipc::{Clock, Command, Measurement, Reader, Telemetry, WriterEntry};
+use upswing_trajectory::Plan;
+
+/// Cycles that the other thread may be late to fetch: one second.
+const RECORDS: usize = 8192;
+/// Orders, and what comes back from them.
+const ORDERS: usize = 64;
+/// Readers of restarted plants.
+const READERS: usize = 8;
+
+/// How the thread waits for a measurement, by the time already waited, ns: up to these it spins, yields, naps (short,
+/// then long) and finally stops waiting to see whether there is something else to do.
+const SPIN_NS: u64 = 10_000;
+const YIELD_NS: u64 = 60_000;
+const SHORT_NAPS_NS: u64 = 5_000_000;
+const PATIENCE_NS: u64 = 10_000_000;
+const SHORT_NAP_NS: u64 = 25_000;
+const LONG_NAP_NS: u64 = 500_000;
+/// After this time without a measurement the plant counts as lost on the paced clock, ns.
+const PLANT_LOST_NS: u64 = 1_000_000_000;
+
+/// An order with the number under which it will be answered.
+pub struct Ticket {
+    /// Unique for this daemon.
+    pub number: u64,
+    /// The order.
+    pub order: Order,
+}
+
+/// What comes back from orders.
+pub enum Report {
+    /// The answer to an order.
+    Answer {
+        /// Number of its ticket.
+        number: u64,
+        /// Whether it was done.
+        result: Result<(), Refusal>,
+    },
+    /// A plan to be freed.
+    Garbage(Box<Plan>),
+}
+
+/// What both threads see of each other besides the rings.
+#[derive(Default)]
+pub struct Shared {
+    /// Tells the real-time thread to close the brakes and end.
+    pub exit: AtomicBool,
+    /// Whether time stands still until the plant is told to advance (lockstep).
+    pub stands_still: AtomicBool,
+    /// Records that did not fit into the ring.
+    pub dropped: AtomicU64,
+}
+
+/// The other thread's ends of the rings.
+pub struct Ends {
+    /// Orders to the controller, in order of arrival.
+    pub orders: Producer<Ticket>,
+    /// Readers of newly found plants.
+    pub readers: Producer<Reader<Measurement>>,
+    /// What came back from orders.
+    pub reports: Consumer<Report>,
+    /// One record per cycle.
+    pub records: Consumer<Record>,
+    /// Flags and counters.
+    pub shared: Arc<Shared>,
+}
+
+/// All that the real-time thread owns.
+pub struct Cycle {
+    controller: Controller,
+    command: WriterEntry<Command>,
+    reader: Option<Reader<Measurement>>,
+    /// The newest measurement.
+    measurement: Measurement,
+    orders: Consumer<Ticket>,
+    readers: Consumer<Reader<Measurement>>,
+    reports: Producer<Report>,
+    records: Producer<Record>,
+    shared: Arc<Shared>,
+    period_ns: u64,
+    max_age: u32,
+    overruns: u64,
+    command_seq: u64,
+    /// What the order of this cycle brought back.
+    answer: Option<(u64, Result<(), Refusal>)>,
+    garbage: Option<Box<Plan>>,
+}
+
+impl Cycle {
+    /// The real-time end of new rings, and the other one. Commands go to `command`.
+    pub fn new(config: &Config, command: WriterEntry<Command>) -> (Self, Ends) {
+        let (orders_in, orders) = RingBuffer::new(ORDERS);
+        let (readers_in, readers) = RingBuffer::new(READERS);
+        // An order brings back at most an answer and a plan.
+        let (reports, reports_out) = RingBuffer::new(2 * ORDERS);
+        let (records, records_out) = RingBuffer::new(RECORDS);
+        let shared = Arc::new(Shared::default());
+        let cycle = Self {
+            controller: Controller::new(config),
+            command,
+            reader: None,
+            measurement: Measurement::default(),
+            orders,
+            readers,
+            reports,
+            records,
+            shared: Arc::clone(&shared),
+            period_ns: u64::try_from(config.daemon.cycle.period.as_nanos()).unwrap_or(u64::MAX),
+            max_age: config.daemon.trip.measurement_max_age,
+            overruns: 0,
+            command_seq: 0,
+            answer: None,
+            garbage: None,
+        };
+        let ends = Ends {
+            orders: orders_in,
+            readers: readers_in,
+            reports: reports_out,
+            records: records_out,
+            shared,
+        };
+        (cycle, ends)
+    }
+
+    /// Runs until it is told to exit; then closes the brakes.
+    pub fn run(mut self) {
+        let mut deadline = None;
+        let mut last_new = monotonic_ns();
+        let mut lost = false;
+        while !self.shared.exit.load(Ordering::Acquire) {
+            self.adopt_reader();
+            let clock = self.clock();
+            self.shared.stands_still.store(clock == Some(Clock::Lockstep), Ordering::Release);
+            if clock == Some(Clock::Wall) {
+                let planned = deadline.unwrap_or_else(monotonic_ns);
+                sleep_until(planned);
+                deadline = Some(self.wall_cycle(planned));
+                last_new = planned;
+                continue;
+            }
+            deadline = None;
+            if self.wait_for_measurement() {
+                (last_new, lost) = (monotonic_ns(), false);
+                self.answer_measurement();
+                continue;
+            }
+            // On lockstep time may stand still for as long as it likes, and orders wait for the next measurement.
+            if clock == Some(Clock::Lockstep) {
+                continue;
+            }
+            let newly_lost = !lost && self.measurement.seq > 0 && monotonic_ns() - last_new > PLANT_LOST_NS;
+            if newly_lost {
+                lost = true;
+                let cycles = u32::try_from(PLANT_LOST_NS / self.period_ns).unwrap_or(u32::MAX);
+                self.controller.lose_measurement(cycles.max(self.max_age));
+            }
+            if newly_lost || !self.orders.is_empty() {
+                self.compute(monotonic_ns());
+            }
+        }
+        let last = self.reader.as_ref().map_or(0, |reader| reader.read().seq);
+        self.command.write(Command {
+            seq: self.command_seq + 1,
+            t_ns: monotonic_ns(),
+            measurement_seq: last,
+            brake: 1,
+            ..Command::default()
+        });
+    }
+
+    /// The clock of the plant, once it has shown one.
+    fn clock(&self) -> Option<Clock> {
+        if self.measurement.period_ns == 0 { None } else { self.measurement.clock().ok() }
+    }
+
+    fn adopt_reader(&mut self) {
+        while let Ok(reader) = self.readers.pop() {
+            if self.reader.is_some() {
+                self.controller.restart_measurement();
+            }
+            self.measurement = reader.read();
+            // Its seq must count as new.
+            self.measurement.seq = 0;
+            // The finder of the other thread has the old one open: this only counts down.
+            self.reader = Some(reader);
+        }
+    }
+
+    /// Computes the cycle planned for `planned` (CLOCK_MONOTONIC, ns) on the wall clock; returns when the next one
+    /// is planned: a whole number of periods later, so that a late cycle does not shift all others.
+    fn wall_cycle(&mut self, planned: u64) -> u64 {
+        let started = monotonic_ns();
+        if let Some(reader) = &self.reader {
+            self.measurement = reader.read();
+        }
+        let read = monotonic_ns();
+        let (mut record, computed) = self.compute_timed(planned);
+        let written = monotonic_ns();
+        let telemetry = &mut record.telemetry;
+        telemetry.wake_ns = started.saturating_sub(planned);
+        telemetry.read_ns = read - started;
+        telemetry.compute_ns = computed - read;
+        telemetry.write_ns = written - computed;
+        let periods = written.saturating_sub(planned) / self.period_ns;
+        self.publish(record, periods > 0);
+        planned + (periods + 1) * self.period_ns
+    }
+
+    /// Computes the cycle that answers the measurement just read, on the paced and lockstep clocks.
+    fn answer_measurement(&mut self) {
+        let clock = self.clock();
+        let started = monotonic_ns();
+        let (mut record, computed) = self.compute_timed(started);
+        let written = monotonic_ns();
+        // On lockstep equal runs give equal records: no times.
+        if clock != Some(Clock::Lockstep) {
+            let telemetry = &mut record.telemetry;
+            telemetry.wake_ns = started.saturating_sub(self.measurement.t_ns);
+            telemetry.compute_ns = computed - started;
+            telemetry.write_ns = written - computed;
+        }
+        let late = clock == Some(Clock::Paced) && written - started > self.period_ns;
+        self.publish(record, late);
+    }
+
+    /// A step between cycles, without a new measurement, to answer an order or to notice that the plant is lost.
+    fn compute(&mut self, now: u64) {
+        let (record, _) = self.compute_timed(now);
+        self.publish(record, false);
+    }
+
+    /// Steps the controller and writes the command; the record, and the time between the two.
+    fn compute_timed(&mut self, now: u64) -> (Record, u64) {
+        // An order is taken only if what it brings back has room.
+        let ticket = if self.reports.slots() >= 2 { self.orders.pop().ok() } else { None };
+        let (number, order) = ticket.map_or((0, None), |ticket| (ticket.number, Some(ticket.order)));
+        let output = self.controller.step(&self.measurement, now, order);
+        let computed = monotonic_ns();
+        self.command.write(output.command);
+        self.command_seq = output.command.seq;
+        self.answer = output.answer.map(|result| (number, result));
+        self.garbage = output.garbage;
+        (output.record, computed)
+    }
+
+    fn report(&mut self, report: Report) {
+        if let Err(rtrb::PushError::Full(report)) = self.reports.push(report) {
+            // Only if the other thread has not looked for many plans. Leaking one is better than freeing it here.
+            std::mem::forget(report);
+        }
+    }
+
+    fn publish(&mut self, mut record: Record, overrun: bool) {
+        if overrun {
+            self.overruns += 1;
+            record.telemetry.flags |= Telemetry::OVERRUN;
+        }
+        record.overruns = self.overruns;
+        if self.records.push(record).is_err() {
+            self.shared.dropped.fetch_add(1, Ordering::Relaxed);
+        }
+        // After the record: whoever sees the answer can see the state that followed.
+        if let Some((number, result)) = self.answer.take() {
+            self.report(Report::Answer { number, result });
+        }
+        if let Some(plan) = self.garbage.take() {
+            self.report(Report::Garbage(plan));
+        }
+    }
+
+    /// Waits until the plant shows a measurement with another number, at most [`PATIENCE_NS`]; whether it did.
+    fn wait_for_measurement(&mut self) -> bool {
+        let begin = monotonic_ns();
+        let Some(reader) = &self.reader else {
+            sleep_until(begin + LONG_NAP_NS);
+            return false;
+        };
+        loop {
+            let measurement = reader.read();
+            if measurement.seq != self.measurement.seq {
+                self.measurement = measurement;
+                return true;
+            }
+            // What is there before the first measurement tells the clock.
+            self.measurement = measurement;
+            let now = monotonic_ns();
+            match now - begin {
+                waited if waited < SPIN_NS => std::hint::spin_loop(),
+                waited if waited < YIELD_NS => std::thread::yield_now(),
+                waited if waited < SHORT_NAPS_NS => sleep_until(now + SHORT_NAP_NS),
+                waited if waited < PATIENCE_NS => sleep_until(now + LONG_NAP_NS),
+                _ => return false,
+            }
+            if self.shared.exit.load(Ordering::Relaxed) {
+                return false;
+            }
+        }
+    }
+}

@@ -1,0 +1,79 @@
+//! One builder at a time, so that the ruins of a killed one can be told from a building site.
+//!
+//! A process that is killed while it creates a service leaves unfinished files. iceoryx2 0.10 takes them for the
+//! work of somebody who is still at it: opening that service fails for good, and for root even listing services or
+//! cleaning up waits without end. So every creation in a domain happens under one lock, and whoever gets the lock
+//! removes what is unfinished: nobody is building it.
+
+use crate::domain::Domain;
+use std::fs::{File, Metadata, OpenOptions, TryLockError};
+use std::os::unix::fs::MetadataExt;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+/// How long to wait for the lock. Its holders need milliseconds, unless they are stopped by a debugger.
+const PATIENCE: Duration = Duration::from_secs(2);
+/// Pause between looks at the lock.
+const PAUSE: Duration = Duration::from_micros(500);
+/// From this age on an unfinished connection is an orphan. iceoryx2 creates connections while it sends and
+/// receives, which happens without the lock and takes microseconds.
+const ORPHAN_AGE: Duration = Duration::from_secs(2);
+/// Permission bits.
+const OWNER_READ: u32 = 0o400;
+const OWNER_WRITE: u32 = 0o200;
+
+/// The right to create, list and clean up in a domain, until dropped. Not reentrant.
+pub(crate) struct Site {
+    _lock: Option<File>,
+}
+
+impl Site {
+    /// Waits for the right and clears the site. If that takes too long (somebody is stopped while holding it), it
+    /// gives up and does without: then creation is no safer than iceoryx2 makes it.
+    pub(crate) fn enter(domain: &Domain) -> Self {
+        let lock = acquire(domain);
+        if lock.is_some() {
+            let descriptions =
+                std::fs::read_dir(domain.root().join("services")).into_iter().flatten().flatten();
+            domain.memory().for_each(|path| remove_if(&path, is_unfinished_memory));
+            descriptions
+                .for_each(|entry| remove_if(&entry.path(), |_, state| is_unfinished_description(state)));
+        }
+        Self { _lock: lock }
+    }
+}
+
+fn remove_if(path: &Path, condition: impl FnOnce(&Path, &Metadata) -> bool) {
+    if path.symlink_metadata().is_ok_and(|state| state.is_file() && condition(path, &state)) {
+        // If it cannot be removed it is gone already, or this user cannot open it anyway.
+        let _ = std::fs::remove_file(path);
+    }
+}
+
+fn acquire(domain: &Domain) -> Option<File> {
+    let path = domain.root().join("construction.lock");
+    let file = OpenOptions::new().create(true).truncate(false).write(true).open(path).ok()?;
+    let start = Instant::now();
+    loop {
+        match file.try_lock() {
+            Ok(()) => return Some(file),
+            Err(TryLockError::WouldBlock) if start.elapsed() < PATIENCE => std::thread::sleep(PAUSE),
+            Err(_) => return None,
+        }
+    }
+}
+
+/// iceoryx2 lets the owner read shared memory only when it is complete.
+fn is_unfinished_memory(path: &Path, state: &Metadata) -> bool {
+    let is_connection = path.extension().is_some_and(|suffix| suffix == "connection");
+    state.mode() & OWNER_READ == 0 && (!is_connection || is_old(state))
+}
+
+/// iceoryx2 forbids the owner to write to the description of a service when it is complete.
+fn is_unfinished_description(state: &Metadata) -> bool {
+    state.mode() & OWNER_WRITE != 0
+}
+
+fn is_old(state: &Metadata) -> bool {
+    state.modified().ok().and_then(|t| t.elapsed().ok()).is_some_and(|age| age > ORPHAN_AGE)
+}

@@ -1,0 +1,104 @@
+//! What processes leave that are killed while they create services does not keep others from starting.
+
+mod common;
+
+use common::{TestDomain, Victim, domain_of_child, until_killed, wait_for};
+use std::fs::Permissions;
+use std::os::unix::fs::PermissionsExt;
+use std::path::PathBuf;
+use std::time::Duration;
+use upswing_ipc::{CallError, ControlCommand, ControlRequest, Domain, Measurement};
+
+/// Entry of the child process: holds some ends until it is killed.
+#[test]
+fn child_holds_ends() {
+    let Some(domain) = domain_of_child() else { return };
+    let node = domain.connect("victim").unwrap();
+    let _server = node.control_server().unwrap();
+    let _publisher = node.telemetry_publisher().unwrap();
+    let writer = node.measurement_writer().unwrap();
+    writer.write(Measurement { seq: 1, ..Measurement::default() });
+    until_killed(|| {});
+}
+
+fn files(directory: PathBuf, part_of_name: &str) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(directory).unwrap().map(|e| e.unwrap());
+    let named = entries.filter(|e| e.file_name().to_str().unwrap().contains(part_of_name));
+    named.map(|e| e.path()).collect()
+}
+
+fn descriptions(domain: &Domain) -> Vec<PathBuf> {
+    files(domain.root().join("services"), ".service")
+}
+
+fn memory(domain: &Domain) -> Vec<PathBuf> {
+    files("/dev/shm".into(), &format!("upswing_{}_", domain.name()))
+}
+
+/// A domain in which a process was killed after it had created its services.
+fn deserted(tag: &str) -> TestDomain {
+    let domain = TestDomain::new(tag);
+    let victim = Victim::start("child_holds_ends", &domain);
+    wait_for("its services", || {
+        (domain.root().join("services").exists() && descriptions(&domain).len() == 3).then_some(())
+    });
+    let node = domain.connect("observer").unwrap();
+    let mut finder = node.measurement_finder();
+    let reader = wait_for("its writer", || finder.poll().unwrap());
+    wait_for("its data", || (reader.read().seq == 1).then_some(()));
+    drop((reader, finder, node));
+    victim.kill();
+    assert!(!memory(&domain).is_empty() && !descriptions(&domain).is_empty());
+    domain
+}
+
+fn all_can_start(domain: &Domain) {
+    let node = domain.connect("survivor").unwrap();
+    let client = node.control_client().unwrap();
+    let error =
+        client.call(&ControlRequest::new(ControlCommand::Status), Duration::from_secs(30)).unwrap_err();
+    assert!(matches!(error, CallError::NoServer { .. }), "{error}");
+    let _server = node.control_server().unwrap();
+    let _publisher = node.telemetry_publisher().unwrap();
+    let writer = node.measurement_writer().unwrap();
+    let reader = node.measurement_finder().poll().unwrap().unwrap();
+    assert_eq!(reader.epoch(), writer.epoch());
+}
+
+#[test]
+fn intact_leftovers_do_not() {
+    all_can_start(&deserted("intact"));
+}
+
+#[test]
+fn unfinished_shared_memory_does_not() {
+    let domain = deserted("memory");
+    for path in memory(&domain) {
+        // As after shm_open, before ftruncate.
+        std::fs::File::create(&path).unwrap();
+        std::fs::set_permissions(&path, Permissions::from_mode(0o200)).unwrap();
+    }
+    all_can_start(&domain);
+}
+
+#[test]
+fn unfinished_descriptions_of_services_do_not() {
+    let domain = deserted("text");
+    for path in descriptions(&domain) {
+        // As after open, before the contents are written.
+        std::fs::set_permissions(&path, Permissions::from_mode(0o600)).unwrap();
+        std::fs::File::create(&path).unwrap();
+    }
+    all_can_start(&domain);
+}
+
+#[test]
+fn kills_at_any_moment_of_a_start_do_not() {
+    let domain = TestDomain::new("moments");
+    for delay_us in (0..15_000).step_by(500) {
+        let victim = Victim::start("child_holds_ends", &domain);
+        std::thread::sleep(Duration::from_micros(delay_us));
+        victim.kill();
+    }
+    all_can_start(&domain);
+}

@@ -1,0 +1,22 @@
+//! The planner process.
+
+use clap::Parser;
+use std::process::ExitCode;
+use upswing_config::process::{finish, start_logging};
+use upswing_planner::service::{PlannerArgs, run};
+
+/// Plans swing-ups on request: nearest database entry, constrained QP, gains.
+///
+/// Example: upswing-planner --config /etc/upswing --domain robot
+#[derive(Parser)]
+#[command(version)]
+struct Cli {
+    #[command(flatten)]
+    args: PlannerArgs,
+}
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    start_logging();
+    finish(run(&cli.args))
+}

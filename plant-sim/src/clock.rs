@@ -1,0 +1,83 @@
+//! Waiting: for a deadline, and for another process.
+
+use std::time::{Duration, Instant};
+
+/// Waiting rounds without giving up the CPU: most answers come within these few ten microseconds.
+const SPINS: u32 = 1_000;
+/// Rounds after these that only let others run.
+const YIELDS: u32 = 100;
+/// Rounds after these with a short pause; then the longer one keeps an idle process from using the CPU.
+const SHORT_PAUSES: u32 = 1_000;
+const SHORT_PAUSE: Duration = Duration::from_micros(30);
+const LONG_PAUSE: Duration = Duration::from_micros(300);
+/// Longest time that one round counts for: an interruption of this process is not the other one's silence.
+const LONGEST_ROUND: Duration = Duration::from_millis(10);
+
+/// Waiting for another process, at first eagerly, then gently.
+pub(crate) struct Patience {
+    rounds: u32,
+    waited: Duration,
+    last: Instant,
+}
+
+impl Patience {
+    pub(crate) fn new() -> Self {
+        Self { rounds: 0, waited: Duration::ZERO, last: Instant::now() }
+    }
+
+    /// One round. True if it was no mere spin: then, and at least once per ms, there is time for other work.
+    pub(crate) fn pause(&mut self) -> bool {
+        self.rounds = self.rounds.saturating_add(1);
+        if self.rounds <= SPINS {
+            std::hint::spin_loop();
+            return false;
+        }
+        match self.rounds - SPINS {
+            ..=YIELDS => std::thread::yield_now(),
+            n if n <= YIELDS + SHORT_PAUSES => std::thread::sleep(SHORT_PAUSE),
+            _ => std::thread::sleep(LONG_PAUSE),
+        }
+        let now = Instant::now();
+        self.waited += (now - self.last).min(LONGEST_ROUND);
+        self.last = now;
+        true
+    }
+
+    /// How long this process has been waiting (not counting when it could not run).
+    pub(crate) fn waited(&self) -> Duration {
+        self.waited
+    }
+}
+
+/// CLOCK_MONOTONIC, ns.
+pub(crate) fn now_ns() -> u64 {
+    let mut now = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+    // SAFETY: `now` is a valid place to write to; this clock always exists.
+    unsafe { libc::clock_gettime(libc::CLOCK_MONOTONIC, &raw mut now) };
+    now.tv_sec.unsigned_abs() * 1_000_000_000 + now.tv_nsec.unsigned_abs()
+}
+
+/// Sleeps until `deadline` (CLOCK_MONOTONIC, ns) or until a signal comes.
+pub(crate) fn sleep_until(deadline: u64) {
+    // A nanosecond count of CLOCK_MONOTONIC fits: both parts are below 2^63 / 10^9.
+    let deadline = libc::timespec {
+        tv_sec: (deadline / 1_000_000_000).cast_signed(),
+        tv_nsec: (deadline % 1_000_000_000).cast_signed(),
+    };
+    // SAFETY: `deadline` is valid for the call; the remaining time is not asked for.
+    unsafe {
+        libc::clock_nanosleep(
+            libc::CLOCK_MONOTONIC,
+            libc::TIMER_ABSTIME,
+            &raw const deadline,
+            std::ptr::null_mut(),
+        )
+    };
+}
+
+/// Asks for wake-ups of this thread without the usual slack of 50 us, which is half a control period.
+pub(crate) fn wake_precisely() {
+    const SLACK_NS: libc::c_ulong = 1;
+    // SAFETY: this option takes one number and concerns the calling thread only. If refused, wake-ups are later.
+    unsafe { libc::prctl(libc::PR_SET_TIMERSLACK, SLACK_NS) };
+}

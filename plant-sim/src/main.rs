@@ -1,0 +1,18 @@
+//! The plant as a process of its own; see [`upswing_plant::run`].
+
+use clap::Parser;
+use std::process::ExitCode;
+use upswing_config::process::finish;
+use upswing_plant::{PlantArgs, run};
+
+/// Simulates robot, pendulum, drives, encoders and brakes
+#[derive(Parser)]
+#[command(name = "upswing-plant", version)]
+struct Arguments {
+    #[command(flatten)]
+    plant: PlantArgs,
+}
+
+fn main() -> ExitCode {
+    finish(run(Arguments::parse().plant))
+}

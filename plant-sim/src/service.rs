@@ -1,0 +1,327 @@
+//! The process: the plant on its clock, its measurements, and the `plant` service.
+
+use crate::Plant;
+use crate::clock::{Patience, now_ns, sleep_until, wake_precisely};
+use crate::link::{Link, search};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc;
+use std::time::Duration;
+use tracing::{info, warn};
+use upswing_config::Config;
+use upswing_ipc::{
+    Clock, Command, Domain, IpcError, Measurement, PlantKind, PlantRequest, PlantResponse, Server, Text,
+    Writer,
+};
+use upswing_model::JointVector;
+
+/// Silence after which a daemon counts as lost (paced, lockstep).
+const LOST_AFTER: Duration = Duration::from_secs(1);
+/// Longest time without a look at the requests, ns.
+const SERVE_PERIOD_NS: u64 = 1_000_000;
+
+/// What the process needs besides the plant.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Settings {
+    clock: Clock,
+    /// Cycles without a fresh command after which the brakes close (wall).
+    watchdog_cycles: u32,
+}
+
+impl Settings {
+    pub(crate) fn new(clock: Clock, config: &Config) -> Self {
+        Self { clock, watchdog_cycles: config.plant.drive.watchdog_cycles }
+    }
+}
+
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum ServiceError {
+    #[error(transparent)]
+    Ipc(#[from] IpcError),
+    #[error("cannot start a thread: {0}")]
+    Thread(#[from] std::io::Error),
+}
+
+/// Runs the plant until `shutdown`.
+pub(crate) fn serve(
+    settings: Settings,
+    plant: Plant,
+    domain: &Domain,
+    shutdown: &AtomicBool,
+) -> Result<(), ServiceError> {
+    let node = domain.connect("plant")?;
+    // First: it refuses a second plant before that disturbs the daemon.
+    let server = node.plant_server()?;
+    let done = AtomicBool::new(false);
+    let (sender, found) = mpsc::channel();
+    std::thread::scope(|threads| {
+        let searcher = std::thread::Builder::new().name("search".into()).spawn_scoped(threads, {
+            let (node, done) = (node.clone(), &done);
+            move || search(&node, &sender, done)
+        })?;
+        let link = Link::new(found);
+        let outcome = node.measurement_writer().map(|writer| {
+            let front = Front { plant, clock: settings.clock, granted: 0, server, failing: false };
+            Service { front, writer, link, watchdog_cycles: settings.watchdog_cycles, shutdown }.run();
+        });
+        done.store(true, Ordering::Release);
+        searcher.thread().unpark();
+        Ok(outcome?)
+    })
+}
+
+/// Whether a daemon answers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Presence {
+    /// None has sent a command yet.
+    Awaited,
+    Present,
+    Lost,
+}
+
+struct Service<'a> {
+    front: Front,
+    writer: Writer<Measurement>,
+    link: Link,
+    watchdog_cycles: u32,
+    shutdown: &'a AtomicBool,
+}
+
+impl Service<'_> {
+    fn run(mut self) {
+        let q = self.front.plant.position().map(|v| (v.to_degrees() * 100.0).round() / 100.0);
+        info!(clock = %self.front.clock, q_deg = ?q.as_slice(), "plant started, brakes closed");
+        wake_precisely();
+        match self.front.clock {
+            Clock::Wall => self.run_on_wall_clock(),
+            Clock::Paced | Clock::Lockstep => self.run_with_daemon(),
+        }
+        info!(cycle = self.front.completed(), "plant stopped");
+    }
+
+    fn stopped(&self) -> bool {
+        self.shutdown.load(Ordering::Acquire)
+    }
+
+    /// Clock `wall`. Where the plant itself is late by less than the watchdog's time it catches up; if later, it moves
+    /// its deadlines.
+    fn run_on_wall_clock(&mut self) {
+        let period = self.front.plant.period_ns();
+        let tolerated = period.saturating_mul(self.watchdog_cycles.into());
+        let mut deadline = now_ns();
+        let mut held: Option<Command> = None;
+        let mut age = 0;
+        let mut late = false;
+        while !self.stopped() {
+            let behind = now_ns().saturating_sub(deadline);
+            if behind > tolerated {
+                if !late {
+                    warn!("the plant is {} us late: its deadlines move", behind / 1000);
+                }
+                deadline += behind;
+            }
+            late = behind > tolerated;
+            // The state is that of the deadline, even if this process is late to say so.
+            let seq = self.publish(Some(deadline));
+            match self.link.take(seq) {
+                Some(command) => {
+                    if held.is_none() {
+                        info!(cycle = seq, "daemon found");
+                    }
+                    held = Some(command);
+                    age = 0;
+                }
+                None => age += u32::from(held.is_some()),
+            }
+            if held.is_some() && age >= self.watchdog_cycles {
+                warn!(cycle = seq, cycles = age, "daemon lost: no fresh command");
+                held = None;
+                age = 0;
+            }
+            self.step(held.as_ref());
+            self.front.serve();
+            deadline += period;
+            self.wait_until(deadline);
+        }
+    }
+
+    /// Clocks `paced` and `lockstep`.
+    fn run_with_daemon(&mut self) {
+        let paced = self.front.clock == Clock::Paced;
+        let period = self.front.plant.period_ns();
+        let mut deadline = now_ns();
+        let mut presence = Presence::Awaited;
+        while self.wait_for_grant() {
+            // Of a daemon that was not there a cycle ago: this cycle waits for it.
+            if presence != Presence::Present && self.link.take(self.front.completed()).is_some() {
+                presence = self.found();
+            }
+            let seq = self.publish(None);
+            let waits = presence == Presence::Present || (presence == Presence::Awaited && !paced);
+            let mut answer = None;
+            if waits {
+                answer = self.wait_for_answer(seq, &mut presence);
+            }
+            if self.stopped() {
+                break;
+            }
+            if paced {
+                deadline = now_ns().max(deadline.saturating_add(period));
+                self.wait_until(deadline);
+            }
+            if presence != Presence::Present
+                && let Some(command) = self.link.take(seq)
+            {
+                presence = self.found();
+                answer = Some(command).filter(|c| c.measurement_seq == seq);
+            }
+            self.step(answer.as_ref());
+            self.front.serve();
+        }
+    }
+
+    /// Lockstep: waits until the next cycle is granted. False on shutdown.
+    fn wait_for_grant(&mut self) -> bool {
+        let mut patience = Patience::new();
+        while self.front.clock == Clock::Lockstep && self.front.completed() >= self.front.granted {
+            if patience.pause() {
+                self.front.serve();
+                if self.stopped() {
+                    return false;
+                }
+            }
+        }
+        !self.stopped()
+    }
+
+    /// Waits for the command that answers measurement `seq`; None if the daemon is lost or on shutdown.
+    fn wait_for_answer(&mut self, seq: u64, presence: &mut Presence) -> Option<Command> {
+        let mut patience = Patience::new();
+        loop {
+            if let Some(command) = self.link.take(seq) {
+                if *presence != Presence::Present {
+                    *presence = self.found();
+                    patience = Patience::new();
+                }
+                if command.measurement_seq == seq {
+                    return Some(command);
+                }
+            }
+            if !patience.pause() {
+                continue;
+            }
+            self.front.serve();
+            if self.stopped() {
+                return None;
+            }
+            if *presence == Presence::Present && patience.waited() >= LOST_AFTER {
+                warn!(cycle = seq, "daemon lost: no answer for {} s", LOST_AFTER.as_secs());
+                *presence = Presence::Lost;
+                return None;
+            }
+        }
+    }
+
+    fn found(&self) -> Presence {
+        info!(cycle = self.front.plant.seq(), "daemon found");
+        Presence::Present
+    }
+
+    /// Publishes the measurement of this cycle; returns its number. Its time is simulated unless given.
+    fn publish(&self, t_ns: Option<u64>) -> u64 {
+        let measured = self.front.plant.measure();
+        let t_ns = t_ns.unwrap_or(measured.t_ns);
+        self.writer.write(Measurement { t_ns, clock: self.front.clock.code(), ..measured });
+        measured.seq
+    }
+
+    fn step(&mut self, command: Option<&Command>) {
+        let plant = &mut self.front.plant;
+        let (before, seq) = (plant.brakes_closed(), plant.seq());
+        plant.step(command);
+        match (before, plant.brakes_closed()) {
+            (true, false) => info!(cycle = seq, "brakes released"),
+            (false, true) => info!(cycle = seq, drive_fault = plant.drive_fault(), "brakes closed"),
+            _ => {}
+        }
+    }
+
+    /// Serves requests until `deadline` (CLOCK_MONOTONIC, ns) or shutdown.
+    fn wait_until(&mut self, deadline: u64) {
+        loop {
+            let now = now_ns();
+            if now >= deadline || self.stopped() {
+                return;
+            }
+            let next_look = now.saturating_add(SERVE_PERIOD_NS);
+            sleep_until(deadline.min(next_look));
+            if next_look < deadline {
+                self.front.serve();
+            }
+        }
+    }
+}
+
+/// The `plant` service, and what its requests concern.
+struct Front {
+    plant: Plant,
+    clock: Clock,
+    /// Cycle up to which lockstep may advance.
+    granted: u64,
+    server: Server<PlantRequest>,
+    /// Whether the service failed when it was looked at last.
+    failing: bool,
+}
+
+impl Front {
+    /// The last cycle whose measurement is answered and whose period is over.
+    fn completed(&self) -> u64 {
+        self.plant.seq().saturating_sub(1)
+    }
+
+    /// Answers all waiting requests.
+    fn serve(&mut self) {
+        let Self { plant, clock, granted, server, failing } = self;
+        let outcome = server.poll(|request| answer(plant, *clock, granted, request));
+        if let Err(e) = &outcome
+            && !*failing
+        {
+            warn!("{e}");
+        }
+        *failing = outcome.is_err();
+    }
+}
+
+/// Does what a request asks, or says why not.
+fn answer(plant: &mut Plant, clock: Clock, granted: &mut u64, request: &PlantRequest) -> PlantResponse {
+    let outcome = match request.kind() {
+        Err(e) => Err(e.to_string()),
+        Ok(PlantKind::Status) => Ok(()),
+        Ok(PlantKind::ResetState) => plant
+            .reset(&JointVector::from(request.q), &JointVector::from(request.qd))
+            .map_err(|e| e.to_string()),
+        Ok(PlantKind::AdvanceTo) => advance_to(clock, granted, request.seq),
+        Ok(kind @ (PlantKind::SetFault | PlantKind::ClearFaults)) => {
+            Err(format!("{kind} is not supported by this version"))
+        }
+    };
+    PlantResponse {
+        accepted: outcome.is_ok().into(),
+        seq: plant.seq().saturating_sub(1),
+        q: (*plant.position()).into(),
+        qd: (*plant.velocity()).into(),
+        brakes_closed: plant.brakes_closed().into(),
+        tau_peak: (*plant.tau_peak()).into(),
+        reason: Text::new(&outcome.err().unwrap_or_default()),
+    }
+}
+
+fn advance_to(clock: Clock, granted: &mut u64, seq: u64) -> Result<(), String> {
+    if clock != Clock::Lockstep {
+        return Err(format!("the {clock} clock advances by itself: start the plant with --clock lockstep"));
+    }
+    if seq < *granted {
+        return Err(format!("cycle {granted} is granted already: expected at least that, got {seq}"));
+    }
+    *granted = seq;
+    Ok(())
+}
