@@ -417,6 +417,15 @@ impl Session {
     /// # Errors
     /// [`SessionError::Ended`] if a process ends with an error, [`SessionError::Timeout`] if one does not end.
     pub fn end(mut self) -> Result<Vec<Telemetry>, SessionError> {
+        self.end_in_place()?;
+        Ok(std::mem::take(&mut self.records))
+    }
+
+    /// As [`Self::end`], for a session that is not one's own; keeps the records.
+    ///
+    /// # Errors
+    /// As [`Self::end`].
+    pub fn end_in_place(&mut self) -> Result<(), SessionError> {
         for i in [Role::Daemon, Role::Planner, Role::Plant].map(|r| r as usize) {
             let Some(process) = &self.processes[i] else { continue };
             process.signal(libc::SIGTERM);
@@ -450,7 +459,7 @@ impl Session {
             }
             self.processes[i] = None;
         }
-        Ok(std::mem::take(&mut self.records))
+        Ok(())
     }
 }
 

@@ -21,6 +21,8 @@ pub fn swing_up(
     interrupted: &AtomicBool,
 ) -> Result<PlannerResponse, SessionError> {
     let cycles = |s: f64| (s / period).ceil() as u64;
+    // A daemon that has measured nothing yet refuses to be enabled.
+    session.advance(1)?;
     session.control(ControlCommand::Enable)?;
     session.advance(cycles(SETTLE))?;
     expect_mode(session, &[Mode::Hold])?;

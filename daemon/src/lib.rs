@@ -20,6 +20,8 @@ pub mod realtime;
 pub mod service;
 pub mod supervisor;
 
+pub use supervisor::fault_text;
+
 use upswing_config::process::{Failure, ProcessArgs, shutdown_flag, start_logging};
 use upswing_ipc::Domain;
 

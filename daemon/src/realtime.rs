@@ -57,7 +57,7 @@ pub enum Report {
 pub struct Shared {
     /// Tells the real-time thread to close the brakes and end.
     pub exit: AtomicBool,
-    /// Whether time stands still until the plant is told to advance (lockstep).
+    /// Whether orders wait for a measurement that may be long in coming (lockstep).
     pub stands_still: AtomicBool,
     /// Records that did not fit into the ring.
     pub dropped: AtomicU64,
@@ -142,7 +142,11 @@ impl Cycle {
         while !self.shared.exit.load(Ordering::Acquire) {
             self.adopt_reader();
             let clock = self.clock();
-            self.shared.stands_still.store(clock == Some(Clock::Lockstep), Ordering::Release);
+            // Orders wait for the next measurement, in order of arrival: on lockstep, where time may stand still for
+            // as long as it likes, and before the first one of a plant, which may be on lockstep.
+            let stands_still =
+                clock == Some(Clock::Lockstep) || (self.reader.is_some() && self.measurement.seq == 0);
+            self.shared.stands_still.store(stands_still, Ordering::Release);
             if clock == Some(Clock::Wall) {
                 let planned = deadline.unwrap_or_else(monotonic_ns);
                 sleep_until(planned);
@@ -156,8 +160,7 @@ impl Cycle {
                 self.answer_measurement();
                 continue;
             }
-            // On lockstep time may stand still for as long as it likes, and orders wait for the next measurement.
-            if clock == Some(Clock::Lockstep) {
+            if stands_still {
                 continue;
             }
             let newly_lost = !lost && self.measurement.seq > 0 && monotonic_ns() - last_new > PLANT_LOST_NS;
@@ -166,7 +169,8 @@ impl Cycle {
                 let cycles = u32::try_from(PLANT_LOST_NS / self.period_ns).unwrap_or(u32::MAX);
                 self.controller.lose_measurement(cycles.max(self.max_age));
             }
-            if newly_lost || !self.orders.is_empty() {
+            // Who gave the order may know of a plant that was handed over just before.
+            if newly_lost || (!self.orders.is_empty() && self.readers.is_empty()) {
                 self.compute(monotonic_ns());
             }
         }
@@ -227,7 +231,6 @@ impl Cycle {
         // On lockstep equal runs give equal records: no times.
         if clock != Some(Clock::Lockstep) {
             let telemetry = &mut record.telemetry;
-            telemetry.wake_ns = started.saturating_sub(self.measurement.t_ns);
             telemetry.compute_ns = computed - started;
             telemetry.write_ns = written - computed;
         }

@@ -13,8 +13,8 @@ use tracing::{error, info, warn};
 use upswing_config::process::Failure;
 use upswing_config::{Config, RealtimeMode};
 use upswing_ipc::{
-    ControlCommand, ControlRequest, ControlResponse, Domain, IpcError, Mode, Node, Plan, Publisher,
-    TELEMETRY_BATCH, TelemetryBatch, Text,
+    ControlCommand, ControlRequest, ControlResponse, Domain, Finder, IpcError, Measurement, Mode, Node, Plan,
+    Publisher, TELEMETRY_BATCH, TelemetryBatch, Text,
 };
 
 /// Pause of the loop.
@@ -104,6 +104,8 @@ fn failed(e: IpcError) -> Failure {
 struct Desk<'a> {
     config: &'a Config,
     ends: Ends,
+    plants: Finder<Measurement>,
+    next_look: Instant,
     telemetry: Publisher<TelemetryBatch>,
     batch: Box<TelemetryBatch>,
     /// When the batch got its first record.
@@ -114,7 +116,7 @@ struct Desk<'a> {
     sign_of_life: Instant,
     degraded: bool,
     tickets: u64,
-    /// Number of the ticket that somebody waits for, and its answer.
+    /// Number of the ticket that somebody waits for (0: nobody), and its answer.
     awaited: u64,
     answer: Option<Result<(), Refusal>>,
     /// Id of the plan given to the controller last, 0: none.
@@ -128,6 +130,8 @@ impl<'a> Desk<'a> {
         Ok(Self {
             config,
             ends,
+            plants: node.measurement_finder(),
+            next_look: Instant::now(),
             telemetry: node.telemetry_publisher().map_err(failed)?,
             batch: TelemetryBatch::boxed_zeroed(),
             batch_begin: Instant::now(),
@@ -152,24 +156,10 @@ impl<'a> Desk<'a> {
         thread: &JoinHandle<()>,
     ) -> Result<(), Failure> {
         let plans = node.plan_subscriber().map_err(failed)?;
-        let mut finder = node.measurement_finder();
-        let mut next_look = Instant::now();
         let mut shutdown_begin = None;
         while !thread.is_finished() {
-            if Instant::now() >= next_look {
-                next_look = Instant::now() + LOOK;
-                match finder.poll() {
-                    Ok(Some(reader)) => {
-                        info!("found a plant, started at {} ns", reader.epoch());
-                        if self.ends.readers.push(reader).is_err() {
-                            self.complain(
-                                "the real-time thread does not take the measurements of a new plant".into(),
-                            );
-                        }
-                    }
-                    Ok(None) => {}
-                    Err(e) => self.complain(e.to_string()),
-                }
+            if self.next_look <= Instant::now() {
+                self.look();
             }
             match plans.receive() {
                 // A copy: the planner could change the plan while it is being checked.
@@ -190,6 +180,23 @@ impl<'a> Desk<'a> {
             sleep(PAUSE);
         }
         Err(Failure::Failed("the real-time thread ended".into()))
+    }
+
+    /// Looks for a plant that started after the one found last.
+    fn look(&mut self) {
+        self.next_look = Instant::now() + LOOK;
+        match self.plants.poll() {
+            Ok(Some(reader)) => {
+                info!("found a plant, started at {} ns", reader.epoch());
+                if self.ends.readers.push(reader).is_err() {
+                    self.complain(
+                        "the real-time thread does not take the measurements of a new plant".into(),
+                    );
+                }
+            }
+            Ok(None) => {}
+            Err(e) => self.complain(e.to_string()),
+        }
     }
 
     /// Whether a process that shall end may do so: the brakes hold, or waiting is no use.
@@ -243,6 +250,12 @@ impl<'a> Desk<'a> {
 
     /// Orders `request` and waits for the answer of the real-time thread: a remark, or the reason of the refusal.
     fn ask(&mut self, request: Request) -> Result<&'static str, String> {
+        let begin = Instant::now();
+        // Who starts a plant and enables at once means that plant.
+        while request == Request::Enable && self.plants.epoch().is_none() && begin.elapsed() < ANSWER {
+            self.look();
+            sleep(PAUSE);
+        }
         self.awaited = self.order(Order::Do(request)).ok_or("too many orders wait for the next cycle")?;
         self.answer = None;
         let begin = Instant::now();
@@ -258,9 +271,11 @@ impl<'a> Desk<'a> {
             }
             let stands_still = self.ends.shared.stands_still.load(Ordering::Acquire);
             if stands_still && begin.elapsed() > ANSWER_IN_STANDSTILL {
+                self.awaited = 0;
                 return Ok("queued until the next cycle");
             }
             if begin.elapsed() > ANSWER {
+                self.awaited = 0;
                 return Err("the real-time thread does not answer; the request may still take effect".into());
             }
             sleep(Duration::from_micros(50));

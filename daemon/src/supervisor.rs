@@ -129,10 +129,54 @@ pub enum TripCause {
 }
 
 impl TripCause {
+    /// Every cause; the index is the code less 1.
+    pub const ALL: [Self; 14] = [
+        Self::NoMeasurement,
+        Self::StaleMeasurement,
+        Self::MeasurementRestarted,
+        Self::NotFinite,
+        Self::EncoderJump,
+        Self::PositionLimit,
+        Self::VelocityLimit,
+        Self::DriveFault,
+        Self::PeriodMismatch,
+        Self::UnknownClock,
+        Self::LawNotFinite,
+        Self::TrackingError,
+        Self::BalanceLost,
+        Self::PendulumRange,
+    ];
+
     /// The number that stands for the cause in telemetry; above 0.
     pub const fn code(self) -> u64 {
         self as u64
     }
+
+    /// The cause in words, where the numbers of its [`Trip`] are not known.
+    pub const fn text(self) -> &'static str {
+        match self {
+            Self::NoMeasurement => "nothing was measured yet: is the plant running?",
+            Self::StaleMeasurement => "no new measurement",
+            Self::MeasurementRestarted => "the plant restarted",
+            Self::NotFinite => "an angle is not finite",
+            Self::EncoderJump => "an angle jumped",
+            Self::PositionLimit => "the arm is beyond a position limit",
+            Self::VelocityLimit => "the arm is beyond a velocity limit",
+            Self::DriveFault => "a drive reports a fault",
+            Self::PeriodMismatch => "plant and daemon have different periods",
+            Self::UnknownClock => "the plant names an unknown clock",
+            Self::LawNotFinite => "the control law gave no finite torque",
+            Self::TrackingError => "too far from the reference",
+            Self::BalanceLost => "the rod fell",
+            Self::PendulumRange => "the pendulum is beyond the range open to plans",
+        }
+    }
+}
+
+/// What the `fault` of telemetry and answers means; `None` for 0 and for codes that do not exist.
+pub fn fault_text(code: u64) -> Option<String> {
+    let index = usize::try_from(code.checked_sub(1)?).ok()?;
+    TripCause::ALL.get(index).map(|cause| cause.text().to_owned())
 }
 
 /// What was found beyond which limit.
@@ -160,33 +204,38 @@ impl fmt::Display for Trip {
         let Self { cause, joint, value, limit } = self;
         let joint = joint + 1;
         match cause {
-            TripCause::NoMeasurement => write!(f, "nothing was measured yet: is the plant running?"),
             TripCause::StaleMeasurement => {
                 write!(f, "no new measurement for {value:.0} cycles, limit {limit:.0}")
             }
-            TripCause::MeasurementRestarted => write!(f, "the plant restarted"),
             TripCause::NotFinite => write!(f, "the angle of joint {joint} is {value}"),
-            TripCause::EncoderJump => write!(
-                f,
-                "the angle of joint {joint} jumped by {value:.5} rad, at most {limit:.5} rad are possible"
-            ),
-            TripCause::PositionLimit => write!(f, "joint {joint} at {value:.4} rad, limit {limit:.4} rad"),
+            TripCause::EncoderJump => {
+                write!(
+                    f,
+                    "the angle of joint {joint} jumped by {value:.5} rad, at most {limit:.5} rad are possible"
+                )
+            }
+            TripCause::PositionLimit | TripCause::PendulumRange => {
+                write!(f, "joint {joint} at {value:.4} rad, limit {limit:.4} rad")
+            }
             TripCause::VelocityLimit => {
                 write!(f, "joint {joint} moves at {value:.4} rad/s, limit {limit:.4} rad/s")
             }
-            TripCause::DriveFault => write!(f, "a drive reports a fault"),
             TripCause::PeriodMismatch => {
                 write!(f, "the plant has a period of {value:.0} ns, the daemon one of {limit:.0} ns")
             }
-            TripCause::UnknownClock => write!(f, "the plant names the unknown clock {value:.0}"),
-            TripCause::LawNotFinite => write!(f, "the control law gave no finite torque"),
+            TripCause::UnknownClock => {
+                write!(f, "the plant names clock {value:.0}, the last known is {limit:.0}")
+            }
             TripCause::TrackingError => {
                 write!(f, "joint {joint} is {value:.4} rad from its reference, limit {limit:.4} rad")
             }
             TripCause::BalanceLost => {
                 write!(f, "the rod is {value:.4} rad from where the plan ends, limit {limit:.4} rad")
             }
-            TripCause::PendulumRange => write!(f, "joint {joint} at {value:.4} rad, limit {limit:.4} rad"),
+            TripCause::NoMeasurement
+            | TripCause::MeasurementRestarted
+            | TripCause::DriveFault
+            | TripCause::LawNotFinite => f.write_str(cause.text()),
         }
     }
 }

@@ -1,5 +1,6 @@
 //! Which states the plant can be put into, and the pose after power-up.
 
+use std::f64::consts::TAU;
 use upswing_config::{Config, PendulumStart, RobotSettings};
 use upswing_model::{JointVector, Model, N_ACTUATED, NQ, NU, RestError, Workspace};
 
@@ -70,8 +71,10 @@ pub(crate) fn start_position(config: &Config) -> Result<JointVector, StateError>
 }
 
 fn rest(model: &Model, robot: &RobotSettings, q: &JointVector) -> Result<JointVector, StateError> {
-    let q = model.rest_position(q, &mut Workspace::default())?;
+    let mut q = model.rest_position(q, &mut Workspace::default())?;
     for i in N_ACTUATED..NQ {
+        // The search may end a few turns away.
+        q[i] -= TAU * (q[i] / TAU).round();
         check_angle(robot, i, q[i]).map_err(|e| match e {
             StateError::Angle { joint, low, high, got } => StateError::RestOutside { joint, low, high, got },
             other => other,

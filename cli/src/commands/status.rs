@@ -60,7 +60,7 @@ pub fn run(args: &StatusArgs) -> Result<(), Failure> {
     let id = |id: u64| (id != 0).then(|| format!("{id:016x}"));
     args.common.print(&Status {
         mode: mode(&s),
-        fault: upswingd::fault_text(s.fault),
+        fault: upswingd::fault_text(s.fault).map(Into::into),
         loaded_plan: id(s.plan_id),
         running_plan: id(s.running_plan),
         cycles: s.seq,

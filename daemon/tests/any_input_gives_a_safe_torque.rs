@@ -1,0 +1,102 @@
+//! Whatever comes: the torque is finite and within the limits, closed brakes go with Idle and Fault, and Fault is left
+//! by a reset only.
+
+mod common;
+
+use common::{at_rest, config, measurement, rest_plan, rest_pose};
+use proptest::prelude::*;
+use upswing_ipc::{Measurement, Mode};
+use upswing_model::NQ;
+use upswingd::controller::{Controller, Order};
+use upswingd::supervisor::{Request, is_braked};
+
+#[derive(Clone, Debug)]
+enum Disturbance {
+    None,
+    Angle(usize, f64),
+    Status(u64),
+    Clock(u64),
+    Period(u64),
+    Seq(u64),
+    Repeat,
+    Lost,
+    Restart,
+}
+
+fn disturbances() -> impl Strategy<Value = Disturbance> {
+    prop_oneof![
+        30 => Just(Disturbance::None),
+        4 => (0..NQ, prop_oneof![any::<f64>(), -0.01..0.01, -3.0..3.0]).prop_map(|(i, v)| Disturbance::Angle(i, v)),
+        1 => any::<u64>().prop_map(Disturbance::Status),
+        1 => (0_u64..5).prop_map(Disturbance::Clock),
+        1 => any::<u64>().prop_map(Disturbance::Period),
+        1 => any::<u64>().prop_map(Disturbance::Seq),
+        4 => Just(Disturbance::Repeat),
+        1 => Just(Disturbance::Lost),
+        1 => Just(Disturbance::Restart),
+    ]
+}
+
+fn requests() -> impl Strategy<Value = Option<usize>> {
+    prop_oneof![
+        10 => Just(None),
+        4 => Just(Some(0)),
+        4 => Just(Some(2)),
+        // Shutdown last: rarely, because nothing happens after it.
+        6 => (0_usize..7).prop_map(Some),
+        1 => Just(Some(7)),
+    ]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(200))]
+
+    #[test]
+    fn and_faults_stay(steps in prop::collection::vec((disturbances(), requests(), 1_u64..4000), 1..60)) {
+        let config = config();
+        let tau_max = config.robot.limits.tau_max;
+        let mut controller = Controller::new(&config);
+        let mut q = rest_pose(&config);
+        let plan = rest_plan(&config, &at_rest(&q), 1.0);
+        let mut last = Measurement::default();
+        let mut seq = 0_u64;
+        for (disturbance, request, cycles) in steps {
+            seq = seq.saturating_add(cycles);
+            let mut next = measurement(seq, &q);
+            match disturbance {
+                Disturbance::None => {}
+                Disturbance::Angle(i, v) => {
+                    if v.abs() < 0.01 { q[i] += v } else { next.q[i] = v }
+                }
+                Disturbance::Status(status) => next.status = status,
+                Disturbance::Clock(clock) => next.clock = clock,
+                Disturbance::Period(period) => next.period_ns = period,
+                Disturbance::Seq(other) => { seq = other; next.seq = other }
+                Disturbance::Repeat => next = last,
+                Disturbance::Lost => controller.lose_measurement(20),
+                Disturbance::Restart => controller.restart_measurement(),
+            }
+            last = next;
+            let order = request.map(|i| match i {
+                6 => Order::Load(plan.clone()),
+                7 => Order::Do(Request::Shutdown),
+                i => Order::Do(Request::ALL[i]),
+            });
+            let reset = matches!(order, Some(Order::Do(Request::Reset)));
+            let before = controller.mode();
+            let output = controller.step(&next, next.t_ns, order);
+            let mode = controller.mode();
+            for i in 0..tau_max.len() {
+                let tau = output.command.tau[i];
+                prop_assert!(tau.is_finite() && tau.abs() <= tau_max[i], "tau {tau} in {mode}");
+            }
+            prop_assert_eq!(output.command.brake == 1, is_braked(mode));
+            prop_assert!(output.command.brake == 0 || output.command.tau.iter().all(|tau| *tau == 0.0));
+            prop_assert_eq!(output.record.telemetry.mode, mode.code());
+            prop_assert_eq!(output.record.telemetry.fault != 0, mode == Mode::Fault);
+            if before == Mode::Fault && mode != Mode::Fault {
+                prop_assert!(reset && mode == Mode::Idle);
+            }
+        }
+    }
+}

@@ -1,0 +1,278 @@
+//! For each cause of a trip there is an input that trips it, and the next better input does not.
+
+mod common;
+
+use common::{PERIOD_NS, at_rest, config, measurement, rest_plan, rest_pose};
+use upswing_ipc::{Clock, Measurement, Mode, Telemetry};
+use upswing_model::JointVector;
+use upswingd::controller::{Controller, Order, Output};
+use upswingd::supervisor::{Refusal, Request, TripCause};
+
+/// An enabled controller after its second measurement, and the pose it holds.
+fn enabled() -> (Controller, JointVector) {
+    let config = config();
+    let q = rest_pose(&config);
+    let mut controller = Controller::new(&config);
+    controller.step(&measurement(1, &q), 0, Some(Order::Do(Request::Enable)));
+    controller.step(&measurement(2, &q), 0, None);
+    assert_eq!(controller.mode(), Mode::Hold);
+    (controller, q)
+}
+
+/// One in Balance at the rest pose.
+fn balancing() -> (Controller, JointVector) {
+    let (mut controller, q) = enabled();
+    let config = config();
+    let plan = rest_plan(&config, &at_rest(&q), 0.0005);
+    controller.step(&measurement(3, &q), 0, Some(Order::Load(plan)));
+    controller.step(&measurement(4, &q), 0, Some(Order::Do(Request::Start)));
+    assert_eq!(controller.mode(), Mode::Track);
+    (5..=10).for_each(|seq| {
+        controller.step(&measurement(seq, &q), 0, None);
+    });
+    assert_eq!(controller.mode(), Mode::Balance);
+    (controller, q)
+}
+
+fn trip(controller: &Controller) -> Option<(Mode, TripCause, usize)> {
+    controller.trip().map(|trip| (controller.mode(), trip.cause, trip.joint))
+}
+
+fn faults_on(spoil: impl Fn(&mut Measurement), cause: TripCause, joint: usize) -> Output {
+    let (mut controller, q) = enabled();
+    let mut bad = measurement(3, &q);
+    spoil(&mut bad);
+    let output = controller.step(&bad, 0, None);
+    assert_eq!(trip(&controller), Some((Mode::Fault, cause, joint)));
+    assert_eq!((output.command.brake, output.command.tau), (1, [0.0; 7]));
+    assert_eq!(output.record.telemetry.fault, cause.code());
+    // It stays, with its cause, until the reset.
+    controller.step(&measurement(4, &q), 0, None);
+    assert_eq!(trip(&controller), Some((Mode::Fault, cause, joint)));
+    controller.step(&measurement(5, &q), 0, Some(Order::Do(Request::Reset)));
+    assert_eq!((controller.mode(), controller.trip()), (Mode::Idle, None));
+    output
+}
+
+#[test]
+fn not_finite() {
+    faults_on(|m| m.q[4] = f64::NAN, TripCause::NotFinite, 4);
+    faults_on(|m| m.q[8] = f64::INFINITY, TripCause::NotFinite, 8);
+}
+
+#[test]
+fn encoder_jump() {
+    // Twice 85 deg/s for a cycle, and the steps of the encoder: 1.37 mrad.
+    faults_on(|m| m.q[0] += 0.002, TripCause::EncoderJump, 0);
+    faults_on(|m| m.q[7] -= 0.01, TripCause::EncoderJump, 7);
+    let (mut controller, mut q) = enabled();
+    q[0] += 0.0005;
+    q[7] -= 0.004;
+    controller.step(&measurement(3, &q), 0, None);
+    assert_eq!(controller.mode(), Mode::Hold);
+}
+
+#[test]
+fn a_jump_with_closed_brakes_is_no_fault() {
+    let config = config();
+    let mut q = rest_pose(&config);
+    let mut controller = Controller::new(&config);
+    controller.step(&measurement(1, &q), 0, None);
+    q[0] = 1.0;
+    let output = controller.step(&measurement(2, &q), 0, Some(Order::Do(Request::Enable)));
+    assert_eq!((output.answer, controller.mode()), (Some(Ok(())), Mode::Hold));
+}
+
+#[test]
+fn position_limit() {
+    // 170 + 5 deg.
+    let (mut controller, mut q) = enabled();
+    let mut seq = 2;
+    while controller.mode() == Mode::Hold {
+        q[2] += 1e-4;
+        seq += 1;
+        controller.step(&measurement(seq, &q), 0, None);
+    }
+    assert_eq!(trip(&controller), Some((Mode::Fault, TripCause::PositionLimit, 2)));
+    assert!((q[2].to_degrees() - 175.0).abs() < 0.01, "{}", q[2].to_degrees());
+}
+
+#[test]
+fn velocity_limit_of_the_arm_only() {
+    let (mut controller, mut q) = enabled();
+    // 1.1 times 75 deg/s is 1.44 rad/s; the pendulum may fall faster.
+    for seq in 3..200 {
+        q[7] += 20.0 * common::PERIOD;
+        controller.step(&measurement(seq, &q), 0, None);
+    }
+    assert_eq!(controller.mode(), Mode::Hold);
+    for seq in 200..1000 {
+        q[3] += 1.3 * common::PERIOD;
+        controller.step(&measurement(seq, &q), 0, None);
+    }
+    assert_eq!(controller.mode(), Mode::Hold);
+    for seq in 1000..1500 {
+        q[3] += 1.6 * common::PERIOD;
+        controller.step(&measurement(seq, &q), 0, None);
+    }
+    assert_eq!(trip(&controller), Some((Mode::Fault, TripCause::VelocityLimit, 3)));
+}
+
+#[test]
+fn drive_fault_period_and_clock() {
+    faults_on(|m| m.status |= Measurement::DRIVE_FAULT, TripCause::DriveFault, 0);
+    faults_on(|m| m.period_ns = 1_000_000, TripCause::PeriodMismatch, 0);
+    let (mut controller, q) = enabled();
+    let mut bad = measurement(3, &q);
+    bad.clock = 9;
+    controller.step(&bad, 0, None);
+    // A clock that changes is also a plant that restarted.
+    assert_eq!(trip(&controller), Some((Mode::Fault, TripCause::MeasurementRestarted, 0)));
+    let answer = controller.step(&bad, 0, Some(Order::Do(Request::Reset))).answer;
+    assert_eq!(answer, Some(Ok(())));
+    bad.seq = 4;
+    let answer = controller.step(&bad, 0, Some(Order::Do(Request::Enable))).answer;
+    assert!(
+        matches!(answer, Some(Err(Refusal::Unfit(trip))) if trip.cause == TripCause::UnknownClock),
+        "{answer:?}"
+    );
+}
+
+#[test]
+fn stale_measurement() {
+    let config = config();
+    let q = rest_pose(&config);
+    let mut controller = Controller::new(&config);
+    let mut last = measurement(1, &q);
+    last.clock = Clock::Wall.code();
+    let mut cycle = |now: u64, order| {
+        let output = controller.step(&last, now * PERIOD_NS, order);
+        (controller.mode(), output.record.telemetry.flags & Telemetry::STALE != 0, output.record.trip)
+    };
+    assert_eq!(cycle(1, Some(Order::Do(Request::Enable))), (Mode::Hold, false, None));
+    for age in 1..=20 {
+        assert_eq!(cycle(1 + age, None), (Mode::Hold, true, None));
+    }
+    let (mode, _, stale) = cycle(22, None);
+    assert_eq!(
+        (mode, stale.map(|t| (t.cause, t.value))),
+        (Mode::Fault, Some((TripCause::StaleMeasurement, 21.0)))
+    );
+    // Where time stands still nothing gets stale.
+    let (mut controller, q) = enabled();
+    for _ in 0..1000 {
+        controller.step(&measurement(2, &q), 0, None);
+    }
+    assert_eq!(controller.mode(), Mode::Hold);
+    controller.lose_measurement(8000);
+    assert_eq!(trip(&controller), Some((Mode::Fault, TripCause::StaleMeasurement, 0)));
+}
+
+#[test]
+fn restarted_measurement() {
+    let (mut controller, q) = enabled();
+    controller.step(&measurement(1, &q), 0, None);
+    assert_eq!(trip(&controller), Some((Mode::Fault, TripCause::MeasurementRestarted, 0)));
+    let (mut controller, _) = enabled();
+    controller.restart_measurement();
+    assert_eq!(trip(&controller), Some((Mode::Fault, TripCause::MeasurementRestarted, 0)));
+    let mut controller = Controller::new(&config());
+    controller.restart_measurement();
+    assert_eq!((controller.mode(), controller.trip()), (Mode::Idle, None), "Idle stays Idle");
+}
+
+#[test]
+fn law_not_finite() {
+    let config = config();
+    let (mut controller, q) = enabled();
+    let mut plan = rest_plan(&config, &at_rest(&q), 1.0);
+    plan.gains.iter_mut().for_each(|gain| gain.fill(f64::NAN));
+    controller.step(&measurement(3, &q), 0, Some(Order::Load(plan)));
+    let output = controller.step(&measurement(4, &q), 0, Some(Order::Do(Request::Start)));
+    assert_eq!(trip(&controller), Some((Mode::Fault, TripCause::LawNotFinite, 0)));
+    assert_eq!((output.command.brake, output.command.tau), (1, [0.0; 7]));
+}
+
+#[test]
+fn the_limiter_cuts_and_says_so() {
+    let config = config();
+    let (mut controller, q) = enabled();
+    let mut plan = rest_plan(&config, &at_rest(&q), 1.0);
+    plan.trajectory.u.iter_mut().for_each(|u| u[0] = 1e4);
+    controller.step(&measurement(3, &q), 0, Some(Order::Load(plan)));
+    let output = controller.step(&measurement(4, &q), 0, Some(Order::Do(Request::Start)));
+    assert_eq!(output.command.tau[0], config.robot.limits.tau_max[0]);
+    assert_ne!(output.record.telemetry.flags & Telemetry::LIMITED, 0);
+}
+
+#[test]
+fn tracking_error() {
+    let config = config();
+    let (mut controller, mut q) = enabled();
+    let plan = rest_plan(&config, &at_rest(&q), 10.0);
+    controller.step(&measurement(3, &q), 0, Some(Order::Load(plan)));
+    controller.step(&measurement(4, &q), 0, Some(Order::Do(Request::Start)));
+    let mut seq = 4;
+    while controller.mode() == Mode::Track {
+        seq += 1;
+        q[8] += 1e-3;
+        controller.step(&measurement(seq, &q), 0, None);
+    }
+    assert_eq!(trip(&controller), Some((Mode::Stop, TripCause::TrackingError, 8)));
+    assert!((controller.trip().unwrap().value - 0.5).abs() < 2e-3);
+}
+
+#[test]
+fn balance_lost() {
+    let (mut controller, mut q) = balancing();
+    let (mut seq, before) = (10, q[8]);
+    while controller.mode() == Mode::Balance {
+        seq += 1;
+        q[8] += 1e-3;
+        controller.step(&measurement(seq, &q), 0, None);
+    }
+    assert_eq!(
+        trip(&controller).map(|(mode, cause, _)| (mode, cause)),
+        Some((Mode::Stop, TripCause::BalanceLost))
+    );
+    assert!(((q[8] - before).to_degrees() - 25.0).abs() < 0.1, "{}", (q[8] - before).to_degrees());
+}
+
+#[test]
+fn pendulum_range() {
+    // A tilt that is never lost, so that joint 8 comes to 180 + 20 + 5 deg.
+    let mut config = config();
+    config.daemon.balance_lost = 4.0;
+    let mut q = rest_pose(&config);
+    let mut controller = Controller::new(&config);
+    let plan = rest_plan(&config, &at_rest(&q), 0.0005);
+    let orders = [Order::Do(Request::Enable), Order::Load(plan), Order::Do(Request::Start)];
+    let mut seq = 0;
+    for order in orders {
+        seq += 1;
+        controller.step(&measurement(seq, &q), 0, Some(order));
+    }
+    while matches!(controller.mode(), Mode::Track | Mode::Balance) {
+        seq += 1;
+        q[7] += if controller.mode() == Mode::Balance { 1e-3 } else { 0.0 };
+        controller.step(&measurement(seq, &q), 0, None);
+    }
+    assert_eq!(trip(&controller), Some((Mode::Stop, TripCause::PendulumRange, 7)));
+    assert!((q[7].to_degrees() - 205.0).abs() < 0.1, "{}", q[7].to_degrees());
+}
+
+#[test]
+fn no_measurement_and_unready_drives_refuse_enable() {
+    let config = config();
+    let mut controller = Controller::new(&config);
+    let enable = || Some(Order::Do(Request::Enable));
+    let answer = controller.step(&Measurement::default(), 0, enable()).answer;
+    assert!(
+        matches!(answer, Some(Err(Refusal::Unfit(trip))) if trip.cause == TripCause::NoMeasurement),
+        "{answer:?}"
+    );
+    let mut unready = measurement(1, &rest_pose(&config));
+    unready.status = 0;
+    assert_eq!(controller.step(&unready, 0, enable()).answer, Some(Err(Refusal::DrivesNotReady)));
+    assert_eq!(controller.mode(), Mode::Idle);
+}

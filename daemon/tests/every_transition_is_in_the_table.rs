@@ -1,0 +1,55 @@
+//! Every pair of mode and event has the result that ARCHITECTURE.md names.
+
+use upswing_ipc::Mode::{self, Balance, Fault, Hold, Idle, Stop, Track};
+use upswingd::supervisor::{Event, Refusal, Request, transition};
+
+/// Rows: modes in the order of [`Mode::ALL`]; columns: [`EVENTS`]. `None`: refused.
+const EVENTS: [Event; 11] = [
+    Event::Asked(Request::Enable),
+    Event::Asked(Request::Hold),
+    Event::Asked(Request::Start),
+    Event::Asked(Request::Stop),
+    Event::Asked(Request::Reset),
+    Event::Asked(Request::Shutdown),
+    Event::PlanEnded,
+    Event::Lost,
+    Event::AtRest,
+    Event::AtRestForGood,
+    Event::Fault,
+];
+const NO: Option<Mode> = None;
+#[rustfmt::skip]
+const TABLE: [(Mode, [Option<Mode>; 11]); 6] = [
+    //          enable      hold        start        stop        reset       shutdown     ended          lost        at rest     for good    fault
+    (Idle,    [Some(Hold), NO,         NO,          NO,         NO,         Some(Idle),  NO,            NO,         NO,         NO,         NO]),
+    (Hold,    [NO,         Some(Hold), Some(Track), Some(Stop), NO,         Some(Stop),  NO,            NO,         NO,         NO,         Some(Fault)]),
+    (Track,   [NO,         NO,         NO,          Some(Stop), NO,         Some(Stop),  Some(Balance), Some(Stop), NO,         NO,         Some(Fault)]),
+    (Balance, [NO,         Some(Hold), NO,          Some(Stop), NO,         Some(Stop),  NO,            Some(Stop), NO,         NO,         Some(Fault)]),
+    (Stop,    [NO,         NO,         NO,          NO,         NO,         Some(Stop),  NO,            NO,         Some(Hold), Some(Idle), Some(Fault)]),
+    (Fault,   [NO,         NO,         NO,          NO,         Some(Idle), Some(Fault), NO,            NO,         NO,         NO,         NO]),
+];
+
+#[test]
+fn the_machine_follows_the_table() {
+    assert_eq!(TABLE.map(|(mode, _)| mode), Mode::ALL);
+    for (mode, row) in TABLE {
+        for (event, expected) in EVENTS.into_iter().zip(row) {
+            assert_eq!(
+                transition(mode, event),
+                expected.ok_or(Refusal::Mode { mode, event }),
+                "{mode}, {event:?}"
+            );
+        }
+    }
+}
+
+#[test]
+fn every_request_is_in_the_table() {
+    assert!(Request::ALL.iter().all(|request| EVENTS.contains(&Event::Asked(*request))));
+}
+
+#[test]
+fn a_refusal_names_mode_and_request() {
+    let refusal = transition(Idle, Event::Asked(Request::Start)).unwrap_err().to_string();
+    assert!(refusal.contains("start") && refusal.contains("idle"), "{refusal}");
+}

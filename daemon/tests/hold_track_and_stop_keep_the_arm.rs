@@ -1,0 +1,128 @@
+//! In closed loop with a simulated arm.
+
+mod common;
+
+use common::{Arm, at_rest, config, rest_plan, rest_pose};
+use upswing_ipc::{Mode, Telemetry};
+use upswing_model::{NQ, NU, position};
+use upswingd::controller::{Controller, Order};
+use upswingd::supervisor::Request;
+
+/// One second.
+const SECOND: usize = 8000;
+
+struct Loop {
+    arm: Arm,
+    controller: Controller,
+}
+
+impl Loop {
+    fn cycle(&mut self, order: Option<Order>) -> Telemetry {
+        let output = self.controller.step(&self.arm.measure(), 0, order);
+        assert!(output.answer.is_none_or(|answer| answer.is_ok()), "{:?}", output.answer);
+        self.arm.advance(&output.command);
+        output.record.telemetry
+    }
+
+    fn ask(&mut self, request: Request) -> Telemetry {
+        self.cycle(Some(Order::Do(request)))
+    }
+}
+
+fn enabled() -> (Loop, upswing_model::State) {
+    let config = config();
+    let x = at_rest(&rest_pose(&config));
+    let mut system = Loop { arm: Arm::new(&config, x), controller: Controller::new(&config) };
+    assert_eq!(system.ask(Request::Enable).mode, Mode::Hold.code());
+    (system, x)
+}
+
+#[test]
+fn hold_keeps_the_pose() {
+    let (mut system, x) = enabled();
+    for _ in 0..SECOND {
+        let record = system.cycle(None);
+        assert_eq!(record.mode, Mode::Hold.code());
+        assert!((position(&system.arm.x) - position(&x)).amax() < 1e-3);
+    }
+}
+
+#[test]
+fn hold_returns_after_a_push() {
+    let (mut system, x) = enabled();
+    for i in 0..NU {
+        system.arm.x[NQ + i] = 0.1;
+    }
+    (0..SECOND).for_each(|_| {
+        system.cycle(None);
+    });
+    let off = (system.arm.x - x).fixed_rows::<NU>(0).amax();
+    assert!(off < 5e-3, "{off} rad off");
+}
+
+#[test]
+fn a_plan_at_rest_is_tracked_and_then_balanced() {
+    let (mut system, x) = enabled();
+    let config = config();
+    system.cycle(Some(Order::Load(rest_plan(&config, &x, 0.05))));
+    let first = system.ask(Request::Start);
+    assert_eq!((first.mode, first.plan_id, first.t_plan), (Mode::Track.code(), 7, 0.0));
+    for k in 1..800 {
+        let record = system.cycle(None);
+        let t = k as f64 * common::PERIOD;
+        let expected = if t < 0.05 - 1e-9 { Mode::Track } else { Mode::Balance };
+        assert_eq!((record.mode, record.plan_id), (expected.code(), 7), "cycle {k}");
+        assert!((record.t_plan - t).abs() < 1e-9);
+        assert!((position(&system.arm.x) - position(&x)).amax() < 1e-3);
+    }
+    let held = system.ask(Request::Hold);
+    assert_eq!((held.mode, held.plan_id), (Mode::Hold.code(), 0));
+    assert_eq!(system.ask(Request::Start).plan_id, 7, "the plan is still loaded");
+}
+
+#[test]
+fn stop_decelerates_as_set_and_then_holds() {
+    let (mut system, _) = enabled();
+    for i in 0..NU {
+        system.arm.x[NQ + i] = 0.5;
+    }
+    // The filter needs some T_1 to see the velocity.
+    let mut record = system.ask(Request::Hold);
+    for _ in 0..200 {
+        record = system.ask(Request::Hold);
+    }
+    assert!(record.qd[0] > 0.3, "{}", record.qd[0]);
+    let mut cycles = 0;
+    record = system.ask(Request::Stop);
+    while record.mode == Mode::Stop.code() {
+        for i in 0..NU {
+            assert!(record.u_d[i].abs() <= 6.0);
+        }
+        cycles += 1;
+        assert!(cycles < 2 * SECOND, "still {:?}", record.qd);
+        record = system.cycle(None);
+    }
+    assert_eq!(record.mode, Mode::Hold.code());
+    assert!(system.arm.x.fixed_rows::<NU>(NQ).amax() < 0.02);
+}
+
+#[test]
+fn shutdown_comes_to_rest_before_the_brakes_close() {
+    let (mut system, _) = enabled();
+    system.arm.x[NQ] = 0.3;
+    (0..100).for_each(|_| {
+        system.cycle(None);
+    });
+    system.ask(Request::Shutdown);
+    assert!(!system.controller.is_safe_to_exit());
+    let mut cycles = 0;
+    while !system.controller.is_safe_to_exit() {
+        system.cycle(None);
+        cycles += 1;
+        assert!(cycles < 2 * SECOND);
+    }
+    assert_eq!(system.controller.mode(), Mode::Idle);
+    assert!(system.arm.x.fixed_rows::<NU>(NQ).amax() < 0.02);
+    let output = system.controller.step(&system.arm.measure(), 0, Some(Order::Do(Request::Enable)));
+    assert!(output.answer.unwrap().is_err(), "nothing starts any more");
+}

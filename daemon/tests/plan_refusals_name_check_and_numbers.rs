@@ -1,0 +1,138 @@
+//! A plan that does not fit is refused with the check that failed and its numbers.
+
+mod common;
+
+use common::{at_rest, config, rest_payload, rest_plan, rest_pose};
+use upswing_config::Config;
+use upswing_ipc::Plan as Payload;
+use upswing_model::{NQ, State};
+use upswingd::controller::{Controller, Order};
+use upswingd::plan::{PlanRefusal, accept};
+use upswingd::supervisor::{Refusal, Request};
+
+fn rest() -> (Config, State) {
+    let config = config();
+    let x = at_rest(&rest_pose(&config));
+    (config, x)
+}
+
+/// What is said about a good plan after `spoil`, sealed again.
+fn refusal(spoil: impl Fn(&mut Payload)) -> PlanRefusal {
+    let (config, x) = rest();
+    let mut payload = rest_payload(&config, &x, 1.0);
+    spoil(&mut payload);
+    payload.seal();
+    let refusal = accept(&payload, &config).unwrap_err();
+    assert!(refusal.to_string().len() < 200, "fits into an answer: {refusal}");
+    refusal
+}
+
+#[test]
+fn a_good_plan_keeps_its_numbers() {
+    let (config, x) = rest();
+    let mut payload = rest_payload(&config, &x, 1.5);
+    payload.k[3][1][4] = 2.5;
+    payload.seal();
+    let plan = accept(&payload, &config).unwrap();
+    assert_eq!((plan.id, plan.trajectory.t_f, plan.trajectory.x[50]), (7, 1.5, x));
+    assert_eq!(plan.gains[3][(1, 4)], 2.5);
+    assert_eq!(plan.final_gain[(2, 2)], -100.0);
+}
+
+#[test]
+fn checksum() {
+    let (config, x) = rest();
+    let mut payload = rest_payload(&config, &x, 1.0);
+    payload.u[50][2] = 0.5;
+    let text = accept(&payload, &config).unwrap_err().to_string();
+    assert!(text.contains("checksum") && text.contains(&format!("{:016x}", payload.checksum)), "{text}");
+}
+
+#[test]
+fn fingerprint() {
+    let (config, _) = rest();
+    let expected = config.model.fingerprint();
+    let got = refusal(|p| p.fingerprint = 0xabc);
+    assert_eq!(got, PlanRefusal::Fingerprint { expected, got: 0xabc });
+    assert!(got.to_string().contains("0000000000000abc"));
+}
+
+#[test]
+fn id_and_duration() {
+    assert_eq!(refusal(|p| p.id = 0), PlanRefusal::Id);
+    assert_eq!(refusal(|p| p.t_f = 0.0), PlanRefusal::Duration { got: 0.0 });
+    assert!(refusal(|p| p.t_f = -1.0).to_string().contains("-1 s"));
+    assert!(refusal(|p| p.t_f = f64::INFINITY).to_string().contains("inf"));
+    assert!(matches!(refusal(|p| p.t_f = f64::NAN), PlanRefusal::Duration { .. }));
+}
+
+#[test]
+fn numbers_that_are_not_finite() {
+    for (part, refusal) in [
+        ("x at knot 3", refusal(|p| p.x[3][17] = f64::NAN)),
+        ("u at knot 100", refusal(|p| p.u[100][6] = f64::INFINITY)),
+        ("f at knot 0", refusal(|p| p.f[0][0] = f64::NAN)),
+        ("K at knot 51", refusal(|p| p.k[51][6][17] = f64::NEG_INFINITY)),
+        ("the final K", refusal(|p| p.k_final[0][0] = f64::NAN)),
+    ] {
+        assert!(refusal.to_string().contains(part), "{refusal}");
+    }
+}
+
+#[test]
+fn limits_at_a_knot() {
+    let text = refusal(|p| p.x[4][1] = 2.5).to_string();
+    assert!(text.contains("position of joint 2 at knot 4 is 2.5000") && text.contains("2.0954"), "{text}");
+    let text = refusal(|p| p.x[5][NQ + 3] = -0.8).to_string();
+    assert!(text.contains("velocity of joint 4 at knot 5 is -0.8000"), "{text}");
+    let text = refusal(|p| p.u[6][0] = 1000.0).to_string();
+    assert!(text.contains("torque of joint 1 at knot 6") && text.contains("168.0000"), "{text}");
+}
+
+#[test]
+fn derivatives_of_another_model() {
+    let text = refusal(|p| p.f[9][12] += 0.01).to_string();
+    assert!(text.contains("f at knot 9, row 12"), "{text}");
+}
+
+#[test]
+fn start_elsewhere() {
+    let (config, x) = rest();
+    let mut controller = Controller::new(&config);
+    let mut arm = common::Arm::new(&config, x);
+    let mut step = |order| controller.step(&arm.measure(), 0, Some(order)).answer.unwrap();
+    step(Order::Do(Request::Enable)).unwrap();
+    assert_eq!(step(Order::Do(Request::Start)), Err(Refusal::NoPlan));
+    let mut elsewhere = x;
+    elsewhere[2] += 0.1;
+    step(Order::Load(rest_plan(&config, &elsewhere, 1.0))).unwrap();
+    let refusal = step(Order::Do(Request::Start)).unwrap_err();
+    let expected = Refusal::StartMismatch {
+        joint: 2,
+        velocity: false,
+        measured: x[2],
+        expected: elsewhere[2],
+        tolerance: config.daemon.start.position,
+    };
+    assert_eq!(refusal, expected);
+    assert!(
+        refusal.to_string().contains("joint 3 is at 0.0000 rad, the plan starts at 0.1000 rad"),
+        "{refusal}"
+    );
+    elsewhere = x;
+    elsewhere[NQ] = 0.3;
+    step(Order::Load(rest_plan(&config, &elsewhere, 1.0))).unwrap();
+    let text = step(Order::Do(Request::Start)).unwrap_err().to_string();
+    assert!(text.contains("joint 1") && text.contains("0.3000 rad/s"), "{text}");
+}
+
+#[test]
+fn a_plan_with_missing_knots_is_not_loaded() {
+    let (config, x) = rest();
+    let mut plan = rest_plan(&config, &x, 1.0);
+    plan.gains.pop();
+    let mut controller = Controller::new(&config);
+    let output = controller.step(&common::measurement(1, &rest_pose(&config)), 0, Some(Order::Load(plan)));
+    assert_eq!(output.answer, Some(Err(Refusal::IncompletePlan)));
+    assert!(output.garbage.is_some());
+}

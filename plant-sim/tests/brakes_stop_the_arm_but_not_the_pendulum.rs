@@ -1,0 +1,108 @@
+//! Closed brakes stop the arm exponentially and for good; the pendulum swings on and feels it.
+
+mod common;
+
+use common::{frictionless, level_pose, settings, torque};
+use upswing_ipc::Command;
+use upswing_model::{JointVector, N_ACTUATED, NU};
+use upswing_plant::Plant;
+
+#[test]
+fn the_arm_stops_with_its_time_constant_and_the_pendulum_swings_on() {
+    let config = settings();
+    let qd = JointVector::from_fn(|i, _| if i < N_ACTUATED { 0.1 * (i as f64 + 1.0) } else { 0.0 });
+    let time_constant = config.plant.drive.brake_time_constant;
+    let mut plant = Plant::at(&config, &level_pose(), &qd).unwrap();
+    for _ in 0..80 {
+        plant.step(Some(&Command { brake: 1, ..Command::default() }));
+    }
+    let decay = (-80.0 * 125e-6 / time_constant).exp();
+    for i in 0..NU {
+        assert!((plant.velocity()[i] - qd[i] * decay).abs() < 1e-9, "joint {}", i + 1);
+    }
+    for _ in 0..1_200 {
+        plant.step(None);
+    }
+    let stopped = *plant.position();
+    for i in 0..NU {
+        assert_eq!(plant.velocity()[i], 0.0);
+        let way = stopped[i] - level_pose()[i];
+        assert!((way - qd[i] * time_constant).abs() < 1e-6, "joint {}: {way} rad", i + 1);
+    }
+    let mut swing = 0.0_f64;
+    for _ in 0..1_600 {
+        plant.step(None);
+        swing = swing.max(plant.velocity()[7].abs());
+    }
+    assert!(swing > 0.1, "the stop has set the pendulum in motion: {swing} rad/s");
+    assert_eq!(
+        plant.position().fixed_rows::<NU>(0),
+        stopped.fixed_rows::<NU>(0),
+        "and the arm stays exactly"
+    );
+}
+
+#[test]
+fn a_pendulum_at_rest_stays_at_rest() {
+    let mut plant = Plant::new(&settings()).unwrap();
+    let start = *plant.position();
+    for _ in 0..1_600 {
+        plant.step(None);
+    }
+    assert!((plant.position() - start).amax() < 1e-9);
+}
+
+#[test]
+fn friction_is_the_torque_that_the_settings_state() {
+    // One period of two plants that differ in friction only: M (qdd' - qdd) = -friction.
+    for compensation in [0.0, 0.75] {
+        let mut with = settings();
+        with.plant.friction.arm_compensation = compensation;
+        let without = frictionless();
+        let qd = JointVector::from_fn(|i, _| if i % 2 == 0 { 0.3 } else { -0.2 });
+        let mut expected = JointVector::zeros();
+        let f = &with.plant.friction;
+        for i in 0..9 {
+            let (viscous, coulomb, felt) = if i < NU {
+                (f.arm_viscous[i], f.arm_coulomb[i], 1.0 - compensation)
+            } else {
+                (f.pendulum_viscous[i - NU], f.pendulum_coulomb[i - NU], 1.0)
+            };
+            expected[i] = -felt * (viscous * qd[i] + coulomb * (qd[i] / f.coulomb_smoothing).tanh());
+        }
+        let next = |config| {
+            let mut plant = Plant::at(config, &level_pose(), &qd).unwrap();
+            plant.step(Some(&torque([0.0; NU])));
+            *plant.velocity()
+        };
+        let mass = with.model.mass_matrix(&level_pose(), &mut upswing_model::Workspace::default());
+        let got = mass * (next(&with) - next(&without)) / 125e-6;
+        for i in 0..9 {
+            let tolerance = 0.02 * expected[i].abs() + 1e-4;
+            assert!(
+                (got[i] - expected[i]).abs() < tolerance,
+                "joint {}: {} N m, not {}",
+                i + 1,
+                got[i],
+                expected[i]
+            );
+        }
+    }
+}
+
+#[test]
+fn braked_friction_takes_energy_from_the_pendulum_only() {
+    let config = settings();
+    let mut q = level_pose();
+    q[7] = 0.5;
+    let mut plant = Plant::at(&config, &q, &JointVector::zeros()).unwrap();
+    let mut last = common::energy(&config.model, &plant);
+    for _ in 0..10 {
+        for _ in 0..100 {
+            plant.step(None);
+        }
+        let now = common::energy(&config.model, &plant);
+        assert!(now < last);
+        last = now;
+    }
+}

@@ -1,0 +1,204 @@
+//! Settings, plant processes and a daemon that only answers, for tests.
+#![allow(dead_code)] // each test file uses its own part
+
+use std::process::{Child, Command as Process, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::{Duration, Instant};
+use upswing_config::Config;
+use upswing_ipc::{
+    Client, Command, Domain, Measurement, Node, PlantKind, PlantRequest, PlantResponse, Reader, Writer,
+};
+use upswing_model::{ActuatedVector, JointVector, Model, NU, Workspace, state};
+use upswing_plant::Plant;
+
+pub fn settings() -> Config {
+    Config::embedded().unwrap()
+}
+
+/// The settings without any friction.
+pub fn frictionless() -> Config {
+    let mut config = settings();
+    let friction = &mut config.plant.friction;
+    friction.pendulum_viscous = [0.0; _];
+    friction.pendulum_coulomb = [0.0; _];
+    friction.arm_compensation = 1.0;
+    config
+}
+
+/// [0, 0, 0, -90, 0, 0, 0] deg, where the pendulum hangs at q8 = q9 = 0.
+pub fn level_pose() -> JointVector {
+    let mut q = JointVector::zeros();
+    q[3] = -90_f64.to_radians();
+    q
+}
+
+/// Released brakes and these torques, N m.
+pub fn torque(tau: [f64; NU]) -> Command {
+    Command { tau, brake: 0, ..Command::default() }
+}
+
+/// Kinetic and potential energy, J.
+pub fn energy(model: &Model, plant: &Plant) -> f64 {
+    model.energy(&state(plant.position(), plant.velocity()), &mut Workspace::default())
+}
+
+/// The torque that holds the arm where it is, N m.
+pub fn holding_torque(model: &Model, plant: &Plant) -> ActuatedVector {
+    model.torque(
+        &state(plant.position(), plant.velocity()),
+        &ActuatedVector::zeros(),
+        &mut Workspace::default(),
+    )
+}
+
+/// A domain that no other test uses; removed when dropped.
+pub struct TestDomain(pub Domain);
+
+impl TestDomain {
+    pub fn new(tag: &str) -> Self {
+        static COUNTER: AtomicU32 = AtomicU32::new(0);
+        let name = format!("{tag}-{}-{}", std::process::id(), COUNTER.fetch_add(1, Ordering::Relaxed));
+        let domain = Domain::new(&name).unwrap();
+        assert!(domain.remove_if_unused().unwrap(), "left by a killed run with the same process id");
+        Self(domain)
+    }
+}
+
+impl Drop for TestDomain {
+    fn drop(&mut self) {
+        let _ = self.0.remove_if_unused();
+    }
+}
+
+/// A plant process; killed when dropped.
+pub struct PlantProcess(Child);
+
+impl PlantProcess {
+    pub fn start(domain: &TestDomain, options: &[&str]) -> Self {
+        let child = Process::new(env!("CARGO_BIN_EXE_upswing-plant"))
+            .args(["--domain", domain.0.name()])
+            .args(options)
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .spawn()
+            .unwrap();
+        Self(child)
+    }
+
+    /// SIGTERM; the exit code.
+    pub fn terminate(mut self) -> Option<i32> {
+        let id = libc::pid_t::try_from(self.0.id()).unwrap();
+        // SAFETY: a plain system call; the process is our child and not yet waited for.
+        assert_eq!(unsafe { libc::kill(id, libc::SIGTERM) }, 0);
+        wait_for("the end of the plant", || self.0.try_wait().unwrap()).code()
+    }
+
+    pub fn is_alive(&mut self) -> bool {
+        self.0.try_wait().unwrap().is_none()
+    }
+}
+
+impl Drop for PlantProcess {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// What a harness and a daemon have in common with the plant.
+pub struct Peer {
+    client: Client<PlantRequest>,
+    node: Node,
+}
+
+impl Peer {
+    pub fn join(domain: &TestDomain) -> Self {
+        let node = domain.0.connect("daemon").unwrap();
+        Self { client: node.plant_client().unwrap(), node }
+    }
+
+    /// A reader of the measurements; as long as it is needed it keeps their memory.
+    pub fn measurements(&self) -> Reader<Measurement> {
+        let mut finder = self.node.measurement_finder();
+        wait_for("a plant", || finder.poll().unwrap())
+    }
+
+    pub fn commands(&self) -> Writer<Command> {
+        self.node.command_writer().unwrap()
+    }
+
+    pub fn ask(&self, request: PlantRequest) -> PlantResponse {
+        wait_for("an answer of the plant", || self.client.call(&request, Duration::from_secs(5)).ok())
+    }
+
+    pub fn status(&self) -> PlantResponse {
+        self.ask(PlantRequest { kind: PlantKind::Status.code(), ..PlantRequest::default() })
+    }
+
+    pub fn advance_to(&self, seq: u64) -> PlantResponse {
+        self.ask(PlantRequest { kind: PlantKind::AdvanceTo.code(), seq, ..PlantRequest::default() })
+    }
+}
+
+/// Answers each measurement once with released brakes and no torque.
+pub struct Answerer {
+    pub measurements: Reader<Measurement>,
+    commands: Writer<Command>,
+    seq: u64,
+    answered: u64,
+}
+
+impl Answerer {
+    pub fn join(peer: &Peer) -> Self {
+        Self::new(peer.measurements(), peer.commands())
+    }
+
+    pub fn new(measurements: Reader<Measurement>, commands: Writer<Command>) -> Self {
+        Self { measurements, commands, seq: 0, answered: 0 }
+    }
+
+    /// Answers the newest measurement if it is a new one, and returns it.
+    pub fn answer(&mut self) -> Option<Measurement> {
+        let measurement = self.measurements.read();
+        if measurement.seq == self.answered {
+            return None;
+        }
+        self.answered = measurement.seq;
+        self.seq += 1;
+        self.commands.write(Command {
+            seq: self.seq,
+            t_ns: measurement.t_ns,
+            measurement_seq: measurement.seq,
+            ..Command::default()
+        });
+        Some(measurement)
+    }
+
+    /// Answers until `done`.
+    pub fn answer_until(&mut self, what: &str, mut done: impl FnMut() -> bool) {
+        let start = Instant::now();
+        while !done() {
+            for _ in 0..100 {
+                self.answer();
+                std::thread::yield_now();
+            }
+            assert_not_stuck(start, what);
+        }
+    }
+}
+
+/// Repeats `attempt` until it yields something; gives up when the test is clearly stuck.
+pub fn wait_for<T>(what: &str, mut attempt: impl FnMut() -> Option<T>) -> T {
+    let start = Instant::now();
+    loop {
+        if let Some(found) = attempt() {
+            return found;
+        }
+        assert_not_stuck(start, what);
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+fn assert_not_stuck(start: Instant, what: &str) {
+    assert!(start.elapsed() < Duration::from_secs(120), "stuck while waiting for {what}");
+}

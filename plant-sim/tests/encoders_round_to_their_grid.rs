@@ -1,0 +1,40 @@
+//! A measured angle is the multiple of the encoder's step that is nearest to the true one.
+
+mod common;
+
+use common::{level_pose, settings, torque};
+use upswing_ipc::{Clock, Measurement};
+use upswing_model::{JointVector, N_ACTUATED, NQ, NU};
+use upswing_plant::Plant;
+
+#[test]
+fn every_angle_is_on_the_grid_and_nearest() {
+    let config = settings();
+    let encoder = &config.plant.encoder;
+    assert_eq!(encoder.pendulum_resolution, std::f64::consts::TAU / 131_072.0);
+    let mut plant = Plant::at(&config, &level_pose(), &JointVector::zeros()).unwrap();
+    for _ in 0..500 {
+        plant.step(Some(&torque([1.0; NU])));
+        let measured = plant.measure();
+        for i in 0..NQ {
+            let step = if i < N_ACTUATED { encoder.arm_resolution } else { encoder.pendulum_resolution };
+            let steps = (measured.q[i] / step).round();
+            assert_eq!(measured.q[i], steps * step, "joint {} is on the grid", i + 1);
+            let error = (measured.q[i] - plant.position()[i]).abs();
+            assert!(error <= 0.5 * step * (1.0 + 1e-9), "joint {}: off by {error:e} rad", i + 1);
+        }
+    }
+}
+
+#[test]
+fn cycles_count_from_one_and_time_is_simulated() {
+    let config = settings();
+    let mut plant = Plant::new(&config).unwrap();
+    for seq in 1..10 {
+        let m = plant.measure();
+        assert_eq!((m.seq, m.t_ns, m.period_ns), (seq, seq * 125_000, 125_000));
+        assert_eq!(m.clock().unwrap(), Clock::Lockstep);
+        assert_eq!(m.status, Measurement::BRAKES_CLOSED | Measurement::DRIVES_READY);
+        plant.step(None);
+    }
+}

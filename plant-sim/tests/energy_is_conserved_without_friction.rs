@@ -1,0 +1,55 @@
+//! Nothing but friction, brakes and drives changes the energy: the integration does not.
+
+mod common;
+
+use common::{energy, frictionless, level_pose, torque};
+use std::time::Duration;
+use upswing_model::{JointVector, NU};
+use upswing_plant::Plant;
+
+#[test]
+fn a_pendulum_on_a_braked_arm_keeps_its_energy_for_ten_seconds() {
+    let mut config = frictionless();
+    // Eight times the real period: what holds here holds there, where the drift is too small to see.
+    config.daemon.cycle.period = Duration::from_millis(1);
+    let mut plant = Plant::at(&config, &level_pose(), &JointVector::zeros()).unwrap();
+    let at_rest = energy(&config.model, &plant);
+    let mut q = level_pose();
+    (q[7], q[8]) = (1.2, 0.3);
+    plant.reset(&q, &JointVector::zeros()).unwrap();
+    let of_swing = energy(&config.model, &plant) - at_rest;
+    assert!(of_swing > 0.3, "a swing of {of_swing} J is none");
+
+    let mut speed: f64 = 0.0;
+    let mut drift: f64 = 0.0;
+    for _ in 0..10_000 {
+        plant.step(None);
+        speed = speed.max(plant.velocity()[7].abs());
+        if plant.seq().is_multiple_of(25) {
+            drift = drift.max((energy(&config.model, &plant) - at_rest - of_swing).abs() / of_swing);
+        }
+    }
+    assert!(speed > 5.0, "the pendulum swings: {speed} rad/s");
+    assert!(drift < 1e-8, "relative drift {drift:e}");
+    assert_eq!(plant.position().fixed_rows::<NU>(0), level_pose().fixed_rows::<NU>(0), "the arm stood still");
+}
+
+#[test]
+fn the_whole_robot_keeps_its_energy_in_one_second_of_free_fall() {
+    let config = frictionless();
+    let mut q = level_pose();
+    q[1] = 0.4;
+    q[5] = 0.3;
+    let mut plant = Plant::at(&config, &q, &JointVector::zeros()).unwrap();
+    let before = energy(&config.model, &plant);
+    let (mut drift, mut kinetic): (f64, f64) = (0.0, 0.0);
+    for _ in 0..8_000 {
+        plant.step(Some(&torque([0.0; NU])));
+        if plant.seq().is_multiple_of(20) {
+            drift = drift.max((energy(&config.model, &plant) - before).abs());
+            kinetic = kinetic.max(before - config.model.potential_energy(plant.position()));
+        }
+    }
+    assert!(kinetic > 10.0, "it falls: {kinetic} J");
+    assert!(drift < 1e-6 * kinetic, "drift {drift:e} J of {kinetic} J");
+}

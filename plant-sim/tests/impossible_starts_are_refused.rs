@@ -1,0 +1,69 @@
+//! A start that cannot be is refused with one line that names joint, value and limit, and exit code 2.
+
+mod common;
+
+use common::{TestDomain, settings};
+use std::process::{Command as Process, Output};
+use upswing_config::PendulumStart;
+use upswing_plant::{Plant, StateError};
+
+#[test]
+fn a_plant_starts_at_rest_or_at_zero() {
+    let mut config = settings();
+    let at_rest = Plant::new(&config).unwrap();
+    // The pitch q2 - q4 + q6 of the shipped start pose is 90 deg: both are the same equilibrium.
+    assert!(at_rest.position().rows(7, 2).amax() < 1e-9);
+    config.plant.start.q[5] += 0.2;
+    let tilted = Plant::new(&config).unwrap();
+    assert!((tilted.position()[8] - 0.2).abs() < 1e-9, "q9 = pitch - 90 deg");
+    config.plant.start.pendulum = PendulumStart::Zero;
+    assert_eq!(Plant::new(&config).unwrap().position()[8], 0.0);
+}
+
+#[test]
+fn a_pose_whose_pendulum_rests_beyond_its_limit_is_refused() {
+    let mut config = settings();
+    config.plant.start.q = [0.0; _];
+    let refused = Plant::new(&config).unwrap_err();
+    assert!(matches!(refused, StateError::RestOutside { joint: 9, .. }), "{refused}");
+    config.plant.start.q[2] = f64::NAN;
+    assert!(matches!(Plant::new(&config).unwrap_err(), StateError::Angle { joint: 3, .. }));
+}
+
+fn run(options: &[&str]) -> Output {
+    let domain = TestDomain::new("start");
+    Process::new(env!("CARGO_BIN_EXE_upswing-plant"))
+        .args(["--domain", domain.0.name()])
+        .args(options)
+        .output()
+        .unwrap()
+}
+
+#[test]
+fn the_process_says_what_is_wrong_and_exits_with_2() {
+    for (options, expected) in [
+        (&["--start", "0,0,0,-130,0,0,0"][..], "joint 4: expected an angle from -120 to 120 deg, got -130"),
+        (&["--start", "NaN,0,0,-90,0,0,0"], "joint 1: expected an angle from -170 to 170 deg, got NaN"),
+        (&["--start", "-10,0,0,-90,0,0,inf"], "joint 7: expected an angle from -175 to 175 deg, got inf"),
+        (&["--start", "0,-15,0"], "--start: expected 7 angles, for joints 1 to 7, got 3"),
+        (&["--start=0,0,0,0,0,0,0,0"], "--start: expected 7 angles, for joints 1 to 7, got 8"),
+        (&["--start", "0,0,0,0,0,0,0"], "joint 9 at -90 deg: expected -45 to 45 deg"),
+        (&["--domain", "No Domain"], "domain name `No Domain`"),
+        (&["--config", "/does/not/exist"], "/does/not/exist"),
+    ] {
+        let output = run(options);
+        let message = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(2), "{options:?}: {message}");
+        assert_eq!(message.lines().count(), 1, "{options:?}: {message}");
+        assert!(message.starts_with("error: ") && message.contains(expected), "{options:?}: {message}");
+    }
+}
+
+#[test]
+fn options_that_are_none_exit_with_2() {
+    for options in
+        [&["--start", "0,x,0,0,0,0,0"][..], &["--clock", "sundial"], &["--start-pendulum", "up"], &["--warp"]]
+    {
+        assert_eq!(run(options).status.code(), Some(2), "{options:?}");
+    }
+}

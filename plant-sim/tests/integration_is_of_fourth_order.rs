@@ -1,0 +1,48 @@
+//! The steps of a period are fine enough, and halving them divides the error by sixteen.
+
+mod common;
+
+use common::{level_pose, settings, torque};
+use std::time::Duration;
+use upswing_config::Config;
+use upswing_model::{JointVector, NU, State, state};
+use upswing_plant::Plant;
+
+const TAU: [f64; NU] = [5.0, -60.0, 3.0, 20.0, -1.0, 2.0, 0.2];
+
+fn after(config: &Config, brakes: bool, substeps: u32, periods: u32) -> State {
+    let mut config = config.clone();
+    config.plant.substeps = substeps;
+    let mut q = level_pose();
+    (q[7], q[8]) = (0.5, -0.3);
+    let qd = JointVector::from_fn(|i, _| 0.05 * (i as f64 - 4.0));
+    let mut plant = Plant::at(&config, &q, &qd).unwrap();
+    for _ in 0..periods {
+        plant.step(if brakes { None } else { Some(torque(TAU)) }.as_ref());
+    }
+    state(plant.position(), plant.velocity())
+}
+
+#[test]
+fn a_period_agrees_with_much_finer_steps() {
+    let config = settings();
+    for brakes in [false, true] {
+        let error = (after(&config, brakes, 2, 200) - after(&config, brakes, 20, 200)).amax();
+        assert!(error < 1e-7, "brakes closed {brakes}: {error:e} rad or rad/s after 25 ms");
+    }
+}
+
+#[test]
+fn halving_the_step_divides_the_error_by_sixteen() {
+    let mut config = settings();
+    // Long enough that rounding does not matter; the steep part of Coulomb friction is no power series.
+    config.daemon.cycle.period = Duration::from_millis(4);
+    config.plant.friction.pendulum_coulomb = [0.0; _];
+    config.plant.drive.brake_time_constant = 0.1;
+    for brakes in [false, true] {
+        let exact = after(&config, brakes, 32, 20);
+        let errors = [2, 4].map(|substeps| (after(&config, brakes, substeps, 20) - exact).amax());
+        let ratio = errors[0] / errors[1];
+        assert!((12.0..22.0).contains(&ratio), "brakes closed {brakes}: {errors:?}, ratio {ratio}");
+    }
+}

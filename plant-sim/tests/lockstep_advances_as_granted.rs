@@ -1,0 +1,127 @@
+//! In lockstep time stands still but for the cycles that were granted, and all of them are answered.
+
+mod common;
+
+use common::{Answerer, Peer, PlantProcess, TestDomain, settings, torque};
+use std::time::Duration;
+use upswing_ipc::{Clock, Measurement, PlantKind, PlantRequest};
+use upswing_plant::Plant;
+
+const LOCKSTEP: &[&str] = &["--clock", "lockstep"];
+
+#[test]
+fn granted_cycles_are_answered_one_by_one_and_equal_those_in_process() {
+    let domain = TestDomain::new("granted");
+    let plant = PlantProcess::start(&domain, LOCKSTEP);
+    let peer = Peer::join(&domain);
+    let mut daemon = Answerer::join(&peer);
+    let mut twin = Plant::new(&settings()).unwrap();
+
+    for granted in [1, 100, 100, 150] {
+        std::thread::sleep(Duration::from_millis(20));
+        assert_eq!(daemon.answer(), None, "nothing is measured before it is granted");
+        let answer = peer.advance_to(granted);
+        assert_eq!(answer.accepted, 1, "{}", answer.reason);
+        while twin.seq() <= granted {
+            let measured = common::wait_for("the next measurement", || daemon.answer());
+            assert_eq!(measured, twin.measure(), "no cycle is left out");
+            twin.step(Some(&torque([0.0; _])));
+        }
+        let status = common::wait_for("the pause", || Some(peer.status()).filter(|s| s.seq == granted));
+        assert_eq!(status.q, <[f64; 9]>::from(*twin.position()), "the same state to the last bit");
+        assert_eq!(status.qd, <[f64; 9]>::from(*twin.velocity()));
+        assert_eq!(status.brakes_closed, 0);
+    }
+    let refused = peer.advance_to(149);
+    assert_eq!((refused.accepted, refused.seq), (0, 150));
+    assert!(refused.reason.as_str().unwrap().contains("cycle 150 is granted already"), "{}", refused.reason);
+    assert_eq!(plant.terminate(), Some(0));
+}
+
+#[test]
+fn cycle_one_waits_for_the_first_daemon() {
+    let domain = TestDomain::new("first");
+    let _plant = PlantProcess::start(&domain, LOCKSTEP);
+    let peer = Peer::join(&domain);
+    let measurements = peer.measurements();
+    peer.advance_to(10);
+    common::wait_for("cycle 1", || Some(measurements.read().seq).filter(|s| *s == 1));
+    // A daemon that lost contact would be given up after one second: one that never was is not.
+    std::thread::sleep(Duration::from_millis(1500));
+    assert_eq!((measurements.read().seq, peer.status().seq), (1, 0));
+    drop(measurements);
+
+    let daemon_peer = Peer::join(&domain);
+    let mut daemon = Answerer::join(&daemon_peer);
+    daemon.answer_until("cycle 10", || peer.status().seq == 10);
+    let last = daemon.measurements.read();
+    assert_eq!((last.seq, last.status & Measurement::BRAKES_CLOSED), (10, 0));
+    assert_eq!(last.clock().unwrap(), Clock::Lockstep);
+}
+
+#[test]
+fn without_answers_the_brakes_close_and_granted_time_goes_on() {
+    let domain = TestDomain::new("silent");
+    let _plant = PlantProcess::start(&domain, LOCKSTEP);
+    let peer = Peer::join(&domain);
+    let mut daemon = Answerer::join(&peer);
+    peer.advance_to(50);
+    daemon.answer_until("cycle 50", || peer.status().seq == 50);
+    assert_eq!(peer.status().brakes_closed, 0);
+
+    peer.advance_to(100);
+    let status = common::wait_for("cycle 100", || Some(peer.status()).filter(|s| s.seq == 100));
+    assert_eq!(status.brakes_closed, 1);
+    let last = daemon.measurements.read();
+    assert_eq!((last.seq, last.status & Measurement::BRAKES_CLOSED), (100, Measurement::BRAKES_CLOSED));
+
+    // It answers again: the next cycle waits for it.
+    daemon.answer();
+    peer.advance_to(120);
+    daemon.answer_until("cycle 120", || peer.status().seq == 120);
+    assert_eq!(peer.status().brakes_closed, 0);
+}
+
+#[test]
+fn a_state_is_set_only_with_closed_brakes() {
+    let domain = TestDomain::new("reset");
+    let _plant = PlantProcess::start(&domain, LOCKSTEP);
+    let peer = Peer::join(&domain);
+    let mut request = PlantRequest { kind: PlantKind::ResetState.code(), ..PlantRequest::default() };
+    request.q[3] = -1.5;
+    request.q[8] = 0.1;
+    request.qd[7] = 0.5;
+    let done = peer.ask(request);
+    assert_eq!((done.accepted, done.q, done.qd, done.seq), (1, request.q, request.qd, 0), "{}", done.reason);
+
+    let mut bad = request;
+    bad.q[3] = f64::NAN;
+    let refused = peer.ask(bad);
+    assert_eq!((refused.accepted, refused.q), (0, request.q));
+    assert!(refused.reason.as_str().unwrap().starts_with("joint 4: "), "{}", refused.reason);
+
+    let mut daemon = Answerer::join(&peer);
+    peer.advance_to(1);
+    let first = common::wait_for("cycle 1", || daemon.answer());
+    assert!((first.q[3] + 1.5).abs() < 1e-4, "the state is that of the next cycle");
+    daemon.answer_until("cycle 1", || peer.status().seq == 1);
+    let refused = peer.ask(request);
+    assert_eq!(refused.accepted, 0);
+    assert!(refused.reason.as_str().unwrap().contains("brakes are released"), "{}", refused.reason);
+}
+
+#[test]
+fn what_is_not_supported_is_refused_with_a_reason() {
+    let domain = TestDomain::new("refused");
+    let _plant = PlantProcess::start(&domain, LOCKSTEP);
+    let peer = Peer::join(&domain);
+    for (kind, reason) in [
+        (PlantKind::SetFault.code(), "set-fault is not supported by this version"),
+        (PlantKind::ClearFaults.code(), "clear-faults is not supported by this version"),
+        (99, "unknown plant request code 99"),
+    ] {
+        let refused = peer.ask(PlantRequest { kind, ..PlantRequest::default() });
+        assert_eq!(refused.accepted, 0);
+        assert!(refused.reason.as_str().unwrap().contains(reason), "{}", refused.reason);
+    }
+}

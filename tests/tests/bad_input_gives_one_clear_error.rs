@@ -1,0 +1,102 @@
+//! Wrong input on the command line or in a settings folder gives one line on stderr that names what is wrong, and
+//! exit code 2.
+
+use std::path::Path;
+use std::process::Command;
+use upswing_config::Config;
+use upswing_tests::programs;
+
+/// Runs `upswing` and expects exit code 2 and one error line with all of `parts`.
+fn refused(args: &[&str], parts: &[&str]) {
+    let output = Command::new(programs().join("upswing")).args(args).output().expect("upswing runs");
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{args:?}: {stderr}");
+    assert!(output.stdout.is_empty(), "{args:?} printed on stdout");
+    let errors: Vec<_> = stderr.lines().filter(|l| l.starts_with("error:")).collect();
+    assert_eq!(errors.len(), 1, "{args:?}: {stderr}");
+    for part in parts {
+        assert!(stderr.contains(part), "{args:?}: expected `{part}` in: {stderr}");
+    }
+}
+
+/// A copy of the settings with one file changed.
+fn settings(change: impl FnOnce(&Path)) -> tempfile::TempDir {
+    let dir = tempfile::tempdir().expect("a folder");
+    let copy = dir.path().join("config");
+    Config::export(&copy).expect("settings are exported");
+    change(&copy);
+    dir
+}
+
+fn with_settings(change: impl FnOnce(&Path), command: &[&str], parts: &[&str]) {
+    let dir = settings(change);
+    let path = dir.path().join("config");
+    let mut args = command.to_vec();
+    args.extend(["--config", path.to_str().expect("a plain path")]);
+    refused(&args, parts);
+}
+
+#[test]
+fn starts() {
+    for command in ["demo", "plan", "optimize"] {
+        refused(&[command, "--start", "0,-150,0,-95,0,10,0"], &["joint 2", "-120.0 to 120.0 deg", "-150.00"]);
+        refused(&[command, "--start", "0,nan,0,-95,0,10,0"], &["joint 2", "NaN"]);
+        refused(&[command, "--start", "0,-15,0,-95,0,10"], &["expected 7", "got 6"]);
+        refused(&[command, "--start", "0,-15,x,-95,0,10,0"], &["`x`"]);
+        refused(&[command, "--start", "0,0,0,-10,0,0,0"], &["rests at -80.0 deg", "joint 9", "-45.0 to 45.0 deg"]);
+    }
+}
+
+#[test]
+fn durations_and_clocks() {
+    refused(&["demo", "--seconds", "nan"], &["--seconds", "NaN"]);
+    refused(&["demo", "--seconds", "0"], &["--seconds"]);
+    refused(&["demo", "--clock", "sundial"], &["sundial"]);
+    refused(&["plan", "--start", "0,-15,0,-95,0,10,0", "--iterations", "0"], &["--iterations"]);
+}
+
+#[test]
+fn databases() {
+    let start = ["plan", "--start", "0,-15,0,-95,0,10,0"];
+    let database = |dir: &Path| dir.join("database.bin");
+    with_settings(|d| std::fs::remove_file(database(d)).expect("removed"), &start, &["database.bin"]);
+    with_settings(
+        |d| {
+            let bytes = std::fs::read(database(d)).expect("read");
+            std::fs::write(database(d), &bytes[..bytes.len() / 2]).expect("written");
+        },
+        &start,
+        &["database.bin", "truncated"],
+    );
+    with_settings(
+        |d| std::fs::write(database(d), b"not a database").expect("written"),
+        &["db", "info"],
+        &["database.bin", "not an upswing database"],
+    );
+}
+
+#[test]
+fn settings_files() {
+    with_settings(
+        |d| {
+            let file = d.join("daemon.toml");
+            let text = std::fs::read_to_string(&file).expect("read");
+            std::fs::write(&file, text.replace("period_us", "perod_us")).expect("written");
+        },
+        &["config", "check"],
+        &["daemon.toml", "perod_us"],
+    );
+    refused(&["demo", "--config", "/nonexistent"], &["/nonexistent"]);
+}
+
+#[test]
+fn files_and_entries() {
+    refused(&["db", "info", "/nonexistent/database.bin"], &["/nonexistent/database.bin"]);
+    refused(&["db", "export", "--entry", "100000"], &["--entry", "100000"]);
+}
+
+#[test]
+fn commands() {
+    refused(&["swing"], &["swing"]);
+    refused(&["status", "--domain", "no spaces"], &["domain"]);
+}
