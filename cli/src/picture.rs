@@ -94,7 +94,8 @@ fn panel<'a>(
         .caption(title, ("sans-serif", 18))
         .x_label_area_size(if bottom { 38 } else { 22 })
         .y_label_area_size(38)
-        .build_cartesian_2d(-0.2..end, -top..top)?;
+        // The legend stands to the right of the curves.
+        .build_cartesian_2d(-0.2..end * 1.34, -top..top)?;
     chart
         .configure_mesh()
         .light_line_style(TRANSPARENT)
@@ -124,8 +125,7 @@ fn panel<'a>(
     }
     chart
         .configure_series_labels()
-        .position(SeriesLabelPosition::LowerRight)
-        .background_style(WHITE.mix(0.7))
+        .position(SeriesLabelPosition::MiddleRight)
         .label_font(("sans-serif", 13))
         .draw()
 }

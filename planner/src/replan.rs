@@ -8,7 +8,7 @@ use crate::problem::Problem;
 use crate::qp::{Qp, QpError, TorqueRows, solve};
 use std::time::{Duration, Instant};
 use upswing_config::Config;
-use upswing_model::{ActuatedVector, NU, NX, NZ, State, UnactuatedVector, Workspace, state};
+use upswing_model::{ActuatedVector, NU, NX, NZ, State, UnactuatedVector, Workspace, position, state};
 use upswing_trajectory::{Database, DatabaseError, Margins, N, Plan, Trajectory};
 
 /// Accuracy of each QP, relative. A tenth of the defect that four linearisations reach.
@@ -207,7 +207,11 @@ impl Planner {
         deadline: Option<Instant>,
         times: &mut Times,
     ) -> Result<(Trajectory, Gains, f64, Margins), Refusal> {
-        let problem = problem(&self.config, *start);
+        let mut problem = problem(&self.config, *start);
+        // A start on its limit, measured a hair outside, must not make the first step infeasible.
+        let q = position(start);
+        problem.limits.q_min = problem.limits.q_min.inf(&q);
+        problem.limits.q_max = problem.limits.q_max.sup(&q);
         let reference = &self.database.entries[entry].trajectory;
         let mut work = Workspace::default();
         let mut trajectory = reference.clone();

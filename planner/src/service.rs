@@ -24,6 +24,9 @@ pub struct PlannerArgs {
 /// Pause between two looks for requests: small against a replan.
 const PAUSE: Duration = Duration::from_millis(1);
 
+/// How far a measured start may be outside its limits, rad: the noise of an arm that stands on its limit.
+const START_SLACK: f64 = 1e-3;
+
 /// Runs the planner until SIGINT or SIGTERM.
 ///
 /// # Errors
@@ -122,7 +125,7 @@ pub fn answer(
     }
     let limits = &planner.config().robot.planning;
     for i in 0..NQ {
-        if !(start[i] >= limits.q_min[i] && start[i] <= limits.q_max[i]) {
+        if !(start[i] >= limits.q_min[i] - START_SLACK && start[i] <= limits.q_max[i] + START_SLACK) {
             let reason = format!(
                 "start of joint {}: expected {:.1} to {:.1} deg, got {:.2} deg",
                 i + 1,

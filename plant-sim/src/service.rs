@@ -16,6 +16,8 @@ use upswing_model::JointVector;
 
 /// Silence after which a daemon counts as lost (paced, lockstep).
 const LOST_AFTER: Duration = Duration::from_secs(1);
+/// Shortest time between two reports of the same trouble, ns.
+const REPORT_PERIOD_NS: u64 = 1_000_000_000;
 /// Longest time without a look at the requests, ns.
 const SERVE_PERIOD_NS: u64 = 1_000_000;
 
@@ -110,16 +112,23 @@ impl Service<'_> {
         let mut deadline = now_ns();
         let mut held: Option<Command> = None;
         let mut age = 0;
-        let mut late = false;
+        let (mut moves, mut next_report) = (0_u64, 0);
         while !self.stopped() {
-            let behind = now_ns().saturating_sub(deadline);
+            let now = now_ns();
+            let behind = now.saturating_sub(deadline);
             if behind > tolerated {
-                if !late {
-                    warn!("the plant is {} us late: its deadlines move", behind / 1000);
+                deadline = now;
+                moves += 1;
+                if now >= next_report {
+                    warn!(
+                        cycle = self.front.plant.seq(),
+                        moves,
+                        "the plant is {} us late: its deadlines move",
+                        behind / 1000
+                    );
+                    next_report = now.saturating_add(REPORT_PERIOD_NS);
                 }
-                deadline += behind;
             }
-            late = behind > tolerated;
             // The state is that of the deadline, even if this process is late to say so.
             let seq = self.publish(Some(deadline));
             match self.link.take(seq) {

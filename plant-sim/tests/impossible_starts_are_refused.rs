@@ -33,8 +33,8 @@ fn a_pose_whose_pendulum_rests_beyond_its_limit_is_refused() {
 fn run(options: &[&str]) -> Output {
     let domain = TestDomain::new("start");
     Process::new(env!("CARGO_BIN_EXE_upswing-plant"))
-        .args(["--domain", domain.0.name()])
         .args(options)
+        .args(if options.contains(&"--domain") { vec![] } else { vec!["--domain", domain.0.name()] })
         .output()
         .unwrap()
 }

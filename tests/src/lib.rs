@@ -69,7 +69,12 @@ impl System {
         };
         let session =
             Session::start(Programs::dedicated(&programs()), &options).unwrap_or_else(|e| panic!("{e}"));
-        Self { session, config: Config::embedded().expect("embedded settings"), _logs: Logs(logs), _clean: clean }
+        Self {
+            session,
+            config: Config::embedded().expect("embedded settings"),
+            _logs: Logs(logs),
+            _clean: clean,
+        }
     }
 
     /// Control period, s.

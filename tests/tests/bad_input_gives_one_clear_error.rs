@@ -43,7 +43,10 @@ fn starts() {
         refused(&[command, "--start", "0,nan,0,-95,0,10,0"], &["joint 2", "NaN"]);
         refused(&[command, "--start", "0,-15,0,-95,0,10"], &["expected 7", "got 6"]);
         refused(&[command, "--start", "0,-15,x,-95,0,10,0"], &["`x`"]);
-        refused(&[command, "--start", "0,0,0,-10,0,0,0"], &["rests at -80.0 deg", "joint 9", "-45.0 to 45.0 deg"]);
+        refused(
+            &[command, "--start", "0,0,0,-10,0,0,0"],
+            &["rests at -80.0 deg", "joint 9", "-45.0 to 45.0 deg"],
+        );
     }
 }
 

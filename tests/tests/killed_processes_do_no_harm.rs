@@ -43,7 +43,9 @@ fn without_its_plant_the_daemon_goes_to_fault_and_lives() {
     system.session.kill(Role::Plant);
     system
         .session
-        .wait_for("a fault", PATIENCE, |s| Ok(s.ask_control(ControlCommand::Status)?.mode() == Ok(Mode::Fault)))
+        .wait_for("a fault", PATIENCE, |s| {
+            Ok(s.ask_control(ControlCommand::Status)?.mode() == Ok(Mode::Fault))
+        })
         .unwrap_or_else(|e| panic!("{e}"));
     let enabled = system.session.ask_control(ControlCommand::Enable).expect("an answer");
     assert_eq!(enabled.accepted, 0, "a fault is left by reset only");

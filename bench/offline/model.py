@@ -1,0 +1,142 @@
+"""Rigid-body dynamics of the robot for CasADi, read from the URDF; shares no code with upswing.
+
+Symbols are the paper's (Vu, Hartl-Nesic, Kugi, ICRA 2021). SI units throughout.
+"""
+
+import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+
+NQ, NU = 9, 7
+NX, NZ = 2 * NQ, 2 * NQ + NU
+N_UNACTUATED = NQ - NU
+GRAVITY = (0.0, 0.0, -9.81)
+"""m/s^2, in the world frame of the URDF."""
+
+
+@dataclass
+class Joint:
+    """A revolute joint and the body behind it, with what is fixed to that body."""
+
+    rotation: np.ndarray
+    """Axes of the joint's frame at angle 0 in the parent's frame."""
+    translation: np.ndarray
+    """Origin of the joint's frame in the parent's frame, m."""
+    axis: np.ndarray
+    """In the joint's frame."""
+    mass: float = 0.0
+    first_moment: np.ndarray = None
+    """Mass times centre of mass, in the joint's frame, kg m."""
+    inertia: np.ndarray = None
+    """About the joint's origin, in the joint's frame, kg m^2."""
+
+
+def skew(v):
+    """[v]x as a NumPy array."""
+    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+
+
+def origin(element):
+    """(rotation, translation) of an <origin>; URDF's rpy is Rz(yaw) Ry(pitch) Rx(roll)."""
+    tag = None if element is None else element.find("origin")
+    numbers = lambda name: [float(v) for v in (tag.get(name) if tag is not None else None or "0 0 0").split()]
+    (r, p, y), xyz = numbers("rpy"), np.array(numbers("xyz"))
+    about = lambda axis, a: np.eye(3) + np.sin(a) * skew(axis) + (1 - np.cos(a)) * skew(axis) @ skew(axis)
+    return about([0, 0, 1], y) @ about([0, 1, 0], p) @ about([1, 0, 0], r), xyz
+
+
+def read_chain(path: Path) -> list[Joint]:
+    """The revolute joints from the root to the tip; fixed joints merge their link into the body before."""
+    robot = ElementTree.parse(path).getroot()
+    links = {link.get("name"): link for link in robot.findall("link")}
+    children = {}
+    for joint in robot.findall("joint"):
+        if children.setdefault(joint.find("parent").get("link"), joint) is not joint:
+            raise ValueError(f"{path.name}: expected a chain, but {joint.find('parent').get('link')} has two children")
+    (link,) = set(children) - {joint.find("child").get("link") for joint in children.values()}
+    chain = []
+    # Pose of the current link in the frame of the last revolute joint (or of the world).
+    rotation, translation = np.eye(3), np.zeros(3)
+    while link in children:
+        joint = children[link]
+        r, p = origin(joint)
+        rotation, translation = rotation @ r, translation + rotation @ p
+        if joint.get("type") == "revolute":
+            axis = np.array([float(v) for v in joint.find("axis").get("xyz").split()])
+            chain.append(Joint(rotation, translation, axis, 0.0, np.zeros(3), np.zeros((3, 3))))
+            rotation, translation = np.eye(3), np.zeros(3)
+        elif joint.get("type") != "fixed":
+            raise ValueError(f"{path.name}: joint {joint.get('name')}: expected revolute or fixed")
+        link = joint.find("child").get("link")
+        if chain:
+            add_body(chain[-1], links[link].find("inertial"), rotation, translation)
+    if len(chain) != NQ:
+        raise ValueError(f"{path.name}: expected {NQ} revolute joints, got {len(chain)}")
+    return chain
+
+
+def add_body(joint: Joint, inertial, rotation, translation):
+    """Adds an <inertial> whose link has the given pose in the joint's frame."""
+    if inertial is None:
+        return
+    mass = float(inertial.find("mass").get("value"))
+    entry = lambda name: float(inertial.find("inertia").get(name))
+    about_centre = np.array([[entry("i" + "".join(sorted(a + b))) for a in "xyz"] for b in "xyz"])
+    r, p = origin(inertial)
+    centre, axes = translation + rotation @ p, rotation @ r
+    joint.mass += mass
+    joint.first_moment += mass * centre
+    joint.inertia += axes @ about_centre @ axes.T - mass * skew(centre) @ skew(centre)
+
+
+def inverse_dynamics(chain: list[Joint], q, qd, qdd):
+    """Torques of all joints, M qdd + C qd + g: recursive Newton-Euler in body frames."""
+    omega, alpha = ca.SX.zeros(3), ca.SX.zeros(3)
+    # Gravity as an acceleration of the base.
+    acceleration = -ca.SX(ca.DM(GRAVITY))
+    to_parent, forces, moments = [], [], []
+    for i, joint in enumerate(chain):
+        k = ca.DM(skew(joint.axis))
+        r = ca.DM(joint.rotation) @ (ca.DM.eye(3) + ca.sin(q[i]) * k + (1 - ca.cos(q[i])) * (k @ k))
+        p, axis = ca.DM(joint.translation), ca.DM(joint.axis)
+        acceleration = r.T @ (acceleration + ca.cross(alpha, p) + ca.cross(omega, ca.cross(omega, p)))
+        omega_parent = r.T @ omega
+        alpha = r.T @ alpha + axis * qdd[i] + ca.cross(omega_parent, axis * qd[i])
+        omega = omega_parent + axis * qd[i]
+        c, inertia = ca.DM(joint.first_moment), ca.DM(joint.inertia)
+        forces.append(joint.mass * acceleration + ca.cross(alpha, c) + ca.cross(omega, ca.cross(omega, c)))
+        moments.append(inertia @ alpha + ca.cross(omega, inertia @ omega) + ca.cross(c, acceleration))
+        to_parent.append((r, p))
+    tau = [None] * NQ
+    force, moment = ca.SX.zeros(3), ca.SX.zeros(3)
+    for i in reversed(range(NQ)):
+        force, moment = forces[i] + force, moments[i] + moment
+        tau[i] = ca.dot(ca.DM(chain[i].axis), moment)
+        r, p = to_parent[i]
+        force = r @ force
+        moment = r @ moment + ca.cross(p, force)
+    return ca.vertcat(*tau)
+
+
+def pendulum_acceleration(chain: list[Joint], q, qd, u):
+    """qdd_U of (3a): the accelerations for which the unactuated joints need no torque."""
+    qdd_u = ca.SX.sym("qdd_u", N_UNACTUATED)
+    residual = inverse_dynamics(chain, q, qd, ca.vertcat(u, qdd_u))[NU:]
+    m, rest = ca.jacobian(residual, qdd_u), ca.substitute(residual, qdd_u, ca.SX.zeros(N_UNACTUATED))
+    determinant = m[0, 0] * m[1, 1] - m[0, 1] * m[1, 0]
+    adjugate = ca.vertcat(ca.horzcat(m[1, 1], -m[0, 1]), ca.horzcat(-m[1, 0], m[0, 0]))
+    return -(adjugate @ rest) / determinant
+
+
+def motor_torque(chain: list[Joint], q, qd, u):
+    """tau_A of (3b), (9)."""
+    qdd_u = pendulum_acceleration(chain, q, qd, u)
+    return inverse_dynamics(chain, q, qd, ca.vertcat(u, qdd_u))[:NU]
+
+
+def motor_torque_without_coriolis(chain: list[Joint], q, u):
+    """M~ u + g~ of (11): the torque at standstill."""
+    return motor_torque(chain, q, ca.SX.zeros(NQ), u)
