@@ -174,9 +174,9 @@ impl TripCause {
 }
 
 /// What the `fault` of telemetry and answers means; `None` for 0 and for codes that do not exist.
-pub fn fault_text(code: u64) -> Option<String> {
+pub fn fault_text(code: u64) -> Option<&'static str> {
     let index = usize::try_from(code.checked_sub(1)?).ok()?;
-    TripCause::ALL.get(index).map(|cause| cause.text().to_owned())
+    TripCause::ALL.get(index).map(|cause| cause.text())
 }
 
 /// What was found beyond which limit.
