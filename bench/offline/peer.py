@@ -101,6 +101,8 @@ class Peer:
             "grad_f": grad_f,
             "jac_g": jac_g,
             "hess_lag": hess_lag,
+            # Needed only for multipliers that nobody reads here.
+            "no_nlp_grad": True,
             "print_time": False,
             "ipopt.print_level": 0,
             "ipopt.sb": "yes",

@@ -1,6 +1,6 @@
 //! States at rest from which a swing-up can begin.
 
-use crate::{Config, PendulumStart};
+use crate::{Config, PendulumStart, RobotSettings};
 use upswing_model::{ActuatedVector, JointVector, N_ACTUATED, NQ, RestError, State, Workspace, state};
 
 /// Why a pose cannot be a start.
@@ -61,27 +61,44 @@ impl Config {
         if q_a.len() != N_ACTUATED {
             return Err(StartError::Length { got: q_a.len() });
         }
-        if let Some(i) = q_a.iter().position(|v| !v.is_finite()) {
-            return Err(StartError::NotFinite { joint: i + 1, value: q_a[i] });
-        }
         let mut q = JointVector::zeros();
         q.fixed_rows_mut::<N_ACTUATED>(0).copy_from(&ActuatedVector::from_column_slice(q_a));
-        let limits = &self.robot.planning;
-        let outside = |i: &usize, q: &JointVector| !(q[*i] >= limits.q_min[*i] && q[*i] <= limits.q_max[*i]);
-        let degrees = |i: usize, q: &JointVector| {
-            (i + 1, limits.q_min[i].to_degrees(), limits.q_max[i].to_degrees(), q[i].to_degrees())
-        };
-        if let Some(i) = (0..N_ACTUATED).find(|i| outside(i, &q)) {
-            let (joint, min_deg, max_deg, got_deg) = degrees(i, &q);
-            return Err(StartError::OutsideLimits { joint, min_deg, max_deg, got_deg });
+        for i in 0..N_ACTUATED {
+            self.robot.check_angle(i, q[i])?;
         }
         if pendulum == PendulumStart::Rest {
             q = self.model.rest_position(&q, &mut Workspace::default())?;
         }
-        if let Some(i) = (N_ACTUATED..NQ).find(|i| outside(i, &q)) {
-            let (joint, min_deg, max_deg, got_deg) = degrees(i, &q);
-            return Err(StartError::RestOutsideLimits { joint, min_deg, max_deg, got_deg });
+        for i in N_ACTUATED..NQ {
+            self.robot.check_angle(i, q[i]).map_err(|e| match e {
+                StartError::OutsideLimits { joint, min_deg, max_deg, got_deg } => {
+                    StartError::RestOutsideLimits { joint, min_deg, max_deg, got_deg }
+                }
+                other => other,
+            })?;
         }
         Ok(state(&q, &JointVector::zeros()))
+    }
+}
+
+impl RobotSettings {
+    /// Checks the `angle` (rad) of a joint, counted from 0, against the limits open to plans.
+    ///
+    /// # Errors
+    /// [`StartError::NotFinite`] or [`StartError::OutsideLimits`].
+    pub fn check_angle(&self, joint: usize, angle: f64) -> Result<(), StartError> {
+        let (min, max) = (self.planning.q_min[joint], self.planning.q_max[joint]);
+        if !angle.is_finite() {
+            return Err(StartError::NotFinite { joint: joint + 1, value: angle });
+        }
+        if (min..=max).contains(&angle) {
+            return Ok(());
+        }
+        Err(StartError::OutsideLimits {
+            joint: joint + 1,
+            min_deg: min.to_degrees(),
+            max_deg: max.to_degrees(),
+            got_deg: angle.to_degrees(),
+        })
     }
 }

@@ -87,8 +87,8 @@ pub enum PlanRefusal {
 }
 
 /// Checks a plan in this order: checksum, fingerprint, id, finite numbers (states, inputs, derivatives, gains), t_F,
-/// and at each knot positions, velocities and torque (9) against the limits for plans, f against the model. `payload` must be a
-/// copy that nobody else can write to.
+/// and at each knot positions, velocities and torque (9) against the limits for plans, f_k against the model.
+/// `payload` must be a copy that nobody else can write to.
 ///
 /// # Errors
 /// The first check that failed, with its numbers.

@@ -142,7 +142,7 @@ codes! {
     PlantKind is a "plant request" {
         /// Set q and qd.
         ResetState = "reset-state",
-        /// Advance to a cycle number (paced and lockstep clocks).
+        /// Advance to a cycle number (lockstep clock).
         AdvanceTo = "advance-to",
         /// Inject a fault.
         SetFault = "set-fault",

@@ -10,6 +10,9 @@ pub struct RestError {
     pub residual: f64,
 }
 
+/// Longest step of the iteration, rad: where the curvature nearly vanishes, a full step would lead many turns away.
+const LONGEST_STEP: f64 = 0.5;
+
 impl Model {
     /// The pose q = [q_A, q_U] (rad) in which the unactuated joints hang at rest: g_U(q) = 0 with positive
     /// curvature of the potential energy. Starts from the q_U given; joints q_A stay as they are.
@@ -35,7 +38,7 @@ impl Model {
                     None => shift = 2.0 * shift + 1e-3 * (1.0 + curvature.norm()),
                 }
             };
-            let mut fraction = 1.0;
+            let mut fraction = (LONGEST_STEP / step.norm()).min(1.0);
             loop {
                 let mut trial = q;
                 for i in 0..N_UNACTUATED {

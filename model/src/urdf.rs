@@ -208,7 +208,7 @@ fn rod_tip(com: Vector3<f64>) -> Vector3<f64> {
 fn check_body(joint: &Joint) -> Result<(), UrdfError> {
     let fail = |reason: String| Err(UrdfError::Impossible { joint: joint.name.clone(), reason });
     let all_finite = joint.inertia.iter().chain(joint.com.iter()).all(|v| v.is_finite());
-    if !all_finite || !(joint.mass.is_finite() && joint.mass > 0.0) {
+    if !all_finite || !joint.mass.is_finite() || joint.mass <= 0.0 {
         return fail(format!("expected a positive, finite mass and finite inertia, got {} kg", joint.mass));
     }
     if nalgebra::Cholesky::new(joint.inertia).is_none() {

@@ -661,19 +661,11 @@ impl<'a> Solver<'a> {
                     return Some(residuals);
                 }
                 if first && theta_p >= theta {
-                    if let Some(next) = self.correct(
-                        kkt,
-                        &factor,
-                        damping,
-                        knots,
-                        c,
-                        residuals,
-                        alpha,
-                        slope,
-                        (theta, phi),
-                        filter,
-                    ) {
-                        return Some(next);
+                    let trial = (residuals, alpha, slope);
+                    let current = (theta, phi);
+                    let next = self.correct(kkt, &factor, damping, knots, c, trial, current, filter);
+                    if next.is_some() {
+                        return next;
                     }
                 }
                 first = false;
@@ -684,7 +676,7 @@ impl<'a> Solver<'a> {
         None
     }
 
-    /// Second-order corrections of a full step that left the constraints.
+    /// Second-order corrections of a full step that left the constraints: `first` are its residuals.
     fn correct(
         &mut self,
         kkt: &Kkt,
@@ -692,9 +684,7 @@ impl<'a> Solver<'a> {
         damping: f64,
         knots: &[KnotDerivatives],
         c: &Residuals,
-        first: Residuals,
-        alpha: f64,
-        slope: f64,
+        (first, alpha, slope): (Residuals, f64, f64),
         (theta, phi): (f64, f64),
         filter: &mut Filter,
     ) -> Option<Residuals> {

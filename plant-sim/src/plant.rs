@@ -1,10 +1,11 @@
 //! The physics: one control period per step.
 
-use crate::start::{StateError, check_state, start_position};
+use crate::start::{StateError, check_state};
 use upswing_config::{Config, EncoderSettings, FrictionSettings, RobotSettings};
 use upswing_ipc::{Clock, Command, Measurement};
 use upswing_model::{
     ActuatedVector, JointVector, Model, N_ACTUATED, N_UNACTUATED, NQ, NU, UnactuatedVector, Workspace,
+    position, velocity,
 };
 
 /// Speed below which a braked joint stands still, rad/s.
@@ -50,7 +51,9 @@ impl Plant {
     /// # Errors
     /// [`StateError`] if the pose is outside the limits or the pendulum has no rest there inside its own.
     pub fn new(config: &Config) -> Result<Self, StateError> {
-        Self::at(config, &start_position(config)?, &JointVector::zeros())
+        let start = &config.plant.start;
+        let x = config.start_state(&start.q, start.pendulum)?;
+        Self::at(config, &position(&x), &velocity(&x))
     }
 
     /// In a state of choice (q in rad, qd in rad/s, joint frames), brakes closed, before cycle 1.

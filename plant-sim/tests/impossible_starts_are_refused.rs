@@ -4,7 +4,7 @@ mod common;
 
 use common::{TestDomain, settings};
 use std::process::{Command as Process, Output};
-use upswing_config::PendulumStart;
+use upswing_config::{PendulumStart, StartError};
 use upswing_plant::{Plant, StateError};
 
 #[test]
@@ -25,9 +25,15 @@ fn a_pose_whose_pendulum_rests_beyond_its_limit_is_refused() {
     let mut config = settings();
     config.plant.start.q = [0.0; _];
     let refused = Plant::new(&config).unwrap_err();
-    assert!(matches!(refused, StateError::RestOutside { joint: 9, .. }), "{refused}");
+    assert!(
+        matches!(refused, StateError::Angle(StartError::RestOutsideLimits { joint: 9, .. })),
+        "{refused}"
+    );
     config.plant.start.q[2] = f64::NAN;
-    assert!(matches!(Plant::new(&config).unwrap_err(), StateError::Angle { joint: 3, .. }));
+    assert!(matches!(
+        Plant::new(&config).unwrap_err(),
+        StateError::Angle(StartError::NotFinite { joint: 3, .. })
+    ));
 }
 
 fn run(options: &[&str]) -> Output {
@@ -42,12 +48,12 @@ fn run(options: &[&str]) -> Output {
 #[test]
 fn the_process_says_what_is_wrong_and_exits_with_2() {
     for (options, expected) in [
-        (&["--start", "0,0,0,-130,0,0,0"][..], "joint 4: expected an angle from -120 to 120 deg, got -130"),
-        (&["--start", "NaN,0,0,-90,0,0,0"], "joint 1: expected an angle from -170 to 170 deg, got NaN"),
-        (&["--start", "-10,0,0,-90,0,0,inf"], "joint 7: expected an angle from -175 to 175 deg, got inf"),
+        (&["--start", "0,0,0,-130,0,0,0"][..], "joint 4: expected -120.0 to 120.0 deg, got -130.00 deg"),
+        (&["--start", "NaN,0,0,-90,0,0,0"], "joint 1: expected a number, got NaN"),
+        (&["--start", "-10,0,0,-90,0,0,inf"], "joint 7: expected a number, got inf"),
         (&["--start", "0,-15,0"], "--start: expected 7 angles, for joints 1 to 7, got 3"),
         (&["--start=0,0,0,0,0,0,0,0"], "--start: expected 7 angles, for joints 1 to 7, got 8"),
-        (&["--start", "0,0,0,0,0,0,0"], "joint 9 at -90 deg: expected -45 to 45 deg"),
+        (&["--start", "0,0,0,0,0,0,0"], "rests at -90.0 deg on joint 9, outside its -45.0 to 45.0 deg"),
         (&["--domain", "No Domain"], "domain name `No Domain`"),
         (&["--config", "/does/not/exist"], "/does/not/exist"),
     ] {

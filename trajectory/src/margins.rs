@@ -22,8 +22,9 @@ impl Margin {
         let half = 0.5 * (upper - lower);
         let share = (value - lower).min(upper - value) / half;
         // A NaN is the worst of all.
-        if !(share >= self.share) {
-            *self = Self { share: if share.is_nan() { f64::NEG_INFINITY } else { share }, joint, time };
+        let share = if share.is_nan() { f64::NEG_INFINITY } else { share };
+        if share < self.share {
+            *self = Self { share, joint, time };
         }
     }
 }

@@ -12,7 +12,7 @@ use upswing_model::{NQ, NU};
 pub struct Measurement {
     /// Cycle number of the plant since it started, counts from 1; 0: nothing measured yet.
     pub seq: u64,
-    /// Time of the measurement, CLOCK_MONOTONIC, ns.
+    /// Time of the measurement, ns: CLOCK_MONOTONIC on the wall clock, `seq * period_ns` on the others.
     pub t_ns: u64,
     /// q, joint positions, joint frames, rad, not wrapped.
     pub q: [f64; NQ],

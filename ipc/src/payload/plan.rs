@@ -16,7 +16,7 @@ use xxhash_rust::xxh3::xxh3_64;
 pub struct Plan {
     /// Identity of the plan, unique per planner, above 0.
     pub id: u64,
-    /// Fingerprint of the model (and its limits) that the plan was made for.
+    /// Fingerprint of the model that the plan was made for.
     pub fingerprint: u64,
     /// t_F, duration, s, above 0.
     pub t_f: f64,

@@ -17,7 +17,7 @@ pub struct PlantRequest {
     pub q: [f64; NQ],
     /// `ResetState`: qd, joint velocities, joint frames, rad/s.
     pub qd: [f64; NQ],
-    /// `AdvanceTo`: cycle number at which the plant pauses.
+    /// `AdvanceTo`: the last cycle before the plant pauses.
     pub seq: u64,
     /// `SetFault`: code of the fault, as the plant numbers them.
     pub fault: u64,
@@ -44,7 +44,7 @@ impl PlantRequest {
 pub struct PlantResponse {
     /// 1: accepted, 0: refused (see `reason`).
     pub accepted: u64,
-    /// Cycle number of the plant.
+    /// Last complete cycle of the plant (measurement answered, state moved on), 0 before the first.
     pub seq: u64,
     /// q, true joint positions, joint frames, rad.
     pub q: [f64; NQ],
