@@ -139,19 +139,22 @@ HEADER = (
 
 def table_line(row: dict) -> str:
     ours, theirs = row["upswing"], row["ipopt"]
-    number = lambda value, form: "-" if value is None else format(value, form)
-    cost = lambda solved, value: f"{value:.5f}" if solved else "failed"
+    our_cost = f"{ours['cost']:.5f}" if ours["status"] == "solved" else "failed"
+    their_cost = f"{theirs['cost']:.5f}" if theirs["solved"] else "failed"
+    difference, ratio = row["cost_difference_percent"], row["ratio"]
     return (
         f"{','.join(f'{v:.0f}' for v in row['start_deg']):>31} |"
-        f" {cost(ours['status'] == 'solved', ours['cost']):>8} {cost(theirs['solved'], theirs['cost']):>8}"
-        f" {number(row['cost_difference_percent'], '+.3f'):>7} | {ours['iterations']:4d} {theirs['iterations']:5d} |"
-        f" {ours['time_s']:7.3f} {ours['cpu_s']:7.3f} {theirs['cpu_s']:8.2f} | {number(row['ratio'], '.0f'):>6}"
+        f" {our_cost:>8} {their_cost:>8} {'-' if difference is None else f'{difference:+.3f}':>7} |"
+        f" {ours['iterations']:4d} {theirs['iterations']:5d} | {ours['time_s']:7.3f} {ours['cpu_s']:7.3f} {theirs['cpu_s']:8.2f} | {'-' if ratio is None else f'{ratio:.1f}':>6}"
     )
 
 
 def summarise(rows: list[dict]) -> dict:
     both = [row for row in rows if row["ratio"] is not None]
-    median = lambda values: statistics.median(values) if both else None
+
+    def median(values):
+        return statistics.median(values) if both else None
+
     differences = [row["cost_difference_percent"] for row in both]
     return {
         "starts": len(rows),
@@ -183,8 +186,8 @@ def print_summary(s: dict):
         return
     print(
         f"over the {s['solved_by_both']} that both solved:\n"
-        f"  CPU time IPOPT / upswing: median {s['median_ratio']:.0f}, "
-        f"smallest {s['smallest_ratio']:.0f}, largest {s['largest_ratio']:.0f}\n"
+        f"  CPU time IPOPT / upswing: median {s['median_ratio']:.1f}, "
+        f"smallest {s['smallest_ratio']:.1f}, largest {s['largest_ratio']:.1f}\n"
         f"  median CPU time: upswing {s['median_cpu_s'][0]:.3f} s, IPOPT {s['median_cpu_s'][1]:.2f} s\n"
         f"  median iterations: upswing {s['median_iterations'][0]:g}, IPOPT {s['median_iterations'][1]:g}\n"
         f"  cost of upswing against IPOPT: median {s['median_cost_difference_percent']:+.4f} %, "
@@ -252,7 +255,8 @@ def main():
         folder = settings_folder(options.torque, Path(temporary))
         peer = Peer(folder, options.torque, ROOT / "bench" / ".cache")
         check_model(upswing, folder, peer.model)
-        print(f"{report['versions']['ipopt']}, CasADi {ca.__version__}, core {core}, torque constraint: {options.torque}")
+        print(f"CasADi {ca.__version__}, {report['versions']['ipopt']}")
+        print(f"core {core}, torque constraint: {options.torque}")
         print("time: ours = inside the solver, CPU = our whole process, IPOPT = its CPU time; ratio = IPOPT / CPU\n")
         print(HEADER, flush=True)
         rows = []

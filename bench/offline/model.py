@@ -4,7 +4,7 @@ Symbols are the paper's (Vu, Hartl-Nesic, Kugi, ICRA 2021). SI units throughout.
 """
 
 import xml.etree.ElementTree as ElementTree
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import casadi as ca
@@ -28,9 +28,9 @@ class Joint:
     axis: np.ndarray
     """In the joint's frame."""
     mass: float = 0.0
-    first_moment: np.ndarray = None
+    first_moment: np.ndarray = field(default_factory=lambda: np.zeros(3))
     """Mass times centre of mass, in the joint's frame, kg m."""
-    inertia: np.ndarray = None
+    inertia: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
     """About the joint's origin, in the joint's frame, kg m^2."""
 
 
@@ -39,13 +39,25 @@ def skew(v):
     return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
 
 
+def turn(axis, angle):
+    """Rotation matrix about a unit vector."""
+    k = skew(axis)
+    return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k
+
+
+def numbers(text: str) -> list[float]:
+    return [float(v) for v in text.split()]
+
+
 def origin(element):
     """(rotation, translation) of an <origin>; URDF's rpy is Rz(yaw) Ry(pitch) Rx(roll)."""
-    tag = None if element is None else element.find("origin")
-    numbers = lambda name: [float(v) for v in (tag.get(name) if tag is not None else None or "0 0 0").split()]
-    (r, p, y), xyz = numbers("rpy"), np.array(numbers("xyz"))
-    about = lambda axis, a: np.eye(3) + np.sin(a) * skew(axis) + (1 - np.cos(a)) * skew(axis) @ skew(axis)
-    return about([0, 0, 1], y) @ about([0, 1, 0], p) @ about([1, 0, 0], r), xyz
+    tag = element.find("origin")
+    attributes = {} if tag is None else tag.attrib
+    r, p, y = numbers(attributes.get("rpy", "0 0 0"))
+    return (
+        turn([0, 0, 1], y) @ turn([0, 1, 0], p) @ turn([1, 0, 0], r),
+        np.array(numbers(attributes.get("xyz", "0 0 0"))),
+    )
 
 
 def read_chain(path: Path) -> list[Joint]:
@@ -65,8 +77,8 @@ def read_chain(path: Path) -> list[Joint]:
         r, p = origin(joint)
         rotation, translation = rotation @ r, translation + rotation @ p
         if joint.get("type") == "revolute":
-            axis = np.array([float(v) for v in joint.find("axis").get("xyz").split()])
-            chain.append(Joint(rotation, translation, axis, 0.0, np.zeros(3), np.zeros((3, 3))))
+            axis = np.array(numbers(joint.find("axis").get("xyz")))
+            chain.append(Joint(rotation, translation, axis))
             rotation, translation = np.eye(3), np.zeros(3)
         elif joint.get("type") != "fixed":
             raise ValueError(f"{path.name}: joint {joint.get('name')}: expected revolute or fixed")
@@ -83,8 +95,8 @@ def add_body(joint: Joint, inertial, rotation, translation):
     if inertial is None:
         return
     mass = float(inertial.find("mass").get("value"))
-    entry = lambda name: float(inertial.find("inertia").get(name))
-    about_centre = np.array([[entry("i" + "".join(sorted(a + b))) for a in "xyz"] for b in "xyz"])
+    inertia = inertial.find("inertia")
+    about_centre = np.array([[float(inertia.get("i" + min(a, b) + max(a, b))) for a in "xyz"] for b in "xyz"])
     r, p = origin(inertial)
     centre, axes = translation + rotation @ p, rotation @ r
     joint.mass += mass

@@ -175,9 +175,11 @@ class Peer:
         cost = t + half_h * weight * ca.sumsqr(u)
         f, tau = self.values.map(KNOTS)(x, u)
         pitch = x[1, N] - x[3, N] + x[5, N]
-        constraints = lambda f, tau: ca.vertcat(
-            ca.vec(x[:, 1:] - x[:, :-1] - half_h * (f[:, 1:] + f[:, :-1])), ca.vec(tau), pitch
-        )
+
+        def constraints(f, tau):
+            defects = x[:, 1:] - x[:, :-1] - half_h * (f[:, 1:] + f[:, :-1])
+            return ca.vertcat(ca.vec(defects), ca.vec(tau), pitch)
+
         nlp = ca.Function("nlp", [v, p], [cost, constraints(f, tau)], ["x", "p"], ["f", "g"])
 
         gradient = ca.vec(ca.vertcat(ca.MX.zeros(NX, KNOTS), 2 * half_h * weight * u))
@@ -207,8 +209,8 @@ class Peer:
         none = ca.MX.zeros(NX, 1)
         w = ca.horzcat(multipliers, none) + ca.horzcat(none, multipliers)
         mu = ca.reshape(lam[NX * N : -1], NU, KNOTS)
-        every = lambda scalar: ca.repmat(scalar, 1, KNOTS)
-        blocks, with_t = self.second.map(KNOTS)(x, u, every(t), w, mu, every(sigma))
+        scalars = [ca.repmat(scalar, 1, KNOTS) for scalar in (t, sigma)]
+        blocks, with_t = self.second.map(KNOTS)(x, u, scalars[0], w, mu, scalars[1])
         hessian = ca.vertcat(
             ca.horzcat(ca.MX(1, 1), ca.vec(with_t).T),
             ca.horzcat(ca.MX(NZ * KNOTS, 1), ca.diagcat(*ca.horzsplit(blocks, NZ))),
@@ -278,7 +280,10 @@ class Peer:
         f, tau = (np.array(v).T for v in self.values.map(KNOTS)(x.T, u.T))
         end = x[N].copy()
         target = [end[1] - end[3] + end[5] - s.pitch, *end[[0, 2, 4, 6]], end[NU] - s.q8, end[NU + 1], *end[NQ:]]
-        excess = lambda values, limit: float(np.maximum(np.abs(values) - limit, 0).max())
+
+        def excess(values, limit):
+            return float(np.maximum(np.abs(values) - limit, 0).max())
+
         return {
             "defect": float(np.abs(x[1:] - x[:-1] - t_f / (2 * N) * (f[1:] + f[:-1])).max()),
             "start": float(np.abs(x[0] - start).max()),

@@ -98,7 +98,7 @@ fn a_state_is_set_only_with_closed_brakes() {
     bad.q[3] = f64::NAN;
     let refused = peer.ask(bad);
     assert_eq!((refused.accepted, refused.q), (0, request.q));
-    assert!(refused.reason.as_str().unwrap().starts_with("joint 4: "), "{}", refused.reason);
+    assert!(refused.reason.as_str().unwrap().starts_with("angle of joint 4: "), "{}", refused.reason);
 
     let mut daemon = Answerer::join(&peer);
     peer.advance_to(1);

@@ -18,10 +18,11 @@ pub struct ModelArgs {
 /// What to do with the model.
 #[derive(Clone, Debug, clap::Subcommand)]
 pub enum ModelCommand {
-    /// Evaluate M, C qd + g, g, f, A, B and the torques for each JSON line {"q":[9],"qd":[9],"u":[7]} on stdin
-    /// (rad, rad/s, rad/s^2); one JSON line each on stdout
-    ///
-    /// Example: echo '{"q":[0,0,0,-1.57,0,0,0,0,0],"qd":[0,0,0,0,0,0,0,0,0],"u":[0,0,0,0,0,0,0]}' | upswing model eval
+    /// Evaluate the dynamics for each JSON line on stdin; prints one JSON line each
+    #[command(after_help = "Input: {\"q\":[9],\"qd\":[9],\"u\":[7]} in rad, rad/s, rad/s^2.\n\
+        Output: M, nle (C qd + g), g, f, A, B, tau, tau_without_coriolis; rows first, SI units.\n\n\
+        Example: echo '{\"q\":[0,0,0,-1.57,0,0,0,0,0],\"qd\":[0,0,0,0,0,0,0,0,0],\
+        \"u\":[0,0,0,0,0,0,0]}' | upswing model eval")]
     Eval(ProcessArgs),
     /// Print the robot description (URDF)
     Urdf(ProcessArgs),
