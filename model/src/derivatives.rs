@@ -38,7 +38,7 @@ pub struct Derivatives {
 }
 
 impl Derivatives {
-    /// A = df/dx (19), [[0, I], [0, 0], [d qdd_U / dx]].
+    /// A = df/dx (19), `[[0, I], [0, 0], [d qdd_U / dx]]`.
     pub fn a(&self) -> SMatrix<f64, NX, NX> {
         let mut a = SMatrix::<f64, NX, NX>::zeros();
         for i in 0..NQ {
@@ -48,7 +48,7 @@ impl Derivatives {
         a
     }
 
-    /// B = df/du (19), [[0], [I], [d qdd_U / du]].
+    /// B = df/du (19), `[[0], [I], [d qdd_U / du]]`.
     pub fn b(&self) -> SMatrix<f64, NX, NU> {
         let mut b = SMatrix::<f64, NX, NU>::zeros();
         for i in 0..N_ACTUATED {

@@ -86,8 +86,8 @@ pub fn synthesize(
     Ok(Gains { knots, end })
 }
 
-/// One step of (23): the gain K and the weight one period earlier. With Phi = I + Ts A and
-/// A = [[0, I], [0], [a]], Gamma = Ts [[0], [I], [b]], all products are a few rows.
+/// One step of (23): the gain K and the weight one period earlier. With `Phi = I + Ts A` and
+/// `A = [[0, I], [0], [a]]`, `Gamma = Ts [[0], [I], [b]]` all products are a few rows.
 fn riccati_step(
     p: &StateMatrix,
     rows: &Rows,
