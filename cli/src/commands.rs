@@ -31,7 +31,7 @@ impl CommonArgs {
     /// # Errors
     /// [`Failure::Failed`] if the result cannot be written as JSON.
     pub fn print(&self, result: &(impl Serialize + std::fmt::Display)) -> Result<(), Failure> {
-        if self.json { print_json(result) } else { print_line(result) }
+        print(self.json, result)
     }
 
     /// Joins the domain.
@@ -42,6 +42,14 @@ impl CommonArgs {
         let domain = Domain::new(&self.process.domain).map_err(|e| Failure::BadInput(e.to_string()))?;
         domain.connect("cli").map_err(failed)
     }
+}
+
+/// Prints a result as JSON or as text.
+///
+/// # Errors
+/// [`Failure::Failed`] if stdout cannot be written.
+pub fn print(json: bool, result: &(impl Serialize + std::fmt::Display)) -> Result<(), Failure> {
+    if json { print_json(result) } else { print_line(result) }
 }
 
 /// Prints one JSON document on stdout.

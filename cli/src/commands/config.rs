@@ -1,9 +1,10 @@
 //! `upswing config`: the embedded settings as files.
 
-use super::print_line;
+use super::{CommonArgs, print};
+use serde::Serialize;
 use std::path::PathBuf;
 use upswing_config::Config;
-use upswing_config::process::{Failure, ProcessArgs};
+use upswing_config::process::Failure;
 
 /// Writes or checks settings.
 #[derive(Clone, Debug, clap::Args)]
@@ -20,9 +21,12 @@ pub enum ConfigCommand {
     Export {
         /// The folder
         dir: PathBuf,
+        /// Print one JSON document on stdout instead of text
+        #[arg(long)]
+        json: bool,
     },
     /// Read the settings and say whether they are valid
-    Check(ProcessArgs),
+    Check(CommonArgs),
 }
 
 /// Writes or checks settings.
@@ -31,13 +35,28 @@ pub enum ConfigCommand {
 /// [`Failure::BadInput`] that names file, key and reason.
 pub fn run(args: &ConfigArgs) -> Result<(), Failure> {
     match &args.command {
-        ConfigCommand::Export { dir } => {
+        ConfigCommand::Export { dir, json } => {
             Config::export(dir)?;
-            print_line(&format!("wrote {}", dir.display()))
+            print(*json, &Done { success: true, dir: Some(dir.clone()) })
         }
-        ConfigCommand::Check(process) => {
-            process.load()?;
-            print_line(&"the settings are valid")
+        ConfigCommand::Check(common) => {
+            common.process.load()?;
+            print(common.json, &Done { success: true, dir: None })
+        }
+    }
+}
+
+#[derive(Serialize)]
+struct Done {
+    success: bool,
+    dir: Option<PathBuf>,
+}
+
+impl std::fmt::Display for Done {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match &self.dir {
+            Some(dir) => write!(f, "wrote {}", dir.display()),
+            None => f.write_str("the settings are valid"),
         }
     }
 }

@@ -1,10 +1,10 @@
 //! `upswing model`: the dynamics on the command line.
 
-use super::{print_json, print_line};
+use super::{CommonArgs, print_json, print_line};
 use nalgebra::SMatrix;
 use serde::{Deserialize, Serialize};
 use std::io::BufRead;
-use upswing_config::process::{Failure, ProcessArgs};
+use upswing_config::process::Failure;
 use upswing_model::{ActuatedVector, JointVector, Model, NQ, NU, Workspace, state};
 
 /// Evaluates or prints the robot model.
@@ -23,9 +23,14 @@ pub enum ModelCommand {
         Output: M, nle (C qd + g), g, f, A, B, tau, tau_without_coriolis; rows first, SI units.\n\n\
         Example: echo '{\"q\":[0,0,0,-1.57,0,0,0,0,0],\"qd\":[0,0,0,0,0,0,0,0,0],\
         \"u\":[0,0,0,0,0,0,0]}' | upswing model eval")]
-    Eval(ProcessArgs),
+    Eval(CommonArgs),
     /// Print the robot description (URDF)
-    Urdf(ProcessArgs),
+    Urdf(CommonArgs),
+}
+
+#[derive(Serialize)]
+struct UrdfJson {
+    urdf: String,
 }
 
 #[derive(Deserialize)]
@@ -55,9 +60,12 @@ struct Evaluation {
 /// [`Failure::BadInput`] that names the line and what is wrong with it.
 pub fn run(args: &ModelArgs) -> Result<(), Failure> {
     match &args.command {
-        ModelCommand::Urdf(process) => print_line(&process.load()?.urdf.trim_end()),
-        ModelCommand::Eval(process) => {
-            let config = process.load()?;
+        ModelCommand::Urdf(common) => {
+            let urdf = common.process.load()?.urdf;
+            if common.json { print_json(&UrdfJson { urdf }) } else { print_line(&urdf.trim_end()) }
+        }
+        ModelCommand::Eval(common) => {
+            let config = common.process.load()?;
             let mut work = Workspace::default();
             for (number, line) in std::io::stdin().lock().lines().enumerate() {
                 let at = |reason: String| Failure::BadInput(format!("line {}: {reason}", number + 1));
