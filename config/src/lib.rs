@@ -1,6 +1,6 @@
 //! Settings and robot description of upswing: read, checked once, then plain SI numbers.
 //!
-//! A full set is six files, embedded in the program and, with [`Config::export`], written to a folder for
+//! A full set is eight files, embedded in the program and, with [`Config::export`], written to a folder for
 //! editing: the robot (`robot.urdf`), its limits and the target (`robot.toml`), the planner, the daemon, the
 //! simulated plant, and the trajectory database. In the files angles may be in degrees (the key then says so);
 //! past this crate everything is rad, s, N m, kg, m, and no value needs another check.
@@ -8,6 +8,7 @@
 mod check;
 mod daemon;
 mod error;
+mod grid;
 mod planner;
 mod plant;
 pub mod process;
@@ -18,9 +19,9 @@ pub use daemon::{
     CycleSettings, DaemonSettings, HoldGains, RealtimeMode, RealtimeSettings, StartTolerance, TripLimits,
 };
 pub use error::ConfigError;
+pub use grid::{GridAxis, GridSettings};
 pub use planner::{
-    GridAxis, GridSettings, LqrWeights, OfflineSettings, PlannerSettings, ReplanSettings, ReplanWeights,
-    TorqueConstraint,
+    LqrWeights, OfflineSettings, PlannerSettings, ReplanSettings, ReplanWeights, TorqueConstraint,
 };
 pub use plant::{DriveSettings, EncoderSettings, FrictionSettings, PendulumStart, PlantSettings, PlantStart};
 pub use robot::{CoriolisBound, RobotSettings, Target};
@@ -47,6 +48,8 @@ pub struct Config {
     pub daemon: DaemonSettings,
     /// The simulated plant.
     pub plant: PlantSettings,
+    /// Start poses of the database.
+    pub grid: GridSettings,
     /// The trajectory database, not yet decoded.
     pub database: DatabaseFile,
 }
@@ -76,8 +79,11 @@ const ROBOT: EmbeddedFile = embedded!("robot.toml");
 const PLANNER: EmbeddedFile = embedded!("planner.toml");
 const DAEMON: EmbeddedFile = embedded!("daemon.toml");
 const PLANT: EmbeddedFile = embedded!("plant.toml");
+const GRID: EmbeddedFile = embedded!("grid.toml");
+/// Not read with a set of settings: another grid to build a database from.
+const PAPER_GRID: EmbeddedFile = embedded!("grid-paper.toml");
 const DATABASE: EmbeddedFile = embedded!("database.bin");
-const FILES: [EmbeddedFile; 6] = [URDF, ROBOT, PLANNER, DAEMON, PLANT, DATABASE];
+const FILES: [EmbeddedFile; 8] = [URDF, ROBOT, PLANNER, DAEMON, PLANT, GRID, PAPER_GRID, DATABASE];
 
 /// A file's contents and the name that messages give it.
 type Contents = (String, Cow<'static, [u8]>);
@@ -147,13 +153,40 @@ impl Config {
         let robot = RobotSettings::read(&robot_name, &robot)?;
         check_agreement(&robot_name, &robot.limits, model.rated_limits())?;
         let (name, planner) = text(&PLANNER)?;
-        let planner = PlannerSettings::read(&name, &planner, &robot)?;
+        let planner = PlannerSettings::read(&name, &planner)?;
         let (name, daemon) = text(&DAEMON)?;
         let daemon = DaemonSettings::read(&name, &daemon, &robot)?;
         let (name, plant) = text(&PLANT)?;
         let plant = PlantSettings::read(&name, &plant, &robot)?;
+        let (name, grid) = text(&GRID)?;
+        let grid = GridSettings::read(&name, &grid, &robot)?;
         let (origin, bytes) = read(&DATABASE)?;
-        Ok(Self { urdf, model, robot, planner, daemon, plant, database: DatabaseFile { bytes, origin } })
+        let database = DatabaseFile { bytes, origin };
+        Ok(Self { urdf, model, robot, planner, daemon, plant, grid, database })
+    }
+
+    /// Replaces the grid by that of a file.
+    ///
+    /// # Errors
+    /// The file is unreadable, malformed, or holds a value that cannot be.
+    pub fn use_grid(&mut self, path: &Path) -> Result<(), ConfigError> {
+        let file = path.display().to_string();
+        let text = match std::fs::read_to_string(path) {
+            Ok(text) => text,
+            Err(cause) => return Err(ConfigError::Unreadable { file, cause }),
+        };
+        self.grid = GridSettings::read(&file, &text, &self.robot)?;
+        Ok(())
+    }
+
+    /// Replaces the grid by the paper's 4 x 4 x 4 x 4 poses.
+    ///
+    /// # Errors
+    /// The limits of the settings are too narrow for it.
+    pub fn use_paper_grid(&mut self) -> Result<(), ConfigError> {
+        let file = format!("embedded {}", PAPER_GRID.name);
+        self.grid = GridSettings::read(&file, &String::from_utf8_lossy(PAPER_GRID.bytes), &self.robot)?;
+        Ok(())
     }
 }
 

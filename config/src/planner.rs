@@ -1,7 +1,7 @@
 //! `planner.toml`.
 
+use crate::ConfigError;
 use crate::check::{BELOW_ONE, Check, POSITIVE};
-use crate::{ConfigError, PendulumStart, RobotSettings};
 use serde::Deserialize;
 use upswing_model::{NQ, NU};
 
@@ -14,8 +14,6 @@ pub struct PlannerSettings {
     pub replan: ReplanSettings,
     /// Weights of the trajectory controller.
     pub lqr: LqrWeights,
-    /// Start poses of the database.
-    pub grid: GridSettings,
 }
 
 /// Trajectory optimisation (6), (8) with (9) or (11).
@@ -84,45 +82,12 @@ pub struct LqrWeights {
     pub r: f64,
 }
 
-/// Start poses of the database: the product of all axes; joints without an axis start at 0.
-#[derive(Clone, Debug, PartialEq)]
-pub struct GridSettings {
-    /// One axis per varied joint, in the order of the file.
-    pub axes: Vec<GridAxis>,
-    /// How the pendulum starts.
-    pub start: PendulumStart,
-}
-
-/// Equally spaced angles of one joint, both ends included.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct GridAxis {
-    /// Index of the joint, counted from 0 (the file counts from 1).
-    pub joint: usize,
-    /// First angle, rad.
-    pub from: f64,
-    /// Last angle, rad, above `from`.
-    pub to: f64,
-    /// Number of angles, at least 2.
-    pub points: usize,
-}
-
-impl GridAxis {
-    /// Angle of a point counted from 0, rad.
-    pub fn angle(&self, point: usize) -> f64 {
-        self.from + (self.to - self.from) * point as f64 / (self.points - 1) as f64
-    }
-}
-
-/// More start poses than any database will have; keeps a slip of the pen from filling the memory.
-const MOST_POSES: usize = 1_000_000;
-
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Raw {
     offline: RawOffline,
     replan: RawReplan,
     lqr: RawLqr,
-    grid: RawGrid,
 }
 
 #[derive(Deserialize)]
@@ -157,26 +122,10 @@ struct RawLqr {
     r: f64,
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct RawGrid {
-    joints: Vec<RawAxis>,
-    start: PendulumStart,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct RawAxis {
-    joint: i64,
-    from_deg: f64,
-    to_deg: f64,
-    points: i64,
-}
-
 impl PlannerSettings {
-    pub(crate) fn read(file: &str, text: &str, robot: &RobotSettings) -> Result<Self, ConfigError> {
+    pub(crate) fn read(file: &str, text: &str) -> Result<Self, ConfigError> {
         let check = Check { file };
-        let Raw { offline, replan, lqr, grid } = check.parse(text)?;
+        let Raw { offline, replan, lqr } = check.parse(text)?;
         Ok(Self {
             offline: read_offline(check, &offline)?,
             replan: ReplanSettings {
@@ -204,7 +153,6 @@ impl PlannerSettings {
                 )?,
                 r: check.number("lqr.r", lqr.r, &POSITIVE)?,
             },
-            grid: GridSettings { axes: read_axes(check, &grid.joints, robot)?, start: grid.start },
         })
     }
 }
@@ -221,34 +169,4 @@ fn read_offline(check: Check<'_>, raw: &RawOffline) -> Result<OfflineSettings, C
         tolerance: check.number("offline.tolerance", raw.tolerance, &BELOW_ONE)?,
         max_iterations: check.integer("offline.max_iterations", raw.max_iterations, 1..=1_000_000)?,
     })
-}
-
-fn read_axes(check: Check<'_>, raw: &[RawAxis], robot: &RobotSettings) -> Result<Vec<GridAxis>, ConfigError> {
-    let mut axes: Vec<GridAxis> = Vec::with_capacity(raw.len());
-    let mut poses = 1_usize;
-    for axis in raw {
-        let number: usize = check.integer("grid.joints.joint", axis.joint, 1..=NU as i64)?;
-        let joint = number - 1;
-        if axes.iter().any(|known| known.joint == joint) {
-            let got = format!("joint {number} twice");
-            return Err(check.refuse(
-                "grid.joints.joint",
-                "each joint at most once",
-                got,
-                "remove one of them",
-            ));
-        }
-        let from = check.angle("grid.joints.from_deg", axis.from_deg, joint, &robot.planning)?;
-        let to = check.angle("grid.joints.to_deg", axis.to_deg, joint, &robot.planning)?;
-        check.above("grid.joints.to_deg", axis.to_deg, axis.from_deg, "grid.joints.from_deg")?;
-        let points = check.integer("grid.joints.points", axis.points, 2..=MOST_POSES as i64)?;
-        poses = poses.saturating_mul(points);
-        axes.push(GridAxis { joint, from, to, points });
-    }
-    if axes.is_empty() || poses > MOST_POSES {
-        let expected = format!("at least one joint and at most {MOST_POSES} start poses");
-        let got = format!("{} joints, {poses} start poses", axes.len());
-        return Err(check.refuse("grid.joints", expected, got, "change the list or its numbers of points"));
-    }
-    Ok(axes)
 }

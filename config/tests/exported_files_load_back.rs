@@ -54,9 +54,13 @@ fn the_papers_values() {
     assert!((config.plant.encoder.pendulum_resolution - 4.79e-5).abs() < 1e-7);
     assert_eq!(config.plant.start.q[3], deg(-95.0));
 
-    let axes = &config.planner.grid.axes;
+    let mut config = config;
+    config.use_paper_grid().expect("the paper's grid is within the limits");
+    let axes = &config.grid.axes;
     assert_eq!(axes.iter().map(|axis| axis.joint).collect::<Vec<_>>(), [0, 1, 3, 5]);
-    assert_eq!(axes.iter().map(|axis| axis.points).product::<usize>(), 256);
+    assert_eq!(config.grid.poses(), 256);
+    let last = config.grid.pose(255);
+    assert!((last[0] - deg(45.0)).abs() < 1e-12 && (last[5] - deg(60.0)).abs() < 1e-12);
     for (point, angle) in [-60.0, -25.0, 10.0, 45.0].into_iter().enumerate() {
         assert!((axes[0].angle(point) - deg(angle)).abs() < 1e-12);
     }

@@ -16,7 +16,7 @@ fn unknown_keys() {
             "neighbors =",
             &["replan.neighbors", "unknown field", "`neighbours`"],
         ),
-        ("planner.toml", "joint = 4, from_deg", "joint = 4, from", &["grid.joints.from", "`from_deg`"]),
+        ("grid.toml", "joint = 4, from_deg", "joint = 4, from", &["joints.from", "`from_deg`"]),
         ("daemon.toml", "lost_deg =", "lost =", &["balance.lost", "unknown field", "`lost_deg`"]),
         ("plant.toml", "substeps = 2", "substeps = 2\nstep = 1", &["integrator.step", "`substeps`"]),
     ] as [(&str, &str, &str, &[&str]); 6]
@@ -60,10 +60,10 @@ fn values_of_the_wrong_type() {
             &["offline.torque", "`fast`", "`exact` or `paper`"],
         ),
         (
-            "planner.toml",
+            "grid.toml",
             "points = 4 },\n    { joint = 2",
             "points = 4.5 },\n    { joint = 2",
-            &["grid.joints.points", "floating point `4.5`"],
+            &["joints.points", "floating point `4.5`"],
         ),
         (
             "daemon.toml",

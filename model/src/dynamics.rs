@@ -142,6 +142,16 @@ impl Model {
         self.accelerations_at(&position(x), &JointVector::zeros(), u, work).tau
     }
 
+    /// C~(q, qd) qd = C_A - M_AU M_U^-1 C_U with [C_A; C_U] = C(q, qd) qd (10), N m, q in rad, qd in rad/s; equal
+    /// to the difference of [`Self::torque`] and [`Self::torque_without_coriolis`] at any u, at the cost of one.
+    pub fn coriolis_torque(&self, q: &JointVector, qd: &JointVector, work: &mut Workspace) -> ActuatedVector {
+        self.place(q, work);
+        self.move_with(qd, work);
+        // Without gravity and without qdd, C qd is what remains of (1).
+        accelerate(Spatial::ZERO, qd, &JointVector::zeros(), work);
+        reduce(&generalized_force(work), work).tau
+    }
+
     /// f(x, u) (4), (5): d/dt x = [qd, u, qdd_U] (rad/s, rad/s^2).
     pub fn f(&self, x: &State, u: &ActuatedVector, work: &mut Workspace) -> State {
         state_derivative(x, u, &self.accelerations(x, u, work).qdd_u)
@@ -186,12 +196,7 @@ impl Model {
     ) -> Accelerations {
         let mut qdd = JointVector::zeros();
         qdd.fixed_rows_mut::<N_ACTUATED>(0).copy_from(u);
-        let r = self.inverse_dynamics(q, qd, &qdd, work);
-        let columns = work.unactuated_columns();
-        let qdd_u =
-            -solve_unactuated(&unactuated_block(&columns), &r.fixed_rows::<N_UNACTUATED>(N_ACTUATED).into());
-        let tau = r.fixed_rows::<N_ACTUATED>(0) + columns.fixed_rows::<N_ACTUATED>(0) * qdd_u;
-        Accelerations { qdd_u, tau }
+        reduce(&self.inverse_dynamics(q, qd, &qdd, work), work)
     }
 
     /// Joint axes and inertias at q.
@@ -220,17 +225,32 @@ impl Model {
 
     /// Accelerations and forces at qdd; needs [`Self::move_with`].
     pub(crate) fn accelerate_with(&self, qd: &JointVector, qdd: &JointVector, work: &mut Workspace) {
-        work.acceleration[0] = Spatial::new(Vector3::zeros(), -self.gravity);
-        for i in 0..NQ {
-            work.acceleration[i + 1] = work.acceleration[i] + work.axis[i] * qdd[i] + work.psi[i] * qd[i];
-        }
-        let mut carried = Spatial::ZERO;
-        for i in (0..NQ).rev() {
-            let (v, body) = (&work.velocity[i + 1], &work.body[i]);
-            carried += body.apply(&work.acceleration[i + 1]) + v.cross_force(&body.apply(v));
-            work.force[i] = carried;
-        }
+        accelerate(Spatial::new(Vector3::zeros(), -self.gravity), qd, qdd, work);
     }
+}
+
+/// Accelerations and forces at qdd of a chain whose base accelerates with `base`; needs [`Model::move_with`].
+fn accelerate(base: Spatial, qd: &JointVector, qdd: &JointVector, work: &mut Workspace) {
+    work.acceleration[0] = base;
+    for i in 0..NQ {
+        work.acceleration[i + 1] = work.acceleration[i] + work.axis[i] * qdd[i] + work.psi[i] * qd[i];
+    }
+    let mut carried = Spatial::ZERO;
+    for i in (0..NQ).rev() {
+        let (v, body) = (&work.velocity[i + 1], &work.body[i]);
+        carried += body.apply(&work.acceleration[i + 1]) + v.cross_force(&body.apply(v));
+        work.force[i] = carried;
+    }
+}
+
+/// (3a) and (3b) for the joint torques `r` that the motion with qdd_U = 0 needs: the unactuated joints, which have
+/// no motors, accelerate until their torques vanish.
+fn reduce(r: &JointVector, work: &Workspace) -> Accelerations {
+    let columns = work.unactuated_columns();
+    let qdd_u =
+        -solve_unactuated(&unactuated_block(&columns), &r.fixed_rows::<N_UNACTUATED>(N_ACTUATED).into());
+    let tau = r.fixed_rows::<N_ACTUATED>(0) + columns.fixed_rows::<N_ACTUATED>(0) * qdd_u;
+    Accelerations { qdd_u, tau }
 }
 
 /// S_i . F_i for every joint.

@@ -8,35 +8,91 @@
 use crate::kkt::{Factor, Kkt, KnotDynamics, KnotMatrix, KnotVector, Rhs, Step};
 use crate::problem::{KnotDerivatives, Problem};
 use nalgebra::SVector;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 use upswing_model::{ActuatedVector, N_UNACTUATED, NQ, NU, NX, State, UnactuatedVector, Workspace};
 use upswing_trajectory::{KNOTS, N, Trajectory};
 
 /// When to stop.
 #[derive(Clone, Copy, Debug)]
-pub struct Options {
+pub struct Options<'a> {
     /// Largest residual of a solution: defects (rad, rad/s), scaled stationarity and complementarity.
     pub tolerance: f64,
     /// Most iterations.
     pub max_iterations: usize,
     /// Barrier parameter to begin with; small for a warm start.
     pub barrier: f64,
+    /// Longest time; the last iterate is returned then.
+    pub time_budget: Option<Duration>,
+    /// Raised from outside: the last iterate is returned.
+    pub stop: Option<&'a AtomicBool>,
 }
 
-impl Default for Options {
+impl Default for Options<'_> {
     fn default() -> Self {
-        Self { tolerance: 1e-9, max_iterations: 1000, barrier: 0.1 }
+        Self { tolerance: 1e-9, max_iterations: 1000, barrier: 0.1, time_budget: None, stop: None }
     }
 }
 
 /// How a solve ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Status {
     /// All residuals are within the tolerance.
     Solved,
     /// The iteration budget was used up.
     MaxIterations,
-    /// No step reduces the constraint violation any more: the start is probably infeasible.
-    Stalled,
+    /// The time budget was used up.
+    OutOfTime,
+    /// Stopped from outside.
+    Interrupted,
+    /// No step reduces the constraint violation any more: near this trajectory the constraints contradict each
+    /// other, and this limit cannot be kept.
+    Infeasible(Limit),
+}
+
+/// A limit at one moment of a trajectory.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Limit {
+    /// Of what.
+    pub kind: LimitKind,
+    /// The joint, counted from 0.
+    pub joint: usize,
+    /// When, s.
+    pub time: f64,
+}
+
+/// What a limit bounds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LimitKind {
+    /// q
+    Position,
+    /// qd
+    Velocity,
+    /// tau_A
+    Torque,
+}
+
+impl std::fmt::Display for Limit {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let kind = match self.kind {
+            LimitKind::Position => "position",
+            LimitKind::Velocity => "velocity",
+            LimitKind::Torque => "torque",
+        };
+        write!(f, "{kind} limit of joint {} at {:.2} s", self.joint + 1, self.time)
+    }
+}
+
+impl std::fmt::Display for Status {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Solved => f.write_str("solved"),
+            Self::MaxIterations => f.write_str("iteration budget used up"),
+            Self::OutOfTime => f.write_str("time budget used up"),
+            Self::Interrupted => f.write_str("interrupted"),
+            Self::Infeasible(limit) => write!(f, "infeasible: the {limit} cannot be kept"),
+        }
+    }
 }
 
 /// A trajectory with how it was found.
@@ -239,7 +295,7 @@ struct Solver<'a> {
 }
 
 /// Solves the problem from the `guess`.
-pub fn solve(problem: &Problem<'_>, guess: &Trajectory, options: &Options) -> Solution {
+pub fn solve(problem: &Problem<'_>, guess: &Trajectory, options: &Options<'_>) -> Solution {
     Solver::new(problem, guess, options).run(options)
 }
 
@@ -247,7 +303,7 @@ pub fn solve(problem: &Problem<'_>, guess: &Trajectory, options: &Options) -> So
 const INPUT_DAMPING: f64 = 1e-2;
 
 impl<'a> Solver<'a> {
-    fn new(problem: &'a Problem<'a>, guess: &Trajectory, options: &Options) -> Self {
+    fn new(problem: &'a Problem<'a>, guess: &Trajectory, options: &Options<'_>) -> Self {
         let mut work = Workspace::default();
         let mu = options.barrier;
         let (low, high) = problem.torque.bounds(&problem.limits.tau_max);
@@ -557,6 +613,33 @@ impl<'a> Solver<'a> {
         (worst / scale_d, complementarity / scale_c)
     }
 
+    /// The limit with the largest multiplier, as a share of its range: at a point where the constraints contradict
+    /// each other it is the one that yields most if it is moved.
+    fn blocking_limit(&self) -> Limit {
+        let h = self.point.t / N as f64;
+        let mut worst = (0.0, Limit { kind: LimitKind::Position, joint: 0, time: 0.0 });
+        let mut consider = |pull: f64, kind, joint, knot: usize| {
+            if pull > worst.0 {
+                worst = (pull, Limit { kind, joint, time: knot as f64 * h });
+            }
+        };
+        for (k, b) in self.bound_x.iter().enumerate() {
+            for i in 0..NX {
+                let pull = b.z_lower[i].max(b.z_upper[i]) * (b.upper[i] - b.lower[i]);
+                let (kind, joint) =
+                    if i < NQ { (LimitKind::Position, i) } else { (LimitKind::Velocity, i - NQ) };
+                consider(pull, kind, joint, k + 1);
+            }
+        }
+        for (k, b) in self.bound_s.iter().enumerate() {
+            for i in 0..NU {
+                let pull = b.z_lower[i].max(b.z_upper[i]) * (b.upper[i] - b.lower[i]);
+                consider(pull, LimitKind::Torque, i, k);
+            }
+        }
+        worst.1
+    }
+
     /// Factorises with as little damping as gives the right inertia, at least `least`.
     fn factor(&mut self, kkt: &Kkt, least: f64) -> Option<(Factor, f64)> {
         const FIRST: f64 = 1e-4;
@@ -582,7 +665,8 @@ impl<'a> Solver<'a> {
         }
     }
 
-    fn run(mut self, options: &Options) -> Solution {
+    fn run(mut self, options: &Options<'_>) -> Solution {
+        let begin = Instant::now();
         const THETA_MU: f64 = 1.5;
         const KAPPA_MU: f64 = 0.2;
         const KAPPA_EPSILON: f64 = 10.0;
@@ -603,6 +687,12 @@ impl<'a> Solver<'a> {
             if iterations >= options.max_iterations {
                 break (Status::MaxIterations, stationarity);
             }
+            if options.time_budget.is_some_and(|budget| begin.elapsed() >= budget) {
+                break (Status::OutOfTime, stationarity);
+            }
+            if options.stop.is_some_and(|stop| stop.load(Ordering::Acquire)) {
+                break (Status::Interrupted, stationarity);
+            }
             // A barrier problem solved well enough gives way to the next.
             loop {
                 let (stationarity, complementarity) = self.optimality(&kkt, &knots, self.mu);
@@ -619,7 +709,7 @@ impl<'a> Solver<'a> {
             self.condense(&mut kkt, &knots);
             match self.iterate(&kkt, &knots, &c, &mut filter) {
                 Some(next) => c = next,
-                None => break (Status::Stalled, stationarity),
+                None => break (Status::Infeasible(self.blocking_limit()), stationarity),
             }
         };
         let cost = self.problem.cost(self.point.t, &self.point.u);

@@ -4,7 +4,10 @@
 //!   structured linear algebra underneath, [`offline`] applies them to a configuration and builds databases.
 //! - [`nearest`]: the K-D tree over database entries; [`qp`]: (16); [`replan`]: both together with
 //!   [`lqr`], the gains (23). [`service`]: the process that answers requests.
+//! - [`coriolis`]: the bound c of (11) by random states.
 
+pub mod build;
+pub mod coriolis;
 pub mod interior_point;
 pub mod kkt;
 pub mod lqr;

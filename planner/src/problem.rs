@@ -143,6 +143,32 @@ impl Problem<'_> {
         Trajectory { t_f, x, u: vec![ActuatedVector::zeros(); KNOTS] }
     }
 
+    /// The straight line with a half wave of the given amplitudes (joint counted from 0, rad) on some joints, whose
+    /// velocities follow it: it leaves the symmetric ridge between optima on which a straight line begins.
+    pub fn bent_line(&self, t_f: f64, bends: &[(usize, f64)]) -> Trajectory {
+        use std::f64::consts::PI;
+        let mut guess = self.straight_line(t_f);
+        for k in 1..N {
+            let phase = PI * k as f64 / N as f64;
+            for (joint, amplitude) in bends {
+                guess.x[k][*joint] += amplitude * phase.sin();
+                guess.x[k][NQ + *joint] += amplitude * PI / t_f * phase.cos();
+            }
+        }
+        guess
+    }
+
+    /// A solution from another start as a guess: its states are shifted by a share of the difference of the starts
+    /// that falls linearly to 0 at the end.
+    pub fn shifted(&self, neighbour: &Trajectory) -> Trajectory {
+        let mut guess = neighbour.clone();
+        let shift = self.start - neighbour.x[0];
+        for (k, x) in guess.x.iter_mut().enumerate() {
+            *x += shift * (1.0 - k as f64 / N as f64);
+        }
+        guess
+    }
+
     /// The state that meets the target rows closest to `x`. The rows of (8) are orthogonal, so that one
     /// projection after the other does it.
     pub fn nearest_target(&self, x: &State) -> State {

@@ -9,7 +9,7 @@ use crate::qp::{Qp, QpError, TorqueRows, solve};
 use std::time::{Duration, Instant};
 use upswing_config::Config;
 use upswing_model::{ActuatedVector, NU, NX, NZ, State, UnactuatedVector, Workspace, position, state};
-use upswing_trajectory::{Database, DatabaseError, Margins, N, Plan, Trajectory};
+use upswing_trajectory::{Database, DatabaseError, Entry, Margins, N, Plan, Trajectory};
 
 /// Accuracy of each QP, relative. A tenth of the defect that four linearisations reach.
 const QP_TOLERANCE: f64 = 1e-8;
@@ -134,7 +134,7 @@ impl std::error::Error for NoPlan {}
 #[derive(Clone, Debug)]
 pub struct Planner {
     config: Config,
-    database: Database,
+    entries: Vec<Entry>,
     tree: NearestPose,
 }
 
@@ -145,15 +145,10 @@ impl Planner {
     /// [`DatabaseError`] if the file is damaged or was made for another robot or other settings.
     pub fn new(config: Config) -> Result<Self, DatabaseError> {
         let database = Database::decode(&config.database.bytes)?;
-        database.check_made_for(config.model.fingerprint(), problem_fingerprint(&config))?;
-        Ok(Self::with_database(config, database))
-    }
-
-    /// Uses a database that is already checked.
-    pub fn with_database(config: Config, database: Database) -> Self {
-        let poses = database.entries.iter().map(|e| pose(&e.trajectory.x[0]));
+        let entries = database.entries_for(config.model.fingerprint(), problem_fingerprint(&config))?;
+        let poses = entries.iter().map(|e| pose(&e.trajectory.x[0]));
         let tree = NearestPose::new(poses, &config.planner.replan.metric);
-        Self { config, database, tree }
+        Ok(Self { config, entries, tree })
     }
 
     /// The settings.
@@ -161,9 +156,9 @@ impl Planner {
         &self.config
     }
 
-    /// The database.
-    pub fn database(&self) -> &Database {
-        &self.database
+    /// The entries of the database.
+    pub fn entries(&self) -> &[Entry] {
+        &self.entries
     }
 
     /// The nearest entries to a start state, nearest first.
@@ -212,7 +207,7 @@ impl Planner {
         let q = position(start);
         problem.limits.q_min = problem.limits.q_min.inf(&q);
         problem.limits.q_max = problem.limits.q_max.sup(&q);
-        let reference = &self.database.entries[entry].trajectory;
+        let reference = &self.entries[entry].trajectory;
         let mut work = Workspace::default();
         let mut trajectory = reference.clone();
         let begin = Instant::now();

@@ -46,7 +46,7 @@ fn serve(planner: &Planner, domain: &Domain, stop: &Arc<AtomicBool>) -> Result<(
     let publisher = node.plan_publisher()?;
     let telemetry = node.telemetry_subscriber()?;
     let mut newest = None;
-    info!(entries = planner.database().entries.len(), domain = domain.name(), "planner ready");
+    info!(entries = planner.entries().len(), domain = domain.name(), "planner ready");
     while !stop.load(Ordering::Acquire) {
         newest = drain(&telemetry)?.or(newest);
         let mut published = Vec::new();
@@ -92,7 +92,7 @@ pub fn answer(
     match request.kind() {
         Err(e) => return refuse(PlannerStatus::BadRequest, &e.to_string()),
         Ok(PlannerKind::Status) => {
-            let entries = planner.database().entries.len();
+            let entries = planner.entries().len();
             let reason = Text::new(&format!("ready with {entries} database entries"));
             return (
                 PlannerResponse { status: PlannerStatus::Solved.code(), reason, ..Default::default() },

@@ -1,50 +1,147 @@
-//! A database build gives the same bytes every time, leaves out poses without a rest position inside the limits,
-//! and is refused by other settings.
+//! A database has the same bytes however it is built: on any number of cores, in shards, with interruptions and after
+//! a kill. What is finished is never lost; what does not belong together is refused.
 
-use std::sync::atomic::AtomicBool;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use upswing_config::{Config, GridAxis};
-use upswing_planner::offline::{GridPoint, build, database, grid_poses, problem_fingerprint};
+use upswing_planner::build::{BuildError, Shard, build, merge, read, verify};
+use upswing_planner::offline::problem_fingerprint;
 use upswing_planner::replan::Planner;
-use upswing_trajectory::{Database, DatabaseError};
+use upswing_trajectory::{DatabaseError, Outcome};
 
+/// Six poses in three lines; the second of each line has no rest position within the limits.
 fn small_grid() -> Config {
     let mut config = Config::embedded().expect("embedded settings");
     let deg = |d: f64| d.to_radians();
-    config.planner.grid.axes = vec![
-        GridAxis { joint: 1, from: deg(-10.0), to: deg(10.0), points: 2 },
+    config.grid.axes = vec![
+        GridAxis { joint: 1, from: deg(-10.0), to: deg(10.0), points: 3 },
         GridAxis { joint: 3, from: deg(-100.0), to: deg(-10.0), points: 2 },
     ];
     config
 }
 
-#[test]
-fn equal_settings_give_equal_bytes() {
-    let config = small_grid();
-    let go = AtomicBool::new(false);
-    let build = || build(&config, &go, || ());
-    let (first, second) = (build(), build());
-    let rejected = first.iter().filter(|p| matches!(p, GridPoint::Rejected(_))).count();
-    assert_eq!((grid_poses(&config.planner.grid).len(), rejected), (4, 2));
-    let first = database(&config, first);
-    assert_eq!(first.entries.len(), 2);
-    assert_eq!(first.encode(), database(&config, second).encode());
+fn go() -> AtomicBool {
+    AtomicBool::new(false)
+}
+
+fn bytes(path: &Path) -> Vec<u8> {
+    std::fs::read(path).expect("the file is there")
+}
+
+fn whole(dir: &Path) -> PathBuf {
+    let path = dir.join("whole.bin");
+    let summary = build(&small_grid(), Shard::WHOLE, &path, &go(), |_| ()).expect("it builds");
+    assert_eq!((summary.poses, summary.solved, summary.rejected, summary.left), (6, 3, 3, 0));
+    assert!(summary.failed.is_empty());
+    path
 }
 
 #[test]
-fn an_interrupted_build_skips_and_says_so() {
-    let points = build(&small_grid(), &AtomicBool::new(true), || ());
-    assert!(points.iter().all(|p| matches!(p, GridPoint::Skipped)));
+fn in_one_piece_in_shards_and_on_one_core() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let whole = whole(dir.path());
+    let again = dir.path().join("again.bin");
+    let one_core = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a pool");
+    one_core.install(|| build(&small_grid(), Shard::WHOLE, &again, &go(), |_| ())).expect("it builds");
+    assert_eq!(bytes(&whole), bytes(&again));
+
+    let shards: Vec<PathBuf> = (1..=2)
+        .map(|number| {
+            let path = dir.path().join(format!("shard-{number}.bin"));
+            build(&small_grid(), Shard { number, of: 2 }, &path, &go(), |_| ()).expect("it builds");
+            path
+        })
+        .collect();
+    let merged = dir.path().join("merged.bin");
+    for order in [[0, 1, 0], [1, 0, 0]] {
+        let order: Vec<_> = order.iter().map(|i| shards[*i].clone()).collect();
+        merge(&order, &merged).expect("it merges");
+        assert_eq!(bytes(&whole), bytes(&merged));
+    }
+    let missing = merge(&shards[1..], &merged).expect_err("shard 1 is missing");
+    assert!(matches!(missing, BuildError::Missing { ref missing, of: 2 } if *missing == [1]), "{missing}");
+}
+
+#[test]
+fn after_an_interruption_and_after_a_kill() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let whole = whole(dir.path());
+    let path = dir.path().join("interrupted.bin");
+    let stop = go();
+    let done = AtomicUsize::new(0);
+    let one_core = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a pool");
+    let summary = one_core.install(|| {
+        build(&small_grid(), Shard::WHOLE, &path, &stop, |n| {
+            if done.fetch_add(n, Ordering::Relaxed) + n >= 2 {
+                stop.store(true, Ordering::Release);
+            }
+        })
+    });
+    let summary = summary.expect("an interruption is no error");
+    assert_eq!((summary.left, path.exists()), (4, false));
+    // A process killed while it writes leaves half a record.
+    let journal = dir.path().join("interrupted.bin.journal");
+    let mut torn = bytes(&journal);
+    torn.extend_from_slice(&[7; 100]);
+    std::fs::write(&journal, torn).expect("written");
+    let summary = build(&small_grid(), Shard::WHOLE, &path, &go(), |_| ()).expect("it goes on");
+    assert_eq!((summary.resumed, summary.left), (2, 0));
+    assert_eq!(bytes(&whole), bytes(&path));
+    assert!(!journal.exists());
+    let summary = build(&small_grid(), Shard::WHOLE, &path, &go(), |_| ()).expect("nothing to do");
+    assert_eq!(summary.resumed, 6);
+}
+
+#[test]
+fn a_journal_of_other_settings_is_refused() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let path = dir.path().join("database.bin");
+    let stopped = AtomicBool::new(true);
+    build(&small_grid(), Shard::WHOLE, &path, &stopped, |_| ()).expect("stopped at once");
+    let mut other = small_grid();
+    other.robot.planning.qd_max[0] *= 0.9;
+    let refusal = build(&other, Shard::WHOLE, &path, &go(), |_| ()).expect_err("refused");
+    let expected = problem_fingerprint(&other);
+    assert!(matches!(refusal, BuildError::Foreign { expected: e, .. } if e == expected), "{refusal}");
+}
+
+#[test]
+fn disagreeing_duplicates_are_refused() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let mut database = read(&whole(dir.path())).expect("it reads");
+    let other = dir.path().join("other.bin");
+    let Outcome::Solved(entry) = &mut database.records[0].outcome else { panic!("solved") };
+    entry.certificate.cost += 1e-12;
+    std::fs::write(&other, database.encode()).expect("written");
+    let refusal = merge(&[dir.path().join("whole.bin"), other], &dir.path().join("merged.bin"));
+    assert!(matches!(refusal, Err(BuildError::Disagree { pose: 0, .. })));
+}
+
+#[test]
+fn certificates_are_recomputed() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let mut database = read(&whole(dir.path())).expect("it reads");
+    assert!(verify(&small_grid(), &database, || ()).is_empty());
+    let Outcome::Solved(entry) = &mut database.records[2].outcome else { panic!("solved") };
+    entry.trajectory.u[50][0] += 1e-3;
+    let found = verify(&small_grid(), &database, || ());
+    assert_eq!(found.iter().map(|d| d.pose).collect::<Vec<_>>(), [2]);
+}
+
+#[test]
+fn a_read_only_folder_gives_one_clear_error() {
+    let nowhere = Path::new("/proc/database.bin");
+    let refusal = build(&small_grid(), Shard::WHOLE, nowhere, &go(), |_| ()).expect_err("refused");
+    assert!(refusal.to_string().starts_with("cannot write /proc/database.bin.journal"), "{refusal}");
 }
 
 #[test]
 fn other_limits_are_refused_with_both_fingerprints() {
     let mut config = Config::embedded().expect("embedded settings");
-    let shipped = Database::decode(&config.database.bytes).expect("the shipped database");
+    let got = problem_fingerprint(&config);
     config.robot.planning.qd_max[0] *= 0.9;
     let expected = problem_fingerprint(&config);
     let refusal = Planner::new(config).expect_err("made for other limits");
-    assert_eq!(
-        refusal,
-        DatabaseError::Fingerprint { what: "set of limits and weights", expected, got: shipped.problem }
-    );
+    let what = "set of limits and weights";
+    assert_eq!(refusal, DatabaseError::Fingerprint { what, expected, got });
 }

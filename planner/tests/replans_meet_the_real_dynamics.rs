@@ -52,11 +52,11 @@ fn further_linearisations_close_the_defect() {
 fn an_entry_of_the_database_is_found_and_kept() {
     let planner = planner();
     let entry = 40;
-    let x = planner.database().entries[entry].trajectory.x[0];
+    let x = planner.entries()[entry].trajectory.x[0];
     let replan = planner.replan(&x, 1, None).expect("a plan");
     let used = replan.attempts.last().expect("one attempt").entry;
     assert_eq!((used.index, used.distance), (entry, 0.0));
-    let want = &planner.database().entries[entry].trajectory;
+    let want = &planner.entries()[entry].trajectory;
     assert!((replan.trajectory.t_f - want.t_f).abs() < 1e-5);
 }
 

@@ -6,12 +6,14 @@ pub const N: usize = 100;
 /// Number of knots x_0..x_N.
 pub const KNOTS: usize = N + 1;
 
+mod certificate;
 mod database;
 mod margins;
 mod plan;
 mod trajectory;
 
-pub use database::{Database, DatabaseError, Entry};
+pub use certificate::{Certificate, follow};
+pub use database::{Database, DatabaseError, Entry, Heading, Outcome, Record};
 pub use margins::{Margin, Margins};
 pub use plan::{Gain, Plan, Reference};
 pub use trajectory::{Spline, Trajectory};

@@ -1,37 +1,73 @@
-//! A database file reads back exactly; any flipped bit, truncation or appended byte is found and named.
+//! A database file reads back exactly; any flipped bit, truncation or appended byte is found and named; a journal
+//! that ends within a record gives what is whole.
 
 use proptest::prelude::*;
 use upswing_model::{ActuatedVector, State};
-use upswing_trajectory::{Database, DatabaseError, Entry, KNOTS, Trajectory};
+use upswing_trajectory::{
+    Certificate, Database, DatabaseError, Entry, Heading, KNOTS, Outcome, Record, Trajectory,
+};
 
 fn example() -> Database {
-    let entry = |seed: f64| Entry {
-        cost: 2.5 + seed,
-        trajectory: Trajectory {
+    let solved = |pose: u64| {
+        let seed = pose as f64 + 0.25;
+        let trajectory = Trajectory {
             t_f: 2.0 + seed,
             x: (0..KNOTS).map(|k| State::from_fn(|i, _| (k as f64 * 0.1 + i as f64 + seed).sin())).collect(),
             u: (0..KNOTS).map(|k| ActuatedVector::from_fn(|i, _| (k as f64 - i as f64) * seed)).collect(),
-        },
+        };
+        let figures = |t: &Trajectory| Certificate {
+            cost: t.t_f,
+            defect: 1e-9,
+            margin_q: 0.1,
+            margin_qd: -0.2,
+            margin_tau: 0.3,
+            end_error: f64::NAN,
+        };
+        Record { pose, outcome: Outcome::Solved(Box::new(Entry::new(&trajectory, figures))) }
     };
-    Database { model: 0x1234, problem: 0x5678, entries: vec![entry(0.25), entry(-0.5)] }
+    let short = |pose, outcome| Record { pose, outcome };
+    Database {
+        heading: Heading { model: 1, problem: 2, grid: 3, poses: 4, shard: 1, shards: 1 },
+        records: vec![solved(0), short(1, Outcome::Rejected), short(2, Outcome::Failed), solved(3)],
+    }
 }
 
 #[test]
 fn what_was_written_is_read() {
-    let database = example();
-    assert_eq!(Database::decode(&database.encode()), Ok(database));
+    let bytes = example().encode();
+    let read = Database::decode(&bytes).expect("it reads");
+    // As bytes, because a NaN differs from itself.
+    assert_eq!(read.encode(), bytes);
+    assert_eq!(read.entries().count(), 2);
 }
 
 #[test]
 fn an_empty_file_says_how_to_get_one() {
     assert_eq!(Database::decode(&[]), Err(DatabaseError::Empty));
-    let none = Database { entries: Vec::new(), ..example() };
-    assert_eq!(Database::decode(&none.encode()), Err(DatabaseError::Empty));
+    let none = Database { records: Vec::new(), ..example() };
+    assert_eq!(none.entries_for(1, 2), Err(DatabaseError::Empty));
+}
+
+#[test]
+fn other_settings_and_single_shards_are_refused() {
+    let expected = DatabaseError::Fingerprint { what: "robot model", expected: 9, got: 1 };
+    assert_eq!(example().entries_for(9, 2), Err(expected));
+    let mut shard = example();
+    (shard.heading.shard, shard.heading.shards) = (2, 3);
+    assert_eq!(shard.entries_for(1, 2), Err(DatabaseError::Shard { shard: 2, shards: 3 }));
 }
 
 #[test]
 fn another_file_is_not_taken_for_a_database() {
     assert!(matches!(Database::decode(b"<?xml version=\"1.0\"?>"), Err(DatabaseError::Magic { .. })));
+}
+
+#[test]
+fn another_version_is_named() {
+    let mut bytes = example().encode();
+    bytes[8] = 1;
+    let refusal = Database::decode(&bytes).expect_err("refused");
+    assert_eq!(refusal, DatabaseError::Layout { what: "format version", expected: 2, got: 1 });
 }
 
 proptest! {
@@ -62,5 +98,21 @@ proptest! {
     #[test]
     fn random_bytes_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
         prop_assert!(Database::decode(&bytes).is_err());
+        prop_assert!(Database::recover(&bytes).is_err());
+    }
+
+    #[test]
+    fn a_torn_journal_gives_its_whole_records(place in any::<prop::sample::Index>()) {
+        let example = example();
+        let mut bytes = example.heading.journal();
+        let mut ends = vec![bytes.len()];
+        for record in &example.records {
+            bytes.extend(record.encode());
+            ends.push(bytes.len());
+        }
+        let cut = ends[0] + place.index(bytes.len() - ends[0] + 1);
+        let (recovered, length) = Database::recover(&bytes[..cut]).expect("the header is whole");
+        let whole = ends.iter().filter(|end| **end <= cut).count() - 1;
+        prop_assert_eq!((recovered.records.len(), length), (whole, ends[whole]));
     }
 }

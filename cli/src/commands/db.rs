@@ -5,11 +5,12 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
+use upswing_config::Config;
 use upswing_config::process::{Failure, shutdown_flag};
-use upswing_planner::offline::{GridPoint, build, database, grid_poses, problem_fingerprint};
-use upswing_trajectory::Database;
+use upswing_planner::build::{self, BuildError, Shard, Summary};
+use upswing_trajectory::{Certificate, Database, Entry, Outcome};
 
-/// Builds, describes or exports a trajectory database.
+/// Builds, joins, checks, describes or exports trajectory databases.
 #[derive(Clone, Debug, clap::Args)]
 pub struct DbArgs {
     /// What to do.
@@ -20,16 +21,42 @@ pub struct DbArgs {
 /// What to do with a database.
 #[derive(Clone, Debug, clap::Subcommand)]
 pub enum DbCommand {
-    /// Optimise every pose of the grid in planner.toml on all cores and write the database
+    /// Optimise every pose of a grid on all cores and write the database; goes on where an earlier build ended
     ///
-    /// Example: upswing db build --config my-config --output my-config/database.bin
+    /// Example: upswing db build --grid my-grid.toml --output database.bin
     Build {
         /// Options of every command.
         #[command(flatten)]
         common: CommonArgs,
-        /// File to write
+        /// Grid file, or `paper` for the paper's 4 x 4 x 4 x 4 poses [default: grid.toml of the settings]
+        #[arg(long, value_name = "FILE")]
+        grid: Option<PathBuf>,
+        /// Only part i of n, to be joined by `upswing db merge`
+        #[arg(long, value_name = "i/n", default_value = "1/1")]
+        shard: Shard,
+        /// File to write; FILE.journal holds what is finished until then
         #[arg(long, value_name = "FILE", default_value = "database.bin")]
         output: PathBuf,
+    },
+    /// Join the shards of one build; the result has the bytes of a build in one piece
+    Merge {
+        /// Options of every command.
+        #[command(flatten)]
+        common: CommonArgs,
+        /// File to write
+        #[arg(long, value_name = "FILE")]
+        output: PathBuf,
+        /// The shards, in any order
+        #[arg(required = true)]
+        shards: Vec<PathBuf>,
+    },
+    /// Recompute the certificate of every entry
+    Verify {
+        /// Options of every command.
+        #[command(flatten)]
+        common: CommonArgs,
+        /// A database file instead of that of the settings
+        file: Option<PathBuf>,
     },
     /// Describe the database of the settings, or a file
     Info {
@@ -57,13 +84,38 @@ pub enum DbCommand {
 /// Runs the command.
 ///
 /// # Errors
-/// [`Failure::BadInput`] for an unusable file, [`Failure::Failed`] if a pose has no solution.
+/// [`Failure::BadInput`] for an unusable file, [`Failure::Failed`] if a pose has no solution or a certificate does
+/// not hold.
 pub fn run(args: &DbArgs) -> Result<(), Failure> {
     match &args.command {
-        DbCommand::Build { common, output } => build_file(common, output),
+        DbCommand::Build { common, grid, shard, output } => build(common, grid.as_deref(), *shard, output),
+        DbCommand::Merge { common, output, shards } => merge(common, output, shards),
+        DbCommand::Verify { common, file } => verify(common, file.as_deref()),
         DbCommand::Info { common, file } => info(common, file.as_deref()),
         DbCommand::Export { common, file, entry } => export(common, file.as_deref(), *entry),
     }
+}
+
+/// Files that do not belong together are the user's to mend, a full disk is not.
+fn failure(e: BuildError) -> Failure {
+    match e {
+        BuildError::File { action: "read", .. }
+        | BuildError::Database { .. }
+        | BuildError::Foreign { .. }
+        | BuildError::Nothing => Failure::BadInput(e.to_string()),
+        e => failed(e),
+    }
+}
+
+/// A bar with an estimate of the time left; draws nothing where stderr is not a terminal.
+fn progress_bar(length: usize, what: &str) -> ProgressBar {
+    let bar = ProgressBar::new(length as u64);
+    if let Ok(style) =
+        ProgressStyle::with_template(&format!("{{bar:40}} {{pos}}/{{len}} {what}, {{eta}} left"))
+    {
+        bar.set_style(style);
+    }
+    bar
 }
 
 #[derive(Serialize)]
@@ -73,7 +125,9 @@ struct Built {
     poses: usize,
     entries: usize,
     rejected: usize,
-    failed: usize,
+    failed: Vec<u64>,
+    resumed: usize,
+    left: usize,
     time_s: f64,
 }
 
@@ -81,167 +135,298 @@ impl std::fmt::Display for Built {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(
             f,
-            "{}: {} entries of {} poses ({} left out: no rest position within the limits; {} failed) in {:.1} s",
+            "{}: {} entries of {} poses ({} left out by the grid's rules, {} without solution) in {:.1} s",
             self.file.display(),
             self.entries,
             self.poses,
             self.rejected,
-            self.failed,
+            self.failed.len(),
             self.time_s
-        )
+        )?;
+        if self.resumed > 0 {
+            write!(f, "; {} poses were there already", self.resumed)?;
+        }
+        Ok(())
     }
 }
 
-fn build_file(common: &CommonArgs, output: &Path) -> Result<(), Failure> {
-    let config = common.process.load()?;
+fn build(common: &CommonArgs, grid: Option<&Path>, shard: Shard, output: &Path) -> Result<(), Failure> {
+    let mut config = common.process.load()?;
+    match grid {
+        Some(name) if name == Path::new("paper") => config.use_paper_grid()?,
+        Some(path) => config.use_grid(path)?,
+        None => {}
+    }
     let stop = shutdown_flag()?;
-    let poses = grid_poses(&config.planner.grid).len();
-    // Draws nothing where stderr is not a terminal.
-    let bar = ProgressBar::new(poses as u64);
-    if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} poses, {eta} left") {
-        bar.set_style(style);
-    }
+    let bar = progress_bar(config.grid.poses().div_ceil(shard.of as usize), "poses");
     let begin = Instant::now();
-    let points = build(&config, &stop, || bar.inc(1));
+    let summary = build::build(&config, shard, output, &stop, |n| bar.inc(n as u64)).map_err(failure)?;
     bar.finish_and_clear();
-    let count = |f: fn(&GridPoint) -> bool| points.iter().filter(|p| f(p)).count();
-    let rejected = count(|p| matches!(p, GridPoint::Rejected(_)));
-    let skipped = count(|p| matches!(p, GridPoint::Skipped));
-    let mut failures = 0;
-    for point in &points {
-        if let GridPoint::Failed { pose, solution } = point {
-            failures += 1;
-            let degrees: Vec<_> = pose.iter().map(|q| format!("{:.1}", q.to_degrees())).collect();
-            tracing::warn!(
-                "no solution from [{}] deg: {:?}, largest violation {:.1e}",
-                degrees.join(", "),
-                solution.status,
-                solution.violation
-            );
-        }
+    let Summary { poses, resumed, solved, rejected, failed: unsolved, left } = summary;
+    for pose in &unsolved {
+        let degrees = config.grid.pose(*pose as usize).map(|q| format!("{:.1}", q.to_degrees()));
+        tracing::warn!("no solution from pose {pose}, [{}] deg", degrees.join(", "));
     }
-    let database = database(&config, points);
-    write_whole(output, &database.encode())?;
+    let count = unsolved.len();
     common.print(&Built {
-        success: failures == 0 && skipped == 0,
+        success: count == 0 && left == 0,
         file: output.to_owned(),
         poses,
-        entries: database.entries.len(),
+        entries: solved,
         rejected,
-        failed: failures,
+        failed: unsolved,
+        resumed,
+        left,
         time_s: begin.elapsed().as_secs_f64(),
     })?;
-    match (skipped, failures) {
+    match (left, count) {
         (0, 0) => Ok(()),
         (0, n) => Err(failed(format!("{n} poses have no solution"))),
-        (n, _) => Err(failed(format!("interrupted with {n} poses left; the file holds the others"))),
+        (n, _) => Err(failed(format!("interrupted with {n} poses left; the same command goes on from here"))),
     }
 }
 
-/// Writes a file beside its place and renames it: a reader sees the old one or the new one.
-fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
-    let mut beside = path.as_os_str().to_owned();
-    beside.push(".part");
-    let beside = PathBuf::from(beside);
-    let write = || {
-        std::fs::write(&beside, bytes)?;
-        std::fs::rename(&beside, path)
-    };
-    write().map_err(|e| {
-        let _ = std::fs::remove_file(&beside);
-        failed(format!("cannot write {}: {e}", path.display()))
+fn merge(common: &CommonArgs, output: &Path, shards: &[PathBuf]) -> Result<(), Failure> {
+    let begin = Instant::now();
+    let database = build::merge(shards, output).map_err(failure)?;
+    let entries = database.entries().count();
+    common.print(&Built {
+        success: true,
+        file: output.to_owned(),
+        poses: database.records.len(),
+        entries,
+        rejected: database.records.iter().filter(|r| r.outcome == Outcome::Rejected).count(),
+        failed: database.records.iter().filter(|r| r.outcome == Outcome::Failed).map(|r| r.pose).collect(),
+        resumed: 0,
+        left: 0,
+        time_s: begin.elapsed().as_secs_f64(),
     })
 }
 
 /// The database of a file or of the settings, and where it comes from.
-fn read(common: &CommonArgs, file: Option<&Path>) -> Result<(Database, String), Failure> {
-    let (bytes, origin) = match file {
-        Some(path) => {
-            let bytes = std::fs::read(path)
-                .map_err(|e| Failure::BadInput(format!("cannot read {}: {e}", path.display())))?;
-            (bytes.into(), path.display().to_string())
-        }
+fn read(config: &Config, file: Option<&Path>) -> Result<(Database, String), Failure> {
+    match file {
+        Some(path) => Ok((build::read(path).map_err(failure)?, path.display().to_string())),
         None => {
-            let database = common.process.load()?.database;
-            (database.bytes, database.origin)
+            let origin = config.database.origin.clone();
+            let database = Database::decode(&config.database.bytes)
+                .map_err(|e| Failure::BadInput(format!("{origin}: {e}")))?;
+            Ok((database, origin))
         }
-    };
-    let database = Database::decode(&bytes).map_err(|e| Failure::BadInput(format!("{origin}: {e}")))?;
-    Ok((database, origin))
+    }
+}
+
+#[derive(Serialize)]
+struct Verified {
+    success: bool,
+    origin: String,
+    entries: usize,
+    discrepancies: Vec<u64>,
+    worst: Worst,
+    time_s: f64,
+}
+
+/// The least favourable figure of all certificates.
+#[derive(Serialize)]
+struct Worst {
+    defect: f64,
+    margin_q: f64,
+    margin_qd: f64,
+    margin_tau: f64,
+    end_error: f64,
+}
+
+impl Worst {
+    fn of<'a>(certificates: impl Iterator<Item = &'a Certificate>) -> Self {
+        let start = Self { defect: 0.0, margin_q: 1.0, margin_qd: 1.0, margin_tau: 1.0, end_error: 0.0 };
+        certificates.fold(start, |w, c| Self {
+            defect: w.defect.max(c.defect),
+            margin_q: w.margin_q.min(c.margin_q),
+            margin_qd: w.margin_qd.min(c.margin_qd),
+            margin_tau: w.margin_tau.min(c.margin_tau),
+            end_error: w.end_error.max(c.end_error),
+        })
+    }
+}
+
+impl std::fmt::Display for Worst {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(
+            f,
+            "defect {:.1e}; margin (share of half the range, between knots too) position {:.4}, velocity {:.4}, \
+             torque {:.4}; end missed without feedback by {:.3} rad or rad/s",
+            self.defect, self.margin_q, self.margin_qd, self.margin_tau, self.end_error
+        )
+    }
+}
+
+impl std::fmt::Display for Verified {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let verdict = if self.success { "every certificate holds" } else { "CERTIFICATES DO NOT HOLD" };
+        writeln!(f, "{}: {} entries, {verdict} ({:.1} s)", self.origin, self.entries, self.time_s)?;
+        if !self.discrepancies.is_empty() {
+            writeln!(f, "  poses     {:?}", self.discrepancies)?;
+        }
+        write!(f, "  worst     {}", self.worst)
+    }
+}
+
+fn verify(common: &CommonArgs, file: Option<&Path>) -> Result<(), Failure> {
+    let config = common.process.load()?;
+    let (database, origin) = read(&config, file)?;
+    let (expected, got) = (build::heading(&config, Shard::WHOLE), database.heading);
+    if (expected.model, expected.problem) != (got.model, got.problem) {
+        return Err(Failure::BadInput(format!(
+            "{origin}: made for robot {:016x} and limits {:016x}, the settings are robot {:016x} and limits {:016x}",
+            got.model, got.problem, expected.model, expected.problem
+        )));
+    }
+    let entries = database.entries().count();
+    let bar = progress_bar(entries, "entries");
+    let begin = Instant::now();
+    let discrepancies = build::verify(&config, &database, || bar.inc(1));
+    bar.finish_and_clear();
+    for d in &discrepancies {
+        tracing::warn!("pose {}: recorded {:?}, computed {:?}", d.pose, d.recorded, d.computed);
+    }
+    let success = discrepancies.is_empty();
+    common.print(&Verified {
+        success,
+        origin,
+        entries,
+        discrepancies: discrepancies.iter().map(|d| d.pose).collect(),
+        worst: Worst::of(database.entries().map(|e| &e.certificate)),
+        time_s: begin.elapsed().as_secs_f64(),
+    })?;
+    if success { Ok(()) } else { Err(failed(format!("{} certificates do not hold", discrepancies.len()))) }
 }
 
 #[derive(Serialize)]
 struct Info {
     origin: String,
+    poses: u64,
+    shard: u64,
+    shards: u64,
     entries: usize,
+    rejected: usize,
+    failed: usize,
     model: String,
     problem: String,
+    grid: String,
     fits_settings: bool,
     t_f_min: f64,
     t_f_max: f64,
     cost_min: f64,
     cost_max: f64,
+    worst: Worst,
     joints: Vec<JointCoverage>,
+    #[serde(skip)]
+    map: String,
 }
 
 #[derive(Serialize)]
 struct JointCoverage {
     joint: usize,
     angles_deg: Vec<f64>,
+    entries: Vec<usize>,
 }
 
 impl std::fmt::Display for Info {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        writeln!(f, "{}: {} entries", self.origin, self.entries)?;
+        writeln!(f, "{}: {} entries of {} poses", self.origin, self.entries, self.poses)?;
+        if self.shards > 1 {
+            writeln!(f, "  shard     {} of {}", self.shard, self.shards)?;
+        }
+        writeln!(f, "  left out  {} by the grid's rules, {} without solution", self.rejected, self.failed)?;
         let fits = if self.fits_settings { "the settings" } else { "OTHER settings" };
         writeln!(f, "  made for  model {}, limits and weights {} ({fits})", self.model, self.problem)?;
         writeln!(f, "  t_F       {:.3} to {:.3} s", self.t_f_min, self.t_f_max)?;
-        write!(f, "  cost      {:.3} to {:.3}", self.cost_min, self.cost_max)?;
+        writeln!(f, "  cost      {:.3} to {:.3}", self.cost_min, self.cost_max)?;
+        write!(f, "  worst     {}", self.worst)?;
         for c in &self.joints {
-            let angles: Vec<_> = c.angles_deg.iter().map(|a| format!("{a}")).collect();
-            write!(f, "\n  joint {}   {} deg", c.joint, angles.join(", "))?;
+            let angles: Vec<_> =
+                c.angles_deg.iter().zip(&c.entries).map(|(a, n)| format!("{a} ({n})")).collect();
+            write!(f, "\n  joint {}   {} deg (entries)", c.joint, angles.join(", "))?;
         }
-        Ok(())
+        write!(f, "{}", self.map)
     }
 }
 
+/// Start angle of a joint, deg: rounded so that all grid angles stay apart and rounding errors do not.
+fn start_deg(entry: &Entry, joint: usize) -> f64 {
+    (entry.trajectory.x[0][joint].to_degrees() * 1e3).round() / 1e3
+}
+
+/// How the entries lie over two joints: a text map with one cell per pair of angles, darker with more entries.
+fn coverage_map(entries: &[&Entry], rows: &JointCoverage, columns: &JointCoverage) -> String {
+    const SHADES: [char; 5] = ['·', '░', '▒', '▓', '█'];
+    let count = |r: f64, c: f64| {
+        let here = |e: &&&Entry| start_deg(e, rows.joint - 1) == r && start_deg(e, columns.joint - 1) == c;
+        entries.iter().filter(here).count()
+    };
+    let cells: Vec<Vec<usize>> =
+        rows.angles_deg.iter().map(|r| columns.angles_deg.iter().map(|c| count(*r, *c)).collect()).collect();
+    let most = cells.iter().flatten().copied().max().unwrap_or(0).max(1);
+    let mut map = format!(
+        "\n  coverage  joint {} down, joint {} across ({} to {} deg); █ is {most} entries, · none",
+        rows.joint,
+        columns.joint,
+        columns.angles_deg.first().copied().unwrap_or(0.0),
+        columns.angles_deg.last().copied().unwrap_or(0.0)
+    );
+    for (angle, row) in rows.angles_deg.iter().zip(&cells) {
+        let shade = |n: &usize| SHADES[(n * (SHADES.len() - 1)).div_ceil(most)];
+        let line: String = row.iter().flat_map(|n| [shade(n); 2]).collect();
+        map.push_str(&format!("\n  {angle:>8}  {line}"));
+    }
+    map
+}
+
 fn info(common: &CommonArgs, file: Option<&Path>) -> Result<(), Failure> {
-    let (database, origin) = read(common, file)?;
     let config = common.process.load()?;
-    let range = |values: &dyn Fn(&upswing_trajectory::Entry) -> f64| {
-        database
-            .entries
-            .iter()
-            .map(values)
-            .fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)))
+    let (database, origin) = read(&config, file)?;
+    let entries: Vec<&Entry> = database.entries().collect();
+    let range = |value: &dyn Fn(&Entry) -> f64| {
+        let limits = (f64::INFINITY, f64::NEG_INFINITY);
+        entries.iter().map(|e| value(e)).fold(limits, |(a, b), v| (a.min(v), b.max(v)))
     };
     let (t_f_min, t_f_max) = range(&|e| e.trajectory.t_f);
-    let (cost_min, cost_max) = range(&|e| e.cost);
-    let joints = (0..upswing_model::NU)
+    let (cost_min, cost_max) = range(&|e| e.certificate.cost);
+    let joints: Vec<JointCoverage> = (0..upswing_model::NU)
         .map(|i| {
-            // A thousandth of a degree tells all grid angles apart and hides rounding.
-            let angle =
-                |e: &upswing_trajectory::Entry| (e.trajectory.x[0][i].to_degrees() * 1e3).round() / 1e3;
-            let mut angles_deg: Vec<f64> = database.entries.iter().map(angle).collect();
+            let mut angles_deg: Vec<f64> = entries.iter().map(|e| start_deg(e, i)).collect();
             angles_deg.sort_by(f64::total_cmp);
             angles_deg.dedup();
-            JointCoverage { joint: i + 1, angles_deg }
+            let count = |a: &f64| entries.iter().filter(|e| start_deg(e, i) == *a).count();
+            JointCoverage { joint: i + 1, entries: angles_deg.iter().map(count).collect(), angles_deg }
         })
         .filter(|c| c.angles_deg.len() > 1)
         .collect();
-    let fits_settings =
-        database.check_made_for(config.model.fingerprint(), problem_fingerprint(&config)).is_ok();
+    let map = match joints.as_slice() {
+        [.., rows, columns] => coverage_map(&entries, rows, columns),
+        _ => String::new(),
+    };
+    let count = |outcome: Outcome| database.records.iter().filter(|r| r.outcome == outcome).count();
+    let (h, settings) = (database.heading, build::heading(&config, Shard::WHOLE));
     common.print(&Info {
         origin,
-        entries: database.entries.len(),
-        model: format!("{:016x}", database.model),
-        problem: format!("{:016x}", database.problem),
-        fits_settings,
+        poses: h.poses,
+        shard: h.shard,
+        shards: h.shards,
+        entries: entries.len(),
+        rejected: count(Outcome::Rejected),
+        failed: count(Outcome::Failed),
+        model: format!("{:016x}", h.model),
+        problem: format!("{:016x}", h.problem),
+        grid: format!("{:016x}", h.grid),
+        fits_settings: (h.model, h.problem) == (settings.model, settings.problem),
         t_f_min,
         t_f_max,
         cost_min,
         cost_max,
+        worst: Worst::of(entries.iter().map(|e| &e.certificate)),
         joints,
+        map,
     })
 }
 
@@ -252,24 +437,34 @@ struct EntryJson {
     trajectory: TrajectoryJson,
     status: &'static str,
     cost: f64,
+    defect: f64,
+    margin_q: f64,
+    margin_qd: f64,
+    margin_tau: f64,
+    end_error: f64,
 }
 
 fn export(common: &CommonArgs, file: Option<&Path>, only: Option<usize>) -> Result<(), Failure> {
-    let (database, origin) = read(common, file)?;
-    let entries = database.entries.len();
+    let config = common.process.load()?;
+    let (database, origin) = read(&config, file)?;
+    let entries = database.entries().count();
     if let Some(entry) = only.filter(|e| *e >= entries) {
-        return Err(Failure::BadInput(format!(
-            "--entry: {origin} has entries 0 to {}, got {entry}",
-            entries - 1
-        )));
+        let last = entries.saturating_sub(1);
+        return Err(Failure::BadInput(format!("--entry: {origin} has entries 0 to {last}, got {entry}")));
     }
-    for (entry, e) in database.entries.iter().enumerate() {
+    for (entry, e) in database.entries().enumerate() {
         if only.is_none_or(|o| o == entry) {
+            let c = &e.certificate;
             print_json(&EntryJson {
                 entry,
                 trajectory: (&e.trajectory).into(),
                 status: "solved",
-                cost: e.cost,
+                cost: c.cost,
+                defect: c.defect,
+                margin_q: c.margin_q,
+                margin_qd: c.margin_qd,
+                margin_tau: c.margin_tau,
+                end_error: c.end_error,
             })?;
         }
     }

@@ -1,11 +1,14 @@
 //! `upswing model`: the dynamics on the command line.
 
-use super::{CommonArgs, print_json, print_line};
+use super::{CommonArgs, failed, print_json, print_line};
+use indicatif::{ProgressBar, ProgressStyle};
 use nalgebra::SMatrix;
 use serde::{Deserialize, Serialize};
 use std::io::BufRead;
-use upswing_config::process::Failure;
-use upswing_model::{ActuatedVector, JointVector, Model, NQ, NU, Workspace, state};
+use std::time::Instant;
+use upswing_config::process::{Failure, shutdown_flag};
+use upswing_model::{ActuatedVector, JointVector, Limits, Model, NQ, NU, Workspace, state};
+use upswing_planner::coriolis::bound;
 
 /// Evaluates or prints the robot model.
 #[derive(Clone, Debug, clap::Args)]
@@ -26,6 +29,27 @@ pub enum ModelCommand {
     Eval(CommonArgs),
     /// Print the robot description (URDF)
     Urdf(CommonArgs),
+    /// Sample the Coriolis torques over random admissible states: the bound c of (11), Section III-A
+    ///
+    /// Uniform in the position limits of joints 1-9 and in the velocities that a plan may use. The same seed gives the
+    /// same numbers on any number of cores.
+    ///
+    /// Example: upswing model bound --samples 1000000
+    Bound(BoundArgs),
+}
+
+/// How to sample the Coriolis torques.
+#[derive(Clone, Debug, clap::Args)]
+pub struct BoundArgs {
+    /// Options of every command.
+    #[command(flatten)]
+    pub common: CommonArgs,
+    /// How many states [the paper: 100000000, minutes on two cores]
+    #[arg(long, value_name = "N", default_value_t = 100_000_000)]
+    pub samples: u64,
+    /// Seed of the random states
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub seed: u64,
 }
 
 #[derive(Serialize)]
@@ -57,13 +81,15 @@ struct Evaluation {
 /// Evaluates or prints the model.
 ///
 /// # Errors
-/// [`Failure::BadInput`] that names the line and what is wrong with it.
+/// [`Failure::BadInput`] that names the line or option and what is wrong with it; [`Failure::Failed`] if the sampling
+/// was interrupted.
 pub fn run(args: &ModelArgs) -> Result<(), Failure> {
     match &args.command {
         ModelCommand::Urdf(common) => {
             let urdf = common.process.load()?.urdf;
             if common.json { print_json(&UrdfJson { urdf }) } else { print_line(&urdf.trim_end()) }
         }
+        ModelCommand::Bound(args) => sample_bound(args),
         ModelCommand::Eval(common) => {
             let config = common.process.load()?;
             let mut work = Workspace::default();
@@ -79,6 +105,88 @@ pub fn run(args: &ModelArgs) -> Result<(), Failure> {
             Ok(())
         }
     }
+}
+
+/// Range of the Coriolis torques, N m, one number per motor.
+#[derive(Serialize)]
+struct Bound {
+    samples: u64,
+    complete: bool,
+    seed: u64,
+    lower: Vec<f64>,
+    upper: Vec<f64>,
+    paper_lower: Vec<f64>,
+    paper_upper: Vec<f64>,
+    time_s: f64,
+}
+
+impl std::fmt::Display for Bound {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let part = if self.complete { "" } else { " (interrupted)" };
+        writeln!(
+            f,
+            "Coriolis torques of {} random states{part}, seed {}, {:.1} s, N m",
+            self.samples, self.seed, self.time_s
+        )?;
+        write!(f, "  joint     lower     upper   lower, (11)   upper, (11)")?;
+        for i in 0..NU {
+            write!(
+                f,
+                "\n  {:>5} {:>9.4} {:>9.4} {:>13} {:>13}",
+                i + 1,
+                self.lower[i],
+                self.upper[i],
+                self.paper_lower[i],
+                self.paper_upper[i]
+            )?;
+        }
+        Ok(())
+    }
+}
+
+fn sample_bound(args: &BoundArgs) -> Result<(), Failure> {
+    /// A fortnight on one core; the extremes have long stopped moving by then.
+    const MOST: u64 = 1_000_000_000_000;
+    let samples = args.samples;
+    if !(1..=MOST).contains(&samples) {
+        return Err(Failure::BadInput(format!("--samples: expected 1 to {MOST}, got {samples}")));
+    }
+    let config = args.common.process.load()?;
+    let stop = shutdown_flag()?;
+    let robot = &config.robot;
+    // Table II's positions: the margins of the pendulum are for planning, not part of the paper's range.
+    let limits = Limits { qd_max: robot.planning.qd_max, ..robot.limits };
+    let bar = progress_bar(samples);
+    let begin = Instant::now();
+    let range = bound(&config.model, &limits, samples, args.seed, &stop, |n| bar.inc(n));
+    bar.finish_and_clear();
+    let complete = range.samples == samples;
+    if range.samples > 0 {
+        args.common.print(&Bound {
+            samples: range.samples,
+            complete,
+            seed: args.seed,
+            lower: vector(&range.lower),
+            upper: vector(&range.upper),
+            paper_lower: robot.coriolis_bound.lower.to_vec(),
+            paper_upper: robot.coriolis_bound.upper.to_vec(),
+            time_s: begin.elapsed().as_secs_f64(),
+        })?;
+    }
+    if complete {
+        Ok(())
+    } else {
+        Err(failed(format!("interrupted after {} of {samples} states", range.samples)))
+    }
+}
+
+/// Draws nothing where stderr is not a terminal.
+fn progress_bar(samples: u64) -> ProgressBar {
+    let bar = ProgressBar::new(samples);
+    if let Ok(style) = ProgressStyle::with_template("{bar:40} {human_pos}/{human_len} states, {eta} left") {
+        bar.set_style(style);
+    }
+    bar
 }
 
 fn evaluate(model: &Model, query: &Query, work: &mut Workspace) -> Result<Evaluation, String> {

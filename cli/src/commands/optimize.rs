@@ -5,12 +5,13 @@ use crate::parse::{Degrees, start_state};
 use serde::Serialize;
 use std::time::Instant;
 use upswing_config::PendulumStart;
-use upswing_config::process::Failure;
+use upswing_config::process::{Failure, shutdown_flag};
+use upswing_planner::interior_point::Options;
 use upswing_planner::interior_point::Status;
-use upswing_planner::offline::optimize;
+use upswing_planner::offline::{Effort, optimize, options};
 use upswing_trajectory::Margins;
 
-/// Optimises the swing-up (6), (8) from a start at rest, from a straight line.
+/// Optimises the swing-up (6), (8) from a start at rest; Ctrl-C prints what it has got.
 ///
 /// Example: upswing optimize --start 0,0,0,-90,0,0,0 --json > trajectory.json
 #[derive(Clone, Debug, clap::Args)]
@@ -24,13 +25,19 @@ pub struct OptimizeArgs {
     /// Start the pendulum at q8 = q9 = 0 (the paper's database) instead of hanging at rest
     #[arg(long)]
     pub zero: bool,
+    /// Look for the best of several local optima
+    #[arg(long)]
+    pub best: bool,
+    /// Longest time for each attempt, s
+    #[arg(long, value_name = "S")]
+    pub budget: Option<f64>,
 }
 
 #[derive(Serialize)]
 struct Answer {
     #[serde(flatten)]
     trajectory: TrajectoryJson,
-    status: &'static str,
+    status: String,
     cost: f64,
     iterations: usize,
     violation: f64,
@@ -50,17 +57,24 @@ pub fn run(args: &OptimizeArgs) -> Result<(), Failure> {
     let pendulum = if args.zero { PendulumStart::Zero } else { PendulumStart::Rest };
     let start = start_state(&config, &args.start, pendulum)?;
     let begin = Instant::now();
-    let solution = optimize(&config, start);
-    let time_s = begin.elapsed().as_secs_f64();
-    let status = match solution.status {
-        Status::Solved => "solved",
-        Status::MaxIterations => "max iterations",
-        Status::Stalled => "stalled",
+    let time_budget = match args.budget {
+        None => None,
+        Some(s) => Some(
+            std::time::Duration::try_from_secs_f64(s)
+                .map_err(|_| Failure::BadInput(format!("--budget: expected seconds, 0 or above, got {s}")))?,
+        ),
     };
+    // Ctrl-C ends the optimisation, and what it has is printed.
+    let stop = shutdown_flag()?;
+    let effort = if args.best { Effort::Best } else { Effort::Once };
+    let options = Options { time_budget, stop: Some(&stop), ..options(&config) };
+    let solution = optimize(&config, start, effort, None, &options);
+    let time_s = begin.elapsed().as_secs_f64();
+    let status = solution.status.to_string();
     let margins = Margins::of(&solution.trajectory, &config.model, &config.robot.planning, 0);
     let answer = Answer {
         trajectory: (&solution.trajectory).into(),
-        status,
+        status: status.clone(),
         cost: solution.cost,
         iterations: solution.iterations,
         violation: solution.violation,

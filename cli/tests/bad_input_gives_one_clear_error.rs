@@ -4,11 +4,10 @@
 use std::path::Path;
 use std::process::Command;
 use upswing_config::Config;
-use upswing_tests::programs;
 
 /// Runs `upswing` and expects exit code 2 and one error line with all of `parts`.
 fn refused(args: &[&str], parts: &[&str]) {
-    let output = Command::new(programs().join("upswing")).args(args).output().expect("upswing runs");
+    let output = Command::new(env!("CARGO_BIN_EXE_upswing")).args(args).output().expect("upswing runs");
     let stderr = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(2), "{args:?}: {stderr}");
     assert!(output.stdout.is_empty(), "{args:?} printed on stdout");

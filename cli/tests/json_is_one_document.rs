@@ -4,10 +4,9 @@
 use serde_json::Value;
 use std::io::Write;
 use std::process::{Command, Stdio};
-use upswing_tests::programs;
 
 fn json(args: &[&str], stdin: &str) -> Value {
-    let mut child = Command::new(programs().join("upswing"))
+    let mut child = Command::new(env!("CARGO_BIN_EXE_upswing"))
         .args(args)
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())

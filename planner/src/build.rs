@@ -1,0 +1,448 @@
+//! Builds trajectory databases: on all cores, resumable, in shards.
+//!
+//! The poses of a grid form lines along its last axis. A line is solved from one end to the other, each pose from the
+//! usual guesses and from the solution before it; the cheapest solution is kept. Lines do not depend on each other,
+//! so that neither the number of cores, nor an interruption, nor shards change a bit of the result.
+//!
+//! Every finished line is appended to a journal beside the output; a build that finds one goes on where it ends.
+
+use crate::interior_point::{Options, Status};
+use crate::offline::{Effort, optimize, options, problem_fingerprint};
+use rayon::prelude::*;
+use std::fs::{File, OpenOptions};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+use upswing_config::{Config, GridSettings};
+use upswing_model::N_ACTUATED;
+use upswing_trajectory::{Certificate, Database, DatabaseError, Entry, Heading, Outcome, Record, Trajectory};
+use xxhash_rust::xxh3::Xxh3;
+
+/// A part of the lines of a grid: those whose number, counted from 0, is `number - 1` modulo `of`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shard {
+    /// From 1.
+    pub number: u64,
+    /// How many there are.
+    pub of: u64,
+}
+
+impl Shard {
+    /// Everything.
+    pub const WHOLE: Self = Self { number: 1, of: 1 };
+}
+
+impl std::str::FromStr for Shard {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong = || format!("expected i/n with 1 <= i <= n, got `{text}`");
+        let (number, of) = text.split_once('/').ok_or_else(wrong)?;
+        let (number, of) = (number.parse().map_err(|_| wrong())?, of.parse().map_err(|_| wrong())?);
+        if number >= 1 && number <= of { Ok(Self { number, of }) } else { Err(wrong()) }
+    }
+}
+
+/// Why a build, merge or verification could not be done.
+#[derive(Debug, thiserror::Error)]
+pub enum BuildError {
+    /// A file cannot be read or written.
+    #[error("cannot {action} {}: {cause}; what was finished is kept in the journal", path.display())]
+    File {
+        /// read, write, ...
+        action: &'static str,
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        cause: std::io::Error,
+    },
+    /// A file is no database, or a damaged one.
+    #[error("{}: {cause}", path.display())]
+    Database {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        cause: DatabaseError,
+    },
+    /// A file belongs to something else.
+    #[error("{}: {what} is {got:016x}, expected {expected:016x}; remove the file or use the settings it was made with", path.display())]
+    Foreign {
+        /// Which file.
+        path: PathBuf,
+        /// Which fingerprint or number.
+        what: &'static str,
+        /// What it should be.
+        expected: u64,
+        /// What it is.
+        got: u64,
+    },
+    /// Shards are missing.
+    #[error("shards missing: {} of {of}", .missing.iter().map(u64::to_string).collect::<Vec<_>>().join(", "))]
+    Missing {
+        /// Their numbers.
+        missing: Vec<u64>,
+        /// How many there should be.
+        of: u64,
+    },
+    /// The same pose with different contents.
+    #[error("pose {pose} differs between {} and {}", first.display(), second.display())]
+    Disagree {
+        /// The pose.
+        pose: u64,
+        /// One file.
+        first: PathBuf,
+        /// The other.
+        second: PathBuf,
+    },
+    /// A merge of nothing.
+    #[error("no shards given")]
+    Nothing,
+}
+
+/// Identifies a grid.
+pub fn grid_fingerprint(grid: &GridSettings) -> u64 {
+    let mut hash = Xxh3::new();
+    for number in 0..grid.poses() {
+        grid.pose(number).iter().for_each(|q| hash.update(&q.to_le_bytes()));
+    }
+    hash.update(&grid.max_rest_angle.to_le_bytes());
+    hash.update(format!("{:?}", grid.start).as_bytes());
+    hash.digest()
+}
+
+/// What a database of the settings' grid has in its header.
+pub fn heading(config: &Config, shard: Shard) -> Heading {
+    Heading {
+        model: config.model.fingerprint(),
+        problem: problem_fingerprint(config),
+        grid: grid_fingerprint(&config.grid),
+        poses: config.grid.poses() as u64,
+        shard: shard.number,
+        shards: shard.of,
+    }
+}
+
+/// How a build ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Summary {
+    /// Poses of this shard.
+    pub poses: usize,
+    /// Poses found in the journal or in the finished file.
+    pub resumed: usize,
+    /// Trajectories.
+    pub solved: usize,
+    /// Poses left out by the rules of the grid.
+    pub rejected: usize,
+    /// Numbers of the poses without a solution.
+    pub failed: Vec<u64>,
+    /// Poses left when the build was stopped; then there is a journal and no file.
+    pub left: usize,
+}
+
+/// Poses of one line, in order.
+type Line = Vec<usize>;
+
+fn lines(grid: &GridSettings, shard: Shard) -> Vec<Line> {
+    let length = grid.axes.last().map_or(1, |axis| axis.points);
+    (0..grid.poses() / length)
+        .filter(|line| *line as u64 % shard.of == shard.number - 1)
+        .map(|line| (line * length..(line + 1) * length).collect())
+        .collect()
+}
+
+/// The journal of an output file.
+fn journal_path(output: &Path) -> PathBuf {
+    let mut path = output.as_os_str().to_owned();
+    path.push(".journal");
+    path.into()
+}
+
+/// Builds the database (or one shard of it) of the settings' grid into `output`. `progress` is told how many poses
+/// are done; raising `stop` ends the build, the journal keeps what is finished.
+///
+/// # Errors
+/// [`BuildError`] if a file cannot be used or belongs to other settings; nothing finished is lost.
+pub fn build(
+    config: &Config,
+    shard: Shard,
+    output: &Path,
+    stop: &AtomicBool,
+    progress: impl Fn(usize) + Sync,
+) -> Result<Summary, BuildError> {
+    let heading = heading(config, shard);
+    let lines = lines(&config.grid, shard);
+    let poses = lines.iter().map(Vec::len).sum();
+    if let Some(finished) = finished(output, &heading)? {
+        progress(poses);
+        return Ok(summary(&finished, poses, poses));
+    }
+    let path = journal_path(output);
+    let (mut file, mut records) = open_journal(&path, &heading)?;
+    let done: std::collections::HashSet<u64> = records.iter().map(|r| r.pose).collect();
+    // A line is journaled at once: one that is there in part belongs to a process that was killed while writing.
+    let whole = |line: &Line| line.iter().all(|pose| done.contains(&(*pose as u64)));
+    records.retain(|r| lines.iter().any(|line| line.contains(&(r.pose as usize)) && whole(line)));
+    let resumed = records.len();
+    progress(resumed);
+    let results: Mutex<Result<Vec<Record>, BuildError>> = Mutex::new(Ok(records));
+    let journal = Mutex::new(&mut file);
+    lines.par_iter().filter(|line| !whole(line)).for_each(|line| {
+        // Another line may have failed to be written.
+        let halted = || stop.load(Ordering::Acquire) || results.lock().map_or(true, |r| r.is_err());
+        let Some(solved) = solve_line(config, line, &halted, stop) else { return };
+        let bytes: Vec<u8> = solved.iter().flat_map(Record::encode).collect();
+        let written = journal.lock().map(|mut file| file.write_all(&bytes));
+        if let Ok(mut results) = results.lock() {
+            match (written, &mut *results) {
+                (Ok(Ok(())), Ok(records)) => {
+                    records.extend(solved);
+                    progress(line.len());
+                }
+                (Ok(Err(cause)), Ok(_)) => {
+                    *results = Err(BuildError::File { action: "write", path: path.clone(), cause });
+                }
+                _ => {}
+            }
+        }
+    });
+    // A poisoned lock means a panic, which has been passed on already.
+    let mut records = results.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner())?;
+    records.sort_by_key(|r| r.pose);
+    let database = Database { heading, records };
+    let summary = summary(&database, poses, resumed);
+    if summary.left == 0 {
+        write_whole(output, &database.encode())?;
+        remove(&path)?;
+    }
+    Ok(summary)
+}
+
+/// Solves a line; `None` if it was halted.
+fn solve_line(
+    config: &Config,
+    line: &Line,
+    halted: &impl Fn() -> bool,
+    stop: &AtomicBool,
+) -> Option<Vec<Record>> {
+    let grid = &config.grid;
+    let options = Options { stop: Some(stop), ..options(config) };
+    let mut neighbour: Option<Trajectory> = None;
+    let mut records = Vec::with_capacity(line.len());
+    for pose in line {
+        if halted() {
+            return None;
+        }
+        let start = config.start_state(&grid.pose(*pose), grid.start).ok();
+        let accepted = start.filter(|x| x.rows(N_ACTUATED, 2).amax() <= grid.max_rest_angle);
+        let outcome = match accepted {
+            None => Outcome::Rejected,
+            Some(start) => {
+                let solution = optimize(config, start, Effort::Best, neighbour.as_ref(), &options);
+                match solution.status {
+                    Status::Solved => {
+                        let entry = Entry::new(&solution.trajectory, |t| certify(config, t));
+                        neighbour = Some(entry.trajectory.clone());
+                        Outcome::Solved(Box::new(entry))
+                    }
+                    Status::Interrupted => return None,
+                    _ => Outcome::Failed,
+                }
+            }
+        };
+        records.push(Record { pose: *pose as u64, outcome });
+    }
+    Some(records)
+}
+
+/// The certificate of a trajectory under the settings' limits and weights.
+pub fn certify(config: &Config, trajectory: &Trajectory) -> Certificate {
+    let input_weight = config.planner.offline.input_weight;
+    Certificate::of(trajectory, &config.model, &config.robot.planning, input_weight)
+}
+
+fn summary(database: &Database, poses: usize, resumed: usize) -> Summary {
+    let mut s = Summary {
+        poses,
+        resumed,
+        solved: 0,
+        rejected: 0,
+        failed: Vec::new(),
+        left: poses - database.records.len(),
+    };
+    for record in &database.records {
+        match record.outcome {
+            Outcome::Solved(_) => s.solved += 1,
+            Outcome::Rejected => s.rejected += 1,
+            Outcome::Failed => s.failed.push(record.pose),
+        }
+    }
+    s
+}
+
+/// The finished file of exactly this build, if it is there. One of other settings is replaced in the end.
+fn finished(output: &Path, heading: &Heading) -> Result<Option<Database>, BuildError> {
+    match std::fs::read(output) {
+        Ok(bytes) => Ok(Database::decode(&bytes).ok().filter(|d| d.heading == *heading)),
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(None),
+        Err(cause) => Err(BuildError::File { action: "read", path: output.to_owned(), cause }),
+    }
+}
+
+/// Opens the journal for appending, with what is whole in it.
+fn open_journal(path: &Path, heading: &Heading) -> Result<(File, Vec<Record>), BuildError> {
+    let failed = |action| move |cause| BuildError::File { action, path: path.to_owned(), cause };
+    let open = || OpenOptions::new().create(true).append(true).open(path).map_err(failed("write"));
+    let begin = |mut file: File| {
+        file.write_all(&heading.journal()).map_err(failed("write"))?;
+        Ok((file, Vec::new()))
+    };
+    let bytes = match std::fs::read(path) {
+        Ok(bytes) => bytes,
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return begin(open()?),
+        Err(cause) => return Err(failed("read")(cause)),
+    };
+    let file = open()?;
+    // A journal killed within its header holds nothing.
+    let Ok((journal, whole)) = Database::recover(&bytes) else {
+        if bytes.len() >= heading.journal().len() {
+            let cause = Database::recover(&bytes).err().unwrap_or(DatabaseError::Empty);
+            return Err(BuildError::Database { path: path.to_owned(), cause });
+        }
+        file.set_len(0).map_err(failed("write"))?;
+        return begin(file);
+    };
+    same_origin(path, &journal.heading, heading)?;
+    for (what, expected, got) in
+        [("shard", heading.shard, journal.heading.shard), ("shards", heading.shards, journal.heading.shards)]
+    {
+        if expected != got {
+            return Err(BuildError::Foreign { path: path.to_owned(), what, expected, got });
+        }
+    }
+    file.set_len(whole as u64).map_err(failed("write"))?;
+    Ok((file, journal.records))
+}
+
+/// Refuses a file that was made for another robot, other settings or another grid.
+fn same_origin(path: &Path, got: &Heading, expected: &Heading) -> Result<(), BuildError> {
+    for (what, expected, got) in [
+        ("fingerprint of the robot model", expected.model, got.model),
+        ("fingerprint of limits and weights", expected.problem, got.problem),
+        ("fingerprint of the grid", expected.grid, got.grid),
+    ] {
+        if expected != got {
+            return Err(BuildError::Foreign { path: path.to_owned(), what, expected, got });
+        }
+    }
+    Ok(())
+}
+
+/// Joins the shards of one build into `output`; the order of the files does not matter, and the result has the bytes
+/// of a build in one piece.
+///
+/// # Errors
+/// [`BuildError`] for missing shards, files of different builds, and poses that differ between files.
+pub fn merge(inputs: &[PathBuf], output: &Path) -> Result<Database, BuildError> {
+    let mut records: std::collections::BTreeMap<u64, (Record, PathBuf)> = std::collections::BTreeMap::new();
+    let mut first: Option<Heading> = None;
+    let mut present = std::collections::BTreeSet::new();
+    for path in inputs {
+        let database = read(path)?;
+        let expected = *first.get_or_insert(database.heading);
+        same_origin(path, &database.heading, &expected)?;
+        if expected.shards != database.heading.shards {
+            let (expected, got) = (expected.shards, database.heading.shards);
+            return Err(BuildError::Foreign { path: path.clone(), what: "number of shards", expected, got });
+        }
+        present.insert(database.heading.shard);
+        for record in database.records {
+            match records.get(&record.pose) {
+                // Compared as bytes: NaN would differ from itself.
+                Some((known, file)) if known.encode() != record.encode() => {
+                    let (first, second) = (file.clone(), path.clone());
+                    return Err(BuildError::Disagree { pose: record.pose, first, second });
+                }
+                Some(_) => {}
+                None => {
+                    records.insert(record.pose, (record, path.clone()));
+                }
+            }
+        }
+    }
+    let heading = first.ok_or(BuildError::Nothing)?;
+    let missing: Vec<u64> = (1..=heading.shards).filter(|i| !present.contains(i)).collect();
+    if !missing.is_empty() || records.len() as u64 != heading.poses {
+        return Err(BuildError::Missing { missing, of: heading.shards });
+    }
+    let heading = Heading { shard: 1, shards: 1, ..heading };
+    let database = Database { heading, records: records.into_values().map(|(r, _)| r).collect() };
+    write_whole(output, &database.encode())?;
+    Ok(database)
+}
+
+/// Reads a database file.
+///
+/// # Errors
+/// [`BuildError::File`] or [`BuildError::Database`].
+pub fn read(path: &Path) -> Result<Database, BuildError> {
+    let bytes = std::fs::read(path).map_err(|cause| BuildError::File {
+        action: "read",
+        path: path.to_owned(),
+        cause,
+    })?;
+    Database::decode(&bytes).map_err(|cause| BuildError::Database { path: path.to_owned(), cause })
+}
+
+/// One entry whose certificate does not hold.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Discrepancy {
+    /// Its pose.
+    pub pose: u64,
+    /// In the file.
+    pub recorded: Certificate,
+    /// Computed from the trajectory.
+    pub computed: Certificate,
+}
+
+/// Recomputes the certificates of all entries in parallel; those that differ by more than rounding.
+pub fn verify(config: &Config, database: &Database, progress: impl Fn() + Sync) -> Vec<Discrepancy> {
+    /// The libraries of two machines differ in the last digits of sines, which an unstable pendulum amplifies.
+    const ROUNDING: f64 = 1e-6;
+    database
+        .records
+        .par_iter()
+        .filter_map(|record| {
+            let Outcome::Solved(entry) = &record.outcome else { return None };
+            let computed = certify(config, &entry.trajectory);
+            progress();
+            let differs = entry.certificate.difference(&computed) > ROUNDING;
+            differs.then_some(Discrepancy { pose: record.pose, recorded: entry.certificate, computed })
+        })
+        .collect()
+}
+
+/// Writes a file beside its place and renames it: a reader sees the old one or the new one, never a part.
+fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), BuildError> {
+    let mut beside = path.as_os_str().to_owned();
+    beside.push(".part");
+    let beside = PathBuf::from(beside);
+    let write = || {
+        let mut file = File::create(&beside)?;
+        file.write_all(bytes)?;
+        file.sync_all()?;
+        std::fs::rename(&beside, path)
+    };
+    write().map_err(|cause| {
+        let _ = std::fs::remove_file(&beside);
+        BuildError::File { action: "write", path: path.to_owned(), cause }
+    })
+}
+
+fn remove(path: &Path) -> Result<(), BuildError> {
+    std::fs::remove_file(path).map_err(|cause| BuildError::File {
+        action: "remove",
+        path: path.to_owned(),
+        cause,
+    })
+}

@@ -1,0 +1,121 @@
+//! What a database entry is worth: figures that anybody can compute again.
+
+use crate::{Margins, N, Spline, Trajectory};
+use upswing_model::{Limits, Model, State, Workspace};
+
+/// Figures of one trajectory, recomputable by [`Certificate::of`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Certificate {
+    /// J of (6a).
+    pub cost: f64,
+    /// Largest component of (6b), rad or rad/s.
+    pub defect: f64,
+    /// Smallest margin of a position on a dense time grid, as a share of half its range.
+    pub margin_q: f64,
+    /// Smallest margin of a velocity, likewise.
+    pub margin_qd: f64,
+    /// Smallest margin of a motor torque, likewise.
+    pub margin_tau: f64,
+    /// Largest component (rad or rad/s) by which the state at t_F misses x_N if the nonlinear dynamics follow the
+    /// spline's u from x_0 without feedback; an adaptive integrator of high accuracy.
+    pub end_error: f64,
+}
+
+impl Certificate {
+    /// Points between two knots at which limits are looked at.
+    pub const BETWEEN: usize = 9;
+
+    /// Computes all figures for R = `input_weight` I (s^4/rad^2) and `limits`.
+    pub fn of(trajectory: &Trajectory, model: &Model, limits: &Limits, input_weight: f64) -> Self {
+        let mut work = Workspace::default();
+        let margins = Margins::of(trajectory, model, limits, Self::BETWEEN);
+        Self {
+            cost: trajectory.cost(input_weight),
+            defect: trajectory.defect(model, &mut work),
+            margin_q: margins.q.share,
+            margin_qd: margins.qd.share,
+            margin_tau: margins.tau.share,
+            end_error: (follow(trajectory, model, &mut work) - trajectory.x[N]).amax(),
+        }
+    }
+
+    /// The figures in the order of the file.
+    pub(crate) fn to_array(self) -> [f64; 6] {
+        [self.cost, self.defect, self.margin_q, self.margin_qd, self.margin_tau, self.end_error]
+    }
+
+    pub(crate) fn from_array(v: [f64; 6]) -> Self {
+        let [cost, defect, margin_q, margin_qd, margin_tau, end_error] = v;
+        Self { cost, defect, margin_q, margin_qd, margin_tau, end_error }
+    }
+
+    /// Largest difference to `other`, relative to the larger of 1 and the figure: two computations of the same
+    /// trajectory differ by rounding only.
+    pub fn difference(&self, other: &Self) -> f64 {
+        self.to_array()
+            .iter()
+            .zip(other.to_array())
+            .map(|(a, b)| if *a == b { 0.0 } else { (a - b).abs() / a.abs().max(1.0) })
+            .fold(0.0, |worst, d| if d.is_nan() { f64::INFINITY } else { worst.max(d) })
+    }
+}
+
+/// x(t_F) of the dynamics (5) under the spline's u from x_0, by the method of Dormand and Prince (J. Comput. Appl.
+/// Math. 6, 1980) of order 5 with error control of order 4, restarted at each knot, where u has a kink.
+pub fn follow(trajectory: &Trajectory, model: &Model, work: &mut Workspace) -> State {
+    /// Largest local error, rad or rad/s.
+    const TOLERANCE: f64 = 1e-11;
+    /// A trajectory that needs a shorter step, s, is not one.
+    const SHORTEST: f64 = 1e-9;
+    let f = trajectory.f(model, work);
+    let spline = Spline { t_f: trajectory.t_f, x: &trajectory.x, u: &trajectory.u, f: &f };
+    let mut x = trajectory.x[0];
+    let mut step = trajectory.h();
+    for k in 0..N {
+        let (mut t, end) = (k as f64 * trajectory.h(), (k + 1) as f64 * trajectory.h());
+        while t < end {
+            let h = step.min(end - t);
+            let last = h >= end - t;
+            let (next, error) = dormand_prince(&x, t, h, |t, x| model.f(x, &spline.input(t), work));
+            let worst = error.amax();
+            if worst <= TOLERANCE || h <= SHORTEST {
+                x = next;
+                t = if last { end } else { t + h };
+            }
+            if !worst.is_finite() {
+                return State::repeat(f64::NAN);
+            }
+            let growth = 0.9 * (TOLERANCE / worst.max(1e-300)).powf(0.2);
+            step = (h * growth.clamp(0.2, 5.0)).max(SHORTEST);
+        }
+    }
+    x
+}
+
+/// One step of length `h`: the new state and an estimate of its error.
+fn dormand_prince(x: &State, t: f64, h: f64, mut f: impl FnMut(f64, &State) -> State) -> (State, State) {
+    const C: [f64; 7] = [0.0, 0.2, 0.3, 0.8, 8.0 / 9.0, 1.0, 1.0];
+    const A: [[f64; 6]; 7] = [
+        [0.0; 6],
+        [0.2, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [3.0 / 40.0, 9.0 / 40.0, 0.0, 0.0, 0.0, 0.0],
+        [44.0 / 45.0, -56.0 / 15.0, 32.0 / 9.0, 0.0, 0.0, 0.0],
+        [19372.0 / 6561.0, -25360.0 / 2187.0, 64448.0 / 6561.0, -212.0 / 729.0, 0.0, 0.0],
+        [9017.0 / 3168.0, -355.0 / 33.0, 46732.0 / 5247.0, 49.0 / 176.0, -5103.0 / 18656.0, 0.0],
+        [35.0 / 384.0, 0.0, 500.0 / 1113.0, 125.0 / 192.0, -2187.0 / 6784.0, 11.0 / 84.0],
+    ];
+    /// Weights of order 5 less those of order 4.
+    const E: [f64; 7] =
+        [71.0 / 57600.0, 0.0, -71.0 / 16695.0, 71.0 / 1920.0, -17253.0 / 339200.0, 22.0 / 525.0, -1.0 / 40.0];
+    let mut slopes = [State::zeros(); 7];
+    let mut next = *x;
+    for i in 0..7 {
+        next = *x;
+        for j in 0..i {
+            next += slopes[j] * (h * A[i][j]);
+        }
+        slopes[i] = f(t + C[i] * h, &next);
+    }
+    let error = slopes.iter().zip(E).fold(State::zeros(), |sum, (slope, e)| sum + slope * (h * e));
+    (next, error)
+}

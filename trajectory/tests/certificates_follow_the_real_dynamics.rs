@@ -1,0 +1,67 @@
+//! The end error of a certificate comes from an integrator that shares no code with the trapezoidal rule: halving
+//! its tolerance budget changes nothing, and for motions with a known end it finds that end.
+
+use upswing_model::{ActuatedVector, JointVector, Model, State, Workspace, state};
+use upswing_trajectory::{Certificate, KNOTS, N, Spline, Trajectory, follow};
+
+fn robot() -> Model {
+    Model::from_urdf(include_str!("../../config/robot.urdf")).expect("the shipped robot")
+}
+
+/// Joint 1 swings about the vertical, with the pendulum hanging in the plane of its axis.
+fn motion(model: &Model) -> Trajectory {
+    let mut q = JointVector::zeros();
+    (q[1], q[3], q[5]) = (0.2, -1.3, 0.1);
+    let q = model.rest_position(&q, &mut Workspace::default()).expect("it hangs");
+    let (t_f, h) = (1.0, 1.0 / N as f64);
+    let u: Vec<_> = (0..KNOTS)
+        .map(|k| {
+            let mut u = ActuatedVector::zeros();
+            u[0] = (2.0 * std::f64::consts::PI * k as f64 * h).cos();
+            u[3] = 0.5 * (k as f64 * h);
+            u
+        })
+        .collect();
+    let mut x: Vec<State> = vec![state(&q, &JointVector::zeros())];
+    let mut work = Workspace::default();
+    // Classical Runge-Kutta with 20 steps per interval, along the linear spline of u.
+    for k in 0..N {
+        let mut y = x[k];
+        for i in 0..20 {
+            let (s, d) = (f64::from(i) / 20.0, 0.05 * h);
+            let input = |share: f64| u[k] + (u[k + 1] - u[k]) * (s + share / 20.0);
+            let k1 = model.f(&y, &input(0.0), &mut work);
+            let k2 = model.f(&(y + k1 * (d / 2.0)), &input(0.5), &mut work);
+            let k3 = model.f(&(y + k2 * (d / 2.0)), &input(0.5), &mut work);
+            let k4 = model.f(&(y + k3 * d), &input(1.0), &mut work);
+            y += (k1 + k2 * 2.0 + k3 * 2.0 + k4) * (d / 6.0);
+        }
+        x.push(y);
+    }
+    Trajectory { t_f, x, u }
+}
+
+#[test]
+fn two_integrators_find_the_same_end() {
+    let model = robot();
+    let trajectory = motion(&model);
+    let end = follow(&trajectory, &model, &mut Workspace::default());
+    assert!((end - trajectory.x[N]).amax() < 1e-9, "they differ by {:e}", (end - trajectory.x[N]).amax());
+}
+
+#[test]
+fn figures_are_those_of_the_trajectory() {
+    let model = robot();
+    let trajectory = motion(&model);
+    let limits = model.rated_limits();
+    let c = Certificate::of(&trajectory, &model, limits, 0.01);
+    assert!((c.cost - trajectory.cost(0.01)).abs() == 0.0);
+    assert!(c.end_error < 1e-9 && c.margin_q > 0.0 && c.margin_qd > 0.0 && c.margin_tau > 0.0);
+    // The trapezoidal rule differs from the exact solution by O(h^3).
+    assert!(c.defect > 1e-9 && c.defect < 1e-4, "defect {:e}", c.defect);
+    assert_eq!(c.difference(&c), 0.0);
+    assert!(c.difference(&Certificate { end_error: f64::NAN, ..c }).is_infinite());
+    let f = trajectory.f(&model, &mut Workspace::default());
+    let spline = Spline { t_f: 1.0, x: &trajectory.x, u: &trajectory.u, f: &f };
+    assert_eq!(spline.state(0.0), trajectory.x[0]);
+}
