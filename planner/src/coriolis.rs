@@ -78,11 +78,9 @@ pub fn bound(
 ) -> CoriolisRange {
     (0..samples.div_ceil(CHUNK))
         .into_par_iter()
+        .take_any_while(|_| !stop.load(Ordering::Acquire))
         .map_init(Workspace::default, |work, chunk| {
             let mut range = CoriolisRange::empty();
-            if stop.load(Ordering::Acquire) {
-                return range;
-            }
             let first = chunk * CHUNK;
             let count = CHUNK.min(samples - first);
             for (q, qd) in random_states(limits, seed, first).take(count as usize) {
