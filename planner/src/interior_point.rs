@@ -10,7 +10,7 @@ use crate::problem::{KnotDerivatives, Problem};
 use nalgebra::SVector;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-use upswing_model::{ActuatedVector, N_UNACTUATED, NQ, NU, NX, State, UnactuatedVector, Workspace};
+use upswing_model::{ActuatedVector, N_UNACTUATED, NQ, NU, NX, NZ, State, UnactuatedVector, Workspace};
 use upswing_trajectory::{KNOTS, N, Trajectory};
 
 /// When to stop.
@@ -219,6 +219,9 @@ impl<const D: usize> Bounded<D> {
 
 type Scalar = SVector<f64, 1>;
 
+/// d tau_k / dz_k in units of the slacks.
+type TorqueJacobian = nalgebra::SMatrix<f64, NU, NZ>;
+
 /// Primal variables.
 #[derive(Clone, Debug)]
 struct Point {
@@ -298,6 +301,11 @@ struct Solver<'a> {
 pub fn solve(problem: &Problem<'_>, guess: &Trajectory, options: &Options<'_>) -> Solution {
     Solver::new(problem, guess, options).run(options)
 }
+
+/// Multipliers up to this mean size leave the residuals unscaled.
+const S_MAX: f64 = 100.0;
+/// Number of bounds of states and slacks.
+const BOUNDS: f64 = (2 * (N * NX + KNOTS * NU)) as f64;
 
 /// Inputs are ten times larger than angles and velocities: their damping is smaller by the square of it.
 const INPUT_DAMPING: f64 = 1e-2;
@@ -381,8 +389,8 @@ impl<'a> Solver<'a> {
         w
     }
 
-    /// The matrix at the current point (without barrier and torque terms) and the knots' derivatives.
-    fn linearise(&mut self) -> (Kkt, Vec<KnotDerivatives>) {
+    /// The matrix at the current point (without barrier and torque terms) and the torques' derivatives.
+    fn linearise(&mut self) -> (Kkt, Vec<TorqueJacobian>) {
         let h = self.point.t / N as f64;
         let r = self.problem.input_weight;
         let mut kkt = Kkt {
@@ -411,15 +419,15 @@ impl<'a> Solver<'a> {
             kkt.hessian.push(hessian);
             kkt.with_t.push(with_t);
             kkt.dynamics.push(dynamics);
-            knots.push(knot);
+            knots.push(self.torque_jacobian(&knot));
         }
         (kkt, knots)
     }
 
     /// d tau / dz, scaled: NU x NZ.
-    fn torque_jacobian(&self, knot: &KnotDerivatives) -> nalgebra::SMatrix<f64, NU, { NX + NU }> {
+    fn torque_jacobian(&self, knot: &KnotDerivatives) -> TorqueJacobian {
         let d = knot.torque();
-        nalgebra::SMatrix::from_fn(|i, j| {
+        TorqueJacobian::from_fn(|i, j| {
             (if j < NX { d.tau_x[(i, j)] } else { d.tau_u[(i, j - NX)] }) / self.torque_half[i]
         })
     }
@@ -438,7 +446,7 @@ impl<'a> Solver<'a> {
     }
 
     /// Adds barrier and torque terms to the matrix and builds the gradient part of the right-hand side.
-    fn condense(&self, kkt: &mut Kkt, knots: &[KnotDerivatives]) {
+    fn condense(&self, kkt: &mut Kkt, knots: &[TorqueJacobian]) {
         kkt.t_t += self.bound_t.sigma(&Scalar::new(self.point.t))[0];
         for k in 0..KNOTS {
             if k > 0 {
@@ -447,7 +455,7 @@ impl<'a> Solver<'a> {
                     kkt.hessian[k][(i, i)] += sigma[i];
                 }
             }
-            let jacobian = self.torque_jacobian(&knots[k]);
+            let jacobian = &knots[k];
             let sigma = self.bound_s[k].sigma(&self.point.s[k]);
             let weighted =
                 nalgebra::SMatrix::<f64, NU, { NX + NU }>::from_fn(|i, j| sigma[i] * jacobian[(i, j)]);
@@ -456,7 +464,7 @@ impl<'a> Solver<'a> {
         }
     }
 
-    fn right_hand_side(&self, kkt: &Kkt, knots: &[KnotDerivatives], c: &Residuals) -> Rhs {
+    fn right_hand_side(&self, kkt: &Kkt, knots: &[TorqueJacobian], c: &Residuals) -> Rhs {
         let mut rhs = kkt.zero_rhs();
         let (g, g_t) = self.objective_gradient();
         rhs.g = g;
@@ -473,7 +481,7 @@ impl<'a> Solver<'a> {
             let sigma = self.bound_s[k].sigma(&self.point.s[k]);
             let pull =
                 sigma.component_mul(&c.torque[k]) + self.bound_s[k].gradient(&self.point.s[k], self.mu);
-            rhs.g[k] += self.torque_jacobian(&knots[k]).transpose() * pull;
+            rhs.g[k] += knots[k].tr_mul(&pull);
         }
         rhs
     }
@@ -483,7 +491,7 @@ impl<'a> Solver<'a> {
         kkt: &Kkt,
         factor: &Factor,
         damping: f64,
-        knots: &[KnotDerivatives],
+        knots: &[TorqueJacobian],
         c: &Residuals,
     ) -> Direction {
         let rhs = self.right_hand_side(kkt, knots, c);
@@ -495,7 +503,7 @@ impl<'a> Solver<'a> {
         let (mut bound_x, mut bound_s) = (Vec::with_capacity(N), Vec::with_capacity(KNOTS));
         for k in 0..KNOTS {
             let (b, v) = (&self.bound_s[k], &self.point.s[k]);
-            let ds = self.torque_jacobian(&knots[k]) * step.z[k] + c.torque[k];
+            let ds = knots[k] * step.z[k] + c.torque[k];
             let new_y = b.sigma(v).component_mul(&ds) + b.gradient(v, self.mu);
             let dz = b.dual_step(v, &ds, self.mu);
             shorten(b.to_boundary(v, &ds, &dz, share));
@@ -557,14 +565,11 @@ impl<'a> Solver<'a> {
         self.bound_t.advance(&Scalar::new(self.point.t), &d.bound_t, d.alpha.1, self.mu);
     }
 
-    /// (stationarity, complementarity for `mu`), scaled by the size of the multipliers.
-    fn optimality(&self, kkt: &Kkt, knots: &[KnotDerivatives], mu: f64) -> (f64, f64) {
+    /// Largest residual of the stationarity conditions, scaled by the size of the multipliers.
+    fn stationarity(&self, kkt: &Kkt, knots: &[TorqueJacobian]) -> f64 {
         let (g, g_t) = self.objective_gradient();
         let mut worst = 0.0_f64;
         let mut on_t = g_t - self.bound_t.z_lower[0] + self.bound_t.z_upper[0];
-        let mut complementarity = self.bound_t.complementarity(&Scalar::new(self.point.t), mu);
-        let mut bound_sum = 0.0;
-        let mut equality_sum = 0.0;
         for k in 0..KNOTS {
             let w = self.defect_multiplier(k);
             let mut grad = g[k] - kkt.dynamics[k].apply_transposed(&w) * (0.5 * kkt.h);
@@ -584,33 +589,38 @@ impl<'a> Solver<'a> {
                     }
                 }
             }
-            grad += self.torque_jacobian(&knots[k]).transpose() * self.y[k];
+            grad += knots[k].tr_mul(&self.y[k]);
             let b = &self.bound_s[k];
             worst = worst.max((-self.y[k] - b.z_lower + b.z_upper).amax());
-            complementarity = complementarity.max(b.complementarity(&self.point.s[k], mu));
-            bound_sum += b.multiplier_sum();
-            equality_sum += self.y[k].lp_norm(1);
             if k > 0 {
                 let b = &self.bound_x[k - 1];
                 for i in 0..NX {
                     grad[i] += b.z_upper[i] - b.z_lower[i];
                 }
-                complementarity = complementarity.max(b.complementarity(&self.point.x[k], mu));
-                bound_sum += b.multiplier_sum();
-                equality_sum += self.dynamics[k - 1].lp_norm(1);
                 worst = worst.max(grad.amax());
             } else {
                 // x_0 is given: only u_0 has a condition.
                 worst = worst.max(grad.fixed_rows::<NU>(NX).amax());
             }
         }
-        worst = worst.max(on_t.abs());
-        const S_MAX: f64 = 100.0;
-        let bounds = (2 * (N * NX + KNOTS * NU)) as f64;
-        let equalities = (N * NX + KNOTS * NU) as f64;
-        let scale_d = ((bound_sum + equality_sum) / (bounds + equalities)).max(S_MAX) / S_MAX;
-        let scale_c = (bound_sum / bounds).max(S_MAX) / S_MAX;
-        (worst / scale_d, complementarity / scale_c)
+        let equalities: f64 = self.y.iter().map(|y| y.lp_norm(1)).sum::<f64>()
+            + self.dynamics.iter().map(|l| l.lp_norm(1)).sum::<f64>();
+        let count = BOUNDS + (N * NX + KNOTS * NU) as f64;
+        worst.max(on_t.abs()) / ((self.multiplier_sum() + equalities) / count).max(S_MAX) * S_MAX
+    }
+
+    /// Largest |z gap - mu| of all bounds, scaled by the size of their multipliers.
+    fn complementarity(&self, mu: f64) -> f64 {
+        let t = self.bound_t.complementarity(&Scalar::new(self.point.t), mu);
+        let x = self.bound_x.iter().zip(&self.point.x[1..]).map(|(b, x)| b.complementarity(x, mu));
+        let s = self.bound_s.iter().zip(&self.point.s).map(|(b, s)| b.complementarity(s, mu));
+        x.chain(s).fold(t, f64::max) / (self.multiplier_sum() / BOUNDS).max(S_MAX) * S_MAX
+    }
+
+    /// Sum of the multipliers of the bounds of states and slacks.
+    fn multiplier_sum(&self) -> f64 {
+        let x: f64 = self.bound_x.iter().map(Bounded::multiplier_sum).sum();
+        x + self.bound_s.iter().map(Bounded::multiplier_sum).sum::<f64>()
     }
 
     /// The limit with the largest multiplier, as a share of its range: at a point where the constraints contradict
@@ -680,7 +690,8 @@ impl<'a> Solver<'a> {
         let (status, stationarity) = loop {
             let (mut kkt, knots) = self.linearise();
             let violation = c.largest();
-            let (stationarity, complementarity) = self.optimality(&kkt, &knots, 0.0);
+            let stationarity = self.stationarity(&kkt, &knots);
+            let complementarity = self.complementarity(0.0);
             if stationarity.max(complementarity).max(violation) <= options.tolerance {
                 break (Status::Solved, stationarity);
             }
@@ -695,7 +706,7 @@ impl<'a> Solver<'a> {
             }
             // A barrier problem solved well enough gives way to the next.
             loop {
-                let (stationarity, complementarity) = self.optimality(&kkt, &knots, self.mu);
+                let complementarity = self.complementarity(self.mu);
                 let smallest = options.tolerance / 10.0;
                 if stationarity.max(complementarity).max(violation) > KAPPA_EPSILON * self.mu
                     || self.mu <= smallest
@@ -727,7 +738,7 @@ impl<'a> Solver<'a> {
     fn iterate(
         &mut self,
         kkt: &Kkt,
-        knots: &[KnotDerivatives],
+        knots: &[TorqueJacobian],
         c: &Residuals,
         filter: &mut Filter,
     ) -> Option<Residuals> {
@@ -772,7 +783,7 @@ impl<'a> Solver<'a> {
         kkt: &Kkt,
         factor: &Factor,
         damping: f64,
-        knots: &[KnotDerivatives],
+        knots: &[TorqueJacobian],
         c: &Residuals,
         (first, alpha, slope): (Residuals, f64, f64),
         (theta, phi): (f64, f64),

@@ -1,9 +1,9 @@
 //! Offline optimisation (6), (8), (9)/(11) with the settings of a configuration.
 
-use crate::interior_point::{Options, Solution, Status, solve};
+use crate::interior_point::{Limit, LimitKind, Options, Solution, Status, solve};
 use crate::problem::{Problem, TorqueConstraint, upright_target};
 use upswing_config::Config;
-use upswing_model::{ActuatedVector, NU, NX, State};
+use upswing_model::{ActuatedVector, N_ACTUATED, NQ, NU, NX, State, Workspace};
 use upswing_trajectory::{N, Trajectory};
 use xxhash_rust::xxh3::Xxh3;
 
@@ -106,7 +106,72 @@ pub fn optimize(
         }
     }
     // At least one attempt was made.
-    best.unwrap_or_else(|| solve(&problem, &problem.straight_line(STRAIGHT_DURATIONS[0]), options))
+    let mut best =
+        best.unwrap_or_else(|| solve(&problem, &problem.straight_line(STRAIGHT_DURATIONS[0]), options));
+    if matches!(best.status, Status::Infeasible(_))
+        && let Some(limit) = limit_in_the_way(&problem, options)
+    {
+        best.status = Status::Infeasible(limit);
+    }
+    best
+}
+
+/// The limit without which a start that has no trajectory would have one: each kind of limit is lifted in turn, those
+/// of the pendulum first, which the arm cannot influence at once; what the trajectory then exceeds most is the answer.
+fn limit_in_the_way(problem: &Problem<'_>, options: &Options<'_>) -> Option<Limit> {
+    /// As good as none.
+    const LIFTED: f64 = 100.0;
+    let (arm, pendulum) = (0..N_ACTUATED, N_ACTUATED..NQ);
+    let both = [LimitKind::Velocity, LimitKind::Position];
+    // One joint of the pendulum, then all of it, then the arm.
+    let single = both.into_iter().flat_map(|kind| (N_ACTUATED..NQ).rev().map(move |i| (kind, i..i + 1)));
+    let whole = both.into_iter().map(|kind| (kind, pendulum.clone()));
+    let of_the_arm = [LimitKind::Velocity, LimitKind::Torque, LimitKind::Position].map(|k| (k, arm.clone()));
+    single.chain(whole).chain(of_the_arm).find_map(|(kind, joints)| {
+        let mut lifted = problem.clone();
+        for i in joints.clone() {
+            match kind {
+                LimitKind::Velocity => lifted.limits.qd_max[i] *= LIFTED,
+                LimitKind::Torque => lifted.limits.tau_max[i] *= LIFTED,
+                LimitKind::Position => {
+                    lifted.limits.q_min[i] *= LIFTED;
+                    lifted.limits.q_max[i] *= LIFTED;
+                }
+            }
+        }
+        let solution = solve(&lifted, &lifted.bent_line(BENT_DURATION, BENDS[0]), options);
+        (solution.status == Status::Solved)
+            .then(|| most_exceeded(problem, &solution.trajectory, kind, joints))
+            .flatten()
+    })
+}
+
+/// Where a trajectory exceeds the limits of one kind most, as a share of the range.
+fn most_exceeded(
+    problem: &Problem<'_>,
+    trajectory: &Trajectory,
+    kind: LimitKind,
+    joints: std::ops::Range<usize>,
+) -> Option<Limit> {
+    let limits = &problem.limits;
+    let mut work = Workspace::default();
+    let mut worst = (0.0, None);
+    for (k, (x, u)) in trajectory.x.iter().zip(&trajectory.u).enumerate() {
+        let (_, tau) = problem.knot(x, u, &mut work);
+        let (tau_min, tau_max) = problem.torque.bounds(&limits.tau_max);
+        for joint in joints.clone() {
+            let (value, lower, upper) = match kind {
+                LimitKind::Position => (x[joint], limits.q_min[joint], limits.q_max[joint]),
+                LimitKind::Velocity => (x[NQ + joint], -limits.qd_max[joint], limits.qd_max[joint]),
+                LimitKind::Torque => (tau[joint], tau_min[joint], tau_max[joint]),
+            };
+            let excess = (lower - value).max(value - upper) / (upper - lower);
+            if excess > worst.0 {
+                worst = (excess, Some(Limit { kind, joint, time: k as f64 * trajectory.h() }));
+            }
+        }
+    }
+    worst.1
 }
 
 /// The options of the settings.
