@@ -9,7 +9,7 @@
 use crate::interior_point::{Options, Status};
 use crate::offline::{Effort, optimize, options, problem_fingerprint};
 use rayon::prelude::*;
-use std::fs::{File, OpenOptions};
+use std::fs::{File, OpenOptions, TryLockError};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -95,6 +95,9 @@ pub enum BuildError {
         /// The other.
         second: PathBuf,
     },
+    /// Another process builds the same file.
+    #[error("{} is being written by another build; wait for it or choose another output", .0.display())]
+    Busy(PathBuf),
     /// A merge of nothing.
     #[error("no shards given")]
     Nothing,
@@ -179,6 +182,9 @@ pub fn build(
     }
     let path = journal_path(output);
     let (mut file, mut records) = open_journal(&path, &heading)?;
+    // Journals joined by hand may hold a pose twice.
+    records.sort_by_key(|r| r.pose);
+    records.dedup_by_key(|r| r.pose);
     let done: std::collections::HashSet<u64> = records.iter().map(|r| r.pose).collect();
     // A line is journaled at once: one that is there in part belongs to a process that was killed while writing.
     let whole = |line: &Line| line.iter().all(|pose| done.contains(&(*pose as u64)));
@@ -268,7 +274,7 @@ fn summary(database: &Database, poses: usize, resumed: usize) -> Summary {
         solved: 0,
         rejected: 0,
         failed: Vec::new(),
-        left: poses - database.records.len(),
+        left: poses.saturating_sub(database.records.len()),
     };
     for record in &database.records {
         match record.outcome {
@@ -292,17 +298,24 @@ fn finished(output: &Path, heading: &Heading) -> Result<Option<Database>, BuildE
 /// Opens the journal for appending, with what is whole in it.
 fn open_journal(path: &Path, heading: &Heading) -> Result<(File, Vec<Record>), BuildError> {
     let failed = |action| move |cause| BuildError::File { action, path: path.to_owned(), cause };
-    let open = || OpenOptions::new().create(true).append(true).open(path).map_err(failed("write"));
+    let open = || {
+        let file = OpenOptions::new().create(true).append(true).open(path).map_err(failed("write"))?;
+        // Held until the build ends; the kernel releases it if the process dies.
+        match file.try_lock() {
+            Ok(()) => Ok(file),
+            Err(TryLockError::WouldBlock) => Err(BuildError::Busy(path.to_owned())),
+            Err(TryLockError::Error(cause)) => Err(failed("lock")(cause)),
+        }
+    };
     let begin = |mut file: File| {
         file.write_all(&heading.journal()).map_err(failed("write"))?;
         Ok((file, Vec::new()))
     };
-    let bytes = match std::fs::read(path) {
-        Ok(bytes) => bytes,
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return begin(open()?),
-        Err(cause) => return Err(failed("read")(cause)),
-    };
     let file = open()?;
+    let bytes = std::fs::read(path).map_err(failed("read"))?;
+    if bytes.is_empty() {
+        return begin(file);
+    }
     // A journal killed within its header holds nothing.
     let Ok((journal, whole)) = Database::recover(&bytes) else {
         if bytes.len() >= heading.journal().len() {

@@ -93,6 +93,32 @@ fn after_an_interruption_and_after_a_kill() {
 }
 
 #[test]
+fn a_journal_that_holds_a_line_twice() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let whole = whole(dir.path());
+    let database = read(&whole).expect("it reads");
+    let path = dir.path().join("twice.bin");
+    let mut journal = database.heading.journal();
+    for record in database.records[..2].iter().chain(&database.records[..2]) {
+        journal.extend(record.encode());
+    }
+    std::fs::write(dir.path().join("twice.bin.journal"), journal).expect("written");
+    let summary = build(&small_grid(), Shard::WHOLE, &path, &go(), |_| ()).expect("it goes on");
+    assert_eq!((summary.resumed, summary.left), (2, 0));
+    assert_eq!(bytes(&whole), bytes(&path));
+}
+
+#[test]
+fn a_second_build_of_the_same_file_is_refused() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let path = dir.path().join("database.bin");
+    let journal = std::fs::File::create(dir.path().join("database.bin.journal")).expect("created");
+    journal.lock().expect("locked");
+    let refusal = build(&small_grid(), Shard::WHOLE, &path, &go(), |_| ()).expect_err("refused");
+    assert!(matches!(refusal, BuildError::Busy(_)), "{refusal}");
+}
+
+#[test]
 fn a_journal_of_other_settings_is_refused() {
     let dir = tempfile::tempdir().expect("a folder");
     let path = dir.path().join("database.bin");
