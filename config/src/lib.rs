@@ -21,7 +21,7 @@ pub use daemon::{
 pub use error::ConfigError;
 pub use grid::{GridAxis, GridSettings};
 pub use planner::{
-    LqrWeights, OfflineSettings, PlannerSettings, ReplanSettings, ReplanWeights, TorqueConstraint,
+    LqrWeights, OfflineSettings, PlannerSettings, QpBackend, ReplanSettings, ReplanWeights, TorqueConstraint,
 };
 pub use plant::{DriveSettings, EncoderSettings, FrictionSettings, PendulumStart, PlantSettings, PlantStart};
 pub use robot::{CoriolisBound, RobotSettings, Target};

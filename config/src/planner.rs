@@ -50,10 +50,22 @@ pub struct ReplanSettings {
     pub iterations: usize,
     /// Diagonal of Q, (17).
     pub weights: ReplanWeights,
+    /// Solver of the quadratic programs.
+    pub backend: QpBackend,
     /// How many of the nearest database entries are tried.
     pub neighbours: usize,
     /// Weight of each actuated joint in the squared distance between start poses, no unit.
     pub metric: [f64; NU],
+}
+
+/// Solver of the quadratic programs of a replan.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum QpBackend {
+    /// The interior-point method that knows the stages of (16).
+    Structured,
+    /// Clarabel, a general sparse solver.
+    Clarabel,
 }
 
 /// Diagonal of Q in (17), the same at every knot.
@@ -105,6 +117,7 @@ struct RawOffline {
 #[serde(deny_unknown_fields)]
 struct RawReplan {
     iterations: i64,
+    backend: QpBackend,
     weight_t_f: f64,
     weight_q: Vec<f64>,
     weight_qd: Vec<f64>,
@@ -136,6 +149,7 @@ impl PlannerSettings {
                     qd: check.list("replan.weight_qd", &replan.weight_qd, 1, &POSITIVE)?,
                     u: check.list("replan.weight_u", &replan.weight_u, 1, &POSITIVE)?,
                 },
+                backend: replan.backend,
                 neighbours: check.integer("replan.neighbours", replan.neighbours, 1..=1000)?,
                 metric: check.list("replan.metric", &replan.metric, 1, &POSITIVE)?,
             },

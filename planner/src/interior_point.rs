@@ -5,8 +5,13 @@
 //! Bounds of x_k, t_F and of slacks s_k = tau_k carry logarithmic barriers; the slacks are eliminated from the
 //! linear system. Constants without a comment are those of the publication.
 
+mod bounded;
+mod filter;
+
 use crate::kkt::{Factor, Kkt, KnotDynamics, KnotMatrix, KnotVector, Rhs, Step};
 use crate::problem::{KnotDerivatives, Problem};
+use bounded::Bounded;
+use filter::Filter;
 use nalgebra::SVector;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -111,111 +116,6 @@ pub struct Solution {
     pub violation: f64,
     /// Largest scaled residual of the stationarity conditions.
     pub stationarity: f64,
-}
-
-/// A vector with lower and upper bounds, their multipliers and their steps.
-#[derive(Clone, Debug)]
-struct Bounded<const D: usize> {
-    lower: SVector<f64, D>,
-    upper: SVector<f64, D>,
-    z_lower: SVector<f64, D>,
-    z_upper: SVector<f64, D>,
-}
-
-impl<const D: usize> Bounded<D> {
-    /// Multipliers of a central point; `v` is moved inside by 1 % of the range where needed.
-    fn new(lower: SVector<f64, D>, upper: SVector<f64, D>, v: &mut SVector<f64, D>, barrier: f64) -> Self {
-        for i in 0..D {
-            let push = (1e-2 * (upper[i] - lower[i])).min(1e-2 * lower[i].abs().max(1.0));
-            v[i] = v[i].clamp(lower[i] + push, upper[i] - push);
-        }
-        let mut b = Self { lower, upper, z_lower: lower, z_upper: upper };
-        b.z_lower = (*v - b.lower).map(|gap| barrier / gap);
-        b.z_upper = (b.upper - *v).map(|gap| barrier / gap);
-        b
-    }
-
-    /// Diagonal of the barrier's second derivative, primal-dual.
-    fn sigma(&self, v: &SVector<f64, D>) -> SVector<f64, D> {
-        self.z_lower.component_div(&(v - self.lower)) + self.z_upper.component_div(&(self.upper - v))
-    }
-
-    /// Gradient of the barrier.
-    fn gradient(&self, v: &SVector<f64, D>, mu: f64) -> SVector<f64, D> {
-        SVector::from_fn(|i, _| mu / (self.upper[i] - v[i]) - mu / (v[i] - self.lower[i]))
-    }
-
-    /// Value of the barrier; infinite outside the bounds.
-    fn barrier(&self, v: &SVector<f64, D>, mu: f64) -> f64 {
-        (0..D)
-            .map(|i| {
-                let (low, high) = (v[i] - self.lower[i], self.upper[i] - v[i]);
-                if low > 0.0 && high > 0.0 { -mu * (low.ln() + high.ln()) } else { f64::INFINITY }
-            })
-            .sum()
-    }
-
-    /// Steps of the multipliers that belong to the step `dv`.
-    fn dual_step(
-        &self,
-        v: &SVector<f64, D>,
-        dv: &SVector<f64, D>,
-        mu: f64,
-    ) -> (SVector<f64, D>, SVector<f64, D>) {
-        let lower = SVector::from_fn(|i, _| {
-            let gap = v[i] - self.lower[i];
-            mu / gap - self.z_lower[i] - self.z_lower[i] / gap * dv[i]
-        });
-        let upper = SVector::from_fn(|i, _| {
-            let gap = self.upper[i] - v[i];
-            mu / gap - self.z_upper[i] + self.z_upper[i] / gap * dv[i]
-        });
-        (lower, upper)
-    }
-
-    /// Largest fractions of the steps that keep `share` of the distance to the bounds: (primal, dual).
-    fn to_boundary(
-        &self,
-        v: &SVector<f64, D>,
-        dv: &SVector<f64, D>,
-        dz: &(SVector<f64, D>, SVector<f64, D>),
-        share: f64,
-    ) -> (f64, f64) {
-        let (mut primal, mut dual) = (1.0_f64, 1.0_f64);
-        let limit = |gap: f64, rate: f64| if rate < 0.0 { -share * gap / rate } else { f64::INFINITY };
-        for i in 0..D {
-            primal = primal.min(limit(v[i] - self.lower[i], dv[i])).min(limit(self.upper[i] - v[i], -dv[i]));
-            dual = dual.min(limit(self.z_lower[i], dz.0[i])).min(limit(self.z_upper[i], dz.1[i]));
-        }
-        (primal, dual)
-    }
-
-    /// Moves the multipliers and keeps them near those of a central point.
-    fn advance(&mut self, v: &SVector<f64, D>, dz: &(SVector<f64, D>, SVector<f64, D>), alpha: f64, mu: f64) {
-        /// Largest ratio of a multiplier to mu / gap, and its inverse.
-        const KAPPA: f64 = 1e10;
-        self.z_lower += dz.0 * alpha;
-        self.z_upper += dz.1 * alpha;
-        for i in 0..D {
-            let (low, high) = (mu / (v[i] - self.lower[i]), mu / (self.upper[i] - v[i]));
-            self.z_lower[i] = self.z_lower[i].clamp(low / KAPPA, low * KAPPA);
-            self.z_upper[i] = self.z_upper[i].clamp(high / KAPPA, high * KAPPA);
-        }
-    }
-
-    /// Largest |z gap - mu|.
-    fn complementarity(&self, v: &SVector<f64, D>, mu: f64) -> f64 {
-        (0..D)
-            .map(|i| {
-                let low = (self.z_lower[i] * (v[i] - self.lower[i]) - mu).abs();
-                low.max((self.z_upper[i] * (self.upper[i] - v[i]) - mu).abs())
-            })
-            .fold(0.0, f64::max)
-    }
-
-    fn multiplier_sum(&self) -> f64 {
-        self.z_lower.sum() + self.z_upper.sum()
-    }
 }
 
 type Scalar = SVector<f64, 1>;
@@ -812,53 +712,3 @@ impl<'a> Solver<'a> {
         None
     }
 }
-
-/// Pairs (constraint violation, barrier function) that no later iterate may be worse than in both.
-#[derive(Default)]
-struct Filter {
-    entries: Vec<(f64, f64)>,
-    theta_min: f64,
-    theta_max: f64,
-}
-
-impl Filter {
-    fn set_scale(&mut self, theta: f64) {
-        self.theta_min = 1e-4 * theta.max(1.0);
-        self.theta_max = 1e4 * theta.max(1.0);
-    }
-
-    fn clear(&mut self) {
-        self.entries.clear();
-    }
-
-    /// Whether the trial point is acceptable; enters the current point into the filter where the step is not
-    /// one of descent in the barrier function.
-    fn accepts(&mut self, theta: f64, phi: f64, theta_p: f64, phi_p: f64, alpha: f64, slope: f64) -> bool {
-        const GAMMA_THETA: f64 = 1e-5;
-        const GAMMA_PHI: f64 = 1e-8;
-        const ETA_PHI: f64 = 1e-8;
-        const S_THETA: f64 = 1.1;
-        const S_PHI: f64 = 2.3;
-        if !(theta_p.is_finite() && phi_p.is_finite()) || theta_p > self.theta_max {
-            return false;
-        }
-        if self.entries.iter().any(|(t, p)| theta_p >= *t && phi_p >= *p) {
-            return false;
-        }
-        // Rounding of the barrier function near convergence.
-        let slack = 10.0 * f64::EPSILON * phi.abs();
-        let descent = slope < 0.0 && alpha * (-slope).powf(S_PHI) > theta.powf(S_THETA);
-        let armijo = phi_p <= phi + ETA_PHI * alpha * slope + slack;
-        let good = if theta <= self.theta_min && descent {
-            armijo
-        } else {
-            theta_p <= (1.0 - GAMMA_THETA) * theta || phi_p <= phi - GAMMA_PHI * theta + slack
-        };
-        if good && !(descent && armijo) {
-            self.entries.push(((1.0 - GAMMA_THETA) * theta, phi - GAMMA_PHI * theta));
-        }
-        good
-    }
-}
-
-const _: () = assert!(NQ + NQ == NX);

@@ -6,10 +6,20 @@
 //! s.t. dx_{k+1} - dx_k - h/2 (A_k dx_k + B_k du_k + A_{k+1} dx_{k+1} + B_{k+1} du_{k+1})
 //!      - dt (f_k + f_{k+1}) / (2 N) + r_k = 0,  dx_0 = r_0,  T dx_N + r_N = 0
 //!
-//! over dz_k = (dx_k, du_k) and the scalar dt. A backward sweep eliminates du_{k+1} given dz_k: the value
-//! function of stages k..N is a quadratic in dz_k and dt, as in a Riccati recursion for a system with state z_k
-//! and control u_{k+1}. The reduced Hessian is positive definite exactly if every pivot block is; that is the
+//! over dz_k = (dx_k, du_k) and the scalar dt. Between two knots stands the vector
+//!
+//! s_k = dx_k + h/2 (A_k dx_k + B_k du_k) + dt (f_k + f_{k+1}) / (2 N) - r_k
+//!     = dx_{k+1} - h/2 (A_{k+1} dx_{k+1} + B_{k+1} du_{k+1}),
+//!
+//! the state that leaves knot k and enters knot k+1. A backward sweep takes the value function of stages k+1..N, a
+//! quadratic in dz_{k+1} and dt, writes it in (s_k, du_{k+1}), eliminates du_{k+1}, and writes what is left in dz_k:
+//! a Riccati recursion whose gradient with respect to s_k is the multiplier of interval k. Both changes of variables
+//! are those of a double integrator but for the two rows of qdd_U, so that they cost a few row operations instead of
+//! products of full matrices. The reduced Hessian is positive definite exactly if every pivot block is; that is the
 //! inertia test, for free. The target rows T enter as a stiff penalty, whose error iterative refinement removes.
+//!
+//! The sums are written so that a compiler may put neighbouring columns, never terms of one sum, into the lanes of a
+//! vector register: results do not depend on the width of the registers.
 
 use nalgebra::{SMatrix, SVector};
 use upswing_model::{ActuatedVector, Derivatives, N_ACTUATED, N_UNACTUATED, NQ, NU, NX, NZ, State};
@@ -61,72 +71,6 @@ impl KnotDynamics {
         }
         let on_u = self.qdd_u_u.transpose() * w_u + w.fixed_rows::<N_ACTUATED>(NQ);
         out.fixed_rows_mut::<NU>(NX).copy_from(&on_u);
-        out
-    }
-
-    /// The two coefficients of E = I - h/2 A that its inverse needs: (E_UU^-1 of the unactuated velocities).
-    fn implicit_block(&self, half_h: f64) -> SMatrix<f64, N_UNACTUATED, N_UNACTUATED> {
-        SMatrix::<f64, N_UNACTUATED, N_UNACTUATED>::from_fn(|i, j| {
-            let position = self.qdd_u_x[(i, N_ACTUATED + j)];
-            let velocity = self.qdd_u_x[(i, NQ + N_ACTUATED + j)];
-            f64::from(u8::from(i == j)) - half_h * velocity - half_h * half_h * position
-        })
-        .try_inverse()
-        .unwrap_or_else(|| SMatrix::from_element(f64::NAN))
-    }
-
-    /// (I - h/2 A)^-1 rhs, with the inverse block of [`Self::implicit_block`].
-    fn solve_implicit(
-        &self,
-        half_h: f64,
-        block: &SMatrix<f64, N_UNACTUATED, N_UNACTUATED>,
-        rhs: &State,
-    ) -> State {
-        let mut y = *rhs;
-        // y_q = r_q + h/2 y_v; the rows of y_v,A are those of the identity.
-        let mut partial = *rhs;
-        for i in 0..N_ACTUATED {
-            partial[i] += half_h * rhs[NQ + i];
-        }
-        for i in 0..N_UNACTUATED {
-            partial[NQ + N_ACTUATED + i] = 0.0;
-        }
-        let mut r_u = self.qdd_u_x * partial * half_h;
-        for i in 0..N_UNACTUATED {
-            r_u[i] += rhs[NQ + N_ACTUATED + i];
-        }
-        let y_u = block * r_u;
-        y.fixed_rows_mut::<N_UNACTUATED>(NX - N_UNACTUATED).copy_from(&y_u);
-        for i in 0..NQ {
-            y[i] = rhs[i] + half_h * y[NQ + i];
-        }
-        y
-    }
-
-    /// (I - h/2 A)^-T rhs
-    fn solve_implicit_transposed(
-        &self,
-        half_h: f64,
-        block: &SMatrix<f64, N_UNACTUATED, N_UNACTUATED>,
-        rhs: &State,
-    ) -> State {
-        // Transpose of solve_implicit, line by line in reverse.
-        let mut v = *rhs;
-        for i in 0..NQ {
-            v[NQ + i] += half_h * rhs[i];
-        }
-        let w = block.transpose() * v.fixed_rows::<N_UNACTUATED>(NX - N_UNACTUATED) * half_h;
-        let mut out = v;
-        for i in 0..N_UNACTUATED {
-            out[NQ + N_ACTUATED + i] = w[i] / half_h;
-        }
-        let through = self.qdd_u_x.transpose() * w;
-        for i in 0..NQ {
-            out[i] += through[i];
-        }
-        for i in 0..N_ACTUATED {
-            out[NQ + i] += through[NQ + i] + half_h * through[i];
-        }
         out
     }
 }
@@ -206,20 +150,299 @@ pub struct Kkt {
     pub target: Vec<TargetRow>,
 }
 
+/// Entries of a row of a knot's quadratic, rounded up to full vector registers; those beyond NZ are zero.
+const ROW: usize = NZ.next_multiple_of(4);
+/// The same for a row over states.
+const STATE_ROW: usize = NX.next_multiple_of(4);
+/// First row of the velocities, of the unactuated velocities, and of the inputs among z = (x, u).
+const V: usize = NQ;
+const V_U: usize = NQ + N_ACTUATED;
+const U: usize = NX;
+
+type Row = [f64; ROW];
+type StateRow = [f64; STATE_ROW];
+
+/// c += s a
+#[inline(always)]
+fn add_scaled<const W: usize>(c: &mut [f64; W], s: f64, a: &[f64; W]) {
+    for j in 0..W {
+        c[j] += s * a[j];
+    }
+}
+
+/// z = T (s, u): dz_{k+1} from the state s_k that enters the knot and its input, with the two dense rows of T.
+#[derive(Clone, Copy, Debug)]
+struct Entering {
+    half_h: f64,
+    /// dqd_U = M (s, u)
+    m: [Row; N_UNACTUATED],
+}
+
+impl Entering {
+    fn new(half_h: f64, knot: &KnotDynamics) -> Self {
+        let mut rhs = [[0.0; ROW]; N_UNACTUATED];
+        for (i, rhs) in rhs.iter_mut().enumerate() {
+            for j in 0..NQ {
+                rhs[j] = half_h * knot.qdd_u_x[(i, j)];
+            }
+            for j in 0..N_ACTUATED {
+                let on_v = half_h * (knot.qdd_u_x[(i, V + j)] + rhs[j]);
+                rhs[V + j] = on_v;
+                rhs[U + j] = half_h * (knot.qdd_u_u[(i, j)] + on_v);
+            }
+            rhs[V_U + i] = 1.0;
+        }
+        // E_UU of E = I - h/2 A, with the unactuated angles eliminated.
+        let block = SMatrix::<f64, N_UNACTUATED, N_UNACTUATED>::from_fn(|i, j| {
+            let position = knot.qdd_u_x[(i, N_ACTUATED + j)];
+            let velocity = knot.qdd_u_x[(i, V_U + j)];
+            f64::from(u8::from(i == j)) - half_h * velocity - half_h * half_h * position
+        })
+        .try_inverse()
+        .unwrap_or_else(|| SMatrix::from_element(f64::NAN));
+        let mut m = [[0.0; ROW]; N_UNACTUATED];
+        for i in 0..N_UNACTUATED {
+            for l in 0..N_UNACTUATED {
+                add_scaled(&mut m[i], block[(i, l)], &rhs[l]);
+            }
+        }
+        Self { half_h, m }
+    }
+
+    /// T (s, u)
+    #[inline(always)]
+    fn apply(&self, s: &State, u: &ActuatedVector) -> KnotVector {
+        let mut z = KnotVector::zeros();
+        for j in 0..N_ACTUATED {
+            z[V + j] = s[V + j] + self.half_h * u[j];
+            z[U + j] = u[j];
+        }
+        for (i, m) in self.m.iter().enumerate() {
+            let mut v = 0.0;
+            for j in 0..NX {
+                v += m[j] * s[j];
+            }
+            for j in 0..NU {
+                v += m[U + j] * u[j];
+            }
+            z[V_U + i] = v;
+        }
+        for i in 0..NQ {
+            z[i] = s[i] + self.half_h * z[V + i];
+        }
+        z
+    }
+
+    /// T' p
+    #[inline(always)]
+    fn apply_transposed(&self, p: &KnotVector) -> Row {
+        let mut out = [0.0; ROW];
+        out[..NZ].copy_from_slice(p.as_slice());
+        self.columns(&mut out);
+        out
+    }
+
+    /// One row, or one column, of a quadratic: out = T' out.
+    #[inline(always)]
+    fn columns(&self, out: &mut Row) {
+        for i in 0..NQ {
+            out[V + i] += self.half_h * out[i];
+        }
+        for i in 0..N_ACTUATED {
+            out[U + i] += self.half_h * out[V + i];
+        }
+        let on_v: [f64; N_UNACTUATED] = std::array::from_fn(|i| out[V_U + i]);
+        out[V_U..V_U + N_UNACTUATED].fill(0.0);
+        for (m, p) in self.m.iter().zip(on_v) {
+            add_scaled(out, p, m);
+        }
+    }
+
+    /// T' P T for a symmetric P.
+    #[inline(always)]
+    fn congruence(&self, p: &mut [Row; NZ]) {
+        for i in 0..NQ {
+            let q = p[i];
+            add_scaled(&mut p[V + i], self.half_h, &q);
+        }
+        for i in 0..N_ACTUATED {
+            let v = p[V + i];
+            add_scaled(&mut p[U + i], self.half_h, &v);
+        }
+        let on_v: [Row; N_UNACTUATED] = std::array::from_fn(|i| p[V_U + i]);
+        for i in 0..N_UNACTUATED {
+            p[V_U + i] = [0.0; ROW];
+        }
+        for (j, row) in p.iter_mut().enumerate() {
+            for (m, v) in self.m.iter().zip(&on_v) {
+                add_scaled(row, m[j], v);
+            }
+            self.columns(row);
+        }
+    }
+}
+
+/// s = N dz_k: the state that leaves a knot, with the two dense rows of N.
+#[derive(Clone, Copy, Debug)]
+struct Leaving {
+    half_h: f64,
+    n: [Row; N_UNACTUATED],
+}
+
+impl Leaving {
+    fn new(half_h: f64, knot: &KnotDynamics) -> Self {
+        let mut n = [[0.0; ROW]; N_UNACTUATED];
+        for (i, n) in n.iter_mut().enumerate() {
+            for j in 0..NX {
+                n[j] = half_h * knot.qdd_u_x[(i, j)];
+            }
+            for j in 0..NU {
+                n[U + j] = half_h * knot.qdd_u_u[(i, j)];
+            }
+            n[V_U + i] += 1.0;
+        }
+        Self { half_h, n }
+    }
+
+    /// N z
+    #[inline(always)]
+    fn apply(&self, z: &KnotVector) -> State {
+        let mut s = State::zeros();
+        for i in 0..NQ {
+            s[i] = z[i] + self.half_h * z[V + i];
+        }
+        for i in 0..N_ACTUATED {
+            s[V + i] = z[V + i] + self.half_h * z[U + i];
+        }
+        for (i, n) in self.n.iter().enumerate() {
+            let mut v = 0.0;
+            for j in 0..NZ {
+                v += n[j] * z[j];
+            }
+            s[V_U + i] = v;
+        }
+        s
+    }
+
+    /// N' p
+    #[inline(always)]
+    fn apply_transposed(&self, p: &StateRow) -> Row {
+        let mut out = [0.0; ROW];
+        out[..V_U].copy_from_slice(&p[..V_U]);
+        for i in 0..NQ {
+            out[V + i] += self.half_h * p[i];
+        }
+        for i in 0..N_ACTUATED {
+            out[U + i] = self.half_h * p[V + i];
+        }
+        for (i, n) in self.n.iter().enumerate() {
+            add_scaled(&mut out, p[V_U + i], n);
+        }
+        out
+    }
+
+    /// N' S N for a symmetric S.
+    #[inline(always)]
+    fn congruence(&self, s: &[StateRow; NX], p: &mut [Row; NZ]) {
+        for (j, out) in p.iter_mut().enumerate() {
+            let mut row = [0.0; STATE_ROW];
+            if j < V_U {
+                row = s[j];
+            }
+            if (V..U).contains(&j) {
+                add_scaled(&mut row, self.half_h, &s[j - V]);
+            } else if j >= U {
+                add_scaled(&mut row, self.half_h, &s[j - U + V]);
+            }
+            for (i, n) in self.n.iter().enumerate() {
+                add_scaled(&mut row, n[j], &s[V_U + i]);
+            }
+            *out = self.apply_transposed(&row);
+        }
+    }
+}
+
+/// Cholesky factor of a pivot block, and the inverses of its diagonal.
+#[derive(Clone, Copy, Debug)]
+struct Pivot {
+    lower: [[f64; NU]; NU],
+    inverse: [f64; NU],
+}
+
+impl Pivot {
+    const ZERO: Self = Self { lower: [[0.0; NU]; NU], inverse: [0.0; NU] };
+
+    /// Of the inputs' block of a quadratic; `None` unless it is positive definite.
+    fn new(p: &[Row; NZ]) -> Option<Self> {
+        let mut out = Self::ZERO;
+        for i in 0..NU {
+            for j in 0..=i {
+                let mut sum = p[U + i][U + j];
+                for l in 0..j {
+                    sum -= out.lower[i][l] * out.lower[j][l];
+                }
+                if j < i {
+                    out.lower[i][j] = sum * out.inverse[j];
+                } else {
+                    // A NaN is refused, too.
+                    if !(sum > 0.0 && sum.is_finite()) {
+                        return None;
+                    }
+                    let root = sum.sqrt();
+                    (out.lower[i][i], out.inverse[i]) = (root, 1.0 / root);
+                }
+            }
+        }
+        Some(out)
+    }
+
+    /// L^-1 b, for several columns at a time.
+    #[inline(always)]
+    fn forward<const W: usize>(&self, b: &mut [[f64; W]; NU]) {
+        for i in 0..NU {
+            let (done, rest) = b.split_at_mut(i);
+            for (l, known) in done.iter().enumerate() {
+                add_scaled(&mut rest[0], -self.lower[i][l], known);
+            }
+            rest[0].iter_mut().for_each(|v| *v *= self.inverse[i]);
+        }
+    }
+
+    /// L'^-1 b
+    #[inline(always)]
+    fn backward<const W: usize>(&self, b: &mut [[f64; W]; NU]) {
+        for i in (0..NU).rev() {
+            let (rest, done) = b.split_at_mut(i + 1);
+            for (l, known) in done.iter().enumerate() {
+                add_scaled(&mut rest[i], -self.lower[i + 1 + l][i], known);
+            }
+            rest[i].iter_mut().for_each(|v| *v *= self.inverse[i]);
+        }
+    }
+
+    /// -(L L')^-1 b
+    #[inline(always)]
+    fn solve_negative(&self, b: &[f64]) -> ActuatedVector {
+        let mut y: [[f64; 1]; NU] = std::array::from_fn(|i| [-b[i]]);
+        self.forward(&mut y);
+        self.backward(&mut y);
+        ActuatedVector::from_fn(|i, _| y[i][0])
+    }
+}
+
 /// What the backward sweep leaves for one interval.
 #[derive(Clone, Debug)]
 struct Interval {
-    implicit: SMatrix<f64, N_UNACTUATED, N_UNACTUATED>,
-    /// dx_{k+1} = F dz_k + G du_{k+1} + d dt + ...
-    transition: SMatrix<f64, NX, NZ>,
-    input: SMatrix<f64, NX, NU>,
-    along_t: State,
-    /// Value function of stages k+1..N: P_{k+1} and its products with dt.
-    value: KnotMatrix,
-    value_t: KnotVector,
-    /// Cholesky factor of the pivot block and the gain du_{k+1} = K dz_k + ...
-    pivot: nalgebra::Cholesky<f64, nalgebra::Const<NU>>,
-    gain: SMatrix<f64, NU, NZ>,
+    leaving: Leaving,
+    entering: Entering,
+    /// (f_k + f_{k+1}) / (2 N)
+    along_t: StateRow,
+    /// Value function of stages k+1..N as one of s_k: its matrix S and the product with dt.
+    value: [StateRow; NX],
+    value_t: StateRow,
+    /// The pivot block and du_{k+1} = K s_k + k_t dt + ...
+    pivot: Pivot,
+    gain: [StateRow; NU],
     gain_t: ActuatedVector,
 }
 
@@ -227,27 +450,81 @@ struct Interval {
 #[derive(Clone, Debug)]
 pub struct Factor {
     intervals: Vec<Interval>,
-    value: KnotMatrix,
-    value_t: KnotVector,
-    pivot: nalgebra::Cholesky<f64, nalgebra::Const<NU>>,
+    /// d^2 / du_0 dx_0 of the whole problem's value function, and its products with dt.
+    value_ux: [StateRow; NU],
+    value_xt: StateRow,
+    pivot: Pivot,
     gain_t: ActuatedVector,
     pivot_t: f64,
 }
 
-/// c += a b
-#[inline(always)]
-fn multiply_add<const M: usize, const K: usize, const C: usize>(
-    c: &mut SMatrix<f64, M, C>,
-    a: &SMatrix<f64, M, K>,
-    b: &SMatrix<f64, K, C>,
-) {
-    for j in 0..C {
-        for k in 0..K {
-            let s = b[(k, j)];
-            for i in 0..M {
-                c[(i, j)] += a[(i, k)] * s;
-            }
+impl Factor {
+    /// Memory for a factor of `n` intervals.
+    pub fn new(n: usize) -> Self {
+        let none = KnotDynamics { qdd_u_x: SMatrix::zeros(), qdd_u_u: SMatrix::zeros(), f: State::zeros() };
+        let interval = Interval {
+            leaving: Leaving::new(0.0, &none),
+            entering: Entering::new(0.0, &none),
+            along_t: [0.0; STATE_ROW],
+            value: [[0.0; STATE_ROW]; NX],
+            value_t: [0.0; STATE_ROW],
+            pivot: Pivot::ZERO,
+            gain: [[0.0; STATE_ROW]; NU],
+            gain_t: ActuatedVector::zeros(),
+        };
+        Self {
+            intervals: vec![interval; n],
+            value_ux: [[0.0; STATE_ROW]; NU],
+            value_xt: [0.0; STATE_ROW],
+            pivot: Pivot::ZERO,
+            gain_t: ActuatedVector::zeros(),
+            pivot_t: 0.0,
         }
+    }
+}
+
+/// Memory of [`Kkt::solve_into`].
+#[derive(Clone, Debug)]
+pub struct SolveWorkspace {
+    /// Gradient of the value function of stages k+1..N at s_k = 0, and the input there.
+    gradient: Vec<StateRow>,
+    feedforward: Vec<ActuatedVector>,
+    left: Rhs,
+    next_left: Rhs,
+    correction: Step,
+    refined: Step,
+}
+
+impl SolveWorkspace {
+    /// For systems of `n` intervals with `targets` target rows.
+    pub fn new(n: usize, targets: usize) -> Self {
+        Self {
+            gradient: vec![[0.0; STATE_ROW]; n],
+            feedforward: vec![ActuatedVector::zeros(); n],
+            left: Rhs::zeros(n, targets),
+            next_left: Rhs::zeros(n, targets),
+            correction: Step::zeros(n, targets),
+            refined: Step::zeros(n, targets),
+        }
+    }
+}
+
+impl Step {
+    /// A step of the right size, all zero.
+    pub fn zeros(n: usize, targets: usize) -> Self {
+        Self {
+            z: vec![KnotVector::zeros(); n + 1],
+            t: 0.0,
+            dynamics: vec![State::zeros(); n],
+            target: vec![0.0; targets],
+        }
+    }
+
+    fn copy_from(&mut self, other: &Self) {
+        self.z.copy_from_slice(&other.z);
+        self.t = other.t;
+        self.dynamics.copy_from_slice(&other.dynamics);
+        self.target.copy_from_slice(&other.target);
     }
 }
 
@@ -256,125 +533,120 @@ impl Kkt {
         self.dynamics.len() - 1
     }
 
-    /// Backward sweep with `damping` added to the diagonal of every H_k and to w (inertia correction): one
-    /// number for states and t, one for inputs. `None` if the reduced Hessian is not positive definite.
+    /// [`Self::factor_into`] into a new factor; `None` where that says `false`.
     pub fn factor(&self, damping: f64, input_damping: f64) -> Option<Factor> {
+        let mut factor = Factor::new(self.intervals());
+        self.factor_into(damping, input_damping, &mut factor).then_some(factor)
+    }
+
+    /// Backward sweep with `damping` added to the diagonal of every H_k and to w (inertia correction): one
+    /// number for states and t, one for inputs. `factor` must be one for as many intervals. `false`, with a useless
+    /// factor, if the reduced Hessian is not positive definite.
+    pub fn factor_into(&self, damping: f64, input_damping: f64, factor: &mut Factor) -> bool {
+        self.try_factor(damping, input_damping, factor).is_some()
+    }
+
+    fn try_factor(&self, damping: f64, input_damping: f64, factor: &mut Factor) -> Option<()> {
         let n = self.intervals();
         let half_h = 0.5 * self.h;
-        let damped = |k: usize| {
-            let mut h = self.hessian[k];
-            for i in 0..NZ {
-                h[(i, i)] += if i < NX { damping } else { input_damping };
+        let add_knot = |p: &mut [Row; NZ], k: usize| {
+            let columns = self.hessian[k].as_slice().chunks_exact(NZ);
+            for (i, (row, column)) in p.iter_mut().zip(columns).enumerate() {
+                for j in 0..NZ {
+                    row[j] += column[j];
+                }
+                row[i] += if i < NX { damping } else { input_damping };
             }
-            h
         };
-        let mut value = damped(n);
+        let mut p = [[0.0; ROW]; NZ];
+        add_knot(&mut p, n);
         for row in &self.target {
             let c = &row.coefficients;
             for j in 0..NX {
                 for i in 0..NX {
-                    value[(i, j)] += TARGET_STIFFNESS * c[i] * c[j];
+                    p[i][j] += TARGET_STIFFNESS * c[i] * c[j];
                 }
             }
         }
-        let mut value_t = self.with_t[n];
+        let mut p_t = self.with_t[n];
         let mut t_t = self.t_t + damping;
-        let mut intervals = Vec::with_capacity(n);
         for k in (0..n).rev() {
             let (near, far) = (&self.dynamics[k], &self.dynamics[k + 1]);
-            let implicit = far.implicit_block(half_h);
-            let solve = |rhs: &State| far.solve_implicit(half_h, &implicit, rhs);
-            let mut transition = SMatrix::<f64, NX, NZ>::zeros();
-            let mut input = SMatrix::<f64, NX, NU>::zeros();
-            for j in 0..NZ {
-                let mut column = State::zeros();
-                // Column j of [I + h/2 A, h/2 B] of the near knot.
-                if j < NX {
-                    column[j] = 1.0;
-                    if j >= NQ {
-                        column[j - NQ] += half_h;
-                    }
-                } else {
-                    column[NQ + j - NX] = half_h;
-                }
-                for i in 0..N_UNACTUATED {
-                    let row = NX - N_UNACTUATED + i;
-                    column[row] +=
-                        half_h * if j < NX { near.qdd_u_x[(i, j)] } else { near.qdd_u_u[(i, j - NX)] };
-                }
-                transition.set_column(j, &solve(&column));
+            let i = &mut factor.intervals[k];
+            i.entering = Entering::new(half_h, far);
+            i.leaving = Leaving::new(half_h, near);
+            for l in 0..NX {
+                i.along_t[l] = (near.f[l] + far.f[l]) / (2.0 * n as f64);
             }
-            for j in 0..NU {
-                let mut column = State::zeros();
-                column[NQ + j] = half_h;
-                for i in 0..N_UNACTUATED {
-                    column[NX - N_UNACTUATED + i] += half_h * far.qdd_u_u[(i, j)];
-                }
-                input.set_column(j, &solve(&column));
+            // In (s_k, du_{k+1}).
+            i.entering.congruence(&mut p);
+            let on_t = i.entering.apply_transposed(&p_t);
+            // Without du_{k+1}.
+            i.pivot = Pivot::new(&p)?;
+            for (gain, row) in i.gain.iter_mut().zip(&p[U..]) {
+                gain.copy_from_slice(&row[..STATE_ROW]);
+                gain[NX..].fill(0.0);
             }
-            let along_t = solve(&((near.f + far.f) / (2.0 * n as f64)));
-
-            let p_xx: SMatrix<f64, NX, NX> = value.fixed_view::<NX, NX>(0, 0).into();
-            let p_xu: SMatrix<f64, NX, NU> = value.fixed_view::<NX, NU>(0, NX).into();
-            let p_uu: SMatrix<f64, NU, NU> = value.fixed_view::<NU, NU>(NX, NX).into();
-            let mut on_x = SMatrix::<f64, NX, NZ>::zeros();
-            multiply_add(&mut on_x, &p_xx, &transition);
-            // G' Pxx + Pux
-            let mut on_u = p_xu.transpose();
-            multiply_add(&mut on_u, &input.transpose(), &p_xx);
-            let mut q_uu = p_uu;
-            multiply_add(&mut q_uu, &on_u, &input);
-            multiply_add(&mut q_uu, &input.transpose(), &p_xu);
-            let pivot = q_uu.cholesky()?;
-            let mut q_uz = SMatrix::<f64, NU, NZ>::zeros();
-            multiply_add(&mut q_uz, &on_u, &transition);
-            let vt_x: State = value_t.fixed_rows::<NX>(0).into();
-            let vt_u: ActuatedVector = value_t.fixed_rows::<NU>(NX).into();
-            let shifted = p_xx * along_t + vt_x;
-            let q_ut = p_xu.transpose() * along_t + vt_u + input.transpose() * shifted;
-            let gain = -pivot.solve(&q_uz);
-            let gain_t = -pivot.solve(&q_ut);
-
-            t_t += along_t.dot(&(p_xx * along_t + vt_x * 2.0)) + q_ut.dot(&gain_t);
-            let mut next = damped(k);
-            multiply_add(&mut next, &transition.transpose(), &on_x);
-            multiply_add(&mut next, &q_uz.transpose(), &gain);
-            let next_t = self.with_t[k] + transition.transpose() * shifted + gain.transpose() * q_ut;
-            intervals.push(Interval {
-                implicit,
-                transition,
-                input,
-                along_t,
-                value,
-                value_t,
-                pivot,
-                gain,
-                gain_t,
-            });
-            value = (next + next.transpose()) * 0.5;
-            value_t = next_t;
+            i.pivot.forward(&mut i.gain);
+            for (a, (value, row)) in i.value.iter_mut().zip(&p).enumerate() {
+                value.copy_from_slice(&row[..STATE_ROW]);
+                value[NX..].fill(0.0);
+                for y in &i.gain {
+                    add_scaled(value, -y[a], y);
+                }
+            }
+            for a in 0..NX {
+                for b in 0..a {
+                    let mean = 0.5 * (i.value[a][b] + i.value[b][a]);
+                    (i.value[a][b], i.value[b][a]) = (mean, mean);
+                }
+            }
+            i.pivot.backward(&mut i.gain);
+            i.gain.iter_mut().flatten().for_each(|v| *v = -*v);
+            i.gain_t = i.pivot.solve_negative(&on_t[U..]);
+            i.value_t.copy_from_slice(&on_t[..STATE_ROW]);
+            i.value_t[NX..].fill(0.0);
+            for (l, gain) in i.gain.iter().enumerate() {
+                add_scaled(&mut i.value_t, on_t[U + l], gain);
+                t_t += on_t[U + l] * i.gain_t[l];
+            }
+            // In dz_k.
+            let mut on_s = i.value_t;
+            for (value, t) in i.value.iter().zip(&i.along_t) {
+                add_scaled(&mut on_s, *t, value);
+            }
+            for l in 0..NX {
+                t_t += i.along_t[l] * (on_s[l] + i.value_t[l]);
+            }
+            i.leaving.congruence(&i.value, &mut p);
+            add_knot(&mut p, k);
+            let on_z = i.leaving.apply_transposed(&on_s);
+            for l in 0..NZ {
+                p_t[l] = self.with_t[k][l] + on_z[l];
+            }
         }
-        intervals.reverse();
         // At the start dx_0 is given: u_0 and t are left.
-        let p_uu: SMatrix<f64, NU, NU> = value.fixed_view::<NU, NU>(NX, NX).into();
-        let pivot = p_uu.cholesky()?;
-        let vt_u: ActuatedVector = value_t.fixed_rows::<NU>(NX).into();
-        let gain_t = -pivot.solve(&vt_u);
-        let pivot_t = t_t + vt_u.dot(&gain_t);
-        (pivot_t.is_finite() && pivot_t > 0.0).then_some(Factor {
-            intervals,
-            value,
-            value_t,
-            pivot,
-            gain_t,
-            pivot_t,
-        })
+        factor.pivot = Pivot::new(&p)?;
+        for (value, row) in factor.value_ux.iter_mut().zip(&p[U..]) {
+            value.copy_from_slice(&row[..STATE_ROW]);
+            value[NX..].fill(0.0);
+        }
+        factor.value_xt[..NX].copy_from_slice(&p_t.as_slice()[..NX]);
+        factor.gain_t = factor.pivot.solve_negative(&p_t.as_slice()[U..]);
+        factor.pivot_t = t_t + (0..NU).map(|l| p_t[U + l] * factor.gain_t[l]).sum::<f64>();
+        (factor.pivot_t.is_finite() && factor.pivot_t > 0.0).then_some(())
     }
 
     /// One solve with the factorised matrix; its target rows hold to 1 / stiffness only.
-    fn sweep(&self, factor: &Factor, rhs: &Rhs) -> Step {
+    fn sweep(
+        &self,
+        factor: &Factor,
+        rhs: &Rhs,
+        gradient: &mut [StateRow],
+        feedforward: &mut [ActuatedVector],
+        step: &mut Step,
+    ) {
         let n = self.intervals();
-        let half_h = 0.5 * self.h;
         let mut p = rhs.g[n];
         for (row, r) in self.target.iter().zip(&rhs.target) {
             for i in 0..NX {
@@ -382,79 +654,82 @@ impl Kkt {
             }
         }
         let mut p_t = rhs.g_t;
-        let mut offsets = vec![State::zeros(); n];
-        let mut feedforward = vec![ActuatedVector::zeros(); n];
-        let mut gradients = vec![KnotVector::zeros(); n];
         for k in (0..n).rev() {
             let i = &factor.intervals[k];
-            let far = &self.dynamics[k + 1];
-            let offset = far.solve_implicit(half_h, &i.implicit, &-rhs.dynamics[k]);
-            let p_x: State = p.fixed_rows::<NX>(0).into();
-            let p_u: ActuatedVector = p.fixed_rows::<NU>(NX).into();
-            let shifted = i.value.fixed_view::<NX, NX>(0, 0) * offset + p_x;
-            let q_u = i.value.fixed_view::<NU, NX>(NX, 0) * offset + p_u + i.input.transpose() * shifted;
-            let u = -i.pivot.solve(&q_u);
-            // Terms in dt: (value_t + P along_t)' offset + along_t' p + q_ut' u, with q_ut = -Q gain_t.
-            p_t += i.along_t.dot(&shifted) + i.value_t.fixed_rows::<NX>(0).dot(&offset) + i.gain_t.dot(&q_u);
-            gradients[k] = p;
-            p = rhs.g[k] + i.transition.transpose() * shifted + i.gain.transpose() * q_u;
-            offsets[k] = offset;
-            feedforward[k] = u;
+            let on = i.entering.apply_transposed(&p);
+            feedforward[k] = i.pivot.solve_negative(&on[U..]);
+            let mut on_s = [0.0; STATE_ROW];
+            on_s[..NX].copy_from_slice(&on[..NX]);
+            for (l, gain) in i.gain.iter().enumerate() {
+                add_scaled(&mut on_s, on[U + l], gain);
+                p_t += i.gain_t[l] * on[U + l];
+            }
+            gradient[k] = on_s;
+            for (value, r) in i.value.iter().zip(rhs.dynamics[k].iter()) {
+                add_scaled(&mut on_s, -r, value);
+            }
+            for l in 0..NX {
+                p_t += i.along_t[l] * on_s[l] - i.value_t[l] * rhs.dynamics[k][l];
+            }
+            let on_z = i.leaving.apply_transposed(&on_s);
+            for l in 0..NZ {
+                p[l] = rhs.g[k][l] + on_z[l];
+            }
         }
         let dx0 = rhs.start;
-        let p_u: ActuatedVector = p.fixed_rows::<NU>(NX).into();
-        let on_u = p_u + factor.value.fixed_view::<NU, NX>(NX, 0) * dx0;
-        let on_t = p_t + factor.value_t.fixed_rows::<NX>(0).dot(&dx0) + factor.gain_t.dot(&on_u);
+        let mut on_u = [0.0; NU];
+        let mut on_t = p_t;
+        for l in 0..NX {
+            on_t += factor.value_xt[l] * dx0[l];
+        }
+        for (l, value) in factor.value_ux.iter().enumerate() {
+            on_u[l] = p[U + l];
+            for j in 0..NX {
+                on_u[l] += value[j] * dx0[j];
+            }
+            on_t += factor.gain_t[l] * on_u[l];
+        }
         let t = -on_t / factor.pivot_t;
-        let u0 = -factor.pivot.solve(&on_u) + factor.gain_t * t;
-
-        let mut step = Step {
-            z: Vec::with_capacity(n + 1),
-            t,
-            dynamics: Vec::with_capacity(n),
-            target: vec![0.0; rhs.target.len()],
-        };
-        let join = |x: &State, u: &ActuatedVector| {
-            let mut z = KnotVector::zeros();
-            z.fixed_rows_mut::<NX>(0).copy_from(x);
-            z.fixed_rows_mut::<NU>(NX).copy_from(u);
-            z
-        };
-        step.z.push(join(&dx0, &u0));
+        let u0 = factor.pivot.solve_negative(&on_u) + factor.gain_t * t;
+        step.t = t;
+        step.z[0].fixed_rows_mut::<NX>(0).copy_from(&dx0);
+        step.z[0].fixed_rows_mut::<NU>(U).copy_from(&u0);
         for k in 0..n {
             let i = &factor.intervals[k];
-            let z = &step.z[k];
-            let u = i.gain * z + feedforward[k] + i.gain_t * t;
-            let x = i.transition * z + i.input * u + i.along_t * t + offsets[k];
-            let next = join(&x, &u);
-            let on_x = i.value.fixed_rows::<NX>(0) * next
-                + gradients[k].fixed_rows::<NX>(0)
-                + i.value_t.fixed_rows::<NX>(0) * t;
-            let lambda = self.dynamics[k + 1].solve_implicit_transposed(half_h, &i.implicit, &-on_x);
-            step.dynamics.push(lambda);
-            step.z.push(next);
+            let mut s = i.leaving.apply(&step.z[k]) - rhs.dynamics[k];
+            for l in 0..NX {
+                s[l] += i.along_t[l] * t;
+            }
+            let mut lambda = gradient[k];
+            add_scaled(&mut lambda, t, &i.value_t);
+            for (value, s) in i.value.iter().zip(s.iter()) {
+                add_scaled(&mut lambda, *s, value);
+            }
+            for l in 0..NX {
+                step.dynamics[k][l] = -lambda[l];
+            }
+            let mut u = feedforward[k] + i.gain_t * t;
+            for (l, gain) in i.gain.iter().enumerate() {
+                for j in 0..NX {
+                    u[l] += gain[j] * s[j];
+                }
+            }
+            step.z[k + 1] = i.entering.apply(&s, &u);
         }
         for (m, (row, r)) in step.target.iter_mut().zip(self.target.iter().zip(&rhs.target)) {
             *m = TARGET_STIFFNESS * (row.coefficients.dot(&step.z[n].fixed_rows::<NX>(0)) + r);
         }
-        step
     }
 
-    /// What is left of the right-hand side at `step`, with the damping of the factorisation.
-    fn residual(&self, rhs: &Rhs, step: &Step, damping: f64, input_damping: f64) -> Rhs {
+    /// Adds to `left` what the constraints contribute to the conditions of a solution: their multipliers' forces
+    /// on z and t, and their residuals at z and t.
+    pub(crate) fn add_constraints(&self, step: &Step, left: &mut Rhs) {
         let n = self.intervals();
         let half_h = 0.5 * self.h;
-        let mut left = rhs.clone();
-        left.g_t += (self.t_t + damping) * step.t;
         for k in 0..=n {
-            let z = &step.z[k];
-            let mut g = self.hessian[k] * z + self.with_t[k] * step.t;
-            for i in 0..NZ {
-                g[i] += z[i] * if i < NX { damping } else { input_damping };
-            }
-            left.g_t += self.with_t[k].dot(z);
             // Multipliers of the intervals on both sides.
             let mut sum = State::zeros();
+            let g = &mut left.g[k];
             if k < n {
                 sum += step.dynamics[k];
                 for i in 0..NX {
@@ -467,21 +742,25 @@ impl Kkt {
                     g[i] += step.dynamics[k - 1][i];
                 }
             }
-            g -= self.dynamics[k].apply_transposed(&sum) * half_h;
+            *g -= self.dynamics[k].apply_transposed(&sum) * half_h;
             left.g_t -= sum.dot(&self.dynamics[k].f) / (2.0 * n as f64);
-            left.g[k] += g;
         }
         for (row, m) in self.target.iter().zip(&step.target) {
             for i in 0..NX {
                 left.g[n][i] += row.coefficients[i] * m;
             }
         }
+        let mut near = self.dynamics[0].apply(&step.z[0]);
         for k in 0..n {
-            let (near, far) = (&self.dynamics[k], &self.dynamics[k + 1]);
-            let dx: State = (step.z[k + 1] - step.z[k]).fixed_rows::<NX>(0).into();
-            left.dynamics[k] += dx
-                - (near.apply(&step.z[k]) + far.apply(&step.z[k + 1])) * half_h
-                - (near.f + far.f) * (step.t / (2.0 * n as f64));
+            let far = self.dynamics[k + 1].apply(&step.z[k + 1]);
+            let share = step.t / (2.0 * n as f64);
+            for i in 0..NX {
+                left.dynamics[k][i] += step.z[k + 1][i]
+                    - step.z[k][i]
+                    - (near[i] + far[i]) * half_h
+                    - (self.dynamics[k].f[i] + self.dynamics[k + 1].f[i]) * share;
+            }
+            near = far;
         }
         left.start -= step.z[0].fixed_rows::<NX>(0);
         for (l, row) in left.target.iter_mut().zip(&self.target) {
@@ -491,32 +770,74 @@ impl Kkt {
         for i in 0..NX {
             left.g[0][i] = 0.0;
         }
-        left
+    }
+
+    /// What is left of the right-hand side at `step`, with the damping of the factorisation.
+    fn residual(&self, rhs: &Rhs, step: &Step, damping: f64, input_damping: f64, left: &mut Rhs) {
+        left.copy_from(rhs);
+        left.g_t += (self.t_t + damping) * step.t;
+        for (k, z) in step.z.iter().enumerate() {
+            let g = &mut left.g[k];
+            g.gemv(1.0, &self.hessian[k], z, 1.0);
+            g.axpy(step.t, &self.with_t[k], 1.0);
+            for i in 0..NZ {
+                g[i] += z[i] * if i < NX { damping } else { input_damping };
+            }
+            left.g_t += self.with_t[k].dot(z);
+        }
+        self.add_constraints(step, left);
     }
 
     /// Solves the system, refining until the residual stops shrinking. `damping` as in [`Self::factor`].
     pub fn solve(&self, factor: &Factor, rhs: &Rhs, damping: f64, input_damping: f64) -> Step {
         /// Each refinement gains several digits; more than this many means there is nothing left to gain.
         const REFINEMENTS: usize = 8;
-        let mut step = self.sweep(factor, rhs);
-        let mut left = self.residual(rhs, &step, damping, input_damping);
+        /// Residual relative to the right-hand side at which nothing is left to gain.
+        const ACCURACY: f64 = 1e-12;
+        let (n, targets) = (self.intervals(), self.target.len());
+        let mut work = SolveWorkspace::new(n, targets);
+        let mut step = Step::zeros(n, targets);
+        let damping = (damping, input_damping);
+        self.solve_into(factor, rhs, damping, (REFINEMENTS, ACCURACY), &mut work, &mut step);
+        step
+    }
+
+    /// As [`Self::solve`], without allocating: with the `damping` of the factorisation, at most as many
+    /// refinements as given, and none once the residual is below the given share of the right-hand side.
+    pub fn solve_into(
+        &self,
+        factor: &Factor,
+        rhs: &Rhs,
+        damping: (f64, f64),
+        (refinements, accuracy): (usize, f64),
+        work: &mut SolveWorkspace,
+        step: &mut Step,
+    ) {
+        let SolveWorkspace { gradient, feedforward, left, next_left, correction, refined } = work;
+        self.sweep(factor, rhs, gradient, feedforward, step);
+        if refinements == 0 {
+            return;
+        }
+        self.residual(rhs, step, damping.0, damping.1, left);
         let scale = rhs.norm().max(1e-300);
         let mut norm = left.norm();
-        for _ in 0..REFINEMENTS {
-            if norm <= 1e-12 * scale {
+        for _ in 0..refinements {
+            if norm <= accuracy * scale {
                 break;
             }
-            let mut refined = step.clone();
-            refined.add(&self.sweep(factor, &left));
-            let next = self.residual(rhs, &refined, damping, input_damping);
-            let next_norm = next.norm();
+            self.sweep(factor, left, gradient, feedforward, correction);
+            refined.copy_from(step);
+            refined.add(correction);
+            self.residual(rhs, refined, damping.0, damping.1, next_left);
+            let next_norm = next_left.norm();
             // A NaN also ends the loop.
             if !(next_norm < norm) {
                 break;
             }
-            (step, left, norm) = (refined, next, next_norm);
+            step.copy_from(refined);
+            std::mem::swap(left, next_left);
+            norm = next_norm;
         }
-        step
     }
 
     /// A right-hand side of the right size, all zero.
@@ -526,6 +847,15 @@ impl Kkt {
 }
 
 impl Rhs {
+    /// Overwrites this with `other`, which has the same size.
+    pub(crate) fn copy_from(&mut self, other: &Self) {
+        self.g.copy_from_slice(&other.g);
+        self.g_t = other.g_t;
+        self.dynamics.copy_from_slice(&other.dynamics);
+        self.start = other.start;
+        self.target.copy_from_slice(&other.target);
+    }
+
     /// Largest entry.
     fn norm(&self) -> f64 {
         let g = self.g.iter().map(|g| g.amax()).fold(self.g_t.abs(), f64::max);

@@ -4,15 +4,17 @@ use crate::kkt::{KnotDynamics, KnotVector, TargetRow};
 use crate::lqr::{self, Gains};
 use crate::nearest::{NearestPose, Neighbour};
 use crate::offline::{problem, problem_fingerprint};
-use crate::problem::Problem;
-use crate::qp::{Qp, QpError, TorqueRows, solve};
+use crate::problem::{KnotDerivatives, Problem, TorqueConstraint};
+use crate::qp::{Conflict, Options, Qp, Solver, Status, TorqueRows};
 use std::time::{Duration, Instant};
 use upswing_config::Config;
-use upswing_model::{ActuatedVector, NU, NX, NZ, State, UnactuatedVector, Workspace, position, state};
+use upswing_model::{NU, NX, NZ, State, Workspace, position, state};
 use upswing_trajectory::{Database, DatabaseError, Entry, Margins, N, Plan, Trajectory};
 
-/// Accuracy of each QP, relative. A tenth of the defect that four linearisations reach.
-const QP_TOLERANCE: f64 = 1e-8;
+/// Accuracy of each QP. A tenth of the defect that four linearisations reach.
+const QP_TOLERANCE: f64 = 1e-9;
+/// Its complementarity: an entry, whose bounds are all touched without force, is found again to 1e-6 s.
+const QP_COMPLEMENTARITY: f64 = 1e-12;
 /// Points between two knots at which margins are checked.
 const BETWEEN: usize = 4;
 /// Share of a limit's range by which the spline may exceed a limit between knots: the knots keep the limits,
@@ -34,13 +36,19 @@ pub struct Attempt {
 /// Why a neighbour gave no plan.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Refusal {
-    /// A QP had no solution.
-    #[error("QP {iteration}: {error}")]
-    Qp {
+    /// The constraints of a QP cannot be met together.
+    #[error("QP {iteration} is infeasible{}", conflict.map_or(String::new(), |c| format!(": it would exceed {c}")))]
+    Infeasible {
         /// Which linearisation, from 1.
         iteration: usize,
-        /// The QP's verdict.
-        error: QpError,
+        /// The limit that stands in the way, where the solver knows it.
+        conflict: Option<Conflict>,
+    },
+    /// A QP was neither solved nor found infeasible.
+    #[error("QP {iteration}: the solver made no progress")]
+    Stalled {
+        /// Which linearisation, from 1.
+        iteration: usize,
     },
     /// The real dynamics are not met.
     #[error(
@@ -65,9 +73,9 @@ pub enum Refusal {
         time: f64,
     },
     /// The time budget was used up.
-    #[error("the time budget was used up before QP {iteration}")]
+    #[error("the time budget was used up before QP {iteration} was solved")]
     Deadline {
-        /// The QP that was not begun, from 1.
+        /// The QP that was not begun or not finished, from 1.
         iteration: usize,
     },
     /// No stabilising gain at the end.
@@ -166,8 +174,12 @@ impl Planner {
         self.tree.nearest(&pose(start), self.config.planner.replan.neighbours)
     }
 
-    /// Plans from `start` (rad, rad/s) with `iterations` QPs per entry (at least one). No QP is begun after
-    /// `deadline`.
+    /// A QP solver as the settings ask for, with its memory.
+    pub fn solver(&self) -> Solver {
+        Solver::new(self.config.planner.replan.backend)
+    }
+
+    /// [`Self::replan_with`] a new solver.
     ///
     /// # Errors
     /// [`NoPlan`] with the reason for each entry tried.
@@ -177,12 +189,27 @@ impl Planner {
         iterations: usize,
         deadline: Option<Instant>,
     ) -> Result<Replan, NoPlan> {
+        self.replan_with(&mut self.solver(), start, iterations, deadline)
+    }
+
+    /// Plans from `start` (rad, rad/s) with `iterations` QPs per entry (at least one). No iteration of a QP is
+    /// begun after `deadline`. What `solver` did before has no influence.
+    ///
+    /// # Errors
+    /// [`NoPlan`] with the reason for each entry tried.
+    pub fn replan_with(
+        &self,
+        solver: &mut Solver,
+        start: &State,
+        iterations: usize,
+        deadline: Option<Instant>,
+    ) -> Result<Replan, NoPlan> {
         let begin = Instant::now();
         let neighbours = self.nearest(start);
         let mut times = Times { nearest: begin.elapsed(), ..Times::default() };
         let mut attempts: Vec<Attempt> = Vec::new();
         for entry in neighbours {
-            match self.adapt(start, entry.index, iterations, deadline, &mut times) {
+            match self.adapt(start, entry.index, iterations, deadline, solver, &mut times) {
                 Ok((trajectory, gains, defect, margins)) => {
                     attempts.push(Attempt { entry, refused: None });
                     times.total = begin.elapsed();
@@ -200,6 +227,7 @@ impl Planner {
         entry: usize,
         iterations: usize,
         deadline: Option<Instant>,
+        solver: &mut Solver,
         times: &mut Times,
     ) -> Result<(Trajectory, Gains, f64, Margins), Refusal> {
         let mut problem = problem(&self.config, *start);
@@ -216,7 +244,17 @@ impl Planner {
                 return Err(Refusal::Deadline { iteration });
             }
             let qp = self.qp(&problem, reference, &trajectory, &mut work);
-            let step = solve(&qp, QP_TOLERANCE).map_err(|error| Refusal::Qp { iteration, error })?;
+            let options =
+                Options { deadline, complementarity: QP_COMPLEMENTARITY, ..Options::new(QP_TOLERANCE) };
+            let status =
+                if iteration == 1 { solver.solve(&qp, &options) } else { solver.solve_again(&qp, &options) };
+            match status {
+                Status::Solved => {}
+                Status::Infeasible(conflict) => return Err(Refusal::Infeasible { iteration, conflict }),
+                Status::Deadline => return Err(Refusal::Deadline { iteration }),
+                Status::Stalled => return Err(Refusal::Stalled { iteration }),
+            }
+            let step = solver.solution();
             trajectory.t_f += step.t;
             for (k, dz) in step.z.iter().enumerate() {
                 trajectory.x[k] += dz.fixed_rows::<NX>(0);
@@ -246,7 +284,13 @@ impl Planner {
     }
 
     /// (16) linearised around `at`, for the deviation from `reference`.
-    fn qp(&self, problem: &Problem<'_>, reference: &Trajectory, at: &Trajectory, work: &mut Workspace) -> Qp {
+    pub fn qp(
+        &self,
+        problem: &Problem<'_>,
+        reference: &Trajectory,
+        at: &Trajectory,
+        work: &mut Workspace,
+    ) -> Qp {
         let weights = &self.config.planner.replan.weights;
         let weight = KnotVector::from_fn(|i, _| match i {
             i if i < NX / 2 => weights.q[i],
@@ -261,8 +305,15 @@ impl Planner {
         let mut gradient = Vec::with_capacity(N + 1);
         for k in 0..=N {
             let (x, u) = (&at.x[k], &at.u[k]);
-            let (knot, _) =
-                problem.knot_derivatives(x, u, &UnactuatedVector::zeros(), &ActuatedVector::zeros(), work);
+            let knot = KnotDerivatives {
+                dynamics: problem.model.derivatives(x, u, work),
+                constraint: match problem.torque {
+                    TorqueConstraint::Exact => None,
+                    TorqueConstraint::WithoutCoriolis { .. } => {
+                        Some(problem.model.derivatives_without_coriolis(x, u, work))
+                    }
+                },
+            };
             dynamics.push(KnotDynamics::new(&knot.dynamics, x, u));
             let d = knot.torque();
             torque.push(TorqueRows {

@@ -1,5 +1,6 @@
 //! The planner process: answers requests with plans.
 
+use crate::qp::Solver;
 use crate::replan::{Planner, Replan};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -45,13 +46,14 @@ fn serve(planner: &Planner, domain: &Domain, stop: &Arc<AtomicBool>) -> Result<(
     let server = node.planner_server()?;
     let publisher = node.plan_publisher()?;
     let telemetry = node.telemetry_subscriber()?;
+    let mut solver = planner.solver();
     let mut newest = None;
     info!(entries = planner.entries().len(), domain = domain.name(), "planner ready");
     while !stop.load(Ordering::Acquire) {
         newest = drain(&telemetry)?.or(newest);
         let mut published = Vec::new();
         server.poll(|request| {
-            let (response, plan) = answer(planner, request, newest.as_ref());
+            let (response, plan) = answer(planner, &mut solver, request, newest.as_ref());
             if request.publish == 1 {
                 published.extend(plan);
             }
@@ -79,6 +81,7 @@ fn drain(telemetry: &Subscriber<TelemetryBatch>) -> Result<Option<Telemetry>, up
 /// Answers one request; nothing in it is trusted.
 pub fn answer(
     planner: &Planner,
+    solver: &mut Solver,
     request: &PlannerRequest,
     newest: Option<&Telemetry>,
 ) -> (PlannerResponse, Option<Plan>) {
@@ -159,7 +162,7 @@ pub fn answer(
     let deadline = (request.budget_ms > 0)
         .then(|| begin.checked_add(Duration::from_millis(request.budget_ms)))
         .flatten();
-    match planner.replan(&start, iterations, deadline) {
+    match planner.replan_with(solver, &start, iterations, deadline) {
         Ok(replan) => {
             let plan = replan.plan(planner.config());
             let mut response = describe(&replan);

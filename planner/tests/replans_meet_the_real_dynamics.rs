@@ -69,7 +69,13 @@ fn an_impossible_start_is_refused_with_the_reason_of_each_entry() {
     x[10] = planner.config().robot.planning.qd_max[1];
     let refusal = planner.replan(&x, 2, None).expect_err("no plan");
     assert_eq!(refusal.attempts.len(), planner.config().planner.replan.neighbours);
-    assert!(refusal.attempts.iter().all(|a| matches!(a.refused, Some(Refusal::Qp { .. }))), "{refusal}");
+    assert!(
+        refusal
+            .attempts
+            .iter()
+            .all(|a| matches!(a.refused, Some(Refusal::Infeasible { conflict: Some(_), .. }))),
+        "{refusal}"
+    );
 }
 
 #[test]

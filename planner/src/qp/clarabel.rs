@@ -1,77 +1,14 @@
-//! The quadratic program of a replan (16), in stages, and its solution by Clarabel.
+//! Clarabel as a back end: the QP as one sparse matrix.
 
-use crate::kkt::{KnotDynamics, KnotVector, TargetRow};
+use super::{Options, Qp, Solution, Status};
+use crate::kkt::{KnotDynamics, KnotVector};
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::{
     DefaultSettings, DefaultSolver, IPSolver, SolverStatus,
     SupportedConeT::{NonnegativeConeT, ZeroConeT},
 };
-use nalgebra::SMatrix;
-use upswing_model::{ActuatedVector, N_ACTUATED, N_UNACTUATED, NQ, NU, NX, NZ, State};
+use upswing_model::{N_ACTUATED, N_UNACTUATED, NQ, NU, NX, NZ};
 use upswing_trajectory::N;
-
-/// Linearised torque of one knot within its bounds: `lower` <= J dz <= `upper`, N m.
-#[derive(Clone, Debug)]
-pub struct TorqueRows {
-    /// J = [d tau / dx, d tau / du].
-    pub jacobian: SMatrix<f64, NU, NZ>,
-    /// Lower bound less the torque of the linearisation point.
-    pub lower: ActuatedVector,
-    /// Upper bound less the torque of the linearisation point.
-    pub upper: ActuatedVector,
-}
-
-/// min 1/2 dxi' Q dxi + g' dxi over dxi = (dt, dz_0..dz_N), dz_k = (dx_k, du_k), subject to (14), (15), bounds of
-/// dx_k (k >= 1) and dt, and the torque rows. Angles in rad, times in s.
-#[derive(Clone, Debug)]
-pub struct Qp {
-    /// Diagonal of Q at a knot.
-    pub weight: KnotVector,
-    /// Q of t_F.
-    pub weight_t: f64,
-    /// g at the knots and of t_F.
-    pub gradient: Vec<KnotVector>,
-    /// See `gradient`.
-    pub gradient_t: f64,
-    /// h = t_F / N of the linearisation point, s.
-    pub h: f64,
-    /// Gamma^x_k, Gamma^u_k and f_k.
-    pub dynamics: Vec<KnotDynamics>,
-    /// Defects (6b) of the linearisation point.
-    pub defects: Vec<State>,
-    /// dx_0 (15).
-    pub start: State,
-    /// Target rows, `value` less what the linearisation point has.
-    pub target: Vec<TargetRow>,
-    /// Bounds of dx_1..dx_N.
-    pub x: Vec<(State, State)>,
-    /// Bounds of dt.
-    pub t: (f64, f64),
-    /// (9) or (11).
-    pub torque: Vec<TorqueRows>,
-}
-
-/// Why a QP has no answer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum QpError {
-    /// No point meets all constraints.
-    #[error("the constraints of the QP cannot be met together")]
-    Infeasible,
-    /// The solver gave up.
-    #[error("the QP solver stopped early: {0:?}")]
-    Stopped(SolverStatus),
-}
-
-/// Solution of a [`Qp`].
-#[derive(Clone, Debug)]
-pub struct QpSolution {
-    /// dz_k
-    pub z: Vec<KnotVector>,
-    /// dt
-    pub t: f64,
-    /// Iterations of the solver.
-    pub iterations: u32,
-}
 
 /// Index of dt among the variables.
 const T: usize = (N + 1) * NZ;
@@ -117,11 +54,8 @@ impl Rows {
     }
 }
 
-/// Solves the QP with Clarabel to the relative accuracy `tolerance`.
-///
-/// # Errors
-/// [`QpError`] if the constraints contradict each other or the solver gives up.
-pub fn solve(qp: &Qp, tolerance: f64) -> Result<QpSolution, QpError> {
+/// Solves the QP from scratch.
+pub(super) fn solve(qp: &Qp, options: &Options, solution: &mut Solution) -> Status {
     let variables = T + 1;
     let mut weights = Vec::with_capacity(variables);
     let mut gradient = Vec::with_capacity(variables);
@@ -184,24 +118,35 @@ pub fn solve(qp: &Qp, tolerance: f64) -> Result<QpSolution, QpError> {
     }
     let cones = [ZeroConeT(equalities), NonnegativeConeT(rows.bound.len() - equalities)];
     let matrix = CscMatrix::new_from_triplets(rows.bound.len(), variables, rows.row, rows.column, rows.value);
+    // The gap is the sum of all products of slack and multiplier.
+    let gap = options.complementarity * (rows.bound.len() - equalities) as f64;
+    let time_limit = options
+        .deadline
+        .map_or(f64::INFINITY, |d| d.saturating_duration_since(std::time::Instant::now()).as_secs_f64());
     let settings = DefaultSettings {
         verbose: false,
-        tol_gap_abs: tolerance,
-        tol_gap_rel: tolerance,
-        tol_feas: tolerance,
+        time_limit,
+        max_iter: u32::try_from(options.max_iterations).unwrap_or(u32::MAX),
+        tol_gap_abs: gap,
+        tol_gap_rel: gap,
+        tol_feas: options.tolerance,
         ..DefaultSettings::default()
     };
-    let mut solver = DefaultSolver::new(&hessian, &gradient, &matrix, &rows.bound, &cones, settings)
-        .map_err(|_| QpError::Stopped(SolverStatus::Unsolved))?;
+    let Ok(mut solver) = DefaultSolver::new(&hessian, &gradient, &matrix, &rows.bound, &cones, settings)
+    else {
+        return Status::Stalled;
+    };
     solver.solve();
-    let solution = &solver.solution;
-    match solution.status {
-        SolverStatus::Solved | SolverStatus::AlmostSolved => Ok(QpSolution {
-            z: solution.x[..T].chunks_exact(NZ).map(KnotVector::from_column_slice).collect(),
-            t: solution.x[T],
-            iterations: solution.iterations,
-        }),
-        SolverStatus::PrimalInfeasible | SolverStatus::AlmostPrimalInfeasible => Err(QpError::Infeasible),
-        other => Err(QpError::Stopped(other)),
+    let found = &solver.solution;
+    for (z, x) in solution.z.iter_mut().zip(found.x[..T].chunks_exact(NZ)) {
+        z.copy_from(&KnotVector::from_column_slice(x));
+    }
+    solution.t = found.x[T];
+    solution.iterations = found.iterations as usize;
+    match found.status {
+        SolverStatus::Solved | SolverStatus::AlmostSolved => Status::Solved,
+        SolverStatus::PrimalInfeasible | SolverStatus::AlmostPrimalInfeasible => Status::Infeasible(None),
+        SolverStatus::MaxTime => Status::Deadline,
+        _ => Status::Stalled,
     }
 }

@@ -1,0 +1,197 @@
+//! The quadratic program of a replan (16), in stages, and its two back ends.
+//!
+//! min 1/2 dxi' Q dxi + g' dxi over dxi = (dt, dz_0..dz_N), dz_k = (dx_k, du_k), subject to
+//!
+//! - dx_{k+1} - dx_k - h/2 (A_k dx_k + B_k du_k + A_{k+1} dx_{k+1} + B_{k+1} du_{k+1})
+//!   - dt (f_k + f_{k+1}) / (2 N) + r_k = 0 (14), dx_0 given (15), the rows of the target (8),
+//! - bounds of dx_1..dx_N and dt, and the linearised torque (9) or (11) of every knot within its bounds.
+//!
+//! [`Solver`] hides which back end works: [`structured`] knows these stages and is the one for daily use; Clarabel,
+//! which was written by others and knows nothing of them, is there to compare with.
+
+mod clarabel;
+pub mod structured;
+
+use crate::kkt::{KnotDynamics, KnotVector, TargetRow};
+use nalgebra::SMatrix;
+use std::time::Instant;
+use structured::Structured;
+use upswing_config::QpBackend;
+use upswing_model::{ActuatedVector, NU, NX, NZ, State};
+use upswing_trajectory::{KNOTS, N};
+
+/// Linearised torque of one knot within its bounds: `lower` <= J dz <= `upper`, N m.
+#[derive(Clone, Debug)]
+pub struct TorqueRows {
+    /// J = [d tau / dx, d tau / du].
+    pub jacobian: SMatrix<f64, NU, NZ>,
+    /// Lower bound less the torque of the linearisation point.
+    pub lower: ActuatedVector,
+    /// Upper bound less the torque of the linearisation point.
+    pub upper: ActuatedVector,
+}
+
+/// The program; angles in rad, times in s, torques in N m.
+#[derive(Clone, Debug)]
+pub struct Qp {
+    /// Diagonal of Q at a knot.
+    pub weight: KnotVector,
+    /// Q of t_F.
+    pub weight_t: f64,
+    /// g at the knots, N + 1 of them, and of t_F.
+    pub gradient: Vec<KnotVector>,
+    /// See `gradient`.
+    pub gradient_t: f64,
+    /// h = t_F / N of the linearisation point, s.
+    pub h: f64,
+    /// Gamma^x_k, Gamma^u_k and f_k, N + 1 of them.
+    pub dynamics: Vec<KnotDynamics>,
+    /// Defects (6b) of the linearisation point, N of them.
+    pub defects: Vec<State>,
+    /// dx_0 (15).
+    pub start: State,
+    /// Target rows, `value` less what the linearisation point has.
+    pub target: Vec<TargetRow>,
+    /// Bounds (lower, upper) of dx_1..dx_N.
+    pub x: Vec<(State, State)>,
+    /// Bounds of dt, s.
+    pub t: (f64, f64),
+    /// (9) or (11), N + 1 of them.
+    pub torque: Vec<TorqueRows>,
+}
+
+/// The limit that a solver could not keep together with everything else.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Conflict {
+    /// Which quantity.
+    pub limit: Limit,
+    /// Knot, 0 to N; of no meaning for the duration.
+    pub knot: usize,
+    /// Whether the upper one of the two bounds.
+    pub upper: bool,
+}
+
+/// A quantity with bounds. Joints count from 0.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Limit {
+    /// Angle of a joint.
+    Position(usize),
+    /// Velocity of a joint.
+    Velocity(usize),
+    /// Torque of an actuated joint.
+    Torque(usize),
+    /// t_F
+    Duration,
+}
+
+impl std::fmt::Display for Conflict {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let side = if self.upper { "upper" } else { "lower" };
+        let (what, joint) = match self.limit {
+            Limit::Position(joint) => ("position", joint),
+            Limit::Velocity(joint) => ("velocity", joint),
+            Limit::Torque(joint) => ("torque", joint),
+            Limit::Duration => return write!(f, "the {side} bound of the duration"),
+        };
+        write!(f, "the {side} {what} limit of joint {} at knot {} of {N}", joint + 1, self.knot)
+    }
+}
+
+/// How a solve ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Status {
+    /// All residuals are within the tolerance.
+    Solved,
+    /// No point meets all constraints; names the limit that weighs most in the contradiction where the back end
+    /// knows it.
+    Infeasible(Option<Conflict>),
+    /// The deadline passed.
+    Deadline,
+    /// No progress, or out of iterations.
+    Stalled,
+}
+
+/// When a solver stops.
+#[derive(Clone, Copy, Debug)]
+pub struct Options {
+    /// Largest residual of a solution: constraints (rad, rad/s, shares of half a torque range) and stationarity,
+    /// relative to the largest multiplier where that is above one.
+    pub tolerance: f64,
+    /// Largest mean product of a distance to a bound and its multiplier. Where a bound is hardly active, an input u
+    /// with the weight r is found to sqrt(complementarity / r).
+    pub complementarity: f64,
+    /// Most iterations.
+    pub max_iterations: usize,
+    /// No iteration is begun after this.
+    pub deadline: Option<Instant>,
+}
+
+impl Options {
+    /// With the given tolerance for everything, no deadline, and more iterations than any feasible QP seen has needed.
+    pub fn new(tolerance: f64) -> Self {
+        Self { tolerance, complementarity: tolerance, max_iterations: 100, deadline: None }
+    }
+}
+
+/// The last iterate of a solve.
+#[derive(Clone, Debug)]
+pub struct Solution {
+    /// dz_k, N + 1 of them.
+    pub z: Vec<KnotVector>,
+    /// dt, s.
+    pub t: f64,
+    /// Iterations of the solver.
+    pub iterations: usize,
+}
+
+impl Solution {
+    fn zeros() -> Self {
+        Self { z: vec![KnotVector::zeros(); KNOTS], t: 0.0, iterations: 0 }
+    }
+}
+
+/// A back end with its memory, to be used for one QP after the other.
+#[derive(Clone, Debug)]
+pub enum Solver {
+    /// See [`structured`].
+    Structured(Box<Structured>),
+    /// See <https://clarabel.org>.
+    Clarabel(Box<Solution>),
+}
+
+impl Solver {
+    /// Allocates all that `backend` can keep between QPs.
+    pub fn new(backend: QpBackend) -> Self {
+        match backend {
+            QpBackend::Structured => Self::Structured(Box::new(Structured::new())),
+            QpBackend::Clarabel => Self::Clarabel(Box::new(Solution::zeros())),
+        }
+    }
+
+    /// Solves `qp` from scratch.
+    pub fn solve(&mut self, qp: &Qp, options: &Options) -> Status {
+        match self {
+            Self::Structured(s) => s.solve(qp, false, options),
+            Self::Clarabel(solution) => clarabel::solve(qp, options, solution),
+        }
+    }
+
+    /// Solves `qp`, the linearisation around the solution of the QP before, from that one's multipliers where the
+    /// back end can use them.
+    pub fn solve_again(&mut self, qp: &Qp, options: &Options) -> Status {
+        match self {
+            Self::Structured(s) => s.solve(qp, true, options),
+            Self::Clarabel(solution) => clarabel::solve(qp, options, solution),
+        }
+    }
+
+    /// What the last solve left: the solution, or the best iterate where there is none.
+    pub fn solution(&self) -> &Solution {
+        match self {
+            Self::Structured(s) => s.solution(),
+            Self::Clarabel(solution) => solution,
+        }
+    }
+}
+
+const _: () = assert!(NZ == NX + NU);

@@ -1,0 +1,265 @@
+//! Both back ends solve (16), one around each of many database entries, to the same answer, and call the same ones
+//! infeasible.
+
+use upswing_config::{Config, PendulumStart, QpBackend};
+use upswing_model::{NQ, NU, NX, NZ, State, Workspace};
+use upswing_planner::kkt::KnotVector;
+use upswing_planner::offline::problem;
+use upswing_planner::qp::{Limit, Options, Qp, Solver, Status};
+use upswing_planner::replan::Planner;
+use upswing_trajectory::{N, Trajectory};
+
+/// `Structured` first.
+const BACKENDS: [QpBackend; 2] = [QpBackend::Structured, QpBackend::Clarabel];
+
+/// Tight, so that inputs agree even where a bound is hardly active.
+const PRECISE: Options =
+    Options { tolerance: 1e-9, complementarity: 1e-16, max_iterations: 100, deadline: None };
+
+fn planner() -> Planner {
+    Planner::new(Config::embedded().expect("embedded settings")).expect("the shipped database fits")
+}
+
+/// SplitMix64 (Steele, Lea, Flood 2014).
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    /// Uniform in -1..1.
+    fn sign(&mut self) -> f64 {
+        (self.next() >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+    }
+}
+
+/// The QP of a start `offset` away from an entry, at rest.
+fn qp_at(planner: &Planner, entry: usize, offset: &[f64; NU]) -> Option<Qp> {
+    let reference = &planner.entries()[entry].trajectory;
+    let q: [f64; NU] = std::array::from_fn(|i| reference.x[0][i] + offset[i]);
+    let start = planner.config().start_state(&q, PendulumStart::Rest).ok()?;
+    Some(qp_from(planner, reference, reference, start))
+}
+
+fn qp_from(planner: &Planner, reference: &Trajectory, at: &Trajectory, start: State) -> Qp {
+    let problem = problem(planner.config(), start);
+    planner.qp(&problem, reference, at, &mut Workspace::default())
+}
+
+/// Largest violation of any constraint (rad, rad/s, share of half a torque range), computed from the statement.
+fn violation(qp: &Qp, solver: &Solver) -> f64 {
+    let s = solver.solution();
+    let x = |k: usize| -> State { s.z[k].fixed_rows::<NX>(0).into() };
+    let f =
+        |k: usize| qp.dynamics[k].apply(&s.z[k]) * (0.5 * qp.h) + qp.dynamics[k].f * (s.t / (2 * N) as f64);
+    let mut worst = (x(0) - qp.start).amax().max(s.t - qp.t.1).max(qp.t.0 - s.t);
+    for k in 0..N {
+        worst = worst.max((x(k + 1) - x(k) - f(k) - f(k + 1) + qp.defects[k]).amax());
+        let (lower, upper) = &qp.x[k];
+        worst = worst.max((lower - x(k + 1)).max()).max((x(k + 1) - upper).max());
+    }
+    for (z, torque) in s.z.iter().zip(&qp.torque) {
+        let tau = torque.jacobian * z;
+        let half = (torque.upper - torque.lower) * 0.5;
+        worst = worst.max((torque.lower - tau).component_div(&half).max());
+        worst = worst.max((tau - torque.upper).component_div(&half).max());
+    }
+    qp.target.iter().map(|row| (row.coefficients.dot(&x(N)) - row.value).abs()).fold(worst, f64::max)
+}
+
+/// Largest difference of states (rad, rad/s) and durations (s), and of inputs as they count in the objective: times
+/// the root of their weight.
+fn difference(qp: &Qp, a: &Solver, b: &Solver) -> f64 {
+    let scale = KnotVector::from_fn(|i, _| if i < NX { 1.0 } else { qp.weight[i].sqrt() });
+    let (a, b) = (a.solution(), b.solution());
+    let z = a.z.iter().zip(&b.z).map(|(a, b)| (a - b).component_mul(&scale).amax());
+    z.fold((a.t - b.t).abs(), f64::max)
+}
+
+#[test]
+fn on_random_starts_up_to_the_corners_of_a_cell() {
+    /// QPs; Clarabel takes nearly all of the time.
+    const QPS: usize = 200;
+    /// Half spacings of the paper's grid, rad.
+    const CELL: [f64; NU] = [0.305, 0.175, 0.0, 0.175, 0.0, 0.349, 0.0];
+    let planner = planner();
+    let mut random = Random(1);
+    let [mut structured, mut clarabel] = BACKENDS.map(Solver::new);
+    let (mut done, mut active, mut infeasible) = (0, 0, 0);
+    while done < QPS {
+        let entry = random.next() as usize % planner.entries().len();
+        let offset = match done % 4 {
+            // A corner of the cell.
+            0 => CELL.map(|half| half * random.sign().signum()),
+            // Far outside it: some of these are infeasible.
+            1 => CELL.map(|half| 2.5 * half * random.sign()),
+            // All seven joints.
+            2 => std::array::from_fn(|_| 0.1 * random.sign()),
+            _ => CELL.map(|half| half * random.sign()),
+        };
+        let Some(mut qp) = qp_at(&planner, entry, &offset) else { continue };
+        if done % 5 == 4 {
+            // The arm moves at full speed.
+            for i in 0..NU {
+                qp.start[NQ + i] += planner.config().robot.planning.qd_max[i] * random.sign().signum();
+            }
+        }
+        if done % 10 == 9 {
+            // One joint on its stop moves towards it, at a speed that may be too high.
+            let joint = [1, 3, 5][random.next() as usize % 3];
+            let limits = &planner.config().robot.planning;
+            qp.start[joint] = limits.q_max[joint] - planner.entries()[entry].trajectory.x[0][joint];
+            qp.start[NQ + joint] = limits.qd_max[joint] * random.sign().abs();
+        }
+        let verdicts = [structured.solve(&qp, &PRECISE), clarabel.solve(&qp, &PRECISE)];
+        done += 1;
+        let name = format!("QP {done}, entry {entry}, offset {offset:?}");
+        if matches!(verdicts[0], Status::Infeasible(_)) {
+            assert!(matches!(verdicts[1], Status::Infeasible(_)), "{name}: {verdicts:?}");
+            infeasible += 1;
+            continue;
+        }
+        assert_eq!(verdicts, [Status::Solved; 2], "{name}");
+        for solver in [&structured, &clarabel] {
+            let violation = violation(&qp, solver);
+            assert!(violation <= 1e-8, "{name}: violation {violation:e}");
+        }
+        let difference = difference(&qp, &structured, &clarabel);
+        assert!(difference <= 1e-6, "{name}: the solutions differ by {difference:e}");
+        active += usize::from(touches_a_limit(&qp, &structured));
+    }
+    println!("{active} of {done} touch a limit, {infeasible} are infeasible");
+    assert!(active >= QPS / 2, "only {active} of {done} touch a limit");
+    assert!(infeasible >= 5, "only {infeasible} are infeasible");
+}
+
+fn touches_a_limit(qp: &Qp, solver: &Solver) -> bool {
+    let z = &solver.solution().z;
+    (0..N).any(|k| {
+        let x: State = z[k + 1].fixed_rows::<NX>(0).into();
+        (x - qp.x[k].0).min().min((qp.x[k].1 - x).min()) < 1e-6
+    })
+}
+
+/// The QP around entry `entry` for a start at it that moves with `fast` (rad/s) towards the upper stop of `joint`.
+fn towards_its_stop(planner: &Planner, entry: usize, joint: usize, fast: f64) -> Qp {
+    let reference = &planner.entries()[entry].trajectory;
+    let mut start = reference.x[0];
+    start[joint] = planner.config().robot.planning.q_max[joint];
+    start[NQ + joint] = fast;
+    qp_from(planner, reference, reference, start)
+}
+
+#[test]
+fn infeasible_ones_are_infeasible_for_both() {
+    let planner = planner();
+    for backend in BACKENDS {
+        let mut solver = Solver::new(backend);
+        for entry in [3, 40, 99, 150] {
+            for joint in [1, 3, 5] {
+                let fast = planner.config().robot.planning.qd_max[joint];
+                let qp = towards_its_stop(&planner, entry, joint, fast);
+                let status = solver.solve(&qp, &Options::new(1e-9));
+                let Status::Infeasible(conflict) = status else {
+                    panic!("{backend:?}, entry {entry}, joint {joint}: {status:?}")
+                };
+                assert_eq!(conflict.is_some(), backend == QpBackend::Structured, "{backend:?}");
+            }
+        }
+        // A duration that no motion between the limits takes, and a target beyond its bounds.
+        let mut qp = qp_at(&planner, 40, &[0.0; NU]).expect("an entry starts at rest");
+        qp.t = (50.0, 60.0);
+        assert!(
+            matches!(solver.solve(&qp, &Options::new(1e-9)), Status::Infeasible(_)),
+            "{backend:?}: duration"
+        );
+        let mut qp = qp_at(&planner, 40, &[0.0; NU]).expect("an entry starts at rest");
+        qp.target[4].value += 10.0;
+        assert!(
+            matches!(solver.solve(&qp, &Options::new(1e-9)), Status::Infeasible(_)),
+            "{backend:?}: target"
+        );
+    }
+}
+
+#[test]
+fn a_limit_that_jumps_away_is_named() {
+    let planner = planner();
+    for (joint, knot) in [(0, 1), (3, 40), (5, 90)] {
+        // The joint would have to be at 0.5 rad or more at the knot, at 0 or less one interval later.
+        let mut qp = qp_at(&planner, 40, &[0.0; NU]).expect("an entry starts at rest");
+        qp.x[knot - 1].0[joint] = 0.5;
+        qp.x[knot - 1].1[joint] = 1.0;
+        qp.x[knot].1[joint] = 0.0;
+        let status = Solver::new(QpBackend::Structured).solve(&qp, &Options::new(1e-9));
+        let Status::Infeasible(Some(conflict)) = status else { panic!("joint {joint}: {status:?}") };
+        assert_eq!(conflict.limit, Limit::Position(joint), "{conflict}");
+        assert!(conflict.knot == knot || conflict.knot == knot + 1, "{conflict}");
+    }
+}
+
+#[test]
+fn a_warm_start_ends_where_a_cold_one_does() {
+    let planner = planner();
+    for (entry, offset) in [(10, 0.05), (40, -0.1), (77, 0.15)] {
+        let reference = &planner.entries()[entry].trajectory;
+        let q: [f64; NU] = std::array::from_fn(|i| reference.x[0][i] + offset * [1.0, 0.5, 0.0][i % 3]);
+        let start = planner.config().start_state(&q, PendulumStart::Rest).expect("a start at rest");
+        let mut at = reference.clone();
+        let mut warm = Solver::new(QpBackend::Structured);
+        for iteration in 0..4 {
+            let qp = qp_from(&planner, reference, &at, start);
+            let status =
+                if iteration == 0 { warm.solve(&qp, &PRECISE) } else { warm.solve_again(&qp, &PRECISE) };
+            let mut cold = Solver::new(QpBackend::Structured);
+            assert_eq!(
+                [status, cold.solve(&qp, &PRECISE)],
+                [Status::Solved; 2],
+                "entry {entry}, QP {iteration}"
+            );
+            let difference = difference(&qp, &warm, &cold);
+            assert!(difference <= 1e-6, "entry {entry}, QP {iteration}: {difference:e}");
+            at.t_f += warm.solution().t;
+            for (k, dz) in warm.solution().z.iter().enumerate() {
+                at.x[k] += dz.fixed_rows::<NX>(0);
+                at.u[k] += dz.fixed_rows::<NU>(NX);
+            }
+        }
+    }
+}
+
+#[test]
+fn equal_qps_give_equal_bits_whatever_was_solved_before() {
+    let planner = planner();
+    // Entries whose start stays within the limits when it is moved.
+    let mut qps = (0..planner.entries().len()).filter_map(|entry| qp_at(&planner, entry, &[0.02; NU]));
+    let (first, other) = (qps.nth(20).expect("one"), qps.nth(20).expect("another"));
+    let options = Options::new(1e-9);
+    let mut fresh = Solver::new(QpBackend::Structured);
+    assert_eq!(fresh.solve(&first, &options), Status::Solved);
+    let mut used = Solver::new(QpBackend::Structured);
+    assert_eq!(used.solve(&other, &options), Status::Solved);
+    assert_eq!(used.solve(&first, &options), Status::Solved);
+    let bits = |s: &Solver| -> Vec<u64> {
+        s.solution().z.iter().flat_map(|z| z.iter().map(|v| v.to_bits()).collect::<Vec<_>>()).collect()
+    };
+    assert_eq!(bits(&fresh), bits(&used));
+    assert_eq!(bits(&fresh).len(), (N + 1) * NZ);
+}
+
+#[test]
+fn a_deadline_in_the_past_leaves_the_first_iterate() {
+    let planner = planner();
+    let entries = 0..planner.entries().len();
+    let qp = entries.filter_map(|entry| qp_at(&planner, entry, &[0.02; NU])).next().expect("a start at rest");
+    for backend in BACKENDS {
+        let mut solver = Solver::new(backend);
+        let options = Options { deadline: Some(std::time::Instant::now()), ..Options::new(1e-9) };
+        assert_eq!(solver.solve(&qp, &options), Status::Deadline, "{backend:?}");
+        assert!(solver.solution().iterations <= 1);
+    }
+}
