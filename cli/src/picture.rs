@@ -95,7 +95,7 @@ fn panel<'a>(
         .x_label_area_size(if bottom { 38 } else { 22 })
         .y_label_area_size(38)
         // The legend stands to the right of the curves.
-        .build_cartesian_2d(-0.2..end * 1.34, -top..top)?;
+        .build_cartesian_2d(-0.2..end * 1.42, -top..top)?;
     chart
         .configure_mesh()
         .light_line_style(TRANSPARENT)
