@@ -22,7 +22,7 @@ from model import pendulum_acceleration, read_chain
 N = 100
 KNOTS = N + 1
 GUESSES = (2.0, 3.0, 1.5)
-"""Durations t_F of the straight lines tried, s: the first that converges counts, as in upswing."""
+"""Durations t_F of the straight lines tried, s: the first that converges counts."""
 TOLERANCE = 1e-8
 """Largest constraint violation and optimality error that IPOPT accepts."""
 C_FLAGS = ["-O2", "-fPIC", "-shared"]
@@ -63,7 +63,7 @@ class Settings:
             max_iterations=offline["max_iterations"],
             pitch=np.radians(robot["target"]["pitch_deg"]),
             q8=np.radians(robot["target"]["q8_deg"]),
-            grid=planner["grid"]["joints"],
+            grid=tomllib.loads((folder / "grid-paper.toml").read_text())["joints"],
         )
 
 

@@ -229,6 +229,9 @@ impl Workspace {
     /// rad and per rad/s.
     pub(crate) fn inverse_dynamics_derivatives(&self) -> (JointMatrix, JointMatrix) {
         let coriolis = self.coriolis();
+        let carried: [Spatial; NQ] = std::array::from_fn(|k| self.composite_axis(k));
+        let swept: [Vector3<f64>; NQ] =
+            std::array::from_fn(|k| coriolis[k].apply_transposed(&self.axis[k]));
         let (mut r_q, mut r_qd) = (JointMatrix::zeros(), JointMatrix::zeros());
         for i in 0..NQ {
             let (s, psi, psi_dd) = (&self.axis[i], &self.psi[i], self.psi_dd(i));
@@ -241,10 +244,8 @@ impl Workspace {
                 r_qd[(k, i)] = self.axis[k].dot(&on_qd);
             }
             for k in i..NQ {
-                let carried = self.composite_axis(k);
-                let swept = coriolis[k].apply_transposed(&self.axis[k]);
-                r_q[(k, i)] = psi_dd.dot(&carried) + psi.ang.dot(&swept);
-                r_qd[(k, i)] = s.ang.dot(&swept) + 2.0 * psi.dot(&carried);
+                r_q[(k, i)] = psi_dd.dot(&carried[k]) + psi.ang.dot(&swept[k]);
+                r_qd[(k, i)] = s.ang.dot(&swept[k]) + 2.0 * psi.dot(&carried[k]);
             }
         }
         (r_q, r_qd)
