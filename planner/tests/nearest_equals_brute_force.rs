@@ -35,7 +35,8 @@ fn indices(tree: &NearestPose, q: &[f64; NU], count: usize) -> Vec<usize> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(3000))]
+    // Two queries each.
+    #![proptest_config(ProptestConfig::with_cases(50_000))]
 
     #[test]
     fn on_a_regular_grid(
