@@ -230,8 +230,7 @@ impl Workspace {
     pub(crate) fn inverse_dynamics_derivatives(&self) -> (JointMatrix, JointMatrix) {
         let coriolis = self.coriolis();
         let carried: [Spatial; NQ] = std::array::from_fn(|k| self.composite_axis(k));
-        let swept: [Vector3<f64>; NQ] =
-            std::array::from_fn(|k| coriolis[k].apply_transposed(&self.axis[k]));
+        let swept: [Vector3<f64>; NQ] = std::array::from_fn(|k| coriolis[k].apply_transposed(&self.axis[k]));
         let (mut r_q, mut r_qd) = (JointMatrix::zeros(), JointMatrix::zeros());
         for i in 0..NQ {
             let (s, psi, psi_dd) = (&self.axis[i], &self.psi[i], self.psi_dd(i));
