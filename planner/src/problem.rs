@@ -41,7 +41,7 @@ pub struct Problem<'a> {
     pub limits: Limits,
     /// Torque constraint.
     pub torque: TorqueConstraint,
-    /// r of R = r I in (6a), s^3/rad^2.
+    /// r of R = r I in (6a), s^4/rad^2.
     pub input_weight: f64,
     /// Bounds of t_F, s.
     pub t_f: (f64, f64),

@@ -32,7 +32,7 @@ impl Trajectory {
         (0..N).map(|k| (self.x[k + 1] - self.x[k] - (f[k] + f[k + 1]) * half_h).amax()).fold(0.0, f64::max)
     }
 
-    /// J of (6a) for R = `input_weight` I (s^3/rad^2): t_F + h/2 sum u_k' R u_k.
+    /// J of (6a) for R = `input_weight` I (s^4/rad^2): t_F + h/2 sum u_k' R u_k.
     pub fn cost(&self, input_weight: f64) -> f64 {
         let effort: f64 = self.u.iter().map(|u| u.norm_squared()).sum();
         self.t_f + 0.5 * self.h() * input_weight * effort
