@@ -8,11 +8,11 @@
 mod bounded;
 mod filter;
 
-use crate::kkt::{Factor, Kkt, KnotDynamics, KnotMatrix, KnotVector, Rhs, Step};
+use crate::kkt::{Factor, Kkt, KnotDynamics, KnotMatrix, KnotVector, Rhs, SolveWorkspace, Step, TargetRow};
 use crate::problem::{KnotDerivatives, Problem};
 use bounded::Bounded;
 use filter::Filter;
-use nalgebra::SVector;
+use nalgebra::{SMatrix, SVector};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use upswing_model::{ActuatedVector, N_UNACTUATED, NQ, NU, NX, NZ, State, UnactuatedVector, Workspace};
@@ -25,8 +25,8 @@ pub struct Options<'a> {
     pub tolerance: f64,
     /// Most iterations.
     pub max_iterations: usize,
-    /// Barrier parameter to begin with; smaller for a warm start. The default takes a fifth fewer iterations than
-    /// the publication's 0.1 on the paper's grid, from equally good optima.
+    /// Barrier parameter to begin with. The default takes a third fewer iterations than the publication's 0.1 on the
+    /// paper's grid, to equally good optima.
     pub barrier: f64,
     /// Longest time; the last iterate is returned then.
     pub time_budget: Option<Duration>,
@@ -36,7 +36,7 @@ pub struct Options<'a> {
 
 impl Default for Options<'_> {
     fn default() -> Self {
-        Self { tolerance: 1e-9, max_iterations: 1000, barrier: 3e-3, time_budget: None, stop: None }
+        Self { tolerance: 1e-9, max_iterations: 1000, barrier: 1e-3, time_budget: None, stop: None }
     }
 }
 
@@ -120,8 +120,8 @@ pub struct Solution {
 
 type Scalar = SVector<f64, 1>;
 
-/// d tau_k / dz_k in units of the slacks.
-type TorqueJacobian = nalgebra::SMatrix<f64, NU, NZ>;
+/// Gradients of the torques tau_k with respect to z_k in units of the slacks, one column for each motor.
+type TorqueGradients = SMatrix<f64, NZ, NU>;
 
 /// Primal variables.
 #[derive(Clone, Debug)]
@@ -179,6 +179,32 @@ struct Direction {
     alpha: (f64, f64),
 }
 
+/// The linear system of an iteration and the memory to solve it, made once.
+struct Linear {
+    kkt: Kkt,
+    torque: Vec<TorqueGradients>,
+    factor: Factor,
+    rhs: Rhs,
+    work: SolveWorkspace,
+}
+
+impl Linear {
+    fn new(target: &[TargetRow]) -> Self {
+        let none = KnotDynamics { qdd_u_x: SMatrix::zeros(), qdd_u_u: SMatrix::zeros(), f: State::zeros() };
+        let kkt = Kkt {
+            h: 0.0,
+            hessian: vec![KnotMatrix::zeros(); KNOTS],
+            with_t: vec![KnotVector::zeros(); KNOTS],
+            t_t: 0.0,
+            dynamics: vec![none; KNOTS],
+            target: target.to_vec(),
+        };
+        let rhs = kkt.zero_rhs();
+        let work = SolveWorkspace::new(N, target.len());
+        Self { kkt, torque: vec![TorqueGradients::zeros(); KNOTS], factor: Factor::new(N), rhs, work }
+    }
+}
+
 struct Solver<'a> {
     problem: &'a Problem<'a>,
     work: Workspace,
@@ -207,6 +233,11 @@ pub fn solve(problem: &Problem<'_>, guess: &Trajectory, options: &Options<'_>) -
 const S_MAX: f64 = 100.0;
 /// Number of bounds of states and slacks.
 const BOUNDS: f64 = (2 * (N * NX + KNOTS * NU)) as f64;
+
+/// Of the linear solves: each refinement gains several digits; more than this many means there is nothing left to
+/// gain, and so does a residual this small against the right-hand side.
+const REFINEMENTS: usize = 8;
+const ACCURACY: f64 = 1e-12;
 
 /// Inputs are ten times larger than angles and velocities: their damping is smaller by the square of it.
 const INPUT_DAMPING: f64 = 1e-2;
@@ -290,88 +321,78 @@ impl<'a> Solver<'a> {
         w
     }
 
-    /// The matrix at the current point (without barrier and torque terms) and the torques' derivatives.
-    fn linearise(&mut self) -> (Kkt, Vec<TorqueJacobian>) {
+    /// Sets the matrix (without barrier and torque terms) and the torques' gradients to those of the current point.
+    fn linearise(&mut self, linear: &mut Linear) {
         let h = self.point.t / N as f64;
         let r = self.problem.input_weight;
-        let mut kkt = Kkt {
-            h,
-            hessian: Vec::with_capacity(KNOTS),
-            with_t: Vec::with_capacity(KNOTS),
-            t_t: 0.0,
-            dynamics: Vec::with_capacity(KNOTS),
-            target: self.problem.target.clone(),
-        };
-        let mut knots = Vec::with_capacity(KNOTS);
+        let kkt = &mut linear.kkt;
+        kkt.h = h;
+        kkt.t_t = 0.0;
         for k in 0..KNOTS {
             let (x, u) = (self.point.x[k], self.point.u[k]);
             let w = self.defect_multiplier(k);
             let w_u: UnactuatedVector = w.fixed_rows::<N_UNACTUATED>(NX - N_UNACTUATED) * (-0.5 * h);
             let mu = self.y[k].component_div(&self.torque_half);
-            let (knot, mut hessian) = self.problem.knot_derivatives(&x, &u, &w_u, &mu, &mut self.work);
-            for i in NX..NX + NU {
-                hessian[(i, i)] += h * r;
-            }
-            let dynamics = KnotDynamics::new(&knot.dynamics, &x, &u);
-            let mut with_t = dynamics.apply_transposed(&w) * (-0.5 / N as f64);
+            let (knot, hessian) = self.problem.knot_derivatives(&x, &u, &w_u, &mu, &mut self.work);
+            kkt.hessian[k] = hessian;
+            kkt.dynamics[k] = KnotDynamics::new(&knot.dynamics, &x, &u);
+            let with_t = &mut kkt.with_t[k];
+            *with_t = kkt.dynamics[k].apply_transposed(&w) * (-0.5 / N as f64);
             for i in 0..NU {
+                kkt.hessian[k][(NX + i, NX + i)] += h * r;
                 with_t[NX + i] += r * u[i] / N as f64;
             }
-            kkt.hessian.push(hessian);
-            kkt.with_t.push(with_t);
-            kkt.dynamics.push(dynamics);
-            knots.push(self.torque_jacobian(&knot));
+            linear.torque[k] = self.torque_gradients(&knot);
         }
-        (kkt, knots)
     }
 
-    /// d tau / dz, scaled: NU x NZ.
-    fn torque_jacobian(&self, knot: &KnotDerivatives) -> TorqueJacobian {
+    fn torque_gradients(&self, knot: &KnotDerivatives) -> TorqueGradients {
         let d = knot.torque();
-        TorqueJacobian::from_fn(|i, j| {
+        TorqueGradients::from_fn(|j, i| {
             (if j < NX { d.tau_x[(i, j)] } else { d.tau_u[(i, j - NX)] }) / self.torque_half[i]
         })
     }
 
-    /// Gradient of the objective.
-    fn objective_gradient(&self) -> (Vec<KnotVector>, f64) {
+    /// Gradient of the objective: with respect to z_k into `g`; that with respect to t_F is returned.
+    fn objective_gradient(&self, g: &mut [KnotVector]) -> f64 {
         let (h, r) = (self.point.t / N as f64, self.problem.input_weight);
-        let g = self
-            .point
-            .u
-            .iter()
-            .map(|u| KnotVector::from_fn(|i, _| if i < NX { 0.0 } else { h * r * u[i - NX] }))
-            .collect();
-        let effort: f64 = self.point.u.iter().map(|u| u.norm_squared()).sum();
-        (g, 1.0 + 0.5 * r * effort / N as f64)
+        for (g, u) in g.iter_mut().zip(&self.point.u) {
+            g.fill(0.0);
+            g.fixed_rows_mut::<NU>(NX).copy_from(&(u * (h * r)));
+        }
+        self.objective_on_t()
     }
 
-    /// Adds barrier and torque terms to the matrix and builds the gradient part of the right-hand side.
-    fn condense(&self, kkt: &mut Kkt, knots: &[TorqueJacobian]) {
-        kkt.t_t += self.bound_t.sigma(&Scalar::new(self.point.t))[0];
+    /// Derivative of the objective with respect to t_F.
+    fn objective_on_t(&self) -> f64 {
+        let effort: f64 = self.point.u.iter().map(|u| u.norm_squared()).sum();
+        1.0 + 0.5 * self.problem.input_weight * effort / N as f64
+    }
+
+    /// Adds barrier and torque terms to the matrix.
+    fn condense(&self, linear: &mut Linear) {
+        linear.kkt.t_t += self.bound_t.sigma(&Scalar::new(self.point.t))[0];
         for k in 0..KNOTS {
+            let hessian = &mut linear.kkt.hessian[k];
             if k > 0 {
                 let sigma = self.bound_x[k - 1].sigma(&self.point.x[k]);
                 for i in 0..NX {
-                    kkt.hessian[k][(i, i)] += sigma[i];
+                    hessian[(i, i)] += sigma[i];
                 }
             }
-            let jacobian = &knots[k];
             let sigma = self.bound_s[k].sigma(&self.point.s[k]);
-            let weighted =
-                nalgebra::SMatrix::<f64, NU, { NX + NU }>::from_fn(|i, j| sigma[i] * jacobian[(i, j)]);
-            let term: KnotMatrix = jacobian.transpose() * weighted;
-            kkt.hessian[k] += term;
+            for (gradient, sigma) in linear.torque[k].column_iter().zip(&sigma) {
+                hessian.ger(*sigma, &gradient, &gradient, 1.0);
+            }
         }
     }
 
-    fn right_hand_side(&self, kkt: &Kkt, knots: &[TorqueJacobian], c: &Residuals) -> Rhs {
-        let mut rhs = kkt.zero_rhs();
-        let (g, g_t) = self.objective_gradient();
-        rhs.g = g;
-        rhs.g_t = g_t + self.bound_t.gradient(&Scalar::new(self.point.t), self.mu)[0];
-        rhs.dynamics.clone_from(&c.dynamics);
-        rhs.target.clone_from(&c.target);
+    fn right_hand_side(&self, linear: &mut Linear, c: &Residuals) {
+        let rhs = &mut linear.rhs;
+        rhs.g_t = self.objective_gradient(&mut rhs.g)
+            + self.bound_t.gradient(&Scalar::new(self.point.t), self.mu)[0];
+        rhs.dynamics.copy_from_slice(&c.dynamics);
+        rhs.target.copy_from_slice(&c.target);
         for k in 0..KNOTS {
             if k > 0 {
                 let barrier = self.bound_x[k - 1].gradient(&self.point.x[k], self.mu);
@@ -382,21 +403,23 @@ impl<'a> Solver<'a> {
             let sigma = self.bound_s[k].sigma(&self.point.s[k]);
             let pull =
                 sigma.component_mul(&c.torque[k]) + self.bound_s[k].gradient(&self.point.s[k], self.mu);
-            rhs.g[k] += knots[k].tr_mul(&pull);
+            rhs.g[k] += linear.torque[k] * pull;
         }
-        rhs
     }
 
-    fn direction(
-        &self,
-        kkt: &Kkt,
-        factor: &Factor,
-        damping: f64,
-        knots: &[TorqueJacobian],
-        c: &Residuals,
-    ) -> Direction {
-        let rhs = self.right_hand_side(kkt, knots, c);
-        let step = kkt.solve(factor, &rhs, damping, damping * INPUT_DAMPING);
+    /// The step for the constraint residuals `c`; needs the factorised matrix.
+    fn direction(&self, linear: &mut Linear, damping: f64, c: &Residuals) -> Direction {
+        self.right_hand_side(linear, c);
+        let Linear { kkt, torque, factor, rhs, work } = linear;
+        let mut step = Step::zeros(N, kkt.target.len());
+        kkt.solve_into(
+            factor,
+            rhs,
+            (damping, damping * INPUT_DAMPING),
+            (REFINEMENTS, ACCURACY),
+            work,
+            &mut step,
+        );
         let share = (1.0 - self.mu).max(0.99);
         let mut alpha = (1.0_f64, 1.0_f64);
         let mut shorten = |a: (f64, f64)| alpha = (alpha.0.min(a.0), alpha.1.min(a.1));
@@ -404,7 +427,7 @@ impl<'a> Solver<'a> {
         let (mut bound_x, mut bound_s) = (Vec::with_capacity(N), Vec::with_capacity(KNOTS));
         for k in 0..KNOTS {
             let (b, v) = (&self.bound_s[k], &self.point.s[k]);
-            let ds = knots[k] * step.z[k] + c.torque[k];
+            let ds = torque[k].tr_mul(&step.z[k]) + c.torque[k];
             let new_y = b.sigma(v).component_mul(&ds) + b.gradient(v, self.mu);
             let dz = b.dual_step(v, &ds, self.mu);
             shorten(b.to_boundary(v, &ds, &dz, share));
@@ -438,11 +461,11 @@ impl<'a> Solver<'a> {
 
     /// Derivative of the barrier function along the primal step.
     fn slope(&self, d: &Direction) -> f64 {
-        let (g, g_t) = self.objective_gradient();
+        let (h, r) = (self.point.t / N as f64, self.problem.input_weight);
         let t = Scalar::new(self.point.t);
-        let mut slope = (g_t + self.bound_t.gradient(&t, self.mu)[0]) * d.step.t;
+        let mut slope = (self.objective_on_t() + self.bound_t.gradient(&t, self.mu)[0]) * d.step.t;
         for k in 0..KNOTS {
-            slope += g[k].dot(&d.step.z[k]);
+            slope += self.point.u[k].dot(&d.step.z[k].fixed_rows::<NU>(NX)) * (h * r);
             slope += self.bound_s[k].gradient(&self.point.s[k], self.mu).dot(&d.s[k]);
             if k > 0 {
                 let dx = d.step.z[k].fixed_rows::<NX>(0);
@@ -467,13 +490,14 @@ impl<'a> Solver<'a> {
     }
 
     /// Largest residual of the stationarity conditions, scaled by the size of the multipliers.
-    fn stationarity(&self, kkt: &Kkt, knots: &[TorqueJacobian]) -> f64 {
-        let (g, g_t) = self.objective_gradient();
+    fn stationarity(&self, linear: &mut Linear) -> f64 {
+        let Linear { kkt, torque, rhs, .. } = linear;
+        let g_t = self.objective_gradient(&mut rhs.g);
         let mut worst = 0.0_f64;
         let mut on_t = g_t - self.bound_t.z_lower[0] + self.bound_t.z_upper[0];
         for k in 0..KNOTS {
             let w = self.defect_multiplier(k);
-            let mut grad = g[k] - kkt.dynamics[k].apply_transposed(&w) * (0.5 * kkt.h);
+            let mut grad = rhs.g[k] - kkt.dynamics[k].apply_transposed(&w) * (0.5 * kkt.h);
             on_t -= w.dot(&kkt.dynamics[k].f) * (0.5 / N as f64);
             for i in 0..NX {
                 if k > 0 {
@@ -490,7 +514,7 @@ impl<'a> Solver<'a> {
                     }
                 }
             }
-            grad += knots[k].tr_mul(&self.y[k]);
+            grad += torque[k] * self.y[k];
             let b = &self.bound_s[k];
             worst = worst.max((-self.y[k] - b.z_lower + b.z_upper).amax());
             if k > 0 {
@@ -551,17 +575,17 @@ impl<'a> Solver<'a> {
         worst.1
     }
 
-    /// Factorises with as little damping as gives the right inertia, at least `least`.
-    fn factor(&mut self, kkt: &Kkt, least: f64) -> Option<(Factor, f64)> {
+    /// Factorises with as little damping as gives the right inertia, at least `least`: that damping.
+    fn factor(&mut self, linear: &mut Linear, least: f64) -> Option<f64> {
         const FIRST: f64 = 1e-4;
         const MOST: f64 = 1e10;
         let mut damping = least;
         loop {
-            if let Some(f) = kkt.factor(damping, damping * INPUT_DAMPING) {
+            if linear.kkt.factor_into(damping, damping * INPUT_DAMPING, &mut linear.factor) {
                 if damping > 0.0 {
                     self.last_damping = damping;
                 }
-                return Some((f, damping));
+                return Some(damping);
             }
             damping = if damping == 0.0 {
                 if self.last_damping == 0.0 { FIRST } else { (self.last_damping / 3.0).max(1e-12) }
@@ -580,7 +604,8 @@ impl<'a> Solver<'a> {
         let begin = Instant::now();
         const THETA_MU: f64 = 1.5;
         const KAPPA_MU: f64 = 0.2;
-        const KAPPA_EPSILON: f64 = 10.0;
+        /// The publication's 10 takes 5 % more iterations on the paper's grid.
+        const KAPPA_EPSILON: f64 = 30.0;
         let mut filter = Filter::default();
         let mut iterations = 0;
         let mut c = {
@@ -588,10 +613,11 @@ impl<'a> Solver<'a> {
             self.residuals(&p)
         };
         filter.set_scale(c.total());
+        let mut linear = Linear::new(&self.problem.target);
         let (status, stationarity) = loop {
-            let (mut kkt, knots) = self.linearise();
+            self.linearise(&mut linear);
             let violation = c.largest();
-            let stationarity = self.stationarity(&kkt, &knots);
+            let stationarity = self.stationarity(&mut linear);
             let complementarity = self.complementarity(0.0);
             if stationarity.max(complementarity).max(violation) <= options.tolerance {
                 break (Status::Solved, stationarity);
@@ -618,8 +644,8 @@ impl<'a> Solver<'a> {
                 filter.clear();
             }
             iterations += 1;
-            self.condense(&mut kkt, &knots);
-            match self.iterate(&kkt, &knots, &c, &mut filter) {
+            self.condense(&mut linear);
+            match self.iterate(&mut linear, &c, &mut filter) {
                 Some(next) => c = next,
                 None => break (Status::Infeasible(self.blocking_limit()), stationarity),
             }
@@ -636,20 +662,14 @@ impl<'a> Solver<'a> {
     }
 
     /// One step: direction, line search, acceptance. `None` if no direction leads on.
-    fn iterate(
-        &mut self,
-        kkt: &Kkt,
-        knots: &[TorqueJacobian],
-        c: &Residuals,
-        filter: &mut Filter,
-    ) -> Option<Residuals> {
+    fn iterate(&mut self, linear: &mut Linear, c: &Residuals, filter: &mut Filter) -> Option<Residuals> {
         let (theta, phi) = (c.total(), self.barrier_function(&self.point));
         let mut least = 0.0;
         // A direction that fails is tried again shorter, and closer to the shortest one to feasibility.
         const RETRIES: usize = 12;
         for _ in 0..RETRIES {
-            let (factor, damping) = self.factor(kkt, least)?;
-            let d = self.direction(kkt, &factor, damping, knots, c);
+            let damping = self.factor(linear, least)?;
+            let d = self.direction(linear, damping, c);
             let slope = self.slope(&d);
             let mut alpha = d.alpha.0;
             let smallest = alpha * 1e-4;
@@ -665,7 +685,7 @@ impl<'a> Solver<'a> {
                 if first && theta_p >= theta {
                     let trial = (residuals, alpha, slope);
                     let current = (theta, phi);
-                    let next = self.correct(kkt, &factor, damping, knots, c, trial, current, filter);
+                    let next = self.correct(linear, damping, c, trial, current, filter);
                     if next.is_some() {
                         return next;
                     }
@@ -681,10 +701,8 @@ impl<'a> Solver<'a> {
     /// Second-order corrections of a full step that left the constraints: `first` are its residuals.
     fn correct(
         &mut self,
-        kkt: &Kkt,
-        factor: &Factor,
+        linear: &mut Linear,
         damping: f64,
-        knots: &[TorqueJacobian],
         c: &Residuals,
         (first, alpha, slope): (Residuals, f64, f64),
         (theta, phi): (f64, f64),
@@ -695,7 +713,7 @@ impl<'a> Solver<'a> {
         let mut theta_old = first.total();
         let mut corrected = c.scaled_plus(alpha, &first);
         for _ in 0..CORRECTIONS {
-            let d = self.direction(kkt, factor, damping, knots, &corrected);
+            let d = self.direction(linear, damping, &corrected);
             let p = self.moved(&d, d.alpha.0);
             let residuals = self.residuals(&p);
             let (theta_p, phi_p) = (residuals.total(), self.barrier_function(&p));

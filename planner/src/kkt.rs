@@ -533,12 +533,6 @@ impl Kkt {
         self.dynamics.len() - 1
     }
 
-    /// [`Self::factor_into`] into a new factor; `None` where that says `false`.
-    pub fn factor(&self, damping: f64, input_damping: f64) -> Option<Factor> {
-        let mut factor = Factor::new(self.intervals());
-        self.factor_into(damping, input_damping, &mut factor).then_some(factor)
-    }
-
     /// Backward sweep with `damping` added to the diagonal of every H_k and to w (inertia correction): one
     /// number for states and t, one for inputs. `factor` must be one for as many intervals. `false`, with a useless
     /// factor, if the reduced Hessian is not positive definite.
@@ -788,22 +782,8 @@ impl Kkt {
         self.add_constraints(step, left);
     }
 
-    /// Solves the system, refining until the residual stops shrinking. `damping` as in [`Self::factor`].
-    pub fn solve(&self, factor: &Factor, rhs: &Rhs, damping: f64, input_damping: f64) -> Step {
-        /// Each refinement gains several digits; more than this many means there is nothing left to gain.
-        const REFINEMENTS: usize = 8;
-        /// Residual relative to the right-hand side at which nothing is left to gain.
-        const ACCURACY: f64 = 1e-12;
-        let (n, targets) = (self.intervals(), self.target.len());
-        let mut work = SolveWorkspace::new(n, targets);
-        let mut step = Step::zeros(n, targets);
-        let damping = (damping, input_damping);
-        self.solve_into(factor, rhs, damping, (REFINEMENTS, ACCURACY), &mut work, &mut step);
-        step
-    }
-
-    /// As [`Self::solve`], without allocating: with the `damping` of the factorisation, at most as many
-    /// refinements as given, and none once the residual is below the given share of the right-hand side.
+    /// Solves the system with the `damping` of the factorisation, refining until the residual stops shrinking: at most
+    /// as often as given, and not once the residual is below the given share of the right-hand side.
     pub fn solve_into(
         &self,
         factor: &Factor,

@@ -143,16 +143,31 @@ impl Problem<'_> {
         Trajectory { t_f, x, u: vec![ActuatedVector::zeros(); KNOTS] }
     }
 
-    /// The straight line with a half wave of the given amplitudes (joint counted from 0, rad) on some joints, whose
-    /// velocities follow it: it leaves the symmetric ridge between optima on which a straight line begins.
+    /// From the start to the nearest point of the target at constant speed with short ramps, with a half wave of the
+    /// given amplitudes (joint counted from 0, rad) on some joints: it leaves the symmetric ridge between optima on
+    /// which a straight line begins. The velocities follow the angles.
     pub fn bent_line(&self, t_f: f64, bends: &[(usize, f64)]) -> Trajectory {
         use std::f64::consts::PI;
+        /// Share of the duration in which the speed rises, and falls.
+        const RAMP: f64 = 0.1;
+        const SPEED: f64 = 1.0 / (1.0 - RAMP);
         let mut guess = self.straight_line(t_f);
+        let way = guess.x[N] - self.start;
         for k in 1..N {
-            let phase = PI * k as f64 / N as f64;
+            let s = k as f64 / N as f64;
+            // The way covered and the speed, of 1 in a time of 1.
+            let edge = s.min(1.0 - s);
+            let covered =
+                if edge < RAMP { 0.5 * SPEED / RAMP * edge * edge } else { SPEED * (edge - 0.5 * RAMP) };
+            let covered = if s < 0.5 { covered } else { 1.0 - covered };
+            let speed = SPEED * (edge / RAMP).min(1.0);
+            for i in 0..NQ {
+                guess.x[k][i] = self.start[i] + way[i] * covered;
+                guess.x[k][NQ + i] = way[i] * speed / t_f;
+            }
             for (joint, amplitude) in bends {
-                guess.x[k][*joint] += amplitude * phase.sin();
-                guess.x[k][NQ + *joint] += amplitude * PI / t_f * phase.cos();
+                guess.x[k][*joint] += amplitude * (PI * s).sin();
+                guess.x[k][NQ + *joint] += amplitude * PI / t_f * (PI * s).cos();
             }
         }
         guess

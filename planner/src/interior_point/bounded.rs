@@ -41,12 +41,21 @@ impl<const D: usize> Bounded<D> {
 
     /// Value of the barrier; infinite outside the bounds.
     pub(super) fn barrier(&self, v: &SVector<f64, D>, mu: f64) -> f64 {
-        (0..D)
-            .map(|i| {
-                let (low, high) = (v[i] - self.lower[i], self.upper[i] - v[i]);
-                if low > 0.0 && high > 0.0 { -mu * (low.ln() + high.ln()) } else { f64::INFINITY }
-            })
-            .sum()
+        /// Logarithms are slow: one is taken of a product of gaps, before that can underflow.
+        const SMALL: f64 = 1e-200;
+        let (mut sum, mut product) = (0.0, 1.0);
+        for i in 0..D {
+            let (low, high) = (v[i] - self.lower[i], self.upper[i] - v[i]);
+            if !(low > 0.0 && high > 0.0) {
+                return f64::INFINITY;
+            }
+            if product < SMALL {
+                sum += f64::ln(product);
+                product = 1.0;
+            }
+            product *= low * high;
+        }
+        -mu * (sum + product.ln())
     }
 
     /// Steps of the multipliers that belong to the step `dv`.
