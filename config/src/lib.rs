@@ -21,7 +21,8 @@ pub use daemon::{
 pub use error::ConfigError;
 pub use grid::{GridAxis, GridSettings};
 pub use planner::{
-    LqrWeights, OfflineSettings, PlannerSettings, QpBackend, ReplanSettings, ReplanWeights, TorqueConstraint,
+    LqrWeights, OfflineSettings, PlannerSettings, QpBackend, ReplanSettings, ReplanWeights, SUB_HORIZONS,
+    TorqueConstraint,
 };
 pub use plant::{DriveSettings, EncoderSettings, FrictionSettings, PendulumStart, PlantSettings, PlantStart};
 pub use robot::{CoriolisBound, RobotSettings, Target};

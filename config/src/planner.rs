@@ -1,7 +1,7 @@
 //! `planner.toml`.
 
 use crate::ConfigError;
-use crate::check::{BELOW_ONE, Check, POSITIVE};
+use crate::check::{BELOW_ONE, Check, POSITIVE, SHARE};
 use serde::Deserialize;
 use upswing_model::{NQ, NU};
 
@@ -46,8 +46,17 @@ pub enum TorqueConstraint {
 /// Replanning by quadratic programs, (14)-(17).
 #[derive(Clone, Debug, PartialEq)]
 pub struct ReplanSettings {
-    /// Quadratic programs per replan, each linearised around the result before; 1 is the paper's mode.
+    /// Most linearisations per replan, each around the result before; 1 is the paper's mode.
     pub iterations: usize,
+    /// Largest component of (6b) on the real dynamics (rad, rad/s per interval) at which no further linearisation is
+    /// needed.
+    pub defect: f64,
+    /// Share of the range of each limit that stays free at the knots.
+    pub knot_margin: f64,
+    /// Torque constraint of (16c).
+    pub torque: TorqueConstraint,
+    /// Sub-horizons that are solved one after the other, one of [`SUB_HORIZONS`]; 1 is the whole horizon.
+    pub sub_horizons: usize,
     /// Diagonal of Q, (17).
     pub weights: ReplanWeights,
     /// Solver of the quadratic programs.
@@ -117,6 +126,10 @@ struct RawOffline {
 #[serde(deny_unknown_fields)]
 struct RawReplan {
     iterations: i64,
+    defect: f64,
+    knot_margin: f64,
+    torque: TorqueConstraint,
+    sub_horizons: i64,
     backend: QpBackend,
     weight_t_f: f64,
     weight_q: Vec<f64>,
@@ -143,6 +156,10 @@ impl PlannerSettings {
             offline: read_offline(check, &offline)?,
             replan: ReplanSettings {
                 iterations: check.integer("replan.iterations", replan.iterations, 1..=1000)?,
+                defect: check.number("replan.defect", replan.defect, &BELOW_ONE)?,
+                knot_margin: check.number("replan.knot_margin", replan.knot_margin, &SHARE)?,
+                torque: replan.torque,
+                sub_horizons: read_sub_horizons(check, replan.sub_horizons)?,
                 weights: ReplanWeights {
                     t_f: check.number("replan.weight_t_f", replan.weight_t_f, &POSITIVE)?,
                     q: check.list("replan.weight_q", &replan.weight_q, 1, &POSITIVE)?,
@@ -169,6 +186,16 @@ impl PlannerSettings {
             },
         })
     }
+}
+
+/// Numbers of sub-horizons that divide the intervals of a trajectory evenly.
+pub const SUB_HORIZONS: [usize; 5] = [1, 2, 4, 5, 10];
+
+fn read_sub_horizons(check: Check<'_>, value: i64) -> Result<usize, ConfigError> {
+    SUB_HORIZONS.into_iter().find(|n| *n as i64 == value).ok_or_else(|| {
+        let expected = format!("one of {SUB_HORIZONS:?}");
+        check.refuse("replan.sub_horizons", expected, value, "they divide the 100 intervals evenly")
+    })
 }
 
 fn read_offline(check: Check<'_>, raw: &RawOffline) -> Result<OfflineSettings, ConfigError> {

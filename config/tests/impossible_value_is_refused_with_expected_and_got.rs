@@ -75,14 +75,15 @@ fn planner() {
         ("t_f_max_s = 8.0", "t_f_max_s = 0.2", &["offline.t_f_max_s", "more than the 0.3", "got 0.2"]),
         ("tolerance = 1e-9", "tolerance = 1", &["offline.tolerance", "between 0 and 1", "got 1"]),
         ("max_iterations = 3000", "max_iterations = 0", &["offline.max_iterations", "from 1 to", "got 0"]),
-        ("\niterations = 4", "\niterations = -4", &["replan.iterations", "from 1 to", "got -4"]),
+        ("\niterations = 10", "\niterations = -4", &["replan.iterations", "from 1 to", "got -4"]),
+        ("sub_horizons = 1", "sub_horizons = 3", &["replan.sub_horizons", "one of", "got 3"]),
         ("weight_t_f = 1.0", "weight_t_f = -1.0", &["replan.weight_t_f", POSITIVE, "got -1"]),
         ("weight_u = [0.01", "weight_u = [0", &["replan.weight_u", POSITIVE, "got 0 for joint 1"]),
         ("neighbours = 3", "neighbours = 0", &["replan.neighbours", "from 1 to", "got 0"]),
         ("metric = [1", "metric = [-1", &["replan.metric", POSITIVE, "got -1 for joint 1"]),
         ("q_angles = 100", "q_angles = nan", &["lqr.q_angles", POSITIVE, "got NaN"]),
         ("\nr = 0.01", "\nr = 0", &["lqr.r", POSITIVE, "got 0"]),
-    ] as [(&str, &str, &[&str]); 11]
+    ] as [(&str, &str, &[&str]); 12]
     {
         refused("planner.toml", from, to, parts);
     }

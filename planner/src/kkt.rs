@@ -17,10 +17,8 @@
 //! are those of a double integrator but for the two rows of qdd_U, so that they cost a few row operations instead of
 //! products of full matrices. The reduced Hessian is positive definite exactly if every pivot block is; that is the
 //! inertia test, for free. The target rows T enter as a stiff penalty, whose error iterative refinement removes.
-//!
-//! The sums are written so that a compiler may put neighbouring columns, never terms of one sum, into the lanes of a
-//! vector register: results do not depend on the width of the registers.
 
+use crate::rows::{Pivot, STATE_ROW, StateRow, add_scaled};
 use nalgebra::{SMatrix, SVector};
 use upswing_model::{ActuatedVector, Derivatives, N_ACTUATED, N_UNACTUATED, NQ, NU, NX, NZ, State};
 
@@ -152,24 +150,12 @@ pub struct Kkt {
 
 /// Entries of a row of a knot's quadratic, rounded up to full vector registers; those beyond NZ are zero.
 const ROW: usize = NZ.next_multiple_of(4);
-/// The same for a row over states.
-const STATE_ROW: usize = NX.next_multiple_of(4);
 /// First row of the velocities, of the unactuated velocities, and of the inputs among z = (x, u).
 const V: usize = NQ;
 const V_U: usize = NQ + N_ACTUATED;
 const U: usize = NX;
 
 type Row = [f64; ROW];
-type StateRow = [f64; STATE_ROW];
-
-/// c += s a
-#[inline(always)]
-fn add_scaled<const W: usize>(c: &mut [f64; W], s: f64, a: &[f64; W]) {
-    for j in 0..W {
-        c[j] += s * a[j];
-    }
-}
-
 /// z = T (s, u): dz_{k+1} from the state s_k that enters the knot and its input, with the two dense rows of T.
 #[derive(Clone, Copy, Debug)]
 struct Entering {
@@ -362,72 +348,9 @@ impl Leaving {
     }
 }
 
-/// Cholesky factor of a pivot block, and the inverses of its diagonal.
-#[derive(Clone, Copy, Debug)]
-struct Pivot {
-    lower: [[f64; NU]; NU],
-    inverse: [f64; NU],
-}
-
-impl Pivot {
-    const ZERO: Self = Self { lower: [[0.0; NU]; NU], inverse: [0.0; NU] };
-
-    /// Of the inputs' block of a quadratic; `None` unless it is positive definite.
-    fn new(p: &[Row; NZ]) -> Option<Self> {
-        let mut out = Self::ZERO;
-        for i in 0..NU {
-            for j in 0..=i {
-                let mut sum = p[U + i][U + j];
-                for l in 0..j {
-                    sum -= out.lower[i][l] * out.lower[j][l];
-                }
-                if j < i {
-                    out.lower[i][j] = sum * out.inverse[j];
-                } else {
-                    // A NaN is refused, too.
-                    if !(sum > 0.0 && sum.is_finite()) {
-                        return None;
-                    }
-                    let root = sum.sqrt();
-                    (out.lower[i][i], out.inverse[i]) = (root, 1.0 / root);
-                }
-            }
-        }
-        Some(out)
-    }
-
-    /// L^-1 b, for several columns at a time.
-    #[inline(always)]
-    fn forward<const W: usize>(&self, b: &mut [[f64; W]; NU]) {
-        for i in 0..NU {
-            let (done, rest) = b.split_at_mut(i);
-            for (l, known) in done.iter().enumerate() {
-                add_scaled(&mut rest[0], -self.lower[i][l], known);
-            }
-            rest[0].iter_mut().for_each(|v| *v *= self.inverse[i]);
-        }
-    }
-
-    /// L'^-1 b
-    #[inline(always)]
-    fn backward<const W: usize>(&self, b: &mut [[f64; W]; NU]) {
-        for i in (0..NU).rev() {
-            let (rest, done) = b.split_at_mut(i + 1);
-            for (l, known) in done.iter().enumerate() {
-                add_scaled(&mut rest[i], -self.lower[i + 1 + l][i], known);
-            }
-            rest[i].iter_mut().for_each(|v| *v *= self.inverse[i]);
-        }
-    }
-
-    /// -(L L')^-1 b
-    #[inline(always)]
-    fn solve_negative(&self, b: &[f64]) -> ActuatedVector {
-        let mut y: [[f64; 1]; NU] = std::array::from_fn(|i| [-b[i]]);
-        self.forward(&mut y);
-        self.backward(&mut y);
-        ActuatedVector::from_fn(|i, _| y[i][0])
-    }
+/// The inputs' block of a quadratic.
+fn inputs_block(p: &[Row; NZ]) -> [[f64; NU]; NU] {
+    std::array::from_fn(|i| std::array::from_fn(|j| p[U + i][U + j]))
 }
 
 /// What the backward sweep leaves for one interval.
@@ -576,7 +499,7 @@ impl Kkt {
             i.entering.congruence(&mut p);
             let on_t = i.entering.apply_transposed(&p_t);
             // Without du_{k+1}.
-            i.pivot = Pivot::new(&p)?;
+            i.pivot = Pivot::new(&inputs_block(&p))?;
             for (gain, row) in i.gain.iter_mut().zip(&p[U..]) {
                 gain.copy_from_slice(&row[..STATE_ROW]);
                 gain[NX..].fill(0.0);
@@ -620,7 +543,7 @@ impl Kkt {
             }
         }
         // At the start dx_0 is given: u_0 and t are left.
-        factor.pivot = Pivot::new(&p)?;
+        factor.pivot = Pivot::new(&inputs_block(&p))?;
         for (value, row) in factor.value_ux.iter_mut().zip(&p[U..]) {
             value.copy_from_slice(&row[..STATE_ROW]);
             value[NX..].fill(0.0);

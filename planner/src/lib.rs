@@ -16,4 +16,5 @@ pub mod offline;
 pub mod problem;
 pub mod qp;
 pub mod replan;
+mod rows;
 pub mod service;

@@ -1,17 +1,47 @@
 //! Discrete time-variant LQR (18)-(23) along a trajectory.
 
+use crate::rows::{Pivot, STATE_ROW, StateRow, add_scaled};
 use nalgebra::{SMatrix, SVector};
 use upswing_config::LqrWeights;
-use upswing_model::{ActuatedVector, Model, N_ACTUATED, N_UNACTUATED, NQ, NU, NX, Workspace};
+use upswing_model::{ActuatedVector, Derivatives, Model, N_ACTUATED, N_UNACTUATED, NQ, NU, NX, Workspace};
 use upswing_trajectory::{Gain, N, Trajectory};
 
 type StateMatrix = SMatrix<f64, NX, NX>;
 
+/// A symmetric weight of the state, by rows.
+type Weight = [StateRow; NX];
+
 /// The rows of A and B that are not constant: d qdd_U / dx and d qdd_U / du.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 struct Rows {
-    a: SMatrix<f64, N_UNACTUATED, NX>,
-    b: SMatrix<f64, N_UNACTUATED, NU>,
+    a: [StateRow; N_UNACTUATED],
+    b: [[f64; NU]; N_UNACTUATED],
+}
+
+impl Rows {
+    fn new(d: &Derivatives) -> Self {
+        let mut a = [[0.0; STATE_ROW]; N_UNACTUATED];
+        for (m, row) in a.iter_mut().enumerate() {
+            for j in 0..NX {
+                row[j] = d.qdd_u_x[(m, j)];
+            }
+        }
+        Self { a, b: std::array::from_fn(|m| std::array::from_fn(|j| d.qdd_u_u[(m, j)])) }
+    }
+
+    /// Between this (`share` = 0) and the next.
+    fn towards(&self, next: &Self, share: f64) -> Self {
+        let mut out = *self;
+        for m in 0..N_UNACTUATED {
+            for j in 0..NX {
+                out.a[m][j] += (next.a[m][j] - self.a[m][j]) * share;
+            }
+            for j in 0..NU {
+                out.b[m][j] += (next.b[m][j] - self.b[m][j]) * share;
+            }
+        }
+        out
+    }
 }
 
 /// Gains of a trajectory.
@@ -40,138 +70,150 @@ pub fn synthesize(
     ts: f64,
     work: &mut Workspace,
 ) -> Result<Gains, NotStabilisable> {
-    let rows: Vec<Rows> = trajectory
-        .x
-        .iter()
-        .zip(&trajectory.u)
-        .map(|(x, u)| {
-            let d = model.derivatives(x, u, work);
-            Rows { a: d.qdd_u_x, b: d.qdd_u_u }
-        })
-        .collect();
+    let knots = trajectory.x.iter().zip(&trajectory.u);
+    let rows: Vec<Rows> = knots.map(|(x, u)| Rows::new(&model.derivatives(x, u, work))).collect();
     let q = SVector::<f64, NX>::from_fn(|i, _| match i {
         i if i < NQ => weights.q_angles,
         i if i < NQ + N_ACTUATED => weights.q_velocities_actuated,
         _ => weights.q_velocities_unactuated,
     });
     // The end is an equilibrium: u = 0 there, whatever the last knot's input.
-    let at_end = model.derivatives(&trajectory.x[N], &ActuatedVector::zeros(), work);
-    let end_rows = Rows { a: at_end.qdd_u_x, b: at_end.qdd_u_u };
-    let mut p = algebraic_riccati(&end_rows, &q, weights.r, ts).ok_or(NotStabilisable)?;
-    let (end, _) = riccati_step(&p, &end_rows, &q, weights.r, ts).ok_or(NotStabilisable)?;
+    let at_end = Rows::new(&model.derivatives(&trajectory.x[N], &ActuatedVector::zeros(), work));
+    let mut p = algebraic_riccati(&at_end, &q, weights.r, ts).ok_or(NotStabilisable)?;
+    let step = |p: &mut Weight, rows: &Rows| riccati_step(p, rows, &q, weights.r, ts).ok_or(NotStabilisable);
+    let end = step(&mut p.clone(), &at_end)?.gain();
 
     let steps = (trajectory.t_f / ts).floor() as usize;
     let h = trajectory.h();
     let mut knots = vec![end; N + 1];
     let mut next_knot = N;
-    for step in (0..steps).rev() {
-        let t = step as f64 * ts;
+    for i in (0..steps).rev() {
+        let t = i as f64 * ts;
         let k = ((t / h) as usize).min(N - 1);
-        let share = t / h - k as f64;
-        let between = Rows {
-            a: rows[k].a + (rows[k + 1].a - rows[k].a) * share,
-            b: rows[k].b + (rows[k + 1].b - rows[k].b) * share,
-        };
-        let (gain, next) = riccati_step(&p, &between, &q, weights.r, ts).ok_or(NotStabilisable)?;
-        p = next;
+        let between = rows[k].towards(&rows[k + 1], t / h - k as f64);
+        let step = step(&mut p, &between)?;
         // The first gain at or before a knot's time serves the knot.
         while next_knot > 0 && t <= next_knot as f64 * h {
-            knots[next_knot] = gain;
+            knots[next_knot] = step.gain();
             next_knot -= 1;
         }
-        if step == 0 {
-            knots[0] = gain;
+        if i == 0 {
+            knots[0] = step.gain();
         }
     }
-    Ok(Gains { knots, end })
+    let finite = knots.iter().flat_map(|k| k.iter()).all(|v| v.is_finite());
+    finite.then_some(Gains { knots, end }).ok_or(NotStabilisable)
 }
 
-/// One step of (23): the gain K and the weight one period earlier. With `Phi = I + Ts A` and
-/// `A = [[0, I], [0], [a]]`, `Gamma = Ts [[0], [I], [b]]` all products are a few rows.
-fn riccati_step(
-    p: &StateMatrix,
-    rows: &Rows,
-    q: &SVector<f64, NX>,
-    r: f64,
-    ts: f64,
-) -> Option<(Gain, StateMatrix)> {
-    const U: usize = NX - N_UNACTUATED;
-    // P Phi
-    let mut p_phi = *p;
-    for j in 0..NX {
-        for i in 0..NX {
-            let mut sum = 0.0;
-            for m in 0..N_UNACTUATED {
-                sum += p[(i, U + m)] * rows.a[(m, j)];
-            }
-            if j >= NQ {
-                sum += p[(i, j - NQ)];
-            }
-            p_phi[(i, j)] += ts * sum;
-        }
+/// The factors of K in (23).
+struct Step {
+    /// L L' = R + Gamma' P Gamma
+    pivot: Pivot,
+    /// L^-1 Gamma' P Phi
+    g: [StateRow; NU],
+}
+
+impl Step {
+    /// K = -(R + Gamma' P Gamma)^-1 Gamma' P Phi
+    fn gain(&self) -> Gain {
+        let mut k = self.g;
+        self.pivot.backward(&mut k);
+        Gain::from_fn(|i, j| -k[i][j])
     }
-    // Phi' (P Phi), symmetric
-    let mut next = p_phi;
-    for j in 0..NX {
-        for i in 0..NX {
-            let mut sum = 0.0;
-            for m in 0..N_UNACTUATED {
-                sum += rows.a[(m, i)] * p_phi[(U + m, j)];
-            }
-            if i >= NQ {
-                sum += p_phi[(i - NQ, j)];
-            }
-            next[(i, j)] += ts * sum;
-        }
-    }
-    // Gamma' P Phi and R + Gamma' P Gamma
-    let mut g_p_phi = Gain::zeros();
-    let mut pivot = SMatrix::<f64, NU, NU>::zeros();
-    let mut p_gamma = SMatrix::<f64, NX, NU>::zeros();
-    for j in 0..NU {
-        for i in 0..NX {
-            let mut sum = p[(i, NQ + j)];
-            for m in 0..N_UNACTUATED {
-                sum += p[(i, U + m)] * rows.b[(m, j)];
-            }
-            p_gamma[(i, j)] = ts * sum;
-        }
-    }
-    for i in 0..NU {
-        for j in 0..NX {
-            let mut sum = p_phi[(NQ + i, j)];
-            for m in 0..N_UNACTUATED {
-                sum += rows.b[(m, i)] * p_phi[(U + m, j)];
-            }
-            g_p_phi[(i, j)] = ts * sum;
+}
+
+/// One step of (23): moves the weight P one period back. With `Phi = I + Ts A` and `A = [[0, I], [0], [a]]`,
+/// `Gamma = Ts [[0], [I], [b]]` all products are a few row operations.
+fn riccati_step(p: &mut Weight, rows: &Rows, q: &SVector<f64, NX>, r: f64, ts: f64) -> Option<Step> {
+    /// First row of the unactuated velocities.
+    const V_U: usize = NX - N_UNACTUATED;
+    // R + Gamma' P Gamma
+    let mut pivot = [[0.0; NU]; NU];
+    for (i, out) in pivot.iter_mut().enumerate() {
+        let mut row = p[NQ + i];
+        for (m, b) in rows.b.iter().enumerate() {
+            add_scaled(&mut row, b[i], &p[V_U + m]);
         }
         for j in 0..NU {
-            let mut sum = p_gamma[(NQ + i, j)];
-            for m in 0..N_UNACTUATED {
-                sum += rows.b[(m, i)] * p_gamma[(U + m, j)];
+            let mut sum = row[NQ + j];
+            for (m, b) in rows.b.iter().enumerate() {
+                sum += b[j] * row[V_U + m];
             }
-            pivot[(i, j)] = ts * sum;
+            out[j] = ts * ts * sum;
         }
-        pivot[(i, i)] += r;
+        out[i] += r;
     }
-    let gain = -pivot.cholesky()?.solve(&g_p_phi);
-    for j in 0..NX {
-        for k in 0..NU {
-            let s = gain[(k, j)];
-            for i in 0..NX {
-                next[(i, j)] += g_p_phi[(k, i)] * s;
-            }
+    let pivot = Pivot::new(&pivot)?;
+    // P Phi
+    for row in p.iter_mut() {
+        let old = *row;
+        for j in 0..NQ {
+            row[NQ + j] += ts * old[j];
         }
-        next[(j, j)] += q[j];
+        for (m, a) in rows.a.iter().enumerate() {
+            add_scaled(row, ts * old[V_U + m], a);
+        }
     }
-    // Symmetrised, or rounding grows over 17 000 steps.
-    let next = (next + next.transpose()) * 0.5;
-    next.iter().all(|v| v.is_finite()).then_some((gain, next))
+    // L^-1 Gamma' P Phi
+    let mut g = [[0.0; STATE_ROW]; NU];
+    for (i, g) in g.iter_mut().enumerate() {
+        add_scaled(g, ts, &p[NQ + i]);
+        for (m, b) in rows.b.iter().enumerate() {
+            add_scaled(g, ts * b[i], &p[V_U + m]);
+        }
+    }
+    pivot.forward(&mut g);
+    // Q + Phi' (P Phi) - K' (R + Gamma' P Gamma) K: its lower half, and the same above the diagonal. Without exact
+    // symmetry rounding grows over 17 000 steps.
+    let v_u: [StateRow; N_UNACTUATED] = std::array::from_fn(|m| p[V_U + m]);
+    for i in (0..NX).rev() {
+        match i / 4 {
+            0 => weight_row::<4>(p, i, rows, &v_u, &g, ts),
+            1 => weight_row::<8>(p, i, rows, &v_u, &g, ts),
+            2 => weight_row::<12>(p, i, rows, &v_u, &g, ts),
+            3 => weight_row::<16>(p, i, rows, &v_u, &g, ts),
+            _ => weight_row::<STATE_ROW>(p, i, rows, &v_u, &g, ts),
+        }
+        p[i][i] += q[i];
+    }
+    for i in 0..NX {
+        for j in 0..i {
+            p[j][i] = p[i][j];
+        }
+    }
+    Some(Step { pivot, g })
+}
+
+/// The first W entries of row i of Phi' (P Phi) - G' G, for P Phi in `p` (its rows up to i) and in `v_u` (those of the
+/// unactuated velocities).
+#[inline(always)]
+fn weight_row<const W: usize>(
+    p: &mut Weight,
+    i: usize,
+    rows: &Rows,
+    v_u: &[StateRow; N_UNACTUATED],
+    g: &[StateRow; NU],
+    ts: f64,
+) {
+    fn first<const W: usize>(row: &StateRow) -> &[f64; W] {
+        row.first_chunk().unwrap_or(&[0.0; W])
+    }
+    let mut row = *first::<W>(&p[i]);
+    if i >= NQ {
+        add_scaled(&mut row, ts, first(&p[i - NQ]));
+    }
+    for (a, v) in rows.a.iter().zip(v_u) {
+        add_scaled(&mut row, ts * a[i], first(v));
+    }
+    for g in g {
+        add_scaled(&mut row, -g[i], first(g));
+    }
+    p[i][..W].copy_from_slice(&row);
 }
 
 /// X of (21) by structured doubling (Chu, Fan, Lin, Wang, *Structure-preserving algorithms for periodic
 /// discrete-time algebraic Riccati equations*, Int. J. Control 77, 2004): each step doubles the horizon.
-fn algebraic_riccati(rows: &Rows, q: &SVector<f64, NX>, r: f64, ts: f64) -> Option<StateMatrix> {
+fn algebraic_riccati(rows: &Rows, q: &SVector<f64, NX>, r: f64, ts: f64) -> Option<Weight> {
     /// 2^40 periods of 125 us are four years.
     const DOUBLINGS: usize = 40;
     let mut a = StateMatrix::identity();
@@ -185,10 +227,10 @@ fn algebraic_riccati(rows: &Rows, q: &SVector<f64, NX>, r: f64, ts: f64) -> Opti
     for m in 0..N_UNACTUATED {
         let row = NX - N_UNACTUATED + m;
         for j in 0..NX {
-            a[(row, j)] += ts * rows.a[(m, j)];
+            a[(row, j)] += ts * rows.a[m][j];
         }
         for j in 0..NU {
-            gamma[(row, j)] = ts * rows.b[(m, j)];
+            gamma[(row, j)] = ts * rows.b[m][j];
         }
     }
     let mut g = gamma * gamma.transpose() / r;
@@ -206,7 +248,13 @@ fn algebraic_riccati(rows: &Rows, q: &SVector<f64, NX>, r: f64, ts: f64) -> Opti
             return None;
         }
         if step.amax() <= 1e-13 * h.amax() {
-            return Some(h);
+            let mut weight = [[0.0; STATE_ROW]; NX];
+            for (i, row) in weight.iter_mut().enumerate() {
+                for j in 0..NX {
+                    row[j] = h[(i, j)];
+                }
+            }
+            return Some(weight);
         }
     }
     None
@@ -217,12 +265,14 @@ mod tests {
     use super::*;
 
     fn rows() -> Rows {
-        Rows {
-            a: SMatrix::from_fn(|i, j| {
-                ((3 * i + 5 * j) % 7) as f64 - 3.0 + if j == NQ - 1 { 20.0 } else { 0.0 }
-            }),
-            b: SMatrix::from_fn(|i, j| ((2 * i + 3 * j) % 5) as f64 * 0.4 - 0.9),
+        let mut a = [[0.0; STATE_ROW]; N_UNACTUATED];
+        for (i, row) in a.iter_mut().enumerate() {
+            for j in 0..NX {
+                row[j] = ((3 * i + 5 * j) % 7) as f64 - 3.0 + if j == NQ - 1 { 20.0 } else { 0.0 };
+            }
         }
+        let b = |i, j| ((2 * i + 3 * j) % 5) as f64 * 0.4 - 0.9;
+        Rows { a, b: std::array::from_fn(|i| std::array::from_fn(|j| b(i, j))) }
     }
 
     fn dense(rows: &Rows, ts: f64) -> (StateMatrix, SMatrix<f64, NX, NU>) {
@@ -236,13 +286,17 @@ mod tests {
         }
         for m in 0..N_UNACTUATED {
             for j in 0..NX {
-                phi[(NX - N_UNACTUATED + m, j)] += ts * rows.a[(m, j)];
+                phi[(NX - N_UNACTUATED + m, j)] += ts * rows.a[m][j];
             }
             for j in 0..NU {
-                gamma[(NX - N_UNACTUATED + m, j)] = ts * rows.b[(m, j)];
+                gamma[(NX - N_UNACTUATED + m, j)] = ts * rows.b[m][j];
             }
         }
         (phi, gamma)
+    }
+
+    fn matrix(weight: &Weight) -> StateMatrix {
+        StateMatrix::from_fn(|i, j| weight[i][j])
     }
 
     #[test]
@@ -251,7 +305,12 @@ mod tests {
         let q = SVector::<f64, NX>::from_fn(|i, _| 1.0 + i as f64);
         let seed = StateMatrix::from_fn(|i, j| ((i * 7 + j * 3) % 11) as f64 - 5.0);
         let p = seed * seed.transpose() + StateMatrix::identity();
-        let (gain, next) = riccati_step(&p, &rows, &q, r, ts).expect("positive definite");
+        let mut next = [[0.0; STATE_ROW]; NX];
+        for i in 0..NX {
+            next[i][..NX].copy_from_slice(p.column(i).as_slice());
+        }
+        let gain = riccati_step(&mut next, &rows, &q, r, ts).expect("positive definite").gain();
+        let next = matrix(&next);
         let (phi, gamma) = dense(&rows, ts);
         let pivot = SMatrix::<f64, NU, NU>::identity() * r + gamma.transpose() * p * gamma;
         let k = -pivot.try_inverse().expect("invertible") * gamma.transpose() * p * phi;
@@ -267,7 +326,9 @@ mod tests {
         let (rows, ts, r) = (rows(), 1e-2, 0.01);
         let q = SVector::<f64, NX>::repeat(1.0);
         let x = algebraic_riccati(&rows, &q, r, ts).expect("stabilisable");
-        let (_, again) = riccati_step(&x, &rows, &q, r, ts).expect("positive definite");
+        let mut again = x;
+        riccati_step(&mut again, &rows, &q, r, ts).expect("positive definite");
+        let (x, again) = (matrix(&x), matrix(&again));
         assert!((again - x).amax() < 1e-9 * x.amax(), "moves by {}", (again - x).amax() / x.amax());
     }
 }

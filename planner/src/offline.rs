@@ -20,21 +20,26 @@ const STRAIGHT_DURATIONS: [f64; 2] = [2.0, 1.5];
 /// The problem (6), (8) of a start under the settings' limits and weights.
 pub fn problem(config: &Config, start: State) -> Problem<'_> {
     let offline = &config.planner.offline;
-    let bound = &config.robot.coriolis_bound;
     Problem {
         model: &config.model,
         limits: config.robot.planning,
-        torque: match offline.torque {
-            upswing_config::TorqueConstraint::Exact => TorqueConstraint::Exact,
-            upswing_config::TorqueConstraint::Paper => TorqueConstraint::WithoutCoriolis {
-                lower: ActuatedVector::from(bound.lower),
-                upper: ActuatedVector::from(bound.upper),
-            },
-        },
+        torque: torque_constraint(config, offline.torque),
         input_weight: offline.input_weight,
         t_f: (offline.t_f_min, offline.t_f_max),
         start,
         target: upright_target(config.robot.target.pitch, config.robot.target.q8),
+    }
+}
+
+/// (9), or (11) with the settings' bound c.
+pub fn torque_constraint(config: &Config, form: upswing_config::TorqueConstraint) -> TorqueConstraint {
+    let bound = &config.robot.coriolis_bound;
+    match form {
+        upswing_config::TorqueConstraint::Exact => TorqueConstraint::Exact,
+        upswing_config::TorqueConstraint::Paper => TorqueConstraint::WithoutCoriolis {
+            lower: ActuatedVector::from(bound.lower),
+            upper: ActuatedVector::from(bound.upper),
+        },
     }
 }
 

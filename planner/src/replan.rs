@@ -3,12 +3,12 @@
 use crate::kkt::{KnotDynamics, KnotVector, TargetRow};
 use crate::lqr::{self, Gains};
 use crate::nearest::{NearestPose, Neighbour};
-use crate::offline::{problem, problem_fingerprint};
+use crate::offline::{problem, problem_fingerprint, torque_constraint};
 use crate::problem::{KnotDerivatives, Problem, TorqueConstraint};
 use crate::qp::{Conflict, Options, Qp, Solver, Status, TorqueRows};
 use std::time::{Duration, Instant};
 use upswing_config::Config;
-use upswing_model::{NU, NX, NZ, State, Workspace, position, state};
+use upswing_model::{NU, NX, NZ, State, Workspace, position, state, velocity};
 use upswing_trajectory::{Database, DatabaseError, Entry, Margins, N, Plan, Trajectory};
 
 /// Accuracy of each QP. A tenth of the defect that four linearisations reach.
@@ -17,9 +17,8 @@ const QP_TOLERANCE: f64 = 1e-9;
 const QP_COMPLEMENTARITY: f64 = 1e-12;
 /// Points between two knots at which margins are checked.
 const BETWEEN: usize = 4;
-/// Share of a limit's range by which the spline may exceed a limit between knots: the knots keep the limits,
-/// the trapezoidal rule has an error of this order between them.
-const MARGIN_SLACK: f64 = 5e-3;
+/// Share of a limit's range by which a spline may exceed a limit: a start is measured a hair outside.
+const MARGIN_SLACK: f64 = 1e-3;
 
 /// Largest defect (rad, rad/s per interval) of a replan that is accepted; the feedback absorbs it.
 const LARGEST_DEFECT: f64 = 1e-3;
@@ -107,7 +106,7 @@ pub struct Replan {
     pub gains: Gains,
     /// The entries tried, in order; the last one was used.
     pub attempts: Vec<Attempt>,
-    /// QPs solved for the entry used.
+    /// Linearisations for the entry used.
     pub iterations: usize,
     /// Largest defect (6b) of the real dynamics.
     pub defect: f64,
@@ -137,6 +136,15 @@ impl std::fmt::Display for NoPlan {
 }
 
 impl std::error::Error for NoPlan {}
+
+/// A trajectory from the start, made of one entry.
+struct Adapted {
+    trajectory: Trajectory,
+    gains: Gains,
+    iterations: usize,
+    defect: f64,
+    margins: Margins,
+}
 
 /// Replans from measured starts.
 #[derive(Clone, Debug)]
@@ -176,7 +184,8 @@ impl Planner {
 
     /// A QP solver as the settings ask for, with its memory.
     pub fn solver(&self) -> Solver {
-        Solver::new(self.config.planner.replan.backend)
+        let settings = &self.config.planner.replan;
+        Solver::new(settings.backend, N / settings.sub_horizons)
     }
 
     /// [`Self::replan_with`] a new solver.
@@ -192,8 +201,8 @@ impl Planner {
         self.replan_with(&mut self.solver(), start, iterations, deadline)
     }
 
-    /// Plans from `start` (rad, rad/s) with `iterations` QPs per entry (at least one). No iteration of a QP is
-    /// begun after `deadline`. What `solver` did before has no influence.
+    /// Plans from `start` (rad, rad/s) with at most `iterations` linearisations per entry (at least one), fewer where
+    /// the defect closes before. No iteration of a QP is begun after `deadline`. What `solver` did before has no influence.
     ///
     /// # Errors
     /// [`NoPlan`] with the reason for each entry tried.
@@ -210,7 +219,7 @@ impl Planner {
         let mut attempts: Vec<Attempt> = Vec::new();
         for entry in neighbours {
             match self.adapt(start, entry.index, iterations, deadline, solver, &mut times) {
-                Ok((trajectory, gains, defect, margins)) => {
+                Ok(Adapted { trajectory, gains, iterations, defect, margins }) => {
                     attempts.push(Attempt { entry, refused: None });
                     times.total = begin.elapsed();
                     return Ok(Replan { trajectory, gains, attempts, iterations, defect, margins, times });
@@ -229,46 +238,30 @@ impl Planner {
         deadline: Option<Instant>,
         solver: &mut Solver,
         times: &mut Times,
-    ) -> Result<(Trajectory, Gains, f64, Margins), Refusal> {
-        let mut problem = problem(&self.config, *start);
-        // A start on its limit, measured a hair outside, must not make the first step infeasible.
-        let q = position(start);
-        problem.limits.q_min = problem.limits.q_min.inf(&q);
-        problem.limits.q_max = problem.limits.q_max.sup(&q);
+    ) -> Result<Adapted, Refusal> {
+        let settings = &self.config.planner.replan;
+        let problem = self.problem(start);
         let reference = &self.entries[entry].trajectory;
         let mut work = Workspace::default();
         let mut trajectory = reference.clone();
         let begin = Instant::now();
-        for iteration in 1..=iterations.max(1) {
+        let (mut done, mut defect) = (0, f64::INFINITY);
+        while done < iterations.max(1) && !(defect <= settings.defect) {
+            done += 1;
             if deadline.is_some_and(|d| Instant::now() >= d) {
-                return Err(Refusal::Deadline { iteration });
+                return Err(Refusal::Deadline { iteration: done });
             }
             let qp = self.qp(&problem, reference, &trajectory, &mut work);
-            let options =
-                Options { deadline, complementarity: QP_COMPLEMENTARITY, ..Options::new(QP_TOLERANCE) };
-            let status =
-                if iteration == 1 { solver.solve(&qp, &options) } else { solver.solve_again(&qp, &options) };
-            match status {
-                Status::Solved => {}
-                Status::Infeasible(conflict) => return Err(Refusal::Infeasible { iteration, conflict }),
-                Status::Deadline => return Err(Refusal::Deadline { iteration }),
-                Status::Stalled => return Err(Refusal::Stalled { iteration }),
-            }
-            let step = solver.solution();
-            trajectory.t_f += step.t;
-            for (k, dz) in step.z.iter().enumerate() {
-                trajectory.x[k] += dz.fixed_rows::<NX>(0);
-                trajectory.u[k] += dz.fixed_rows::<NU>(NX);
-            }
+            self.step(&qp, solver, done, deadline, &mut trajectory)?;
+            defect = trajectory.defect(&self.config.model, &mut work);
         }
         times.qp += begin.elapsed();
         let begin = Instant::now();
-        let defect = trajectory.defect(&self.config.model, &mut work);
         let margins = Margins::of(&trajectory, &self.config.model, &self.config.robot.planning, BETWEEN);
         times.check += begin.elapsed();
         // A NaN fails, too. With a single QP, the paper's mode, the defect is what it is.
         if iterations > 1 && !(defect <= LARGEST_DEFECT) {
-            return Err(Refusal::Defect { defect, iterations });
+            return Err(Refusal::Defect { defect, iterations: done });
         }
         for (limit, m) in [("position", &margins.q), ("velocity", &margins.qd), ("torque", &margins.tau)] {
             if !(m.share >= -MARGIN_SLACK) {
@@ -280,7 +273,66 @@ impl Planner {
         let gains =
             lqr::synthesize(&self.config.model, &trajectory, &self.config.planner.lqr, ts, &mut work)?;
         times.lqr += begin.elapsed();
-        Ok((trajectory, gains, defect, margins))
+        Ok(Adapted { trajectory, gains, iterations: done, defect, margins })
+    }
+
+    /// The problem of a replan: the limits with the margin that the trapezoidal rule needs between the knots.
+    pub fn problem(&self, start: &State) -> Problem<'_> {
+        let settings = &self.config.planner.replan;
+        let mut problem = problem(&self.config, *start);
+        problem.torque = torque_constraint(&self.config, settings.torque);
+        let l = &mut problem.limits;
+        let (middle, half) = ((l.q_max + l.q_min) * 0.5, (l.q_max - l.q_min) * 0.5);
+        let share = 1.0 - settings.knot_margin;
+        l.tau_max *= share;
+        // A start beyond these limits, or measured a hair outside, must not make the first step infeasible.
+        l.q_min = (middle - half * share).inf(&position(start));
+        l.q_max = (middle + half * share).sup(&position(start));
+        l.qd_max = (l.qd_max * share).sup(&velocity(start).abs());
+        problem
+    }
+
+    /// Solves one QP, or its sub-horizons one after the other, and moves the trajectory by the solution.
+    fn step(
+        &self,
+        qp: &Qp,
+        solver: &mut Solver,
+        iteration: usize,
+        deadline: Option<Instant>,
+        trajectory: &mut Trajectory,
+    ) -> Result<(), Refusal> {
+        let options = Options { deadline, complementarity: QP_COMPLEMENTARITY, ..Options::new(QP_TOLERANCE) };
+        let mut solve = |qp: &Qp, again: bool| match if again {
+            solver.solve_again(qp, &options)
+        } else {
+            solver.solve(qp, &options)
+        } {
+            Status::Solved => Ok(solver.solution().clone()),
+            Status::Infeasible(conflict) => Err(Refusal::Infeasible { iteration, conflict }),
+            Status::Deadline => Err(Refusal::Deadline { iteration }),
+            Status::Stalled => Err(Refusal::Stalled { iteration }),
+        };
+        let parts = self.config.planner.replan.sub_horizons;
+        let length = N / parts;
+        let mut z = vec![KnotVector::zeros(); N + 1];
+        z[0].fixed_rows_mut::<NX>(0).copy_from(&qp.start);
+        let mut dt = None;
+        for first in (0..N).step_by(length) {
+            let last = first + length;
+            let solution = if parts == 1 {
+                solve(qp, iteration > 1)?
+            } else {
+                solve(&qp.part((first, last), &z[first], dt), false)?
+            };
+            z[first..=last].copy_from_slice(&solution.z);
+            dt = dt.or(Some(solution.t * parts as f64));
+        }
+        trajectory.t_f += dt.unwrap_or(0.0);
+        for (k, dz) in z.iter().enumerate() {
+            trajectory.x[k] += dz.fixed_rows::<NX>(0);
+            trajectory.u[k] += dz.fixed_rows::<NU>(NX);
+        }
+        Ok(())
     }
 
     /// (16) linearised around `at`, for the deviation from `reference`.
@@ -328,7 +380,7 @@ impl Planner {
         }
         let half_h = 0.5 * at.h();
         Qp {
-            weight,
+            weight: vec![weight; N + 1],
             weight_t: weights.t_f,
             gradient,
             gradient_t: weights.t_f * (at.t_f - reference.t_f),
@@ -349,6 +401,7 @@ impl Planner {
             x: (1..=N).map(|k| (x_min - at.x[k], x_max - at.x[k])).collect(),
             t: (problem.t_f.0 - at.t_f, problem.t_f.1 - at.t_f),
             torque,
+            compliance: 0.0,
         }
     }
 }

@@ -74,7 +74,7 @@ fn violation(qp: &Qp, solver: &Solver) -> f64 {
 /// Largest difference of states (rad, rad/s) and durations (s), and of inputs as they count in the objective: times
 /// the root of their weight.
 fn difference(qp: &Qp, a: &Solver, b: &Solver) -> f64 {
-    let scale = KnotVector::from_fn(|i, _| if i < NX { 1.0 } else { qp.weight[i].sqrt() });
+    let scale = KnotVector::from_fn(|i, _| if i < NX { 1.0 } else { qp.weight[0][i].sqrt() });
     let (a, b) = (a.solution(), b.solution());
     let z = a.z.iter().zip(&b.z).map(|(a, b)| (a - b).component_mul(&scale).amax());
     z.fold((a.t - b.t).abs(), f64::max)
@@ -88,7 +88,7 @@ fn on_random_starts_up_to_the_corners_of_a_cell() {
     const CELL: [f64; NU] = [0.305, 0.175, 0.0, 0.175, 0.0, 0.349, 0.0];
     let planner = planner();
     let mut random = Random(1);
-    let [mut structured, mut clarabel] = BACKENDS.map(Solver::new);
+    let [mut structured, mut clarabel] = BACKENDS.map(|backend| Solver::new(backend, N));
     let (mut done, mut active, mut infeasible) = (0, 0, 0);
     while done < QPS {
         let entry = random.next() as usize % planner.entries().len();
@@ -158,7 +158,7 @@ fn towards_its_stop(planner: &Planner, entry: usize, joint: usize, fast: f64) ->
 fn infeasible_ones_are_infeasible_for_both() {
     let planner = planner();
     for backend in BACKENDS {
-        let mut solver = Solver::new(backend);
+        let mut solver = Solver::new(backend, N);
         for entry in [3, 40, 99, 150] {
             for joint in [1, 3, 5] {
                 let fast = planner.config().robot.planning.qd_max[joint];
@@ -187,6 +187,33 @@ fn infeasible_ones_are_infeasible_for_both() {
 }
 
 #[test]
+fn softened_limits_yield_where_hard_ones_contradict() {
+    let planner = planner();
+    let limits = &planner.config().robot.planning;
+    for joint in [1, 3, 5] {
+        let mut qp = towards_its_stop(&planner, 40, joint, limits.qd_max[joint]);
+        for compliance in [1e-2, 1e-4] {
+            qp.compliance = compliance;
+            let [mut structured, mut clarabel] = BACKENDS.map(|backend| Solver::new(backend, N));
+            let verdicts = [structured.solve(&qp, &PRECISE), clarabel.solve(&qp, &PRECISE)];
+            assert_eq!(verdicts, [Status::Solved; 2], "joint {joint}, compliance {compliance:e}");
+            let difference = difference(&qp, &structured, &clarabel);
+            assert!(difference <= 1e-6, "joint {joint}, compliance {compliance:e}: {difference:e}");
+            let excess = violation(&qp, &structured);
+            assert!(excess > 1e-4, "joint {joint}, compliance {compliance:e}: exceeded by {excess:e} only");
+        }
+    }
+    // Where nothing contradicts, a bound that hardly yields is one that does not.
+    let mut qp = qp_at(&planner, 77, &[0.05; NU]).expect("a start at rest");
+    let [mut hard, mut soft] = [Solver::new(QpBackend::Structured, N), Solver::new(QpBackend::Structured, N)];
+    assert_eq!(hard.solve(&qp, &PRECISE), Status::Solved);
+    qp.compliance = 1e-9;
+    assert_eq!(soft.solve(&qp, &PRECISE), Status::Solved);
+    let difference = difference(&qp, &hard, &soft);
+    assert!(difference <= 1e-6, "{difference:e}");
+}
+
+#[test]
 fn a_limit_that_jumps_away_is_named() {
     let planner = planner();
     for (joint, knot) in [(0, 1), (3, 40), (5, 90)] {
@@ -195,7 +222,7 @@ fn a_limit_that_jumps_away_is_named() {
         qp.x[knot - 1].0[joint] = 0.5;
         qp.x[knot - 1].1[joint] = 1.0;
         qp.x[knot].1[joint] = 0.0;
-        let status = Solver::new(QpBackend::Structured).solve(&qp, &Options::new(1e-9));
+        let status = Solver::new(QpBackend::Structured, N).solve(&qp, &Options::new(1e-9));
         let Status::Infeasible(Some(conflict)) = status else { panic!("joint {joint}: {status:?}") };
         assert_eq!(conflict.limit, Limit::Position(joint), "{conflict}");
         assert!(conflict.knot == knot || conflict.knot == knot + 1, "{conflict}");
@@ -210,12 +237,12 @@ fn a_warm_start_ends_where_a_cold_one_does() {
         let q: [f64; NU] = std::array::from_fn(|i| reference.x[0][i] + offset * [1.0, 0.5, 0.0][i % 3]);
         let start = planner.config().start_state(&q, PendulumStart::Rest).expect("a start at rest");
         let mut at = reference.clone();
-        let mut warm = Solver::new(QpBackend::Structured);
+        let mut warm = Solver::new(QpBackend::Structured, N);
         for iteration in 0..4 {
             let qp = qp_from(&planner, reference, &at, start);
             let status =
                 if iteration == 0 { warm.solve(&qp, &PRECISE) } else { warm.solve_again(&qp, &PRECISE) };
-            let mut cold = Solver::new(QpBackend::Structured);
+            let mut cold = Solver::new(QpBackend::Structured, N);
             assert_eq!(
                 [status, cold.solve(&qp, &PRECISE)],
                 [Status::Solved; 2],
@@ -239,9 +266,9 @@ fn equal_qps_give_equal_bits_whatever_was_solved_before() {
     let mut qps = (0..planner.entries().len()).filter_map(|entry| qp_at(&planner, entry, &[0.02; NU]));
     let (first, other) = (qps.nth(20).expect("one"), qps.nth(20).expect("another"));
     let options = Options::new(1e-9);
-    let mut fresh = Solver::new(QpBackend::Structured);
+    let mut fresh = Solver::new(QpBackend::Structured, N);
     assert_eq!(fresh.solve(&first, &options), Status::Solved);
-    let mut used = Solver::new(QpBackend::Structured);
+    let mut used = Solver::new(QpBackend::Structured, N);
     assert_eq!(used.solve(&other, &options), Status::Solved);
     assert_eq!(used.solve(&first, &options), Status::Solved);
     let bits = |s: &Solver| -> Vec<u64> {
@@ -257,7 +284,7 @@ fn a_deadline_in_the_past_leaves_the_first_iterate() {
     let entries = 0..planner.entries().len();
     let qp = entries.filter_map(|entry| qp_at(&planner, entry, &[0.02; NU])).next().expect("a start at rest");
     for backend in BACKENDS {
-        let mut solver = Solver::new(backend);
+        let mut solver = Solver::new(backend, N);
         let options = Options { deadline: Some(std::time::Instant::now()), ..Options::new(1e-9) };
         assert_eq!(solver.solve(&qp, &options), Status::Deadline, "{backend:?}");
         assert!(solver.solution().iterations <= 1);

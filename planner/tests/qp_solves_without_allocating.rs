@@ -7,6 +7,7 @@ use upswing_model::Workspace;
 use upswing_planner::offline::problem;
 use upswing_planner::qp::{Options, Solver, Status};
 use upswing_planner::replan::Planner;
+use upswing_trajectory::N;
 
 struct Counting;
 
@@ -39,7 +40,7 @@ fn after_the_first_one() {
         planner.qp(&problem(planner.config(), start), reference, reference, &mut Workspace::default())
     };
     let (first, second) = (qp(40), qp(41));
-    let mut solver = Solver::new(QpBackend::Structured);
+    let mut solver = Solver::new(QpBackend::Structured, N);
     let options = Options::new(1e-9);
     let before = ALLOCATIONS.load(Ordering::SeqCst);
     assert_eq!(solver.solve(&first, &options), Status::Solved);

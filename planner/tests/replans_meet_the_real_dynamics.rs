@@ -2,9 +2,10 @@
 //! leaves the defect of its linearisation; the answer names what was tried.
 
 use std::time::Instant;
-use upswing_config::{Config, PendulumStart};
+use upswing_config::{Config, PendulumStart, SUB_HORIZONS, TorqueConstraint};
 use upswing_model::State;
 use upswing_planner::replan::{Planner, Refusal};
+use upswing_trajectory::N;
 
 fn planner() -> Planner {
     Planner::new(Config::embedded().expect("embedded settings")).expect("the shipped database fits")
@@ -28,9 +29,9 @@ fn with_the_default_number_of_linearisations() {
         let x = start(&planner, degrees);
         let replan = planner.replan(&x, planner.config().planner.replan.iterations, None).expect("a plan");
         assert!(replan.defect <= 1e-6, "{degrees:?}: defect {:e}", replan.defect);
-        assert!(replan.margins.smallest() >= -5e-3, "{degrees:?}: {:?}", replan.margins);
+        assert!(replan.margins.smallest() >= 0.0, "{degrees:?}: {:?}", replan.margins);
         assert!((replan.trajectory.x[0] - x).amax() <= 1e-7, "{degrees:?}: starts elsewhere");
-        let end = replan.trajectory.x[100];
+        let end = replan.trajectory.x[N];
         assert!(
             (end[7] - std::f64::consts::PI).abs() <= 1e-7 && end[8].abs() <= 1e-7,
             "{degrees:?}: not upright"
@@ -49,6 +50,56 @@ fn further_linearisations_close_the_defect() {
 }
 
 #[test]
+fn two_sub_horizons_meet_and_more_give_a_plan_or_a_reason() {
+    for sub_horizons in SUB_HORIZONS {
+        assert_eq!(N % sub_horizons, 0, "the settings offer what divides the horizon");
+        let mut config = Config::embedded().expect("embedded settings");
+        config.planner.replan.sub_horizons = sub_horizons;
+        let planner = Planner::new(config).expect("the shipped database fits");
+        let x = start(&planner, STARTS[1]);
+        match planner.replan(&x, 10, None) {
+            Ok(replan) => {
+                assert!(replan.defect <= 1e-6, "{sub_horizons} parts: defect {:e}", replan.defect);
+                let end = replan.trajectory.x[N];
+                assert!(
+                    (end[7] - std::f64::consts::PI).abs() <= 1e-6 && end[8].abs() <= 1e-6,
+                    "{sub_horizons} parts: not upright"
+                );
+            }
+            // The first part decides on the duration, and the last of many may not reach the target in it.
+            Err(refusal) => {
+                assert!(sub_horizons > 2, "{sub_horizons} parts: {refusal}");
+                assert!(refusal.attempts.iter().all(|a| a.refused.is_some()));
+            }
+        }
+    }
+}
+
+#[test]
+fn the_papers_torque_constraint_keeps_the_torques_too() {
+    let mut config = Config::embedded().expect("embedded settings");
+    config.planner.replan.torque = TorqueConstraint::Paper;
+    let planner =
+        Planner::new(config).expect("the mode of the database and that of a replan are independent");
+    let replan = planner.replan(&start(&planner, STARTS[0]), 10, None).expect("a plan");
+    assert!(replan.defect <= 1e-6 && replan.margins.tau.share > 0.0, "{:?}", replan.margins);
+}
+
+#[test]
+fn a_pendulum_that_swings_at_the_start_is_caught() {
+    let planner = planner();
+    let mut x = start(&planner, STARTS[0]);
+    for (q8, q9, qd8, qd9) in [(0.2, 0.1, -0.5, 0.3), (-0.3, -0.1, 0.8, 0.0), (0.1, 0.2, 0.0, -0.8)] {
+        let rest = start(&planner, STARTS[0]);
+        (x[7], x[8], x[16], x[17]) = (rest[7] + q8, rest[8] + q9, qd8, qd9);
+        let replan = planner.replan(&x, 10, None).expect("a plan");
+        assert!(replan.defect <= 1e-6, "defect {:e}", replan.defect);
+        assert!((replan.trajectory.x[0] - x).amax() <= 1e-7);
+        assert!(replan.margins.smallest() >= 0.0, "{:?}", replan.margins);
+    }
+}
+
+#[test]
 fn an_entry_of_the_database_is_found_and_kept() {
     let planner = planner();
     let entry = 40;
@@ -57,7 +108,8 @@ fn an_entry_of_the_database_is_found_and_kept() {
     let used = replan.attempts.last().expect("one attempt").entry;
     assert_eq!((used.index, used.distance), (entry, 0.0));
     let want = &planner.entries()[entry].trajectory;
-    assert!((replan.trajectory.t_f - want.t_f).abs() < 1e-5);
+    // The entry uses its limits to the full, the replan leaves a margin.
+    assert!((replan.trajectory.t_f / want.t_f - 1.0).abs() <= 0.02, "t_F {}", replan.trajectory.t_f);
 }
 
 #[test]

@@ -8,10 +8,6 @@ use clarabel::solver::{
     SupportedConeT::{NonnegativeConeT, ZeroConeT},
 };
 use upswing_model::{N_ACTUATED, N_UNACTUATED, NQ, NU, NX, NZ};
-use upswing_trajectory::N;
-
-/// Index of dt among the variables.
-const T: usize = (N + 1) * NZ;
 
 /// Rows of A z + s = b, as triplets.
 #[derive(Default)]
@@ -56,15 +52,21 @@ impl Rows {
 
 /// Solves the QP from scratch.
 pub(super) fn solve(qp: &Qp, options: &Options, solution: &mut Solution) -> Status {
-    let variables = T + 1;
+    let n = qp.defects.len();
+    // Variables: z_0..z_n, dt and, where bounds yield, by how much each of them does.
+    let t = (n + 1) * NZ;
+    let soft = if qp.compliance > 0.0 { 2 * (n * NX + (n + 1) * NU + 1) } else { 0 };
+    let variables = t + 1 + soft;
     let mut weights = Vec::with_capacity(variables);
     let mut gradient = Vec::with_capacity(variables);
-    for g in &qp.gradient {
-        weights.extend(qp.weight.iter());
+    for (weight, g) in qp.weight.iter().zip(&qp.gradient) {
+        weights.extend(weight.iter());
         gradient.extend(g.iter());
     }
     weights.push(qp.weight_t);
     gradient.push(qp.gradient_t);
+    weights.resize(variables, 1.0 / qp.compliance);
+    gradient.resize(variables, 0.0);
     let hessian =
         CscMatrix::new(variables, variables, (0..=variables).collect(), (0..variables).collect(), weights);
 
@@ -74,47 +76,53 @@ pub(super) fn solve(qp: &Qp, options: &Options, solution: &mut Solution) -> Stat
         rows.put(i, 1.0);
         rows.end(qp.start[i]);
     }
-    for k in 0..N {
+    for k in 0..n {
         let (near, far) = (&qp.dynamics[k], &qp.dynamics[k + 1]);
         for i in 0..NX {
             rows.put((k + 1) * NZ + i, 1.0);
             rows.put(k * NZ + i, -1.0);
             rows.put_dynamics(near, k, i, -half_h);
             rows.put_dynamics(far, k + 1, i, -half_h);
-            rows.put(T, -(near.f[i] + far.f[i]) / (2 * N) as f64);
+            rows.put(t, -(near.f[i] + far.f[i]) / (2 * n) as f64);
             rows.end(-qp.defects[k][i]);
         }
     }
     for target in &qp.target {
         for i in 0..NX {
-            rows.put(N * NZ + i, target.coefficients[i]);
+            rows.put(n * NZ + i, target.coefficients[i]);
         }
         rows.end(target.value);
     }
     let equalities = rows.bound.len();
+    let end_bound = |rows: &mut Rows, bound: f64| {
+        if soft > 0 {
+            rows.put(t + 1 + rows.bound.len() - equalities, -1.0);
+        }
+        rows.end(bound);
+    };
     for (k, (lower, upper)) in qp.x.iter().enumerate() {
         for i in 0..NX {
-            rows.put((k + 1) * NZ + i, 1.0);
-            rows.end(upper[i]);
-            rows.put((k + 1) * NZ + i, -1.0);
-            rows.end(-lower[i]);
+            for (sign, bound) in [(1.0, upper[i]), (-1.0, -lower[i])] {
+                rows.put((k + 1) * NZ + i, sign);
+                end_bound(&mut rows, bound);
+            }
         }
     }
     for (k, torque) in qp.torque.iter().enumerate() {
         for i in 0..NU {
             for (sign, bound) in [(1.0, torque.upper[i]), (-1.0, -torque.lower[i])] {
-                // Scaled so that the row has entries near one.
-                let scale = sign / (torque.upper[i] - torque.lower[i]);
+                // In units of half the range, so that the row has entries near one.
+                let scale = 2.0 * sign / (torque.upper[i] - torque.lower[i]);
                 for j in 0..NZ {
                     rows.put(k * NZ + j, scale * torque.jacobian[(i, j)]);
                 }
-                rows.end(bound * scale.abs());
+                end_bound(&mut rows, bound * scale.abs());
             }
         }
     }
     for (sign, bound) in [(1.0, qp.t.1), (-1.0, -qp.t.0)] {
-        rows.put(T, sign);
-        rows.end(bound);
+        rows.put(t, sign);
+        end_bound(&mut rows, bound);
     }
     let cones = [ZeroConeT(equalities), NonnegativeConeT(rows.bound.len() - equalities)];
     let matrix = CscMatrix::new_from_triplets(rows.bound.len(), variables, rows.row, rows.column, rows.value);
@@ -138,10 +146,9 @@ pub(super) fn solve(qp: &Qp, options: &Options, solution: &mut Solution) -> Stat
     };
     solver.solve();
     let found = &solver.solution;
-    for (z, x) in solution.z.iter_mut().zip(found.x[..T].chunks_exact(NZ)) {
-        z.copy_from(&KnotVector::from_column_slice(x));
-    }
-    solution.t = found.x[T];
+    solution.z.clear();
+    solution.z.extend(found.x[..t].chunks_exact(NZ).map(KnotVector::from_column_slice));
+    solution.t = found.x[t];
     solution.iterations = found.iterations as usize;
     match found.status {
         SolverStatus::Solved | SolverStatus::AlmostSolved => Status::Solved,

@@ -18,7 +18,6 @@ use std::time::Instant;
 use structured::Structured;
 use upswing_config::QpBackend;
 use upswing_model::{ActuatedVector, NU, NX, NZ, State};
-use upswing_trajectory::{KNOTS, N};
 
 /// Linearised torque of one knot within its bounds: `lower` <= J dz <= `upper`, N m.
 #[derive(Clone, Debug)]
@@ -34,8 +33,8 @@ pub struct TorqueRows {
 /// The program; angles in rad, times in s, torques in N m.
 #[derive(Clone, Debug)]
 pub struct Qp {
-    /// Diagonal of Q at a knot.
-    pub weight: KnotVector,
+    /// Diagonal of Q at the knots, N + 1 of them.
+    pub weight: Vec<KnotVector>,
     /// Q of t_F.
     pub weight_t: f64,
     /// g at the knots, N + 1 of them, and of t_F.
@@ -58,6 +57,45 @@ pub struct Qp {
     pub t: (f64, f64),
     /// (9) or (11), N + 1 of them.
     pub torque: Vec<TorqueRows>,
+    /// 0 for hard bounds. Else each bound (rad, rad/s, half ranges of the torque, s) may be exceeded by e at the
+    /// cost e^2 / (2 `compliance`).
+    pub compliance: f64,
+}
+
+impl Qp {
+    /// The program of the knots `first` to `last` alone, a sub-horizon of Section IV: from the step `start` (in z) of
+    /// its first knot to the target, if that is at its end. `t` is the change of its own duration; where an earlier part
+    /// has decided on the whole duration by `dt` (s), `t` only follows.
+    pub fn part(&self, (first, last): (usize, usize), start: &KnotVector, dt: Option<f64>) -> Self {
+        /// Weight on what an earlier part has decided: it hardly gives way.
+        const HELD: f64 = 1e9;
+        let whole = self.defects.len();
+        let share = (last - first) as f64 / whole as f64;
+        let mut part = Self {
+            weight: self.weight[first..=last].to_vec(),
+            weight_t: self.weight_t / (share * share),
+            gradient: self.gradient[first..=last].to_vec(),
+            gradient_t: self.gradient_t / share,
+            h: self.h,
+            dynamics: self.dynamics[first..=last].to_vec(),
+            defects: self.defects[first..last].to_vec(),
+            start: start.fixed_rows::<NX>(0).into(),
+            target: if last == whole { self.target.clone() } else { Vec::new() },
+            x: self.x[first..last].to_vec(),
+            t: (self.t.0 * share, self.t.1 * share),
+            torque: self.torque[first..=last].to_vec(),
+            compliance: self.compliance,
+        };
+        if let Some(dt) = dt {
+            part.weight_t = HELD;
+            part.gradient_t = -HELD * dt * share;
+            for i in NX..NZ {
+                part.weight[0][i] = HELD;
+                part.gradient[0][i] = -HELD * start[i];
+            }
+        }
+        part
+    }
 }
 
 /// The limit that a solver could not keep together with everything else.
@@ -93,7 +131,7 @@ impl std::fmt::Display for Conflict {
             Limit::Torque(joint) => ("torque", joint),
             Limit::Duration => return write!(f, "the {side} bound of the duration"),
         };
-        write!(f, "the {side} {what} limit of joint {} at knot {} of {N}", joint + 1, self.knot)
+        write!(f, "the {side} {what} limit of joint {} at knot {}", joint + 1, self.knot)
     }
 }
 
@@ -145,8 +183,8 @@ pub struct Solution {
 }
 
 impl Solution {
-    fn zeros() -> Self {
-        Self { z: vec![KnotVector::zeros(); KNOTS], t: 0.0, iterations: 0 }
+    fn zeros(n: usize) -> Self {
+        Self { z: vec![KnotVector::zeros(); n + 1], t: 0.0, iterations: 0 }
     }
 }
 
@@ -160,11 +198,11 @@ pub enum Solver {
 }
 
 impl Solver {
-    /// Allocates all that `backend` can keep between QPs.
-    pub fn new(backend: QpBackend) -> Self {
+    /// Allocates all that `backend` can keep between QPs of `n` intervals; one of another size allocates again.
+    pub fn new(backend: QpBackend, n: usize) -> Self {
         match backend {
-            QpBackend::Structured => Self::Structured(Box::new(Structured::new())),
-            QpBackend::Clarabel => Self::Clarabel(Box::new(Solution::zeros())),
+            QpBackend::Structured => Self::Structured(Box::new(Structured::new(n))),
+            QpBackend::Clarabel => Self::Clarabel(Box::new(Solution::zeros(n))),
         }
     }
 

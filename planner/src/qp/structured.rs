@@ -6,18 +6,19 @@
 //! and their multipliers y, v > 0, a Newton step eliminates slacks and multipliers: sigma = y / a + v / b joins the
 //! Hessian of the knot, and a matrix of the form of [`Kkt`] is left. The multipliers of dynamics and target are
 //! iterates, too, and every step corrects them: the error of a step is a residual of the next one.
+//!
+//! A softened bound yields: w >= l - c y with the compliance c, which is a quadratic penalty of weight 1 / c.
 
 use super::{Conflict, Limit, Options, Qp, Solution, Status};
 use crate::kkt::{Factor, Kkt, KnotDynamics, KnotMatrix, KnotVector, Rhs, SolveWorkspace, Step, TargetRow};
 use nalgebra::SMatrix;
 use std::time::Instant;
 use upswing_model::{N_UNACTUATED, NQ, NU, NX, NZ, State};
-use upswing_trajectory::{KNOTS, N};
 
-/// Bounded quantities: torques of knot 0, then states and torques of each knot, then dt.
-const ROWS: usize = NU + N * NZ + 1;
-/// Where dt is among them.
-const T: usize = ROWS - 1;
+/// Number of bounded quantities: torques of knot 0, then states and torques of each knot, then dt.
+const fn bounded_quantities(intervals: usize) -> usize {
+    NU + intervals * NZ + 1
+}
 
 /// Where the torques of a knot begin among the bounded quantities; the states, if any, stand before them.
 const fn torque_at(k: usize) -> usize {
@@ -58,6 +59,8 @@ pub struct Structured {
     jacobian: Vec<TorqueJacobian>,
     lower: Vec<f64>,
     upper: Vec<f64>,
+    /// By how much a bound yields to a unit of its multiplier.
+    compliance: f64,
     /// w, and its step.
     value: Vec<f64>,
     value_step: Vec<f64>,
@@ -76,15 +79,15 @@ struct Side {
     multiplier: Vec<f64>,
     slack_step: Vec<f64>,
     multiplier_step: Vec<f64>,
-    /// w - l or u - w, less the slack.
+    /// w - l or u - w, less the slack, plus what the bound yields.
     residual: Vec<f64>,
     /// What slack times multiplier shall change by, to first order.
     target: Vec<f64>,
 }
 
 impl Side {
-    fn new() -> Self {
-        let zeros = || vec![0.0; ROWS];
+    fn new(rows: usize) -> Self {
+        let zeros = || vec![0.0; rows];
         Self {
             slack: zeros(),
             multiplier: zeros(),
@@ -96,18 +99,24 @@ impl Side {
     }
 
     /// Steps that belong to the step `sign` * dw of the distance to the bound.
-    fn expand(&mut self, sign: f64, dw: &[f64]) {
-        for i in 0..ROWS {
-            let da = sign * dw[i] + self.residual[i];
-            self.slack_step[i] = da;
-            self.multiplier_step[i] = (self.target[i] - self.multiplier[i] * da) / self.slack[i];
+    fn expand(&mut self, sign: f64, dw: &[f64], compliance: f64) {
+        for (i, dw) in dw.iter().enumerate() {
+            let da = sign * dw + self.residual[i];
+            let dy = (self.target[i] - self.multiplier[i] * da) / self.stretch(i, compliance);
+            self.multiplier_step[i] = dy;
+            self.slack_step[i] = da + compliance * dy;
         }
+    }
+
+    /// Distance that a multiplier's pull acts on: the slack, and what the bound yields.
+    fn stretch(&self, i: usize, compliance: f64) -> f64 {
+        self.slack[i] + compliance * self.multiplier[i]
     }
 
     /// Largest step that keeps slacks and multipliers from falling below zero.
     fn longest(&self) -> f64 {
         let mut rate = 0.0_f64;
-        for i in 0..ROWS {
+        for i in 0..self.slack.len() {
             rate = rate.max(-self.slack_step[i] / self.slack[i]);
             rate = rate.max(-self.multiplier_step[i] / self.multiplier[i]);
         }
@@ -125,7 +134,7 @@ impl Side {
     }
 
     fn product_after(&self, alpha: f64) -> f64 {
-        (0..ROWS)
+        (0..self.slack.len())
             .map(|i| {
                 (self.slack[i] + alpha * self.slack_step[i])
                     * (self.multiplier[i] + alpha * self.multiplier_step[i])
@@ -134,7 +143,7 @@ impl Side {
     }
 
     fn advance(&mut self, alpha: f64) {
-        for i in 0..ROWS {
+        for i in 0..self.slack.len() {
             self.slack[i] = (self.slack[i] + alpha * self.slack_step[i]).max(RESOLUTION);
             self.multiplier[i] += alpha * self.multiplier_step[i];
         }
@@ -142,39 +151,41 @@ impl Side {
 }
 
 impl Structured {
-    /// Allocates everything.
-    pub(super) fn new() -> Self {
+    /// Allocates everything for programs of `n` intervals.
+    pub(super) fn new(n: usize) -> Self {
         let knot = KnotDynamics { qdd_u_x: SMatrix::zeros(), qdd_u_u: SMatrix::zeros(), f: State::zeros() };
         // More target rows than states would contradict each other.
         let row = TargetRow { coefficients: State::zeros(), value: 0.0 };
         let kkt = Kkt {
             h: 0.0,
-            hessian: vec![KnotMatrix::zeros(); KNOTS],
-            with_t: vec![KnotVector::zeros(); KNOTS],
+            hessian: vec![KnotMatrix::zeros(); n + 1],
+            with_t: vec![KnotVector::zeros(); n + 1],
             t_t: 0.0,
-            dynamics: vec![knot; KNOTS],
+            dynamics: vec![knot; n + 1],
             target: vec![row; NX],
         };
-        let zeros = || vec![0.0; ROWS];
+        let rows = bounded_quantities(n);
+        let zeros = || vec![0.0; rows];
         Self {
-            factor: Factor::new(N),
+            factor: Factor::new(n),
             damping: 0.0,
-            work: SolveWorkspace::new(N, NX),
+            work: SolveWorkspace::new(n, NX),
             rhs: kkt.zero_rhs(),
             residual: kkt.zero_rhs(),
-            at: Step::zeros(N, NX),
-            step: Step::zeros(N, NX),
+            at: Step::zeros(n, NX),
+            step: Step::zeros(n, NX),
             kkt,
-            jacobian: vec![[[0.0; ROW]; NU]; KNOTS],
+            jacobian: vec![[[0.0; ROW]; NU]; n + 1],
             lower: zeros(),
             upper: zeros(),
+            compliance: 0.0,
             value: zeros(),
             value_step: zeros(),
-            below: Side::new(),
-            above: Side::new(),
+            below: Side::new(rows),
+            above: Side::new(rows),
             pull: zeros(),
             sigma: zeros(),
-            solution: Solution::zeros(),
+            solution: Solution::zeros(n),
         }
     }
 
@@ -184,13 +195,17 @@ impl Structured {
 
     /// Takes over the constant parts of `qp`.
     fn load(&mut self, qp: &Qp) {
-        let targets = qp.target.len();
+        let (n, targets) = (qp.defects.len(), qp.target.len());
+        if self.at.dynamics.len() != n {
+            *self = Self::new(n);
+        }
         if self.kkt.target.len() != targets {
             self.kkt.target.clone_from(&qp.target);
-            self.work = SolveWorkspace::new(N, targets);
+            self.work = SolveWorkspace::new(n, targets);
             (self.rhs, self.residual) = (self.kkt.zero_rhs(), self.kkt.zero_rhs());
-            (self.at, self.step) = (Step::zeros(N, targets), Step::zeros(N, targets));
+            (self.at, self.step) = (Step::zeros(n, targets), Step::zeros(n, targets));
         }
+        self.compliance = qp.compliance;
         self.kkt.h = qp.h;
         self.kkt.target.clone_from_slice(&qp.target);
         self.kkt.dynamics.clone_from_slice(&qp.dynamics);
@@ -210,7 +225,13 @@ impl Structured {
                 self.upper[at - NX..at].copy_from_slice(upper.as_slice());
             }
         }
-        (self.lower[T], self.upper[T]) = qp.t;
+        let t = self.t_row();
+        (self.lower[t], self.upper[t]) = qp.t;
+    }
+
+    /// Where dt is among the bounded quantities.
+    fn t_row(&self) -> usize {
+        self.lower.len() - 1
     }
 
     /// w of a step of z and t.
@@ -228,7 +249,9 @@ impl Structured {
                 *out = sum;
             }
         }
-        out[T] = t;
+        if let Some(last) = out.last_mut() {
+            *last = t;
+        }
     }
 
     /// Adds C' `pull` to the gradient.
@@ -253,7 +276,7 @@ impl Structured {
                 g[j] += sum[j];
             }
         }
-        rhs.g_t += pull[T];
+        rhs.g_t += pull.last().copied().unwrap_or(0.0);
     }
 
     /// Starting point: no step; multipliers of the last QP if `warm`.
@@ -267,7 +290,7 @@ impl Structured {
             self.at.dynamics.fill(State::zeros());
             self.at.target.fill(0.0);
         }
-        for i in 0..ROWS {
+        for i in 0..self.value.len() {
             for (side, distance) in [
                 (&mut self.below, self.value[i] - self.lower[i]),
                 (&mut self.above, self.upper[i] - self.value[i]),
@@ -282,8 +305,8 @@ impl Structured {
     /// All residuals at the iterate.
     fn residuals(&mut self, qp: &Qp) {
         let r = &mut self.residual;
-        for (g, (z, gradient)) in r.g.iter_mut().zip(self.at.z.iter().zip(&qp.gradient)) {
-            *g = z.component_mul(&qp.weight) + gradient;
+        for (k, g) in r.g.iter_mut().enumerate() {
+            *g = self.at.z[k].component_mul(&qp.weight[k]) + qp.gradient[k];
         }
         r.g_t = qp.weight_t * self.at.t + qp.gradient_t;
         r.dynamics.copy_from_slice(&qp.defects);
@@ -291,10 +314,14 @@ impl Structured {
         r.target.iter_mut().zip(&qp.target).for_each(|(r, row)| *r = -row.value);
         self.kkt.add_constraints(&self.at, r);
         Self::bounded(&self.jacobian, &self.at.z, self.at.t, &mut self.value);
-        for i in 0..ROWS {
-            self.pull[i] = self.above.multiplier[i] - self.below.multiplier[i];
-            self.below.residual[i] = self.value[i] - self.lower[i] - self.below.slack[i];
-            self.above.residual[i] = self.upper[i] - self.value[i] - self.above.slack[i];
+        let compliance = self.compliance;
+        for i in 0..self.value.len() {
+            let (below, above) = (&mut self.below, &mut self.above);
+            self.pull[i] = above.multiplier[i] - below.multiplier[i];
+            below.residual[i] =
+                self.value[i] - self.lower[i] - below.slack[i] + compliance * below.multiplier[i];
+            above.residual[i] =
+                self.upper[i] - self.value[i] - above.slack[i] + compliance * above.multiplier[i];
         }
         Self::add_pull(&self.jacobian, &self.pull, r);
     }
@@ -314,12 +341,13 @@ impl Structured {
 
     /// The matrix at the iterate.
     fn condense(&mut self, qp: &Qp) {
-        for i in 0..ROWS {
-            self.sigma[i] = self.below.multiplier[i] / self.below.slack[i]
-                + self.above.multiplier[i] / self.above.slack[i];
+        for i in 0..self.sigma.len() {
+            let (below, above) = (&self.below, &self.above);
+            self.sigma[i] = below.multiplier[i] / below.stretch(i, self.compliance)
+                + above.multiplier[i] / above.stretch(i, self.compliance);
         }
-        self.kkt.t_t = qp.weight_t + self.sigma[T];
-        for k in 0..KNOTS {
+        self.kkt.t_t = qp.weight_t + self.sigma[self.t_row()];
+        for k in 0..qp.gradient.len() {
             let at = torque_at(k);
             let jacobian = &self.jacobian[k];
             let sigma = &self.sigma[at..at + NU];
@@ -333,7 +361,7 @@ impl Structured {
                     }
                 }
                 column.copy_from_slice(&sum[..NZ]);
-                column[j] += qp.weight[j];
+                column[j] += qp.weight[k][j];
                 if k > 0 && j < NX {
                     column[j] += self.sigma[at - NX + j];
                 }
@@ -355,16 +383,16 @@ impl Structured {
     fn direction(&mut self, refinements: (usize, f64)) {
         self.rhs.copy_from(&self.residual);
         let (a, b) = (&self.below, &self.above);
-        for i in 0..ROWS {
-            self.pull[i] = (b.target[i] - b.multiplier[i] * b.residual[i]) / b.slack[i]
-                - (a.target[i] - a.multiplier[i] * a.residual[i]) / a.slack[i];
+        for i in 0..self.pull.len() {
+            self.pull[i] = (b.target[i] - b.multiplier[i] * b.residual[i]) / b.stretch(i, self.compliance)
+                - (a.target[i] - a.multiplier[i] * a.residual[i]) / a.stretch(i, self.compliance);
         }
         Self::add_pull(&self.jacobian, &self.pull, &mut self.rhs);
         let (rhs, damping) = (&self.rhs, (self.damping, self.damping));
         self.kkt.solve_into(&self.factor, rhs, damping, refinements, &mut self.work, &mut self.step);
         Self::bounded(&self.jacobian, &self.step.z, self.step.t, &mut self.value_step);
-        self.below.expand(1.0, &self.value_step);
-        self.above.expand(-1.0, &self.value_step);
+        self.below.expand(1.0, &self.value_step, self.compliance);
+        self.above.expand(-1.0, &self.value_step, self.compliance);
     }
 
     fn advance(&mut self, alpha: f64) {
@@ -381,11 +409,15 @@ impl Structured {
     fn contradiction(&mut self, qp: &Qp) -> Option<Conflict> {
         /// Inputs that no arm reaches, rad/s^2.
         const LARGEST_INPUT: f64 = 1e4;
+        // Bounds that yield contradict nothing.
+        if self.compliance > 0.0 {
+            return None;
+        }
         // v: what is left of the gradient without the objective.
         let mut slope = 0.0;
         let mut excess = 0.0;
-        for k in 0..KNOTS {
-            let mut v = self.residual.g[k] - self.at.z[k].component_mul(&qp.weight) - qp.gradient[k];
+        for k in 0..qp.gradient.len() {
+            let mut v = self.residual.g[k] - self.at.z[k].component_mul(&qp.weight[k]) - qp.gradient[k];
             if k == 0 {
                 // All that acts on the start is a constant.
                 v.fixed_rows_mut::<NX>(0).fill(0.0);
@@ -408,7 +440,7 @@ impl Structured {
         for (m, row) in self.at.target.iter().zip(&qp.target) {
             excess -= m * row.value;
         }
-        for i in 0..ROWS {
+        for i in 0..self.lower.len() {
             excess += self.below.multiplier[i] * self.lower[i] - self.above.multiplier[i] * self.upper[i];
         }
         (excess > slope).then(|| self.heaviest())
@@ -434,10 +466,10 @@ impl Structured {
     fn heaviest(&self) -> Conflict {
         /// Limits of one knot, and the duration.
         const KINDS: usize = NZ + 1;
-        let kind = |row: usize| if row == T { NZ } else { (row + NX) % NZ };
+        let kind = |row: usize| if row == self.t_row() { NZ } else { (row + NX) % NZ };
         let mut sums = [[0.0; KINDS]; 2];
         for (sums, side) in sums.iter_mut().zip([&self.below, &self.above]) {
-            for i in 0..ROWS {
+            for i in 0..self.lower.len() {
                 sums[kind(i)] += side.multiplier[i] * (self.upper[i] - self.lower[i]);
             }
         }
@@ -451,7 +483,7 @@ impl Structured {
         }
         let side = if upper { &self.above } else { &self.below };
         let (mut knot, mut most) = (0, 0.0);
-        for i in (0..T).filter(|i| kind(*i) == heaviest) {
+        for i in (0..self.t_row()).filter(|i| kind(*i) == heaviest) {
             if side.multiplier[i] > most {
                 (knot, most) = ((i + NX) / NZ, side.multiplier[i]);
             }
@@ -484,7 +516,8 @@ impl Structured {
             self.solution.iterations = iteration;
             self.residuals(qp);
             let (primal, dual) = self.sizes();
-            let mean = |below: f64, above: f64| (below + above) / (2 * ROWS) as f64;
+            let rows = self.lower.len();
+            let mean = |below: f64, above: f64| (below + above) / (2 * rows) as f64;
             let mu = mean(self.below.product(), self.above.product());
             let resolved = mean(self.below.resolved_product(), self.above.resolved_product());
             if primal.max(dual) <= options.tolerance && resolved <= options.complementarity {
@@ -501,7 +534,7 @@ impl Structured {
                 return Status::Stalled;
             }
             for side in [&mut self.below, &mut self.above] {
-                for i in 0..ROWS {
+                for i in 0..rows {
                     side.target[i] = -side.slack[i] * side.multiplier[i];
                 }
             }
@@ -513,7 +546,7 @@ impl Structured {
             // Closer to the boundary than asked for, rounding would spoil stationarity.
             let aim = (centring * mu).max(0.1 * options.complementarity);
             for side in [&mut self.below, &mut self.above] {
-                for i in 0..ROWS {
+                for i in 0..rows {
                     side.target[i] = aim
                         - side.slack[i] * side.multiplier[i]
                         - side.slack_step[i] * side.multiplier_step[i];
