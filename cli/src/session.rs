@@ -304,13 +304,9 @@ impl Session {
     ///
     /// # Errors
     /// [`SessionError::Refused`] with the planner's reason.
-    pub fn plan_from_now(&mut self) -> Result<PlannerResponse, SessionError> {
-        let request = PlannerRequest {
-            kind: PlannerKind::SwingUp.code(),
-            from_now: 1,
-            publish: 1,
-            ..PlannerRequest::default()
-        };
+    pub fn plan_from_now(&mut self, kind: PlannerKind) -> Result<PlannerResponse, SessionError> {
+        let request =
+            PlannerRequest { kind: kind.code(), from_now: 1, publish: 1, ..PlannerRequest::default() };
         let response = self.planner.call(&request, ANSWER_PATIENCE)?;
         if response.plan_id == 0 {
             return Err(SessionError::Refused { role: "planner", reason: text(&response.reason) });

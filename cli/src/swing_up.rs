@@ -3,7 +3,7 @@
 use crate::session::{Session, SessionError};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
-use upswing_ipc::{ControlCommand, Mode, PlannerResponse};
+use upswing_ipc::{ControlCommand, Mode, PlannerKind, PlannerResponse};
 
 /// Time in which the arm settles on its hold before the plan is made, s.
 const SETTLE: f64 = 0.25;
@@ -26,7 +26,7 @@ pub fn swing_up(
     session.control(ControlCommand::Enable)?;
     session.advance(cycles(SETTLE))?;
     expect_mode(session, &[Mode::Hold])?;
-    let plan = session.plan_from_now()?;
+    let plan = session.plan_from_now(PlannerKind::SwingUp)?;
     session.wait_for("the daemon to load the plan", PATIENCE, |s| {
         let status = s.ask_control(ControlCommand::Status)?;
         Ok(status.plan_id == plan.plan_id)

@@ -3,6 +3,7 @@
 use crate::ConfigError;
 use crate::check::{BELOW_ONE, Check, POSITIVE, SHARE};
 use serde::Deserialize;
+use std::time::Duration;
 use upswing_model::{NQ, NU};
 
 /// How swing-ups are computed.
@@ -57,6 +58,8 @@ pub struct ReplanSettings {
     pub torque: TorqueConstraint,
     /// Sub-horizons that are solved one after the other, one of [`SUB_HORIZONS`]; 1 is the whole horizon.
     pub sub_horizons: usize,
+    /// From the request to the start of a plan that begins with a moving pendulum.
+    pub lead: Duration,
     /// Diagonal of Q, (17).
     pub weights: ReplanWeights,
     /// Solver of the quadratic programs.
@@ -130,6 +133,7 @@ struct RawReplan {
     knot_margin: f64,
     torque: TorqueConstraint,
     sub_horizons: i64,
+    lead_ms: i64,
     backend: QpBackend,
     weight_t_f: f64,
     weight_q: Vec<f64>,
@@ -160,6 +164,7 @@ impl PlannerSettings {
                 knot_margin: check.number("replan.knot_margin", replan.knot_margin, &SHARE)?,
                 torque: replan.torque,
                 sub_horizons: read_sub_horizons(check, replan.sub_horizons)?,
+                lead: Duration::from_millis(check.integer("replan.lead_ms", replan.lead_ms, 0..=1000)?),
                 weights: ReplanWeights {
                     t_f: check.number("replan.weight_t_f", replan.weight_t_f, &POSITIVE)?,
                     q: check.list("replan.weight_q", &replan.weight_q, 1, &POSITIVE)?,

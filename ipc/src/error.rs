@@ -136,13 +136,19 @@ pub enum CallError {
         /// Name of the service.
         service: &'static str,
     },
-    /// The server lives but did not answer in time; the request is withdrawn unless it is being handled.
+    /// The server lives but did not answer in time; the request is withdrawn.
     #[error("no answer from `{service}` within {waited:?}; see the log of that process, or allow more time")]
     Timeout {
         /// Name of the service.
         service: &'static str,
         /// How long the call waited.
         waited: Duration,
+    },
+    /// The caller gave up waiting; the request is withdrawn.
+    #[error("gave up waiting for `{service}`; the request is withdrawn")]
+    Interrupted {
+        /// Name of the service.
+        service: &'static str,
     },
     /// The request could not be sent or the answer not received.
     #[error(transparent)]

@@ -11,6 +11,7 @@ use iceoryx2::service::port_factory::client::ClientCreateError;
 use iceoryx2::service::port_factory::request_response::PortFactory;
 use iceoryx2::service::port_factory::server::ServerCreateError;
 use std::cell::Cell;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 type Service<Q> = PortFactory<ipc::Service, Q, (), <Q as Request>::Response, ()>;
@@ -72,12 +73,25 @@ impl<Q: Request> Client<Q> {
     }
 
     /// Sends `request` and waits for the answer, at most `timeout`. A request that is not yet being handled when
-    /// the time is up is withdrawn.
+    /// the time is up is withdrawn, and a server that handles it can see that nobody waits any more.
     ///
     /// # Errors
     /// [`CallError::NoServer`] at once if there is none, [`CallError::ServerGone`] if it goes away meanwhile,
     /// [`CallError::Timeout`] if it does not answer in time.
     pub fn call(&self, request: &Q, timeout: Duration) -> Result<Q::Response, CallError> {
+        self.call_unless(request, timeout, &AtomicBool::new(false))
+    }
+
+    /// As [`Client::call`], and gives up once `interrupted` is set.
+    ///
+    /// # Errors
+    /// As [`Client::call`], and [`CallError::Interrupted`].
+    pub fn call_unless(
+        &self,
+        request: &Q,
+        timeout: Duration,
+        interrupted: &AtomicBool,
+    ) -> Result<Q::Response, CallError> {
         if !self.had_server_lately() {
             return Err(self.no_server());
         }
@@ -100,6 +114,9 @@ impl<Q: Request> Client<Q> {
             }
             if !served || !self.had_server_lately() {
                 return Err(CallError::ServerGone { service: Q::SERVICE });
+            }
+            if interrupted.load(Ordering::Acquire) {
+                return Err(CallError::Interrupted { service: Q::SERVICE });
             }
             let waited = start.elapsed();
             if waited >= timeout {
@@ -157,13 +174,25 @@ impl<Q: Request> Server<Q> {
     /// # Errors
     /// [`IpcError::Receive`] or [`IpcError::Send`].
     pub fn poll(&self, mut handle: impl FnMut(&Q) -> Q::Response) -> Result<usize, IpcError> {
+        self.poll_while_wanted(|request, _| handle(request))
+    }
+
+    /// As [`Server::poll`], for requests that take long: the second argument of `handle` tells whether somebody still
+    /// waits for the answer.
+    ///
+    /// # Errors
+    /// [`IpcError::Receive`] or [`IpcError::Send`].
+    pub fn poll_while_wanted(
+        &self,
+        mut handle: impl FnMut(&Q, &dyn Fn() -> bool) -> Q::Response,
+    ) -> Result<usize, IpcError> {
         let receive =
             || self.port.receive().map_err(|e| IpcError::Receive { service: Q::SERVICE, cause: e.into() });
         let mut answered = 0;
         while let Some(request) = receive()? {
             // A copy: the client could change the request while it is being checked.
             let question: Q = *request.payload();
-            let answer = handle(&question);
+            let answer = handle(&question, &|| request.is_connected());
             request.send_copy(answer).map_err(|e| IpcError::Send { service: Q::SERVICE, cause: e.into() })?;
             answered += 1;
         }

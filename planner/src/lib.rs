@@ -3,7 +3,7 @@
 //! - [`problem`]: (6), (8), (9), (11) as an optimisation problem; [`interior_point`] solves it, [`kkt`] is the
 //!   structured linear algebra underneath, [`offline`] applies them to a configuration and builds databases.
 //! - [`nearest`]: the K-D tree over database entries; [`qp`]: (16); [`replan`]: both together with
-//!   [`lqr`], the gains (23). [`service`]: the process that answers requests.
+//!   [`lqr`], the gains (23). [`service`]: the process that answers requests; [`predict`]: where a moving start will be.
 //! - [`coriolis`]: the bound c of (11) by random states.
 
 pub mod build;
@@ -13,6 +13,7 @@ pub mod kkt;
 pub mod lqr;
 pub mod nearest;
 pub mod offline;
+pub mod predict;
 pub mod problem;
 pub mod qp;
 pub mod replan;

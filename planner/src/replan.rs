@@ -1,15 +1,22 @@
 //! Replanning from a start near a database entry: (14)-(17), linearised again around each result.
+//!
+//! A swing-down adapts an entry run backwards: with the velocities reversed it meets the same dynamics (without
+//! friction), limits and torques, from upright to hanging at rest.
+
+mod outcome;
+
+pub use outcome::{Attempt, NoPlan, Refusal, Replan, Times};
 
 use crate::kkt::{KnotDynamics, KnotVector, TargetRow};
 use crate::lqr::{self, Gains};
 use crate::nearest::{NearestPose, Neighbour};
 use crate::offline::{problem, problem_fingerprint, torque_constraint};
 use crate::problem::{KnotDerivatives, Problem, TorqueConstraint};
-use crate::qp::{Conflict, Options, Qp, Solver, Status, TorqueRows};
-use std::time::{Duration, Instant};
+use crate::qp::{Options, Qp, Solver, Status, TorqueRows};
+use std::time::Instant;
 use upswing_config::Config;
 use upswing_model::{NU, NX, NZ, State, Workspace, position, state, velocity};
-use upswing_trajectory::{Database, DatabaseError, Entry, Margins, N, Plan, Trajectory};
+use upswing_trajectory::{Database, DatabaseError, Entry, Margins, N, Trajectory};
 
 /// Accuracy of each QP. A tenth of the defect that four linearisations reach.
 const QP_TOLERANCE: f64 = 1e-9;
@@ -23,120 +30,6 @@ const MARGIN_SLACK: f64 = 1e-3;
 /// Largest defect (rad, rad/s per interval) of a replan that is accepted; the feedback absorbs it.
 const LARGEST_DEFECT: f64 = 1e-3;
 
-/// One neighbour that was tried.
-#[derive(Clone, Debug)]
-pub struct Attempt {
-    /// The entry and its distance.
-    pub entry: Neighbour,
-    /// Why it was not used, `None` for the one that was.
-    pub refused: Option<Refusal>,
-}
-
-/// Why a neighbour gave no plan.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum Refusal {
-    /// The constraints of a QP cannot be met together.
-    #[error("QP {iteration} is infeasible{}", conflict.map_or(String::new(), |c| format!(": it would exceed {c}")))]
-    Infeasible {
-        /// Which linearisation, from 1.
-        iteration: usize,
-        /// The limit that stands in the way, where the solver knows it.
-        conflict: Option<Conflict>,
-    },
-    /// A QP was neither solved nor found infeasible.
-    #[error("QP {iteration}: the solver made no progress")]
-    Stalled {
-        /// Which linearisation, from 1.
-        iteration: usize,
-    },
-    /// The real dynamics are not met.
-    #[error(
-        "defect {defect:.1e} rad/s of the real dynamics after {iterations} QPs; expected at most {LARGEST_DEFECT:.0e}"
-    )]
-    Defect {
-        /// Largest component of (6b).
-        defect: f64,
-        /// QPs solved.
-        iterations: usize,
-    },
-    /// A limit is exceeded between the knots.
-    #[error("{limit} limit of joint {} is exceeded by {:.2} % at {time:.3} s", joint + 1, -100.0 * share)]
-    Limit {
-        /// Position, velocity or torque.
-        limit: &'static str,
-        /// 0-based.
-        joint: usize,
-        /// Share of the range, negative.
-        share: f64,
-        /// s
-        time: f64,
-    },
-    /// The time budget was used up.
-    #[error("the time budget was used up before QP {iteration} was solved")]
-    Deadline {
-        /// The QP that was not begun or not finished, from 1.
-        iteration: usize,
-    },
-    /// No stabilising gain at the end.
-    #[error(transparent)]
-    Gain(#[from] lqr::NotStabilisable),
-}
-
-/// Times of the steps of a replan.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Times {
-    /// Search of the database.
-    pub nearest: Duration,
-    /// All QPs, with their linearisations.
-    pub qp: Duration,
-    /// Checks of the result on the real dynamics.
-    pub check: Duration,
-    /// Gains.
-    pub lqr: Duration,
-    /// Everything.
-    pub total: Duration,
-}
-
-/// A replanned trajectory with its gains.
-#[derive(Clone, Debug)]
-pub struct Replan {
-    /// The trajectory from the given start.
-    pub trajectory: Trajectory,
-    /// Its gains.
-    pub gains: Gains,
-    /// The entries tried, in order; the last one was used.
-    pub attempts: Vec<Attempt>,
-    /// Linearisations for the entry used.
-    pub iterations: usize,
-    /// Largest defect (6b) of the real dynamics.
-    pub defect: f64,
-    /// Margins to the limits, between knots too.
-    pub margins: Margins,
-    /// How long it took.
-    pub times: Times,
-}
-
-/// No neighbour led to a plan.
-#[derive(Clone, Debug)]
-pub struct NoPlan {
-    /// The entries tried, with the reasons.
-    pub attempts: Vec<Attempt>,
-}
-
-impl std::fmt::Display for NoPlan {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "none of the {} nearest database entries could be adapted", self.attempts.len())?;
-        for a in &self.attempts {
-            if let Some(refusal) = &a.refused {
-                write!(f, "; entry {} ({:.3} rad away): {refusal}", a.entry.index, a.entry.distance)?;
-            }
-        }
-        Ok(())
-    }
-}
-
-impl std::error::Error for NoPlan {}
-
 /// A trajectory from the start, made of one entry.
 struct Adapted {
     trajectory: Trajectory,
@@ -146,12 +39,41 @@ struct Adapted {
     margins: Margins,
 }
 
+/// What the pendulum shall do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Manoeuvre {
+    /// From hanging (at rest or swinging) to upright.
+    SwingUp,
+    /// From upright to hanging at rest.
+    SwingDown,
+}
+
+/// How much may be spent on a plan.
+#[derive(Clone, Copy)]
+pub struct Effort<'a> {
+    /// Most linearisations per entry, at least one; fewer where the defect closes before.
+    pub iterations: usize,
+    /// No iteration of a QP is begun after this.
+    pub deadline: Option<Instant>,
+    /// Asked before each iteration of a QP: whether nobody waits for the plan any more.
+    pub cancelled: Option<&'a dyn Fn() -> bool>,
+}
+
+impl Effort<'_> {
+    /// Without limits of time.
+    pub fn iterations(iterations: usize) -> Self {
+        Self { iterations, deadline: None, cancelled: None }
+    }
+}
+
 /// Replans from measured starts.
 #[derive(Clone, Debug)]
 pub struct Planner {
     config: Config,
     entries: Vec<Entry>,
-    tree: NearestPose,
+    /// Poses from which the entries start, and in which they end.
+    starts: NearestPose,
+    ends: NearestPose,
 }
 
 impl Planner {
@@ -162,9 +84,10 @@ impl Planner {
     pub fn new(config: Config) -> Result<Self, DatabaseError> {
         let database = Database::decode(&config.database.bytes)?;
         let entries = database.entries_for(config.model.fingerprint(), problem_fingerprint(&config))?;
-        let poses = entries.iter().map(|e| pose(&e.trajectory.x[0]));
-        let tree = NearestPose::new(poses, &config.planner.replan.metric);
-        Ok(Self { config, entries, tree })
+        let poses = |knot: usize| entries.iter().map(move |e| pose(&e.trajectory.x[knot]));
+        let metric = &config.planner.replan.metric;
+        let (starts, ends) = (NearestPose::new(poses(0), metric), NearestPose::new(poses(N), metric));
+        Ok(Self { config, entries, starts, ends })
     }
 
     /// The settings.
@@ -177,9 +100,13 @@ impl Planner {
         &self.entries
     }
 
-    /// The nearest entries to a start state, nearest first.
-    pub fn nearest(&self, start: &State) -> Vec<Neighbour> {
-        self.tree.nearest(&pose(start), self.config.planner.replan.neighbours)
+    /// The entries nearest to a start state, nearest first.
+    pub fn nearest(&self, manoeuvre: Manoeuvre, start: &State) -> Vec<Neighbour> {
+        let tree = match manoeuvre {
+            Manoeuvre::SwingUp => &self.starts,
+            Manoeuvre::SwingDown => &self.ends,
+        };
+        tree.nearest(&pose(start), self.config.planner.replan.neighbours)
     }
 
     /// A QP solver as the settings ask for, with its memory.
@@ -188,7 +115,7 @@ impl Planner {
         Solver::new(settings.backend, N / settings.sub_horizons)
     }
 
-    /// [`Self::replan_with`] a new solver.
+    /// A swing-up from `start` by [`Self::replan_with`] a new solver.
     ///
     /// # Errors
     /// [`NoPlan`] with the reason for each entry tried.
@@ -198,27 +125,27 @@ impl Planner {
         iterations: usize,
         deadline: Option<Instant>,
     ) -> Result<Replan, NoPlan> {
-        self.replan_with(&mut self.solver(), start, iterations, deadline)
+        let effort = Effort { deadline, ..Effort::iterations(iterations) };
+        self.replan_with(&mut self.solver(), Manoeuvre::SwingUp, start, &effort)
     }
 
-    /// Plans from `start` (rad, rad/s) with at most `iterations` linearisations per entry (at least one), fewer where
-    /// the defect closes before. No iteration of a QP is begun after `deadline`. What `solver` did before has no influence.
+    /// Plans from `start` (rad, rad/s). What `solver` did before has no influence.
     ///
     /// # Errors
     /// [`NoPlan`] with the reason for each entry tried.
     pub fn replan_with(
         &self,
         solver: &mut Solver,
+        manoeuvre: Manoeuvre,
         start: &State,
-        iterations: usize,
-        deadline: Option<Instant>,
+        effort: &Effort<'_>,
     ) -> Result<Replan, NoPlan> {
         let begin = Instant::now();
-        let neighbours = self.nearest(start);
+        let neighbours = self.nearest(manoeuvre, start);
         let mut times = Times { nearest: begin.elapsed(), ..Times::default() };
         let mut attempts: Vec<Attempt> = Vec::new();
         for entry in neighbours {
-            match self.adapt(start, entry.index, iterations, deadline, solver, &mut times) {
+            match self.adapt(manoeuvre, start, entry.index, effort, solver, &mut times) {
                 Ok(Adapted { trajectory, gains, iterations, defect, margins }) => {
                     attempts.push(Attempt { entry, refused: None });
                     times.total = begin.elapsed();
@@ -232,27 +159,31 @@ impl Planner {
 
     fn adapt(
         &self,
+        manoeuvre: Manoeuvre,
         start: &State,
         entry: usize,
-        iterations: usize,
-        deadline: Option<Instant>,
+        effort: &Effort<'_>,
         solver: &mut Solver,
         times: &mut Times,
     ) -> Result<Adapted, Refusal> {
         let settings = &self.config.planner.replan;
-        let problem = self.problem(start);
-        let reference = &self.entries[entry].trajectory;
+        let iterations = effort.iterations.max(1);
+        let mut problem = self.problem(start);
+        let reference = match manoeuvre {
+            Manoeuvre::SwingUp => self.entries[entry].trajectory.clone(),
+            Manoeuvre::SwingDown => self.entries[entry].trajectory.reversed(),
+        };
+        if manoeuvre == Manoeuvre::SwingDown {
+            problem.target = exact_target(&reference.x[N]);
+        }
         let mut work = Workspace::default();
         let mut trajectory = reference.clone();
         let begin = Instant::now();
         let (mut done, mut defect) = (0, f64::INFINITY);
-        while done < iterations.max(1) && !(defect <= settings.defect) {
+        while done < iterations && !(defect <= settings.defect) {
             done += 1;
-            if deadline.is_some_and(|d| Instant::now() >= d) {
-                return Err(Refusal::Deadline { iteration: done });
-            }
-            let qp = self.qp(&problem, reference, &trajectory, &mut work);
-            self.step(&qp, solver, done, deadline, &mut trajectory)?;
+            let qp = self.qp(&problem, &reference, &trajectory, &mut work);
+            self.step(&qp, solver, done, effort, &mut trajectory)?;
             defect = trajectory.defect(&self.config.model, &mut work);
         }
         times.qp += begin.elapsed();
@@ -298,19 +229,24 @@ impl Planner {
         qp: &Qp,
         solver: &mut Solver,
         iteration: usize,
-        deadline: Option<Instant>,
+        effort: &Effort<'_>,
         trajectory: &mut Trajectory,
     ) -> Result<(), Refusal> {
-        let options = Options { deadline, complementarity: QP_COMPLEMENTARITY, ..Options::new(QP_TOLERANCE) };
-        let mut solve = |qp: &Qp, again: bool| match if again {
-            solver.solve_again(qp, &options)
-        } else {
-            solver.solve(qp, &options)
-        } {
-            Status::Solved => Ok(solver.solution().clone()),
-            Status::Infeasible(conflict) => Err(Refusal::Infeasible { iteration, conflict }),
-            Status::Deadline => Err(Refusal::Deadline { iteration }),
-            Status::Stalled => Err(Refusal::Stalled { iteration }),
+        let options = Options {
+            deadline: effort.deadline,
+            cancelled: effort.cancelled,
+            complementarity: QP_COMPLEMENTARITY,
+            ..Options::new(QP_TOLERANCE)
+        };
+        let mut solve = |qp: &Qp, again: bool| {
+            let status = if again { solver.solve_again(qp, &options) } else { solver.solve(qp, &options) };
+            match status {
+                Status::Solved => Ok(solver.solution().clone()),
+                Status::Infeasible(conflict) => Err(Refusal::Infeasible { iteration, conflict }),
+                Status::Deadline => Err(Refusal::Deadline { iteration }),
+                Status::Cancelled => Err(Refusal::Cancelled { iteration }),
+                Status::Stalled => Err(Refusal::Stalled { iteration }),
+            }
         };
         let parts = self.config.planner.replan.sub_horizons;
         let length = N / parts;
@@ -406,37 +342,14 @@ impl Planner {
     }
 }
 
-impl NoPlan {
-    /// Whether time, not feasibility, was the reason.
-    pub fn out_of_time(&self) -> bool {
-        self.attempts.iter().any(|a| matches!(a.refused, Some(Refusal::Deadline { .. })))
-    }
-}
-
-impl Replan {
-    /// The plan the daemon executes.
-    pub fn plan(&self, config: &Config) -> Plan {
-        let mut work = Workspace::default();
-        Plan {
-            id: self.id(),
-            fingerprint: config.model.fingerprint(),
-            f: self.trajectory.f(&config.model, &mut work),
-            trajectory: self.trajectory.clone(),
-            gains: self.gains.knots.clone(),
-            final_gain: self.gains.end,
-        }
-    }
-}
-
-impl Replan {
-    /// A name that follows from the contents: equal plans have equal ids, different ones different ids.
-    fn id(&self) -> u64 {
-        let mut hash = xxhash_rust::xxh3::Xxh3::new();
-        let t = &self.trajectory;
-        let numbers = t.x.iter().flat_map(|x| x.iter()).chain(t.u.iter().flat_map(|u| u.iter()));
-        numbers.chain(std::iter::once(&t.t_f)).for_each(|v| hash.update(&v.to_le_bytes()));
-        hash.digest().max(1)
-    }
+/// All of x_T given.
+fn exact_target(x: &State) -> Vec<TargetRow> {
+    let row = |i: usize| {
+        let mut coefficients = State::zeros();
+        coefficients[i] = 1.0;
+        TargetRow { coefficients, value: x[i] }
+    };
+    (0..NX).map(row).collect()
 }
 
 /// q_A of a state, rad.

@@ -1,7 +1,8 @@
 //! The planner process: answers requests with plans.
 
+use crate::predict;
 use crate::qp::Solver;
-use crate::replan::{Planner, Replan};
+use crate::replan::{Effort, Manoeuvre, Planner, Replan};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -11,7 +12,7 @@ use upswing_ipc::{
     Domain, Mode, PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus, Subscriber, Telemetry,
     TelemetryBatch, Text,
 };
-use upswing_model::{NQ, NU, NX, State};
+use upswing_model::{ActuatedVector, NQ, NU, NX, State, Workspace};
 use upswing_trajectory::Plan;
 
 /// Options of the planner process.
@@ -46,15 +47,16 @@ fn serve(planner: &Planner, domain: &Domain, stop: &Arc<AtomicBool>) -> Result<(
     let server = node.planner_server()?;
     let publisher = node.plan_publisher()?;
     let telemetry = node.telemetry_subscriber()?;
-    let mut solver = planner.solver();
-    let mut newest = None;
+    let mut desk = Desk::new(planner);
     info!(entries = planner.entries().len(), domain = domain.name(), "planner ready");
     while !stop.load(Ordering::Acquire) {
-        newest = drain(&telemetry)?.or(newest);
+        if let Some(record) = drain(&telemetry)? {
+            desk.observe(record);
+        }
         let mut published = Vec::new();
-        server.poll(|request| {
-            let (response, plan) = answer(planner, &mut solver, request, newest.as_ref());
-            if request.publish == 1 {
+        let answered = server.poll_while_wanted(|request, wanted| {
+            let (response, plan) = desk.answer(request, wanted);
+            if request.publish == 1 && wanted() {
                 published.extend(plan);
             }
             response
@@ -64,7 +66,10 @@ fn serve(planner: &Planner, domain: &Domain, stop: &Arc<AtomicBool>) -> Result<(
             info!(id = format!("{:016x}", plan.id), t_f = plan.trajectory.t_f, "plan published");
         }
         publisher.greet()?;
-        std::thread::sleep(PAUSE);
+        if answered == 0 {
+            desk.prepare();
+            std::thread::sleep(PAUSE);
+        }
     }
     Ok(())
 }
@@ -78,53 +83,189 @@ fn drain(telemetry: &Subscriber<TelemetryBatch>) -> Result<Option<Telemetry>, up
     Ok(newest)
 }
 
-/// Answers one request; nothing in it is trusted.
-pub fn answer(
-    planner: &Planner,
-    solver: &mut Solver,
-    request: &PlannerRequest,
-    newest: Option<&Telemetry>,
-) -> (PlannerResponse, Option<Plan>) {
-    let begin = Instant::now();
-    let refuse = |status: PlannerStatus, reason: &str| {
-        warn!(reason, "request refused: {status}");
-        let response =
-            PlannerResponse { status: status.code(), reason: Text::new(reason), ..Default::default() };
-        (response, None)
-    };
-    match request.kind() {
-        Err(e) => return refuse(PlannerStatus::BadRequest, &e.to_string()),
-        Ok(PlannerKind::Status) => {
-            let entries = planner.entries().len();
-            let reason = Text::new(&format!("ready with {entries} database entries"));
-            return (
-                PlannerResponse { status: PlannerStatus::Solved.code(), reason, ..Default::default() },
-                None,
-            );
-        }
-        Ok(PlannerKind::SwingDown) => {
-            return refuse(PlannerStatus::BadRequest, "swing-down is not supported by this version");
-        }
-        Ok(PlannerKind::SwingUp) => {}
+/// What the planner knows between requests.
+pub struct Desk<'a> {
+    planner: &'a Planner,
+    solver: Solver,
+    /// The newest record of the daemon, and when it came.
+    newest: Option<(Telemetry, Instant)>,
+    /// A state at rest with the swing-up from it, or none if that failed.
+    prepared: Option<(State, Option<Replan>)>,
+}
+
+/// Why a request is refused.
+struct No(PlannerStatus, String);
+
+impl<'a> Desk<'a> {
+    /// Nothing observed, nothing prepared.
+    pub fn new(planner: &'a Planner) -> Self {
+        Self { planner, solver: planner.solver(), newest: None, prepared: None }
     }
-    let start = if request.from_now == 1 {
-        let Some(record) = newest else {
-            return refuse(PlannerStatus::NotReady, "no telemetry from the daemon yet: is upswingd running?");
-        };
-        if record.mode() != Ok(Mode::Hold) {
-            let mode = record.mode().map_or_else(|e| e.to_string(), |m| m.to_string());
-            let reason = format!(
-                "a swing-up from now needs the daemon in mode hold, it is in {mode}: enable it first"
-            );
-            return refuse(PlannerStatus::NotReady, &reason);
+
+    /// Takes note of the daemon's newest record.
+    pub fn observe(&mut self, record: Telemetry) {
+        self.newest = Some((record, Instant::now()));
+    }
+
+    /// While the arm holds and nothing moves, keeps a swing-up from here ready, so that a request is answered at once.
+    pub fn prepare(&mut self) {
+        let Some((record, _)) = &self.newest else { return };
+        let start = measured(record);
+        // In lockstep equal runs give equal plans, however long they take.
+        if in_lockstep(record)
+            || record.mode() != Ok(Mode::Hold)
+            || !at_rest(&start)
+            || check_start(self.planner, &start).is_err()
+        {
+            return;
         }
-        State::from_fn(|i, _| if i < NQ { record.q[i] } else { record.qd[i - NQ] })
-    } else {
-        State::from(request.start)
-    };
+        if self.prepared.as_ref().is_some_and(|(from, _)| near(from, &start)) {
+            return;
+        }
+        let effort = Effort::iterations(self.planner.config().planner.replan.iterations);
+        let replan = self.planner.replan_with(&mut self.solver, Manoeuvre::SwingUp, &start, &effort);
+        if let Err(e) = &replan {
+            warn!("no swing-up from the present pose: {e}");
+        }
+        self.prepared = Some((start, replan.ok()));
+    }
+
+    /// Answers one request, of which nothing is trusted; `wanted` tells whether somebody still waits.
+    pub fn answer(
+        &mut self,
+        request: &PlannerRequest,
+        wanted: &dyn Fn() -> bool,
+    ) -> (PlannerResponse, Option<Plan>) {
+        let begin = Instant::now();
+        let mut answer = match request.kind() {
+            Err(e) => Err(No(PlannerStatus::BadRequest, e.to_string())),
+            Ok(PlannerKind::Status) => {
+                let reason =
+                    Text::new(&format!("ready with {} database entries", self.planner.entries().len()));
+                let status = PlannerStatus::Solved.code();
+                Ok((PlannerResponse { status, reason, ..Default::default() }, None))
+            }
+            Ok(PlannerKind::SwingUp) => self.plan(Manoeuvre::SwingUp, request, begin, wanted),
+            Ok(PlannerKind::SwingDown) => self.plan(Manoeuvre::SwingDown, request, begin, wanted),
+        }
+        .unwrap_or_else(|No(status, reason)| {
+            warn!(reason, "request refused: {status}");
+            let reason = Text::new(&reason);
+            (PlannerResponse { status: status.code(), reason, ..Default::default() }, None)
+        });
+        answer.0.time_total_us = begin.elapsed().as_secs_f64() * 1e6;
+        answer
+    }
+
+    fn plan(
+        &mut self,
+        manoeuvre: Manoeuvre,
+        request: &PlannerRequest,
+        begin: Instant,
+        wanted: &dyn Fn() -> bool,
+    ) -> Result<(PlannerResponse, Option<Plan>), No> {
+        /// More linearisations than this change nothing any more.
+        const MOST_ITERATIONS: u64 = 100;
+        let iterations = match request.iterations {
+            0 => self.planner.config().planner.replan.iterations,
+            n if n <= MOST_ITERATIONS => n as usize,
+            n => {
+                let reason = format!("iterations: expected 0 (the setting) to {MOST_ITERATIONS}, got {n}");
+                return Err(No(PlannerStatus::BadRequest, reason));
+            }
+        };
+        let (start, due) = if request.from_now == 1 {
+            self.start_from_now(manoeuvre, begin)?
+        } else {
+            (State::from(request.start), None)
+        };
+        check_start(self.planner, &start)?;
+        let deadline = (request.budget_ms > 0)
+            .then(|| begin.checked_add(Duration::from_millis(request.budget_ms)))
+            .flatten();
+        let prepared = self.prepared.as_ref().filter(|(from, _)| {
+            manoeuvre == Manoeuvre::SwingUp
+                && request.from_now == 1
+                && request.iterations == 0
+                && near(from, &start)
+        });
+        if let Some((_, Some(replan))) = prepared {
+            let plan = replan.plan(self.planner.config());
+            let reason = Text::new("ready before it was asked for");
+            return Ok((PlannerResponse { plan_id: plan.id, reason, ..describe(replan) }, Some(plan)));
+        }
+        let cancelled = || !wanted();
+        let effort = Effort { iterations, deadline, cancelled: Some(&cancelled) };
+        let replan = self.planner.replan_with(&mut self.solver, manoeuvre, &start, &effort).map_err(|e| {
+            let status = if e.out_of_time() { PlannerStatus::Deadline } else { PlannerStatus::Infeasible };
+            No(status, e.to_string())
+        })?;
+        let plan = replan.plan(self.planner.config());
+        // The state the plan begins with is still to come.
+        std::thread::sleep(due.map_or(Duration::ZERO, |due| due.saturating_duration_since(Instant::now())));
+        Ok((PlannerResponse { plan_id: plan.id, ..describe(&replan) }, Some(plan)))
+    }
+
+    /// The measured state or, while something moves, the one that will be measured when a plan made now begins, and when
+    /// that is.
+    fn start_from_now(&self, manoeuvre: Manoeuvre, begin: Instant) -> Result<(State, Option<Instant>), No> {
+        let not_ready = |reason: String| No(PlannerStatus::NotReady, reason);
+        let Some((record, seen)) = &self.newest else {
+            return Err(not_ready("no telemetry from the daemon yet: is upswingd running?".into()));
+        };
+        let (name, needed, advice) = match manoeuvre {
+            Manoeuvre::SwingUp => ("swing-up", Mode::Hold, "enable it first"),
+            Manoeuvre::SwingDown => ("swing-down", Mode::Balance, "swing up first"),
+        };
+        if record.mode() != Ok(needed) {
+            let mode = record.mode().map_or_else(|e| e.to_string(), |m| m.to_string());
+            let reason =
+                format!("a {name} from now needs the daemon in mode {needed}, it is in {mode}: {advice}");
+            return Err(not_ready(reason));
+        }
+        let x = measured(record);
+        let lead = self.planner.config().planner.replan.lead;
+        if manoeuvre == Manoeuvre::SwingDown || at_rest(&x) || in_lockstep(record) || lead.is_zero() {
+            return Ok((x, None));
+        }
+        let config = self.planner.config();
+        let q_hold = ActuatedVector::from_fn(|i, _| record.q_d[i]);
+        let ahead = (begin + lead).duration_since(*seen).as_secs_f64();
+        let hold = &config.daemon.hold;
+        let x = predict::held(&config.model, hold, &x, &q_hold, ahead, &mut Workspace::default());
+        Ok((x, Some(begin + lead)))
+    }
+}
+
+/// x of a record, rad and rad/s.
+fn measured(record: &Telemetry) -> State {
+    State::from_fn(|i, _| if i < NQ { record.q[i] } else { record.qd[i - NQ] })
+}
+
+/// Whether a record comes from a system on the clock `lockstep`, on which all phase times are zero: time stands still
+/// while a plan is made.
+fn in_lockstep(record: &Telemetry) -> bool {
+    [record.wake_ns, record.read_ns, record.compute_ns, record.write_ns] == [0; 4]
+}
+
+/// Whether nothing moves but the noise of the velocity filter.
+fn at_rest(x: &State) -> bool {
+    /// rad/s
+    const REST: f64 = 0.02;
+    x.iter().skip(NQ).all(|v| v.abs() <= REST)
+}
+
+/// Whether a plan from one state is as good from the other, for states at rest.
+fn near(a: &State, b: &State) -> bool {
+    /// Angles, rad: a hundredth of what the daemon tolerates.
+    const ANGLE: f64 = 5e-4;
+    at_rest(a) && at_rest(b) && (0..NQ).all(|i| (a[i] - b[i]).abs() <= ANGLE)
+}
+
+fn check_start(planner: &Planner, start: &State) -> Result<(), No> {
     if let Some(i) = start.iter().position(|v| !v.is_finite()) {
         let reason = format!("start state: expected numbers, entry {i} is {}", start[i]);
-        return refuse(PlannerStatus::BadRequest, &reason);
+        return Err(No(PlannerStatus::BadRequest, reason));
     }
     let limits = &planner.config().robot.planning;
     for i in 0..NQ {
@@ -136,7 +277,7 @@ pub fn answer(
                 limits.q_max[i].to_degrees(),
                 start[i].to_degrees()
             );
-            return refuse(PlannerStatus::StartOutsideLimits, &reason);
+            return Err(No(PlannerStatus::StartOutsideLimits, reason));
         }
         if !(start[NQ + i].abs() <= limits.qd_max[i]) {
             let reason = format!(
@@ -145,36 +286,10 @@ pub fn answer(
                 limits.qd_max[i].to_degrees(),
                 start[NQ + i].to_degrees()
             );
-            return refuse(PlannerStatus::StartOutsideLimits, &reason);
+            return Err(No(PlannerStatus::StartOutsideLimits, reason));
         }
     }
-    let default = planner.config().planner.replan.iterations;
-    /// More linearisations than this change nothing any more.
-    const MOST_ITERATIONS: u64 = 100;
-    let iterations = match request.iterations {
-        0 => default,
-        n if n <= MOST_ITERATIONS => n as usize,
-        n => {
-            let reason = format!("iterations: expected 0 (the setting) to {MOST_ITERATIONS}, got {n}");
-            return refuse(PlannerStatus::BadRequest, &reason);
-        }
-    };
-    let deadline = (request.budget_ms > 0)
-        .then(|| begin.checked_add(Duration::from_millis(request.budget_ms)))
-        .flatten();
-    match planner.replan_with(solver, &start, iterations, deadline) {
-        Ok(replan) => {
-            let plan = replan.plan(planner.config());
-            let mut response = describe(&replan);
-            response.plan_id = plan.id;
-            response.time_total_us = begin.elapsed().as_secs_f64() * 1e6;
-            (response, Some(plan))
-        }
-        Err(e) => {
-            let status = if e.out_of_time() { PlannerStatus::Deadline } else { PlannerStatus::Infeasible };
-            refuse(status, &e.to_string())
-        }
-    }
+    Ok(())
 }
 
 fn describe(replan: &Replan) -> PlannerResponse {

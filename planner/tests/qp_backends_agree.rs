@@ -13,8 +13,8 @@ use upswing_trajectory::{N, Trajectory};
 const BACKENDS: [QpBackend; 2] = [QpBackend::Structured, QpBackend::Clarabel];
 
 /// Tight, so that inputs agree even where a bound is hardly active.
-const PRECISE: Options =
-    Options { tolerance: 1e-9, complementarity: 1e-16, max_iterations: 100, deadline: None };
+const PRECISE: Options<'_> =
+    Options { tolerance: 1e-9, complementarity: 1e-16, max_iterations: 100, deadline: None, cancelled: None };
 
 fn planner() -> Planner {
     Planner::new(Config::embedded().expect("embedded settings")).expect("the shipped database fits")

@@ -1,7 +1,7 @@
 //! A trajectory at its knots and between them.
 
 use crate::N;
-use upswing_model::{ActuatedVector, Model, State, Workspace};
+use upswing_model::{ActuatedVector, Model, NQ, State, Workspace};
 
 /// xi = (t_F, x_0..x_N, u_0..u_N) (7).
 #[derive(Clone, Debug, PartialEq)]
@@ -30,6 +30,21 @@ impl Trajectory {
         let f = self.f(model, work);
         let half_h = 0.5 * self.h();
         (0..N).map(|k| (self.x[k + 1] - self.x[k] - (f[k] + f[k + 1]) * half_h).amax()).fold(0.0, f64::max)
+    }
+
+    /// The motion run backwards: the same angles in reverse order with opposite velocities and the same inputs. It meets
+    /// (6b), limits and torques as the motion itself does, for the dynamics know no friction.
+    pub fn reversed(&self) -> Self {
+        let backwards = |x: &State| {
+            let mut x = *x;
+            x.fixed_rows_mut::<NQ>(NQ).neg_mut();
+            x
+        };
+        Self {
+            t_f: self.t_f,
+            x: self.x.iter().rev().map(backwards).collect(),
+            u: self.u.iter().rev().copied().collect(),
+        }
     }
 
     /// J of (6a) for R = `input_weight` I (s^4/rad^2): t_F + h/2 sum u_k' R u_k.

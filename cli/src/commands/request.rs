@@ -2,8 +2,9 @@
 
 use super::{CommonArgs, failed};
 use serde::Serialize;
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
-use upswing_config::process::Failure;
+use upswing_config::process::{Failure, shutdown_flag};
 use upswing_ipc::{ControlCommand, ControlRequest, ControlResponse, Node, PlannerKind, PlannerRequest};
 
 /// How long to wait for an answer.
@@ -27,6 +28,8 @@ pub struct RequestArgs {
 pub enum What {
     /// Plan from the present state, then start the plan
     SwingUp,
+    /// Plan from upright to hanging at rest, then start the plan
+    SwingDown,
     /// Hold the arm where it is
     Hold,
     /// Decelerate the arm, then hold
@@ -64,7 +67,8 @@ pub fn run(args: &RequestArgs) -> Result<(), Failure> {
     let node = args.common.connect()?;
     let control = |command| control(&node, command);
     let answer = match args.what {
-        What::SwingUp => return swing_up(&node, &args.common),
+        What::SwingUp => return plan_and_start(PlannerKind::SwingUp, &node, &args.common),
+        What::SwingDown => return plan_and_start(PlannerKind::SwingDown, &node, &args.common),
         What::Hold => control(ControlCommand::Hold)?,
         What::Stop => control(ControlCommand::Stop)?,
         What::Enable => control(ControlCommand::Enable)?,
@@ -79,15 +83,12 @@ pub fn run(args: &RequestArgs) -> Result<(), Failure> {
     })
 }
 
-fn swing_up(node: &Node, common: &CommonArgs) -> Result<(), Failure> {
+fn plan_and_start(kind: PlannerKind, node: &Node, common: &CommonArgs) -> Result<(), Failure> {
+    // Ctrl-C withdraws the request: the planner stops, and nothing moves.
+    let interrupted = shutdown_flag()?;
     let planner = node.planner_client().map_err(failed)?;
-    let request = PlannerRequest {
-        kind: PlannerKind::SwingUp.code(),
-        from_now: 1,
-        publish: 1,
-        ..PlannerRequest::default()
-    };
-    let plan = planner.call(&request, PATIENCE).map_err(failed)?;
+    let request = PlannerRequest { kind: kind.code(), from_now: 1, publish: 1, ..PlannerRequest::default() };
+    let plan = planner.call_unless(&request, PATIENCE, &interrupted).map_err(failed)?;
     if plan.plan_id == 0 {
         return Err(failed(format!(
             "the planner refused: {}",
@@ -99,6 +100,9 @@ fn swing_up(node: &Node, common: &CommonArgs) -> Result<(), Failure> {
         let status = control(node, ControlCommand::Status)?;
         if status.plan_id == plan.plan_id {
             break;
+        }
+        if interrupted.load(Ordering::Acquire) {
+            return Err(failed("interrupted before the start of the plan; nothing moves"));
         }
         if begin.elapsed() > PATIENCE {
             return Err(failed(format!("the daemon did not take the plan: {}", reason(&status))));

@@ -51,12 +51,15 @@ impl Rows {
 }
 
 /// Solves the QP from scratch.
-pub(super) fn solve(qp: &Qp, options: &Options, solution: &mut Solution) -> Status {
+pub(super) fn solve(qp: &Qp, options: &Options<'_>, solution: &mut Solution) -> Status {
     let n = qp.defects.len();
     // Variables: z_0..z_n, dt and, where bounds yield, by how much each of them does.
     let t = (n + 1) * NZ;
     let soft = if qp.compliance > 0.0 { 2 * (n * NX + (n + 1) * NU + 1) } else { 0 };
     let variables = t + 1 + soft;
+    if let Some(status) = options.stop() {
+        return status;
+    }
     let mut weights = Vec::with_capacity(variables);
     let mut gradient = Vec::with_capacity(variables);
     for (weight, g) in qp.weight.iter().zip(&qp.gradient) {

@@ -145,13 +145,15 @@ pub enum Status {
     Infeasible(Option<Conflict>),
     /// The deadline passed.
     Deadline,
+    /// Stopped from outside.
+    Cancelled,
     /// No progress, or out of iterations.
     Stalled,
 }
 
 /// When a solver stops.
-#[derive(Clone, Copy, Debug)]
-pub struct Options {
+#[derive(Clone, Copy)]
+pub struct Options<'a> {
     /// Largest residual of a solution: constraints (rad, rad/s, shares of half a torque range) and stationarity,
     /// relative to the largest multiplier where that is above one.
     pub tolerance: f64,
@@ -162,12 +164,22 @@ pub struct Options {
     pub max_iterations: usize,
     /// No iteration is begun after this.
     pub deadline: Option<Instant>,
+    /// Asked before each iteration: whether to stop.
+    pub cancelled: Option<&'a dyn Fn() -> bool>,
 }
 
-impl Options {
+impl Options<'_> {
+    /// Why no further iteration may begin, if so.
+    fn stop(&self) -> Option<Status> {
+        if self.cancelled.is_some_and(|cancelled| cancelled()) {
+            return Some(Status::Cancelled);
+        }
+        self.deadline.is_some_and(|d| Instant::now() >= d).then_some(Status::Deadline)
+    }
+
     /// With the given tolerance for everything, no deadline, and more iterations than any feasible QP seen has needed.
     pub fn new(tolerance: f64) -> Self {
-        Self { tolerance, complementarity: tolerance, max_iterations: 100, deadline: None }
+        Self { tolerance, complementarity: tolerance, max_iterations: 100, deadline: None, cancelled: None }
     }
 }
 
@@ -207,7 +219,7 @@ impl Solver {
     }
 
     /// Solves `qp` from scratch.
-    pub fn solve(&mut self, qp: &Qp, options: &Options) -> Status {
+    pub fn solve(&mut self, qp: &Qp, options: &Options<'_>) -> Status {
         match self {
             Self::Structured(s) => s.solve(qp, false, options),
             Self::Clarabel(solution) => clarabel::solve(qp, options, solution),
@@ -216,7 +228,7 @@ impl Solver {
 
     /// Solves `qp`, the linearisation around the solution of the QP before, from that one's multipliers where the
     /// back end can use them.
-    pub fn solve_again(&mut self, qp: &Qp, options: &Options) -> Status {
+    pub fn solve_again(&mut self, qp: &Qp, options: &Options<'_>) -> Status {
         match self {
             Self::Structured(s) => s.solve(qp, true, options),
             Self::Clarabel(solution) => clarabel::solve(qp, options, solution),

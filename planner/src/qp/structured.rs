@@ -12,7 +12,6 @@
 use super::{Conflict, Limit, Options, Qp, Solution, Status};
 use crate::kkt::{Factor, Kkt, KnotDynamics, KnotMatrix, KnotVector, Rhs, SolveWorkspace, Step, TargetRow};
 use nalgebra::SMatrix;
-use std::time::Instant;
 use upswing_model::{N_UNACTUATED, NQ, NU, NX, NZ, State};
 
 /// Number of bounded quantities: torques of knot 0, then states and torques of each knot, then dt.
@@ -498,7 +497,7 @@ impl Structured {
     }
 
     /// Solves `qp`, from the multipliers of the last one if `warm`.
-    pub(super) fn solve(&mut self, qp: &Qp, warm: bool, options: &Options) -> Status {
+    pub(super) fn solve(&mut self, qp: &Qp, warm: bool, options: &Options<'_>) -> Status {
         self.load(qp);
         self.start(qp, warm);
         let mut status = self.run(qp, options);
@@ -511,7 +510,7 @@ impl Structured {
         status
     }
 
-    fn run(&mut self, qp: &Qp, options: &Options) -> Status {
+    fn run(&mut self, qp: &Qp, options: &Options<'_>) -> Status {
         for iteration in 0..=options.max_iterations {
             self.solution.iterations = iteration;
             self.residuals(qp);
@@ -526,8 +525,8 @@ impl Structured {
             if let Some(conflict) = self.contradiction(qp) {
                 return Status::Infeasible(Some(conflict));
             }
-            if options.deadline.is_some_and(|d| Instant::now() >= d) {
-                return Status::Deadline;
+            if let Some(status) = options.stop() {
+                return status;
             }
             self.condense(qp);
             if !self.factor() {

@@ -1,0 +1,73 @@
+//! Where the system will be when a plan begins.
+
+use upswing_config::HoldGains;
+use upswing_model::{ActuatedVector, Model, N_ACTUATED, NQ, State, Workspace};
+
+/// The state `seconds` after `x` (rad, rad/s) while the daemon holds the arm at `q_hold` (rad) and the pendulum swings
+/// freely; classical Runge-Kutta with steps of about a millisecond.
+pub fn held(
+    model: &Model,
+    gains: &HoldGains,
+    x: &State,
+    q_hold: &ActuatedVector,
+    seconds: f64,
+    work: &mut Workspace,
+) -> State {
+    /// s
+    const STEP: f64 = 1e-3;
+    let mut f = |x: &State| {
+        let u = ActuatedVector::from_fn(|i, _| {
+            gains.stiffness[i] * (q_hold[i] - x[i]) - gains.damping[i] * x[NQ + i]
+        });
+        model.f(x, &u, work)
+    };
+    let steps = (seconds / STEP).ceil().max(1.0);
+    let h = seconds / steps;
+    let mut x = *x;
+    for _ in 0..steps as usize {
+        let k1 = f(&x);
+        let k2 = f(&(x + k1 * (h / 2.0)));
+        let k3 = f(&(x + k2 * (h / 2.0)));
+        let k4 = f(&(x + k3 * h));
+        x += (k1 + (k2 + k3) * 2.0 + k4) * (h / 6.0);
+    }
+    x
+}
+
+const _: () = assert!(N_ACTUATED <= NQ);
+
+#[cfg(test)]
+mod tests {
+    use super::held;
+    use upswing_config::{Config, PendulumStart};
+    use upswing_model::{ActuatedVector, Workspace};
+
+    fn rest(config: &Config) -> upswing_model::State {
+        let q = [0.0, -15.0, 0.0, -95.0, 0.0, 10.0, 0.0].map(f64::to_radians);
+        config.start_state(&q, PendulumStart::Rest).expect("a start at rest")
+    }
+
+    #[test]
+    fn a_system_at_rest_stays() {
+        let config = Config::embedded().expect("embedded settings");
+        let x = rest(&config);
+        let q_hold = ActuatedVector::from_fn(|i, _| x[i]);
+        let later = held(&config.model, &config.daemon.hold, &x, &q_hold, 0.5, &mut Workspace::default());
+        assert!((later - x).amax() < 1e-9, "moved by {:e}", (later - x).amax());
+    }
+
+    #[test]
+    fn energy_of_a_free_swing_is_kept_and_two_halves_make_a_whole() {
+        let config = Config::embedded().expect("embedded settings");
+        let mut work = Workspace::default();
+        let mut x = rest(&config);
+        x[8] += 0.3;
+        let q_hold = ActuatedVector::from_fn(|i, _| x[i]);
+        let mut go = |x, seconds| held(&config.model, &config.daemon.hold, x, &q_hold, seconds, &mut work);
+        let (half, whole) = (go(&x, 0.2), go(&x, 0.4));
+        assert!((go(&half, 0.2) - whole).amax() < 1e-10);
+        assert!((whole - x).amax() > 0.1, "the pendulum swings");
+        let energy = |x| config.model.energy(x, &mut Workspace::default());
+        assert!((energy(&whole) - energy(&x)).abs() < 1e-6);
+    }
+}

@@ -1,0 +1,161 @@
+//! What comes of a replan: the plan, or the reason for each entry tried.
+
+use super::LARGEST_DEFECT;
+use crate::lqr::{self, Gains};
+use crate::nearest::Neighbour;
+use crate::qp::Conflict;
+use std::time::Duration;
+use upswing_config::Config;
+use upswing_model::Workspace;
+use upswing_trajectory::{Margins, Plan, Trajectory};
+
+/// One neighbour that was tried.
+#[derive(Clone, Debug)]
+pub struct Attempt {
+    /// The entry and its distance.
+    pub entry: Neighbour,
+    /// Why it was not used, `None` for the one that was.
+    pub refused: Option<Refusal>,
+}
+
+/// Why a neighbour gave no plan.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum Refusal {
+    /// The constraints of a QP cannot be met together.
+    #[error("QP {iteration} is infeasible{}", conflict.map_or(String::new(), |c| format!(": it would exceed {c}")))]
+    Infeasible {
+        /// Which linearisation, from 1.
+        iteration: usize,
+        /// The limit that stands in the way, where the solver knows it.
+        conflict: Option<Conflict>,
+    },
+    /// A QP was neither solved nor found infeasible.
+    #[error("QP {iteration}: the solver made no progress")]
+    Stalled {
+        /// Which linearisation, from 1.
+        iteration: usize,
+    },
+    /// The real dynamics are not met.
+    #[error(
+        "defect {defect:.1e} rad/s of the real dynamics after {iterations} QPs; expected at most {LARGEST_DEFECT:.0e}"
+    )]
+    Defect {
+        /// Largest component of (6b).
+        defect: f64,
+        /// QPs solved.
+        iterations: usize,
+    },
+    /// A limit is exceeded between the knots.
+    #[error("{limit} limit of joint {} is exceeded by {:.2} % at {time:.3} s", joint + 1, -100.0 * share)]
+    Limit {
+        /// Position, velocity or torque.
+        limit: &'static str,
+        /// 0-based.
+        joint: usize,
+        /// Share of the range, negative.
+        share: f64,
+        /// s
+        time: f64,
+    },
+    /// The time budget was used up.
+    #[error("the time budget was used up before QP {iteration} was solved")]
+    Deadline {
+        /// The QP that was not begun or not finished, from 1.
+        iteration: usize,
+    },
+    /// Nobody waits for the plan any more.
+    #[error("cancelled before QP {iteration} was solved")]
+    Cancelled {
+        /// The QP that was not begun or not finished, from 1.
+        iteration: usize,
+    },
+    /// No stabilising gain at the end.
+    #[error(transparent)]
+    Gain(#[from] lqr::NotStabilisable),
+}
+
+/// Times of the steps of a replan.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Times {
+    /// Search of the database.
+    pub nearest: Duration,
+    /// All QPs, with their linearisations.
+    pub qp: Duration,
+    /// Checks of the result on the real dynamics.
+    pub check: Duration,
+    /// Gains.
+    pub lqr: Duration,
+    /// Everything.
+    pub total: Duration,
+}
+
+/// A replanned trajectory with its gains.
+#[derive(Clone, Debug)]
+pub struct Replan {
+    /// The trajectory from the given start.
+    pub trajectory: Trajectory,
+    /// Its gains.
+    pub gains: Gains,
+    /// The entries tried, in order; the last one was used.
+    pub attempts: Vec<Attempt>,
+    /// Linearisations for the entry used.
+    pub iterations: usize,
+    /// Largest defect (6b) of the real dynamics.
+    pub defect: f64,
+    /// Margins to the limits, between knots too.
+    pub margins: Margins,
+    /// How long it took.
+    pub times: Times,
+}
+
+/// No neighbour led to a plan.
+#[derive(Clone, Debug)]
+pub struct NoPlan {
+    /// The entries tried, with the reasons.
+    pub attempts: Vec<Attempt>,
+}
+
+impl std::fmt::Display for NoPlan {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "none of the {} nearest database entries could be adapted", self.attempts.len())?;
+        for a in &self.attempts {
+            if let Some(refusal) = &a.refused {
+                write!(f, "; entry {} ({:.3} rad away): {refusal}", a.entry.index, a.entry.distance)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl std::error::Error for NoPlan {}
+
+impl NoPlan {
+    /// Whether time, not feasibility, was the reason.
+    pub fn out_of_time(&self) -> bool {
+        self.attempts.iter().any(|a| matches!(a.refused, Some(Refusal::Deadline { .. })))
+    }
+}
+
+impl Replan {
+    /// The plan the daemon executes.
+    pub fn plan(&self, config: &Config) -> Plan {
+        let mut work = Workspace::default();
+        Plan {
+            id: self.id(),
+            fingerprint: config.model.fingerprint(),
+            f: self.trajectory.f(&config.model, &mut work),
+            trajectory: self.trajectory.clone(),
+            gains: self.gains.knots.clone(),
+            final_gain: self.gains.end,
+        }
+    }
+
+    /// A name that follows from the contents: equal plans have equal ids, different ones different ids.
+    fn id(&self) -> u64 {
+        let mut hash = xxhash_rust::xxh3::Xxh3::new();
+        let t = &self.trajectory;
+        let numbers = t.x.iter().flat_map(|x| x.iter()).chain(t.u.iter().flat_map(|u| u.iter()));
+        numbers.chain(std::iter::once(&t.t_f)).for_each(|v| hash.update(&v.to_le_bytes()));
+        hash.digest().max(1)
+    }
+}
