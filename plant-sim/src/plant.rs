@@ -109,7 +109,7 @@ impl Plant {
         self.sense();
     }
 
-    /// Adds a fault from the next cycle or a later one on.
+    /// Adds a fault from the cycle [`Plant::seq`] on, which must not have been measured yet, or from a later one.
     ///
     /// # Errors
     /// [`SetEventError`]: it cannot be, begins too early, or there are too many.
@@ -122,7 +122,7 @@ impl Plant {
         self.faults.clear();
     }
 
-    /// Adds a push from the next cycle or a later one on.
+    /// Adds a push from the cycle [`Plant::seq`] or a later one on.
     ///
     /// # Errors
     /// As [`Plant::set_fault`].

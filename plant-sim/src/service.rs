@@ -1,8 +1,8 @@
 //! The process: the plant on its clock, its measurements, and the `plant` service.
 
-use crate::Plant;
 use crate::clock::{Patience, now_ns, sleep_until, wake_precisely};
 use crate::link::{Link, search};
+use crate::{Plant, SetEventError};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
 use std::time::Duration;
@@ -62,7 +62,8 @@ pub(crate) fn serve(
         })?;
         let link = Link::new(found);
         let outcome = node.measurement_writer().map(|writer| {
-            let front = Front { plant, clock: settings.clock, granted: 0, server, failing: false };
+            let front =
+                Front { plant, clock: settings.clock, granted: 0, measured: false, server, failing: false };
             let watchdog_cycles = settings.watchdog_cycles;
             Service { front, writer, published: 0, link, watchdog_cycles, shutdown }.run();
         });
@@ -237,6 +238,7 @@ impl Service<'_> {
     /// Publishes what the daemon finds in this cycle; its number if that is something new. Its time is simulated unless
     /// the cycle's (CLOCK_MONOTONIC, ns) is given.
     fn publish(&mut self, now: Option<u64>) -> Option<u64> {
+        self.front.measured = true;
         let plant = &self.front.plant;
         let measured = plant.measure();
         if measured.seq == self.published {
@@ -255,6 +257,7 @@ impl Service<'_> {
         let plant = &mut self.front.plant;
         let (before, seq) = (plant.brakes_closed(), plant.seq());
         plant.step(command);
+        self.front.measured = false;
         match (before, plant.brakes_closed()) {
             (true, false) => info!(cycle = seq, "brakes released"),
             (false, true) => info!(cycle = seq, drive_fault = plant.drive_fault(), "brakes closed"),
@@ -284,6 +287,8 @@ struct Front {
     clock: Clock,
     /// Cycle up to which lockstep may advance.
     granted: u64,
+    /// Whether the daemon could see the measurement of this cycle already.
+    measured: bool,
     server: Server<PlantRequest>,
     /// Whether the service failed when it was looked at last.
     failing: bool,
@@ -297,8 +302,9 @@ impl Front {
 
     /// Answers all waiting requests.
     fn serve(&mut self) {
-        let Self { plant, clock, granted, server, failing } = self;
-        let outcome = server.poll(|request| answer(plant, *clock, granted, request));
+        let Self { plant, clock, granted, measured, server, failing } = self;
+        let next = plant.seq() + u64::from(*measured);
+        let outcome = server.poll(|request| answer(plant, *clock, granted, next, request));
         if let Err(e) = &outcome
             && !*failing
         {
@@ -308,8 +314,14 @@ impl Front {
     }
 }
 
-/// Does what a request asks, or says why not.
-fn answer(plant: &mut Plant, clock: Clock, granted: &mut u64, request: &PlantRequest) -> PlantResponse {
+/// Does what a request asks, or says why not. `next`: the first cycle that it can concern.
+fn answer(
+    plant: &mut Plant,
+    clock: Clock,
+    granted: &mut u64,
+    next: u64,
+    request: &PlantRequest,
+) -> PlantResponse {
     let outcome = match request.kind() {
         Err(e) => Err(e.to_string()),
         Ok(PlantKind::Status) => Ok(()),
@@ -317,18 +329,17 @@ fn answer(plant: &mut Plant, clock: Clock, granted: &mut u64, request: &PlantReq
             .reset(&JointVector::from(request.q), &JointVector::from(request.qd))
             .map_err(|e| e.to_string()),
         Ok(PlantKind::AdvanceTo) => advance_to(clock, granted, request.seq),
-        Ok(PlantKind::SetFault) => set_fault(plant, request),
+        Ok(PlantKind::SetFault) => {
+            first_cycle(next, request).and_then(|from| set_fault(plant, from, request))
+        }
         Ok(PlantKind::ClearFaults) => {
             plant.clear_faults();
             Ok(())
         }
-        Ok(PlantKind::Push) => plant
-            .push(&Push {
-                from: first_cycle(plant, request),
-                cycles: request.cycles,
-                impulse: request.impulse,
-            })
-            .map_err(|e| e.to_string()),
+        Ok(PlantKind::Push) => first_cycle(next, request).and_then(|from| {
+            let push = Push { from, cycles: request.cycles, impulse: request.impulse };
+            plant.push(&push).map_err(|e| e.to_string())
+        }),
     };
     PlantResponse {
         accepted: outcome.is_ok().into(),
@@ -341,7 +352,7 @@ fn answer(plant: &mut Plant, clock: Clock, granted: &mut u64, request: &PlantReq
     }
 }
 
-fn set_fault(plant: &mut Plant, request: &PlantRequest) -> Result<(), String> {
+fn set_fault(plant: &mut Plant, from: u64, request: &PlantRequest) -> Result<(), String> {
     let kind = usize::try_from(request.fault).ok().and_then(|code| FaultKind::all().get(code));
     let Some(kind) = kind.copied() else {
         let max = FaultKind::all().len() - 1;
@@ -350,13 +361,17 @@ fn set_fault(plant: &mut Plant, request: &PlantRequest) -> Result<(), String> {
     // Joint 0, of kinds without one, is none either.
     let joint = usize::try_from(request.joint).unwrap_or(usize::MAX).wrapping_sub(1);
     let (cycles, amount) = (request.cycles, request.amount);
-    let fault = Fault { kind, from: first_cycle(plant, request), cycles, joint, amount };
+    let fault = Fault { kind, from, cycles, joint, amount };
     plant.set_fault(&fault).map_err(|e| e.to_string())
 }
 
 /// First cycle of what a request asks for.
-fn first_cycle(plant: &Plant, request: &PlantRequest) -> u64 {
-    if request.seq == 0 { plant.seq() } else { request.seq }
+fn first_cycle(next: u64, request: &PlantRequest) -> Result<u64, String> {
+    match request.seq {
+        0 => Ok(next),
+        got if got < next => Err(SetEventError::Past { next, got }.to_string()),
+        seq => Ok(seq),
+    }
 }
 
 fn advance_to(clock: Clock, granted: &mut u64, seq: u64) -> Result<(), String> {

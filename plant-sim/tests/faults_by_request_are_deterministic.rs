@@ -86,6 +86,30 @@ fn a_push_under_a_scenario() {
 }
 
 #[test]
+fn a_request_in_the_middle_of_a_cycle_takes_effect_with_the_next() {
+    let domain = TestDomain::new("middle");
+    let _plant = PlantProcess::start(&domain, &["--clock", "paced"]);
+    let peer = Peer::join(&domain);
+    let mut daemon = Answerer::join(&peer);
+    daemon.answer_until("released brakes", || peer.status().brakes_closed == 0);
+    let fault = FaultKind::DropMeasurement.code();
+    let drop = PlantRequest { kind: PlantKind::SetFault.code(), fault, cycles: 5, ..Default::default() };
+    for _ in 0..20 {
+        // This measurement is out, and the plant waits for its answer while it serves the request.
+        let out = wait_for("a measurement", || Some(daemon.measurements.read()).filter(|m| m.seq > 0));
+        assert_eq!(peer.ask(drop).accepted, 1);
+        let past = peer.ask(PlantRequest { seq: out.seq, ..drop });
+        assert!(past.reason.as_str().unwrap().contains("what is over cannot be changed"), "{}", past.reason);
+        let mut seen = vec![out.seq];
+        while seen.len() < 30 {
+            seen.extend(daemon.answer().map(|m| m.seq).filter(|seq| *seq != out.seq));
+        }
+        let gaps: Vec<_> = seen.windows(2).map(|pair| pair[1] - pair[0]).filter(|gap| *gap != 1).collect();
+        assert_eq!(gaps, [6], "five measurements are missing, once: {seen:?}");
+    }
+}
+
+#[test]
 fn faults_are_cleared() {
     let config = settings();
     let domain = TestDomain::new("cleared");
