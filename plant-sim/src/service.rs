@@ -1,13 +1,13 @@
 //! The process: the plant on its clock, its measurements, and the `plant` service.
 
-use crate::Plant;
 use crate::clock::{Patience, now_ns, sleep_until, wake_precisely};
 use crate::link::{Link, search};
+use crate::{Plant, SetEventError};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
 use std::time::Duration;
 use tracing::{info, warn};
-use upswing_config::Config;
+use upswing_config::{Config, Fault, FaultKind, Push};
 use upswing_ipc::{
     Clock, Command, Domain, IpcError, Measurement, PlantKind, PlantRequest, PlantResponse, Server, Text,
     Writer,
@@ -25,7 +25,7 @@ const SERVE_PERIOD_NS: u64 = 1_000_000;
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Settings {
     clock: Clock,
-    /// Cycles without a fresh command after which the brakes close (wall).
+    /// Cycles without a fresh command after which the daemon counts as lost (wall).
     watchdog_cycles: u32,
 }
 
@@ -62,8 +62,10 @@ pub(crate) fn serve(
         })?;
         let link = Link::new(found);
         let outcome = node.measurement_writer().map(|writer| {
-            let front = Front { plant, clock: settings.clock, granted: 0, server, failing: false };
-            Service { front, writer, link, watchdog_cycles: settings.watchdog_cycles, shutdown }.run();
+            let front =
+                Front { plant, clock: settings.clock, granted: 0, measured: false, server, failing: false };
+            let watchdog_cycles = settings.watchdog_cycles;
+            Service { front, writer, published: 0, link, watchdog_cycles, shutdown }.run();
         });
         done.store(true, Ordering::Release);
         searcher.thread().unpark();
@@ -83,6 +85,8 @@ enum Presence {
 struct Service<'a> {
     front: Front,
     writer: Writer<Measurement>,
+    /// `seq` of the measurement published last.
+    published: u64,
     link: Link,
     watchdog_cycles: u32,
     shutdown: &'a AtomicBool,
@@ -110,8 +114,8 @@ impl Service<'_> {
         let period = self.front.plant.period_ns();
         let tolerated = period.saturating_mul(self.watchdog_cycles.into());
         let mut deadline = now_ns();
-        let mut held: Option<Command> = None;
-        let mut age = 0;
+        let mut presence = Presence::Awaited;
+        let mut age = 0_u32;
         let (mut moves, mut next_report) = (0_u64, 0);
         while !self.stopped() {
             let now = now_ns();
@@ -130,23 +134,16 @@ impl Service<'_> {
                 }
             }
             // The state is that of the deadline, even if this process is late to say so.
-            let seq = self.publish(Some(deadline));
-            match self.link.take(seq) {
-                Some(command) => {
-                    if held.is_none() {
-                        info!(cycle = seq, "daemon found");
-                    }
-                    held = Some(command);
-                    age = 0;
-                }
-                None => age += u32::from(held.is_some()),
+            self.publish(Some(deadline));
+            let command = self.link.take(self.front.plant.seq());
+            age = if command.is_some() { 0 } else { age.saturating_add(1) };
+            if command.is_some() && presence != Presence::Present {
+                presence = self.found();
+            } else if presence == Presence::Present && age >= self.watchdog_cycles {
+                warn!(cycle = self.front.plant.seq(), cycles = age, "daemon lost: no fresh command");
+                presence = Presence::Lost;
             }
-            if held.is_some() && age >= self.watchdog_cycles {
-                warn!(cycle = seq, cycles = age, "daemon lost: no fresh command");
-                held = None;
-                age = 0;
-            }
-            self.step(held.as_ref());
+            self.step(command.as_ref());
             self.front.serve();
             deadline += period;
             self.wait_until(deadline);
@@ -164,11 +161,13 @@ impl Service<'_> {
             if presence != Presence::Present && self.link.take(self.front.completed()).is_some() {
                 presence = self.found();
             }
-            let seq = self.publish(None);
+            let shown = self.publish(None);
             let waits = presence == Presence::Present || (presence == Presence::Awaited && !paced);
             let mut answer = None;
-            if waits {
-                answer = self.wait_for_answer(seq, &mut presence);
+            if let Some(shown) = shown
+                && waits
+            {
+                answer = self.wait_for_answer(shown, &mut presence);
             }
             if self.stopped() {
                 break;
@@ -178,10 +177,10 @@ impl Service<'_> {
                 self.wait_until(deadline);
             }
             if presence != Presence::Present
-                && let Some(command) = self.link.take(seq)
+                && let Some(command) = self.link.take(self.front.plant.seq())
             {
                 presence = self.found();
-                answer = Some(command).filter(|c| c.measurement_seq == seq);
+                answer = Some(command).filter(|c| Some(c.measurement_seq) == shown);
             }
             self.step(answer.as_ref());
             self.front.serve();
@@ -202,11 +201,12 @@ impl Service<'_> {
         !self.stopped()
     }
 
-    /// Waits for the command that answers measurement `seq`; None if the daemon is lost or on shutdown.
+    /// Waits for the command that answers the measurement `seq`; None if the daemon is lost or on shutdown.
     fn wait_for_answer(&mut self, seq: u64, presence: &mut Presence) -> Option<Command> {
         let mut patience = Patience::new();
+        let newest = self.front.plant.seq();
         loop {
-            if let Some(command) = self.link.take(seq) {
+            if let Some(command) = self.link.take(newest) {
                 if *presence != Presence::Present {
                     *presence = self.found();
                     patience = Patience::new();
@@ -235,18 +235,29 @@ impl Service<'_> {
         Presence::Present
     }
 
-    /// Publishes the measurement of this cycle; returns its number. Its time is simulated unless given.
-    fn publish(&self, t_ns: Option<u64>) -> u64 {
-        let measured = self.front.plant.measure();
-        let t_ns = t_ns.unwrap_or(measured.t_ns);
+    /// Publishes what the daemon finds in this cycle; its number if that is something new. Its time is simulated unless
+    /// the cycle's (CLOCK_MONOTONIC, ns) is given.
+    fn publish(&mut self, now: Option<u64>) -> Option<u64> {
+        self.front.measured = true;
+        let plant = &self.front.plant;
+        let measured = plant.measure();
+        if measured.seq == self.published {
+            return None;
+        }
+        self.published = measured.seq;
+        // A late measurement, or a stale time, is as old on one clock as on the other.
+        let simulated = plant.seq().saturating_mul(plant.period_ns());
+        let t_ns =
+            now.map_or(measured.t_ns, |now| now.saturating_sub(simulated.saturating_sub(measured.t_ns)));
         self.writer.write(Measurement { t_ns, clock: self.front.clock.code(), ..measured });
-        measured.seq
+        Some(measured.seq)
     }
 
     fn step(&mut self, command: Option<&Command>) {
         let plant = &mut self.front.plant;
         let (before, seq) = (plant.brakes_closed(), plant.seq());
         plant.step(command);
+        self.front.measured = false;
         match (before, plant.brakes_closed()) {
             (true, false) => info!(cycle = seq, "brakes released"),
             (false, true) => info!(cycle = seq, drive_fault = plant.drive_fault(), "brakes closed"),
@@ -276,6 +287,8 @@ struct Front {
     clock: Clock,
     /// Cycle up to which lockstep may advance.
     granted: u64,
+    /// Whether the daemon could see the measurement of this cycle already.
+    measured: bool,
     server: Server<PlantRequest>,
     /// Whether the service failed when it was looked at last.
     failing: bool,
@@ -289,8 +302,9 @@ impl Front {
 
     /// Answers all waiting requests.
     fn serve(&mut self) {
-        let Self { plant, clock, granted, server, failing } = self;
-        let outcome = server.poll(|request| answer(plant, *clock, granted, request));
+        let Self { plant, clock, granted, measured, server, failing } = self;
+        let next = plant.seq() + u64::from(*measured);
+        let outcome = server.poll(|request| answer(plant, *clock, granted, next, request));
         if let Err(e) = &outcome
             && !*failing
         {
@@ -300,8 +314,14 @@ impl Front {
     }
 }
 
-/// Does what a request asks, or says why not.
-fn answer(plant: &mut Plant, clock: Clock, granted: &mut u64, request: &PlantRequest) -> PlantResponse {
+/// Does what a request asks, or says why not. `next`: the first cycle that it can concern.
+fn answer(
+    plant: &mut Plant,
+    clock: Clock,
+    granted: &mut u64,
+    next: u64,
+    request: &PlantRequest,
+) -> PlantResponse {
     let outcome = match request.kind() {
         Err(e) => Err(e.to_string()),
         Ok(PlantKind::Status) => Ok(()),
@@ -309,9 +329,17 @@ fn answer(plant: &mut Plant, clock: Clock, granted: &mut u64, request: &PlantReq
             .reset(&JointVector::from(request.q), &JointVector::from(request.qd))
             .map_err(|e| e.to_string()),
         Ok(PlantKind::AdvanceTo) => advance_to(clock, granted, request.seq),
-        Ok(kind @ (PlantKind::SetFault | PlantKind::ClearFaults)) => {
-            Err(format!("{kind} is not supported by this version"))
+        Ok(PlantKind::SetFault) => {
+            first_cycle(next, request).and_then(|from| set_fault(plant, from, request))
         }
+        Ok(PlantKind::ClearFaults) => {
+            plant.clear_faults();
+            Ok(())
+        }
+        Ok(PlantKind::Push) => first_cycle(next, request).and_then(|from| {
+            let push = Push { from, cycles: request.cycles, impulse: request.impulse };
+            plant.push(&push).map_err(|e| e.to_string())
+        }),
     };
     PlantResponse {
         accepted: outcome.is_ok().into(),
@@ -321,6 +349,28 @@ fn answer(plant: &mut Plant, clock: Clock, granted: &mut u64, request: &PlantReq
         brakes_closed: plant.brakes_closed().into(),
         tau_peak: (*plant.tau_peak()).into(),
         reason: Text::new(&outcome.err().unwrap_or_default()),
+    }
+}
+
+fn set_fault(plant: &mut Plant, from: u64, request: &PlantRequest) -> Result<(), String> {
+    let kind = usize::try_from(request.fault).ok().and_then(|code| FaultKind::all().get(code));
+    let Some(kind) = kind.copied() else {
+        let max = FaultKind::all().len() - 1;
+        return Err(format!("fault: expected a code from 0 to {max}, got {}", request.fault));
+    };
+    // Joint 0, of kinds without one, is none either.
+    let joint = usize::try_from(request.joint).unwrap_or(usize::MAX).wrapping_sub(1);
+    let (cycles, amount) = (request.cycles, request.amount);
+    let fault = Fault { kind, from, cycles, joint, amount };
+    plant.set_fault(&fault).map_err(|e| e.to_string())
+}
+
+/// First cycle of what a request asks for.
+fn first_cycle(next: u64, request: &PlantRequest) -> Result<u64, String> {
+    match request.seq {
+        0 => Ok(next),
+        got if got < next => Err(SetEventError::Past { next, got }.to_string()),
+        seq => Ok(seq),
     }
 }
 
