@@ -6,6 +6,7 @@
 use crate::checks::Checks;
 use crate::filter::DifferentialFilter;
 use crate::law;
+use crate::plan::{Ending, rod};
 use crate::supervisor::{Event, Refusal, Request, Trip, TripCause, is_braked, transition};
 use nalgebra::Vector3;
 use upswing_config::{Config, HoldGains};
@@ -325,6 +326,7 @@ impl Controller {
                 self.rod_at_end = rod(&self.model, x_n);
                 self.start = self.now;
                 self.trip = None;
+                // From Balance another plan ran until now.
                 *garbage = self.running.take();
                 self.running = self.loaded.take();
             }
@@ -337,13 +339,16 @@ impl Controller {
     }
 
     fn enter(&mut self, to: Mode) {
-        let q = self.x.fixed_rows::<NU>(0).into();
-        match to {
-            // From Stop the pose is there already.
-            Mode::Hold if self.mode != Mode::Stop => {
-                self.arm = ArmReference { q, qd: ActuatedVector::zeros() }
+        let q: ActuatedVector = self.x.fixed_rows::<NU>(0).into();
+        match (self.mode, to) {
+            // The pose is there already.
+            (Mode::Stop, Mode::Hold | Mode::Stop) => {}
+            (Mode::Track, Mode::Hold) => {
+                let end = self.running.as_ref().map_or(q, |plan| plan.end().x.fixed_rows::<NU>(0).into());
+                self.arm = ArmReference { q: end, qd: ActuatedVector::zeros() };
             }
-            Mode::Stop if self.mode != Mode::Stop => {
+            (_, Mode::Hold) => self.arm = ArmReference { q, qd: ActuatedVector::zeros() },
+            (_, Mode::Stop) => {
                 self.arm = ArmReference { q, qd: self.x.fixed_rows::<NU>(NQ).into() };
                 self.rest_since = None;
             }
@@ -352,17 +357,22 @@ impl Controller {
         self.mode = to;
     }
 
-    /// Track and Balance: u = u_d + K (x - x_d). `None` if the plan had to be given up.
+    /// Track and Balance: u = u_d + K (x - x_d). `None` if the plan ended in Hold or had to be given up.
     fn follow(&mut self) -> Option<Target> {
+        let t_plan = self.now.saturating_sub(self.start) as f64 * 1e-9;
+        if self.running.as_ref().is_some_and(|plan| t_plan >= plan.trajectory.t_f)
+            && let Ok(to) = transition(self.mode, Event::PlanEnded(Ending::of(&self.rod_at_end)))
+        {
+            self.enter(to);
+            if to == Mode::Hold {
+                return None;
+            }
+        }
         let Some(plan) = self.running.as_deref() else {
             // Not reached: a start fills it, and only a start enters Track.
             self.enter(Mode::Stop);
             return None;
         };
-        let t_plan = self.now.saturating_sub(self.start) as f64 * 1e-9;
-        if t_plan >= plan.trajectory.t_f {
-            self.mode = transition(self.mode, Event::PlanEnded).unwrap_or(self.mode);
-        }
         let (reference, lost) = if self.mode == Mode::Track {
             let reference = plan.reference(t_plan);
             (reference, self.checks.tracking(&self.x, &reference.x))
@@ -448,10 +458,4 @@ impl Controller {
 fn is_complete(plan: &Plan) -> bool {
     let knots = plan.trajectory.x.len();
     knots > 1 && [plan.trajectory.u.len(), plan.f.len(), plan.gains.len()].iter().all(|len| *len == knots)
-}
-
-/// From the last joint to the tip of the rod in the world frame, m.
-fn rod(model: &Model, x: &State) -> Vector3<f64> {
-    let q = position(x);
-    model.tip(&q) - model.poses(&q)[NQ - 1].translation.vector
 }

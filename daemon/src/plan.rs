@@ -1,9 +1,10 @@
 //! From a plan in shared memory to one that the controller may run.
 
+use nalgebra::Vector3;
 use thiserror::Error;
 use upswing_config::Config;
 use upswing_ipc::Plan as Payload;
-use upswing_model::{ActuatedVector, NQ, NU, NX, State, Workspace};
+use upswing_model::{ActuatedVector, Model, NQ, NU, NX, State, Workspace, position, velocity};
 use upswing_trajectory::{Gain, Plan, Trajectory};
 
 /// Longest plan, s.
@@ -15,6 +16,31 @@ const VELOCITY_TOLERANCE: f64 = 1e-2;
 const TORQUE_TOLERANCE: f64 = 0.05;
 /// How far f_k may be from f(x_k, u_k) of this daemon's model, relative to 1 + |f|.
 const DERIVATIVE_TOLERANCE: f64 = 1e-6;
+/// How far the end of a plan may be from rest, rad/s, and its rod from the vertical, rad.
+const END_SPEED: f64 = 1e-2;
+const END_TILT: f64 = 2e-2;
+
+/// What a plan ends in, and so what follows it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ending {
+    /// The rod stands: it has to be balanced.
+    Upright,
+    /// The rod hangs: the arm is held.
+    Hanging,
+}
+
+impl Ending {
+    /// Whether the rod along `rod` (world frame, z up) stands or hangs.
+    pub fn of(rod: &Vector3<f64>) -> Self {
+        if rod.z > 0.0 { Self::Upright } else { Self::Hanging }
+    }
+}
+
+/// From the last joint to the tip of the rod at the state `x`, world frame (z up), m.
+pub fn rod(model: &Model, x: &State) -> Vector3<f64> {
+    let q = position(x);
+    model.tip(&q) - model.poses(&q)[NQ - 1].translation.vector
+}
 
 /// Why a plan was refused: the first check that failed.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -72,6 +98,19 @@ pub enum PlanRefusal {
         /// Upper limit.
         highest: f64,
     },
+    /// The plan ends neither standing nor hanging at rest.
+    #[error(
+        "the plan ends at {speed:.4} rad/s with the rod {upright:.4} rad from upright and {hanging:.4} rad from hanging, \
+         expected at most {END_SPEED} rad/s and {END_TILT} rad from one of both"
+    )]
+    End {
+        /// Largest joint velocity at x_N, rad/s.
+        speed: f64,
+        /// Angle of the rod from upright, rad.
+        upright: f64,
+        /// Angle of the rod from hanging, rad.
+        hanging: f64,
+    },
     /// f_k is not that of the model.
     #[error("f at knot {knot}, row {row} is {got}, the model gives {expected}")]
     Derivative {
@@ -87,7 +126,8 @@ pub enum PlanRefusal {
 }
 
 /// Checks a plan in this order: checksum, fingerprint, id, finite numbers (states, inputs, derivatives, gains), t_F,
-/// and at each knot positions, velocities and torque (9) against the limits for plans, f_k against the model.
+/// at each knot positions, velocities and torque (9) against the limits for plans, f_k against the model, and an end at
+/// rest with the rod standing or hanging.
 /// `payload` must be a copy that nobody else can write to.
 ///
 /// # Errors
@@ -114,6 +154,7 @@ pub fn accept(payload: &Payload, config: &Config) -> Result<Box<Plan>, PlanRefus
     }
     let plan = convert(payload);
     check_knots(&plan, config)?;
+    check_end(&plan, &config.model)?;
     Ok(plan)
 }
 
@@ -173,4 +214,17 @@ fn check_knots(plan: &Plan, config: &Config) -> Result<(), PlanRefusal> {
         }
     }
     Ok(())
+}
+
+fn check_end(plan: &Plan, model: &Model) -> Result<(), PlanRefusal> {
+    let end = plan.end().x;
+    let rod = rod(model, &end);
+    let upright = rod.xy().norm().atan2(rod.z);
+    let hanging = std::f64::consts::PI - upright;
+    let speed = velocity(&end).amax();
+    if speed <= END_SPEED && upright.min(hanging) <= END_TILT {
+        Ok(())
+    } else {
+        Err(PlanRefusal::End { speed, upright, hanging })
+    }
 }

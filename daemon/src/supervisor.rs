@@ -3,6 +3,7 @@
 //! [`transition`] is the only place that says which mode follows which; [`crate::controller`] adds the guards
 //! (fresh measurement, plan that fits) and does what a mode does.
 
+use crate::plan::Ending;
 use std::fmt;
 use thiserror::Error;
 use upswing_ipc::Mode;
@@ -48,8 +49,8 @@ impl fmt::Display for Request {
 pub enum Event {
     /// Somebody asked.
     Asked(Request),
-    /// t >= t_F.
-    PlanEnded,
+    /// t >= t_F, and what the plan ends in.
+    PlanEnded(Ending),
     /// Tracking error, tilt of the rod or range of the pendulum beyond its trip level.
     Lost,
     /// All of q_A at rest.
@@ -74,13 +75,14 @@ pub fn transition(mode: Mode, event: Event) -> Result<Mode, Refusal> {
     use Mode::{Balance, Fault, Hold, Idle, Stop, Track};
     match (mode, event) {
         (Idle, Event::Asked(Request::Enable)) => Ok(Hold),
-        (Hold, Event::Asked(Request::Start)) => Ok(Track),
+        (Hold | Balance, Event::Asked(Request::Start)) => Ok(Track),
         (Hold | Balance, Event::Asked(Request::Hold)) => Ok(Hold),
         (Hold | Track | Balance, Event::Asked(Request::Stop)) => Ok(Stop),
         (Fault, Event::Asked(Request::Reset)) => Ok(Idle),
         (Hold | Track | Balance | Stop, Event::Asked(Request::Shutdown)) => Ok(Stop),
         (Idle | Fault, Event::Asked(Request::Shutdown)) => Ok(mode),
-        (Track, Event::PlanEnded) => Ok(Balance),
+        (Track, Event::PlanEnded(Ending::Upright)) => Ok(Balance),
+        (Track, Event::PlanEnded(Ending::Hanging)) => Ok(Hold),
         (Track | Balance, Event::Lost) => Ok(Stop),
         (Stop, Event::AtRest) => Ok(Hold),
         (Stop, Event::AtRestForGood) => Ok(Idle),

@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{PERIOD_NS, at_rest, config, measurement, rest_plan, rest_pose};
+use common::{PERIOD_NS, at_rest, config, measurement, rest_plan, rest_pose, upright_pose};
 use upswing_ipc::{Clock, Measurement, Mode, Telemetry};
 use upswing_model::JointVector;
 use upswingd::controller::{Controller, Order, Output};
@@ -10,8 +10,11 @@ use upswingd::supervisor::{Refusal, Request, TripCause};
 
 /// An enabled controller after its second measurement, and the pose it holds.
 fn enabled() -> (Controller, JointVector) {
+    enabled_at(rest_pose(&config()))
+}
+
+fn enabled_at(q: JointVector) -> (Controller, JointVector) {
     let config = config();
-    let q = rest_pose(&config);
     let mut controller = Controller::new(&config);
     controller.step(&measurement(1, &q), 0, Some(Order::Do(Request::Enable)));
     controller.step(&measurement(2, &q), 0, None);
@@ -19,9 +22,9 @@ fn enabled() -> (Controller, JointVector) {
     (controller, q)
 }
 
-/// One in Balance at the rest pose.
+/// One in Balance.
 fn balancing() -> (Controller, JointVector) {
-    let (mut controller, q) = enabled();
+    let (mut controller, q) = enabled_at(upright_pose());
     let config = config();
     let plan = rest_plan(&config, &at_rest(&q), 0.0005);
     controller.step(&measurement(3, &q), 0, Some(Order::Load(plan)));
@@ -243,7 +246,7 @@ fn pendulum_range() {
     // A tilt that is never lost, so that joint 8 comes to 180 + 20 + 5 deg.
     let mut config = config();
     config.daemon.balance_lost = 4.0;
-    let mut q = rest_pose(&config);
+    let mut q = upright_pose();
     let mut controller = Controller::new(&config);
     let plan = rest_plan(&config, &at_rest(&q), 0.0005);
     let orders = [Order::Do(Request::Enable), Order::Load(plan), Order::Do(Request::Start)];

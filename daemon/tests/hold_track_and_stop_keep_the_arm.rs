@@ -2,9 +2,9 @@
 
 mod common;
 
-use common::{Arm, at_rest, config, rest_plan, rest_pose};
+use common::{Arm, at_rest, config, rest_plan, rest_pose, upright_pose};
 use upswing_ipc::{Mode, Telemetry};
-use upswing_model::{NQ, NU, position};
+use upswing_model::{JointVector, NQ, NU, State, position};
 use upswingd::controller::{Controller, Order};
 use upswingd::supervisor::Request;
 
@@ -29,9 +29,13 @@ impl Loop {
     }
 }
 
-fn enabled() -> (Loop, upswing_model::State) {
+fn enabled() -> (Loop, State) {
+    enabled_at(&rest_pose(&config()))
+}
+
+fn enabled_at(q: &JointVector) -> (Loop, State) {
     let config = config();
-    let x = at_rest(&rest_pose(&config));
+    let x = at_rest(q);
     let mut system = Loop { arm: Arm::new(&config, x), controller: Controller::new(&config) };
     assert_eq!(system.ask(Request::Enable).mode, Mode::Hold.code());
     (system, x)
@@ -61,8 +65,8 @@ fn hold_returns_after_a_push() {
 }
 
 #[test]
-fn a_plan_at_rest_is_tracked_and_then_balanced() {
-    let (mut system, x) = enabled();
+fn a_plan_that_stands_is_tracked_and_then_balanced() {
+    let (mut system, x) = enabled_at(&upright_pose());
     let config = config();
     system.cycle(Some(Order::Load(rest_plan(&config, &x, 0.05))));
     let first = system.ask(Request::Start);

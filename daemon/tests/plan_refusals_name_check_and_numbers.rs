@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{at_rest, config, rest_payload, rest_plan, rest_pose};
+use common::{at_rest, config, rest_payload, rest_plan, rest_pose, upright_pose};
 use upswing_config::Config;
 use upswing_ipc::Plan as Payload;
 use upswing_model::{NQ, State};
@@ -96,6 +96,23 @@ fn derivatives_of_another_model() {
 }
 
 #[test]
+fn an_end_that_neither_stands_nor_hangs() {
+    let (config, x) = rest();
+    let mut moving = x;
+    moving[NQ] = 0.02;
+    let text = accept(&rest_payload(&config, &moving, 1.0), &config).unwrap_err().to_string();
+    assert!(text.contains("ends at 0.0200 rad/s") && text.contains("at most 0.01 rad/s"), "{text}");
+    let mut leaning = x;
+    leaning[8] += 0.3;
+    let text = accept(&rest_payload(&config, &leaning, 1.0), &config).unwrap_err().to_string();
+    assert!(text.contains("2.8416 rad from upright and 0.3000 rad from hanging"), "{text}");
+    // Both ways to end are accepted.
+    for q in [rest_pose(&config), upright_pose()] {
+        accept(&rest_payload(&config, &at_rest(&q), 1.0), &config).unwrap();
+    }
+}
+
+#[test]
 fn start_elsewhere() {
     let (config, x) = rest();
     let mut controller = Controller::new(&config);
@@ -119,9 +136,9 @@ fn start_elsewhere() {
         refusal.to_string().contains("joint 3 is at 0.0000 rad, the plan starts at 0.1000 rad"),
         "{refusal}"
     );
-    elsewhere = x;
-    elsewhere[NQ] = 0.3;
-    step(Order::Load(rest_plan(&config, &elsewhere, 1.0))).unwrap();
+    let mut moving = rest_plan(&config, &x, 1.0);
+    moving.trajectory.x[0][NQ] = 0.3;
+    step(Order::Load(moving)).unwrap();
     let text = step(Order::Do(Request::Start)).unwrap_err().to_string();
     assert!(text.contains("joint 1") && text.contains("0.3000 rad/s"), "{text}");
 }

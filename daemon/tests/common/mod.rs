@@ -4,7 +4,10 @@
 use upswing_config::Config;
 use upswing_ipc::{Clock, Command, Measurement, Plan as Payload};
 use upswing_model::{JointVector, NQ, NU, State, Workspace, position, state, velocity};
-use upswing_trajectory::Plan;
+use upswing_planner::lqr;
+use upswing_planner::replan::Planner;
+use upswing_planner::service::payload;
+use upswing_trajectory::{Plan, Trajectory};
 
 /// T_s, s and ns.
 pub const PERIOD: f64 = 125e-6;
@@ -19,6 +22,14 @@ pub fn rest_pose(config: &Config) -> JointVector {
     let mut q = JointVector::zeros();
     q[3] = -std::f64::consts::FRAC_PI_2;
     config.model.rest_position(&q, &mut Workspace::default()).unwrap()
+}
+
+/// x_T (8) with the arm at [0, 0, 0, -90, 0, 0, 0] deg: the pendulum stands.
+pub fn upright_pose() -> JointVector {
+    let mut q = JointVector::zeros();
+    q[3] = -std::f64::consts::FRAC_PI_2;
+    q[7] = std::f64::consts::PI;
+    q
 }
 
 pub fn at_rest(q: &JointVector) -> State {
@@ -90,6 +101,31 @@ pub fn rest_payload(config: &Config, x: &State, t_f: f64) -> Box<Payload> {
     payload.k.fill(gain);
     payload.seal();
     payload
+}
+
+/// A swing-up from hanging at rest, and from its end back to where it began.
+pub fn swing(config: &Config, q: &JointVector) -> (Box<Plan>, Box<Plan>) {
+    let planner = Planner::new(config.clone()).unwrap();
+    let up = planner.replan(&at_rest(q), config.planner.replan.iterations, None).unwrap().plan(config);
+    // Mechanics without friction runs backwards as well: x_k = [q, -qd] of the other end with the same u.
+    let trajectory = Trajectory {
+        t_f: up.trajectory.t_f,
+        x: up.trajectory.x.iter().rev().map(|x| state(&position(x), &-velocity(x))).collect(),
+        u: up.trajectory.u.iter().rev().copied().collect(),
+    };
+    let mut work = Workspace::default();
+    let gains = lqr::synthesize(&config.model, &trajectory, &config.planner.lqr, PERIOD, &mut work).unwrap();
+    let down = Plan {
+        id: 8,
+        fingerprint: up.fingerprint,
+        f: trajectory.f(&config.model, &mut work),
+        trajectory,
+        gains: gains.knots,
+        final_gain: gains.end,
+    };
+    // Through shared memory and the checks, as in life.
+    let [up, down] = [up, down].map(|plan| upswingd::plan::accept(&payload(&plan), config).unwrap());
+    (up, down)
 }
 
 /// [`rest_payload`] as the controller takes it.
