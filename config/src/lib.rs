@@ -16,7 +16,8 @@ mod robot;
 mod start;
 
 pub use daemon::{
-    CycleSettings, DaemonSettings, HoldGains, RealtimeMode, RealtimeSettings, StartTolerance, TripLimits,
+    CycleSettings, DaemonSettings, HoldGains, Level, Levels, PlanWhileTracking, RealtimeMode,
+    RealtimeSettings, RecorderSettings, RecoverySettings, StartTolerance,
 };
 pub use error::ConfigError;
 pub use grid::{GridAxis, GridSettings};

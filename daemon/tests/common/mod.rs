@@ -3,11 +3,11 @@
 
 use upswing_config::Config;
 use upswing_ipc::{Clock, Command, Measurement, Plan as Payload};
-use upswing_model::{JointVector, NQ, NU, State, Workspace, position, state, velocity};
+use upswing_model::{ActuatedVector, JointVector, NQ, NU, State, Workspace, position, state, velocity};
 use upswing_planner::lqr;
 use upswing_planner::replan::Planner;
 use upswing_planner::service::payload;
-use upswing_trajectory::{Plan, Trajectory};
+use upswing_trajectory::{KNOTS, Plan, Trajectory};
 
 /// T_s, s and ns.
 pub const PERIOD: f64 = 125e-6;
@@ -50,6 +50,7 @@ pub fn measurement(seq: u64, q: &JointVector) -> Measurement {
 }
 
 /// The robot without encoder steps, friction or delays.
+#[derive(Clone)]
 pub struct Arm {
     config: Config,
     work: Workspace,
@@ -86,7 +87,8 @@ impl Arm {
     }
 }
 
-/// A sealed plan that stays at `x` for `t_f` s, with gains that stiffen the arm.
+/// A sealed plan that stays at `x` for `t_f` s, with gains that stiffen the arm where the rod hangs, and that balance it
+/// where it stands.
 pub fn rest_payload(config: &Config, x: &State, t_f: f64) -> Box<Payload> {
     let f = config.model.f(x, &nalgebra::SVector::zeros(), &mut Workspace::default());
     let mut payload = Payload::boxed_zeroed();
@@ -96,6 +98,12 @@ pub fn rest_payload(config: &Config, x: &State, t_f: f64) -> Box<Payload> {
     for i in 0..NU {
         payload.k_final[i][i] = -100.0;
         payload.k_final[i][NQ + i] = -20.0;
+    }
+    if x[NQ - 2] > 3.0 {
+        let still = Trajectory { t_f: 0.01, x: vec![*x; KNOTS], u: vec![ActuatedVector::zeros(); KNOTS] };
+        let mut work = Workspace::default();
+        let gains = lqr::synthesize(&config.model, &still, &config.planner.lqr, PERIOD, &mut work).unwrap();
+        payload.k_final = std::array::from_fn(|i| std::array::from_fn(|j| gains.end[(i, j)]));
     }
     let gain = payload.k_final;
     payload.k.fill(gain);
