@@ -170,6 +170,9 @@ impl Controller {
         self.warnings = 0;
         let braked = is_braked(self.mode);
         let (fresh, restarted) = self.observer.observe(measurement, &self.checks, braked, &mut self.warnings);
+        if matches!(self.mode, Mode::Idle | Mode::Hold) {
+            self.observer.drop_turns();
+        }
         // Without a new measurement it is a cycle on the wall clock only, on the others an order between cycles.
         self.cycle += u64::from(fresh || wall);
 
@@ -221,7 +224,7 @@ impl Controller {
                 | flag(torque.limited, Telemetry::LIMITED)
                 | flag(brake == 1, Telemetry::BRAKE),
             t_plan: target.t_plan,
-            q: measurement.q,
+            q: self.observer.position(measurement).into(),
             qd: velocity(&self.observer.x).into(),
             q_d: position(&target.x_d).into(),
             qd_d: velocity(&target.x_d).into(),

@@ -9,7 +9,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use upswing_config::RecorderSettings;
 use upswing_ipc::Telemetry;
-use xxhash_rust::xxh3::xxh3_64;
+use xxhash_rust::xxh3::{Xxh3, xxh3_64};
 
 /// The first word: what the file is, and the version of its records.
 pub const MAGIC: u64 = u64::from_le_bytes(*b"upswfl02");
@@ -61,17 +61,17 @@ impl Recorder {
         let since = std::time::UNIX_EPOCH.elapsed().map_or(0, |time| time.as_millis());
         // Names sort by time.
         let path = directory.join(format!("{since:015}-{}.{EXTENSION}", std::process::id()));
-        let mut bytes = Vec::with_capacity(WORD * (4 + RECORD_WORDS * self.ring.len()));
-        for word in [MAGIC, RECORD_WORDS as u64, self.ring.len() as u64] {
-            bytes.extend(word.to_le_bytes());
-        }
-        self.records().for_each(|record| bytes.extend(record.words().flat_map(u64::to_le_bytes)));
-        bytes.extend(xxh3_64(&bytes).to_le_bytes());
         // Complete or not there: a reader never sees half a file under the final name.
         let unfinished = path.with_extension("part");
-        let mut file = fs::File::create(&unfinished)?;
-        file.write_all(&bytes)?;
-        file.sync_all()?;
+        let mut file = io::BufWriter::new(fs::File::create(&unfinished)?);
+        let mut hash = Xxh3::new();
+        let header = [MAGIC, RECORD_WORDS as u64, self.ring.len() as u64];
+        for word in header.into_iter().chain(self.records().flat_map(Telemetry::words)) {
+            hash.update(&word.to_le_bytes());
+            file.write_all(&word.to_le_bytes())?;
+        }
+        file.write_all(&hash.digest().to_le_bytes())?;
+        file.into_inner()?.sync_all()?;
         fs::rename(&unfinished, &path)?;
         remove_oldest(directory, settings.keep)?;
         Ok(Some(path))

@@ -3,9 +3,15 @@
 use crate::checks::Checks;
 use crate::filter::DifferentialFilter;
 use crate::trip::{Trip, TripCause};
+use std::f64::consts::{PI, TAU};
 use upswing_config::CycleSettings;
 use upswing_ipc::{Clock, Measurement};
-use upswing_model::{JointVector, State, state};
+use upswing_model::{JointVector, NU, State, state};
+
+/// The first joint of the pendulum, q8: the only one that can turn over.
+const Q8: usize = NU;
+/// How far past half a turn q8 may be before a turn is dropped, rad: so that a rod held upright does not flicker.
+const SLACK: f64 = 0.5;
 
 /// The newest measurement, filtered and checked.
 #[derive(Clone, Debug)]
@@ -24,6 +30,8 @@ pub struct Observer {
     clock: u64,
     /// Cycles without a new measurement.
     age: u32,
+    /// Whole turns of q8 that do not count any more, rad.
+    turned: f64,
 }
 
 impl Observer {
@@ -38,6 +46,7 @@ impl Observer {
             filtered_seq: 0,
             clock: 0,
             age: 0,
+            turned: 0.0,
         }
     }
 
@@ -71,7 +80,7 @@ impl Observer {
         }
         let gap = checks.gap(missed, warnings).filter(|_| !braked);
         self.unfit = self.unfit.or(gap);
-        let q = JointVector::from(measurement.q);
+        let q = self.position(measurement);
         let cycles = self.seq - self.filtered_seq;
         let last = self.filter.last();
         if let Some(trip) = last.and_then(|last| checks.jump(last, &q, cycles, warnings)) {
@@ -86,11 +95,30 @@ impl Observer {
         (true, restarted)
     }
 
+    /// The measured angles, q8 without the turns that do not count, rad.
+    pub fn position(&self, measurement: &Measurement) -> JointVector {
+        let mut q = JointVector::from(measurement.q);
+        q[Q8] -= self.turned;
+        q
+    }
+
+    /// Drops whole turns of q8: a pendulum that fell over to the other side hangs at 0 again, where plans can begin. Only
+    /// while nothing depends on q8.
+    pub fn drop_turns(&mut self) {
+        let q8 = self.x[Q8];
+        if q8.abs() > PI + SLACK {
+            let turns = (q8 / TAU).round() * TAU;
+            self.turned += turns;
+            self.x[Q8] -= turns;
+            self.filter.shift(Q8, -turns);
+        }
+    }
+
     /// Forgets a plant that has gone or restarted.
     pub fn restart(&mut self) -> Trip {
         let trip = Trip::plain(TripCause::MeasurementRestarted);
         self.filter.reset();
-        (self.seq, self.filtered_seq, self.age) = (0, 0, 0);
+        (self.seq, self.filtered_seq, self.age, self.turned) = (0, 0, 0, 0.0);
         self.unfit = Some(trip);
         trip
     }

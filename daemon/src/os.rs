@@ -8,7 +8,7 @@ use upswing_ipc::Degradation;
 /// What has to be there of locked memory if it is limited: the process with all its segments uses less.
 const ENOUGH_MEMORY: libc::rlim_t = 256 << 20;
 /// Heap that is in memory before the first cycle: rings, recorder, plans.
-const HEAP: usize = 24 << 20;
+const HEAP: usize = 18 << 20;
 /// Stack that is in memory before the first cycle; the cycle uses less.
 const STACK: usize = 256 << 10;
 const PAGE: usize = 4096;
@@ -59,8 +59,8 @@ pub struct Prepared {
 /// Prepares the process before it opens or maps anything: memory locked and touched, no deep sleep of the CPU. Returns
 /// also what was refused.
 pub fn prepare_process() -> (Prepared, Vec<Refused>) {
-    let memory = lock_memory().map_err(|why| Refused { what: Degradation::Memory, why });
     touch_heap();
+    let memory = lock_memory().map_err(|why| Refused { what: Degradation::Memory, why });
     let latency = forbid_deep_sleep().map_err(|why| Refused { what: Degradation::DmaLatency, why });
     let (latency, denied) = match latency {
         Ok(file) => (file, None),
@@ -69,7 +69,9 @@ pub fn prepare_process() -> (Prepared, Vec<Refused>) {
     (Prepared { _latency: latency }, memory.err().into_iter().chain(denied).collect())
 }
 
-/// Keeps all memory of the process, also that of the future, out of swap and free of page faults.
+/// Keeps all memory of the process, also that of the future, out of swap; what is there now is free of page faults. What
+/// comes later is locked when it is touched: shared memory is sized for the worst case, and the parts of it that the
+/// real-time thread uses are touched by the other thread first.
 fn lock_memory() -> Result<(), String> {
     let unlimited = libc::rlimit { rlim_cur: libc::RLIM_INFINITY, rlim_max: libc::RLIM_INFINITY };
     let mut limit = unlimited;
@@ -90,11 +92,13 @@ fn lock_memory() -> Result<(), String> {
             limit.rlim_cur
         ));
     }
-    // SAFETY: no pointers; it changes the residency of memory, not its contents.
-    match unsafe { libc::mlockall(libc::MCL_CURRENT | libc::MCL_FUTURE) } {
-        0 => Ok(()),
-        _ => Err(format!("memory lock ({}; {GRANT})", Error::last_os_error())),
+    for what in [libc::MCL_CURRENT, libc::MCL_FUTURE | libc::MCL_ONFAULT] {
+        // SAFETY: no pointers; it changes the residency of memory, not its contents.
+        if unsafe { libc::mlockall(what) } != 0 {
+            return Err(format!("memory lock ({}; {GRANT})", Error::last_os_error()));
+        }
     }
+    Ok(())
 }
 
 /// Whether the process has CAP_IPC_LOCK, for which the limit does not count.

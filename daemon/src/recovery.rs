@@ -69,13 +69,15 @@ impl Recovery {
         let telemetry = &record.telemetry;
         let before = self.mode;
         (self.mode, self.now) = (telemetry.mode().unwrap_or(Mode::Fault), telemetry.t_ns);
-        let fell = matches!(
-            record.trip.map(|trip| trip.cause),
-            Some(TripCause::BalanceLost | TripCause::PendulumRange | TripCause::TrackingError)
-        );
         // A loss while tracking is one to recover from only if the recovery itself had begun to swing up.
-        let was_up = before == Mode::Balance || (before == Mode::Track && self.attempts > 0);
-        if self.mode == Mode::Stop && was_up && fell && self.attempts < self.settings.attempts {
+        let fell = match record.trip.map(|trip| trip.cause) {
+            Some(TripCause::BalanceLost) => true,
+            Some(TripCause::PendulumRange) => before == Mode::Balance || self.attempts > 0,
+            Some(TripCause::TrackingError) => self.attempts > 0,
+            _ => false,
+        };
+        let stops = self.mode == Mode::Stop && before != Mode::Stop;
+        if stops && fell && self.attempts < self.settings.attempts {
             self.stage = Stage::Settling { lost: self.now, rest: None };
         }
         if !matches!(self.mode, Mode::Stop | Mode::Hold) {

@@ -191,6 +191,8 @@ impl<'a> Desk<'a> {
         match self.plants.poll() {
             Ok(Some(reader)) => {
                 info!("found a plant, started at {} ns", reader.epoch());
+                // Its memory is mapped now, not in the real-time thread.
+                reader.read();
                 if self.ends.readers.push(reader).is_err() {
                     self.complain(
                         "the real-time thread does not take the measurements of a new plant".into(),

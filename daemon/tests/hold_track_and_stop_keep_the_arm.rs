@@ -130,3 +130,42 @@ fn shutdown_comes_to_rest_before_the_brakes_close() {
     let output = system.controller.step(&system.arm.measure(), 0, Some(Order::Do(Request::Enable)));
     assert!(output.answer.unwrap().is_err(), "nothing starts any more");
 }
+
+#[test]
+fn a_pendulum_that_turned_over_hangs_at_zero_again() {
+    let config = config();
+    let q = rest_pose(&config);
+    let mut controller = Controller::new(&config);
+    controller.step(&common::measurement(1, &q), 0, Some(Order::Do(Request::Enable)));
+    let (mut turning, turn) = (q, std::f64::consts::TAU);
+    let mut seq = 1;
+    // A turn and a half, at 10 rad/s.
+    while turning[7] < q[7] + 1.5 * turn {
+        turning[7] += 10.0 * common::PERIOD;
+        seq += 1;
+        let output = controller.step(&common::measurement(seq, &turning), 0, None);
+        assert_eq!(output.record.telemetry.mode, Mode::Hold.code(), "{:?}", controller.trip());
+        let shown = output.record.telemetry.q[7];
+        assert!(shown.abs() < 0.5 * turn + 0.51, "{shown}");
+        assert!(((turning[7] - shown) / turn).fract().abs() < 1e-9, "only whole turns go");
+        let speed = output.record.telemetry.qd[7];
+        assert!(seq < 1000 || (speed - 10.0).abs() < 0.2, "{speed} rad/s");
+    }
+    // Plans count q8 as the controller does.
+    turning[7] = q[7] + turn;
+    (1..2000).for_each(|_| {
+        seq += 1;
+        controller.step(&common::measurement(seq, &turning), 0, None);
+    });
+    for order in [
+        Order::Do(Request::Reset),
+        Order::Do(Request::Enable),
+        Order::Load(rest_plan(&config, &at_rest(&q), 1.0)),
+    ] {
+        seq += 1;
+        let _ = controller.step(&common::measurement(seq, &turning), 0, Some(order)).answer;
+    }
+    seq += 1;
+    let output = controller.step(&common::measurement(seq, &turning), 0, Some(Order::Do(Request::Start)));
+    assert_eq!((output.answer, controller.mode()), (Some(Ok(())), Mode::Track));
+}

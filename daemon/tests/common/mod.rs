@@ -1,6 +1,8 @@
 //! A simulated arm and plans for tests.
 #![allow(dead_code)] // each test file uses its own part
 
+pub mod live;
+
 use upswing_config::Config;
 use upswing_ipc::{Clock, Command, Measurement, Plan as Payload};
 use upswing_model::{ActuatedVector, JointVector, NQ, NU, State, Workspace, position, state, velocity};

@@ -91,7 +91,8 @@ pub struct Telemetry {
     pub flags: u64,
     /// t, time since the plan started, s; 0 without a plan.
     pub t_plan: f64,
-    /// q, measured joint positions, joint frames, rad.
+    /// q, measured joint positions, joint frames, rad; q8 without the whole turns that it made while it was not
+    /// controlled.
     pub q: [f64; NQ],
     /// qd, estimated joint velocities, joint frames, rad/s.
     pub qd: [f64; NQ],
@@ -138,7 +139,7 @@ impl Telemetry {
     }
 
     /// The fields in their order as plain words (numbers with a fraction: their bits), for files.
-    pub fn words(&self) -> impl Iterator<Item = u64> {
+    pub fn words(&self) -> impl Iterator<Item = u64> + use<> {
         let words: [u64; TELEMETRY_WORDS] =
             // SAFETY: `repr(C)` of 8-byte numbers without padding (size assertion above); any bits are a valid `u64`.
             unsafe { std::mem::transmute_copy(self) };
