@@ -4,6 +4,7 @@ use crate::ConfigError;
 use serde::de::DeserializeOwned;
 use std::fmt::Display;
 use std::ops::RangeInclusive;
+use std::time::Duration;
 use toml::de::{DeTable, DeValue};
 use upswing_model::Limits;
 
@@ -18,6 +19,10 @@ pub(crate) const POSITIVE: Rule =
     Rule { expected: "a finite number above 0", holds: |v| v.is_finite() && v > 0.0 };
 pub(crate) const NON_NEGATIVE: Rule =
     Rule { expected: "a finite number, 0 or above", holds: |v| v.is_finite() && v >= 0.0 };
+pub(crate) const COUNT: Rule = Rule {
+    expected: "a whole number from 1 to 1000000",
+    holds: |v| (1.0..=1e6).contains(&v) && v.fract() == 0.0,
+};
 pub(crate) const NEGATIVE: Rule =
     Rule { expected: "a finite number below 0", holds: |v| v.is_finite() && v < 0.0 };
 pub(crate) const FRACTION: Rule = Rule { expected: "a share in (0, 1]", holds: |v| v > 0.0 && v <= 1.0 };
@@ -98,6 +103,13 @@ impl Check<'_> {
             .then(|| T::try_from(value).ok())
             .flatten()
             .ok_or_else(|| self.refuse(key, expected, value, SEE_COMMENT))
+    }
+
+    /// A time in s, above 0 and at most a day.
+    pub fn seconds(self, key: &str, value: f64) -> Result<Duration, ConfigError> {
+        const TIME: Rule =
+            Rule { expected: "a time above 0 and at most 86400 s", holds: |v| v > 0.0 && v <= 86_400.0 };
+        Ok(Duration::from_secs_f64(self.number(key, value, &TIME)?))
     }
 
     /// An angle of one joint (counted from 0) inside its limits: deg in, rad out.

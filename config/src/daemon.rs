@@ -1,8 +1,9 @@
 //! `daemon.toml`.
 
-use crate::check::{ACUTE, Check, NON_NEGATIVE, POSITIVE};
+use crate::check::{ACUTE, COUNT, Check, NON_NEGATIVE, POSITIVE};
 use crate::{ConfigError, RobotSettings};
 use serde::Deserialize;
+use std::path::PathBuf;
 use std::time::Duration;
 use upswing_model::{NQ, NU};
 
@@ -15,10 +16,14 @@ pub struct DaemonSettings {
     pub hold: HoldGains,
     /// Deceleration of each actuated joint when stopping, rad/s^2.
     pub stop_deceleration: [f64; NU],
-    /// What makes the daemon give up control.
-    pub trip: TripLimits,
-    /// Tilt of the rod from upright at which balance counts as lost, rad.
-    pub balance_lost: f64,
+    /// When the daemon warns and when it gives up control.
+    pub limits: Levels,
+    /// What happens to plans that arrive while one is being tracked.
+    pub plan_while_tracking: PlanWhileTracking,
+    /// What follows a lost balance.
+    pub recovery: RecoverySettings,
+    /// The flight recorder.
+    pub recorder: RecorderSettings,
     /// How well the measured state has to agree with the start of a plan.
     pub start: StartTolerance,
     /// The real-time thread.
@@ -43,17 +48,72 @@ pub struct HoldGains {
     pub damping: [f64; NU],
 }
 
-/// What makes the daemon give up control.
+/// Above `warn` the daemon warns, above `trip` it gives up control; warn < trip.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TripLimits {
-    /// How far an angle may be past the range open to plans, rad.
-    pub position_margin: f64,
-    /// Speed as a share of the 100 % limits.
-    pub velocity_fraction: f64,
-    /// Largest difference between an angle and its reference, rad.
-    pub tracking_error: f64,
+pub struct Level {
+    /// Warning.
+    pub warn: f64,
+    /// Loss of control.
+    pub trip: f64,
+}
+
+/// When the daemon warns and when it gives up control.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Levels {
     /// Age of the newest measurement, cycles.
-    pub measurement_max_age: u32,
+    pub measurement_age: Level,
+    /// Measurements missed between two that were seen.
+    pub measurement_gap: Level,
+    /// Change of an angle between two measurements beyond what its speed explains, rad.
+    pub encoder_jump: Level,
+    /// How far an angle is past the range open to plans, rad.
+    pub position_margin: Level,
+    /// Speed of the arm as a share of the 100 % limits.
+    pub velocity_fraction: Level,
+    /// Measured torque as a share of the 100 % limits.
+    pub torque_fraction: Level,
+    /// Change of the commanded torque, share of the 100 % limits per s.
+    pub torque_rate: Level,
+    /// Difference between an angle and its reference, rad.
+    pub tracking_error: Level,
+    /// Tilt of the rod from upright in balance, rad.
+    pub balance_tilt: Level,
+    /// Cycles in a row that ended late.
+    pub late_cycles: Level,
+    /// Age of a loaded plan, s.
+    pub plan_age: Level,
+}
+
+/// What happens to plans that arrive while one is being tracked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum PlanWhileTracking {
+    /// The newest is kept for the next start.
+    Queue,
+    /// They are refused.
+    Refuse,
+}
+
+/// What follows a lost balance.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RecoverySettings {
+    /// Swing-ups in a row that the daemon starts by itself.
+    pub attempts: u32,
+    /// Speed below which a joint of the pendulum is at rest, rad/s.
+    pub rest_speed: f64,
+    /// How long both have to be at rest.
+    pub rest: Duration,
+    /// Longest wait for the rest, and for a plan.
+    pub patience: Duration,
+}
+
+/// The flight recorder.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RecorderSettings {
+    /// Folder of its files; `None`: writes nothing.
+    pub directory: Option<PathBuf>,
+    /// Files to keep, at least 1.
+    pub keep: usize,
 }
 
 /// How well the measured state has to agree with the start of a plan.
@@ -92,8 +152,10 @@ struct Raw {
     cycle: RawCycle,
     hold: RawHold,
     stop: RawStop,
-    limits: RawTrip,
-    balance: RawBalance,
+    limits: RawLevels,
+    plans: RawPlans,
+    recovery: RawRecovery,
+    recorder: RawRecorder,
     start: RawStart,
     realtime: RawRealtime,
 }
@@ -120,17 +182,47 @@ struct RawStop {
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct RawTrip {
-    position_trip_margin_deg: f64,
-    velocity_trip_fraction: f64,
-    tracking_error_trip_rad: f64,
-    measurement_max_age_cycles: i64,
+struct RawLevel {
+    warn: f64,
+    trip: f64,
 }
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct RawBalance {
-    lost_deg: f64,
+struct RawLevels {
+    measurement_age_cycles: RawLevel,
+    measurement_gap: RawLevel,
+    encoder_jump_rad: RawLevel,
+    position_margin_deg: RawLevel,
+    velocity_fraction: RawLevel,
+    torque_fraction: RawLevel,
+    torque_rate_per_ms: RawLevel,
+    tracking_error_rad: RawLevel,
+    balance_tilt_deg: RawLevel,
+    late_cycles: RawLevel,
+    plan_age_s: RawLevel,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawPlans {
+    while_tracking: PlanWhileTracking,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawRecovery {
+    attempts: i64,
+    rest_speed_rad_s: f64,
+    rest_s: f64,
+    patience_s: f64,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawRecorder {
+    directory: PathBuf,
+    keep: i64,
 }
 
 #[derive(Deserialize)]
@@ -162,14 +254,18 @@ impl DaemonSettings {
             "cycle.period_us (in ms)",
         )?;
 
-        let limits = &raw.limits;
-        let velocity_fraction =
-            check.number("limits.velocity_trip_fraction", limits.velocity_trip_fraction, &POSITIVE)?;
+        let limits = raw.limits.check(check)?;
         for i in 0..NQ {
             let planned = robot.planning.qd_max[i] / robot.limits.qd_max[i];
             let planned_key = "usage.velocity_fraction_* in robot.toml";
-            check.above("limits.velocity_trip_fraction", velocity_fraction, planned, planned_key)?;
+            check.above(
+                "limits.velocity_fraction.trip",
+                limits.velocity_fraction.trip,
+                planned,
+                planned_key,
+            )?;
         }
+        let recovery = &raw.recovery;
 
         Ok(Self {
             cycle: CycleSettings {
@@ -186,27 +282,22 @@ impl DaemonSettings {
                 1,
                 &POSITIVE,
             )?,
-            trip: TripLimits {
-                position_margin: check
-                    .number(
-                        "limits.position_trip_margin_deg",
-                        limits.position_trip_margin_deg,
-                        &NON_NEGATIVE,
-                    )?
-                    .to_radians(),
-                velocity_fraction,
-                tracking_error: check.number(
-                    "limits.tracking_error_trip_rad",
-                    limits.tracking_error_trip_rad,
+            limits,
+            plan_while_tracking: raw.plans.while_tracking,
+            recovery: RecoverySettings {
+                attempts: check.integer("recovery.attempts", recovery.attempts, 0..=1000)?,
+                rest_speed: check.number(
+                    "recovery.rest_speed_rad_s",
+                    recovery.rest_speed_rad_s,
                     &POSITIVE,
                 )?,
-                measurement_max_age: check.integer(
-                    "limits.measurement_max_age_cycles",
-                    limits.measurement_max_age_cycles,
-                    1..=1_000_000,
-                )?,
+                rest: check.seconds("recovery.rest_s", recovery.rest_s)?,
+                patience: check.seconds("recovery.patience_s", recovery.patience_s)?,
             },
-            balance_lost: check.number("balance.lost_deg", raw.balance.lost_deg, &ACUTE)?.to_radians(),
+            recorder: RecorderSettings {
+                directory: Some(raw.recorder.directory).filter(|path| !path.as_os_str().is_empty()),
+                keep: check.integer("recorder.keep", raw.recorder.keep, 1..=10_000)?,
+            },
             start: StartTolerance {
                 position: check.number("start.tolerance_rad", raw.start.tolerance_rad, &POSITIVE)?,
                 velocity: check.number("start.tolerance_rad_s", raw.start.tolerance_rad_s, &POSITIVE)?,
@@ -219,6 +310,37 @@ impl DaemonSettings {
                     cpu => usize::try_from(cpu).ok(),
                 },
             },
+        })
+    }
+}
+
+impl RawLevels {
+    fn check(&self, check: Check<'_>) -> Result<Levels, ConfigError> {
+        let level = |key: &str, raw: &RawLevel, rule| {
+            let key = |level| format!("limits.{key}.{level}");
+            let warn = check.number(&key("warn"), raw.warn, rule)?;
+            let trip = check.number(&key("trip"), raw.trip, rule)?;
+            check.above(&key("trip"), trip, warn, "warn")?;
+            Ok::<_, ConfigError>(Level { warn, trip })
+        };
+        let scaled =
+            |level: Level, factor: f64| Level { warn: level.warn * factor, trip: level.trip * factor };
+        let to_rad = 1_f64.to_radians();
+        Ok(Levels {
+            measurement_age: level("measurement_age_cycles", &self.measurement_age_cycles, &COUNT)?,
+            measurement_gap: level("measurement_gap", &self.measurement_gap, &COUNT)?,
+            encoder_jump: level("encoder_jump_rad", &self.encoder_jump_rad, &POSITIVE)?,
+            position_margin: scaled(
+                level("position_margin_deg", &self.position_margin_deg, &NON_NEGATIVE)?,
+                to_rad,
+            ),
+            velocity_fraction: level("velocity_fraction", &self.velocity_fraction, &POSITIVE)?,
+            torque_fraction: level("torque_fraction", &self.torque_fraction, &POSITIVE)?,
+            torque_rate: scaled(level("torque_rate_per_ms", &self.torque_rate_per_ms, &POSITIVE)?, 1e3),
+            tracking_error: level("tracking_error_rad", &self.tracking_error_rad, &POSITIVE)?,
+            balance_tilt: scaled(level("balance_tilt_deg", &self.balance_tilt_deg, &ACUTE)?, to_rad),
+            late_cycles: level("late_cycles", &self.late_cycles, &COUNT)?,
+            plan_age: level("plan_age_s", &self.plan_age_s, &POSITIVE)?,
         })
     }
 }

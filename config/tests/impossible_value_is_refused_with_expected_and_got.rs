@@ -125,20 +125,51 @@ fn daemon() {
         ("stiffness = [100", "stiffness = [0", &["hold.stiffness", POSITIVE, "got 0 for joint 1"]),
         ("damping = [20", "damping = [-20", &["hold.damping", POSITIVE, "got -20 for joint 1"]),
         ("rad_s2 = [6", "rad_s2 = [inf", &["stop.deceleration_rad_s2", POSITIVE, "got inf for joint 1"]),
-        ("margin_deg = 5", "margin_deg = -5", &["limits.position_trip_margin_deg", NOT_NEGATIVE, "got -5"]),
         (
-            "fraction = 1.1",
-            "fraction = 0.5",
-            &["limits.velocity_trip_fraction", "more than the 0.5", "got 0.5"],
+            "age_cycles = { warn = 4,",
+            "age_cycles = { warn = 0.5,",
+            &["limits.measurement_age_cycles.warn", "a whole number from 1 to", "got 0.5"],
         ),
-        ("trip_rad = 0.5", "trip_rad = 0", &["limits.tracking_error_trip_rad", POSITIVE, "got 0"]),
-        ("age_cycles = 20", "age_cycles = 0", &["limits.measurement_max_age_cycles", "from 1 to", "got 0"]),
-        ("lost_deg = 25", "lost_deg = 90", &["balance.lost_deg", "between 0 and 90 deg", "got 90"]),
+        (
+            "measurement_gap = { warn = 2, trip = 20 }",
+            "measurement_gap = { warn = 20, trip = 20 }",
+            &["limits.measurement_gap.trip", "more than the 20 of warn", "got 20"],
+        ),
+        ("warn = 0.0005", "warn = 0", &["limits.encoder_jump_rad.warn", POSITIVE, "got 0"]),
+        (
+            "margin_deg = { warn = 1, trip = 5",
+            "margin_deg = { warn = 1, trip = -5",
+            &["limits.position_margin_deg.trip", NOT_NEGATIVE, "got -5"],
+        ),
+        (
+            "velocity_fraction = { warn = 0.8, trip = 1.1",
+            "velocity_fraction = { warn = 0.4, trip = 0.5",
+            &["limits.velocity_fraction.trip", "more than the 0.5", "got 0.5"],
+        ),
+        ("trip = 1.2 }", "trip = nan }", &["limits.torque_fraction.trip", POSITIVE, "got NaN"]),
+        ("per_ms = { warn = 1,", "per_ms = { warn = inf,", &["limits.torque_rate_per_ms.warn", "got inf"]),
+        (
+            "error_rad = { warn = 0.25",
+            "error_rad = { warn = -1",
+            &["limits.tracking_error_rad.warn", POSITIVE],
+        ),
+        (
+            "tilt_deg = { warn = 10, trip = 25",
+            "tilt_deg = { warn = 10, trip = 90",
+            &["limits.balance_tilt_deg.trip", "between 0 and 90 deg", "got 90"],
+        ),
+        ("late_cycles = { warn = 1", "late_cycles = { warn = 0", &["limits.late_cycles.warn", "got 0"]),
+        ("trip = 600", "trip = 6", &["limits.plan_age_s.trip", "more than the 60 of warn", "got 6"]),
+        ("attempts = 0", "attempts = -1", &["recovery.attempts", "from 0 to", "got -1"]),
+        ("rest_speed_rad_s = 0.05", "rest_speed_rad_s = 0", &["recovery.rest_speed_rad_s", POSITIVE]),
+        ("rest_s = 2", "rest_s = 0", &["recovery.rest_s", "at most 86400 s", "got 0"]),
+        ("patience_s = 300", "patience_s = 1e6", &["recovery.patience_s", "at most 86400 s", "got 1000000"]),
+        ("keep = 10", "keep = 0", &["recorder.keep", "from 1 to", "got 0"]),
         ("tolerance_rad = 0.05", "tolerance_rad = 0", &["start.tolerance_rad", POSITIVE, "got 0"]),
         ("tolerance_rad_s = 0.2", "tolerance_rad_s = -1", &["start.tolerance_rad_s", POSITIVE, "got -1"]),
         ("priority = 80", "priority = 100", &["realtime.priority", "from 1 to 99", "got 100"]),
         ("cpu = -1", "cpu = -2", &["realtime.cpu", "from -1 to", "got -2"]),
-    ] as [(&str, &str, &[&str]); 14]
+    ] as [(&str, &str, &[&str]); 25]
     {
         refused("daemon.toml", from, to, parts);
     }

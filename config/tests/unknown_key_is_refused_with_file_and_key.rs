@@ -17,7 +17,12 @@ fn unknown_keys() {
             &["replan.neighbors", "unknown field", "`neighbours`"],
         ),
         ("grid.toml", "joint = 4, from_deg", "joint = 4, from", &["joints.from", "`from_deg`"]),
-        ("daemon.toml", "lost_deg =", "lost =", &["balance.lost", "unknown field", "`lost_deg`"]),
+        (
+            "daemon.toml",
+            "balance_tilt_deg =",
+            "balance_tilt =",
+            &["limits.balance_tilt", "unknown field", "`balance_tilt_deg`"],
+        ),
         ("plant.toml", "substeps = 2", "substeps = 2\nstep = 1", &["integrator.step", "`substeps`"]),
     ] as [(&str, &str, &str, &[&str]); 6]
     {
@@ -86,7 +91,7 @@ fn values_of_the_wrong_type() {
 #[test]
 fn broken_toml() {
     refused("robot.toml", "pitch_deg = 90", "pitch_deg = ", &["line", "`pitch_deg =`"]);
-    refused("daemon.toml", "[balance]", "[balance", &["line", "`[balance`"]);
+    refused("daemon.toml", "[plans]", "[plans", &["line", "`[plans`"]);
     refused(
         "plant.toml",
         "substeps = 2",

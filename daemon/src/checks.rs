@@ -1,10 +1,12 @@
-//! What is checked every cycle, and at the start of a plan.
+//! What is checked every cycle, and at the start of a plan. Each check notes what exceeds its warning level in a word of
+//! bits ([`TripCause::bit`]) and returns the first that exceeds its trip level.
 
-use crate::supervisor::{Refusal, Trip, TripCause};
+use crate::supervisor::Refusal;
+use crate::trip::{Trip, TripCause};
 use std::ops::Range;
-use upswing_config::{Config, StartTolerance};
+use upswing_config::{Config, Level, Levels, StartTolerance};
 use upswing_ipc::Measurement;
-use upswing_model::{JointVector, NQ, NU, NX, State};
+use upswing_model::{ActuatedVector, JointVector, NQ, NU, NX, State};
 
 /// The joints of the arm, q_A, and those of the pendulum, q_U.
 const ARM: Range<usize> = 0..NU;
@@ -14,44 +16,49 @@ const PENDULUM: Range<usize> = NU..NQ;
 const PENDULUM_SPEED: f64 = 30.0;
 /// How many times the 100 % speed an encoder of the arm may report.
 const SPEED_FACTOR: f64 = 2.0;
-/// What the steps of an encoder may add to the change of an angle, rad.
-const RESOLUTION: f64 = 1e-3;
+/// Angle that no encoder shows, rad: 16 turns.
+const ENCODER_RANGE: f64 = 100.0;
 
-/// The trip levels, in SI units.
+/// The levels, in SI units.
 #[derive(Clone, Debug)]
 pub struct Checks {
+    levels: Levels,
     q_min: JointVector,
     q_max: JointVector,
-    /// Trip level of the arm's velocities, rad/s.
+    /// 100 % speeds, rad/s, and torques, N m.
     qd_max: JointVector,
+    tau_max: ActuatedVector,
     /// Largest speed that an encoder can report, rad/s.
     encoder_speed: JointVector,
-    tracking_error: f64,
-    balance_lost: f64,
     start: StartTolerance,
     period_ns: u64,
 }
 
 impl Checks {
-    /// The trip levels that the settings ask for.
+    /// The levels that the settings ask for.
     pub fn new(config: &Config) -> Self {
-        let (trip, limits, planning) = (&config.daemon.trip, &config.robot.limits, &config.robot.planning);
+        let (limits, planning) = (&config.robot.limits, &config.robot.planning);
         Self {
-            q_min: planning.q_min.add_scalar(-trip.position_margin),
-            q_max: planning.q_max.add_scalar(trip.position_margin),
-            qd_max: limits.qd_max * trip.velocity_fraction,
+            levels: config.daemon.limits,
+            q_min: planning.q_min,
+            q_max: planning.q_max,
+            qd_max: limits.qd_max,
+            tau_max: limits.tau_max,
             encoder_speed: JointVector::from_fn(|i, _| {
                 if i < NU { SPEED_FACTOR * limits.qd_max[i] } else { PENDULUM_SPEED }
             }),
-            tracking_error: trip.tracking_error,
-            balance_lost: config.daemon.balance_lost,
             start: config.daemon.start,
             period_ns: u64::try_from(config.daemon.cycle.period.as_nanos()).unwrap_or(u64::MAX),
         }
     }
 
-    /// Whether a measurement can be used at all: clock, period, drives, finite angles.
-    pub fn measurement(&self, measurement: &Measurement) -> Option<Trip> {
+    /// T_s, s.
+    fn period(&self) -> f64 {
+        self.period_ns as f64 * 1e-9
+    }
+
+    /// Whether a measurement can be used at all: clock, period, drives, angles, torques.
+    pub fn measurement(&self, measurement: &Measurement, warnings: &mut u64) -> Option<Trip> {
         if let Err(unknown) = measurement.clock() {
             let (value, limit) = (unknown.got as f64, unknown.max as f64);
             return Some(Trip { cause: TripCause::UnknownClock, joint: 0, value, limit });
@@ -63,41 +70,96 @@ impl Checks {
         if measurement.status & Measurement::DRIVE_FAULT != 0 {
             return Some(Trip::plain(TripCause::DriveFault));
         }
-        self.finite(measurement)
+        self.finite(measurement).or_else(|| {
+            let level = scaled(self.levels.torque_fraction, |i| self.tau_max[i]);
+            beyond(TripCause::TorqueLimit, ARM, |i| measurement.tau_measured[i], level, warnings)
+        })
     }
 
-    /// Whether all angles are finite.
+    /// Whether all angles are numbers that an encoder can show.
     pub fn finite(&self, measurement: &Measurement) -> Option<Trip> {
-        let joint = measurement.q.iter().position(|q| !q.is_finite())?;
-        Some(Trip { cause: TripCause::NotFinite, joint, value: measurement.q[joint], limit: 0.0 })
+        let joint = measurement.q.iter().position(|q| exceeds(*q, ENCODER_RANGE))?;
+        let value = measurement.q[joint];
+        Some(Trip { cause: TripCause::NotFinite, joint, value, limit: ENCODER_RANGE })
+    }
+
+    /// Age of the newest measurement, `cycles` on the wall clock.
+    pub fn age(&self, cycles: u32, warnings: &mut u64) -> Option<Trip> {
+        count(TripCause::StaleMeasurement, f64::from(cycles), self.levels.measurement_age, warnings)
+    }
+
+    /// The trip for measurements that have not come for `cycles`.
+    pub fn lost(&self, cycles: u32) -> Trip {
+        let (value, limit) = (f64::from(cycles), self.levels.measurement_age.trip);
+        Trip { cause: TripCause::StaleMeasurement, joint: 0, value, limit }
+    }
+
+    /// Measurements `missed` since the one before.
+    pub fn gap(&self, missed: u64, warnings: &mut u64) -> Option<Trip> {
+        count(TripCause::MeasurementGap, missed as f64, self.levels.measurement_gap, warnings)
+    }
+
+    /// Cycles in a row that ended late.
+    pub fn late(&self, cycles: u64, warnings: &mut u64) -> Option<Trip> {
+        count(TripCause::LateCycles, cycles as f64, self.levels.late_cycles, warnings)
     }
 
     /// Whether the angles can have changed from `last` to `q` (rad) in `cycles` cycles.
-    pub fn jump(&self, last: &JointVector, q: &JointVector, cycles: u64) -> Option<Trip> {
-        let elapsed = cycles as f64 * self.period_ns as f64 * 1e-9;
-        let limit = |i: usize| self.encoder_speed[i] * elapsed + RESOLUTION;
-        beyond(TripCause::EncoderJump, 0..NQ, |i| q[i] - last[i], limit)
+    pub fn jump(&self, last: &JointVector, q: &JointVector, cycles: u64, warnings: &mut u64) -> Option<Trip> {
+        let elapsed = cycles as f64 * self.period();
+        let level = |i: usize| {
+            let moved = self.encoder_speed[i] * elapsed;
+            let Level { warn, trip } = self.levels.encoder_jump;
+            Level { warn: moved + warn, trip: moved + trip }
+        };
+        beyond(TripCause::EncoderJump, 0..NQ, |i| q[i] - last[i], level, warnings)
     }
 
     /// Positions and velocities of the arm. Those of a falling pendulum are nobody's fault.
-    pub fn arm(&self, x: &State) -> Option<Trip> {
-        let fast = || beyond(TripCause::VelocityLimit, ARM, |i| x[NQ + i], |i| self.qd_max[i]);
-        self.range(TripCause::PositionLimit, ARM, x).or_else(fast)
+    pub fn arm(&self, x: &State, warnings: &mut u64) -> Option<Trip> {
+        let level = scaled(self.levels.velocity_fraction, |i| self.qd_max[i]);
+        let fast = beyond(TripCause::VelocityLimit, ARM, |i| x[NQ + i], level, warnings);
+        self.range(TripCause::PositionLimit, ARM, x, warnings).or(fast)
     }
 
     /// Angles of the pendulum; they matter while it is being controlled.
-    pub fn pendulum(&self, x: &State) -> Option<Trip> {
-        self.range(TripCause::PendulumRange, PENDULUM, x)
+    pub fn pendulum(&self, x: &State, warnings: &mut u64) -> Option<Trip> {
+        self.range(TripCause::PendulumRange, PENDULUM, x, warnings)
     }
 
     /// Distance of every angle from the reference `x_d`.
-    pub fn tracking(&self, x: &State, x_d: &State) -> Option<Trip> {
-        beyond(TripCause::TrackingError, 0..NQ, |i| x[i] - x_d[i], |_| self.tracking_error)
+    pub fn tracking(&self, x: &State, x_d: &State, warnings: &mut u64) -> Option<Trip> {
+        let level = |_| self.levels.tracking_error;
+        beyond(TripCause::TrackingError, 0..NQ, |i| x[i] - x_d[i], level, warnings)
     }
 
     /// `tilt` of the rod from where the plan ends, rad.
-    pub fn balance(&self, tilt: f64) -> Option<Trip> {
-        beyond(TripCause::BalanceLost, PENDULUM.start..NQ, |_| tilt, |_| self.balance_lost)
+    pub fn balance(&self, tilt: f64, warnings: &mut u64) -> Option<Trip> {
+        let level = |_| self.levels.balance_tilt;
+        beyond(TripCause::BalanceLost, PENDULUM.start..NQ, |_| tilt, level, warnings)
+    }
+
+    /// Change of the commanded torque from `last` to `tau` (N m) in one cycle.
+    pub fn torque_rate(
+        &self,
+        last: &ActuatedVector,
+        tau: &ActuatedVector,
+        warnings: &mut u64,
+    ) -> Option<Trip> {
+        let level = scaled(self.levels.torque_rate, |i| self.tau_max[i]);
+        beyond(TripCause::TorqueRate, ARM, |i| (tau[i] - last[i]) / self.period(), level, warnings)
+    }
+
+    /// Age of the loaded plan, s.
+    ///
+    /// # Errors
+    /// [`Refusal::PlanExpired`] if it is too old to be started.
+    pub fn plan_age(&self, age: f64, warnings: &mut u64) -> Result<(), Refusal> {
+        let level = self.levels.plan_age;
+        match count(TripCause::PlanAge, age, level, warnings) {
+            Some(_) => Err(Refusal::PlanExpired { age, limit: level.trip }),
+            None => Ok(()),
+        }
     }
 
     /// Whether the state `x` is the start `x_0` of a plan.
@@ -116,28 +178,53 @@ impl Checks {
         Ok(())
     }
 
-    fn range(&self, cause: TripCause, joints: Range<usize>, x: &State) -> Option<Trip> {
+    fn range(&self, cause: TripCause, joints: Range<usize>, x: &State, warnings: &mut u64) -> Option<Trip> {
+        let Level { warn, trip } = self.levels.position_margin;
+        let mut first = None;
         for joint in joints {
             let (value, lowest, highest) = (x[joint], self.q_min[joint], self.q_max[joint]);
             // A NaN is in no range.
-            if !(lowest..=highest).contains(&value) {
-                let limit = if value < lowest { lowest } else { highest };
-                return Some(Trip { cause, joint, value, limit });
+            if !(lowest - warn..=highest + warn).contains(&value) {
+                *warnings |= cause.bit();
+            }
+            if first.is_none() && !(lowest - trip..=highest + trip).contains(&value) {
+                let limit = if value < lowest { lowest - trip } else { highest + trip };
+                first = Some(Trip { cause, joint, value, limit });
             }
         }
-        None
+        first
     }
 }
 
-/// The first of `joints` whose value exceeds its limit in magnitude.
+/// A level that is a share of a `full` value of each joint.
+fn scaled(level: Level, full: impl Fn(usize) -> f64) -> impl Fn(usize) -> Level {
+    move |i| Level { warn: level.warn * full(i), trip: level.trip * full(i) }
+}
+
+/// The first of `joints` whose value exceeds its trip level in magnitude.
 fn beyond(
     cause: TripCause,
     joints: Range<usize>,
     value: impl Fn(usize) -> f64,
-    limit: impl Fn(usize) -> f64,
+    level: impl Fn(usize) -> Level,
+    warnings: &mut u64,
 ) -> Option<Trip> {
-    let mut trips = joints.map(|joint| Trip { cause, joint, value: value(joint), limit: limit(joint) });
-    trips.find(|trip| exceeds(trip.value, trip.limit))
+    let mut first = None;
+    for joint in joints {
+        let (value, Level { warn, trip }) = (value(joint), level(joint));
+        if exceeds(value, warn) {
+            *warnings |= cause.bit();
+        }
+        if first.is_none() && exceeds(value, trip) {
+            first = Some(Trip { cause, joint, value, limit: trip });
+        }
+    }
+    first
+}
+
+/// A count or a time that concerns no joint.
+fn count(cause: TripCause, value: f64, level: Level, warnings: &mut u64) -> Option<Trip> {
+    beyond(cause, 0..1, |_| value, |_| level, warnings)
 }
 
 /// Whether a value is beyond its limit in magnitude; a NaN is.

@@ -27,6 +27,14 @@ impl DifferentialFilter {
         self.state = None;
     }
 
+    /// Moves the zero of a joint, so that all of its angles are larger by `offset` (rad); velocities stay.
+    pub fn shift(&mut self, joint: usize, offset: f64) {
+        if let Some((z, q)) = &mut self.state {
+            z[joint] += offset;
+            q[joint] += offset;
+        }
+    }
+
     /// The last sample, rad.
     pub fn last(&self) -> Option<&JointVector> {
         self.state.as_ref().map(|(_, q)| q)

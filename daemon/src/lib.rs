@@ -4,23 +4,34 @@
 //! | module | what |
 //! |---|---|
 //! | [`controller`] | one cycle: measurement in, command out; a pure function of measurement, time and its own state |
-//! | [`filter`], [`law`] | what the cycle computes: velocities, the torque law (24) |
-//! | [`supervisor`], [`checks`] | what it decides: the table of modes, the trip levels |
+//! | [`observer`], [`filter`] | the state x from measurements, and whether it can be trusted |
+//! | [`arm`], [`law`] | the reference of Hold and Stop, the torque law (24) |
+//! | [`supervisor`], [`checks`], [`trip`] | the table of modes, the levels that are watched, what is beyond them |
 //! | [`plan`] | which plans it may run |
 //! | [`realtime`] | the thread that runs the cycle on time |
 //! | [`service`] | the thread that does all the rest |
+//! | `journal`, [`histogram`], [`overrun`], [`flight`] | what it keeps of the cycles: statistics, causes of overruns, the flight recorder |
+//! | [`recovery`] | what follows a lost balance |
 
+pub mod arm;
 pub mod checks;
 pub mod controller;
 pub mod filter;
+pub mod flight;
+pub mod histogram;
+mod journal;
 pub mod law;
+pub mod observer;
 mod os;
+pub mod overrun;
 pub mod plan;
 pub mod realtime;
+pub mod recovery;
 pub mod service;
 pub mod supervisor;
+pub mod trip;
 
-pub use supervisor::fault_text;
+pub use trip::{fault_text, warning_texts};
 
 use upswing_config::process::{Failure, ProcessArgs, shutdown_flag, start_logging};
 use upswing_ipc::Domain;

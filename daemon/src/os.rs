@@ -1,7 +1,17 @@
 //! Clock, scheduler and memory calls.
 
-use std::io::Error;
+use std::fs::File;
+use std::io::{Error, ErrorKind, Write};
 use upswing_config::RealtimeSettings;
+use upswing_ipc::Degradation;
+
+/// What has to be there of locked memory if it is limited: the process with all its segments uses less.
+const ENOUGH_MEMORY: libc::rlim_t = 256 << 20;
+/// Heap that is in memory before the first cycle: rings, recorder, plans.
+const HEAP: usize = 18 << 20;
+/// Stack that is in memory before the first cycle; the cycle uses less.
+const STACK: usize = 256 << 10;
+const PAGE: usize = 4096;
 
 /// CLOCK_MONOTONIC, ns.
 pub fn monotonic_ns() -> u64 {
@@ -24,48 +34,151 @@ pub fn sleep_until(t_ns: u64) {
     while sleep() == libc::EINTR {}
 }
 
-/// Keeps all memory of the process, also that of the future, out of swap and free of page faults.
-///
-/// # Errors
-/// What was refused, and how to grant it.
-pub fn lock_memory() -> Result<(), String> {
+/// Id of the calling thread.
+pub fn thread_id() -> u32 {
+    // SAFETY: takes nothing, cannot fail.
+    unsafe { libc::gettid() }.cast_unsigned()
+}
+
+/// What the system refuses, and how to grant it.
+#[derive(Clone, Debug)]
+pub struct Refused {
+    /// What.
+    pub what: Degradation,
+    /// Why, and what to do.
+    pub why: String,
+}
+
+/// What has to be kept as long as the process lives.
+#[derive(Debug)]
+pub struct Prepared {
+    /// The kernel forgets the request when the file is closed.
+    _latency: Option<File>,
+}
+
+/// Prepares the process before it opens or maps anything: memory locked and touched, no deep sleep of the CPU. Returns
+/// also what was refused.
+pub fn prepare_process() -> (Prepared, Vec<Refused>) {
+    touch_heap();
+    let memory = lock_memory().map_err(|why| Refused { what: Degradation::Memory, why });
+    let latency = forbid_deep_sleep().map_err(|why| Refused { what: Degradation::DmaLatency, why });
+    let (latency, denied) = match latency {
+        Ok(file) => (file, None),
+        Err(refused) => (None, Some(refused)),
+    };
+    (Prepared { _latency: latency }, memory.err().into_iter().chain(denied).collect())
+}
+
+/// Keeps all memory of the process, also that of the future, out of swap; what is there now is free of page faults. What
+/// comes later is locked when it is touched: shared memory is sized for the worst case, and the parts of it that the
+/// real-time thread uses are touched by the other thread first.
+fn lock_memory() -> Result<(), String> {
     let unlimited = libc::rlimit { rlim_cur: libc::RLIM_INFINITY, rlim_max: libc::RLIM_INFINITY };
     let mut limit = unlimited;
-    // With a finite limit the lock could be granted now and a later allocation fail, so it has to go first. Setting
-    // it needs a privilege; somebody else may have set it before.
+    // Raising the limit needs a privilege and may fail: what counts is the limit that is read back.
     // SAFETY: both limits are valid for the duration of the calls.
-    unsafe {
-        libc::setrlimit(libc::RLIMIT_MEMLOCK, &unlimited);
-        libc::getrlimit(libc::RLIMIT_MEMLOCK, &raw mut limit);
-    }
+    let read = unsafe {
+        libc::setrlimit(libc::RLIMIT_MEMLOCK, &raw const unlimited);
+        libc::getrlimit(libc::RLIMIT_MEMLOCK, &raw mut limit)
+    };
     const GRANT: &str = "set LimitMEMLOCK=infinity in the unit, or memlock unlimited in limits.conf";
-    if limit.rlim_cur != libc::RLIM_INFINITY {
-        return Err(format!("memory lock (at most {} bytes; {GRANT})", limit.rlim_cur));
+    if read != 0 {
+        return Err(format!("memory lock ({}; {GRANT})", Error::last_os_error()));
     }
-    // SAFETY: no pointers; it changes the residency of memory, not its contents.
-    match unsafe { libc::mlockall(libc::MCL_CURRENT | libc::MCL_FUTURE) } {
-        0 => Ok(()),
-        _ => Err(format!("memory lock ({}; {GRANT})", Error::last_os_error())),
+    // With too low a limit the lock would be granted now, and a later allocation fail.
+    if limit.rlim_cur < ENOUGH_MEMORY && !may_exceed_memory_limit() {
+        return Err(format!(
+            "memory lock (at most {} bytes, {ENOUGH_MEMORY} are needed; {GRANT})",
+            limit.rlim_cur
+        ));
+    }
+    for what in [libc::MCL_CURRENT, libc::MCL_FUTURE | libc::MCL_ONFAULT] {
+        // SAFETY: no pointers; it changes the residency of memory, not its contents.
+        if unsafe { libc::mlockall(what) } != 0 {
+            return Err(format!("memory lock ({}; {GRANT})", Error::last_os_error()));
+        }
+    }
+    Ok(())
+}
+
+/// Whether the process has CAP_IPC_LOCK, for which the limit does not count.
+fn may_exceed_memory_limit() -> bool {
+    /// Its number in `capability.h`.
+    const CAP_IPC_LOCK: u32 = 14;
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let effective = status.lines().find_map(|line| line.strip_prefix("CapEff:"));
+    let bits = effective.and_then(|hex| u64::from_str_radix(hex.trim(), 16).ok()).unwrap_or(0);
+    bits & (1 << CAP_IPC_LOCK) != 0
+}
+
+/// Maps and touches the heap that the daemon will use, so that its first use does not fault even where memory cannot be
+/// locked.
+fn touch_heap() {
+    // From one arena, never given back: what was touched stays.
+    #[cfg(target_env = "gnu")]
+    // SAFETY: no pointers; concerns where later allocations come from. If refused, they fault once.
+    unsafe {
+        libc::mallopt(libc::M_TRIM_THRESHOLD, libc::c_int::MAX);
+        libc::mallopt(libc::M_MMAP_MAX, 0);
+        libc::mallopt(libc::M_ARENA_MAX, 1);
+    }
+    let mut heap: Vec<u8> = Vec::with_capacity(HEAP);
+    for page in heap.spare_capacity_mut().iter_mut().step_by(PAGE) {
+        // SAFETY: a valid place for one byte. Volatile: the memory is touched though nobody reads it.
+        unsafe { std::ptr::write_volatile(page.as_mut_ptr(), 0) };
     }
 }
 
-/// Gives the calling thread the priority, CPU and timer precision of the settings.
-///
-/// # Errors
-/// What was refused, and how to grant it; the rest is done nevertheless.
-pub fn make_realtime(settings: &RealtimeSettings) -> Result<(), String> {
-    // SAFETY: no pointers. Matters only without real-time priority, where sleeps last 50 us longer by default.
-    unsafe { libc::prctl(libc::PR_SET_TIMERSLACK, 1_u64) };
+/// Touches the stack that the calling thread will use.
+#[inline(never)]
+fn touch_stack() {
+    let mut stack = [0_u8; STACK];
+    for byte in stack.iter_mut().step_by(PAGE) {
+        // SAFETY: a valid place for one byte. Volatile: the memory is touched though nobody reads it.
+        unsafe { std::ptr::write_volatile(byte, 1) };
+    }
+}
+
+/// Asks the kernel for CPUs that wake up at once, as long as the file is open. `None`: this system has no such states.
+fn forbid_deep_sleep() -> Result<Option<File>, String> {
+    const FILE: &str = "/dev/cpu_dma_latency";
+    let mut file = match File::options().write(true).open(FILE) {
+        Ok(file) => file,
+        Err(e) if e.kind() == ErrorKind::NotFound => return Ok(None),
+        Err(e) => return Err(format!("{FILE} ({e}; allow the daemon's user to write to it)")),
+    };
+    // Latency in us.
+    match file.write_all(&0_i32.to_ne_bytes()) {
+        Ok(()) => Ok(Some(file)),
+        Err(e) => Err(format!("{FILE} ({e})")),
+    }
+}
+
+/// Gives the calling thread the priority, CPU, timer precision and arithmetic of real time, and touches its stack.
+/// Returns what was refused; the rest is done nevertheless.
+pub fn prepare_thread(settings: &RealtimeSettings) -> Vec<Refused> {
+    touch_stack();
+    flush_to_zero();
     let mut refused = Vec::new();
+    let mut refuse = |what, why: String| refused.push(Refused { what, why });
+    // SAFETY: no pointers. Matters only without real-time priority, where sleeps last 50 us longer by default.
+    if unsafe { libc::prctl(libc::PR_SET_TIMERSLACK, 1_u64) } != 0 {
+        refuse(Degradation::TimerSlack, format!("timer slack ({})", Error::last_os_error()));
+    }
     let priority = libc::sched_param { sched_priority: i32::from(settings.priority) };
     // SAFETY: `priority` is valid for the duration of the call; 0 means this thread.
-    if unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &priority) } != 0 {
-        refused.push(format!(
-            "SCHED_FIFO priority {} ({}; set LimitRTPRIO={} in the unit, or rtprio in limits.conf)",
-            settings.priority,
-            Error::last_os_error(),
-            settings.priority
-        ));
+    let (set, policy) = unsafe {
+        (libc::sched_setscheduler(0, libc::SCHED_FIFO, &raw const priority), libc::sched_getscheduler(0))
+    };
+    if set != 0 || policy != libc::SCHED_FIFO {
+        let cause = if set != 0 { Error::last_os_error().to_string() } else { format!("policy {policy}") };
+        let wanted = settings.priority;
+        refuse(
+            Degradation::Scheduler,
+            format!(
+                "SCHED_FIFO priority {wanted} ({cause}; set LimitRTPRIO={wanted} in the unit, or rtprio in limits.conf)"
+            ),
+        );
     }
     if let Some(cpu) = settings.cpu {
         // SAFETY: all-zero is the empty set; the settings allow CPUs 0 to 1023 only, which fit into it; the set is
@@ -73,14 +186,45 @@ pub fn make_realtime(settings: &RealtimeSettings) -> Result<(), String> {
         let result = unsafe {
             let mut set: libc::cpu_set_t = std::mem::zeroed();
             libc::CPU_SET(cpu, &mut set);
-            libc::sched_setaffinity(0, size_of::<libc::cpu_set_t>(), &set)
+            libc::sched_setaffinity(0, size_of::<libc::cpu_set_t>(), &raw const set)
         };
         if result != 0 {
             let cause = Error::last_os_error();
-            refused.push(format!(
-                "CPU {cpu} ({cause}; choose another realtime.cpu, or allow it in AllowedCPUs)"
-            ));
+            refuse(
+                Degradation::Cpu,
+                format!("CPU {cpu} ({cause}; choose another realtime.cpu, or allow it in AllowedCPUs)"),
+            );
         }
     }
-    if refused.is_empty() { Ok(()) } else { Err(refused.join(", ")) }
+    refused
+}
+
+/// Results too small for a normal number count as 0 in the calling thread: arithmetic on them takes a hundred times as
+/// long on some CPUs.
+fn flush_to_zero() {
+    #[cfg(target_arch = "x86_64")]
+    {
+        /// FTZ and DAZ of MXCSR.
+        const BITS: u32 = 1 << 15 | 1 << 6;
+        let mut control = 0_u32;
+        // SAFETY: reads and writes the control register of this thread, through a valid place; rounding and exception
+        // masks stay.
+        unsafe {
+            std::arch::asm!("stmxcsr [{}]", in(reg) &raw mut control, options(nostack));
+            control |= BITS;
+            std::arch::asm!("ldmxcsr [{}]", in(reg) &raw const control, options(nostack));
+        }
+    }
+    #[cfg(target_arch = "aarch64")]
+    {
+        /// FZ of FPCR.
+        const BIT: u64 = 1 << 24;
+        let mut control: u64;
+        // SAFETY: reads and writes the control register of this thread; rounding and exception masks stay.
+        unsafe {
+            std::arch::asm!("mrs {}, fpcr", out(reg) control, options(nostack));
+            control |= BIT;
+            std::arch::asm!("msr fpcr, {}", in(reg) control, options(nostack));
+        }
+    }
 }

@@ -20,12 +20,13 @@ const ORDERS: usize = 64;
 /// Readers of restarted plants.
 const READERS: usize = 8;
 
-/// How the thread waits for a measurement, by the time already waited, ns: up to these it spins, yields, naps (short,
-/// then long) and finally stops waiting to see whether there is something else to do.
+/// How the thread waits for a measurement, by the time already waited, ns: up to these it spins, naps (ever longer)
+/// and finally stops waiting to see whether there is something else to do.
 const SPIN_NS: u64 = 10_000;
-const YIELD_NS: u64 = 60_000;
+const SHORTEST_NAPS_NS: u64 = 60_000;
 const SHORT_NAPS_NS: u64 = 5_000_000;
 const PATIENCE_NS: u64 = 10_000_000;
+const SHORTEST_NAP_NS: u64 = 5_000;
 const SHORT_NAP_NS: u64 = 25_000;
 const LONG_NAP_NS: u64 = 500_000;
 /// After this time without a measurement the plant counts as lost on the paced clock, ns.
@@ -90,8 +91,11 @@ pub struct Cycle {
     records: Producer<Record>,
     shared: Arc<Shared>,
     period_ns: u64,
-    max_age: u32,
     overruns: u64,
+    /// Cycles in a row that ended late.
+    late: u64,
+    /// Bits of [`upswing_ipc::Degradation`].
+    degraded: u64,
     command_seq: u64,
     /// What the order of this cycle brought back.
     answer: Option<(u64, Result<(), Refusal>)>,
@@ -118,8 +122,9 @@ impl Cycle {
             records,
             shared: Arc::clone(&shared),
             period_ns: u64::try_from(config.daemon.cycle.period.as_nanos()).unwrap_or(u64::MAX),
-            max_age: config.daemon.trip.measurement_max_age,
             overruns: 0,
+            late: 0,
+            degraded: 0,
             command_seq: 0,
             answer: None,
             garbage: None,
@@ -134,8 +139,9 @@ impl Cycle {
         (cycle, ends)
     }
 
-    /// Runs until it is told to exit; then closes the brakes.
-    pub fn run(mut self) {
+    /// Runs until it is told to exit; then closes the brakes. `degraded`: what the system refused, for the records.
+    pub fn run(mut self, degraded: u64) {
+        self.degraded = degraded;
         let mut deadline = None;
         let mut last_new = monotonic_ns();
         let mut lost = false;
@@ -167,7 +173,7 @@ impl Cycle {
             if newly_lost {
                 lost = true;
                 let cycles = u32::try_from(PLANT_LOST_NS / self.period_ns).unwrap_or(u32::MAX);
-                self.controller.lose_measurement(cycles.max(self.max_age));
+                self.controller.lose_measurement(cycles);
             }
             // Who gave the order may know of a plant that was handed over just before.
             if newly_lost || (!self.orders.is_empty() && self.readers.is_empty()) {
@@ -270,6 +276,9 @@ impl Cycle {
             self.overruns += 1;
             record.telemetry.flags |= Telemetry::OVERRUN;
         }
+        self.late = if overrun { self.late + 1 } else { 0 };
+        self.controller.report_late(self.late);
+        record.telemetry.degraded = self.degraded;
         record.overruns = self.overruns;
         if self.records.push(record).is_err() {
             self.shared.dropped.fetch_add(1, Ordering::Relaxed);
@@ -301,7 +310,7 @@ impl Cycle {
             let now = monotonic_ns();
             match now - begin {
                 waited if waited < SPIN_NS => std::hint::spin_loop(),
-                waited if waited < YIELD_NS => std::thread::yield_now(),
+                waited if waited < SHORTEST_NAPS_NS => sleep_until(now + SHORTEST_NAP_NS),
                 waited if waited < SHORT_NAPS_NS => sleep_until(now + SHORT_NAP_NS),
                 waited if waited < PATIENCE_NS => sleep_until(now + LONG_NAP_NS),
                 _ => return false,

@@ -1,28 +1,28 @@
 //! The other thread: finds the plant, answers requests, checks plans, publishes telemetry.
 
-use crate::controller::{Order, Record};
-use crate::os;
+use crate::controller::Order;
+use crate::journal::Journal;
+use crate::os::{self, Refused};
 use crate::plan;
 use crate::realtime::{Cycle, Ends, Report, Ticket};
+use crate::recovery::{Action, Recovery};
 use crate::supervisor::{Refusal, Request, is_braked};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
 use std::thread::{Builder, JoinHandle, sleep};
 use std::time::{Duration, Instant};
-use tracing::{error, info, warn};
+use tracing::{info, warn};
 use upswing_config::process::Failure;
-use upswing_config::{Config, RealtimeMode};
+use upswing_config::{Config, PlanWhileTracking, RealtimeMode};
 use upswing_ipc::{
     ControlCommand, ControlRequest, ControlResponse, Domain, Finder, IpcError, Measurement, Mode, Node, Plan,
-    Publisher, TELEMETRY_BATCH, TelemetryBatch, Text,
+    PlannerKind, PlannerRequest, Text,
 };
 
 /// Pause of the loop.
 const PAUSE: Duration = Duration::from_millis(1);
 /// How often it looks for a new plant.
 const LOOK: Duration = Duration::from_millis(30);
-/// Oldest telemetry that waits for a batch to fill.
-const FLUSH: Duration = Duration::from_millis(5);
 /// How long a request waits for the real-time thread; and where time stands still (lockstep), where the answer cannot
 /// come before the plant is told to advance.
 const ANSWER: Duration = Duration::from_millis(200);
@@ -38,7 +38,7 @@ const SIGN_OF_LIFE: Duration = Duration::from_millis(200);
 /// where the settings insist on it.
 pub fn serve(config: &Config, domain: &Domain, shutdown: &AtomicBool) -> Result<(), Failure> {
     // Before anything is mapped, so that nothing of it faults later.
-    let memory = os::lock_memory();
+    let (_prepared, refused) = os::prepare_process();
     let node = domain.connect("daemon").map_err(failed)?;
     // The only server of its kind, so it also keeps a second daemon out.
     let server = node.control_server().map_err(|e| match e {
@@ -49,50 +49,54 @@ pub fn serve(config: &Config, domain: &Domain, shutdown: &AtomicBool) -> Result<
     let (command, _ports) = node.command_writer().map_err(failed)?.split();
     let (cycle, ends) = Cycle::new(config, command);
     let mut desk = Desk::new(config, &node, ends)?;
-    let thread = start_thread(config, cycle, memory, &mut desk)?;
+    let thread = start_thread(config, cycle, refused, &mut desk)?;
     info!("daemon ready in domain `{domain}`, model {:016x}", config.model.fingerprint());
 
-    let result = desk.work(&node, &server, shutdown, &thread);
+    let result = desk.work(&server, shutdown, &thread);
     desk.ends.shared.exit.store(true, Ordering::Release);
     let joined = thread.join();
     desk.fetch();
-    desk.flush();
+    let flushed = desk.journal.flush(desk.dropped());
+    desk.complain_of(flushed);
     joined.map_err(|_| Failure::Failed("the real-time thread panicked".into())).and(result)
 }
 
-/// Starts the real-time thread; it has its priority and CPU when this returns.
+/// Starts the real-time thread; it has its priority and CPU when this returns. `refused`: what the system refused so far.
 fn start_thread(
     config: &Config,
     cycle: Cycle,
-    memory: Result<(), String>,
+    mut refused: Vec<Refused>,
     desk: &mut Desk<'_>,
 ) -> Result<JoinHandle<()>, Failure> {
     let settings = config.daemon.realtime;
     let (tell, told) = mpsc::channel();
     let body = move || {
-        let refused: Vec<String> =
-            [memory, os::make_realtime(&settings)].into_iter().filter_map(Result::err).collect();
+        refused.extend(os::prepare_thread(&settings));
+        let degraded = refused.iter().fold(0, |bits, refused| bits | refused.what.bit());
         let go = refused.is_empty() || settings.mode == RealtimeMode::Warn;
-        let heard = tell.send(refused.join(", "));
+        let heard = tell.send((os::thread_id(), refused));
         drop(tell);
         if go && heard.is_ok() {
-            cycle.run();
+            cycle.run(degraded);
         }
     };
     let thread = Builder::new()
         .name("realtime".into())
         .spawn(body)
         .map_err(|e| Failure::Failed(format!("cannot start the real-time thread: {e}")))?;
-    let refused = told.recv().map_err(|_| Failure::Failed("the real-time thread did not start".into()))?;
-    desk.degraded = !refused.is_empty();
-    if desk.degraded {
+    let (tid, refused) =
+        told.recv().map_err(|_| Failure::Failed("the real-time thread did not start".into()))?;
+    desk.degraded = refused.iter().fold(0, |bits, refused| bits | refused.what.bit());
+    if desk.degraded != 0 {
+        let reasons = refused.into_iter().map(|refused| refused.why).collect::<Vec<_>>().join(", ");
         if settings.mode == RealtimeMode::Strict {
             return Err(Failure::Failed(format!(
-                "realtime.mode is strict, but the system refuses {refused}"
+                "realtime.mode is strict, but the system refuses {reasons}"
             )));
         }
-        warn!("degraded, cycles may be late: the system refuses {refused}");
+        warn!("degraded, cycles may be late: the system refuses {reasons}");
     }
+    desk.journal.watch(tid);
     Ok(thread)
 }
 
@@ -103,24 +107,24 @@ fn failed(e: IpcError) -> Failure {
 /// What the thread knows and has to hand.
 struct Desk<'a> {
     config: &'a Config,
+    node: Node,
     ends: Ends,
     plants: Finder<Measurement>,
     next_look: Instant,
-    telemetry: Publisher<TelemetryBatch>,
-    batch: Box<TelemetryBatch>,
-    /// When the batch got its first record.
-    batch_begin: Instant,
-    /// The newest record.
-    newest: Option<Record>,
-    /// When a record last told of a new measurement.
-    sign_of_life: Instant,
-    degraded: bool,
+    journal: Journal<'a>,
+    recovery: Recovery,
+    /// Asks the planner for a recovery.
+    asker: Option<JoinHandle<Result<u64, String>>>,
+    /// Bits of [`upswing_ipc::Degradation`].
+    degraded: u64,
     tickets: u64,
     /// Number of the ticket that somebody waits for (0: nobody), and its answer.
     awaited: u64,
     answer: Option<Result<(), Refusal>>,
-    /// Id of the plan given to the controller last, 0: none.
+    /// Id of the plan given to the controller last and not refused, 0: none.
     loaded: u64,
+    /// Number of the ticket that loaded it, and the plan loaded before.
+    load: Option<(u64, u64)>,
     last_refusal: String,
     last_complaint: String,
 }
@@ -129,19 +133,19 @@ impl<'a> Desk<'a> {
     fn new(config: &'a Config, node: &Node, ends: Ends) -> Result<Self, Failure> {
         Ok(Self {
             config,
+            node: node.clone(),
             ends,
             plants: node.measurement_finder(),
             next_look: Instant::now(),
-            telemetry: node.telemetry_publisher().map_err(failed)?,
-            batch: TelemetryBatch::boxed_zeroed(),
-            batch_begin: Instant::now(),
-            newest: None,
-            sign_of_life: Instant::now(),
-            degraded: false,
+            journal: Journal::new(&config.daemon, node.telemetry_publisher().map_err(failed)?),
+            recovery: Recovery::new(config.daemon.recovery),
+            asker: None,
+            degraded: 0,
             tickets: 0,
             awaited: 0,
             answer: None,
             loaded: 0,
+            load: None,
             last_refusal: String::new(),
             last_complaint: String::new(),
         })
@@ -150,12 +154,11 @@ impl<'a> Desk<'a> {
     /// The loop, until the process may end.
     fn work(
         &mut self,
-        node: &Node,
         server: &upswing_ipc::Server<ControlRequest>,
         shutdown: &AtomicBool,
         thread: &JoinHandle<()>,
     ) -> Result<(), Failure> {
-        let plans = node.plan_subscriber().map_err(failed)?;
+        let plans = self.node.plan_subscriber().map_err(failed)?;
         let mut shutdown_begin = None;
         while !thread.is_finished() {
             if self.next_look <= Instant::now() {
@@ -171,9 +174,9 @@ impl<'a> Desk<'a> {
                 self.complain(e.to_string());
             }
             self.fetch();
-            if self.batch.count > 0 && self.batch_begin.elapsed() >= FLUSH {
-                self.flush();
-            }
+            self.hear_planner();
+            let tended = self.journal.tend(self.dropped());
+            self.complain_of(tended);
             if shutdown.load(Ordering::Acquire) && self.may_exit(&mut shutdown_begin) {
                 return Ok(());
             }
@@ -188,6 +191,8 @@ impl<'a> Desk<'a> {
         match self.plants.poll() {
             Ok(Some(reader)) => {
                 info!("found a plant, started at {} ns", reader.epoch());
+                // Its memory is mapped now, not in the real-time thread.
+                reader.read();
                 if self.ends.readers.push(reader).is_err() {
                     self.complain(
                         "the real-time thread does not take the measurements of a new plant".into(),
@@ -201,27 +206,24 @@ impl<'a> Desk<'a> {
 
     /// Whether a process that shall end may do so: the brakes hold, or waiting is no use.
     fn may_exit(&mut self, begin: &mut Option<Instant>) -> bool {
-        if is_braked(self.mode()) {
+        if is_braked(self.journal.mode()) {
             return true;
         }
         let begin = *begin.get_or_insert_with(|| {
             info!("shutting down");
+            self.recovery.yield_to_operator();
             if self.order(Order::Do(Request::Shutdown)).is_none() {
                 self.complain("the real-time thread does not take the order to shut down".into());
             }
             Instant::now()
         });
-        let silence = self.sign_of_life.max(begin).elapsed();
+        let silence = self.journal.sign_of_life.max(begin).elapsed();
         if silence > SIGN_OF_LIFE {
             warn!("closing the brakes: the plant is gone, or stands still");
         } else if begin.elapsed() > SHUTDOWN {
             warn!("closing the brakes: the arm does not come to rest");
         }
         silence > SIGN_OF_LIFE || begin.elapsed() > SHUTDOWN
-    }
-
-    fn mode(&self) -> Mode {
-        self.newest.and_then(|record| record.telemetry.mode().ok()).unwrap_or(Mode::Idle)
     }
 
     /// Answers a request of the operator.
@@ -238,8 +240,14 @@ impl<'a> Desk<'a> {
             Ok(ControlCommand::Reset) => Request::Reset,
             Err(unknown) => return self.respond(false, &unknown.to_string()),
         };
+        self.recovery.yield_to_operator();
         match self.ask(request) {
-            Ok(remark) => self.respond(true, remark),
+            Ok(remark) => {
+                if matches!(request, Request::Enable | Request::Start | Request::Reset) {
+                    self.journal.forget_warnings();
+                }
+                self.respond(true, remark)
+            }
             Err(reason) => {
                 warn!("{request} refused: {reason}");
                 self.last_refusal = format!("{request}: {reason}");
@@ -290,16 +298,21 @@ impl<'a> Desk<'a> {
     }
 
     fn load(&mut self, payload: &Plan) {
+        let before = self.loaded;
         let result =
             plan::accept(payload, self.config).map_err(|refusal| refusal.to_string()).and_then(|plan| {
-                self.order(Order::Load(plan))
-                    .map(|_| ())
-                    .ok_or_else(|| "too many orders wait for the next cycle".into())
+                let (tracking, running) = (self.journal.mode() == Mode::Track, self.journal.running_plan());
+                if tracking && self.config.daemon.plan_while_tracking == PlanWhileTracking::Refuse {
+                    return Err(Refusal::Tracking { running }.to_string());
+                }
+                let number = self.order(Order::Load(plan));
+                number.ok_or_else(|| "too many orders wait for the next cycle".into())
             });
         match result {
-            Ok(()) => {
+            Ok(number) => {
                 info!("plan {} loaded, t_F = {:.3} s", payload.id, payload.t_f);
                 self.loaded = payload.id;
+                self.load = Some((number, before));
                 self.last_refusal.clear();
             }
             Err(reason) => {
@@ -311,26 +324,25 @@ impl<'a> Desk<'a> {
 
     /// What there is to say about the state: the cause of a fault or stop, the last refusal.
     fn remark(&self) -> String {
-        let trip = self.newest.and_then(|record| record.trip).map(|trip| format!("gave up: {trip}"));
         let refusal =
             Some(&self.last_refusal).filter(|text| !text.is_empty()).map(|text| format!("refused {text}"));
-        trip.into_iter().chain(refusal).collect::<Vec<_>>().join("; ")
+        let recovery = self.recovery.is_active().then(|| "waits for the next swing-up".to_owned());
+        let parts = [Some(self.journal.remark()), recovery, refusal];
+        parts.into_iter().flatten().filter(|text| !text.is_empty()).collect::<Vec<_>>().join("; ")
     }
 
     fn respond(&self, accepted: bool, reason: &str) -> ControlResponse {
-        let record = self.newest;
-        let telemetry = record.map(|record| record.telemetry).unwrap_or_default();
         ControlResponse {
             accepted: u64::from(accepted),
-            mode: self.mode().code(),
-            fault: telemetry.fault,
             plan_id: self.loaded,
-            running_plan: telemetry.plan_id,
-            seq: telemetry.seq,
-            degraded: u64::from(self.degraded),
-            overruns: record.map_or(0, |record| record.overruns),
+            degraded: self.degraded,
             reason: Text::new(reason),
+            ..self.journal.respond()
         }
+    }
+
+    fn dropped(&self) -> u64 {
+        self.ends.shared.dropped.load(Ordering::Relaxed)
     }
 
     /// Takes in all that came from the real-time thread.
@@ -339,56 +351,70 @@ impl<'a> Desk<'a> {
         while let Ok(report) = self.ends.reports.pop() {
             match report {
                 Report::Answer { number, result } if number == self.awaited => self.answer = Some(result),
-                Report::Answer { result: Err(refusal), .. } => {
+                Report::Answer { number, result: Err(refusal) } => {
                     warn!("queued order refused: {refusal}");
                     self.last_refusal = format!("queued order: {refusal}");
+                    if let Some((_, before)) = self.load.take_if(|(load, _)| *load == number) {
+                        self.loaded = before;
+                    }
                 }
                 Report::Answer { .. } => {}
                 Report::Garbage(plan) => drop(plan),
             }
         }
         while let Ok(record) = self.ends.records.pop() {
-            self.note(record);
-        }
-    }
-
-    fn note(&mut self, record: Record) {
-        let before = self.mode();
-        let (last_seq, last_measured) =
-            self.newest.map_or((0, 0), |r| (r.telemetry.seq, r.telemetry.measurement_seq));
-        self.newest = Some(record);
-        if record.telemetry.measurement_seq != last_measured {
-            self.sign_of_life = Instant::now();
-        }
-        let mode = self.mode();
-        if mode != before {
-            match record.trip {
-                Some(trip) if mode == Mode::Fault => error!("{before} -> {mode}: {trip}"),
-                Some(trip) if mode == Mode::Stop => warn!("{before} -> {mode}: {trip}"),
-                _ => info!("{before} -> {mode}"),
-            }
-        }
-        // Orders between cycles give a record too, but that is no cycle.
-        if record.telemetry.seq != last_seq {
-            if self.batch.count == 0 {
-                self.batch_begin = Instant::now();
-            }
-            self.batch.push(record.telemetry);
-            if self.batch.used().len() == TELEMETRY_BATCH {
-                self.flush();
+            let action = self.recovery.note(&record, self.loaded);
+            let noted = self.journal.note(record, self.dropped());
+            self.complain_of(noted);
+            match action {
+                Some(Action::AskPlanner) => self.ask_planner(),
+                Some(Action::Start) => {
+                    info!("recovery: swinging up again");
+                    if self.order(Order::Do(Request::Start)).is_none() {
+                        self.complain("too many orders wait for the next cycle".into());
+                    }
+                }
+                None => {}
             }
         }
     }
 
-    fn flush(&mut self) {
-        if self.batch.count == 0 {
-            return;
+    /// Asks for a plan in a thread of its own: it may take a second.
+    fn ask_planner(&mut self) {
+        info!("recovery: the pendulum rests, asking for a plan");
+        let (node, patience) = (self.node.clone(), self.config.daemon.recovery.patience);
+        let ask = move || {
+            let request = PlannerRequest {
+                kind: PlannerKind::SwingUp.code(),
+                from_now: 1,
+                publish: 1,
+                ..PlannerRequest::default()
+            };
+            let client = node.planner_client().map_err(|e| e.to_string())?;
+            let answer = client.call(&request, patience).map_err(|e| e.to_string())?;
+            if answer.plan_id == 0 { Err(answer.reason.to_string()) } else { Ok(answer.plan_id) }
+        };
+        match Builder::new().name("recovery".into()).spawn(ask) {
+            Ok(thread) => self.asker = Some(thread),
+            Err(e) => {
+                self.recovery.planned(None);
+                self.complain(format!("recovery: cannot start a thread: {e}"));
+            }
         }
-        self.batch.dropped = self.ends.shared.dropped.load(Ordering::Relaxed);
-        if let Err(e) = self.telemetry.publish(&self.batch) {
-            self.complain(e.to_string());
+    }
+
+    /// Takes the answer of the planner, once it is there.
+    fn hear_planner(&mut self) {
+        let Some(asker) = self.asker.take_if(|asker| asker.is_finished()) else { return };
+        let answer = asker.join().unwrap_or_else(|_| Err("the asking thread panicked".into()));
+        match answer {
+            Ok(plan_id) => self.recovery.planned(Some(plan_id)),
+            Err(reason) => {
+                self.recovery.planned(None);
+                self.last_refusal = format!("a plan for the recovery: {reason}");
+                warn!("recovery given up: {reason}");
+            }
         }
-        self.batch.clear();
     }
 
     /// Logs a trouble that persists once.
@@ -396,6 +422,12 @@ impl<'a> Desk<'a> {
         if trouble != self.last_complaint {
             warn!("{trouble}");
             self.last_complaint = trouble;
+        }
+    }
+
+    fn complain_of(&mut self, result: Result<(), IpcError>) {
+        if let Err(e) = result {
+            self.complain(e.to_string());
         }
     }
 }

@@ -6,7 +6,7 @@ mod common;
 use common::{at_rest, config, measurement, rest_plan, rest_pose};
 use proptest::prelude::*;
 use upswing_ipc::{Measurement, Mode};
-use upswing_model::NQ;
+use upswing_model::{NQ, NU};
 use upswingd::controller::{Controller, Order};
 use upswingd::supervisor::{Request, is_braked};
 
@@ -21,6 +21,8 @@ enum Disturbance {
     Repeat,
     Lost,
     Restart,
+    Late(u64),
+    Torque(usize, f64),
 }
 
 fn disturbances() -> impl Strategy<Value = Disturbance> {
@@ -34,6 +36,8 @@ fn disturbances() -> impl Strategy<Value = Disturbance> {
         4 => Just(Disturbance::Repeat),
         1 => Just(Disturbance::Lost),
         1 => Just(Disturbance::Restart),
+        1 => (0_u64..40).prop_map(Disturbance::Late),
+        1 => (0..NU, any::<f64>()).prop_map(|(i, v)| Disturbance::Torque(i, v)),
     ]
 }
 
@@ -52,7 +56,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
 
     #[test]
-    fn and_faults_stay(steps in prop::collection::vec((disturbances(), requests(), 1_u64..4000), 1..60)) {
+    fn and_faults_stay(steps in prop::collection::vec((disturbances(), requests(), prop_oneof![4 => 1_u64..20, 1 => 20_u64..4000]), 1..60)) {
         let config = config();
         let tau_max = config.robot.limits.tau_max;
         let mut controller = Controller::new(&config);
@@ -75,6 +79,8 @@ proptest! {
                 Disturbance::Repeat => next = last,
                 Disturbance::Lost => controller.lose_measurement(20),
                 Disturbance::Restart => controller.restart_measurement(),
+                Disturbance::Late(cycles) => controller.report_late(cycles),
+                Disturbance::Torque(i, v) => next.tau_measured[i] = v,
             }
             last = next;
             let order = request.map(|i| match i {

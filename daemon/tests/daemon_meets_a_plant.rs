@@ -2,27 +2,17 @@
 
 mod common;
 
-use common::{config, measurement, rest_payload, rest_pose};
+use common::live::{LONG, Plant, ask, ask_until, new_domain, running_plant};
+use common::{config, rest_payload};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{JoinHandle, sleep, spawn};
 use std::time::{Duration, Instant};
+use upswing_config::Config;
 use upswing_config::process::Failure;
-use upswing_ipc::{
-    Client, Clock, Command, ControlCommand, ControlRequest, ControlResponse, Domain, Finder, Measurement,
-    Mode, Node, Reader, Telemetry, Writer,
-};
-use upswing_model::JointVector;
+use upswing_ipc::{Clock, ControlCommand, Domain, Mode, Telemetry};
 use upswingd::service::serve;
-
-/// Far beyond anything that is waited for here.
-const LONG: Duration = Duration::from_secs(30);
-
-fn new_domain() -> Domain {
-    static COUNTER: AtomicU32 = AtomicU32::new(0);
-    let name = format!("daemon-{}-{}", std::process::id(), COUNTER.fetch_add(1, Ordering::Relaxed));
-    Domain::new(&name).unwrap()
-}
+use upswingd::trip::TripCause;
 
 struct Daemon {
     thread: JoinHandle<Result<(), Failure>>,
@@ -31,117 +21,18 @@ struct Daemon {
 
 impl Daemon {
     fn start(domain: &Domain) -> Self {
+        Self::start_with(domain, config())
+    }
+
+    fn start_with(domain: &Domain, config: Config) -> Self {
         let shutdown = Arc::new(AtomicBool::new(false));
         let (domain, flag) = (domain.clone(), Arc::clone(&shutdown));
-        Self { thread: spawn(move || serve(&config(), &domain, &flag)), shutdown }
+        Self { thread: spawn(move || serve(&config, &domain, &flag)), shutdown }
     }
 
     fn end(self) -> Result<(), Failure> {
         self.shutdown.store(true, Ordering::Release);
         self.thread.join().unwrap()
-    }
-}
-
-struct Plant {
-    writer: Writer<Measurement>,
-    finder: Finder<Command>,
-    commands: Option<Reader<Command>>,
-    clock: Clock,
-    q: JointVector,
-    seq: u64,
-}
-
-impl Plant {
-    fn new(node: &Node, clock: Clock) -> Self {
-        let q = rest_pose(&config());
-        Self {
-            writer: node.measurement_writer().unwrap(),
-            finder: node.command_finder(),
-            commands: None,
-            clock,
-            q,
-            seq: 0,
-        }
-    }
-
-    fn publish(&self) {
-        let mut next = measurement(self.seq, &self.q);
-        next.clock = self.clock.code();
-        self.writer.write(next);
-    }
-
-    fn command(&mut self) -> Command {
-        let begin = Instant::now();
-        while self.commands.is_none() {
-            assert!(begin.elapsed() < LONG, "no daemon");
-            self.commands = self.finder.poll().unwrap();
-            sleep(Duration::from_millis(1));
-        }
-        self.commands.as_ref().unwrap().read()
-    }
-
-    /// One cycle; `None` if `give_up` before the answer.
-    fn exchange_unless(&mut self, give_up: impl Fn() -> bool) -> Option<Command> {
-        self.seq += 1;
-        self.publish();
-        let begin = Instant::now();
-        loop {
-            let command = self.command();
-            if command.measurement_seq == self.seq {
-                return Some(command);
-            }
-            if give_up() {
-                return None;
-            }
-            assert!(begin.elapsed() < LONG, "no answer to measurement {}", self.seq);
-            std::thread::yield_now();
-        }
-    }
-
-    fn exchange(&mut self) -> Command {
-        self.exchange_unless(|| false).unwrap()
-    }
-}
-
-/// A plant that runs in a thread of its own until `stop`.
-fn running_plant(domain: &Domain, clock: Clock, stop: &Arc<AtomicBool>) -> JoinHandle<()> {
-    let (domain, stop) = (domain.clone(), Arc::clone(stop));
-    spawn(move || {
-        let node = domain.connect("plant").unwrap();
-        let mut plant = Plant::new(&node, clock);
-        while !stop.load(Ordering::Acquire) {
-            if clock == Clock::Wall {
-                plant.seq += 1;
-                plant.publish();
-                sleep(Duration::from_micros(100));
-            } else {
-                plant.exchange_unless(|| stop.load(Ordering::Acquire));
-            }
-        }
-    })
-}
-
-fn ask(client: &Client<ControlRequest>, command: ControlCommand) -> ControlResponse {
-    client.call(&ControlRequest::new(command), LONG).unwrap()
-}
-
-/// Repeats a request until its answer pleases.
-fn ask_until(
-    client: &Client<ControlRequest>,
-    command: ControlCommand,
-    pleases: impl Fn(&ControlResponse) -> bool,
-) -> ControlResponse {
-    let begin = Instant::now();
-    loop {
-        if client.has_server() {
-            let answer = ask(client, command);
-            if pleases(&answer) {
-                return answer;
-            }
-            assert!(begin.elapsed() < LONG, "last answer: {answer:?}");
-        }
-        assert!(begin.elapsed() < LONG, "no daemon");
-        sleep(Duration::from_millis(2));
     }
 }
 
@@ -254,5 +145,40 @@ fn a_second_daemon_is_refused() {
     assert!(matches!(&refusal, Failure::Failed(text) if text.contains("has a daemon already")), "{refusal}");
     first.end().unwrap();
     drop((client, node));
+    domain.remove_if_unused().unwrap();
+}
+
+#[test]
+fn the_cycles_before_a_fault_are_kept() {
+    let domain = new_domain();
+    let node = domain.connect("plant").unwrap();
+    let client = node.control_client().unwrap();
+    let mut plant = Plant::new(&node, Clock::Lockstep);
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = config();
+    config.daemon.recorder.directory = Some(folder.path().to_owned());
+    let daemon = Daemon::start_with(&domain, config);
+    plant.exchange();
+    ask(&client, ControlCommand::Enable);
+    (0..100).for_each(|_| {
+        plant.exchange();
+    });
+    plant.q[3] = f64::NAN;
+    plant.exchange();
+    let answer = ask_until(&client, ControlCommand::Status, |answer| answer.mode() == Ok(Mode::Fault));
+    let told = answer.reason.as_str().unwrap().to_owned();
+    assert!(told.contains("joint 4 is NaN") && told.contains(folder.path().to_str().unwrap()), "{told}");
+    let files: Vec<_> =
+        std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().path()).collect();
+    assert_eq!(files.len(), 1, "{files:?}");
+    let records = upswingd::flight::read(&files[0]).unwrap();
+    let seqs: Vec<u64> = records.iter().map(|record| record.seq).collect();
+    assert_eq!(seqs, (1..=102).collect::<Vec<_>>());
+    let last = &records[101];
+    assert_eq!((last.mode(), last.fault), (Ok(Mode::Fault), TripCause::NotFinite.code()));
+    assert!(last.q[3].is_nan());
+    assert_eq!(records[100].mode(), Ok(Mode::Hold));
+    daemon.end().unwrap();
+    drop((plant, client, node));
     domain.remove_if_unused().unwrap();
 }

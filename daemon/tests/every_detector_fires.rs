@@ -2,16 +2,21 @@
 
 mod common;
 
-use common::{PERIOD_NS, at_rest, config, measurement, rest_plan, rest_pose};
+use common::{PERIOD_NS, at_rest, config, measurement, rest_plan, rest_pose, upright_pose};
+use nalgebra::SMatrix;
 use upswing_ipc::{Clock, Measurement, Mode, Telemetry};
-use upswing_model::JointVector;
+use upswing_model::{ActuatedVector, JointVector, NU, Workspace};
 use upswingd::controller::{Controller, Order, Output};
-use upswingd::supervisor::{Refusal, Request, TripCause};
+use upswingd::supervisor::{Refusal, Request};
+use upswingd::trip::TripCause;
 
 /// An enabled controller after its second measurement, and the pose it holds.
 fn enabled() -> (Controller, JointVector) {
+    enabled_at(rest_pose(&config()))
+}
+
+fn enabled_at(q: JointVector) -> (Controller, JointVector) {
     let config = config();
-    let q = rest_pose(&config);
     let mut controller = Controller::new(&config);
     controller.step(&measurement(1, &q), 0, Some(Order::Do(Request::Enable)));
     controller.step(&measurement(2, &q), 0, None);
@@ -19,9 +24,9 @@ fn enabled() -> (Controller, JointVector) {
     (controller, q)
 }
 
-/// One in Balance at the rest pose.
+/// One in Balance.
 fn balancing() -> (Controller, JointVector) {
-    let (mut controller, q) = enabled();
+    let (mut controller, q) = enabled_at(upright_pose());
     let config = config();
     let plan = rest_plan(&config, &at_rest(&q), 0.0005);
     controller.step(&measurement(3, &q), 0, Some(Order::Load(plan)));
@@ -36,6 +41,11 @@ fn balancing() -> (Controller, JointVector) {
 
 fn trip(controller: &Controller) -> Option<(Mode, TripCause, usize)> {
     controller.trip().map(|trip| (controller.mode(), trip.cause, trip.joint))
+}
+
+/// Whether the cycle exceeded the warning level of `cause`.
+fn warns(output: &Output, cause: TripCause) -> bool {
+    output.record.telemetry.warnings & cause.bit() != 0
 }
 
 fn faults_on(spoil: impl Fn(&mut Measurement), cause: TripCause, joint: usize) -> Output {
@@ -58,6 +68,95 @@ fn faults_on(spoil: impl Fn(&mut Measurement), cause: TripCause, joint: usize) -
 fn not_finite() {
     faults_on(|m| m.q[4] = f64::NAN, TripCause::NotFinite, 4);
     faults_on(|m| m.q[8] = f64::INFINITY, TripCause::NotFinite, 8);
+}
+
+#[test]
+fn an_angle_that_no_encoder_shows() {
+    faults_on(|m| m.q[7] = 101.0, TripCause::NotFinite, 7);
+}
+
+#[test]
+fn measurement_gap() {
+    let (mut controller, q) = enabled();
+    let output = controller.step(&measurement(2 + 21, &q), 0, None);
+    assert_eq!((controller.mode(), warns(&output, TripCause::MeasurementGap)), (Mode::Hold, true));
+    let output = controller.step(&measurement(23 + 1, &q), 0, None);
+    assert!(!warns(&output, TripCause::MeasurementGap));
+    controller.step(&measurement(24 + 22, &q), 0, None);
+    assert_eq!(trip(&controller), Some((Mode::Fault, TripCause::MeasurementGap, 0)));
+    assert_eq!(controller.trip().map(|trip| (trip.value, trip.limit)), Some((21.0, 20.0)));
+}
+
+#[test]
+fn measured_torque() {
+    // 120 % of 40 N m.
+    faults_on(|m| m.tau_measured[5] = -48.1, TripCause::TorqueLimit, 5);
+    faults_on(|m| m.tau_measured[0] = f64::NAN, TripCause::TorqueLimit, 0);
+    let ((mut controller, q), mut seq) = (enabled(), 2);
+    for (tau, warned) in [(35.9, false), (36.1, true), (47.9, true)] {
+        seq += 1;
+        let mut next = measurement(seq, &q);
+        next.tau_measured[6] = tau;
+        let output = controller.step(&next, 0, None);
+        assert_eq!(
+            (controller.mode(), warns(&output, TripCause::TorqueLimit)),
+            (Mode::Hold, warned),
+            "{tau}"
+        );
+    }
+}
+
+#[test]
+fn torque_rate() {
+    let config = config();
+    // 100 % per ms warns, 400 % per ms trips: 1/8 and 1/2 of 320 N m in one cycle.
+    for (jump, expected) in
+        [(0.1, (Mode::Track, false)), (0.3, (Mode::Track, true)), (0.6, (Mode::Fault, true))]
+    {
+        let (mut controller, q) = enabled();
+        let x = at_rest(&q);
+        let mut plan = rest_plan(&config, &x, 1.0);
+        // The input that changes the torque of joint 1 alone: (24) is affine in u.
+        let mut work = Workspace::default();
+        let at_rest = config.model.torque(&x, &ActuatedVector::zeros(), &mut work);
+        let mass = SMatrix::<f64, NU, NU>::from_fn(|i, j| {
+            let unit = ActuatedVector::from_fn(|k, _| if k == j { 1.0 } else { 0.0 });
+            (config.model.torque(&x, &unit, &mut work) - at_rest)[i]
+        });
+        let mut change = ActuatedVector::zeros();
+        change[0] = jump * config.robot.limits.tau_max[0];
+        // u_d is linear between knots 10 ms apart.
+        plan.trajectory.u[1] = mass.lu().solve(&change).unwrap() * (0.01 / common::PERIOD);
+        controller.step(&measurement(3, &q), 0, Some(Order::Load(plan)));
+        controller.step(&measurement(4, &q), 0, Some(Order::Do(Request::Start)));
+        let output = controller.step(&measurement(5, &q), 0, None);
+        assert_eq!((controller.mode(), warns(&output, TripCause::TorqueRate)), expected, "{jump}");
+        if expected.0 == Mode::Fault {
+            assert_eq!(trip(&controller), Some((Mode::Fault, TripCause::TorqueRate, 0)));
+            assert_eq!((output.command.brake, output.command.tau), (1, [0.0; 7]));
+        }
+    }
+}
+
+#[test]
+fn late_cycles() {
+    let config = config();
+    let (mut controller, q) = enabled();
+    controller.report_late(1000);
+    let output = controller.step(&measurement(3, &q), 0, None);
+    assert_eq!(controller.mode(), Mode::Hold, "Hold is what a lateness leads to anyway");
+    assert!(warns(&output, TripCause::LateCycles));
+    controller.report_late(0);
+    controller.step(&measurement(4, &q), 0, Some(Order::Load(rest_plan(&config, &at_rest(&q), 1.0))));
+    controller.step(&measurement(5, &q), 0, Some(Order::Do(Request::Start)));
+    for (seq, late, expected) in
+        [(6, 1, (Mode::Track, false)), (7, 20, (Mode::Track, true)), (8, 21, (Mode::Stop, true))]
+    {
+        controller.report_late(late);
+        let output = controller.step(&measurement(seq, &q), 0, None);
+        assert_eq!((controller.mode(), warns(&output, TripCause::LateCycles)), expected, "{late}");
+    }
+    assert_eq!(trip(&controller), Some((Mode::Stop, TripCause::LateCycles, 0)));
 }
 
 #[test]
@@ -88,11 +187,14 @@ fn position_limit() {
     // 170 + 5 deg.
     let (mut controller, mut q) = enabled();
     let mut seq = 2;
+    let mut warned = None;
     while controller.mode() == Mode::Hold {
         q[2] += 1e-4;
         seq += 1;
-        controller.step(&measurement(seq, &q), 0, None);
+        let output = controller.step(&measurement(seq, &q), 0, None);
+        warned = warned.or(warns(&output, TripCause::PositionLimit).then_some(q[2].to_degrees()));
     }
+    assert!(warned.is_some_and(|deg| (deg - 171.0).abs() < 0.01), "{warned:?}");
     assert_eq!(trip(&controller), Some((Mode::Fault, TripCause::PositionLimit, 2)));
     assert!((q[2].to_degrees() - 175.0).abs() < 0.01, "{}", q[2].to_degrees());
 }
@@ -107,14 +209,17 @@ fn velocity_limit_of_the_arm_only() {
     }
     assert_eq!(controller.mode(), Mode::Hold);
     for seq in 200..1000 {
-        q[3] += 1.3 * common::PERIOD;
+        q[3] += 1.0 * common::PERIOD;
         controller.step(&measurement(seq, &q), 0, None);
     }
     assert_eq!(controller.mode(), Mode::Hold);
+    let mut warned = None;
     for seq in 1000..1500 {
         q[3] += 1.6 * common::PERIOD;
-        controller.step(&measurement(seq, &q), 0, None);
+        let output = controller.step(&measurement(seq, &q), 0, None);
+        warned = warned.or(warns(&output, TripCause::VelocityLimit).then_some(controller.mode()));
     }
+    assert_eq!(warned, Some(Mode::Hold));
     assert_eq!(trip(&controller), Some((Mode::Fault, TripCause::VelocityLimit, 3)));
 }
 
@@ -213,11 +318,14 @@ fn tracking_error() {
     controller.step(&measurement(3, &q), 0, Some(Order::Load(plan)));
     controller.step(&measurement(4, &q), 0, Some(Order::Do(Request::Start)));
     let mut seq = 4;
+    let mut warned = None;
     while controller.mode() == Mode::Track {
         seq += 1;
         q[8] += 1e-3;
-        controller.step(&measurement(seq, &q), 0, None);
+        let output = controller.step(&measurement(seq, &q), 0, None);
+        warned = warned.or(warns(&output, TripCause::TrackingError).then_some(q[8]));
     }
+    assert!(warned.is_some_and(|error| (error - 0.25).abs() < 2e-3), "{warned:?}");
     assert_eq!(trip(&controller), Some((Mode::Stop, TripCause::TrackingError, 8)));
     assert!((controller.trip().unwrap().value - 0.5).abs() < 2e-3);
 }
@@ -226,11 +334,14 @@ fn tracking_error() {
 fn balance_lost() {
     let (mut controller, mut q) = balancing();
     let (mut seq, before) = (10, q[8]);
+    let mut warned = None;
     while controller.mode() == Mode::Balance {
         seq += 1;
         q[8] += 1e-3;
-        controller.step(&measurement(seq, &q), 0, None);
+        let output = controller.step(&measurement(seq, &q), 0, None);
+        warned = warned.or(warns(&output, TripCause::BalanceLost).then_some((q[8] - before).to_degrees()));
     }
+    assert!(warned.is_some_and(|deg| (deg - 10.0).abs() < 0.1), "{warned:?}");
     assert_eq!(
         trip(&controller).map(|(mode, cause, _)| (mode, cause)),
         Some((Mode::Stop, TripCause::BalanceLost))
@@ -242,8 +353,8 @@ fn balance_lost() {
 fn pendulum_range() {
     // A tilt that is never lost, so that joint 8 comes to 180 + 20 + 5 deg.
     let mut config = config();
-    config.daemon.balance_lost = 4.0;
-    let mut q = rest_pose(&config);
+    config.daemon.limits.balance_tilt.trip = 4.0;
+    let mut q = upright_pose();
     let mut controller = Controller::new(&config);
     let plan = rest_plan(&config, &at_rest(&q), 0.0005);
     let orders = [Order::Do(Request::Enable), Order::Load(plan), Order::Do(Request::Start)];

@@ -1,17 +1,19 @@
 //! Every pair of mode and event has the result that ARCHITECTURE.md names.
 
 use upswing_ipc::Mode::{self, Balance, Fault, Hold, Idle, Stop, Track};
+use upswingd::plan::Ending;
 use upswingd::supervisor::{Event, Refusal, Request, transition};
 
 /// Rows: modes in the order of [`Mode::ALL`]; columns: [`EVENTS`]. `None`: refused.
-const EVENTS: [Event; 11] = [
+const EVENTS: [Event; 12] = [
     Event::Asked(Request::Enable),
     Event::Asked(Request::Hold),
     Event::Asked(Request::Start),
     Event::Asked(Request::Stop),
     Event::Asked(Request::Reset),
     Event::Asked(Request::Shutdown),
-    Event::PlanEnded,
+    Event::PlanEnded(Ending::Upright),
+    Event::PlanEnded(Ending::Hanging),
     Event::Lost,
     Event::AtRest,
     Event::AtRestForGood,
@@ -19,14 +21,14 @@ const EVENTS: [Event; 11] = [
 ];
 const NO: Option<Mode> = None;
 #[rustfmt::skip]
-const TABLE: [(Mode, [Option<Mode>; 11]); 6] = [
-    //          enable      hold        start        stop        reset       shutdown     ended          lost        at rest     for good    fault
-    (Idle,    [Some(Hold), NO,         NO,          NO,         NO,         Some(Idle),  NO,            NO,         NO,         NO,         NO]),
-    (Hold,    [NO,         Some(Hold), Some(Track), Some(Stop), NO,         Some(Stop),  NO,            NO,         NO,         NO,         Some(Fault)]),
-    (Track,   [NO,         NO,         NO,          Some(Stop), NO,         Some(Stop),  Some(Balance), Some(Stop), NO,         NO,         Some(Fault)]),
-    (Balance, [NO,         Some(Hold), NO,          Some(Stop), NO,         Some(Stop),  NO,            Some(Stop), NO,         NO,         Some(Fault)]),
-    (Stop,    [NO,         NO,         NO,          NO,         NO,         Some(Stop),  NO,            NO,         Some(Hold), Some(Idle), Some(Fault)]),
-    (Fault,   [NO,         NO,         NO,          NO,         Some(Idle), Some(Fault), NO,            NO,         NO,         NO,         NO]),
+const TABLE: [(Mode, [Option<Mode>; 12]); 6] = [
+    //          enable      hold        start        stop        reset       shutdown     upright        hanging     lost        at rest     for good    fault
+    (Idle,    [Some(Hold), NO,         NO,          NO,         NO,         Some(Idle),  NO,            NO,         NO,         NO,         NO,         NO]),
+    (Hold,    [NO,         Some(Hold), Some(Track), Some(Stop), NO,         Some(Stop),  NO,            NO,         NO,         NO,         NO,         Some(Fault)]),
+    (Track,   [NO,         NO,         NO,          Some(Stop), NO,         Some(Stop),  Some(Balance), Some(Hold), Some(Stop), NO,         NO,         Some(Fault)]),
+    (Balance, [NO,         Some(Hold), Some(Track), Some(Stop), NO,         Some(Stop),  NO,            NO,         Some(Stop), NO,         NO,         Some(Fault)]),
+    (Stop,    [NO,         NO,         NO,          NO,         NO,         Some(Stop),  NO,            NO,         NO,         Some(Hold), Some(Idle), Some(Fault)]),
+    (Fault,   [NO,         NO,         NO,          NO,         Some(Idle), Some(Fault), NO,            NO,         NO,         NO,         NO,         NO]),
 ];
 
 #[test]

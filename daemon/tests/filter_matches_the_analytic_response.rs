@@ -58,3 +58,18 @@ fn a_reset_forgets() {
     filter.reset();
     assert_eq!(filter.update(&all(5.0), 1), all(0.0));
 }
+
+#[test]
+fn a_shift_moves_the_zero_but_no_velocity() {
+    let mut shifted = DifferentialFilter::new(TS, T1);
+    let mut other = DifferentialFilter::new(TS, T1);
+    for filter in [&mut shifted, &mut other] {
+        filter.update(&all(0.0), 1);
+        filter.update(&all(0.1), 1);
+    }
+    shifted.shift(4, -6.0);
+    let mut q = all(0.2);
+    let expected = other.update(&q, 1);
+    q[4] -= 6.0;
+    assert!((shifted.update(&q, 1) - expected).amax() < 1e-12);
+}

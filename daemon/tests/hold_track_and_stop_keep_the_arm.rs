@@ -2,9 +2,9 @@
 
 mod common;
 
-use common::{Arm, at_rest, config, rest_plan, rest_pose};
+use common::{Arm, at_rest, config, rest_plan, rest_pose, upright_pose};
 use upswing_ipc::{Mode, Telemetry};
-use upswing_model::{NQ, NU, position};
+use upswing_model::{JointVector, NQ, NU, State, position};
 use upswingd::controller::{Controller, Order};
 use upswingd::supervisor::Request;
 
@@ -29,9 +29,13 @@ impl Loop {
     }
 }
 
-fn enabled() -> (Loop, upswing_model::State) {
+fn enabled() -> (Loop, State) {
+    enabled_at(&rest_pose(&config()))
+}
+
+fn enabled_at(q: &JointVector) -> (Loop, State) {
     let config = config();
-    let x = at_rest(&rest_pose(&config));
+    let x = at_rest(q);
     let mut system = Loop { arm: Arm::new(&config, x), controller: Controller::new(&config) };
     assert_eq!(system.ask(Request::Enable).mode, Mode::Hold.code());
     (system, x)
@@ -61,8 +65,8 @@ fn hold_returns_after_a_push() {
 }
 
 #[test]
-fn a_plan_at_rest_is_tracked_and_then_balanced() {
-    let (mut system, x) = enabled();
+fn a_plan_that_stands_is_tracked_and_then_balanced() {
+    let (mut system, x) = enabled_at(&upright_pose());
     let config = config();
     system.cycle(Some(Order::Load(rest_plan(&config, &x, 0.05))));
     let first = system.ask(Request::Start);
@@ -125,4 +129,43 @@ fn shutdown_comes_to_rest_before_the_brakes_close() {
     assert!(system.arm.x.fixed_rows::<NU>(NQ).amax() < 0.02);
     let output = system.controller.step(&system.arm.measure(), 0, Some(Order::Do(Request::Enable)));
     assert!(output.answer.unwrap().is_err(), "nothing starts any more");
+}
+
+#[test]
+fn a_pendulum_that_turned_over_hangs_at_zero_again() {
+    let config = config();
+    let q = rest_pose(&config);
+    let mut controller = Controller::new(&config);
+    controller.step(&common::measurement(1, &q), 0, Some(Order::Do(Request::Enable)));
+    let (mut turning, turn) = (q, std::f64::consts::TAU);
+    let mut seq = 1;
+    // A turn and a half, at 10 rad/s.
+    while turning[7] < q[7] + 1.5 * turn {
+        turning[7] += 10.0 * common::PERIOD;
+        seq += 1;
+        let output = controller.step(&common::measurement(seq, &turning), 0, None);
+        assert_eq!(output.record.telemetry.mode, Mode::Hold.code(), "{:?}", controller.trip());
+        let shown = output.record.telemetry.q[7];
+        assert!(shown.abs() < 0.5 * turn + 0.51, "{shown}");
+        assert!(((turning[7] - shown) / turn).fract().abs() < 1e-9, "only whole turns go");
+        let speed = output.record.telemetry.qd[7];
+        assert!(seq < 1000 || (speed - 10.0).abs() < 0.2, "{speed} rad/s");
+    }
+    // Plans count q8 as the controller does.
+    turning[7] = q[7] + turn;
+    (1..2000).for_each(|_| {
+        seq += 1;
+        controller.step(&common::measurement(seq, &turning), 0, None);
+    });
+    for order in [
+        Order::Do(Request::Reset),
+        Order::Do(Request::Enable),
+        Order::Load(rest_plan(&config, &at_rest(&q), 1.0)),
+    ] {
+        seq += 1;
+        let _ = controller.step(&common::measurement(seq, &turning), 0, Some(order)).answer;
+    }
+    seq += 1;
+    let output = controller.step(&common::measurement(seq, &turning), 0, Some(Order::Do(Request::Start)));
+    assert_eq!((output.answer, controller.mode()), (Some(Ok(())), Mode::Track));
 }

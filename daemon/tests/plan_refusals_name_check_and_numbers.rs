@@ -2,13 +2,14 @@
 
 mod common;
 
-use common::{at_rest, config, rest_payload, rest_plan, rest_pose};
-use upswing_config::Config;
+use common::{at_rest, config, rest_payload, rest_plan, rest_pose, upright_pose};
+use upswing_config::{Config, PlanWhileTracking};
 use upswing_ipc::Plan as Payload;
-use upswing_model::{NQ, State};
+use upswing_model::{NQ, State, Workspace};
 use upswingd::controller::{Controller, Order};
 use upswingd::plan::{PlanRefusal, accept};
 use upswingd::supervisor::{Refusal, Request};
+use upswingd::trip::TripCause;
 
 fn rest() -> (Config, State) {
     let config = config();
@@ -85,14 +86,118 @@ fn limits_at_a_knot() {
     assert!(text.contains("position of joint 2 at knot 4 is 2.5000") && text.contains("2.0954"), "{text}");
     let text = refusal(|p| p.x[5][NQ + 3] = -0.8).to_string();
     assert!(text.contains("velocity of joint 4 at knot 5 is -0.8000"), "{text}");
-    let text = refusal(|p| p.u[6][0] = 1000.0).to_string();
-    assert!(text.contains("torque of joint 1 at knot 6") && text.contains("168.0000"), "{text}");
+    let text = refusal(|p| p.u[0][0] = 1000.0).to_string();
+    assert!(text.contains("torque of joint 1 at knot 0 is") && text.contains("168.0000"), "{text}");
+}
+
+#[test]
+fn limits_between_knots() {
+    // Both knots are within the limits; between them the spline (12) leaves them by half an interval times f.
+    let (config, x) = rest();
+    let mut payload = rest_payload(&config, &x, 60.0);
+    let fast = config.robot.planning.qd_max[1];
+    for (k, velocity) in [(4, 0.9 * fast), (5, -0.9 * fast)] {
+        payload.x[k][1] = config.robot.planning.q_max[1] - 0.01;
+        payload.x[k][NQ + 1] = velocity;
+        let state = State::from(payload.x[k]);
+        let f = config.model.f(&state, &nalgebra::SVector::zeros(), &mut Workspace::default());
+        payload.f[k] = f.into();
+    }
+    payload.seal();
+    let text = accept(&payload, &config).unwrap_err().to_string();
+    assert!(text.contains("position of joint 2 at knot 4.") || text.contains("at knot 3."), "{text}");
+}
+
+#[test]
+fn a_final_gain_that_lets_the_rod_fall() {
+    let config = config();
+    let x = at_rest(&upright_pose());
+    let mut payload = rest_payload(&config, &x, 1.0);
+    accept(&payload, &config).unwrap();
+    // The arm is held, the rod is nobody's concern.
+    payload.k_final = [[0.0; 18]; 7];
+    for i in 0..7 {
+        (payload.k_final[i][i], payload.k_final[i][NQ + i]) = (-100.0, -20.0);
+    }
+    payload.seal();
+    let refusal = accept(&payload, &config).unwrap_err();
+    assert!(
+        matches!(refusal, PlanRefusal::Unstable { radius } if radius > 1.0 && radius < 1.01),
+        "{refusal}"
+    );
+    // So strong that one period overshoots.
+    for i in 0..7 {
+        payload.k_final[i][NQ + i] = -2.1 / common::PERIOD;
+    }
+    payload.seal();
+    let text = accept(&payload, &config).unwrap_err().to_string();
+    assert!(text.contains("unstable: spectral radius 1."), "{text}");
+}
+
+#[test]
+fn an_old_plan() {
+    let (config, x) = rest();
+    let mut controller = Controller::new(&config);
+    let q = upswing_model::position(&x);
+    let seconds = |s: f64| (s / common::PERIOD) as u64;
+    controller.step(&common::measurement(1, &q), 0, Some(Order::Load(rest_plan(&config, &x, 1.0))));
+    let mut at = |s: f64| {
+        let m = common::measurement(seconds(s), &q);
+        controller.step(&m, 0, Some(Order::Do(Request::Enable)));
+        let m = common::measurement(seconds(s) + 1, &q);
+        let output = controller.step(&m, 0, Some(Order::Do(Request::Start)));
+        let warned = output.record.telemetry.warnings & TripCause::PlanAge.bit() != 0;
+        controller.step(&m, 0, Some(Order::Do(Request::Stop)));
+        (output.answer.unwrap(), warned)
+    };
+    // The levels are 60 s and 600 s.
+    let (answer, warned) = at(601.0);
+    assert!(matches!(answer, Err(Refusal::PlanExpired { limit: 600.0, .. })), "{answer:?}");
+    assert!(warned);
+}
+
+#[test]
+fn a_plan_that_arrives_while_one_is_tracked() {
+    let (config, x) = rest();
+    for (setting, refused) in [(PlanWhileTracking::Queue, false), (PlanWhileTracking::Refuse, true)] {
+        let mut config = config.clone();
+        config.daemon.plan_while_tracking = setting;
+        let mut controller = Controller::new(&config);
+        let mut arm = common::Arm::new(&config, x);
+        let mut step = |order| controller.step(&arm.measure(), 0, Some(order));
+        for order in
+            [Order::Do(Request::Enable), Order::Load(rest_plan(&config, &x, 1.0)), Order::Do(Request::Start)]
+        {
+            assert_eq!(step(order).answer, Some(Ok(())));
+        }
+        let output = step(Order::Load(rest_plan(&config, &x, 1.0)));
+        let expected = if refused { Err(Refusal::Tracking { running: 7 }) } else { Ok(()) };
+        assert_eq!(output.answer, Some(expected));
+        assert_eq!((output.garbage.is_some(), output.record.telemetry.plan_id), (refused, 7));
+    }
 }
 
 #[test]
 fn derivatives_of_another_model() {
     let text = refusal(|p| p.f[9][12] += 0.01).to_string();
     assert!(text.contains("f at knot 9, row 12"), "{text}");
+}
+
+#[test]
+fn an_end_that_neither_stands_nor_hangs() {
+    let (config, x) = rest();
+    let mut moving = x;
+    moving[NQ] = 0.02;
+    let text = accept(&rest_payload(&config, &moving, 1.0), &config).unwrap_err().to_string();
+    assert!(text.contains("ends at 0.0200 rad/s") && text.contains("at most 0.01 rad/s"), "{text}");
+    let mut leaning = x;
+    leaning[8] += 0.3;
+    let text = accept(&rest_payload(&config, &leaning, 1.0), &config).unwrap_err().to_string();
+    assert!(text.contains("2.8416 rad from upright and 0.3000 rad from hanging"), "{text}");
+    // Both ways to end are accepted.
+    for q in [rest_pose(&config), upright_pose()] {
+        accept(&rest_payload(&config, &at_rest(&q), 1.0), &config).unwrap();
+    }
 }
 
 #[test]
@@ -119,9 +224,9 @@ fn start_elsewhere() {
         refusal.to_string().contains("joint 3 is at 0.0000 rad, the plan starts at 0.1000 rad"),
         "{refusal}"
     );
-    elsewhere = x;
-    elsewhere[NQ] = 0.3;
-    step(Order::Load(rest_plan(&config, &elsewhere, 1.0))).unwrap();
+    let mut moving = rest_plan(&config, &x, 1.0);
+    moving.trajectory.x[0][NQ] = 0.3;
+    step(Order::Load(moving)).unwrap();
     let text = step(Order::Do(Request::Start)).unwrap_err().to_string();
     assert!(text.contains("joint 1") && text.contains("0.3000 rad/s"), "{text}");
 }

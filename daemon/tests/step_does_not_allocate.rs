@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{Arm, at_rest, config, rest_plan, rest_pose};
+use common::{Arm, at_rest, config, rest_plan, upright_pose};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use upswing_ipc::Mode;
@@ -40,7 +40,7 @@ static ALLOCATOR: Counting = Counting;
 #[test]
 fn in_any_mode() {
     let config = config();
-    let x = at_rest(&rest_pose(&config));
+    let x = at_rest(&upright_pose());
     let mut arm = Arm::new(&config, x);
     let mut controller = Controller::new(&config);
     let mut plans = [rest_plan(&config, &x, 0.01), rest_plan(&config, &x, 0.01)].into_iter();

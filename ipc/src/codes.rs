@@ -106,6 +106,34 @@ codes! {
 }
 
 codes! {
+    /// What of the real-time set-up the system refused; bit `1 << code` of a `degraded` word.
+    Degradation is a "degradation" {
+        /// Memory is not locked: page faults may come at any time.
+        Memory = "memory is not locked",
+        /// No SCHED_FIFO: any other thread may take the CPU.
+        Scheduler = "no real-time priority",
+        /// Not pinned to the CPU of the settings.
+        Cpu = "not on its CPU",
+        /// Sleeps may last longer than asked.
+        TimerSlack = "coarse timer",
+        /// The CPU may sleep deeply, and wakes up late.
+        DmaLatency = "CPU sleep states allowed",
+    }
+}
+
+impl Degradation {
+    /// The bit of this degradation in a `degraded` word.
+    pub const fn bit(self) -> u64 {
+        1 << self.code()
+    }
+
+    /// What the bits of a `degraded` word say; unknown bits say nothing.
+    pub fn of(degraded: u64) -> impl Iterator<Item = Self> {
+        Self::ALL.iter().copied().filter(move |d| degraded & d.bit() != 0)
+    }
+}
+
+codes! {
     /// What is asked of the planner.
     PlannerKind is a "planner request" {
         /// A trajectory from rest to the upright equilibrium.

@@ -54,15 +54,16 @@ mod text;
 
 pub use blackboard::{Finder, Reader, Snapshot, Writer, WriterEntry, WriterPorts};
 pub use codes::{
-    Clock, ControlCommand, Mode, PlannerKind, PlannerStatus, PlantKind, UnknownClock, UnknownCode,
+    Clock, ControlCommand, Degradation, Mode, PlannerKind, PlannerStatus, PlantKind, UnknownClock,
+    UnknownCode,
 };
 pub use domain::{Domain, DomainError};
 pub use error::{CallError, Cause, IpcError};
 pub use messages::{Publisher, Received, Subscriber};
 pub use node::Node;
 pub use payload::{
-    Command, ControlRequest, ControlResponse, Measurement, Plan, PlannerRequest, PlannerResponse,
-    PlantRequest, PlantResponse, TELEMETRY_BATCH, Telemetry, TelemetryBatch,
+    Command, ControlRequest, ControlResponse, Measurement, Percentiles, Plan, PlannerRequest,
+    PlannerResponse, PlantRequest, PlantResponse, TELEMETRY_BATCH, Telemetry, TelemetryBatch,
 };
 pub use request::{Client, Server};
 pub use services::{Latest, Request, Topic};

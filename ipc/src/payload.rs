@@ -8,7 +8,7 @@ mod plan;
 mod planner;
 mod plant;
 
-pub use control::{ControlRequest, ControlResponse};
+pub use control::{ControlRequest, ControlResponse, Percentiles};
 pub use cycle::{Command, Measurement, TELEMETRY_BATCH, Telemetry, TelemetryBatch};
 pub use plan::Plan;
 pub use planner::{PlannerRequest, PlannerResponse};

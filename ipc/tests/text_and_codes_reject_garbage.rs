@@ -3,8 +3,8 @@
 use proptest::prelude::*;
 use std::str::FromStr;
 use upswing_ipc::{
-    Clock, ControlCommand, ControlRequest, Mode, PlannerKind, PlannerStatus, PlantKind, Text, TextError,
-    UnknownClock, UnknownCode,
+    Clock, ControlCommand, ControlRequest, Degradation, Mode, PlannerKind, PlannerStatus, PlantKind, Text,
+    TextError, UnknownClock, UnknownCode,
 };
 
 fn text_of(len: u64, bytes: &[u8]) -> Text {
@@ -73,12 +73,19 @@ fn only_known_codes_become_variants() {
         Clock: 3 "clock",
         Mode: 6 "mode",
         ControlCommand: 6 "control command",
+        Degradation: 5 "degradation",
         PlannerKind: 3 "planner request",
         PlannerStatus: 7 "planner status",
         PlantKind: 5 "plant request",
     }
     let error = ControlRequest { command: 99 }.command().unwrap_err();
     assert!(error.to_string().starts_with("unknown control command code 99: expected 0..=5"), "{error}");
+}
+
+#[test]
+fn unknown_bits_of_a_degradation_say_nothing() {
+    let bits = Degradation::Cpu.bit() | Degradation::Memory.bit() | 1 << 63;
+    assert_eq!(Degradation::of(bits).collect::<Vec<_>>(), [Degradation::Memory, Degradation::Cpu]);
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Harness for hardware-in-the-loop style tests: starts a whole system, the three programs as separate processes
 //! in a shared-memory domain of its own, drives it and collects its telemetry.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use upswing::report::Report;
 use upswing::session::{CleanUp, Options, Programs, Session};
@@ -56,12 +56,20 @@ impl System {
     /// # Panics
     /// If they do not start, with the end of the log of the one that failed.
     pub fn start(clock: Clock, start_deg: [f64; 7]) -> Self {
+        Self::start_with(clock, start_deg, None)
+    }
+
+    /// As [`Self::start`], with the settings in a folder.
+    ///
+    /// # Panics
+    /// As [`Self::start`], and if the settings cannot be used.
+    pub fn start_with(clock: Clock, start_deg: [f64; 7], settings: Option<&Path>) -> Self {
         let domain = unique_domain();
         let logs = std::env::temp_dir().join(format!("upswing-{domain}"));
         std::fs::create_dir_all(&logs).expect("folder for logs");
         let clean = CleanUp(Domain::new(&domain).expect("valid domain"));
         let options = Options {
-            config: None,
+            config: settings.map(Path::to_owned),
             domain,
             clock,
             start: Some(start_deg.map(|d| d.to_string()).join(",")),
@@ -72,7 +80,7 @@ impl System {
             Session::start(Programs::dedicated(&programs()), &options).unwrap_or_else(|e| panic!("{e}"));
         Self {
             session,
-            config: Config::embedded().expect("embedded settings"),
+            config: Config::load(settings).unwrap_or_else(|e| panic!("{e}")),
             _logs: Logs(logs),
             _clean: clean,
         }

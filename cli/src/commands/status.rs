@@ -4,7 +4,7 @@ use super::CommonArgs;
 use super::request::{control, mode, reason};
 use serde::Serialize;
 use upswing_config::process::Failure;
-use upswing_ipc::ControlCommand;
+use upswing_ipc::{ControlCommand, Degradation, Percentiles};
 
 /// Shows the mode of the running daemon, its plan, faults and overruns.
 ///
@@ -24,8 +24,42 @@ struct Status {
     running_plan: Option<String>,
     cycles: u64,
     overruns: u64,
-    degraded: bool,
+    last_overrun: Option<String>,
+    warnings: Vec<&'static str>,
+    degraded: Vec<String>,
+    wake_us: Times,
+    compute_us: Times,
     remark: String,
+}
+
+/// Percentiles, us.
+#[derive(Serialize)]
+struct Times {
+    count: u64,
+    p50: f64,
+    p99: f64,
+    p99_9: f64,
+    p99_99: f64,
+    max: f64,
+}
+
+impl Times {
+    fn new(p: &Percentiles) -> Self {
+        let [p50, p99, p99_9, p99_99, max] =
+            [p.p50, p.p99, p.p99_9, p.p99_99, p.max].map(|ns| ns as f64 * 1e-3);
+        Self { count: p.count, p50, p99, p99_9, p99_99, max }
+    }
+
+    fn line(&self, f: &mut std::fmt::Formatter<'_>, name: &str) -> std::fmt::Result {
+        if self.count == 0 {
+            return Ok(());
+        }
+        let Self { p50, p99, p99_9, p99_99, max, .. } = self;
+        write!(
+            f,
+            "\n{name:<10} p50 {p50:.1}, p99 {p99:.1}, p99.9 {p99_9:.1}, p99.99 {p99_99:.1}, max {max:.1} us"
+        )
+    }
 }
 
 impl std::fmt::Display for Status {
@@ -40,8 +74,16 @@ impl std::fmt::Display for Status {
             or_none(&self.running_plan)
         )?;
         write!(f, "cycles     {} ({} late)", self.cycles, self.overruns)?;
-        if self.degraded {
-            write!(f, "\nreal time  degraded: the system refused real-time scheduling or locked memory")?;
+        self.wake_us.line(f, "wake-up")?;
+        self.compute_us.line(f, "compute")?;
+        if let Some(overrun) = &self.last_overrun {
+            write!(f, "\nlast late  {overrun}")?;
+        }
+        if !self.degraded.is_empty() {
+            write!(f, "\nreal time  degraded: {}", self.degraded.join(", "))?;
+        }
+        if !self.warnings.is_empty() {
+            write!(f, "\nwarnings   {}", self.warnings.join(", "))?;
         }
         if !self.remark.is_empty() {
             write!(f, "\nremark     {}", self.remark)?;
@@ -65,7 +107,11 @@ pub fn run(args: &StatusArgs) -> Result<(), Failure> {
         running_plan: id(s.running_plan),
         cycles: s.seq,
         overruns: s.overruns,
-        degraded: s.degraded == 1,
+        last_overrun: Some(s.overrun.to_string()).filter(|text| !text.is_empty()),
+        warnings: upswingd::warning_texts(s.warnings).collect(),
+        degraded: Degradation::of(s.degraded).map(|d| d.to_string()).collect(),
+        wake_us: Times::new(&s.wake),
+        compute_us: Times::new(&s.compute),
         remark: reason(&s),
     })
 }

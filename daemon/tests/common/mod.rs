@@ -1,10 +1,15 @@
 //! A simulated arm and plans for tests.
 #![allow(dead_code)] // each test file uses its own part
 
+pub mod live;
+
 use upswing_config::Config;
 use upswing_ipc::{Clock, Command, Measurement, Plan as Payload};
-use upswing_model::{JointVector, NQ, NU, State, Workspace, position, state, velocity};
-use upswing_trajectory::Plan;
+use upswing_model::{ActuatedVector, JointVector, NQ, NU, State, Workspace, position, state, velocity};
+use upswing_planner::lqr;
+use upswing_planner::replan::Planner;
+use upswing_planner::service::payload;
+use upswing_trajectory::{KNOTS, Plan, Trajectory};
 
 /// T_s, s and ns.
 pub const PERIOD: f64 = 125e-6;
@@ -19,6 +24,14 @@ pub fn rest_pose(config: &Config) -> JointVector {
     let mut q = JointVector::zeros();
     q[3] = -std::f64::consts::FRAC_PI_2;
     config.model.rest_position(&q, &mut Workspace::default()).unwrap()
+}
+
+/// x_T (8) with the arm at [0, 0, 0, -90, 0, 0, 0] deg: the pendulum stands.
+pub fn upright_pose() -> JointVector {
+    let mut q = JointVector::zeros();
+    q[3] = -std::f64::consts::FRAC_PI_2;
+    q[7] = std::f64::consts::PI;
+    q
 }
 
 pub fn at_rest(q: &JointVector) -> State {
@@ -39,6 +52,7 @@ pub fn measurement(seq: u64, q: &JointVector) -> Measurement {
 }
 
 /// The robot without encoder steps, friction or delays.
+#[derive(Clone)]
 pub struct Arm {
     config: Config,
     work: Workspace,
@@ -75,7 +89,8 @@ impl Arm {
     }
 }
 
-/// A sealed plan that stays at `x` for `t_f` s, with gains that stiffen the arm.
+/// A sealed plan that stays at `x` for `t_f` s, with gains that stiffen the arm where the rod hangs, and that balance it
+/// where it stands.
 pub fn rest_payload(config: &Config, x: &State, t_f: f64) -> Box<Payload> {
     let f = config.model.f(x, &nalgebra::SVector::zeros(), &mut Workspace::default());
     let mut payload = Payload::boxed_zeroed();
@@ -86,10 +101,41 @@ pub fn rest_payload(config: &Config, x: &State, t_f: f64) -> Box<Payload> {
         payload.k_final[i][i] = -100.0;
         payload.k_final[i][NQ + i] = -20.0;
     }
+    if x[NQ - 2] > 3.0 {
+        let still = Trajectory { t_f: 0.01, x: vec![*x; KNOTS], u: vec![ActuatedVector::zeros(); KNOTS] };
+        let mut work = Workspace::default();
+        let gains = lqr::synthesize(&config.model, &still, &config.planner.lqr, PERIOD, &mut work).unwrap();
+        payload.k_final = std::array::from_fn(|i| std::array::from_fn(|j| gains.end[(i, j)]));
+    }
     let gain = payload.k_final;
     payload.k.fill(gain);
     payload.seal();
     payload
+}
+
+/// A swing-up from hanging at rest, and from its end back to where it began.
+pub fn swing(config: &Config, q: &JointVector) -> (Box<Plan>, Box<Plan>) {
+    let planner = Planner::new(config.clone()).unwrap();
+    let up = planner.replan(&at_rest(q), config.planner.replan.iterations, None).unwrap().plan(config);
+    // Mechanics without friction runs backwards as well: x_k = [q, -qd] of the other end with the same u.
+    let trajectory = Trajectory {
+        t_f: up.trajectory.t_f,
+        x: up.trajectory.x.iter().rev().map(|x| state(&position(x), &-velocity(x))).collect(),
+        u: up.trajectory.u.iter().rev().copied().collect(),
+    };
+    let mut work = Workspace::default();
+    let gains = lqr::synthesize(&config.model, &trajectory, &config.planner.lqr, PERIOD, &mut work).unwrap();
+    let down = Plan {
+        id: 8,
+        fingerprint: up.fingerprint,
+        f: trajectory.f(&config.model, &mut work),
+        trajectory,
+        gains: gains.knots,
+        final_gain: gains.end,
+    };
+    // Through shared memory and the checks, as in life.
+    let [up, down] = [up, down].map(|plan| upswingd::plan::accept(&payload(&plan), config).unwrap());
+    (up, down)
 }
 
 /// [`rest_payload`] as the controller takes it.

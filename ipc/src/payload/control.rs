@@ -31,10 +31,30 @@ impl ControlRequest {
     }
 }
 
+/// Percentiles of a duration since the start of the daemon, ns; upper ends of the buckets of a histogram, at most 7 %
+/// too large. All 0: nothing was measured.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ZeroCopySend)]
+#[type_name("upswing.Percentiles.v1")]
+pub struct Percentiles {
+    /// How many durations.
+    pub count: u64,
+    /// Half of them were at most this, ns.
+    pub p50: u64,
+    /// 99 % of them, ns.
+    pub p99: u64,
+    /// 99.9 % of them, ns.
+    pub p99_9: u64,
+    /// 99.99 % of them, ns.
+    pub p99_99: u64,
+    /// The longest, ns; exact.
+    pub max: u64,
+}
+
 /// What the daemon answers: whether it did it, and its state afterwards.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
-#[type_name("upswing.ControlResponse.v1")]
+#[type_name("upswing.ControlResponse.v2")]
 pub struct ControlResponse {
     /// 1: accepted, 0: refused (see `reason`).
     pub accepted: u64,
@@ -42,21 +62,31 @@ pub struct ControlResponse {
     pub mode: u64,
     /// Code of the latched fault, 0: none.
     pub fault: u64,
+    /// Warnings since the last enable, start or reset; bits as in the telemetry.
+    pub warnings: u64,
     /// Id of the loaded plan, 0: none.
     pub plan_id: u64,
     /// Id of the running plan, 0: none.
     pub running_plan: u64,
     /// Number of the last cycle.
     pub seq: u64,
-    /// 1: running without real-time scheduling or locked memory, 0: as intended.
+    /// What the system refused of the real-time set-up: bits of [`crate::Degradation`]; 0: nothing.
     pub degraded: u64,
     /// Overrun cycles since the start of the daemon.
     pub overruns: u64,
+    /// Wake-up latency on the wall clock.
+    pub wake: Percentiles,
+    /// Computing time of a cycle, from reading the measurement to the written command.
+    pub compute: Percentiles,
+    /// The last overrun: when, which phase, why; for people.
+    pub overrun: Text,
     /// Why it was refused, or a remark; for people.
     pub reason: Text,
 }
 
-const _: () = assert!(size_of::<ControlResponse>() == WORD * 8 + size_of::<Text>());
+const _: () = assert!(size_of::<Percentiles>() == WORD * 6);
+const _: () =
+    assert!(size_of::<ControlResponse>() == WORD * 9 + 2 * size_of::<Percentiles>() + 2 * size_of::<Text>());
 
 impl ControlResponse {
     /// The daemon's mode.

@@ -69,7 +69,7 @@ const _: () = assert!(size_of::<Command>() == WORD * (4 + NU));
 /// Everything of one control cycle, daemon -> whoever listens.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
-#[type_name("upswing.Telemetry.v1")]
+#[type_name("upswing.Telemetry.v2")]
 pub struct Telemetry {
     /// Cycle number of the daemon since it started, counts from 1.
     pub seq: u64,
@@ -81,13 +81,18 @@ pub struct Telemetry {
     pub mode: u64,
     /// Code of the daemon's latched fault, 0: none.
     pub fault: u64,
+    /// Limits whose warning level this cycle exceeded: bit `1 << (code - 1)` for each code that `fault` can have.
+    pub warnings: u64,
+    /// What the system refused of the real-time set-up: bits of [`crate::Degradation`]; 0: nothing.
+    pub degraded: u64,
     /// Id of the running plan, 0: none.
     pub plan_id: u64,
     /// Bits [`Telemetry::OVERRUN`] .. [`Telemetry::BRAKE`]; all others 0.
     pub flags: u64,
     /// t, time since the plan started, s; 0 without a plan.
     pub t_plan: f64,
-    /// q, measured joint positions, joint frames, rad.
+    /// q, measured joint positions, joint frames, rad; q8 without the whole turns that it made while it was not
+    /// controlled.
     pub q: [f64; NQ],
     /// qd, estimated joint velocities, joint frames, rad/s.
     pub qd: [f64; NQ],
@@ -113,7 +118,7 @@ pub struct Telemetry {
     pub write_ns: u64,
 }
 
-const _: () = assert!(size_of::<Telemetry>() == WORD * (12 + 4 * NQ + 4 * NU));
+const _: () = assert!(size_of::<Telemetry>() == WORD * (14 + 4 * NQ + 4 * NU));
 
 impl Telemetry {
     /// Flag: the cycle ended after the next one should have begun.
@@ -132,7 +137,25 @@ impl Telemetry {
     pub fn mode(&self) -> Result<Mode, UnknownCode> {
         Mode::try_from(self.mode)
     }
+
+    /// The fields in their order as plain words (numbers with a fraction: their bits), for files.
+    pub fn words(&self) -> impl Iterator<Item = u64> + use<> {
+        let words: [u64; TELEMETRY_WORDS] =
+            // SAFETY: `repr(C)` of 8-byte numbers without padding (size assertion above); any bits are a valid `u64`.
+            unsafe { std::mem::transmute_copy(self) };
+        words.into_iter()
+    }
+
+    /// The record that [`Self::words`] gave; `None` if their number differs.
+    pub fn from_words(words: &[u64]) -> Option<Self> {
+        let words: [u64; TELEMETRY_WORDS] = words.try_into().ok()?;
+        // SAFETY: as in `words`; any bits are a valid number of 8 bytes.
+        Some(unsafe { std::mem::transmute::<[u64; TELEMETRY_WORDS], Self>(words) })
+    }
 }
+
+/// Words of one [`Telemetry`].
+const TELEMETRY_WORDS: usize = size_of::<Telemetry>() / WORD;
 
 /// Records in one [`TelemetryBatch`].
 pub const TELEMETRY_BATCH: usize = 64;
@@ -140,7 +163,7 @@ pub const TELEMETRY_BATCH: usize = 64;
 /// Consecutive cycles in one sample, because a sample per cycle would cost more than the cycle itself.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, ZeroCopySend)]
-#[type_name("upswing.TelemetryBatch.v1")]
+#[type_name("upswing.TelemetryBatch.v2")]
 pub struct TelemetryBatch {
     /// Records in use, 0..=[`TELEMETRY_BATCH`]; not to be trusted, read with [`TelemetryBatch::used`].
     pub count: u64,

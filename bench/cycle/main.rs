@@ -1,0 +1,134 @@
+//! Times one control cycle and the torque law (24); `bench/cycle/run` calls it.
+//!
+//! - `cycle`: a swing-up in closed loop with the plant's equations; timed from reading the measurement out of shared
+//!   memory to the command in shared memory, each cycle by itself.
+//! - `law`: the torque law at random states, in blocks; with `--states FILE` the states, inputs and torques go to a file of
+//!   doubles for a peer.
+
+#[path = "../../daemon/tests/common/mod.rs"]
+mod common;
+
+use common::{Arm, at_rest, config, rest_pose, swing};
+use std::hint::black_box;
+use std::time::Instant;
+use upswing_config::Config;
+use upswing_ipc::{Domain, Mode};
+use upswing_model::{ActuatedVector, NQ, State, Workspace};
+use upswingd::controller::{Controller, Order};
+use upswingd::supervisor::Request;
+
+/// Swing-ups, about 17 000 cycles each.
+const SWINGS: usize = 12;
+/// Random states, calls per block and blocks of the torque law.
+const STATES: usize = 256;
+const ROUNDS: usize = 4;
+const BLOCKS: usize = 2000;
+
+fn main() {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let states = match arguments.as_slice() {
+        [] => None,
+        [option, file] if option == "--states" => Some(file),
+        _ => {
+            eprintln!("error: expected nothing or --states FILE, got {arguments:?}");
+            std::process::exit(2);
+        }
+    };
+    let config = config();
+    print("cycle, read to write, Track", cycles(&config));
+    print("torque law (24)", law(&config, states.map(String::as_str)));
+}
+
+/// Prints percentiles of times in ns.
+fn print(name: &str, mut ns: Vec<f64>) {
+    ns.sort_by(f64::total_cmp);
+    let at = |share: f64| ns[((share * ns.len() as f64) as usize).min(ns.len() - 1)] * 1e-3;
+    println!(
+        "{name:<28} p50 {:.3} us, p99 {:.3} us, p99.9 {:.3} us, max {:.3} us ({} samples)",
+        at(0.5),
+        at(0.99),
+        at(0.999),
+        at(1.0),
+        ns.len()
+    );
+}
+
+fn cycles(config: &Config) -> Vec<f64> {
+    let domain = Domain::new(&format!("bench-{}", std::process::id())).expect("valid domain");
+    let node = domain.connect("bench").expect("shared memory");
+    let (measurements, commands) =
+        (node.measurement_writer().expect("writer"), node.command_writer().expect("writer"));
+    let reader = node.measurement_finder().poll().expect("shared memory").expect("the writer above");
+    let q = rest_pose(config);
+    let (plan, _) = swing(config, &q);
+    let mut times = Vec::new();
+    for _ in 0..SWINGS {
+        let (mut controller, mut arm) = (Controller::new(config), Arm::new(config, at_rest(&q)));
+        let mut orders =
+            [Order::Do(Request::Enable), Order::Load(plan.clone()), Order::Do(Request::Start)].into_iter();
+        loop {
+            measurements.write(arm.measure());
+            let order = orders.next();
+            let begin = Instant::now();
+            let output = controller.step(&reader.read(), 0, order);
+            commands.write(output.command);
+            let time = begin.elapsed();
+            arm.advance(&output.command);
+            match controller.mode() {
+                Mode::Track => times.push(time.as_nanos() as f64),
+                Mode::Hold => {}
+                Mode::Balance => break,
+                mode => panic!("{mode}: {:?}", controller.trip()),
+            }
+        }
+    }
+    drop((reader, measurements, commands, node));
+    domain.remove_if_unused().expect("shared memory");
+    times
+}
+
+fn law(config: &Config, file: Option<&str>) -> Vec<f64> {
+    let limits = &config.robot.limits;
+    let mut random = random();
+    let samples: Vec<(State, ActuatedVector)> = (0..STATES)
+        .map(|_| {
+            let x = State::from_fn(|i, _| {
+                random() * if i < NQ { limits.q_max[i] } else { limits.qd_max[i - NQ] }
+            });
+            (x, ActuatedVector::from_fn(|_, _| 10.0 * random()))
+        })
+        .collect();
+    let mut work = Workspace::default();
+    if let Some(file) = file {
+        let mut bytes = Vec::new();
+        for (x, u) in &samples {
+            let tau = config.model.torque(x, u, &mut work);
+            bytes.extend(x.iter().chain(u.iter()).chain(tau.iter()).flat_map(|v| v.to_le_bytes()));
+        }
+        std::fs::write(file, bytes).unwrap_or_else(|e| panic!("{file}: {e}"));
+    }
+    let calls = (STATES * ROUNDS) as f64;
+    (0..BLOCKS)
+        .map(|_| {
+            let begin = Instant::now();
+            for _ in 0..ROUNDS {
+                for (x, u) in &samples {
+                    black_box(config.model.torque(black_box(x), black_box(u), &mut work));
+                }
+            }
+            begin.elapsed().as_nanos() as f64 / calls
+        })
+        .collect()
+}
+
+/// Numbers in [-1, 1) that are the same in each run (splitmix64).
+fn random() -> impl FnMut() -> f64 {
+    let mut state = 1_u64;
+    move || {
+        state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = state;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+    }
+}

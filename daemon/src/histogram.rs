@@ -1,0 +1,75 @@
+//! Durations in a histogram of fixed size.
+
+use upswing_ipc::Percentiles;
+
+/// Buckets per octave: a bucket's upper end is at most 1/16 above any value in it.
+const SUB_BITS: u32 = 4;
+const SUB: u64 = 1 << SUB_BITS;
+/// Up to 2^36 ns (69 s); what is longer counts in the last bucket.
+const LARGEST_BITS: u32 = 36;
+const BUCKETS: usize = ((LARGEST_BITS - SUB_BITS + 1) as usize) << SUB_BITS;
+
+/// How often which duration occurred; logarithmic buckets.
+#[derive(Clone, Debug)]
+pub struct Histogram {
+    counts: Box<[u64; BUCKETS]>,
+    max: u64,
+}
+
+impl Default for Histogram {
+    fn default() -> Self {
+        Self { counts: Box::new([0; BUCKETS]), max: 0 }
+    }
+}
+
+impl Histogram {
+    /// Counts a duration, ns.
+    pub fn add(&mut self, ns: u64) {
+        self.counts[bucket(ns)] += 1;
+        self.max = self.max.max(ns);
+    }
+
+    /// The durations that 50, 99, 99.9 and 99.99 % do not exceed, and the longest, ns.
+    pub fn percentiles(&self) -> Percentiles {
+        let count = self.counts.iter().sum();
+        let at = |share: f64| self.percentile(count, share);
+        Percentiles {
+            count,
+            p50: at(0.5),
+            p99: at(0.99),
+            p99_9: at(0.999),
+            p99_99: at(0.9999),
+            max: self.max,
+        }
+    }
+
+    fn percentile(&self, count: u64, share: f64) -> u64 {
+        if count == 0 {
+            return 0;
+        }
+        let rank = (share * count as f64).ceil() as u64;
+        let mut seen = 0;
+        let index = self.counts.iter().position(|n| {
+            seen += n;
+            seen >= rank
+        });
+        index.map_or(self.max, upper_end).min(self.max)
+    }
+}
+
+fn bucket(ns: u64) -> usize {
+    let ns = ns.min((1 << LARGEST_BITS) - 1);
+    // Below 2 SUB every value has its own bucket.
+    let octave = (64 - ns.leading_zeros()).saturating_sub(SUB_BITS + 1);
+    (u64::from(octave) * SUB + (ns >> octave)) as usize
+}
+
+/// The largest value of a bucket, ns.
+fn upper_end(bucket: usize) -> u64 {
+    let bucket = bucket as u64;
+    if bucket < 2 * SUB {
+        return bucket;
+    }
+    let octave = bucket / SUB - 1;
+    ((bucket - octave * SUB + 1) << octave) - 1
+}

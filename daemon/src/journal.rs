@@ -1,0 +1,230 @@
+//! What the other thread keeps of the cycles: telemetry to publish, statistics, warnings, the flight recorder.
+
+use crate::controller::Record;
+use crate::flight::Recorder;
+use crate::histogram::Histogram;
+use crate::overrun::{Overrun, Watch};
+use crate::trip::warning_texts;
+use std::time::{Duration, Instant};
+use tracing::{error, info, warn};
+use upswing_config::DaemonSettings;
+use upswing_ipc::{
+    ControlResponse, IpcError, Mode, Publisher, TELEMETRY_BATCH, Telemetry, TelemetryBatch, Text,
+};
+
+/// Oldest telemetry that waits for a batch to fill.
+const FLUSH: Duration = Duration::from_millis(5);
+/// What the flight recorder keeps.
+const FLIGHT: Duration = Duration::from_secs(2);
+/// Shortest time between two logged overruns; all are counted.
+const OVERRUN_LOG: Duration = Duration::from_secs(1);
+
+/// The cycles so far.
+pub struct Journal<'a> {
+    settings: &'a DaemonSettings,
+    /// The newest record.
+    pub newest: Option<Record>,
+    /// When a record last told of a new measurement.
+    pub sign_of_life: Instant,
+    telemetry: Publisher<TelemetryBatch>,
+    batch: Box<TelemetryBatch>,
+    /// When the batch got its first record.
+    batch_begin: Instant,
+    wake: Histogram,
+    compute: Histogram,
+    /// Since the last [`Journal::forget_warnings`].
+    warnings: u64,
+    watch: Option<Watch>,
+    overrun: Option<(Overrun, Instant)>,
+    recorder: Recorder,
+    /// Where the last flight record went, or why nowhere.
+    flight: String,
+}
+
+impl<'a> Journal<'a> {
+    /// A journal without a cycle.
+    pub fn new(settings: &'a DaemonSettings, telemetry: Publisher<TelemetryBatch>) -> Self {
+        let cycles = FLIGHT.as_nanos() / settings.cycle.period.as_nanos();
+        Self {
+            settings,
+            newest: None,
+            sign_of_life: Instant::now(),
+            telemetry,
+            batch: TelemetryBatch::boxed_zeroed(),
+            batch_begin: Instant::now(),
+            wake: Histogram::default(),
+            compute: Histogram::default(),
+            warnings: 0,
+            watch: None,
+            overrun: None,
+            recorder: Recorder::new(usize::try_from(cycles).unwrap_or(1)),
+            flight: String::new(),
+        }
+    }
+
+    /// Watches the real-time thread `tid`.
+    pub fn watch(&mut self, tid: u32) {
+        match Watch::new(tid) {
+            Ok(watch) => self.watch = Some(watch),
+            Err(e) => warn!("causes of overruns will not be known: no counters of thread {tid}: {e}"),
+        }
+    }
+
+    /// The mode after the newest cycle.
+    pub fn mode(&self) -> Mode {
+        self.newest.and_then(|record| record.telemetry.mode().ok()).unwrap_or(Mode::Idle)
+    }
+
+    /// Id of the running plan, 0: none.
+    pub fn running_plan(&self) -> u64 {
+        self.newest.map_or(0, |record| record.telemetry.plan_id)
+    }
+
+    /// Warnings count from here.
+    pub fn forget_warnings(&mut self) {
+        self.warnings = 0;
+    }
+
+    /// What is to be done every now and then: publishes what waits. `dropped`: records lost so far.
+    ///
+    /// # Errors
+    /// If telemetry cannot be published.
+    pub fn tend(&mut self, dropped: u64) -> Result<(), IpcError> {
+        if let Some(watch) = &mut self.watch {
+            watch.refresh();
+        }
+        if self.batch.count > 0 && self.batch_begin.elapsed() >= FLUSH { self.flush(dropped) } else { Ok(()) }
+    }
+
+    /// Takes in a record. `dropped`: records lost so far.
+    ///
+    /// # Errors
+    /// If telemetry cannot be published.
+    pub fn note(&mut self, record: Record, dropped: u64) -> Result<(), IpcError> {
+        let before = self.mode();
+        let (last_seq, last_measured) =
+            self.newest.map_or((0, 0), |r| (r.telemetry.seq, r.telemetry.measurement_seq));
+        self.newest = Some(record);
+        let telemetry = &record.telemetry;
+        if telemetry.measurement_seq != last_measured {
+            self.sign_of_life = Instant::now();
+        }
+        // Orders between cycles give a record too, but that is no cycle.
+        let is_cycle = telemetry.seq != last_seq;
+        if is_cycle {
+            self.recorder.push(telemetry);
+            self.count(telemetry);
+        }
+        self.tell(before, &record);
+        if !is_cycle {
+            return Ok(());
+        }
+        if self.batch.count == 0 {
+            self.batch_begin = Instant::now();
+        }
+        self.batch.push(*telemetry);
+        if self.batch.used().len() == TELEMETRY_BATCH { self.flush(dropped) } else { Ok(()) }
+    }
+
+    /// Publishes what waits.
+    ///
+    /// # Errors
+    /// If telemetry cannot be published.
+    pub fn flush(&mut self, dropped: u64) -> Result<(), IpcError> {
+        if self.batch.count == 0 {
+            return Ok(());
+        }
+        self.batch.dropped = dropped;
+        let sent = self.telemetry.publish(&self.batch);
+        self.batch.clear();
+        sent.map(|_| ())
+    }
+
+    /// Statistics and warnings.
+    fn count(&mut self, telemetry: &Telemetry) {
+        let compute = telemetry.read_ns + telemetry.compute_ns + telemetry.write_ns;
+        // On lockstep there are no times, on paced there is no planned start.
+        if compute > 0 {
+            self.compute.add(compute);
+        }
+        if telemetry.wake_ns > 0 {
+            self.wake.add(telemetry.wake_ns);
+        }
+        if telemetry.flags & Telemetry::OVERRUN != 0 {
+            self.attribute(telemetry);
+        }
+        let new = telemetry.warnings & !self.warnings;
+        if new != 0 {
+            self.warnings |= new;
+            warn!("cycle {}: warning level exceeded: {}", telemetry.seq, texts(new));
+        }
+    }
+
+    /// Finds out about an overrun; of many in short time about the first only.
+    fn attribute(&mut self, telemetry: &Telemetry) {
+        if self.overrun.as_ref().is_some_and(|(_, seen)| seen.elapsed() < OVERRUN_LOG) {
+            return;
+        }
+        let (around, window) = self.watch.as_mut().map(Watch::take).unwrap_or_default();
+        let overrun = Overrun { telemetry: *telemetry, around, window };
+        warn!("{overrun}");
+        self.overrun = Some((overrun, Instant::now()));
+    }
+
+    /// Logs a change of the mode; a fault is kept in a file.
+    fn tell(&mut self, before: Mode, record: &Record) {
+        let mode = self.mode();
+        if mode == before {
+            return;
+        }
+        let seq = record.telemetry.seq;
+        match record.trip {
+            Some(trip) if mode == Mode::Fault => {
+                error!("cycle {seq}: {before} -> {mode}: {trip}");
+                self.flight = match self.recorder.save(&self.settings.recorder) {
+                    Ok(Some(path)) => format!("the cycles before it are in {}", path.display()),
+                    Ok(None) => String::new(),
+                    Err(e) => {
+                        format!("the cycles before it could not be written ({e}): check recorder.directory")
+                    }
+                };
+                if !self.flight.is_empty() {
+                    info!("{}", self.flight);
+                }
+            }
+            Some(trip) if mode == Mode::Stop => warn!("cycle {seq}: {before} -> {mode}: {trip}"),
+            _ => info!("cycle {seq}: {before} -> {mode}"),
+        }
+    }
+
+    /// Why the last mode was given up and where its record is; empty if there is nothing to say.
+    pub fn remark(&self) -> String {
+        let trip = self.newest.and_then(|record| record.trip);
+        let told = trip.map(|trip| format!("gave up: {trip}"));
+        let flight = Some(&self.flight).filter(|text| self.mode() == Mode::Fault && !text.is_empty());
+        told.into_iter().chain(flight.cloned()).collect::<Vec<_>>().join("; ")
+    }
+
+    /// The answer to a request, as far as it follows from the cycles.
+    pub fn respond(&self) -> ControlResponse {
+        let record = self.newest;
+        let telemetry = record.map(|record| record.telemetry).unwrap_or_default();
+        let overrun = self.overrun.as_ref().map(|(overrun, _)| overrun.to_string());
+        ControlResponse {
+            mode: self.mode().code(),
+            fault: telemetry.fault,
+            warnings: self.warnings,
+            running_plan: self.running_plan(),
+            seq: telemetry.seq,
+            overruns: record.map_or(0, |record| record.overruns),
+            wake: self.wake.percentiles(),
+            compute: self.compute.percentiles(),
+            overrun: Text::new(&overrun.unwrap_or_default()),
+            ..ControlResponse::default()
+        }
+    }
+}
+
+fn texts(warnings: u64) -> String {
+    warning_texts(warnings).collect::<Vec<_>>().join(", ")
+}

@@ -1,0 +1,194 @@
+//! The limits that the daemon watches: the reasons to warn, and to give up a mode.
+
+use std::fmt;
+
+/// What can be beyond its limit. Those up to [`TripCause::LawNotFinite`] lead to Fault, the next to Stop; the last only
+/// keeps a plan from being started.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u64)]
+pub enum TripCause {
+    /// Nothing was measured yet.
+    NoMeasurement = 1,
+    /// The newest measurement is too old.
+    StaleMeasurement = 2,
+    /// Too many measurements were missed between two that were seen.
+    MeasurementGap = 3,
+    /// The plant restarted: its measurements do not continue the earlier ones.
+    MeasurementRestarted = 4,
+    /// An angle is not finite, or none that an encoder can show.
+    NotFinite = 5,
+    /// An angle changed faster than the joint can move.
+    EncoderJump = 6,
+    /// An angle of the arm is too far past the range open to plans.
+    PositionLimit = 7,
+    /// A joint of the arm is too fast.
+    VelocityLimit = 8,
+    /// A measured torque is too high, or not finite.
+    TorqueLimit = 9,
+    /// The commanded torque changes too fast.
+    TorqueRate = 10,
+    /// A drive reports a fault.
+    DriveFault = 11,
+    /// The plant runs with another period.
+    PeriodMismatch = 12,
+    /// The plant names a clock that does not exist.
+    UnknownClock = 13,
+    /// The control law gave no finite torque.
+    LawNotFinite = 14,
+    /// An angle is too far from its reference.
+    TrackingError = 15,
+    /// The rod is too far from upright.
+    BalanceLost = 16,
+    /// An angle of the pendulum is too far past the range open to plans.
+    PendulumRange = 17,
+    /// Too many cycles in a row ended late.
+    LateCycles = 18,
+    /// The loaded plan is too old to be started.
+    PlanAge = 19,
+}
+
+impl TripCause {
+    /// Every cause; the index is the code less 1.
+    pub const ALL: [Self; 19] = [
+        Self::NoMeasurement,
+        Self::StaleMeasurement,
+        Self::MeasurementGap,
+        Self::MeasurementRestarted,
+        Self::NotFinite,
+        Self::EncoderJump,
+        Self::PositionLimit,
+        Self::VelocityLimit,
+        Self::TorqueLimit,
+        Self::TorqueRate,
+        Self::DriveFault,
+        Self::PeriodMismatch,
+        Self::UnknownClock,
+        Self::LawNotFinite,
+        Self::TrackingError,
+        Self::BalanceLost,
+        Self::PendulumRange,
+        Self::LateCycles,
+        Self::PlanAge,
+    ];
+
+    /// The number that stands for the cause in telemetry; above 0.
+    pub const fn code(self) -> u64 {
+        self as u64
+    }
+
+    /// The bit that stands for the cause in a `warnings` word.
+    pub const fn bit(self) -> u64 {
+        1 << (self.code() - 1)
+    }
+
+    /// The cause in words, where the numbers of its [`Trip`] are not known.
+    pub const fn text(self) -> &'static str {
+        match self {
+            Self::NoMeasurement => "nothing was measured yet: is the plant running?",
+            Self::StaleMeasurement => "no new measurement",
+            Self::MeasurementGap => "measurements were missed",
+            Self::MeasurementRestarted => "the plant restarted",
+            Self::NotFinite => "an angle is not finite",
+            Self::EncoderJump => "an angle jumped",
+            Self::PositionLimit => "the arm is beyond a position limit",
+            Self::VelocityLimit => "the arm is beyond a velocity limit",
+            Self::TorqueLimit => "a measured torque is too high",
+            Self::TorqueRate => "the commanded torque changes too fast",
+            Self::DriveFault => "a drive reports a fault",
+            Self::PeriodMismatch => "plant and daemon have different periods",
+            Self::UnknownClock => "the plant names an unknown clock",
+            Self::LawNotFinite => "the control law gave no finite torque",
+            Self::TrackingError => "too far from the reference",
+            Self::BalanceLost => "the rod fell",
+            Self::PendulumRange => "the pendulum is beyond the range open to plans",
+            Self::LateCycles => "cycles end late",
+            Self::PlanAge => "the loaded plan is old",
+        }
+    }
+}
+
+/// What the `fault` of telemetry and answers means; `None` for 0 and for codes that do not exist.
+pub fn fault_text(code: u64) -> Option<&'static str> {
+    let index = usize::try_from(code.checked_sub(1)?).ok()?;
+    TripCause::ALL.get(index).map(|cause| cause.text())
+}
+
+/// What the bits of a `warnings` word mean; unknown bits mean nothing.
+pub fn warning_texts(warnings: u64) -> impl Iterator<Item = &'static str> {
+    TripCause::ALL.into_iter().filter(move |cause| warnings & cause.bit() != 0).map(TripCause::text)
+}
+
+/// What was found beyond which limit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Trip {
+    /// The kind of check.
+    pub cause: TripCause,
+    /// The joint, 0-based; 0 where none is concerned.
+    pub joint: usize,
+    /// What was found: rad, rad/s, N m, N m/s, cycles or ns, as the cause says.
+    pub value: f64,
+    /// The limit that it was compared with, in the same unit.
+    pub limit: f64,
+}
+
+impl Trip {
+    /// A trip that concerns no joint and has no numbers.
+    pub const fn plain(cause: TripCause) -> Self {
+        Self { cause, joint: 0, value: 0.0, limit: 0.0 }
+    }
+}
+
+impl fmt::Display for Trip {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { cause, joint, value, limit } = self;
+        let joint = joint + 1;
+        match cause {
+            TripCause::StaleMeasurement => {
+                write!(f, "no new measurement for {value:.0} cycles, limit {limit:.0}")
+            }
+            TripCause::MeasurementGap => write!(f, "{value:.0} measurements were missed, limit {limit:.0}"),
+            TripCause::NotFinite => {
+                write!(f, "the angle of joint {joint} is {value}, expected at most {limit} rad")
+            }
+            TripCause::EncoderJump => {
+                write!(
+                    f,
+                    "the angle of joint {joint} jumped by {value:.5} rad, at most {limit:.5} rad are possible"
+                )
+            }
+            TripCause::PositionLimit | TripCause::PendulumRange => {
+                write!(f, "joint {joint} at {value:.4} rad, limit {limit:.4} rad")
+            }
+            TripCause::VelocityLimit => {
+                write!(f, "joint {joint} moves at {value:.4} rad/s, limit {limit:.4} rad/s")
+            }
+            TripCause::TorqueLimit => {
+                write!(f, "joint {joint} shows a torque of {value:.2} N m, limit {limit:.2} N m")
+            }
+            TripCause::TorqueRate => {
+                write!(
+                    f,
+                    "the torque commanded to joint {joint} changes by {value:.0} N m/s, limit {limit:.0} N m/s"
+                )
+            }
+            TripCause::PeriodMismatch => {
+                write!(f, "the plant has a period of {value:.0} ns, the daemon one of {limit:.0} ns")
+            }
+            TripCause::UnknownClock => {
+                write!(f, "the plant names clock {value:.0}, the last known is {limit:.0}")
+            }
+            TripCause::TrackingError => {
+                write!(f, "joint {joint} is {value:.4} rad from its reference, limit {limit:.4} rad")
+            }
+            TripCause::BalanceLost => {
+                write!(f, "the rod is {value:.4} rad from where the plan ends, limit {limit:.4} rad")
+            }
+            TripCause::LateCycles => write!(f, "{value:.0} cycles in a row ended late, limit {limit:.0}"),
+            TripCause::NoMeasurement
+            | TripCause::MeasurementRestarted
+            | TripCause::DriveFault
+            | TripCause::LawNotFinite
+            | TripCause::PlanAge => f.write_str(cause.text()),
+        }
+    }
+}

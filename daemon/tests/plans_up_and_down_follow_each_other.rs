@@ -1,0 +1,73 @@
+//! A plan that ends standing leads to Balance, one that ends hanging to Hold; each may start where the other ended.
+
+mod common;
+
+use common::{Arm, PERIOD, at_rest, config, rest_pose, swing};
+use upswing_ipc::{Mode, Telemetry};
+use upswing_model::{NU, position};
+use upswingd::controller::{Controller, Order};
+use upswingd::supervisor::{Refusal, Request};
+
+/// Largest angle from the plan at its end, rad: the velocity filter lags.
+const CLOSE: f64 = 0.05;
+
+struct Loop {
+    arm: Arm,
+    controller: Controller,
+}
+
+impl Loop {
+    fn cycle(&mut self, order: Option<Order>) -> (Telemetry, Option<Result<(), Refusal>>) {
+        let output = self.controller.step(&self.arm.measure(), 0, order);
+        self.arm.advance(&output.command);
+        (output.record.telemetry, output.answer)
+    }
+
+    fn ask(&mut self, order: Order) {
+        assert_eq!(self.cycle(Some(order)).1, Some(Ok(())));
+    }
+
+    fn run(&mut self, seconds: f64) {
+        (0..(seconds / PERIOD) as usize).for_each(|_| {
+            self.cycle(None);
+        });
+    }
+}
+
+#[test]
+fn up_down_and_up_again() {
+    let config = config();
+    let q = rest_pose(&config);
+    let (up, down) = swing(&config, &q);
+    let mut system = Loop { arm: Arm::new(&config, at_rest(&q)), controller: Controller::new(&config) };
+    system.ask(Order::Do(Request::Enable));
+
+    system.ask(Order::Load(up.clone()));
+    system.ask(Order::Do(Request::Start));
+    system.run(up.trajectory.t_f + 1.0);
+    assert_eq!(system.controller.mode(), Mode::Balance);
+
+    // The same plan again starts elsewhere, and is refused without a change.
+    system.ask(Order::Load(up.clone()));
+    let (record, answer) = system.cycle(Some(Order::Do(Request::Start)));
+    assert!(matches!(answer, Some(Err(Refusal::StartMismatch { .. }))), "{answer:?}");
+    assert_eq!((record.mode, record.plan_id), (Mode::Balance.code(), up.id));
+
+    system.ask(Order::Load(down.clone()));
+    system.ask(Order::Do(Request::Start));
+    assert_eq!(system.controller.mode(), Mode::Track);
+    system.run(down.trajectory.t_f + 0.2);
+    assert_eq!(system.controller.mode(), Mode::Hold);
+    let off = position(&system.arm.x) - q;
+    assert!(off.amax() < CLOSE, "{off}");
+
+    // Held is the end of the plan, not where the arm happened to be.
+    let (record, _) = system.cycle(None);
+    assert_eq!(record.q_d[..NU], down.trajectory.x[100].as_slice()[..NU]);
+
+    system.run(1.0);
+    system.ask(Order::Load(up.clone()));
+    system.ask(Order::Do(Request::Start));
+    system.run(up.trajectory.t_f + 0.5);
+    assert_eq!(system.controller.mode(), Mode::Balance);
+}

@@ -1,0 +1,139 @@
+//! After a lost balance: no plan before the pendulum rests, not more attempts than set, and the operator comes first.
+
+use proptest::prelude::*;
+use std::time::Duration;
+use upswing_config::RecoverySettings;
+use upswing_ipc::{Mode, Telemetry};
+use upswingd::controller::Record;
+use upswingd::recovery::{Action, Recovery};
+use upswingd::trip::{Trip, TripCause};
+
+const SECOND: u64 = 1_000_000_000;
+
+fn settings(attempts: u32) -> RecoverySettings {
+    let (rest, patience) = (Duration::from_secs(2), Duration::from_secs(60));
+    RecoverySettings { attempts, rest_speed: 0.05, rest, patience }
+}
+
+fn record(mode: Mode, t_ns: u64, speed: f64, cause: Option<TripCause>) -> Record {
+    let mut telemetry = Telemetry { mode: mode.code(), t_ns, ..Telemetry::default() };
+    telemetry.qd[8] = speed;
+    Record { telemetry, trip: cause.map(Trip::plain), overruns: 0 }
+}
+
+/// Balances at 0 s and loses the rod at 1 s.
+fn fallen(attempts: u32) -> Recovery {
+    let mut recovery = Recovery::new(settings(attempts));
+    assert_eq!(recovery.note(&record(Mode::Balance, 0, 0.0, None), 1), None);
+    assert_eq!(recovery.note(&record(Mode::Stop, SECOND, 3.0, Some(TripCause::BalanceLost)), 1), None);
+    recovery
+}
+
+fn hold(recovery: &mut Recovery, seconds: u64, speed: f64, loaded: u64) -> Option<Action> {
+    recovery.note(&record(Mode::Hold, seconds * SECOND, speed, Some(TripCause::BalanceLost)), loaded)
+}
+
+#[test]
+fn it_waits_plans_and_starts() {
+    let mut recovery = fallen(1);
+    assert!(recovery.is_active());
+    for (seconds, speed) in [(2, 1.0), (3, 0.04), (4, 0.06), (5, 0.04), (6, -0.04)] {
+        assert_eq!(hold(&mut recovery, seconds, speed, 1), None, "{seconds} s");
+    }
+    assert_eq!(hold(&mut recovery, 7, 0.0, 1), Some(Action::AskPlanner), "two seconds at rest");
+    assert_eq!(hold(&mut recovery, 8, 0.0, 1), None, "asked once");
+    recovery.planned(Some(5));
+    assert_eq!(hold(&mut recovery, 9, 0.0, 1), None, "the old plan is not started");
+    assert_eq!(hold(&mut recovery, 10, 0.0, 5), Some(Action::Start));
+    assert_eq!(hold(&mut recovery, 11, 0.0, 5), None, "started once");
+    // The only attempt is used up.
+    recovery.note(&record(Mode::Track, 12 * SECOND, 0.0, None), 5);
+    recovery.note(&record(Mode::Balance, 14 * SECOND, 0.0, None), 5);
+    recovery.note(&record(Mode::Stop, 15 * SECOND, 0.0, Some(TripCause::BalanceLost)), 5);
+    assert!(!recovery.is_active());
+}
+
+#[test]
+fn it_gives_up() {
+    assert!(!fallen(0).is_active(), "not set");
+    let mut restless = fallen(1);
+    hold(&mut restless, 62, 1.0, 1);
+    assert!(!restless.is_active(), "the pendulum does not come to rest");
+    for answered in [false, true] {
+        let mut slow = fallen(1);
+        (2..=7).for_each(|seconds| {
+            hold(&mut slow, seconds, 0.0, 1);
+        });
+        assert!(slow.is_active());
+        if answered {
+            slow.planned(Some(5));
+        }
+        hold(&mut slow, 70, 0.0, 1);
+        assert!(!slow.is_active(), "no plan in time");
+    }
+    let mut refused = fallen(1);
+    (2..=7).for_each(|seconds| {
+        hold(&mut refused, seconds, 0.0, 1);
+    });
+    refused.planned(None);
+    assert!(!refused.is_active(), "the planner refused");
+    let mut operator = fallen(1);
+    operator.yield_to_operator();
+    assert_eq!((operator.is_active(), hold(&mut operator, 30, 0.0, 1)), (false, None));
+    let mut fault = fallen(1);
+    fault.note(&record(Mode::Fault, 2 * SECOND, 0.0, Some(TripCause::DriveFault)), 1);
+    assert!(!fault.is_active());
+}
+
+#[test]
+fn an_operators_stop_is_no_loss() {
+    let mut recovery = Recovery::new(settings(1));
+    recovery.note(&record(Mode::Balance, 0, 0.0, None), 1);
+    recovery.note(&record(Mode::Stop, SECOND, 0.0, None), 1);
+    assert!(!recovery.is_active());
+}
+
+#[derive(Clone, Debug)]
+enum Input {
+    Cycle(usize, u64, f64, Option<usize>, u64),
+    Planned(Option<u64>),
+    Operator,
+}
+
+fn inputs() -> impl Strategy<Value = Input> {
+    let cause = prop::option::of(0..TripCause::ALL.len());
+    prop_oneof![
+        20 => (0..Mode::ALL.len(), 0..3 * SECOND, prop_oneof![Just(0.0), Just(1.0), Just(f64::NAN)], cause, 0_u64..4)
+            .prop_map(|(mode, dt, speed, cause, loaded)| Input::Cycle(mode, dt, speed, cause, loaded)),
+        10 => (0..SECOND).prop_map(|dt| Input::Cycle(1, dt, 0.0, Some(15), 2)),
+        5 => prop::option::of(1_u64..4).prop_map(Input::Planned),
+        1 => Just(Input::Operator),
+    ]
+}
+
+proptest! {
+    #[test]
+    fn whatever_comes(attempts in 0_u32..4, inputs in prop::collection::vec(inputs(), 1..400)) {
+        let mut recovery = Recovery::new(settings(attempts));
+        let (mut asked, mut started, mut now) = (0, 0, 0_u64);
+        for input in inputs {
+            match input {
+                Input::Operator => {
+                    recovery.yield_to_operator();
+                    (asked, started) = (0, 0);
+                }
+                Input::Planned(plan_id) => recovery.planned(plan_id),
+                Input::Cycle(mode, dt, speed, cause, loaded) => {
+                    now += dt;
+                    let cause = cause.map(|i| TripCause::ALL[i]);
+                    let action = recovery.note(&record(Mode::ALL[mode], now, speed, cause), loaded);
+                    asked += u32::from(action == Some(Action::AskPlanner));
+                    started += u32::from(action == Some(Action::Start));
+                    prop_assert!(action.is_none() || matches!(Mode::ALL[mode], Mode::Hold | Mode::Stop));
+                    prop_assert!(action != Some(Action::AskPlanner) || Mode::ALL[mode] == Mode::Hold);
+                }
+            }
+            prop_assert!(started <= asked && asked <= attempts);
+        }
+    }
+}

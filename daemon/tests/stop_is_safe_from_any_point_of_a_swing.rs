@@ -1,0 +1,74 @@
+//! A stop at any moment of a swing-up or swing-down brings the arm to rest within its limits, and no detector fires.
+
+mod common;
+
+use common::{Arm, at_rest, config, rest_pose, swing};
+use upswing_config::Config;
+use upswing_ipc::{Mode, Telemetry};
+use upswing_model::{NQ, NU, State};
+use upswing_trajectory::Plan;
+use upswingd::controller::{Controller, Order};
+use upswingd::supervisor::Request;
+
+/// Cycles between two stops: 25 ms.
+const STEP: usize = 200;
+/// Longest stop, cycles: 1.5 s.
+const LONGEST: usize = 12_000;
+
+fn start(config: &Config, plan: &Plan, q: State) -> (Controller, Arm) {
+    let (mut controller, mut arm) = (Controller::new(config), Arm::new(config, q));
+    for order in [Order::Do(Request::Enable), Order::Load(Box::new(plan.clone())), Order::Do(Request::Start)]
+    {
+        let output = controller.step(&arm.measure(), 0, Some(order));
+        assert_eq!(output.answer, Some(Ok(())));
+        arm.advance(&output.command);
+    }
+    (controller, arm)
+}
+
+fn stop(config: &Config, mut controller: Controller, mut arm: Arm, at: usize) {
+    let limits = &config.robot.limits;
+    let fastest = controller.state().fixed_rows::<NU>(NQ).abs();
+    let mut order = Some(Order::Do(Request::Stop));
+    for _ in 0..LONGEST {
+        let output = controller.step(&arm.measure(), 0, order.take());
+        arm.advance(&output.command);
+        let (mode, flags) = (controller.mode(), output.record.telemetry.flags);
+        assert!(
+            matches!(mode, Mode::Stop | Mode::Hold),
+            "stop at cycle {at}: {mode}, {:?}",
+            controller.trip()
+        );
+        assert_eq!(flags & Telemetry::LIMITED, 0, "stop at cycle {at}: {:?}", output.command.tau);
+        for i in 0..NU {
+            let (q, qd) = (arm.x[i], arm.x[NQ + i]);
+            assert!((limits.q_min[i]..=limits.q_max[i]).contains(&q), "cycle {at}: joint {} at {q}", i + 1);
+            // No faster than when it began, but for what the filter did not see yet.
+            assert!(qd.abs() <= fastest[i] + 0.1, "cycle {at}: joint {} at {qd} rad/s", i + 1);
+        }
+        if mode == Mode::Hold {
+            return;
+        }
+    }
+    panic!("stop at cycle {at}: still moves after {LONGEST} cycles: {}", arm.x.fixed_rows::<NU>(NQ));
+}
+
+#[test]
+fn of_a_swing_up_and_of_a_swing_down() {
+    let config = config();
+    let q = rest_pose(&config);
+    let (up, down) = swing(&config, &q);
+    let top = up.trajectory.x[up.trajectory.x.len() - 1];
+    for (plan, x_0) in [(up, at_rest(&q)), (down, top)] {
+        let (mut controller, mut arm) = start(&config, &plan, x_0);
+        let cycles = (plan.trajectory.t_f / common::PERIOD) as usize;
+        for at in 0..cycles {
+            if at % STEP == 0 {
+                stop(&config, controller.clone(), arm.clone(), at);
+            }
+            let output = controller.step(&arm.measure(), 0, None);
+            assert_eq!(controller.mode(), Mode::Track);
+            arm.advance(&output.command);
+        }
+    }
+}
