@@ -13,6 +13,7 @@ pub(crate) struct Rule {
     pub holds: fn(f64) -> bool,
 }
 
+pub(crate) const FINITE: Rule = Rule { expected: "a finite number", holds: f64::is_finite };
 pub(crate) const POSITIVE: Rule =
     Rule { expected: "a finite number above 0", holds: |v| v.is_finite() && v > 0.0 };
 pub(crate) const NON_NEGATIVE: Rule =

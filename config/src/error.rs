@@ -15,6 +15,14 @@ pub enum ConfigError {
         /// What the operating system said.
         cause: std::io::Error,
     },
+    /// A file that the user named is missing or cannot be read.
+    #[error("{file}: cannot be read ({cause}): name an existing file")]
+    NoFile {
+        /// Path of the file.
+        file: String,
+        /// What the operating system said.
+        cause: std::io::Error,
+    },
     /// A file that should be text is not.
     #[error("{file}: expected UTF-8 text, got other bytes at offset {offset}: save the file as UTF-8")]
     NotText {
@@ -54,6 +62,25 @@ pub enum ConfigError {
         got: String,
         /// What to do.
         fix: String,
+    },
+    /// A fault or a push of a scenario that cannot be.
+    #[error("{file}: {section}: {cause}")]
+    Event {
+        /// Path of the file.
+        file: String,
+        /// `fault` or `push`.
+        section: String,
+        /// What is wrong with it.
+        cause: crate::EventError,
+    },
+    /// A scenario that does not exist.
+    #[error(
+        "expected the path of a scenario that ends in .toml or one of {}, got `{got}`",
+        crate::Config::scenario_names().collect::<Vec<_>>().join(", ")
+    )]
+    NoScenario {
+        /// The name that came.
+        got: String,
     },
     /// The robot description cannot be used.
     #[error("{file}: {cause}: compare with the original, `upswing config export DIR` writes it")]

@@ -1,37 +1,43 @@
 //! Settings and robot description of upswing: read, checked once, then plain SI numbers.
 //!
-//! A full set is eight files, embedded in the program and, with [`Config::export`], written to a folder for
+//! A full set of files is embedded in the program and, with [`Config::export`], written to a folder for
 //! editing: the robot (`robot.urdf`), its limits and the target (`robot.toml`), the planner, the daemon, the
-//! simulated plant, and the trajectory database. In the files angles may be in degrees (the key then says so);
+//! simulated plant, the trajectory database, and scenarios for the plant ([`Config::use_scenario`]). In the files angles may be in degrees (the key then says so);
 //! past this crate everything is rad, s, N m, kg, m, and no value needs another check.
 
 mod check;
 mod daemon;
 mod error;
+mod fault;
 mod grid;
 mod planner;
 mod plant;
 pub mod process;
 mod robot;
+mod scenario;
 mod start;
 
 pub use daemon::{
     CycleSettings, DaemonSettings, HoldGains, RealtimeMode, RealtimeSettings, StartTolerance, TripLimits,
 };
 pub use error::ConfigError;
+pub use fault::{EventError, Fault, FaultKind, Push};
 pub use grid::{GridAxis, GridSettings};
 pub use planner::{
     LqrWeights, OfflineSettings, PlannerSettings, QpBackend, ReplanSettings, ReplanWeights, SUB_HORIZONS,
     TorqueConstraint,
 };
-pub use plant::{DriveSettings, EncoderSettings, FrictionSettings, PendulumStart, PlantSettings, PlantStart};
+pub use plant::{
+    DriveSettings, EncoderSettings, FrictionSettings, MAX_DELAY, ModelSettings, PendulumStart, PlantSettings,
+    PlantStart, StopSettings,
+};
 pub use robot::{CoriolisBound, RobotSettings, Target};
 pub use start::StartError;
 
 use check::{Check, degrees};
 use std::borrow::Cow;
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use upswing_model::{Limits, Model, NQ, NU};
 
 /// One complete, checked set of settings.
@@ -49,10 +55,14 @@ pub struct Config {
     pub daemon: DaemonSettings,
     /// The simulated plant.
     pub plant: PlantSettings,
+    /// The bodies that move in the simulated plant, as their URDF describes them; [`ModelSettings::apply`] changes them.
+    pub plant_model: Model,
     /// Start poses of the database.
     pub grid: GridSettings,
     /// The trajectory database, not yet decoded.
     pub database: DatabaseFile,
+    /// Where the files come from; None: embedded.
+    dir: Option<PathBuf>,
 }
 
 /// A trajectory database as stored.
@@ -84,7 +94,28 @@ const GRID: EmbeddedFile = embedded!("grid.toml");
 /// Not read with a set of settings: another grid to build a database from.
 const PAPER_GRID: EmbeddedFile = embedded!("grid-paper.toml");
 const DATABASE: EmbeddedFile = embedded!("database.bin");
-const FILES: [EmbeddedFile; 8] = [URDF, ROBOT, PLANNER, DAEMON, PLANT, GRID, PAPER_GRID, DATABASE];
+/// Not read with a set of settings unless the plant asks for it: the second model of the arm.
+const SECOND_URDF: EmbeddedFile = embedded!("robot-acin.urdf");
+const FILES: [EmbeddedFile; 9] =
+    [URDF, ROBOT, PLANNER, DAEMON, PLANT, GRID, PAPER_GRID, DATABASE, SECOND_URDF];
+/// Read only when one is asked for.
+const SCENARIOS: [EmbeddedFile; 15] = [
+    embedded!("scenarios/arm-friction.toml"),
+    embedded!("scenarios/coarse-encoders.toml"),
+    embedded!("scenarios/dead-encoder.toml"),
+    embedded!("scenarios/everyday.toml"),
+    embedded!("scenarios/heavy-arm.toml"),
+    embedded!("scenarios/joint-stops.toml"),
+    embedded!("scenarios/late-brakes.toml"),
+    embedded!("scenarios/long-rod.toml"),
+    embedded!("scenarios/lost-packets.toml"),
+    embedded!("scenarios/payload.toml"),
+    embedded!("scenarios/push.toml"),
+    embedded!("scenarios/rotor-inertia.toml"),
+    embedded!("scenarios/second-arm.toml"),
+    embedded!("scenarios/slow-drives.toml"),
+    embedded!("scenarios/worn-bearings.toml"),
+];
 
 /// A file's contents and the name that messages give it.
 type Contents = (String, Cow<'static, [u8]>);
@@ -95,7 +126,7 @@ impl Config {
     /// # Errors
     /// None in a released program: its tests load them.
     pub fn embedded() -> Result<Self, ConfigError> {
-        Self::assemble(|file| Ok((format!("embedded {}", file.name), Cow::Borrowed(file.bytes))))
+        Self::assemble(None)
     }
 
     /// The settings in a folder, which must hold all files of a full set.
@@ -103,14 +134,7 @@ impl Config {
     /// # Errors
     /// A file is missing, unreadable, malformed, or holds a value the system cannot work with.
     pub fn from_dir(dir: &Path) -> Result<Self, ConfigError> {
-        Self::assemble(|file| {
-            let path = dir.join(file.name);
-            let name = path.display().to_string();
-            match std::fs::read(path) {
-                Ok(bytes) => Ok((name, Cow::Owned(bytes))),
-                Err(cause) => Err(ConfigError::Unreadable { file: name, cause }),
-            }
-        })
+        Self::assemble(Some(dir))
     }
 
     /// The settings in a folder, or the embedded ones if none is named.
@@ -127,11 +151,14 @@ impl Config {
     /// One of the files exists already (then nothing is written), or the folder cannot be written to.
     pub fn export(dir: &Path) -> Result<(), ConfigError> {
         let name = |path: &Path| path.display().to_string();
-        if let Some(path) = FILES.iter().map(|file| dir.join(file.name)).find(|path| path.exists()) {
+        let files = || FILES.iter().chain(&SCENARIOS);
+        if let Some(path) = files().map(|file| dir.join(file.name)).find(|path| path.exists()) {
             return Err(ConfigError::Exists { file: name(&path) });
         }
-        std::fs::create_dir_all(dir).map_err(|cause| ConfigError::Unwritable { file: name(dir), cause })?;
-        for file in &FILES {
+        let folder = dir.join(SCENARIO_FOLDER);
+        std::fs::create_dir_all(&folder)
+            .map_err(|cause| ConfigError::Unwritable { file: name(&folder), cause })?;
+        for file in files() {
             let path = dir.join(file.name);
             std::fs::File::create_new(&path)
                 .and_then(|mut target| target.write_all(file.bytes))
@@ -140,14 +167,8 @@ impl Config {
         Ok(())
     }
 
-    fn assemble(read: impl Fn(&EmbeddedFile) -> Result<Contents, ConfigError>) -> Result<Self, ConfigError> {
-        let text = |file| {
-            let (name, bytes) = read(file)?;
-            match String::from_utf8(bytes.into_owned()) {
-                Ok(text) => Ok((name, text)),
-                Err(e) => Err(ConfigError::NotText { file: name, offset: e.utf8_error().valid_up_to() }),
-            }
-        };
+    fn assemble(dir: Option<&Path>) -> Result<Self, ConfigError> {
+        let text = |file| text_of(dir, file);
         let (urdf_name, urdf) = text(&URDF)?;
         let model = Model::from_urdf(&urdf).map_err(|cause| ConfigError::Urdf { file: urdf_name, cause })?;
         let (robot_name, robot) = text(&ROBOT)?;
@@ -159,11 +180,38 @@ impl Config {
         let daemon = DaemonSettings::read(&name, &daemon, &robot)?;
         let (name, plant) = text(&PLANT)?;
         let plant = PlantSettings::read(&name, &plant, &robot)?;
+        let plant_model = read_plant_model(dir, &name, &plant.model.urdf)?;
         let (name, grid) = text(&GRID)?;
         let grid = GridSettings::read(&name, &grid, &robot)?;
-        let (origin, bytes) = read(&DATABASE)?;
+        let (origin, bytes) = contents(dir, &DATABASE)?;
         let database = DatabaseFile { bytes, origin };
-        Ok(Self { urdf, model, robot, planner, daemon, plant, grid, database })
+        let dir = dir.map(Path::to_owned);
+        Ok(Self { urdf, model, robot, planner, daemon, plant, plant_model, grid, database, dir })
+    }
+
+    /// Replaces the plant's settings by those of `plant.toml` under a scenario: one of the set by its name, or a file by
+    /// its path, which ends in `.toml`. Returns the scenario's purpose, a sentence.
+    ///
+    /// # Errors
+    /// There is no such scenario, or it is unreadable, malformed, or holds a value that cannot be.
+    pub fn use_scenario(&mut self, scenario: &str) -> Result<String, ConfigError> {
+        let dir = self.dir.as_deref();
+        let (file, text) = if scenario.ends_with(".toml") {
+            text_of_path(Path::new(scenario))?
+        } else {
+            let of_set = SCENARIOS.iter().find(|file| scenario_name(file) == scenario);
+            text_of(dir, of_set.ok_or_else(|| ConfigError::NoScenario { got: scenario.into() })?)?
+        };
+        let (_, base) = text_of(dir, &PLANT)?;
+        let (plant, purpose) = scenario::read(&file, &text, &base, &self.robot)?;
+        self.plant_model = read_plant_model(dir, &file, &plant.model.urdf)?;
+        self.plant = plant;
+        Ok(purpose)
+    }
+
+    /// Names of the scenarios of the set.
+    pub fn scenario_names() -> impl Iterator<Item = &'static str> {
+        SCENARIOS.iter().map(scenario_name)
     }
 
     /// Replaces the grid by that of a file.
@@ -171,11 +219,7 @@ impl Config {
     /// # Errors
     /// The file is unreadable, malformed, or holds a value that cannot be.
     pub fn use_grid(&mut self, path: &Path) -> Result<(), ConfigError> {
-        let file = path.display().to_string();
-        let text = match std::fs::read_to_string(path) {
-            Ok(text) => text,
-            Err(cause) => return Err(ConfigError::Unreadable { file, cause }),
-        };
+        let (file, text) = text_of_path(path)?;
         self.grid = GridSettings::read(&file, &text, &self.robot)?;
         Ok(())
     }
@@ -189,6 +233,68 @@ impl Config {
         self.grid = GridSettings::read(&file, &String::from_utf8_lossy(PAPER_GRID.bytes), &self.robot)?;
         Ok(())
     }
+}
+
+const SCENARIO_FOLDER: &str = "scenarios";
+
+fn scenario_name(file: &EmbeddedFile) -> &'static str {
+    file.name.trim_start_matches(SCENARIO_FOLDER).trim_start_matches('/').trim_end_matches(".toml")
+}
+
+/// One file of a set: of the folder, or the embedded one.
+fn contents(dir: Option<&Path>, file: &EmbeddedFile) -> Result<Contents, ConfigError> {
+    match dir {
+        None => Ok((format!("embedded {}", file.name), Cow::Borrowed(file.bytes))),
+        Some(dir) => {
+            let path = dir.join(file.name);
+            let name = path.display().to_string();
+            match std::fs::read(path) {
+                Ok(bytes) => Ok((name, Cow::Owned(bytes))),
+                Err(cause) => Err(ConfigError::Unreadable { file: name, cause }),
+            }
+        }
+    }
+}
+
+/// Name and text of a file of a set.
+fn text_of(dir: Option<&Path>, file: &EmbeddedFile) -> Result<(String, String), ConfigError> {
+    let (name, bytes) = contents(dir, file)?;
+    as_text(name, bytes.into_owned())
+}
+
+/// Name and text of a file that is of no set.
+fn text_of_path(path: &Path) -> Result<(String, String), ConfigError> {
+    let name = path.display().to_string();
+    match std::fs::read(path) {
+        Ok(bytes) => as_text(name, bytes),
+        Err(cause) => Err(ConfigError::NoFile { file: name, cause }),
+    }
+}
+
+fn as_text(file: String, bytes: Vec<u8>) -> Result<(String, String), ConfigError> {
+    match String::from_utf8(bytes) {
+        Ok(text) => Ok((file, text)),
+        Err(e) => Err(ConfigError::NotText { file, offset: e.utf8_error().valid_up_to() }),
+    }
+}
+
+/// The plant's bodies from the URDF that the settings in `file` name.
+fn read_plant_model(dir: Option<&Path>, file: &str, urdf: &str) -> Result<Model, ConfigError> {
+    let of_set = FILES.iter().find(|file| file.name == urdf && urdf.ends_with(".urdf"));
+    let (name, text) = match of_set {
+        Some(of_set) => text_of(dir, of_set)?,
+        None if urdf.contains('/') => text_of_path(Path::new(urdf))?,
+        None => {
+            let expected = format!("{}, {}, or a path with a `/`", URDF.name, SECOND_URDF.name);
+            return Err(Check { file }.refuse(
+                "model.urdf",
+                expected,
+                urdf,
+                "name a file of the set or a path",
+            ));
+        }
+    };
+    Model::from_urdf(&text).map_err(|cause| ConfigError::Urdf { file: name, cause })
 }
 
 /// Table II stands in `robot.toml` and, for other programs, in the URDF: both must say the same.

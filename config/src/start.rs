@@ -1,7 +1,7 @@
 //! States at rest from which a swing-up can begin.
 
 use crate::{Config, PendulumStart, RobotSettings};
-use upswing_model::{ActuatedVector, JointVector, N_ACTUATED, NQ, RestError, State, Workspace, state};
+use upswing_model::{ActuatedVector, JointVector, Model, N_ACTUATED, NQ, RestError, State, Workspace, state};
 
 /// Why a pose cannot be a start.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -58,6 +58,19 @@ impl Config {
     /// # Errors
     /// [`StartError`] if the pose is outside the limits open to plans, or the pendulum's rest position is.
     pub fn start_state(&self, q_a: &[f64], pendulum: PendulumStart) -> Result<State, StartError> {
+        self.start_state_of(&self.model, q_a, pendulum)
+    }
+
+    /// As [`Config::start_state`] for another `model`, whose pendulum may hang differently.
+    ///
+    /// # Errors
+    /// As [`Config::start_state`].
+    pub fn start_state_of(
+        &self,
+        model: &Model,
+        q_a: &[f64],
+        pendulum: PendulumStart,
+    ) -> Result<State, StartError> {
         if q_a.len() != N_ACTUATED {
             return Err(StartError::Length { got: q_a.len() });
         }
@@ -67,7 +80,7 @@ impl Config {
             self.robot.check_angle(i, q[i])?;
         }
         if pendulum == PendulumStart::Rest {
-            q = self.model.rest_position(&q, &mut Workspace::default())?;
+            q = model.rest_position(&q, &mut Workspace::default())?;
         }
         for i in N_ACTUATED..NQ {
             self.robot.check_angle(i, q[i]).map_err(|e| match e {

@@ -177,8 +177,25 @@ impl Model {
         tau: &JointVector,
         work: &mut Workspace,
     ) -> Option<JointVector> {
+        self.forward_dynamics_with_rotors(q, qd, tau, &ActuatedVector::zeros(), work)
+    }
+
+    /// As [`Self::forward_dynamics`] with the inertia of the motors' `rotors`, reflected to the joints (kg m^2), on the
+    /// diagonal of M: the usual approximation of a geared drive, without gyroscopic terms.
+    pub fn forward_dynamics_with_rotors(
+        &self,
+        q: &JointVector,
+        qd: &JointVector,
+        tau: &JointVector,
+        rotors: &ActuatedVector,
+        work: &mut Workspace,
+    ) -> Option<JointVector> {
         let bias = self.nonlinear_effects(q, qd, work);
-        Some(work.mass_matrix().cholesky()?.solve(&(tau - bias)))
+        let mut mass = work.mass_matrix();
+        for i in 0..N_ACTUATED {
+            mass[(i, i)] += rotors[i];
+        }
+        Some(mass.cholesky()?.solve(&(tau - bias)))
     }
 
     /// Kinetic plus potential energy, J.

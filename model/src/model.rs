@@ -1,6 +1,7 @@
 //! The constants of a robot.
 
 use crate::spatial::{Inertia, skew};
+use crate::urdf::Body;
 use crate::{ActuatedVector, JointVector, NQ, NU};
 use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion, Vector3};
 
@@ -145,6 +146,45 @@ impl Model {
         }
         scaled.fingerprint = scaled.compute_fingerprint();
         scaled
+    }
+
+    /// A copy whose last body, the rod, is `scale` times as long with the same mass: centre of mass and tip farther
+    /// from the joint by that factor, inertia larger by its square. For runs with a mismatched plant.
+    pub fn with_scaled_rod_length(&self, scale: f64) -> Self {
+        let mut scaled = self.clone();
+        let rod = &mut scaled.joints[NQ - 1];
+        rod.com *= scale;
+        rod.inertia *= scale * scale;
+        scaled.tip *= scale;
+        scaled.fingerprint = scaled.compute_fingerprint();
+        scaled
+    }
+
+    /// A copy that carries a point mass (kg, 0 or above) on its last actuated body, at `com` in that body's frame (m).
+    /// For runs with a mismatched plant.
+    pub fn with_payload(&self, mass: f64, com: Vector3<f64>) -> Self {
+        let mut loaded = self.clone();
+        // Joining nothing would still round.
+        if mass == 0.0 {
+            return loaded;
+        }
+        let link = &mut loaded.joints[NU - 1];
+        let body = Body { mass: link.mass, com: link.com, inertia: link.inertia };
+        let body = body.joined(Body { mass, com, inertia: Matrix3::zeros() });
+        (link.mass, link.com, link.inertia) = (body.mass, body.com, body.inertia);
+        loaded.fingerprint = loaded.compute_fingerprint();
+        loaded
+    }
+
+    /// Joint torques J^T F, N m, of a `force` (N, world frame) on the tip of the pendulum.
+    pub fn torque_of_tip_force(&self, q: &JointVector, force: &Vector3<f64>) -> JointVector {
+        let frames = self.frames(q);
+        let last = &frames[NQ - 1];
+        let tip = last.rotation * self.tip + last.origin;
+        JointVector::from_fn(|i, _| {
+            let axis = frames[i].rotation * self.joints[i].axis;
+            axis.dot(&(tip - frames[i].origin).cross(force))
+        })
     }
 
     pub(crate) fn compute_fingerprint(&self) -> u64 {

@@ -52,10 +52,10 @@ pub enum UrdfError {
 
 /// Mass, centre of mass and inertia about it, in some link's frame.
 #[derive(Clone, Copy)]
-struct Body {
-    mass: f64,
-    com: Vector3<f64>,
-    inertia: Matrix3<f64>,
+pub(crate) struct Body {
+    pub mass: f64,
+    pub com: Vector3<f64>,
+    pub inertia: Matrix3<f64>,
 }
 
 impl Body {
@@ -82,7 +82,8 @@ impl Body {
         }
     }
 
-    fn joined(self, other: Self) -> Self {
+    /// Both as one rigid body.
+    pub(crate) fn joined(self, other: Self) -> Self {
         let mass = self.mass + other.mass;
         if mass == 0.0 {
             return self;

@@ -1,0 +1,168 @@
+//! What breaks, and what pushes: events of the simulated plant at cycle numbers.
+
+use crate::MAX_DELAY;
+use serde::Deserialize;
+use upswing_model::NQ;
+
+/// What breaks. Cycles are those of the plant.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum FaultKind {
+    /// No measurement arrives.
+    DropMeasurement,
+    /// Each measurement arrives `amount` cycles late.
+    DelayMeasurement,
+    /// The measurement before arrives again instead of every second one, beginning with the first.
+    DuplicateMeasurement,
+    /// Instead of every second measurement, an older one arrives after its successor.
+    ReorderMeasurement,
+    /// Angles and torques stay as they were; number and time go on.
+    FreezeMeasurement,
+    /// The time stamp stays as it was; all else goes on.
+    StaleTime,
+    /// The angle of `joint` stays as it was.
+    EncoderStuck,
+    /// The angle of `joint` is off by `amount`, rad.
+    EncoderJump,
+    /// The angle of `joint` is not a number.
+    EncoderNan,
+    /// No command reaches the drives.
+    LoseCommand,
+}
+
+impl FaultKind {
+    /// Every kind; the index is the code in shared memory.
+    pub const ALL: [Self; 10] = [
+        Self::DropMeasurement,
+        Self::DelayMeasurement,
+        Self::DuplicateMeasurement,
+        Self::ReorderMeasurement,
+        Self::FreezeMeasurement,
+        Self::StaleTime,
+        Self::EncoderStuck,
+        Self::EncoderJump,
+        Self::EncoderNan,
+        Self::LoseCommand,
+    ];
+
+    /// The number that stands for this kind in shared memory.
+    pub const fn code(self) -> u64 {
+        self as u64
+    }
+
+    /// Whether it concerns one joint.
+    pub const fn has_joint(self) -> bool {
+        matches!(self, Self::EncoderStuck | Self::EncoderJump | Self::EncoderNan)
+    }
+}
+
+/// One fault.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Fault {
+    /// What breaks.
+    pub kind: FaultKind,
+    /// First cycle, counted from 1.
+    pub from: u64,
+    /// How many cycles it lasts; 0: until it is cleared.
+    pub cycles: u64,
+    /// The joint, counted from 0, of the kinds that concern one.
+    pub joint: usize,
+    /// Cycles (`DelayMeasurement`, 1..=[`MAX_DELAY`]) or rad (`EncoderJump`).
+    pub amount: f64,
+}
+
+impl Fault {
+    /// Of a kind that needs neither joint nor amount.
+    pub fn new(kind: FaultKind, from: u64, cycles: u64) -> Self {
+        Self { kind, from, cycles, joint: 0, amount: 0.0 }
+    }
+
+    /// Whether it acts in a cycle.
+    pub fn acts(&self, cycle: u64) -> bool {
+        cycle >= self.from && (self.cycles == 0 || cycle - self.from < self.cycles)
+    }
+
+    /// Fails unless joint and amount suit the kind.
+    ///
+    /// # Errors
+    /// [`EventError`] with what was expected and what came.
+    pub fn check(&self) -> Result<(), EventError> {
+        if self.kind.has_joint() && self.joint >= NQ {
+            return Err(EventError::Joint { got: self.joint + 1 });
+        }
+        let amount = self.amount;
+        match self.kind {
+            FaultKind::DelayMeasurement
+                if !(amount.fract() == 0.0 && (1.0..=f64::from(MAX_DELAY)).contains(&amount)) =>
+            {
+                Err(EventError::Delay { got: amount })
+            }
+            _ if !amount.is_finite() => Err(EventError::Amount { got: amount }),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// A push on the tip of the rod: a constant force over some cycles.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Push {
+    /// First cycle, counted from 1.
+    pub from: u64,
+    /// How many cycles it lasts, at least 1.
+    pub cycles: u64,
+    /// Force times its duration, world frame (z up), N s.
+    pub impulse: [f64; 3],
+}
+
+impl Push {
+    /// Whether it acts in a cycle.
+    pub fn acts(&self, cycle: u64) -> bool {
+        cycle >= self.from && cycle - self.from < self.cycles
+    }
+
+    /// Fails unless it has a duration and an impulse.
+    ///
+    /// # Errors
+    /// [`EventError`] with what was expected and what came.
+    pub fn check(&self) -> Result<(), EventError> {
+        if self.cycles == 0 {
+            return Err(EventError::Duration);
+        }
+        match self.impulse.iter().find(|v| !v.is_finite()) {
+            Some(got) => Err(EventError::Impulse { got: *got }),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Why a fault or a push cannot be.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum EventError {
+    /// No such joint.
+    #[error("joint: expected 1 to {NQ}, got {got}")]
+    Joint {
+        /// What came, counted from 1.
+        got: usize,
+    },
+    /// A delay that is no number of cycles, or too long.
+    #[error("amount: expected a whole number of cycles from 1 to {MAX_DELAY}, got {got}")]
+    Delay {
+        /// What came.
+        got: f64,
+    },
+    /// An amount that is not a number.
+    #[error("amount: expected a finite number, got {got}")]
+    Amount {
+        /// What came.
+        got: f64,
+    },
+    /// A push without duration.
+    #[error("cycles: expected 1 or more for a push, got 0")]
+    Duration,
+    /// An impulse that is not a number.
+    #[error("impulse: expected three finite numbers, N s, got {got}")]
+    Impulse {
+        /// What came.
+        got: f64,
+    },
+}

@@ -1,0 +1,176 @@
+//! A scenario replaces the keys that it states and leaves all others; one that cannot be is refused with its file and
+//! key.
+
+mod common;
+use common::exported;
+use std::path::Path;
+use upswing_config::{Config, EventError, Fault, FaultKind, MAX_DELAY, Push};
+
+fn embedded() -> Config {
+    Config::embedded().expect("embedded settings")
+}
+
+/// The settings under a scenario with this text.
+fn under(text: &str) -> Result<Config, String> {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let path = dir.path().join("mine.toml");
+    std::fs::write(&path, text).expect("write");
+    let mut config = embedded();
+    match config.use_scenario(path.to_str().expect("UTF-8")) {
+        Ok(_) => Ok(config),
+        Err(e) => {
+            let message = e.to_string();
+            assert!(message.contains("mine.toml"), "{message}");
+            Err(message)
+        }
+    }
+}
+
+#[test]
+fn every_shipped_scenario_loads_and_says_what_it_is_for() {
+    let dir = exported();
+    let names: Vec<_> = Config::scenario_names().collect();
+    assert_eq!(std::fs::read_dir(dir.path().join("scenarios")).expect("folder").count(), names.len());
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios");
+    assert_eq!(std::fs::read_dir(source).expect("folder").count(), names.len(), "every file is embedded");
+    for name in names {
+        let (mut embedded, mut of_folder) = (embedded(), Config::from_dir(dir.path()).expect("exported"));
+        let before = (embedded.plant.clone(), embedded.plant_model.fingerprint());
+        let purpose = embedded.use_scenario(name).unwrap_or_else(|e| panic!("{name}: {e}"));
+        assert!(purpose.contains(' ') && purpose.ends_with('.'), "{name}: `{purpose}` is no sentence");
+        let after = (embedded.plant.clone(), embedded.plant_model.fingerprint());
+        assert_ne!(before, after, "{name} changes nothing");
+        of_folder.use_scenario(name).unwrap_or_else(|e| panic!("{name}: {e}"));
+        assert_eq!(embedded.plant, of_folder.plant, "{name}");
+    }
+}
+
+#[test]
+fn what_it_does_not_state_stays() {
+    let config = under("purpose = 'a'\n[drive]\ntorque_lag_ms = 2\n[encoder]\nseed = 7\n").expect("scenario");
+    let mut expected = embedded().plant;
+    expected.drive.torque_lag = 0.002;
+    expected.encoder.seed = 7;
+    assert_eq!(config.plant, expected);
+    assert_eq!(config.plant_model.fingerprint(), embedded().plant_model.fingerprint());
+    assert_eq!(under("purpose = 'a'").expect("scenario").plant, embedded().plant);
+}
+
+#[test]
+fn a_second_scenario_replaces_the_first() {
+    let mut config = embedded();
+    config.use_scenario("second-arm").expect("scenario");
+    config.use_scenario("slow-drives").expect("scenario");
+    assert_eq!(config.plant_model.fingerprint(), config.model.fingerprint());
+    assert_eq!(config.plant.drive.command_delay, 2);
+}
+
+#[test]
+fn the_defaults_change_nothing_about_the_bodies() {
+    let config = embedded();
+    let plant = config.plant.model.apply(&config.plant_model);
+    assert_eq!(plant.fingerprint(), config.model.fingerprint());
+}
+
+#[test]
+fn the_second_arm_has_the_geometry_of_the_first() {
+    let mut config = embedded();
+    config.use_scenario("second-arm").expect("scenario");
+    assert_ne!(config.plant_model.fingerprint(), config.model.fingerprint());
+    assert_eq!(config.plant_model.rated_limits(), config.model.rated_limits());
+    for k in 0..20 {
+        let q = upswing_model::JointVector::from_fn(|i, _| (1.7 * k as f64 + 0.9 * i as f64).sin() * 2.0);
+        assert_eq!(config.plant_model.poses(&q), config.model.poses(&q));
+        assert_eq!(config.plant_model.tip(&q), config.model.tip(&q));
+    }
+}
+
+#[test]
+fn any_urdf_can_be_the_plant() {
+    let dir = exported();
+    let urdf = dir.path().join("robot-acin.urdf");
+    let config = under(&format!("purpose = 'a'\n[model]\nurdf = '{}'", urdf.display())).expect("scenario");
+    let mut second = embedded();
+    second.use_scenario("second-arm").expect("scenario");
+    assert_eq!(config.plant_model.fingerprint(), second.plant_model.fingerprint());
+}
+
+#[test]
+fn faults_and_pushes_are_read() {
+    let config = under(
+        "purpose = 'a'\n\
+         [[fault]]\nkind = 'encoder-jump'\nfrom_cycle = 5\njoint = 8\namount = 0.1\n\
+         [[fault]]\nkind = 'delay-measurement'\nfrom_cycle = 9\ncycles = 3\namount = 2\n\
+         [[push]]\nfrom_cycle = 4\ncycles = 2\nimpulse_ns = [0, 0.5, 1]\n",
+    )
+    .expect("scenario");
+    let jump = Fault { kind: FaultKind::EncoderJump, from: 5, cycles: 0, joint: 7, amount: 0.1 };
+    let delay = Fault { kind: FaultKind::DelayMeasurement, from: 9, cycles: 3, joint: 0, amount: 2.0 };
+    assert_eq!(config.plant.faults, [jump, delay]);
+    assert_eq!(config.plant.pushes, [Push { from: 4, cycles: 2, impulse: [0.0, 0.5, 1.0] }]);
+    assert_eq!([4, 5, 1_000_000].map(|cycle| jump.acts(cycle)), [false, true, true]);
+    assert_eq!([8, 9, 11, 12].map(|cycle| delay.acts(cycle)), [false, true, true, false]);
+}
+
+#[test]
+fn what_cannot_be_is_refused() {
+    let too_late = format!("amount: expected a whole number of cycles from 1 to {MAX_DELAY}, got 64");
+    for (text, parts) in [
+        ("", &["missing field `purpose`"][..]),
+        ("purpose = ' '", &["purpose: expected a sentence"]),
+        ("purpose = 1", &["line 1", "purpose"]),
+        ("purpose = 'a'\nfriction = 3", &["friction", "expected a table as in plant.toml, got a number"]),
+        ("purpose = 'a'\n[drives]\na = 1", &["drives", "expected a key of plant.toml"]),
+        ("purpose = 'a'\n[drive]\ntorque_lag = 1", &["drive.torque_lag", "expected a key of plant.toml"]),
+        ("purpose = 'a'\n[drive]\ntorque_lag_ms = '1'", &["drive.torque_lag_ms", "a number", "a string"]),
+        ("purpose = 'a'\n[drive]\ntorque_lag_ms = -1", &["drive.torque_lag_ms", "0 or above, got -1"]),
+        ("purpose = 'a'\n[drive]\ncommand_delay_cycles = 64", &["drive.command_delay_cycles", "0 to 63"]),
+        ("purpose = 'a'\n[encoder]\nnoise_rad = [1, 'b']", &["encoder.noise_rad", "a list with a string"]),
+        ("purpose = 'a'\n[encoder]\nnoise_rad = [1]", &["encoder.noise_rad", "9 numbers", "got 1"]),
+        ("purpose = 'a'\n[start]\npendulum = 'up'", &["`up`", "`rest` or `zero`"]),
+        ("purpose = 'a'\n[model]\nurdf = 'robot.toml'", &["model.urdf", "robot-acin.urdf", "a path"]),
+        (
+            "purpose = 'a'\n[model]\npayload_position_m = [1, 2]",
+            &["payload_position_m", "3 numbers", "got 2"],
+        ),
+        ("purpose = 'a'\n[[fault]]\nkind = 'b'\nfrom_cycle = 1", &["line 3", "fault.kind", "`lose-command`"]),
+        ("purpose = 'a'\n[[fault]]\nkind = 'lose-command'\nfrom_cycle = 0", &["fault.from_cycle", "from 1"]),
+        (
+            "purpose = 'a'\n[[fault]]\nkind = 'encoder-nan'\nfrom_cycle = 1",
+            &["fault.joint", "expected a joint, got none"],
+        ),
+        (
+            "purpose = 'a'\n[[fault]]\nkind = 'stale-time'\nfrom_cycle = 1\njoint = 2",
+            &["fault.joint", "expected none for this kind, got 2"],
+        ),
+        (
+            "purpose = 'a'\n[[fault]]\nkind = 'delay-measurement'\nfrom_cycle = 1\namount = 64",
+            &["fault", too_late.as_str()],
+        ),
+        (
+            "purpose = 'a'\n[[push]]\nfrom_cycle = 1\ncycles = 1\nimpulse_ns = [nan, 0, 0]",
+            &["push", "expected three finite numbers, N s, got NaN"],
+        ),
+        ("purpose = 'a'\n[[push]]\nfrom_cycle = 1\ncycles = 1\nimpulse_ns = [0, 0]", &["push.impulse_ns"]),
+    ] {
+        let message = under(text).err().unwrap_or_else(|| panic!("accepted: {text}"));
+        for part in parts {
+            assert!(message.contains(part), "{text}: no `{part}` in: {message}");
+        }
+    }
+    assert_eq!(
+        Push { from: 1, cycles: 0, impulse: [0.0; 3] }.check(),
+        Err(EventError::Duration),
+        "a push needs time"
+    );
+}
+
+#[test]
+fn a_scenario_that_is_not_there_is_refused_with_those_that_are() {
+    let message = embedded().use_scenario("nowhere").expect_err("no such scenario").to_string();
+    for name in Config::scenario_names() {
+        assert!(message.contains(name), "{message}");
+    }
+    let message = embedded().use_scenario("no/where.toml").expect_err("no such file").to_string();
+    assert!(message.contains("no/where.toml: cannot be read"), "{message}");
+}
