@@ -117,6 +117,8 @@ pub struct Options {
     pub clock: Clock,
     /// Start pose of the arm, deg, comma-separated; `None`: as the plant's settings say.
     pub start: Option<String>,
+    /// Scenario of the plant; `None`: as its settings say.
+    pub scenario: Option<String>,
     /// Folder for the logs of the processes.
     pub logs: PathBuf,
 }
@@ -235,6 +237,9 @@ impl Session {
         let mut plant_options = vec!["--clock".into(), options.clock.to_string()];
         if let Some(start) = &options.start {
             plant_options.push(format!("--start={start}"));
+        }
+        if let Some(scenario) = &options.scenario {
+            plant_options.push(format!("--scenario={scenario}"));
         }
         let processes = [
             Some(Process::start("daemon", programs.daemon, options, &[])?),

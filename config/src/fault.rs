@@ -88,7 +88,7 @@ impl Fault {
     /// [`EventError`] with what was expected and what came.
     pub fn check(&self) -> Result<(), EventError> {
         if self.kind.has_joint() && self.joint >= NQ {
-            return Err(EventError::Joint { got: self.joint + 1 });
+            return Err(EventError::Joint { got: self.joint.wrapping_add(1) });
         }
         let amount = self.amount;
         match self.kind {

@@ -150,6 +150,8 @@ codes! {
         ClearFaults = "clear-faults",
         /// Change nothing, only answer.
         Status = "status",
+        /// Push the tip of the rod.
+        Push = "push",
     }
 }
 

@@ -3,29 +3,36 @@
 //! [`Plant`] is the physics: pure, deterministic, without clock or shared memory, to be coupled with a controller
 //! in the same process. [`run`] is the process around it, which advances on one of three clocks:
 //!
-//! - `wall`: cycle n begins at a deadline of CLOCK_MONOTONIC and applies the newest command. Without a fresh one
-//!   for `drive.watchdog_cycles` cycles the brakes close.
+//! - `wall`: cycle n begins at a deadline of CLOCK_MONOTONIC and applies the newest command.
 //! - `paced`: cycle n waits for the command that answers measurement n, and lasts at least one period. Until the
 //!   first command arrives, time goes on with closed brakes.
 //! - `lockstep`: as `paced`, without deadlines, and only up to the cycle that `AdvanceTo` has granted. Until the first
 //!   command arrives, cycle 1 waits: so every run begins with an answered cycle.
 //!
-//! A daemon that answers nothing for one second in `paced` or `lockstep` counts as lost, until a command arrives.
+//! On every clock the drives close the brakes when they get no fresh command for `drive.watchdog_cycles` cycles. A daemon
+//! that answers nothing for one second in `paced` or `lockstep` counts as lost, until a command arrives. A cycle in
+//! which a fault shows the daemon nothing new does not wait for it.
 //!
 //! A cycle is complete when its measurement is answered and the state has moved on. The `plant` service states
 //! the last complete cycle and the true state that the next measurement will show. A plant that pauses has therefore
 //! no measurement outstanding, and what is asked of it or of the daemon takes effect in the next cycle.
 
+mod body;
 mod clock;
+mod drives;
+mod encoders;
+mod faults;
 mod link;
 mod plant;
 mod service;
 mod start;
 
+pub use faults::SetEventError;
 pub use plant::Plant;
 pub use start::StateError;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
+use tracing::info;
 use upswing_config::process::{Failure, ProcessArgs, shutdown_flag, start_logging};
 use upswing_config::{Config, PendulumStart};
 use upswing_ipc::{Clock, Domain};
@@ -46,12 +53,19 @@ pub struct PlantArgs {
     /// Start of the pendulum: hanging at rest, or q8 = q9 = 0 [default: start.pendulum of plant.toml]
     #[arg(long, value_name = "START", value_parser = pendulum_parser())]
     pub start_pendulum: Option<PendulumStart>,
+    /// What is different about the plant: a scenario of the settings, or the path of a .toml file
+    #[arg(long, value_name = "NAME|FILE")]
+    pub scenario: Option<String>,
 }
 
 impl PlantArgs {
     /// The settings, with the start that the options name.
     fn load(&self) -> Result<Config, Failure> {
         let mut config = self.process.load()?;
+        if let Some(scenario) = &self.scenario {
+            let purpose = config.use_scenario(scenario)?;
+            info!(%scenario, "{purpose}");
+        }
         if let Some(degrees) = &self.start {
             let degrees: [f64; NU] = degrees.as_slice().try_into().map_err(|_| {
                 let got = degrees.len();

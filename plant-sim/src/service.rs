@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
 use std::time::Duration;
 use tracing::{info, warn};
-use upswing_config::Config;
+use upswing_config::{Config, Fault, FaultKind, Push};
 use upswing_ipc::{
     Clock, Command, Domain, IpcError, Measurement, PlantKind, PlantRequest, PlantResponse, Server, Text,
     Writer,
@@ -25,7 +25,7 @@ const SERVE_PERIOD_NS: u64 = 1_000_000;
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Settings {
     clock: Clock,
-    /// Cycles without a fresh command after which the brakes close (wall).
+    /// Cycles without a fresh command after which the daemon counts as lost (wall).
     watchdog_cycles: u32,
 }
 
@@ -63,7 +63,8 @@ pub(crate) fn serve(
         let link = Link::new(found);
         let outcome = node.measurement_writer().map(|writer| {
             let front = Front { plant, clock: settings.clock, granted: 0, server, failing: false };
-            Service { front, writer, link, watchdog_cycles: settings.watchdog_cycles, shutdown }.run();
+            let watchdog_cycles = settings.watchdog_cycles;
+            Service { front, writer, published: 0, link, watchdog_cycles, shutdown }.run();
         });
         done.store(true, Ordering::Release);
         searcher.thread().unpark();
@@ -83,6 +84,8 @@ enum Presence {
 struct Service<'a> {
     front: Front,
     writer: Writer<Measurement>,
+    /// `seq` of the measurement published last.
+    published: u64,
     link: Link,
     watchdog_cycles: u32,
     shutdown: &'a AtomicBool,
@@ -110,8 +113,8 @@ impl Service<'_> {
         let period = self.front.plant.period_ns();
         let tolerated = period.saturating_mul(self.watchdog_cycles.into());
         let mut deadline = now_ns();
-        let mut held: Option<Command> = None;
-        let mut age = 0;
+        let mut presence = Presence::Awaited;
+        let mut age = 0_u32;
         let (mut moves, mut next_report) = (0_u64, 0);
         while !self.stopped() {
             let now = now_ns();
@@ -130,23 +133,16 @@ impl Service<'_> {
                 }
             }
             // The state is that of the deadline, even if this process is late to say so.
-            let seq = self.publish(Some(deadline));
-            match self.link.take(seq) {
-                Some(command) => {
-                    if held.is_none() {
-                        info!(cycle = seq, "daemon found");
-                    }
-                    held = Some(command);
-                    age = 0;
-                }
-                None => age += u32::from(held.is_some()),
+            self.publish(Some(deadline));
+            let command = self.link.take(self.front.plant.seq());
+            age = if command.is_some() { 0 } else { age.saturating_add(1) };
+            if command.is_some() && presence != Presence::Present {
+                presence = self.found();
+            } else if presence == Presence::Present && age >= self.watchdog_cycles {
+                warn!(cycle = self.front.plant.seq(), cycles = age, "daemon lost: no fresh command");
+                presence = Presence::Lost;
             }
-            if held.is_some() && age >= self.watchdog_cycles {
-                warn!(cycle = seq, cycles = age, "daemon lost: no fresh command");
-                held = None;
-                age = 0;
-            }
-            self.step(held.as_ref());
+            self.step(command.as_ref());
             self.front.serve();
             deadline += period;
             self.wait_until(deadline);
@@ -164,11 +160,13 @@ impl Service<'_> {
             if presence != Presence::Present && self.link.take(self.front.completed()).is_some() {
                 presence = self.found();
             }
-            let seq = self.publish(None);
+            let shown = self.publish(None);
             let waits = presence == Presence::Present || (presence == Presence::Awaited && !paced);
             let mut answer = None;
-            if waits {
-                answer = self.wait_for_answer(seq, &mut presence);
+            if let Some(shown) = shown
+                && waits
+            {
+                answer = self.wait_for_answer(shown, &mut presence);
             }
             if self.stopped() {
                 break;
@@ -178,10 +176,10 @@ impl Service<'_> {
                 self.wait_until(deadline);
             }
             if presence != Presence::Present
-                && let Some(command) = self.link.take(seq)
+                && let Some(command) = self.link.take(self.front.plant.seq())
             {
                 presence = self.found();
-                answer = Some(command).filter(|c| c.measurement_seq == seq);
+                answer = Some(command).filter(|c| Some(c.measurement_seq) == shown);
             }
             self.step(answer.as_ref());
             self.front.serve();
@@ -202,11 +200,12 @@ impl Service<'_> {
         !self.stopped()
     }
 
-    /// Waits for the command that answers measurement `seq`; None if the daemon is lost or on shutdown.
+    /// Waits for the command that answers the measurement `seq`; None if the daemon is lost or on shutdown.
     fn wait_for_answer(&mut self, seq: u64, presence: &mut Presence) -> Option<Command> {
         let mut patience = Patience::new();
+        let newest = self.front.plant.seq();
         loop {
-            if let Some(command) = self.link.take(seq) {
+            if let Some(command) = self.link.take(newest) {
                 if *presence != Presence::Present {
                     *presence = self.found();
                     patience = Patience::new();
@@ -235,12 +234,21 @@ impl Service<'_> {
         Presence::Present
     }
 
-    /// Publishes the measurement of this cycle; returns its number. Its time is simulated unless given.
-    fn publish(&self, t_ns: Option<u64>) -> u64 {
-        let measured = self.front.plant.measure();
-        let t_ns = t_ns.unwrap_or(measured.t_ns);
+    /// Publishes what the daemon finds in this cycle; its number if that is something new. Its time is simulated unless
+    /// the cycle's (CLOCK_MONOTONIC, ns) is given.
+    fn publish(&mut self, now: Option<u64>) -> Option<u64> {
+        let plant = &self.front.plant;
+        let measured = plant.measure();
+        if measured.seq == self.published {
+            return None;
+        }
+        self.published = measured.seq;
+        // A late measurement, or a stale time, is as old on one clock as on the other.
+        let simulated = plant.seq().saturating_mul(plant.period_ns());
+        let t_ns =
+            now.map_or(measured.t_ns, |now| now.saturating_sub(simulated.saturating_sub(measured.t_ns)));
         self.writer.write(Measurement { t_ns, clock: self.front.clock.code(), ..measured });
-        measured.seq
+        Some(measured.seq)
     }
 
     fn step(&mut self, command: Option<&Command>) {
@@ -309,9 +317,18 @@ fn answer(plant: &mut Plant, clock: Clock, granted: &mut u64, request: &PlantReq
             .reset(&JointVector::from(request.q), &JointVector::from(request.qd))
             .map_err(|e| e.to_string()),
         Ok(PlantKind::AdvanceTo) => advance_to(clock, granted, request.seq),
-        Ok(kind @ (PlantKind::SetFault | PlantKind::ClearFaults)) => {
-            Err(format!("{kind} is not supported by this version"))
+        Ok(PlantKind::SetFault) => set_fault(plant, request),
+        Ok(PlantKind::ClearFaults) => {
+            plant.clear_faults();
+            Ok(())
         }
+        Ok(PlantKind::Push) => plant
+            .push(&Push {
+                from: first_cycle(plant, request),
+                cycles: request.cycles,
+                impulse: request.impulse,
+            })
+            .map_err(|e| e.to_string()),
     };
     PlantResponse {
         accepted: outcome.is_ok().into(),
@@ -322,6 +339,24 @@ fn answer(plant: &mut Plant, clock: Clock, granted: &mut u64, request: &PlantReq
         tau_peak: (*plant.tau_peak()).into(),
         reason: Text::new(&outcome.err().unwrap_or_default()),
     }
+}
+
+fn set_fault(plant: &mut Plant, request: &PlantRequest) -> Result<(), String> {
+    let kind = usize::try_from(request.fault).ok().and_then(|code| FaultKind::ALL.get(code));
+    let Some(kind) = kind.copied() else {
+        let max = FaultKind::ALL.len() - 1;
+        return Err(format!("fault: expected a code from 0 to {max}, got {}", request.fault));
+    };
+    // Joint 0, of kinds without one, is none either.
+    let joint = usize::try_from(request.joint).unwrap_or(usize::MAX).wrapping_sub(1);
+    let (cycles, amount) = (request.cycles, request.amount);
+    let fault = Fault { kind, from: first_cycle(plant, request), cycles, joint, amount };
+    plant.set_fault(&fault).map_err(|e| e.to_string())
+}
+
+/// First cycle of what a request asks for.
+fn first_cycle(plant: &Plant, request: &PlantRequest) -> u64 {
+    if request.seq == 0 { plant.seq() } else { request.seq }
 }
 
 fn advance_to(clock: Clock, granted: &mut u64, seq: u64) -> Result<(), String> {

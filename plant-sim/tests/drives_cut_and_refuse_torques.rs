@@ -93,7 +93,7 @@ fn a_reset_needs_closed_brakes_and_a_possible_state() {
     let (q, qd) = (level_pose(), JointVector::zeros());
     plant.step(Some(&torque([9.0; NU])));
     assert_eq!(plant.reset(&q, &qd), Err(StateError::BrakesReleased));
-    plant.step(None);
+    plant.step(Some(&Command { brake: 1, ..Command::default() }));
     let before = *plant.position();
     for (i, value) in [(3, f64::NAN), (3, 2.2), (8, 0.8), (7, -3.6)] {
         let mut bad = q;

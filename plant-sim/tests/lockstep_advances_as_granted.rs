@@ -4,6 +4,7 @@ mod common;
 
 use common::{Answerer, Peer, PlantProcess, TestDomain, settings, torque};
 use std::time::Duration;
+use upswing_config::FaultKind;
 use upswing_ipc::{Clock, Measurement, PlantKind, PlantRequest};
 use upswing_plant::Plant;
 
@@ -111,16 +112,22 @@ fn a_state_is_set_only_with_closed_brakes() {
 }
 
 #[test]
-fn what_is_not_supported_is_refused_with_a_reason() {
+fn what_cannot_be_is_refused_with_a_reason() {
     let domain = TestDomain::new("refused");
     let _plant = PlantProcess::start(&domain, LOCKSTEP);
     let peer = Peer::join(&domain);
-    for (kind, reason) in [
-        (PlantKind::SetFault.code(), "set-fault is not supported by this version"),
-        (PlantKind::ClearFaults.code(), "clear-faults is not supported by this version"),
-        (99, "unknown plant request code 99"),
+    let nan = FaultKind::EncoderNan.code();
+    let ask = |kind: PlantKind, request: PlantRequest| PlantRequest { kind: kind.code(), ..request };
+    for (request, reason) in [
+        (PlantRequest { kind: 99, ..PlantRequest::default() }, "unknown plant request code 99"),
+        (ask(PlantKind::SetFault, PlantRequest { fault: 10, ..Default::default() }), "from 0 to 9, got 10"),
+        (
+            ask(PlantKind::SetFault, PlantRequest { fault: nan, ..Default::default() }),
+            "joint: expected 1 to 9, got 0",
+        ),
+        (ask(PlantKind::Push, PlantRequest::default()), "cycles: expected 1 or more for a push, got 0"),
     ] {
-        let refused = peer.ask(PlantRequest { kind, ..PlantRequest::default() });
+        let refused = peer.ask(request);
         assert_eq!(refused.accepted, 0);
         assert!(refused.reason.as_str().unwrap().contains(reason), "{}", refused.reason);
     }

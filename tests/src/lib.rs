@@ -65,6 +65,7 @@ impl System {
             domain,
             clock,
             start: Some(start_deg.map(|d| d.to_string()).join(",")),
+            scenario: None,
             logs: logs.clone(),
         };
         let session =

@@ -27,6 +27,9 @@ pub struct DemoArgs {
     /// Clock: `paced` (real-time pace), `lockstep` (as fast as possible, deterministic) or `wall`
     #[arg(long, default_value = "paced")]
     pub clock: Clock,
+    /// What is different about the plant: a scenario of the settings, or the path of a .toml file
+    #[arg(long, value_name = "NAME|FILE")]
+    pub scenario: Option<String>,
     /// How long to balance, s (at least 2)
     #[arg(long, default_value_t = 5.0)]
     pub seconds: f64,
@@ -41,6 +44,7 @@ struct Answer {
     report: Report,
     clock: String,
     start_deg: Vec<f64>,
+    scenario: Option<String>,
     picture: PathBuf,
 }
 
@@ -65,7 +69,13 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
         let got = args.seconds;
         return Err(Failure::BadInput(format!("--seconds: expected {SHORTEST} to {LONGEST}, got {got}")));
     }
-    let config = args.common.process.load()?;
+    let mut config = args.common.process.load()?;
+    if let Some(scenario) = &args.scenario {
+        let purpose = config.use_scenario(scenario)?;
+        if !args.common.json {
+            eprintln!("scenario {scenario}: {purpose}");
+        }
+    }
     let start = match &args.start {
         Some(start) => start.clone(),
         None => Degrees(config.plant.start.q.iter().map(|q| (q.to_degrees() * 1e9).round() / 1e9).collect()),
@@ -82,6 +92,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
         domain,
         clock: args.clock,
         start: Some(start.to_string()),
+        scenario: args.scenario.clone(),
         logs: logs.clone(),
     };
     let period = config.daemon.cycle.period.as_secs_f64();
@@ -107,8 +118,13 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
     let report = Report::new(&config, &plan, &records, dropped, args.seconds);
     picture::draw(&args.picture, &records, &config.robot.limits, period).map_err(Failure::Failed)?;
     let success = report.success;
-    let answer =
-        Answer { report, clock: args.clock.to_string(), start_deg: start.0, picture: args.picture.clone() };
+    let answer = Answer {
+        report,
+        clock: args.clock.to_string(),
+        start_deg: start.0,
+        scenario: args.scenario.clone(),
+        picture: args.picture.clone(),
+    };
     args.common.print(&answer)?;
     if success { Ok(()) } else { Err(failed("the pendulum was not swung up and balanced")) }
 }

@@ -9,7 +9,7 @@ use upswing_model::{NQ, NU};
 /// What is asked of the simulated plant; fields that the kind does not name are ignored.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
-#[type_name("upswing.PlantRequest.v1")]
+#[type_name("upswing.PlantRequest.v2")]
 pub struct PlantRequest {
     /// Code of the [`PlantKind`].
     pub kind: u64,
@@ -17,15 +17,21 @@ pub struct PlantRequest {
     pub q: [f64; NQ],
     /// `ResetState`: qd, joint velocities, joint frames, rad/s.
     pub qd: [f64; NQ],
-    /// `AdvanceTo`: the last cycle before the plant pauses.
+    /// `AdvanceTo`: the last cycle before the plant pauses. `SetFault`, `Push`: the first cycle of it, 0: the next one.
     pub seq: u64,
-    /// `SetFault`: code of the fault, as the plant numbers them.
+    /// `SetFault`: code of the fault, as the settings of the plant number them.
     pub fault: u64,
-    /// `SetFault`: its argument; meaning and unit depend on the fault.
-    pub fault_arg: f64,
+    /// `SetFault`: the joint of an encoder's fault, 1..=9.
+    pub joint: u64,
+    /// `SetFault`: how far an encoder jumps, rad, or how late measurements are, cycles.
+    pub amount: f64,
+    /// `SetFault`, `Push`: how many cycles it lasts; a fault of 0 cycles lasts until it is cleared.
+    pub cycles: u64,
+    /// `Push`: force times its duration, world frame (z up), N s.
+    pub impulse: [f64; 3],
 }
 
-const _: () = assert!(size_of::<PlantRequest>() == WORD * (4 + 2 * NQ));
+const _: () = assert!(size_of::<PlantRequest>() == WORD * (9 + 2 * NQ));
 
 impl PlantRequest {
     /// The kind of request.

@@ -1,0 +1,169 @@
+//! The bodies: dynamics (1) of arm and pendulum with friction, stops, brakes and pushes, and their integration.
+
+use crate::drives::Action;
+use upswing_config::{Config, FrictionSettings, StopSettings};
+use upswing_model::{
+    ActuatedVector, JointVector, Model, N_ACTUATED, N_UNACTUATED, NU, UnactuatedVector, Workspace,
+};
+
+/// A force at the tip of the rod, world frame, N.
+pub(crate) type Force = [f64; 3];
+
+/// Speed below which a braked joint stands still, rad/s.
+const STANDSTILL: f64 = 1e-6;
+
+/// Arm and pendulum in motion.
+#[derive(Clone, Debug)]
+pub(crate) struct Body {
+    pub q: JointVector,
+    pub qd: JointVector,
+    model: Model,
+    rotors: ActuatedVector,
+    friction: Friction,
+    stops: StopSettings,
+    /// s, at least one integration step: the integration must resolve it.
+    brake_time_constant: f64,
+    substeps: u32,
+    /// Length of an integration step, s.
+    step: f64,
+    work: Workspace,
+}
+
+impl Body {
+    /// In a state (rad, rad/s), for a control period in s.
+    pub(crate) fn new(config: &Config, model: Model, q: &JointVector, qd: &JointVector, period: f64) -> Self {
+        let settings = &config.plant;
+        let step = period / f64::from(settings.substeps);
+        Self {
+            q: *q,
+            qd: *qd,
+            model,
+            rotors: settings.model.rotor_inertia.into(),
+            friction: Friction::new(&settings.friction),
+            stops: settings.stops,
+            brake_time_constant: settings.drive.brake_time_constant.max(step),
+            substeps: settings.substeps,
+            step,
+            work: Workspace::default(),
+        }
+    }
+
+    /// Crosses one control period. None if the result is not a number: then the last state that was one remains.
+    pub(crate) fn advance(&mut self, action: &Action, push: Option<&Force>) -> Option<()> {
+        for _ in 0..self.substeps {
+            self.integrate(action, push)?;
+        }
+        Some(())
+    }
+
+    /// One step of classical Runge-Kutta.
+    fn integrate(&mut self, action: &Action, push: Option<&Force>) -> Option<()> {
+        let h = self.step;
+        let (q, v1) = (self.q, self.qd);
+        let a1 = self.acceleration(&q, &v1, action, push)?;
+        let v2 = v1 + a1 * (0.5 * h);
+        let a2 = self.acceleration(&(q + v1 * (0.5 * h)), &v2, action, push)?;
+        let v3 = v1 + a2 * (0.5 * h);
+        let a3 = self.acceleration(&(q + v2 * (0.5 * h)), &v3, action, push)?;
+        let v4 = v1 + a3 * h;
+        let a4 = self.acceleration(&(q + v3 * h), &v4, action, push)?;
+        let q = q + (v1 + (v2 + v3) * 2.0 + v4) * (h / 6.0);
+        let mut qd = v1 + (a1 + (a2 + a3) * 2.0 + a4) * (h / 6.0);
+        if !q.iter().chain(qd.iter()).all(|v| v.is_finite()) {
+            return None;
+        }
+        if *action == Action::Brakes {
+            for i in 0..N_ACTUATED {
+                if qd[i].abs() < STANDSTILL {
+                    qd[i] = 0.0;
+                }
+            }
+        }
+        (self.q, self.qd) = (q, qd);
+        Some(())
+    }
+
+    /// qdd, rad/s^2.
+    fn acceleration(
+        &mut self,
+        q: &JointVector,
+        qd: &JointVector,
+        action: &Action,
+        push: Option<&Force>,
+    ) -> Option<JointVector> {
+        let mut load = -self.friction.torque(qd);
+        for i in 0..load.len() {
+            load[i] += stop_torque(&self.stops, i, q[i], qd[i]);
+        }
+        if let Some(force) = push {
+            load += self.model.torque_of_tip_force(q, &(*force).into());
+        }
+        let Action::Torque(torque) = action else { return self.braked_acceleration(q, qd, &load) };
+        for i in 0..N_ACTUATED {
+            load[i] += torque[i];
+        }
+        self.model.forward_dynamics_with_rotors(q, qd, &load, &self.rotors, &mut self.work)
+    }
+
+    /// qdd = [u, qdd_U] with u = -qd_A / time constant: (3a) with the load of the pendulum (N m),
+    /// M_UU qdd_U = load_U - (M_UA u + C_U qd + g_U).
+    fn braked_acceleration(
+        &mut self,
+        q: &JointVector,
+        qd: &JointVector,
+        load: &JointVector,
+    ) -> Option<JointVector> {
+        let mut qdd = JointVector::zeros();
+        for i in 0..N_ACTUATED {
+            qdd[i] = -qd[i] / self.brake_time_constant;
+        }
+        let force = self.model.inverse_dynamics(q, qd, &qdd, &mut self.work) - load;
+        let mass = self.model.mass_matrix(q, &mut self.work);
+        let mass_u = mass.fixed_view::<N_UNACTUATED, N_UNACTUATED>(N_ACTUATED, N_ACTUATED).into_owned();
+        let force_u: UnactuatedVector = force.fixed_rows::<N_UNACTUATED>(N_ACTUATED).into();
+        qdd.fixed_rows_mut::<N_UNACTUATED>(N_ACTUATED).copy_from(&-mass_u.cholesky()?.solve(&force_u));
+        Some(qdd)
+    }
+}
+
+/// Torque of the stop of a joint, counted from 0, N m.
+fn stop_torque(stops: &StopSettings, joint: usize, q: f64, qd: f64) -> f64 {
+    let depth = q.abs() - stops.q[joint];
+    if stops.stiffness[joint] == 0.0 || depth <= 0.0 {
+        return 0.0;
+    }
+    let back = stops.stiffness[joint] * depth + stops.damping[joint] * qd * q.signum();
+    -q.signum() * back.max(0.0)
+}
+
+/// Torque against the motion, viscous qd + coulomb tanh(qd / smoothing), of what the drives do not remove.
+#[derive(Clone, Debug)]
+struct Friction {
+    /// N m s/rad
+    viscous: JointVector,
+    /// N m
+    coulomb: JointVector,
+    /// rad/s
+    smoothing: f64,
+}
+
+impl Friction {
+    fn new(settings: &FrictionSettings) -> Self {
+        let felt = 1.0 - settings.arm_compensation;
+        let join = |arm: &[f64; NU], pendulum: &[f64; N_UNACTUATED]| {
+            JointVector::from_fn(|i, _| if i < N_ACTUATED { felt * arm[i] } else { pendulum[i - N_ACTUATED] })
+        };
+        Self {
+            viscous: join(&settings.arm_viscous, &settings.pendulum_viscous),
+            coulomb: join(&settings.arm_coulomb, &settings.pendulum_coulomb),
+            smoothing: settings.coulomb_smoothing,
+        }
+    }
+
+    /// N m
+    fn torque(&self, qd: &JointVector) -> JointVector {
+        JointVector::from_fn(|i, _| {
+            self.viscous[i] * qd[i] + self.coulomb[i] * (qd[i] / self.smoothing).tanh()
+        })
+    }
+}

@@ -1,0 +1,42 @@
+//! Encoders: bias, noise and rounding.
+
+use rand_pcg::Pcg64;
+use rand_pcg::rand_core::{Rng, SeedableRng};
+use std::f64::consts::TAU;
+use upswing_config::EncoderSettings;
+use upswing_model::{JointVector, N_ACTUATED, NQ};
+
+/// The encoders of all joints.
+#[derive(Clone, Debug)]
+pub(crate) struct Encoders {
+    settings: EncoderSettings,
+    random: Pcg64,
+}
+
+impl Encoders {
+    pub(crate) fn new(settings: &EncoderSettings) -> Self {
+        Self { settings: *settings, random: Pcg64::seed_from_u64(settings.seed) }
+    }
+
+    /// What they show for the true angles `q` (rad): q + bias + noise, rounded to the resolution. New noise at every call.
+    pub(crate) fn read(&mut self, q: &JointVector) -> [f64; NQ] {
+        let EncoderSettings { arm_resolution, pendulum_resolution, noise, bias, .. } = self.settings;
+        std::array::from_fn(|i| {
+            let resolution = if i < N_ACTUATED { arm_resolution } else { pendulum_resolution };
+            let mut angle = q[i] + bias[i];
+            if noise[i] > 0.0 {
+                angle += noise[i] * self.standard_normal();
+            }
+            (angle / resolution).round() * resolution
+        })
+    }
+
+    /// Box and Muller's transform of two uniform numbers.
+    fn standard_normal(&mut self) -> f64 {
+        /// 2^-53: the numbers are multiples of it.
+        const UNIT: f64 = f64::EPSILON / 2.0;
+        let mut uniform = || ((self.random.next_u64() >> 11) + 1) as f64 * UNIT;
+        // In (0, 1], so that the logarithm is finite.
+        (-2.0 * uniform().ln()).sqrt() * (TAU * uniform()).cos()
+    }
+}
