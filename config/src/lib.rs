@@ -99,7 +99,7 @@ const SECOND_URDF: EmbeddedFile = embedded!("robot-acin.urdf");
 const FILES: [EmbeddedFile; 9] =
     [URDF, ROBOT, PLANNER, DAEMON, PLANT, GRID, PAPER_GRID, DATABASE, SECOND_URDF];
 /// Read only when one is asked for.
-const SCENARIOS: [EmbeddedFile; 15] = [
+const SCENARIOS: [EmbeddedFile; 16] = [
     embedded!("scenarios/arm-friction.toml"),
     embedded!("scenarios/coarse-encoders.toml"),
     embedded!("scenarios/dead-encoder.toml"),
@@ -114,6 +114,7 @@ const SCENARIOS: [EmbeddedFile; 15] = [
     embedded!("scenarios/rotor-inertia.toml"),
     embedded!("scenarios/second-arm.toml"),
     embedded!("scenarios/slow-drives.toml"),
+    embedded!("scenarios/torque-offset.toml"),
     embedded!("scenarios/worn-bearings.toml"),
 ];
 

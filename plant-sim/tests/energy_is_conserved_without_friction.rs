@@ -35,21 +35,21 @@ fn a_pendulum_on_a_braked_arm_keeps_its_energy_for_ten_seconds() {
 }
 
 #[test]
-fn the_whole_robot_keeps_its_energy_in_one_second_of_free_fall() {
+fn the_whole_robot_keeps_its_energy_in_ten_seconds_of_free_fall() {
     let config = frictionless();
     let mut q = level_pose();
-    q[1] = 0.4;
-    q[5] = 0.3;
+    (q[1], q[5], q[7]) = (0.4, 0.3, 1.0);
     let mut plant = Plant::at(&config, &q, &JointVector::zeros()).unwrap();
     let before = energy(&config.model, &plant);
     let (mut drift, mut kinetic): (f64, f64) = (0.0, 0.0);
-    for _ in 0..8_000 {
+    for _ in 0..80_000 {
         plant.step(Some(&torque([0.0; NU])));
-        if plant.seq().is_multiple_of(20) {
+        if plant.seq().is_multiple_of(16) {
             drift = drift.max((energy(&config.model, &plant) - before).abs());
             kinetic = kinetic.max(before - config.model.potential_energy(plant.position()));
         }
     }
+    println!("largest drift {drift:e} J, largest kinetic energy {kinetic} J");
     assert!(kinetic > 10.0, "it falls: {kinetic} J");
-    assert!(drift < 1e-6 * kinetic, "drift {drift:e} J of {kinetic} J");
+    assert!(drift < 1e-8 * kinetic, "drift {drift:e} J of {kinetic} J");
 }

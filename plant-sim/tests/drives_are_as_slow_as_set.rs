@@ -1,0 +1,108 @@
+//! Commands spend their delay, torques approach them with the lag of the loop, sensors hide their offset, the watchdog
+//! and the brakes take their time.
+
+mod common;
+
+use common::{frictionless, level_pose, settings, torque};
+use upswing_config::Config;
+use upswing_ipc::{Command, Measurement};
+use upswing_model::{JointVector, NU};
+use upswing_plant::Plant;
+
+fn plant(config: &Config) -> Plant {
+    Plant::at(config, &level_pose(), &JointVector::zeros()).unwrap()
+}
+
+const BRAKE: Command = Command { seq: 0, t_ns: 0, measurement_seq: 0, tau: [0.0; NU], brake: 1 };
+
+#[test]
+fn a_command_acts_after_its_delay() {
+    for delay in [0, 1, 8, 63] {
+        let mut config = settings();
+        config.plant.drive.command_delay = delay;
+        let mut plant = plant(&config);
+        for k in 0..150_u32 {
+            plant.step(Some(&torque([f64::from(k); NU])));
+            let measured = plant.measure();
+            assert_eq!(plant.brakes_closed(), k < delay, "delay {delay}, cycle {k}");
+            let expected = f64::from(k.saturating_sub(delay)).min(config.robot.limits.tau_max[0]);
+            assert_eq!(measured.tau_measured[0], expected, "delay {delay}, cycle {k}");
+        }
+    }
+}
+
+#[test]
+fn the_torque_approaches_its_command_exponentially() {
+    let mut config = settings();
+    config.plant.drive.torque_lag = 0.001;
+    let mut plant = plant(&config);
+    // With closed brakes the loop settles, so the first torque is there at once.
+    plant.step(Some(&torque([2.0; NU])));
+    assert_eq!(plant.measure().tau_measured, [2.0; NU]);
+    for k in 1..80 {
+        plant.step(Some(&torque([10.0; NU])));
+        let expected = 10.0 - 8.0 * (-f64::from(k) * 125e-6 / 1e-3).exp();
+        let got = plant.measure().tau_measured[3];
+        assert!((got - expected).abs() < 1e-12, "cycle {k}: {got} N m, expected {expected}");
+    }
+}
+
+#[test]
+fn an_offset_moves_the_arm_but_not_the_sensor() {
+    let offset = [0.5, -0.25, 0.125, 1.0, -0.5, 0.25, -0.125];
+    let mut config = settings();
+    let mut without = plant(&config);
+    config.plant.drive.torque_offset = offset;
+    let mut with = plant(&config);
+    for _ in 0..100 {
+        with.step(Some(&torque([1.0; NU])));
+        without.step(Some(&torque(offset.map(|offset| 1.0 + offset))));
+        assert_eq!(with.position(), without.position());
+        assert_eq!(with.measure().tau_measured, [1.0; NU]);
+    }
+}
+
+#[test]
+fn silence_closes_the_brakes_after_the_watchdogs_time() {
+    let config = settings();
+    let cycles = config.plant.drive.watchdog_cycles;
+    let (mut silent, mut twin) = (plant(&config), plant(&config));
+    for round in 0..3 {
+        silent.step(Some(&torque([3.0; NU])));
+        twin.step(Some(&torque([3.0; NU])));
+        for k in 1..cycles {
+            silent.step(None);
+            twin.step(Some(&torque([3.0; NU])));
+            assert!(!silent.brakes_closed(), "round {round}, silent for {k}");
+            assert_eq!(silent.position(), twin.position(), "the last command stays in force");
+        }
+        silent.step(None);
+        twin.step(Some(&BRAKE));
+        assert!(silent.brakes_closed(), "round {round}");
+        assert_eq!(silent.position(), twin.position());
+    }
+}
+
+#[test]
+fn brakes_hold_after_their_time_and_the_arm_is_free_until_then() {
+    let mut config = frictionless();
+    config.plant.drive.brake_engage = 0.01;
+    let (mut late, mut free) = (plant(&config), plant(&config));
+    for plant in [&mut late, &mut free] {
+        plant.step(Some(&torque([0.0; NU])));
+    }
+    for k in 0..80 {
+        late.step(Some(&BRAKE));
+        free.step(Some(&torque([0.0; NU])));
+        assert_eq!(late.measure().status, Measurement::DRIVES_READY, "cycle {k}: they do not hold yet");
+        assert_eq!(late.position(), free.position());
+    }
+    let before = late.velocity().fixed_rows::<NU>(0).norm();
+    assert!(before > 0.01, "it falls with {before} rad/s");
+    late.step(Some(&BRAKE));
+    assert_eq!(late.measure().status, Measurement::DRIVES_READY | Measurement::BRAKES_CLOSED);
+    for _ in 0..800 {
+        late.step(Some(&BRAKE));
+    }
+    assert!(late.velocity().fixed_rows::<NU>(0).norm() < 1e-3 * before);
+}

@@ -1,0 +1,81 @@
+//! Encoder noise has its standard deviation and no mean, bias is a constant, and both depend on the seed alone.
+
+mod common;
+
+use common::{level_pose, settings};
+use upswing_config::Config;
+use upswing_model::{JointVector, NQ};
+use upswing_plant::Plant;
+
+const CYCLES: usize = 4_000;
+
+fn noisy(seed: u64) -> Config {
+    let mut config = settings();
+    let encoder = &mut config.plant.encoder;
+    // So fine that rounding does not show.
+    (encoder.arm_resolution, encoder.pendulum_resolution) = (1e-9, 1e-9);
+    encoder.noise = std::array::from_fn(|i| 1e-4 * (i as f64 + 1.0));
+    encoder.bias = std::array::from_fn(|i| 0.01 * (i as f64 - 4.0));
+    encoder.seed = seed;
+    config
+}
+
+/// Errors of all encoders over a run with closed brakes, rad.
+fn errors(config: &Config) -> Vec<[f64; NQ]> {
+    let mut plant = Plant::at(config, &level_pose(), &JointVector::zeros()).unwrap();
+    let run = (0..CYCLES).map(|_| {
+        let measured = plant.measure();
+        assert_eq!(measured.q, plant.measure().q, "measuring again gives the same");
+        let error = std::array::from_fn(|i| measured.q[i] - plant.position()[i]);
+        plant.step(None);
+        error
+    });
+    run.collect()
+}
+
+#[test]
+fn mean_and_deviation_are_those_of_the_settings() {
+    let config = noisy(5);
+    let errors = errors(&config);
+    let n = CYCLES as f64;
+    let encoder = &config.plant.encoder;
+    let mean: [f64; NQ] = std::array::from_fn(|i| errors.iter().map(|e| e[i]).sum::<f64>() / n);
+    for i in 0..NQ {
+        let sigma = encoder.noise[i];
+        assert!(
+            (mean[i] - encoder.bias[i]).abs() < 5.0 * sigma / n.sqrt(),
+            "joint {}: mean {}",
+            i + 1,
+            mean[i]
+        );
+        let variance = errors.iter().map(|e| (e[i] - mean[i]).powi(2)).sum::<f64>() / (n - 1.0);
+        // Five standard deviations of the estimate.
+        let tolerance = 5.0 / (2.0 * n).sqrt();
+        assert!((variance.sqrt() / sigma - 1.0).abs() < tolerance, "joint {}", i + 1);
+        let beyond = errors.iter().filter(|e| (e[i] - mean[i]).abs() > 2.0 * sigma).count() as f64 / n;
+        assert!((beyond - 0.0455).abs() < 0.017, "joint {}: {beyond} beyond two deviations", i + 1);
+    }
+}
+
+#[test]
+fn noise_is_white_and_independent_between_joints() {
+    let config = noisy(6);
+    let (errors, encoder) = (errors(&config), &config.plant.encoder);
+    let unit = |e: &[f64; NQ], i: usize| (e[i] - encoder.bias[i]) / encoder.noise[i];
+    let tolerance = 5.0 / (CYCLES as f64).sqrt();
+    for i in 0..NQ {
+        let next: f64 = errors.windows(2).map(|pair| unit(&pair[0], i) * unit(&pair[1], i)).sum();
+        assert!((next / CYCLES as f64).abs() < tolerance, "joint {}: from cycle to cycle", i + 1);
+        for j in 0..i {
+            let other: f64 = errors.iter().map(|e| unit(e, i) * unit(e, j)).sum();
+            assert!((other / CYCLES as f64).abs() < tolerance, "joints {} and {}", i + 1, j + 1);
+        }
+    }
+}
+
+#[test]
+fn equal_seeds_give_equal_noise_and_others_do_not() {
+    let bits = |seed| errors(&noisy(seed)).into_iter().flatten().map(f64::to_bits).collect::<Vec<_>>();
+    assert_eq!(bits(1), bits(1));
+    assert_ne!(bits(1), bits(2));
+}

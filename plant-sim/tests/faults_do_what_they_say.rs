@@ -1,0 +1,163 @@
+//! Each fault does what its name says in its cycles, and nothing before and after.
+
+mod common;
+
+use common::{level_pose, settings, torque};
+use upswing_config::{EventError, Fault, FaultKind, MAX_DELAY, Push};
+use upswing_ipc::Measurement;
+use upswing_model::{JointVector, NU};
+use upswing_plant::{Plant, SetEventError};
+
+const FROM: u64 = 100;
+const CYCLES: u64 = 10;
+const END: u64 = 140;
+
+/// True measurements and those under `fault`, index 0 unused.
+fn measurements(fault: Option<Fault>) -> Vec<Measurement> {
+    let mut config = settings();
+    config.plant.faults.extend(fault);
+    let mut plant = Plant::at(&config, &level_pose(), &JointVector::from_fn(|i, _| 0.1 * i as f64)).unwrap();
+    let mut seen = vec![Measurement::default()];
+    while plant.seq() <= END {
+        seen.push(plant.measure());
+        plant.step(Some(&torque([plant.seq() as f64 / 10.0; NU])));
+    }
+    seen
+}
+
+/// Numbers of what is seen in the cycles of the fault, relative to its first one.
+fn order(kind: FaultKind, amount: f64) -> Vec<i64> {
+    let truth = measurements(None);
+    let seen = measurements(Some(Fault { amount, ..Fault::new(kind, FROM, CYCLES) }));
+    for seq in (1..FROM).chain(FROM + CYCLES..=END) {
+        assert_eq!(seen[seq as usize], truth[seq as usize], "{kind:?}: cycle {seq} is none of the fault");
+    }
+    let during = &seen[FROM as usize..(FROM + CYCLES) as usize];
+    for m in during {
+        assert_eq!(*m, truth[m.seq as usize], "{kind:?}: old or new, it is a true measurement");
+    }
+    during.iter().map(|m| m.seq as i64 - FROM as i64).collect()
+}
+
+#[test]
+fn measurements_are_dropped_delayed_duplicated_and_reordered() {
+    assert_eq!(order(FaultKind::DropMeasurement, 0.0), [-1; 10]);
+    assert_eq!(order(FaultKind::DelayMeasurement, 3.0), [-1, -1, -1, 0, 1, 2, 3, 4, 5, 6]);
+    assert_eq!(order(FaultKind::DuplicateMeasurement, 0.0), [-1, 1, 1, 3, 3, 5, 5, 7, 7, 9]);
+    assert_eq!(order(FaultKind::ReorderMeasurement, 0.0), [0, -1, 2, 1, 4, 3, 6, 5, 8, 7]);
+}
+
+/// What is seen and what is true in the cycles of an endless fault, and what was seen when it began.
+fn corrupted(kind: FaultKind, joint: usize, amount: f64) -> (Vec<(Measurement, Measurement)>, Measurement) {
+    let truth = measurements(None);
+    let seen = measurements(Some(Fault { kind, from: FROM, cycles: 0, joint, amount }));
+    assert_eq!(seen[..FROM as usize], truth[..FROM as usize]);
+    let pairs = seen.into_iter().zip(truth.clone()).skip(FROM as usize).collect();
+    (pairs, truth[FROM as usize])
+}
+
+#[test]
+fn frozen_measurements_keep_angles_and_torques() {
+    for (seen, truth) in corrupted(FaultKind::FreezeMeasurement, 0, 0.0).0 {
+        let first = measurements(None)[FROM as usize];
+        assert_eq!(seen, Measurement { q: first.q, tau_measured: first.tau_measured, ..truth });
+    }
+}
+
+#[test]
+fn a_stale_time_stays() {
+    let (pairs, first) = corrupted(FaultKind::StaleTime, 0, 0.0);
+    for (seen, truth) in pairs {
+        assert_eq!(seen, Measurement { t_ns: first.t_ns, ..truth });
+    }
+}
+
+#[test]
+fn one_encoder_is_stuck_jumps_or_dies_and_the_others_do_not() {
+    for joint in 0..9 {
+        let (pairs, first) = corrupted(FaultKind::EncoderStuck, joint, 0.0);
+        for (seen, mut truth) in pairs {
+            truth.q[joint] = first.q[joint];
+            assert_eq!(seen, truth);
+        }
+        for (seen, mut truth) in corrupted(FaultKind::EncoderJump, joint, -0.25).0 {
+            truth.q[joint] -= 0.25;
+            assert_eq!(seen, truth);
+        }
+        for (mut seen, truth) in corrupted(FaultKind::EncoderNan, joint, 0.0).0 {
+            assert!(seen.q[joint].is_nan());
+            seen.q[joint] = truth.q[joint];
+            assert_eq!(seen, truth);
+        }
+    }
+}
+
+#[test]
+fn lost_commands_leave_the_last_one_in_force_until_the_watchdog_closes_the_brakes() {
+    let mut config = settings();
+    config.plant.faults.push(Fault::new(FaultKind::LoseCommand, FROM, 30));
+    let mut plant = Plant::at(&config, &level_pose(), &JointVector::zeros()).unwrap();
+    let watchdog = u64::from(config.plant.drive.watchdog_cycles);
+    while plant.seq() <= END {
+        let seq = plant.seq();
+        plant.step(Some(&torque([seq as f64; NU])));
+        let lost = (FROM..FROM + 30).contains(&seq);
+        let braked = lost && seq - FROM + 1 >= watchdog;
+        assert_eq!(plant.brakes_closed(), braked, "cycle {seq}");
+        let sent = if lost { FROM - 1 } else { seq } as f64;
+        let expected = if braked { 0.0 } else { sent.min(176.0) };
+        assert_eq!(plant.measure().tau_measured[2], expected, "cycle {seq}");
+    }
+}
+
+#[test]
+fn a_fault_set_in_a_run_begins_with_the_next_measurement() {
+    let mut plant = Plant::at(&settings(), &level_pose(), &JointVector::zeros()).unwrap();
+    for _ in 0..9 {
+        plant.step(None);
+    }
+    let before = plant.measure();
+    plant.set_fault(&Fault::new(FaultKind::EncoderNan, 10, 0)).unwrap();
+    assert!(plant.measure().q[0].is_nan());
+    plant.clear_faults();
+    assert_eq!(plant.measure(), before);
+    plant.set_fault(&Fault::new(FaultKind::DropMeasurement, 10, 2)).unwrap();
+    assert_eq!(plant.measure().seq, 9);
+    plant.step(None);
+    assert_eq!(plant.measure().seq, 9);
+    plant.step(None);
+    assert_eq!(plant.measure().seq, 12);
+}
+
+#[test]
+fn what_cannot_be_is_refused_and_changes_nothing() {
+    let mut plant = Plant::at(&settings(), &level_pose(), &JointVector::zeros()).unwrap();
+    plant.step(None);
+    let fault = Fault::new(FaultKind::EncoderStuck, 2, 0);
+    let delay = |amount| Fault { amount, ..Fault::new(FaultKind::DelayMeasurement, 2, 0) };
+    let late = f64::from(MAX_DELAY) + 1.0;
+    for (bad, error) in [
+        (Fault { joint: 9, ..fault }, EventError::Joint { got: 10 }),
+        (Fault { amount: f64::INFINITY, ..fault }, EventError::Amount { got: f64::INFINITY }),
+        (delay(0.0), EventError::Delay { got: 0.0 }),
+        (delay(1.5), EventError::Delay { got: 1.5 }),
+        (delay(late), EventError::Delay { got: late }),
+    ] {
+        assert_eq!(plant.set_fault(&bad), Err(SetEventError::Impossible(error)));
+    }
+    let past = Err(SetEventError::Past { next: 2, got: 1 });
+    assert_eq!(plant.set_fault(&Fault { from: 1, ..fault }), past);
+    assert_eq!(plant.push(&Push { from: 1, cycles: 1, impulse: [0.0; 3] }), past);
+    let push = Push { from: 2, cycles: 1, impulse: [0.0; 3] };
+    assert_eq!(plant.push(&Push { cycles: 0, ..push }), Err(EventError::Duration.into()));
+    let accepted = (0..1000).take_while(|_| plant.set_fault(&fault).is_ok()).count();
+    assert_eq!(plant.set_fault(&fault), Err(SetEventError::TooMany));
+    assert!((1..1000).contains(&accepted));
+    plant.clear_faults();
+    // What is over makes room.
+    for _ in 0..2 * accepted {
+        plant.set_fault(&Fault { from: plant.seq(), cycles: 1, ..fault }).unwrap();
+        plant.push(&Push { from: plant.seq(), ..push }).unwrap();
+        plant.step(None);
+    }
+}

@@ -1,0 +1,178 @@
+//! Rod length, payload, rotors, stops and pushes act as mechanics says, each against another way to compute it.
+
+mod common;
+
+use common::{energy, frictionless, level_pose, torque};
+use std::time::Duration;
+use upswing_config::{Config, Push};
+use upswing_model::{JointMatrix, JointVector, Model, NQ, NU, Workspace};
+use upswing_plant::Plant;
+
+fn pose() -> JointVector {
+    level_pose() + JointVector::from_fn(|i, _| 0.3 * (1.3 * i as f64).sin())
+}
+
+/// d point / dt at (q, qd) by central differences.
+fn velocity_of(point: impl Fn(&JointVector) -> [f64; 3], q: &JointVector, qd: &JointVector) -> [f64; 3] {
+    let h = 1e-5;
+    let (after, before) = (point(&(q + qd * h)), point(&(q - qd * h)));
+    std::array::from_fn(|i| (after[i] - before[i]) / (2.0 * h))
+}
+
+/// Velocity after one period so short that positions do not change, divided by it: qdd, rad/s^2.
+fn acceleration(config: &Config, tau: [f64; NU]) -> JointVector {
+    let mut config = config.clone();
+    config.daemon.cycle.period = Duration::from_micros(1);
+    let mut plant = Plant::at(&config, &pose(), &JointVector::zeros()).unwrap();
+    plant.step(Some(&torque(tau)));
+    plant.velocity() / 1e-6
+}
+
+fn mass_matrix(model: &Model) -> JointMatrix {
+    model.mass_matrix(&pose(), &mut Workspace::default())
+}
+
+#[test]
+fn a_longer_rod_has_its_tip_and_its_gravity_farther_out() {
+    let mut config = frictionless();
+    let short = config.plant.model.apply(&config.plant_model);
+    config.plant.model.pendulum_length_scale = 1.2;
+    let long = config.plant.model.apply(&config.plant_model);
+    let (q, work) = (pose(), &mut Workspace::default());
+    let joint = short.poses(&q)[NQ - 1].translation.vector;
+    assert!((long.tip(&q) - joint - (short.tip(&q) - joint) * 1.2).norm() < 1e-12);
+    // About the rod's own joint, torque of gravity goes with the length and inertia with its square.
+    let (g_short, g_long) = (short.gravity_torque(&q, work)[8], long.gravity_torque(&q, work)[8]);
+    assert!((g_long - 1.2 * g_short).abs() < 1e-12 && g_short.abs() > 0.01);
+    let (j_short, j_long) = (mass_matrix(&short)[(8, 8)], mass_matrix(&long)[(8, 8)]);
+    assert!((j_long - 1.44 * j_short).abs() < 1e-12);
+}
+
+#[test]
+fn masses_scale_energies() {
+    let mut config = frictionless();
+    config.plant.model.arm_mass_scale = 1.1;
+    config.plant.model.pendulum_mass_scale = 1.1;
+    let heavy = config.plant.model.apply(&config.plant_model);
+    assert!((mass_matrix(&heavy) - mass_matrix(&config.model) * 1.1).amax() < 1e-12);
+}
+
+#[test]
+fn a_payload_adds_the_energy_of_a_point_mass() {
+    let mut config = frictionless();
+    let (mass, place) = (0.7, [0.02, -0.03, 0.1]);
+    (config.plant.model.payload, config.plant.model.payload_position) = (mass, place);
+    let (with, without) = (config.plant.model.apply(&config.plant_model), &config.model);
+    let point = |q: &JointVector| -> [f64; 3] {
+        let flange = without.poses(q)[NU - 1];
+        (flange * nalgebra::Point3::from(place)).into()
+    };
+    let q = pose();
+    let weight = mass * 9.81 * point(&q)[2];
+    assert!((with.potential_energy(&q) - without.potential_energy(&q) - weight).abs() < 1e-10);
+    let qd = JointVector::from_fn(|i, _| 0.4 * (0.7 * i as f64).cos());
+    let kinetic = 0.5 * mass * velocity_of(point, &q, &qd).iter().map(|v| v * v).sum::<f64>();
+    let got = 0.5 * qd.dot(&((mass_matrix(&with) - mass_matrix(without)) * qd));
+    assert!((got - kinetic).abs() < 1e-7 * kinetic, "{got} J, expected {kinetic}");
+}
+
+#[test]
+fn rotors_add_to_the_inertia_of_their_joints() {
+    let mut config = frictionless();
+    let rotors = [10.0, 9.0, 5.0, 4.0, 1.5, 0.5, 0.4];
+    config.plant.model.rotor_inertia = rotors;
+    let tau = [5.0, -60.0, 3.0, 20.0, -1.0, 2.0, 0.2];
+    let mut inertia = mass_matrix(&config.model);
+    for i in 0..NU {
+        inertia[(i, i)] += rotors[i];
+    }
+    let mut force = -config.model.gravity_torque(&pose(), &mut Workspace::default());
+    for i in 0..NU {
+        force[i] += tau[i];
+    }
+    let residual = inertia * acceleration(&config, tau) - force;
+    assert!(residual.amax() < 1e-4, "{residual}");
+}
+
+#[test]
+fn a_push_changes_the_momentum_by_its_impulse() {
+    // The work of an impulse on a body that moves with v is impulse . v, along every direction of motion.
+    let config = frictionless();
+    let q = pose();
+    let impulse = [0.02, -0.01, 0.03];
+    let mut plant = Plant::at(&config, &q, &JointVector::zeros()).unwrap();
+    let mut twin = plant.clone();
+    // Short, so that the position does not change.
+    plant.push(&Push { from: 1, cycles: 2, impulse }).unwrap();
+    for plant in [&mut plant, &mut twin] {
+        for _ in 0..2 {
+            plant.step(Some(&torque([0.0; NU])));
+        }
+    }
+    let momentum = mass_matrix(&config.model) * (plant.velocity() - twin.velocity());
+    for i in 0..NQ {
+        let mut along = JointVector::zeros();
+        along[i] = 1.0;
+        let v = velocity_of(|q| config.model.tip(q).into(), &q, &along);
+        let expected: f64 = (0..3).map(|k| impulse[k] * v[k]).sum();
+        assert!(
+            (momentum[i] - expected).abs() < 2e-5,
+            "joint {}: {} N m s, not {expected}",
+            i + 1,
+            momentum[i]
+        );
+    }
+    let (pushed, free) = (plant.velocity()[8], twin.velocity()[8]);
+    for plant in [&mut plant, &mut twin] {
+        plant.step(None);
+    }
+    let still = (plant.velocity()[8] - twin.velocity()[8]) - (pushed - free);
+    assert!(still.abs() < 0.02 * (pushed - free).abs(), "after its time it is over");
+}
+
+#[test]
+fn stops_turn_the_rod_back_and_add_no_energy() {
+    let mut config = frictionless();
+    config.use_scenario("joint-stops").unwrap();
+    (config.plant.friction.pendulum_viscous, config.plant.friction.pendulum_coulomb) = ([0.0; _], [0.0; _]);
+    let stop = config.plant.stops.q[8];
+    let mut q = level_pose();
+    q[8] = 0.7;
+    let mut qd = JointVector::zeros();
+    qd[8] = 3.0;
+    let mut plant = Plant::at(&config, &q, &qd).unwrap();
+    let start = energy(&config.model, &plant);
+    let (mut farthest, mut backwards) = (0.0_f64, 0.0_f64);
+    for _ in 0..8_000 {
+        plant.step(None);
+        farthest = farthest.max(plant.position()[8].abs());
+        backwards = backwards.min(plant.velocity()[8]);
+        let beyond = (plant.position()[8].abs() - stop).max(0.0);
+        let stored = 0.5 * config.plant.stops.stiffness[8] * beyond * beyond;
+        assert!(energy(&config.model, &plant) + stored < start + 1e-6, "cycle {}", plant.seq());
+    }
+    assert!(farthest > stop, "it reaches the stop");
+    assert!(farthest < stop + 0.06, "and goes {} rad past it", farthest - stop);
+    assert!(backwards < -1.0, "it comes back with {backwards} rad/s");
+}
+
+#[test]
+fn stops_hold_an_arm_that_is_pressed_against_them() {
+    let mut config = frictionless();
+    config.use_scenario("joint-stops").unwrap();
+    for joint in 0..NU {
+        let stop = config.plant.stops.q[joint];
+        let mut q = level_pose();
+        q[joint] = stop - 0.05;
+        let mut plant = Plant::at(&config, &q, &JointVector::zeros()).unwrap();
+        let mut tau: [f64; NU] = common::holding_torque(&config.model, &plant).into();
+        tau[joint] += 0.25 * config.robot.limits.tau_max[joint];
+        let mut farthest = f64::NEG_INFINITY;
+        for _ in 0..4_000 {
+            plant.step(Some(&torque(tau)));
+            farthest = farthest.max(plant.position()[joint]);
+        }
+        assert!(farthest > stop, "joint {}: it reaches the stop", joint + 1);
+        assert!(farthest < stop + 0.1, "joint {}: {} rad past the stop", joint + 1, farthest - stop);
+    }
+}
