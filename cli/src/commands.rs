@@ -3,6 +3,7 @@
 pub mod config;
 pub mod db;
 pub mod demo;
+pub mod disturb;
 pub mod model;
 pub mod optimize;
 pub mod plan;

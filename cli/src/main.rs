@@ -19,6 +19,7 @@ struct Cli {
 enum Command {
     Demo(commands::demo::DemoArgs),
     Request(commands::request::RequestArgs),
+    Disturb(commands::disturb::DisturbArgs),
     Status(commands::status::StatusArgs),
     Plan(commands::plan::PlanArgs),
     Optimize(commands::optimize::OptimizeArgs),
@@ -39,6 +40,7 @@ fn main() -> ExitCode {
     finish(match &cli.command {
         Command::Demo(args) => commands::demo::run(args),
         Command::Request(args) => commands::request::run(args),
+        Command::Disturb(args) => commands::disturb::run(args),
         Command::Status(args) => commands::status::run(args),
         Command::Plan(args) => commands::plan::run(args),
         Command::Optimize(args) => commands::optimize::run(args),

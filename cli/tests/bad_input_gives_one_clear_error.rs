@@ -58,6 +58,21 @@ fn durations_and_clocks() {
 }
 
 #[test]
+fn scenarios_and_disturbances() {
+    refused(&["demo", "--scenario", "moon"], &["`moon`", "second-arm", "ends in .toml"]);
+    refused(&["plant", "--scenario", "no/moon.toml"], &["no/moon.toml: cannot be read"]);
+    refused(&["disturb", "fault", "rust"], &["rust", "encoder-stuck"]);
+    refused(&["disturb", "fault", "encoder-nan"], &["joint: expected 1 to 9, got 0"]);
+    refused(
+        &["disturb", "fault", "delay-measurement", "--amount", "0.5"],
+        &["whole number of cycles", "0.5"],
+    );
+    refused(&["disturb", "push", "1,2"], &["expected 3 numbers", "got 2"]);
+    refused(&["disturb", "push", "1,2,inf"], &["three finite numbers", "inf"]);
+    refused(&["disturb", "push", "1,2,3", "--cycles", "0"], &["cycles: expected 1 or more"]);
+}
+
+#[test]
 fn databases() {
     let start = ["plan", "--start", "0,-15,0,-95,0,10,0"];
     let database = |dir: &Path| dir.join("database.bin");

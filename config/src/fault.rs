@@ -4,8 +4,8 @@ use crate::MAX_DELAY;
 use serde::Deserialize;
 use upswing_model::NQ;
 
-/// What breaks. Cycles are those of the plant.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+/// What breaks; the index of a variant is its code in shared memory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum FaultKind {
     /// No measurement arrives.
@@ -31,19 +31,10 @@ pub enum FaultKind {
 }
 
 impl FaultKind {
-    /// Every kind; the index is the code in shared memory.
-    pub const ALL: [Self; 10] = [
-        Self::DropMeasurement,
-        Self::DelayMeasurement,
-        Self::DuplicateMeasurement,
-        Self::ReorderMeasurement,
-        Self::FreezeMeasurement,
-        Self::StaleTime,
-        Self::EncoderStuck,
-        Self::EncoderJump,
-        Self::EncoderNan,
-        Self::LoseCommand,
-    ];
+    /// Every kind.
+    pub fn all() -> &'static [Self] {
+        clap::ValueEnum::value_variants()
+    }
 
     /// The number that stands for this kind in shared memory.
     pub const fn code(self) -> u64 {

@@ -342,9 +342,9 @@ fn answer(plant: &mut Plant, clock: Clock, granted: &mut u64, request: &PlantReq
 }
 
 fn set_fault(plant: &mut Plant, request: &PlantRequest) -> Result<(), String> {
-    let kind = usize::try_from(request.fault).ok().and_then(|code| FaultKind::ALL.get(code));
+    let kind = usize::try_from(request.fault).ok().and_then(|code| FaultKind::all().get(code));
     let Some(kind) = kind.copied() else {
-        let max = FaultKind::ALL.len() - 1;
+        let max = FaultKind::all().len() - 1;
         return Err(format!("fault: expected a code from 0 to {max}, got {}", request.fault));
     };
     // Joint 0, of kinds without one, is none either.

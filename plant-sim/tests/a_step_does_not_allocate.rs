@@ -5,6 +5,7 @@ mod common;
 use common::{settings, torque};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
+use upswing_config::{Fault, FaultKind, Push};
 use upswing_ipc::Command;
 use upswing_plant::Plant;
 
@@ -49,7 +50,14 @@ fn the_counter_counts() {
 
 #[test]
 fn no_kind_of_cycle_uses_the_heap() {
-    let mut plant = Plant::new(&settings()).unwrap();
+    let mut config = settings();
+    config.use_scenario("everyday").unwrap();
+    config
+        .plant
+        .faults
+        .extend(FaultKind::all().iter().map(|kind| Fault { amount: 3.0, ..Fault::new(*kind, 10, 40) }));
+    config.plant.pushes.push(Push { from: 5, cycles: 50, impulse: [0.01; 3] });
+    let mut plant = Plant::new(&config).unwrap();
     let (q, qd) = (*plant.position(), *plant.velocity());
     let commands = [
         Some(torque([1.0; _])),

@@ -32,12 +32,12 @@ fn command() -> impl Strategy<Value = Option<Command>> {
 
 fn event() -> impl Strategy<Value = Event> {
     let amount = prop_oneof![Just(0.0), (0_u8..80).prop_map(f64::from), any::<f64>()];
-    let fault = (0..FaultKind::ALL.len(), 0_u64..400, any::<u64>(), 0_usize..11, amount);
+    let fault = (0..FaultKind::all().len(), 0_u64..400, any::<u64>(), 0_usize..11, amount);
     let impulse = prop::array::uniform3(prop_oneof![4 => -1.0..1.0, 1 => any::<f64>()]);
     prop_oneof![
         4 => (any::<u8>(), command()).prop_map(|(n, command)| Event::Cycles(n, command)),
         2 => fault.prop_map(|(kind, from, cycles, joint, amount)| {
-            Event::Fault(Fault { kind: FaultKind::ALL[kind], from, cycles: cycles % 100, joint, amount })
+            Event::Fault(Fault { kind: FaultKind::all()[kind], from, cycles: cycles % 100, joint, amount })
         }),
         1 => Just(Event::Clear),
         1 => (0_u64..400, 0_u64..50, impulse)
@@ -80,7 +80,7 @@ fn run(scenario: &str, events: &[Event]) -> Vec<u64> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 48, rng_seed: RngSeed::Fixed(1), ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 48, rng_seed: RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
     fn in_any_order(

@@ -1,0 +1,130 @@
+//! `upswing disturb`: faults and pushes for the simulated plant of a running system.
+
+use super::{CommonArgs, failed};
+use serde::Serialize;
+use std::time::Duration;
+use upswing_config::process::Failure;
+use upswing_config::{Fault, FaultKind, Push};
+use upswing_ipc::{PlantKind, PlantRequest};
+
+/// How long to wait for an answer.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// Breaks something in the simulated plant, pushes the pendulum, or repairs everything.
+///
+/// Example: upswing disturb fault encoder-stuck --joint 9 && upswing disturb push 0.02,0,0
+#[derive(Clone, Debug, clap::Args)]
+pub struct DisturbArgs {
+    /// Options of every command.
+    #[command(flatten)]
+    pub common: CommonArgs,
+    /// What to do
+    #[command(subcommand)]
+    pub what: What,
+}
+
+/// What can be done to the plant.
+#[derive(Clone, Debug, clap::Subcommand)]
+pub enum What {
+    /// Break something
+    Fault {
+        /// What breaks
+        kind: FaultKind,
+        /// Joint of an encoder, 1 to 9
+        #[arg(long)]
+        joint: Option<u64>,
+        /// How far the encoder jumps, rad, or how late measurements are, cycles
+        #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
+        amount: f64,
+        /// How many cycles it lasts; 0: until `clear`
+        #[arg(long, default_value_t = 0)]
+        cycles: u64,
+        /// First cycle of the plant [default: the next one]
+        #[arg(long, value_name = "CYCLE")]
+        from: Option<u64>,
+    },
+    /// Push the tip of the rod
+    Push {
+        /// Force times its duration, world frame (z up), N s
+        #[arg(value_name = "X,Y,Z", value_delimiter = ',', num_args = 1, allow_hyphen_values = true)]
+        impulse: Vec<f64>,
+        /// How many cycles it lasts
+        #[arg(long, default_value_t = 80)]
+        cycles: u64,
+        /// First cycle of the plant [default: the next one]
+        #[arg(long, value_name = "CYCLE")]
+        from: Option<u64>,
+    },
+    /// Remove all faults
+    Clear,
+}
+
+#[derive(Serialize)]
+struct Answer {
+    success: bool,
+    cycle: u64,
+}
+
+impl std::fmt::Display for Answer {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "accepted after cycle {}", self.cycle)
+    }
+}
+
+/// Sends the request to the plant.
+///
+/// # Errors
+/// [`Failure::BadInput`] for what cannot be, [`Failure::Failed`] with the reason if it is refused or nobody answers.
+pub fn run(args: &DisturbArgs) -> Result<(), Failure> {
+    let request = request(&args.what)?;
+    let plant = args.common.connect()?.plant_client().map_err(failed)?;
+    let answer = plant.call(&request, PATIENCE).map_err(failed)?;
+    if answer.accepted == 0 {
+        let reason = answer.reason.as_str().unwrap_or("no reason given");
+        return Err(failed(format!("the plant refused: {reason}")));
+    }
+    args.common.print(&Answer { success: true, cycle: answer.seq })
+}
+
+fn request(what: &What) -> Result<PlantRequest, Failure> {
+    let bad = |e: &dyn std::fmt::Display| Failure::BadInput(e.to_string());
+    match what {
+        What::Fault { kind, joint, amount, cycles, from } => {
+            let number = joint.unwrap_or_default();
+            // Joint 0 is none; what counts from 0 here counts from 1 on the command line.
+            let index = usize::try_from(number).unwrap_or(usize::MAX).wrapping_sub(1);
+            let fault = Fault {
+                kind: *kind,
+                from: from.unwrap_or_default(),
+                cycles: *cycles,
+                joint: index,
+                amount: *amount,
+            };
+            fault.check().map_err(|e| bad(&e))?;
+            Ok(PlantRequest {
+                kind: PlantKind::SetFault.code(),
+                seq: fault.from,
+                fault: kind.code(),
+                joint: number,
+                amount: *amount,
+                cycles: *cycles,
+                ..PlantRequest::default()
+            })
+        }
+        What::Push { impulse, cycles, from } => {
+            let impulse = impulse.as_slice().try_into().map_err(|_| {
+                bad(&format!("impulse: expected 3 numbers, X,Y,Z in N s, got {}", impulse.len()))
+            })?;
+            let push = Push { from: from.unwrap_or_default(), cycles: *cycles, impulse };
+            push.check().map_err(|e| bad(&e))?;
+            Ok(PlantRequest {
+                kind: PlantKind::Push.code(),
+                seq: push.from,
+                cycles: push.cycles,
+                impulse,
+                ..PlantRequest::default()
+            })
+        }
+        What::Clear => Ok(PlantRequest { kind: PlantKind::ClearFaults.code(), ..PlantRequest::default() }),
+    }
+}

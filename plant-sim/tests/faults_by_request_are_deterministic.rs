@@ -1,0 +1,103 @@
+//! A fault or a push that is asked for in lockstep takes effect at its cycle: the process does to the last bit what the
+//! same plant does in-process, and never waits for an answer to what it did not show.
+
+mod common;
+
+use common::{Answerer, Peer, PlantProcess, TestDomain, settings, torque, wait_for};
+use upswing_config::{Config, Fault, FaultKind, Push};
+use upswing_ipc::{PlantKind, PlantRequest};
+use upswing_plant::Plant;
+
+const END: u64 = 120;
+
+/// The plant in-process under an answer to every measurement that is new, as the [`Answerer`] gives.
+fn twin(config: &Config, fault: Option<&Fault>, push: Option<&Push>) -> Plant {
+    let mut plant = Plant::new(config).unwrap();
+    let mut answered = 0;
+    while plant.seq() <= END {
+        if plant.seq() == 11 {
+            fault.map(|fault| plant.set_fault(fault).unwrap());
+            push.map(|push| plant.push(push).unwrap());
+        }
+        let shown = plant.measure().seq;
+        let command = (shown != answered).then(|| torque([0.0; _]));
+        answered = shown;
+        plant.step(command.as_ref());
+    }
+    plant
+}
+
+fn conforms(options: &[&str], config: &Config, request: PlantRequest, twin: &Plant, what: &str) {
+    let domain = TestDomain::new("faulty");
+    let _plant = PlantProcess::start(&domain, &[&["--clock", "lockstep"], options].concat());
+    let peer = Peer::join(&domain);
+    let mut daemon = Answerer::join(&peer);
+    peer.advance_to(10);
+    daemon.answer_until("cycle 10", || peer.status().seq == 10);
+    let answer = peer.ask(request);
+    assert_eq!(answer.accepted, 1, "{what}: {}", answer.reason);
+    peer.advance_to(END);
+    daemon.answer_until("the last cycle", || peer.status().seq == END);
+    let status = wait_for("the pause", || Some(peer.status()).filter(|s| s.seq == END));
+    let expected: ([f64; 9], [f64; 9]) = ((*twin.position()).into(), (*twin.velocity()).into());
+    assert_eq!((status.q, status.qd), expected, "{what}");
+    assert_eq!(status.brakes_closed == 1, twin.brakes_closed(), "{what}");
+    assert_eq!(config.plant.drive.watchdog_cycles, 20, "faults below are longer than that");
+}
+
+#[test]
+fn every_fault() {
+    let config = settings();
+    for &kind in FaultKind::all() {
+        let fault = Fault { kind, from: 21, cycles: 50, joint: 4, amount: 5.0 };
+        let request = PlantRequest {
+            kind: PlantKind::SetFault.code(),
+            seq: fault.from,
+            fault: kind.code(),
+            joint: 5,
+            amount: fault.amount,
+            cycles: fault.cycles,
+            ..PlantRequest::default()
+        };
+        conforms(&[], &config, request, &twin(&config, Some(&fault), None), &format!("{kind:?}"));
+    }
+}
+
+#[test]
+fn a_push_under_a_scenario() {
+    let mut config = settings();
+    config.use_scenario("everyday").unwrap();
+    // 0 in the request: the next cycle.
+    let push = Push { from: 11, cycles: 8, impulse: [0.01, -0.02, 0.03] };
+    let request = PlantRequest {
+        kind: PlantKind::Push.code(),
+        cycles: push.cycles,
+        impulse: push.impulse,
+        ..PlantRequest::default()
+    };
+    let twin = twin(&config, None, Some(&push));
+    conforms(&["--scenario", "everyday"], &config, request, &twin, "push");
+}
+
+#[test]
+fn faults_are_cleared() {
+    let config = settings();
+    let domain = TestDomain::new("cleared");
+    let _plant = PlantProcess::start(&domain, &["--clock", "lockstep"]);
+    let peer = Peer::join(&domain);
+    let mut daemon = Answerer::join(&peer);
+    let fault = FaultKind::DropMeasurement.code();
+    let set = PlantRequest { kind: PlantKind::SetFault.code(), fault, ..PlantRequest::default() };
+    peer.advance_to(5);
+    daemon.answer_until("cycle 5", || peer.status().seq == 5);
+    assert_eq!(peer.ask(set).accepted, 1);
+    let watchdog = u64::from(config.plant.drive.watchdog_cycles);
+    peer.advance_to(5 + watchdog);
+    daemon.answer_until("closed brakes", || peer.status().brakes_closed == 1);
+    assert_eq!(daemon.measurements.read().seq, 5, "nothing has arrived since");
+    let clear = PlantRequest { kind: PlantKind::ClearFaults.code(), ..PlantRequest::default() };
+    assert_eq!(peer.ask(clear).accepted, 1);
+    peer.advance_to(50);
+    daemon.answer_until("cycle 50", || peer.status().seq == 50);
+    assert_eq!((daemon.measurements.read().seq, peer.status().brakes_closed), (50, 0));
+}
