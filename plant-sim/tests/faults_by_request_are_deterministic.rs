@@ -11,13 +11,13 @@ use upswing_plant::Plant;
 const END: u64 = 120;
 
 /// The plant in-process under an answer to every measurement that is new, as the [`Answerer`] gives.
-fn twin(config: &Config, fault: Option<&Fault>, push: Option<&Push>) -> Plant {
+/// Before cycle 11 `disturb` is called.
+fn twin(config: &Config, disturb: impl Fn(&mut Plant)) -> Plant {
     let mut plant = Plant::new(config).unwrap();
     let mut answered = 0;
     while plant.seq() <= END {
         if plant.seq() == 11 {
-            fault.map(|fault| plant.set_fault(fault).unwrap());
-            push.map(|push| plant.push(push).unwrap());
+            disturb(&mut plant);
         }
         let shown = plant.measure().seq;
         let command = (shown != answered).then(|| torque([0.0; _]));
@@ -59,7 +59,13 @@ fn every_fault() {
             cycles: fault.cycles,
             ..PlantRequest::default()
         };
-        conforms(&[], &config, request, &twin(&config, Some(&fault), None), &format!("{kind:?}"));
+        conforms(
+            &[],
+            &config,
+            request,
+            &twin(&config, |plant| plant.set_fault(&fault).unwrap()),
+            &format!("{kind:?}"),
+        );
     }
 }
 
@@ -75,7 +81,7 @@ fn a_push_under_a_scenario() {
         impulse: push.impulse,
         ..PlantRequest::default()
     };
-    let twin = twin(&config, None, Some(&push));
+    let twin = twin(&config, |plant| plant.push(&push).unwrap());
     conforms(&["--scenario", "everyday"], &config, request, &twin, "push");
 }
 
