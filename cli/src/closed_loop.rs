@@ -100,6 +100,8 @@ pub fn swing_up(
     let cycles = |s: f64| (s / period).ceil() as u64;
     records.clear();
     let mut run = Loop { controller: Controller::new(config), plant, records };
+    // As in a system of processes, where nothing is measured before the first cycle.
+    run.cycle(None)?;
     run.cycle(Some(("enable", Order::Do(Request::Enable))))?;
     run.cycles(cycles(SETTLE))?;
     let start = *run.controller.state();

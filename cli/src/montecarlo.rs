@@ -40,8 +40,7 @@ impl Starts<'_> {
     /// # Errors
     /// [`NoStart`].
     pub fn start(&self, index: u64) -> Result<State, NoStart> {
-        let mut rng = Pcg64::seed_from_u64(self.seed);
-        rng.advance(u128::from(index) * BLOCK);
+        let mut rng = self.generator(index);
         for _ in 0..DRAWS {
             let mut q_a = [0.0; NU];
             for axis in &self.config.grid.axes {
@@ -54,6 +53,19 @@ impl Starts<'_> {
             }
         }
         Err(NoStart)
+    }
+
+    /// A number in [0, 1) that belongs to start number `index` and tells nothing about it.
+    pub fn share(&self, index: u64) -> f64 {
+        let mut rng = self.generator(index);
+        rng.advance(BLOCK / 2);
+        unit(&mut rng)
+    }
+
+    fn generator(&self, index: u64) -> Pcg64 {
+        let mut rng = Pcg64::seed_from_u64(self.seed);
+        rng.advance(u128::from(index) * BLOCK);
+        rng
     }
 }
 

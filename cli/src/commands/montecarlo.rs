@@ -1,6 +1,7 @@
 //! `upswing montecarlo`: the same work from many random starts.
 
 mod closed_loop;
+mod condition;
 mod replan;
 
 use super::{CommonArgs, failed, progress_bar};
@@ -38,7 +39,7 @@ pub enum MonteCarloCommand {
     ///
     /// The starts are those of `montecarlo replan` with the same seed.
     ///
-    /// Example: upswing montecarlo closed-loop --samples 100 --condition nominal
+    /// Example: upswing montecarlo closed-loop --samples 100 --condition nominal,arm-mass,second-arm
     ClosedLoop(ClosedLoopArgs),
 }
 

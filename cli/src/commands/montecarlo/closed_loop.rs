@@ -1,13 +1,17 @@
 //! `upswing montecarlo closed-loop`.
 
 use super::SamplingArgs;
+use super::condition::Condition;
 use crate::closed_loop::swing_up;
 use crate::montecarlo::{NoStart, Spread, Starts, arm_degrees};
+use crate::report::Report;
 use serde::Serialize;
+use std::sync::atomic::AtomicBool;
 use std::time::Instant;
+use upswing_config::PendulumStart;
 use upswing_config::process::{Failure, shutdown_flag};
 use upswing_ipc::Telemetry;
-use upswing_model::{NU, State, position, velocity};
+use upswing_model::{NU, State};
 use upswing_planner::qp::Solver;
 use upswing_planner::replan::Planner;
 use upswing_plant::Plant;
@@ -18,12 +22,17 @@ pub struct ClosedLoopArgs {
     /// Which starts, from which database.
     #[command(flatten)]
     pub sampling: SamplingArgs,
+    /// In what the plant differs from what planner and controller believe, separated by commas: `nominal`;
+    /// `arm-mass`, `pendulum-mass`, `pendulum-length` (scaled by 0.9 to 1.1, drawn for each start); or scenarios of the
+    /// plant, by name or as .toml files
+    #[arg(long, value_name = "NAME|FILE,..", value_delimiter = ',', default_value = "nominal")]
+    pub condition: Vec<String>,
     /// How long to balance, s (at least 2); the last second is judged
     #[arg(long, default_value_t = 2.0)]
     pub seconds: f64,
 }
 
-/// What became of one start. All but the time depends on settings, seed and index alone.
+/// What became of one start. All but the time depends on settings, condition, seed and index alone.
 #[derive(Clone, Debug, Serialize)]
 struct Sample {
     index: u64,
@@ -35,44 +44,95 @@ struct Sample {
     time_s: f64,
 }
 
+/// Some of the figures of a [`Report`].
 #[derive(Clone, Debug, Serialize)]
 struct Figures {
+    t_f: f64,
     tracking_error_arm: f64,
     tracking_error_pendulum: f64,
     peak_position: f64,
     peak_velocity: f64,
     peak_torque: f64,
     final_tilt_deg: f64,
+    final_speed: f64,
 }
 
+impl From<&Report> for Figures {
+    fn from(r: &Report) -> Self {
+        Self {
+            t_f: r.t_f,
+            tracking_error_arm: r.tracking_error_arm,
+            tracking_error_pendulum: r.tracking_error_pendulum,
+            peak_position: r.peak_position,
+            peak_velocity: r.peak_velocity,
+            peak_torque: r.peak_torque,
+            final_tilt_deg: r.final_tilt_deg,
+            final_speed: r.final_speed,
+        }
+    }
+}
+
+/// What a thread keeps from one run to the next.
 struct Scratch {
     solver: Solver,
     records: Vec<Telemetry>,
 }
 
-fn sample(planner: &Planner, scratch: &mut Scratch, seconds: f64, index: u64, start: &State) -> Sample {
-    let begin = Instant::now();
-    let config = planner.config();
-    let mut run = || -> Result<_, String> {
-        let plant = Plant::at(config, &position(start), &velocity(start)).map_err(|e| e.to_string())?;
-        swing_up(planner, &mut scratch.solver, plant, seconds, &mut scratch.records)
-            .map_err(|e| e.to_string())
-    };
-    let (end, failures) = match run() {
-        Ok(report) => {
-            let figures = Figures {
-                tracking_error_arm: report.tracking_error_arm,
-                tracking_error_pendulum: report.tracking_error_pendulum,
-                peak_position: report.peak_position,
-                peak_velocity: report.peak_velocity,
-                peak_torque: report.peak_torque,
-                final_tilt_deg: report.final_tilt_deg,
-            };
-            (Some(figures), report.failures)
-        }
-        Err(reason) => (None, vec![reason]),
-    };
-    Sample { index, start_deg: arm_degrees(start), end, failures, time_s: begin.elapsed().as_secs_f64() }
+/// All runs under one condition.
+struct Runs<'a> {
+    planner: &'a Planner,
+    starts: Starts<'a>,
+    condition: Condition,
+    seconds: f64,
+}
+
+impl Runs<'_> {
+    fn sample(&self, scratch: &mut Scratch, index: u64) -> Result<Sample, NoStart> {
+        let begin = Instant::now();
+        let start = self.starts.start(index)?;
+        let (end, failures) = match self.run(scratch, index, &start) {
+            Ok(report) => (Some(Figures::from(&report)), report.failures),
+            Err(reason) => (None, vec![reason]),
+        };
+        let time_s = begin.elapsed().as_secs_f64();
+        Ok(Sample { index, start_deg: arm_degrees(&start), end, failures, time_s })
+    }
+
+    fn run(&self, scratch: &mut Scratch, index: u64, start: &State) -> Result<Report, String> {
+        let mut config = self.condition.plant(&self.starts, index);
+        // The pendulum rests where it does in this plant.
+        config.plant.start.q = std::array::from_fn(|i| start[i]);
+        config.plant.start.pendulum = PendulumStart::Rest;
+        let plant = Plant::new(&config).map_err(|e| e.to_string())?;
+        let Scratch { solver, records } = scratch;
+        swing_up(self.planner, solver, plant, self.seconds, records).map_err(|e| e.to_string())
+    }
+
+    fn all(&self, sampling: &SamplingArgs, stop: &AtomicBool) -> Result<ConditionAnswer, Failure> {
+        let begin = Instant::now();
+        let scratch = || Scratch { solver: self.planner.solver(), records: Vec::new() };
+        let results = sampling.run(stop, scratch, |scratch, index| self.sample(scratch, index))?;
+        let spread =
+            |value: fn(&Figures) -> f64| Spread::of(results.iter().filter_map(|s| s.end.as_ref()).map(value));
+        Ok(ConditionAnswer {
+            condition: self.condition.name.clone(),
+            purpose: self.condition.purpose.clone(),
+            samples: results.len(),
+            succeeded: results.iter().filter(|s| s.failures.is_empty()).count(),
+            tracking_error_arm: spread(|e| e.tracking_error_arm),
+            tracking_error_pendulum: spread(|e| e.tracking_error_pendulum),
+            peak_position: spread(|e| e.peak_position),
+            peak_velocity: spread(|e| e.peak_velocity),
+            peak_torque: spread(|e| e.peak_torque),
+            final_tilt_deg: spread(|e| e.final_tilt_deg),
+            final_speed: spread(|e| e.final_speed),
+            times: Times {
+                run: Spread::of(results.iter().map(|s| s.time_s)),
+                total: begin.elapsed().as_secs_f64(),
+            },
+            results,
+        })
+    }
 }
 
 #[derive(Serialize)]
@@ -81,6 +141,14 @@ struct Answer {
     complete: bool,
     database: String,
     seed: u64,
+    conditions: Vec<ConditionAnswer>,
+}
+
+/// Figures are those of the runs that came to their end.
+#[derive(Serialize)]
+struct ConditionAnswer {
+    condition: String,
+    purpose: String,
     samples: usize,
     succeeded: usize,
     tracking_error_arm: Option<Spread>,
@@ -89,15 +157,14 @@ struct Answer {
     peak_velocity: Option<Spread>,
     peak_torque: Option<Spread>,
     final_tilt_deg: Option<Spread>,
-    times: AnswerTimes,
+    final_speed: Option<Spread>,
+    times: Times,
     results: Vec<Sample>,
-    #[serde(skip)]
-    threads: usize,
 }
 
 /// All in s; the only part that differs from run to run.
 #[derive(Serialize)]
-struct AnswerTimes {
+struct Times {
     run: Option<Spread>,
     total: f64,
 }
@@ -105,9 +172,15 @@ struct AnswerTimes {
 impl std::fmt::Display for Answer {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let part = if self.complete { "" } else { " (interrupted)" };
-        let (n, seed) = (self.samples, self.seed);
-        writeln!(f, "{} of {n} starts end balanced{part}, seed {seed}", self.succeeded)?;
-        writeln!(f, "  database  {}", self.database)?;
+        write!(f, "seed {}, {}{part}", self.seed, self.database)?;
+        self.conditions.iter().try_for_each(|c| write!(f, "\n{c}"))
+    }
+}
+
+impl std::fmt::Display for ConditionAnswer {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        writeln!(f, "{}: {} of {} starts end balanced", self.condition, self.succeeded, self.samples)?;
+        writeln!(f, "  {}", self.purpose)?;
         Spread::write_heading(f)?;
         let rows = [
             ("tracking of arm, rad", self.tracking_error_arm, 1.0),
@@ -116,12 +189,13 @@ impl std::fmt::Display for Answer {
             ("velocity, % of limit", self.peak_velocity, 100.0),
             ("torque, % of limit", self.peak_torque, 100.0),
             ("final tilt, deg", self.final_tilt_deg, 1.0),
+            ("final speed, rad/s", self.final_speed, 1.0),
             ("one run, s", self.times.run, 1.0),
         ];
         for (name, spread, unit) in rows {
             Spread::write_row(f, name, spread, unit)?;
         }
-        write!(f, "  time      {:.1} s on {} threads", self.times.total, self.threads)?;
+        write!(f, "  time {:.1} s", self.times.total)?;
         for s in self.results.iter().filter(|s| !s.failures.is_empty()) {
             let start = s.start_deg.map(|d| format!("{d:.2}")).join(", ");
             write!(f, "\n  start {} at [{start}] deg: {}", s.index, s.failures.join("; "))?;
@@ -130,7 +204,7 @@ impl std::fmt::Display for Answer {
     }
 }
 
-/// Swings up from every start.
+/// Swings up from every start under every condition.
 ///
 /// # Errors
 /// [`Failure::BadInput`] for unusable options or files; [`Failure::Failed`] if not every start succeeded.
@@ -139,39 +213,28 @@ pub fn run(args: &ClosedLoopArgs) -> Result<(), Failure> {
         return Err(Failure::BadInput(format!("--seconds: expected 2 to 3600, got {}", args.seconds)));
     }
     let stop = shutdown_flag()?;
-    let begin = Instant::now();
     let planner = args.sampling.planner(&stop)?;
     let config = planner.config();
     let starts = Starts { config, seed: args.sampling.seed };
-    let scratch = || Scratch { solver: planner.solver(), records: Vec::new() };
-    let work = |scratch: &mut Scratch, index: u64| -> Result<Sample, NoStart> {
-        Ok(sample(&planner, scratch, args.seconds, index, &starts.start(index)?))
-    };
-    let results = args.sampling.run(&stop, scratch, work)?;
-    let complete = results.len() == args.sampling.indices().len();
-    let spread =
-        |value: fn(&Figures) -> f64| Spread::of(results.iter().filter_map(|s| s.end.as_ref()).map(value));
-    let succeeded = results.iter().filter(|s| s.failures.is_empty()).count();
-    let samples = results.len();
+    let conditions: Vec<Condition> =
+        args.condition.iter().map(|name| Condition::new(name, config)).collect::<Result<_, _>>()?;
+    let expected = args.sampling.indices().len() * conditions.len();
+    let answers: Vec<ConditionAnswer> = conditions
+        .into_iter()
+        .map(|condition| {
+            let runs = Runs { planner: &planner, starts, condition, seconds: args.seconds };
+            runs.all(&args.sampling, &stop)
+        })
+        .collect::<Result<_, _>>()?;
+    let samples = answers.iter().map(|c| c.samples).sum();
+    let succeeded = answers.iter().map(|c| c.succeeded).sum();
+    let complete = samples == expected;
     args.sampling.common.print(&Answer {
         success: complete && succeeded == samples,
         complete,
         database: config.database.origin.clone(),
         seed: args.sampling.seed,
-        samples,
-        succeeded,
-        tracking_error_arm: spread(|e| e.tracking_error_arm),
-        tracking_error_pendulum: spread(|e| e.tracking_error_pendulum),
-        peak_position: spread(|e| e.peak_position),
-        peak_velocity: spread(|e| e.peak_velocity),
-        peak_torque: spread(|e| e.peak_torque),
-        final_tilt_deg: spread(|e| e.final_tilt_deg),
-        times: AnswerTimes {
-            run: Spread::of(results.iter().map(|s| s.time_s)),
-            total: begin.elapsed().as_secs_f64(),
-        },
-        threads: args.sampling.threads(),
-        results,
+        conditions: answers,
     })?;
     args.sampling.verdict(complete, samples, succeeded)
 }
