@@ -2,7 +2,7 @@
 
 use crate::report::Report;
 use crate::swing_up::SETTLE;
-use upswing_ipc::{Mode, PlannerResponse, Telemetry};
+use upswing_ipc::{Measurement, Mode, PlannerResponse, Telemetry};
 use upswing_model::NQ;
 use upswing_planner::qp::Solver;
 use upswing_planner::replan::{NoPlan, Planner};
@@ -11,6 +11,9 @@ use upswing_plant::Plant;
 use upswingd::controller::{Controller, Order};
 use upswingd::plan::{PlanRefusal, accept};
 use upswingd::supervisor::{Refusal, Request, Trip};
+
+/// Cycles without a new measurement after which a run is given up: one second.
+const MOST_SILENT: u32 = 8000;
 
 /// Why a swing-up was not run to its end.
 #[derive(Debug, thiserror::Error)]
@@ -29,6 +32,9 @@ pub enum Aborted {
         /// Why not.
         refusal: Refusal,
     },
+    /// A fault of the plant keeps all measurements back.
+    #[error("no new measurement in {MOST_SILENT} cycles")]
+    Silent,
     /// The controller gave up its mode.
     #[error(
         "{mode} was given up {time:.3} s after the plan's start: {trip}; q {q:.3?} rad, qd {qd:.3?} rad/s"
@@ -51,14 +57,17 @@ pub enum Aborted {
 struct Loop<'a> {
     controller: Controller,
     plant: Plant,
+    /// `seq` of the newest measurement.
+    measured: u64,
     records: &'a mut Vec<Telemetry>,
 }
 
 impl Loop<'_> {
     fn cycle(&mut self, order: Option<(&'static str, Order)>) -> Result<(), Aborted> {
+        let measurement = self.measurement()?;
         let before = self.controller.mode();
         let (request, order) = order.unzip();
-        let output = self.controller.step(&self.plant.measure(), 0, order);
+        let output = self.controller.step(&measurement, 0, order);
         self.plant.step(Some(&output.command));
         let record = output.record.telemetry;
         self.records.push(record);
@@ -74,6 +83,19 @@ impl Loop<'_> {
             }
             None => Ok(()),
         }
+    }
+
+    /// The next measurement; until a fault lets one through, the plant goes on without commands, as its process does.
+    fn measurement(&mut self) -> Result<Measurement, Aborted> {
+        for _ in 0..MOST_SILENT {
+            let measurement = self.plant.measure();
+            if measurement.seq != self.measured {
+                self.measured = measurement.seq;
+                return Ok(measurement);
+            }
+            self.plant.step(None);
+        }
+        Err(Aborted::Silent)
     }
 
     fn cycles(&mut self, count: u64) -> Result<(), Aborted> {
@@ -99,11 +121,11 @@ pub fn swing_up(
     let period = config.daemon.cycle.period.as_secs_f64();
     let cycles = |s: f64| (s / period).ceil() as u64;
     records.clear();
-    let mut run = Loop { controller: Controller::new(config), plant, records };
+    let mut run = Loop { controller: Controller::new(config), plant, measured: 0, records };
     // As in a system of processes, where nothing is measured before the first cycle.
     run.cycle(None)?;
     run.cycle(Some(("enable", Order::Do(Request::Enable))))?;
-    run.cycles(cycles(SETTLE))?;
+    run.cycles(cycles(SETTLE) - 1)?;
     let start = *run.controller.state();
     let replan = planner.replan_with(solver, &start, config.planner.replan.iterations, None)?;
     let plan = accept(&payload(&replan.plan(config)), config)?;
