@@ -53,6 +53,21 @@ pub enum Aborted {
     },
 }
 
+impl Aborted {
+    /// The kind of failure, without numbers, to be counted.
+    pub fn kind(&self) -> String {
+        match self {
+            Self::NoPlan(_) => "no plan".into(),
+            Self::Plan(_) => "the daemon refused the plan".into(),
+            Self::Refused { request, .. } => format!("{request} was refused"),
+            Self::Silent => "no measurements".into(),
+            Self::GivenUp { mode, trip, .. } => {
+                format!("{mode} was given up: {}, joint {}", trip.cause.text(), trip.joint + 1)
+            }
+        }
+    }
+}
+
 /// A controller and a plant that answer each other.
 struct Loop<'a> {
     controller: Controller,

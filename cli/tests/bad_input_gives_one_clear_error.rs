@@ -125,6 +125,10 @@ fn monte_carlo_runs() {
     refused(&["montecarlo", "closed-loop", "--seconds", "1"], &["--seconds", "2 to 3600", "1"]);
     refused(&["montecarlo", "closed-loop", "--seconds", "nan"], &["--seconds", "NaN"]);
     refused(&["montecarlo", "closed-loop", "--condition", "nominal,storm"], &["storm"]);
+    refused(&["montecarlo", "closed-loop", "--picture", "a.svg"], &["--only"]);
+    let two =
+        ["montecarlo", "closed-loop", "--only", "0", "--picture", "a.svg", "--condition", "nominal,push"];
+    refused(&two, &["--picture", "one --condition", "2"]);
     refused(&["montecarlo", "replan", "--iterations", "0"], &["--iterations", "0"]);
 }
 

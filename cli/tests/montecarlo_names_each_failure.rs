@@ -27,14 +27,31 @@ fn a_loop_that_is_given_up() {
     let runs = &answer["conditions"][0];
     assert_eq!((&answer["success"], &runs["succeeded"]), (&false.into(), &0.into()));
     for i in 0..2 {
-        let failure = runs["results"][i]["failures"][0].as_str().expect("a reason");
+        let failure = runs["results"][i]["reasons"][0].as_str().expect("a reason");
         for part in ["track was given up", "from its reference, limit 0.0050 rad", "q [", "qd ["] {
             assert!(failure.contains(part), "expected `{part}` in: {failure}");
         }
     }
+    let kinds = runs["failures"].as_object().expect("kinds of failures");
+    assert_eq!(kinds.values().filter_map(Value::as_u64).sum::<u64>(), 2);
+    assert!(kinds.keys().all(|kind| kind.contains("too far from the reference, joint ")), "{kinds:?}");
     let text = upswing(&run);
     let text = String::from_utf8_lossy(&text.stdout);
     assert!(text.contains("0 of 2 starts") && text.contains("start 1 at ["), "{text}");
+}
+
+#[test]
+fn a_failed_run_can_be_drawn() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let picture = dir.path().join("run.svg");
+    let file = picture.to_str().expect("a plain path");
+    let condition = ["--condition", "dead-encoder", "--only", "1", "--picture", file];
+    let output = upswing(&[&["montecarlo", "closed-loop"], &condition[..]].concat());
+    assert_eq!(output.status.code(), Some(1), "{output:?}");
+    let text = String::from_utf8_lossy(&output.stdout);
+    assert!(text.contains("the angle of joint 9 is NaN"), "{text}");
+    let svg = std::fs::read_to_string(picture).expect("the picture");
+    assert!(svg.starts_with("<svg") && svg.contains("joint 9"));
 }
 
 #[test]

@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use upswing_config::Config;
 use upswing_config::process::Failure;
+use upswing_model::NU;
 use upswing_planner::build::{self, Shard};
 use upswing_planner::replan::Planner;
 
@@ -153,6 +154,24 @@ impl SamplingArgs {
         let results = results.map_err(|e| failed(format!("cannot start threads: {e}")))?;
         Ok(results.into_iter().collect::<Result<_, _>>()?)
     }
+}
+
+/// Lists failed starts: number, angles of joints 1-7 (deg), reason. Of many, the first ones.
+fn list_failures<'a>(
+    f: &mut std::fmt::Formatter<'_>,
+    failures: impl Iterator<Item = (u64, &'a [f64; NU], String)>,
+) -> std::fmt::Result {
+    const SHOWN: usize = 20;
+    let mut left = 0;
+    for (i, (index, start_deg, reason)) in failures.enumerate() {
+        if i < SHOWN {
+            let start = start_deg.map(|d| format!("{d:.2}")).join(", ");
+            write!(f, "\n  start {index} at [{start}] deg: {reason}")?;
+        } else {
+            left += 1;
+        }
+    }
+    if left > 0 { write!(f, "\n  and {left} more; --json lists all") } else { Ok(()) }
 }
 
 /// Plans from a database file instead of that of the settings.

@@ -1,11 +1,14 @@
 //! `upswing montecarlo closed-loop`.
 
-use super::SamplingArgs;
 use super::condition::Condition;
+use super::{SamplingArgs, failed, list_failures};
 use crate::closed_loop::swing_up;
 use crate::montecarlo::{NoStart, Spread, Starts, arm_degrees};
+use crate::picture;
 use crate::report::Report;
 use serde::Serialize;
+use std::collections::BTreeMap;
+use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 use upswing_config::PendulumStart;
@@ -30,6 +33,9 @@ pub struct ClosedLoopArgs {
     /// How long to balance, s (at least 2); the last second is judged
     #[arg(long, default_value_t = 2.0)]
     pub seconds: f64,
+    /// Draw the swing-up of --only as far as it came (SVG)
+    #[arg(long, value_name = "FILE", requires = "only")]
+    pub picture: Option<PathBuf>,
 }
 
 /// What became of one start. All but the time depends on settings, condition, seed and index alone.
@@ -38,8 +44,9 @@ struct Sample {
     index: u64,
     start_deg: [f64; NU],
     end: Option<Figures>,
-    /// Why it is no success.
-    failures: Vec<String>,
+    /// The kind of failure, and what exactly was wrong.
+    failure: Option<String>,
+    reasons: Vec<String>,
     #[serde(skip)]
     time_s: f64,
 }
@@ -78,6 +85,12 @@ struct Scratch {
     records: Vec<Telemetry>,
 }
 
+impl Scratch {
+    fn new(planner: &Planner) -> Self {
+        Self { solver: planner.solver(), records: Vec::new() }
+    }
+}
+
 /// All runs under one condition.
 struct Runs<'a> {
     planner: &'a Planner,
@@ -90,35 +103,50 @@ impl Runs<'_> {
     fn sample(&self, scratch: &mut Scratch, index: u64) -> Result<Sample, NoStart> {
         let begin = Instant::now();
         let start = self.starts.start(index)?;
-        let (end, failures) = match self.run(scratch, index, &start) {
-            Ok(report) => (Some(Figures::from(&report)), report.failures),
-            Err(reason) => (None, vec![reason]),
+        let (end, failure, reasons) = match self.run(scratch, index, &start) {
+            Ok(report) => {
+                let failure = (!report.success).then(|| "came to its end, but not as it should".into());
+                (Some(Figures::from(&report)), failure, report.failures)
+            }
+            Err((failure, reason)) => (None, Some(failure), vec![reason]),
         };
         let time_s = begin.elapsed().as_secs_f64();
-        Ok(Sample { index, start_deg: arm_degrees(&start), end, failures, time_s })
+        Ok(Sample { index, start_deg: arm_degrees(&start), end, failure, reasons, time_s })
     }
 
-    fn run(&self, scratch: &mut Scratch, index: u64, start: &State) -> Result<Report, String> {
+    /// The report, or kind and reason of a failure.
+    fn run(&self, scratch: &mut Scratch, index: u64, start: &State) -> Result<Report, (String, String)> {
         let mut config = self.condition.plant(&self.starts, index);
         // The pendulum rests where it does in this plant.
         config.plant.start.q = std::array::from_fn(|i| start[i]);
         config.plant.start.pendulum = PendulumStart::Rest;
-        let plant = Plant::new(&config).map_err(|e| e.to_string())?;
+        let plant =
+            Plant::new(&config).map_err(|e| ("the plant cannot start there".into(), e.to_string()))?;
         let Scratch { solver, records } = scratch;
-        swing_up(self.planner, solver, plant, self.seconds, records).map_err(|e| e.to_string())
+        swing_up(self.planner, solver, plant, self.seconds, records).map_err(|e| (e.kind(), e.to_string()))
     }
 
     fn all(&self, sampling: &SamplingArgs, stop: &AtomicBool) -> Result<ConditionAnswer, Failure> {
         let begin = Instant::now();
-        let scratch = || Scratch { solver: self.planner.solver(), records: Vec::new() };
-        let results = sampling.run(stop, scratch, |scratch, index| self.sample(scratch, index))?;
+        let results = sampling.run(
+            stop,
+            || Scratch::new(self.planner),
+            |scratch, index| self.sample(scratch, index),
+        )?;
         let spread =
             |value: fn(&Figures) -> f64| Spread::of(results.iter().filter_map(|s| s.end.as_ref()).map(value));
         Ok(ConditionAnswer {
             condition: self.condition.name.clone(),
             purpose: self.condition.purpose.clone(),
             samples: results.len(),
-            succeeded: results.iter().filter(|s| s.failures.is_empty()).count(),
+            failures: results.iter().filter_map(|s| s.failure.clone()).fold(
+                BTreeMap::new(),
+                |mut n, kind| {
+                    *n.entry(kind).or_default() += 1;
+                    n
+                },
+            ),
+            succeeded: results.iter().filter(|s| s.failure.is_none()).count(),
             tracking_error_arm: spread(|e| e.tracking_error_arm),
             tracking_error_pendulum: spread(|e| e.tracking_error_pendulum),
             peak_position: spread(|e| e.peak_position),
@@ -151,6 +179,8 @@ struct ConditionAnswer {
     purpose: String,
     samples: usize,
     succeeded: usize,
+    /// How often each kind of failure occurred.
+    failures: BTreeMap<String, usize>,
     tracking_error_arm: Option<Spread>,
     tracking_error_pendulum: Option<Spread>,
     peak_position: Option<Spread>,
@@ -196,11 +226,9 @@ impl std::fmt::Display for ConditionAnswer {
             Spread::write_row(f, name, spread, unit)?;
         }
         write!(f, "  time {:.1} s", self.times.total)?;
-        for s in self.results.iter().filter(|s| !s.failures.is_empty()) {
-            let start = s.start_deg.map(|d| format!("{d:.2}")).join(", ");
-            write!(f, "\n  start {} at [{start}] deg: {}", s.index, s.failures.join("; "))?;
-        }
-        Ok(())
+        self.failures.iter().try_for_each(|(kind, n)| write!(f, "\n  {n} times: {kind}"))?;
+        let failed = self.results.iter().filter(|s| s.failure.is_some());
+        list_failures(f, failed.map(|s| (s.index, &s.start_deg, s.reasons.join("; "))))
     }
 }
 
@@ -218,11 +246,22 @@ pub fn run(args: &ClosedLoopArgs) -> Result<(), Failure> {
     let starts = Starts { config, seed: args.sampling.seed };
     let conditions: Vec<Condition> =
         args.condition.iter().map(|name| Condition::new(name, config)).collect::<Result<_, _>>()?;
+    if args.picture.is_some() && conditions.len() != 1 {
+        let got = conditions.len();
+        return Err(Failure::BadInput(format!("--picture: expected one --condition, got {got}")));
+    }
     let expected = args.sampling.indices().len() * conditions.len();
     let answers: Vec<ConditionAnswer> = conditions
         .into_iter()
         .map(|condition| {
             let runs = Runs { planner: &planner, starts, condition, seconds: args.seconds };
+            if let (Some(path), Some(index)) = (&args.picture, args.sampling.only) {
+                let mut scratch = Scratch::new(&planner);
+                // How it ended, the answer says.
+                let _ = runs.run(&mut scratch, index, &starts.start(index)?);
+                let period = config.daemon.cycle.period.as_secs_f64();
+                picture::draw(path, &scratch.records, &config.robot.limits, period).map_err(failed)?;
+            }
             runs.all(&args.sampling, &stop)
         })
         .collect::<Result<_, _>>()?;

@@ -1,6 +1,6 @@
 //! `upswing montecarlo replan`.
 
-use super::{SamplingArgs, failed};
+use super::{SamplingArgs, failed, list_failures};
 use crate::montecarlo::{NoStart, Spread, Starts, arm_degrees};
 use crate::picture::map;
 use serde::Serialize;
@@ -177,16 +177,8 @@ impl std::fmt::Display for Answer {
             Spread::write_row(f, name, spread, unit)?;
         }
         write!(f, "  time      {:.1} s on {} threads", self.times.total, self.threads)?;
-        for s in self.results.iter().filter(|s| s.failure.is_some()) {
-            let start = s.start_deg.map(|d| format!("{d:.2}")).join(", ");
-            write!(
-                f,
-                "\n  start {} at [{start}] deg: {}",
-                s.index,
-                s.failure.as_deref().unwrap_or_default()
-            )?;
-        }
-        Ok(())
+        let failures = self.results.iter().filter_map(|s| Some((s.index, &s.start_deg, s.failure.clone()?)));
+        list_failures(f, failures)
     }
 }
 
