@@ -3,7 +3,6 @@
 use crate::report::Report;
 use crate::swing_up::SETTLE;
 use upswing_ipc::{Measurement, Mode, PlannerResponse, Telemetry};
-use upswing_model::NQ;
 use upswing_planner::qp::Solver;
 use upswing_planner::replan::{NoPlan, Planner};
 use upswing_planner::service::payload;
@@ -37,7 +36,8 @@ pub enum Aborted {
     Silent,
     /// The controller gave up its mode.
     #[error(
-        "{mode} was given up {time:.3} s after the plan's start: {trip}; q {q:.3?} rad, qd {qd:.3?} rad/s"
+        "{mode} was given up {time:.3} s after the plan's start: {trip}; q {:.3?} rad, qd {:.3?} rad/s",
+        .record.q, .record.qd
     )]
     GivenUp {
         /// The mode before.
@@ -46,10 +46,8 @@ pub enum Aborted {
         time: f64,
         /// What was found beyond which limit.
         trip: Trip,
-        /// Measured angles.
-        q: [f64; NQ],
-        /// Their filtered velocities.
-        qd: [f64; NQ],
+        /// The cycle in which it happened.
+        record: Box<Telemetry>,
     },
 }
 
@@ -94,7 +92,7 @@ impl Loop<'_> {
                 let start =
                     self.records.iter().find(|r| r.mode() == Ok(Mode::Track)).map_or(record.t_ns, |r| r.t_ns);
                 let time = record.t_ns.saturating_sub(start) as f64 * 1e-9;
-                Err(Aborted::GivenUp { mode: before, time, trip, q: record.q, qd: record.qd })
+                Err(Aborted::GivenUp { mode: before, time, trip, record: Box::new(record) })
             }
             None => Ok(()),
         }

@@ -49,8 +49,8 @@ pub struct Report {
 /// Tilt up to which the pendulum counts as balanced, deg.
 const BALANCED_DEG: f64 = 2.0;
 
-/// Velocity up to which the arm counts as at rest, rad/s: what steps of an encoder leave in the filtered velocity is a
-/// tenth of it.
+/// Velocity up to which the arm counts as at rest, rad/s. Assumed: three times what is left of a nominal swing-up after
+/// one second of balance.
 const AT_REST: f64 = 0.05;
 
 /// What a joint that stands on its limit may be measured beyond it, rad: a few steps of an encoder.

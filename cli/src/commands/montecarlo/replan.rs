@@ -28,7 +28,7 @@ pub struct ReplanArgs {
 }
 
 /// Share of half a limit's range by which the spline may be beyond a limit between knots, where the trapezoidal rule
-/// has an error of this order; the knots keep the limits.
+/// has an error of this order: what the planner itself allows, here at twice as many points. The knots keep the limits.
 const LIMIT_TOLERANCE: f64 = 5e-3;
 /// Defect of the real dynamics that counts as closed, rad or rad/s per interval.
 const CLOSED_DEFECT: f64 = 1e-6;
