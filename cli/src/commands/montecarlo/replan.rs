@@ -19,7 +19,7 @@ pub struct ReplanArgs {
     /// Which starts, from which database.
     #[command(flatten)]
     pub sampling: SamplingArgs,
-    /// QPs per entry, each linearised around the result before; 1 is the paper's mode [default: the setting]
+    /// Most linearisations per entry; 1 is the paper's mode [default: the setting]
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=100))]
     pub iterations: Option<u32>,
     /// Draw the smallest margins over the ranges of the starts (SVG)
@@ -27,9 +27,9 @@ pub struct ReplanArgs {
     pub svg: Option<PathBuf>,
 }
 
-/// Share of half a limit's range by which the spline may be beyond a limit between knots, where the trapezoidal rule
-/// has an error of this order: what the planner itself allows, here at twice as many points. The knots keep the limits.
-const LIMIT_TOLERANCE: f64 = 5e-3;
+/// Share of half a limit's range by which the spline may be beyond a limit: what the planner itself allows, because a
+/// start is measured a hair outside, here at twice as many points.
+const LIMIT_TOLERANCE: f64 = 1e-3;
 /// Defect of the real dynamics that counts as closed, rad or rad/s per interval.
 const CLOSED_DEFECT: f64 = 1e-6;
 
@@ -52,6 +52,7 @@ struct Figures {
     nearest_entry: usize,
     distance: f64,
     attempts: usize,
+    iterations: usize,
     defect: f64,
     margin_q: f64,
     margin_qd: f64,
@@ -94,6 +95,7 @@ fn figures(replan: &Replan, margins: &Margins) -> Figures {
         nearest_entry: used.map_or(0, |e| e.index),
         distance: used.map_or(0.0, |e| e.distance),
         attempts: replan.attempts.len(),
+        iterations: replan.iterations,
         defect: replan.defect,
         margin_q: margins.q.share,
         margin_qd: margins.qd.share,
@@ -126,6 +128,8 @@ struct Answer {
     defect_closed: usize,
     /// Plans by the number of entries that were tried, from 1.
     attempts: Vec<usize>,
+    /// Linearisations for the entry used.
+    iterations: Option<Spread>,
     defect: Option<Spread>,
     margin_q: Option<Spread>,
     margin_qd: Option<Spread>,
@@ -163,6 +167,7 @@ impl std::fmt::Display for Answer {
         writeln!(f, "  defect    at most {CLOSED_DEFECT:.0e} in {} plans", self.defect_closed)?;
         Spread::write_heading(f)?;
         let rows = [
+            ("linearisations", self.iterations, 1.0),
             ("defect, rad or rad/s", self.defect, 1.0),
             ("margin of position", self.margin_q, 1.0),
             ("margin of velocity", self.margin_qd, 1.0),
@@ -224,6 +229,7 @@ pub fn run(args: &ReplanArgs) -> Result<(), Failure> {
         feasible: plans().count(),
         defect_closed: plans().filter(|p| p.defect <= CLOSED_DEFECT).count(),
         attempts: (1..=most).map(|n| plans().filter(|p| p.attempts == n).count()).collect(),
+        iterations: spread(|p| p.iterations as f64),
         defect: spread(|p| p.defect),
         margin_q: spread(|p| p.margin_q),
         margin_qd: spread(|p| p.margin_qd),
