@@ -5,11 +5,13 @@ pub mod db;
 pub mod demo;
 pub mod disturb;
 pub mod model;
+pub mod montecarlo;
 pub mod optimize;
 pub mod plan;
 pub mod request;
 pub mod status;
 
+use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use upswing_config::process::{Failure, ProcessArgs};
 use upswing_ipc::{Domain, Node};
@@ -76,6 +78,16 @@ pub fn print_line(line: &impl std::fmt::Display) -> Result<(), Failure> {
 /// "Ran, but the answer is no."
 pub fn failed(e: impl std::fmt::Display) -> Failure {
     Failure::Failed(e.to_string())
+}
+
+/// A bar with an estimate of the time left; draws nothing where stderr is not a terminal.
+fn progress_bar(length: u64, what: &str) -> ProgressBar {
+    let bar = ProgressBar::new(length);
+    let template = format!("{{bar:40}} {{human_pos}}/{{human_len}} {what}, {{eta}} left");
+    if let Ok(style) = ProgressStyle::with_template(&template) {
+        bar.set_style(style);
+    }
+    bar
 }
 
 /// A trajectory as JSON: t_F in s, x (KNOTS x NX) in rad and rad/s, u (KNOTS x NU) in rad/s^2.

@@ -2,7 +2,9 @@
 //!
 //! The `upswing` program is a thin layer of commands over this library; the end-to-end tests use it, too.
 
+pub mod closed_loop;
 pub mod commands;
+pub mod montecarlo;
 pub mod parse;
 pub mod picture;
 pub mod report;

@@ -25,6 +25,8 @@ enum Command {
     Optimize(commands::optimize::OptimizeArgs),
     Db(commands::db::DbArgs),
     Model(commands::model::ModelArgs),
+    #[command(name = "montecarlo")]
+    MonteCarlo(commands::montecarlo::MonteCarloArgs),
     Config(commands::config::ConfigArgs),
     /// Run as the control daemon, like `upswingd`
     Daemon(upswingd::DaemonArgs),
@@ -46,6 +48,7 @@ fn main() -> ExitCode {
         Command::Optimize(args) => commands::optimize::run(args),
         Command::Db(args) => commands::db::run(args),
         Command::Model(args) => commands::model::run(args),
+        Command::MonteCarlo(args) => commands::montecarlo::run(args),
         Command::Config(args) => commands::config::run(args),
         Command::Daemon(args) => upswingd::run(args.clone()),
         Command::Planner(args) => upswing_planner::service::run(args),

@@ -1,6 +1,8 @@
 //! A picture like the paper's Fig. 5: positions, velocities and torques over time, each scaled by its limit,
 //! measured values in colour, desired ones dashed.
 
+pub mod map;
+
 use plotters::prelude::*;
 use upswing_ipc::{Mode, Telemetry};
 use upswing_model::{Limits, NQ, NU};

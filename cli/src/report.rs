@@ -34,6 +34,8 @@ pub struct Report {
     pub peak_torque: f64,
     /// Largest angle of the rod from upright in the last second of balance, deg.
     pub final_tilt_deg: f64,
+    /// Largest velocity of joints 1-7 in the last second of balance, rad/s.
+    pub final_speed: f64,
     /// Time in balance, s.
     pub balance_s: f64,
     /// Cycles recorded.
@@ -47,6 +49,10 @@ pub struct Report {
 /// Tilt up to which the pendulum counts as balanced, deg.
 const BALANCED_DEG: f64 = 2.0;
 
+/// Velocity up to which the arm counts as at rest, rad/s. Assumed: three times what is left of a nominal swing-up after
+/// one second of balance.
+const AT_REST: f64 = 0.05;
+
 /// What a joint that stands on its limit may be measured beyond it, rad: a few steps of an encoder.
 const RESOLUTION: f64 = 1e-4;
 
@@ -54,6 +60,23 @@ const RESOLUTION: f64 = 1e-4;
 pub fn tilt(model: &Model, q: &JointVector) -> f64 {
     let rod = model.tip(q) - model.poses(q)[NQ - 1].translation.vector;
     (rod.z / rod.norm()).clamp(-1.0, 1.0).acos()
+}
+
+/// How far an angle was past its limit, and when.
+struct Beyond<'a> {
+    rad: f64,
+    joint: usize,
+    record: Option<&'a Telemetry>,
+}
+
+impl std::fmt::Display for Beyond<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "joint {} went {:.5} rad past its position limit", self.joint + 1, self.rad)?;
+        if let Some((record, mode)) = self.record.and_then(|r| Some((r, r.mode().ok()?))) {
+            write!(f, " in mode {mode}, {:.3} s after the plan's start", record.t_plan)?;
+        }
+        Ok(())
+    }
 }
 
 impl Report {
@@ -81,19 +104,23 @@ impl Report {
             peak_velocity: 0.0,
             peak_torque: 0.0,
             final_tilt_deg: f64::NAN,
+            final_speed: f64::NAN,
             balance_s: 0.0,
             cycles: records.len() as u64,
             dropped,
             overruns: 0,
         };
-        let mut beyond = f64::NEG_INFINITY;
+        let mut beyond = Beyond { rad: f64::NEG_INFINITY, joint: 0, record: None };
         let balance: Vec<_> = records.iter().filter(|t| t.mode() == Ok(Mode::Balance)).collect();
         for t in records {
             r.overruns += u64::from(t.flags & Telemetry::OVERRUN != 0);
             for i in 0..NU {
                 let range = if t.q[i] < 0.0 { limits.q_min[i] } else { limits.q_max[i] };
                 r.peak_position = r.peak_position.max(t.q[i] / range);
-                beyond = beyond.max(t.q[i] - limits.q_max[i]).max(limits.q_min[i] - t.q[i]);
+                let rad = (t.q[i] - limits.q_max[i]).max(limits.q_min[i] - t.q[i]);
+                if rad > beyond.rad {
+                    beyond = Beyond { rad, joint: i, record: Some(t) };
+                }
                 r.peak_velocity = r.peak_velocity.max(t.qd[i].abs() / limits.qd_max[i]);
                 r.peak_torque = r.peak_torque.max(t.tau[i].abs() / limits.tau_max[i]);
             }
@@ -107,13 +134,12 @@ impl Report {
             }
         }
         r.balance_s = balance.len() as f64 * period;
-        let last_second = (1.0 / period) as usize;
-        r.final_tilt_deg = balance
-            .iter()
-            .rev()
-            .take(last_second)
-            .map(|t| tilt(&config.model, &JointVector::from(t.q)).to_degrees())
-            .fold(if balance.is_empty() { f64::NAN } else { 0.0 }, f64::max);
+        let end = &balance[balance.len().saturating_sub((1.0 / period) as usize)..];
+        if !end.is_empty() {
+            let tilts = end.iter().map(|t| tilt(&config.model, &JointVector::from(t.q)).to_degrees());
+            r.final_tilt_deg = tilts.fold(0.0, f64::max);
+            r.final_speed = end.iter().flat_map(|t| &t.qd[..NU]).fold(0.0, |most, v| v.abs().max(most));
+        }
         let mut fail = |bad: bool, text: String| {
             if bad {
                 r.failures.push(text);
@@ -130,8 +156,19 @@ impl Report {
             r.balance_s + 2.0 * period < seconds,
             format!("balanced {:.3} s, expected {seconds} s", r.balance_s),
         );
+        fail(
+            !(r.final_speed <= AT_REST),
+            format!(
+                "the arm moves at {:.3} rad/s in the last second, expected at most {AT_REST}",
+                r.final_speed
+            ),
+        );
+        fail(
+            r.peak_velocity > 1.0,
+            format!("a velocity reached {:.0} % of its limit", 100.0 * r.peak_velocity),
+        );
         fail(r.peak_torque > 1.0, format!("torque reached {:.0} % of its limit", 100.0 * r.peak_torque));
-        fail(beyond > RESOLUTION, format!("a joint went {beyond:.5} rad past its position limit"));
+        fail(beyond.rad > RESOLUTION, beyond.to_string());
         fail(r.dropped > 0, format!("{} telemetry records were lost", r.dropped));
         r.success = r.failures.is_empty();
         r
@@ -160,8 +197,8 @@ impl std::fmt::Display for Report {
         )?;
         writeln!(
             f,
-            "  balance   {:.2} s, rod within {:.2} deg of upright in the last second",
-            self.balance_s, self.final_tilt_deg
+            "  balance   {:.2} s, rod within {:.2} deg of upright and arm below {:.3} rad/s in the last second",
+            self.balance_s, self.final_tilt_deg, self.final_speed
         )?;
         writeln!(
             f,

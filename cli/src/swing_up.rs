@@ -6,7 +6,7 @@ use std::time::Duration;
 use upswing_ipc::{ControlCommand, Mode, PlannerKind, PlannerResponse};
 
 /// Time in which the arm settles on its hold before the plan is made, s.
-const SETTLE: f64 = 0.25;
+pub(crate) const SETTLE: f64 = 0.25;
 /// Longest wait for a mode or a plan to take effect.
 const PATIENCE: Duration = Duration::from_secs(30);
 

@@ -113,6 +113,26 @@ fn files_and_entries() {
 }
 
 #[test]
+fn monte_carlo_runs() {
+    for command in ["replan", "closed-loop"] {
+        refused(&["montecarlo", command, "--samples", "0"], &["--samples", "0"]);
+        refused(&["montecarlo", command, "--seed", "one"], &["--seed", "one"]);
+        refused(&["montecarlo", command, "--threads", "0"], &["--threads", "0"]);
+        refused(&["montecarlo", command, "--samples", "5", "--only", "1"], &["--samples", "--only"]);
+        refused(&["montecarlo", command, "--grid", "fine"], &["--grid", "fine"]);
+        refused(&["montecarlo", command, "--database", "/nonexistent/db.bin"], &["/nonexistent/db.bin"]);
+    }
+    refused(&["montecarlo", "closed-loop", "--seconds", "1"], &["--seconds", "2 to 3600", "1"]);
+    refused(&["montecarlo", "closed-loop", "--seconds", "nan"], &["--seconds", "NaN"]);
+    refused(&["montecarlo", "closed-loop", "--condition", "nominal,storm"], &["storm"]);
+    refused(&["montecarlo", "closed-loop", "--picture", "a.svg"], &["--only"]);
+    let two =
+        ["montecarlo", "closed-loop", "--only", "0", "--picture", "a.svg", "--condition", "nominal,push"];
+    refused(&two, &["--picture", "one --condition", "2"]);
+    refused(&["montecarlo", "replan", "--iterations", "0"], &["--iterations", "0"]);
+}
+
+#[test]
 fn commands() {
     refused(&["swing"], &["swing"]);
     refused(&["status", "--domain", "no spaces"], &["domain"]);

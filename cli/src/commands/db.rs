@@ -1,7 +1,6 @@
 //! `upswing db`: the trajectory database.
 
-use super::{CommonArgs, TrajectoryJson, failed, print_json};
-use indicatif::{ProgressBar, ProgressStyle};
+use super::{CommonArgs, TrajectoryJson, failed, print_json, progress_bar};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -107,17 +106,6 @@ fn failure(e: BuildError) -> Failure {
     }
 }
 
-/// A bar with an estimate of the time left; draws nothing where stderr is not a terminal.
-fn progress_bar(length: usize, what: &str) -> ProgressBar {
-    let bar = ProgressBar::new(length as u64);
-    if let Ok(style) =
-        ProgressStyle::with_template(&format!("{{bar:40}} {{pos}}/{{len}} {what}, {{eta}} left"))
-    {
-        bar.set_style(style);
-    }
-    bar
-}
-
 #[derive(Serialize)]
 struct Built {
     success: bool,
@@ -158,7 +146,7 @@ fn build(common: &CommonArgs, grid: Option<&Path>, shard: Shard, output: &Path) 
         None => {}
     }
     let stop = shutdown_flag()?;
-    let bar = progress_bar(config.grid.poses().div_ceil(shard.of as usize), "poses");
+    let bar = progress_bar((config.grid.poses() as u64).div_ceil(shard.of), "poses");
     let begin = Instant::now();
     let summary = build::build(&config, shard, output, &stop, |n| bar.inc(n as u64)).map_err(failure)?;
     bar.finish_and_clear();
@@ -282,7 +270,7 @@ fn verify(common: &CommonArgs, file: Option<&Path>) -> Result<(), Failure> {
         )));
     }
     let entries = database.entries().count();
-    let bar = progress_bar(entries, "entries");
+    let bar = progress_bar(entries as u64, "entries");
     let begin = Instant::now();
     let discrepancies = build::verify(&config, &database, || bar.inc(1));
     bar.finish_and_clear();

@@ -1,7 +1,6 @@
 //! `upswing model`: the dynamics on the command line.
 
-use super::{CommonArgs, failed, print_json, print_line};
-use indicatif::{ProgressBar, ProgressStyle};
+use super::{CommonArgs, failed, print_json, print_line, progress_bar};
 use nalgebra::SMatrix;
 use serde::{Deserialize, Serialize};
 use std::io::BufRead;
@@ -156,7 +155,7 @@ fn sample_bound(args: &BoundArgs) -> Result<(), Failure> {
     let robot = &config.robot;
     // Table II's positions: the margins of the pendulum are for planning, not part of the paper's range.
     let limits = Limits { qd_max: robot.planning.qd_max, ..robot.limits };
-    let bar = progress_bar(samples);
+    let bar = progress_bar(samples, "states");
     let begin = Instant::now();
     let range = bound(&config.model, &limits, samples, args.seed, &stop, |n| bar.inc(n));
     bar.finish_and_clear();
@@ -178,15 +177,6 @@ fn sample_bound(args: &BoundArgs) -> Result<(), Failure> {
     } else {
         Err(failed(format!("interrupted after {} of {samples} states", range.samples)))
     }
-}
-
-/// Draws nothing where stderr is not a terminal.
-fn progress_bar(samples: u64) -> ProgressBar {
-    let bar = ProgressBar::new(samples);
-    if let Ok(style) = ProgressStyle::with_template("{bar:40} {human_pos}/{human_len} states, {eta} left") {
-        bar.set_style(style);
-    }
-    bar
 }
 
 fn evaluate(model: &Model, query: &Query, work: &mut Workspace) -> Result<Evaluation, String> {

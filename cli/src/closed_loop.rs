@@ -1,0 +1,158 @@
+//! Controller and simulated plant in one process: the pure functions of both, cycle by cycle, without shared memory.
+
+use crate::report::Report;
+use crate::swing_up::SETTLE;
+use upswing_ipc::{Measurement, Mode, PlannerResponse, Telemetry};
+use upswing_planner::qp::Solver;
+use upswing_planner::replan::{NoPlan, Planner};
+use upswing_planner::service::payload;
+use upswing_plant::Plant;
+use upswingd::controller::{Controller, Order};
+use upswingd::plan::{PlanRefusal, accept};
+use upswingd::supervisor::{Refusal, Request, Trip};
+
+/// Cycles without a new measurement after which a run is given up: one second.
+const MOST_SILENT: u32 = 8000;
+
+/// Why a swing-up was not run to its end.
+#[derive(Debug, thiserror::Error)]
+pub enum Aborted {
+    /// The planner found no plan.
+    #[error(transparent)]
+    NoPlan(#[from] NoPlan),
+    /// The daemon did not accept the plan.
+    #[error("the daemon refused the plan: {0}")]
+    Plan(#[from] PlanRefusal),
+    /// The controller did not obey.
+    #[error("{request} was refused: {refusal}")]
+    Refused {
+        /// What was asked.
+        request: &'static str,
+        /// Why not.
+        refusal: Refusal,
+    },
+    /// A fault of the plant keeps all measurements back.
+    #[error("no new measurement in {MOST_SILENT} cycles")]
+    Silent,
+    /// The controller gave up its mode.
+    #[error(
+        "{mode} was given up {time:.3} s after the plan's start: {trip}; q {:.3?} rad, qd {:.3?} rad/s",
+        .record.q, .record.qd
+    )]
+    GivenUp {
+        /// The mode before.
+        mode: Mode,
+        /// Time since the start of the plan, s; 0 before it.
+        time: f64,
+        /// What was found beyond which limit.
+        trip: Trip,
+        /// The cycle in which it happened.
+        record: Box<Telemetry>,
+    },
+}
+
+impl Aborted {
+    /// The kind of failure, without numbers, to be counted.
+    pub fn kind(&self) -> String {
+        match self {
+            Self::NoPlan(_) => "no plan".into(),
+            Self::Plan(_) => "the daemon refused the plan".into(),
+            Self::Refused { request, .. } => format!("{request} was refused"),
+            Self::Silent => "no measurements".into(),
+            Self::GivenUp { mode, trip, .. } => {
+                format!("{mode} was given up: {}, joint {}", trip.cause.text(), trip.joint + 1)
+            }
+        }
+    }
+}
+
+/// A controller and a plant that answer each other.
+struct Loop<'a> {
+    controller: Controller,
+    plant: Plant,
+    /// `seq` of the newest measurement.
+    measured: u64,
+    records: &'a mut Vec<Telemetry>,
+}
+
+impl Loop<'_> {
+    fn cycle(&mut self, order: Option<(&'static str, Order)>) -> Result<(), Aborted> {
+        let measurement = self.measurement()?;
+        let before = self.controller.mode();
+        let (request, order) = order.unzip();
+        let output = self.controller.step(&measurement, 0, order);
+        self.plant.step(Some(&output.command));
+        let record = output.record.telemetry;
+        self.records.push(record);
+        if let (Some(request), Some(Err(refusal))) = (request, output.answer) {
+            return Err(Aborted::Refused { request, refusal });
+        }
+        match output.record.trip {
+            Some(trip) => {
+                let start =
+                    self.records.iter().find(|r| r.mode() == Ok(Mode::Track)).map_or(record.t_ns, |r| r.t_ns);
+                let time = record.t_ns.saturating_sub(start) as f64 * 1e-9;
+                Err(Aborted::GivenUp { mode: before, time, trip, record: Box::new(record) })
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// The next measurement; until a fault lets one through, the plant goes on without commands, as its process does.
+    fn measurement(&mut self) -> Result<Measurement, Aborted> {
+        for _ in 0..MOST_SILENT {
+            let measurement = self.plant.measure();
+            if measurement.seq != self.measured {
+                self.measured = measurement.seq;
+                return Ok(measurement);
+            }
+            self.plant.step(None);
+        }
+        Err(Aborted::Silent)
+    }
+
+    fn cycles(&mut self, count: u64) -> Result<(), Aborted> {
+        (0..count).try_for_each(|_| self.cycle(None))
+    }
+}
+
+/// Enables the controller, lets the arm settle in Hold, plans from the measured state, swings up and balances for
+/// `seconds`: the course of [`crate::swing_up::swing_up`], with time standing still while the plan is made. The
+/// planner's settings are those of the controller, too; the plant may be another one. `records` is cleared and then
+/// holds every cycle.
+///
+/// # Errors
+/// [`Aborted`] if it could not be run to the end; how it ended, the report says.
+pub fn swing_up(
+    planner: &Planner,
+    solver: &mut Solver,
+    plant: Plant,
+    seconds: f64,
+    records: &mut Vec<Telemetry>,
+) -> Result<Report, Aborted> {
+    let config = planner.config();
+    let period = config.daemon.cycle.period.as_secs_f64();
+    let cycles = |s: f64| (s / period).ceil() as u64;
+    records.clear();
+    let mut run = Loop { controller: Controller::new(config), plant, measured: 0, records };
+    // As in a system of processes, where nothing is measured before the first cycle.
+    run.cycle(None)?;
+    run.cycle(Some(("enable", Order::Do(Request::Enable))))?;
+    run.cycles(cycles(SETTLE) - 1)?;
+    let start = *run.controller.state();
+    let replan = planner.replan_with(solver, &start, config.planner.replan.iterations, None)?;
+    let plan = accept(&payload(&replan.plan(config)), config)?;
+    run.cycle(Some(("load", Order::Load(plan))))?;
+    run.cycle(Some(("start", Order::Do(Request::Start))))?;
+    run.cycles(cycles(replan.trajectory.t_f + seconds))?;
+    let used = replan.attempts.last().map(|a| a.entry);
+    let response = PlannerResponse {
+        t_f: replan.trajectory.t_f,
+        nearest_entry: used.map_or(0, |e| e.index as u64),
+        distance: used.map_or(0.0, |e| e.distance),
+        defect: replan.defect,
+        time_total_us: replan.times.total.as_secs_f64() * 1e6,
+        ..PlannerResponse::default()
+    };
+    Ok(Report::new(config, &response, run.records, 0, seconds))
+}

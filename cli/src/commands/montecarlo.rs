@@ -1,0 +1,195 @@
+//! `upswing montecarlo`: the same work from many random starts.
+
+mod closed_loop;
+mod condition;
+mod replan;
+
+use super::{CommonArgs, failed, progress_bar};
+use crate::montecarlo::{NoStart, for_each};
+use clap::ValueEnum;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
+use upswing_config::Config;
+use upswing_config::process::Failure;
+use upswing_model::NU;
+use upswing_planner::build::{self, Shard};
+use upswing_planner::replan::Planner;
+
+pub use closed_loop::ClosedLoopArgs;
+pub use replan::ReplanArgs;
+
+/// Swings up from many random starts and counts what succeeds.
+#[derive(Clone, Debug, clap::Args)]
+pub struct MonteCarloArgs {
+    /// What to do from each start.
+    #[command(subcommand)]
+    pub command: MonteCarloCommand,
+}
+
+/// What to do from each start.
+#[derive(Clone, Debug, clap::Subcommand)]
+pub enum MonteCarloCommand {
+    /// Plan, and check the plans densely between their knots
+    ///
+    /// Starts are uniform in the ranges of the grid (the paper's, Section VI), the pendulum hangs at rest within
+    /// 40 deg. The same seed gives the same results on any number of threads; times apart.
+    ///
+    /// Example: upswing montecarlo replan --samples 1000 --seed 1 --svg margins.svg
+    Replan(ReplanArgs),
+    /// Plan, swing up and balance with controller and simulated plant in lock-step
+    ///
+    /// The starts are those of `montecarlo replan` with the same seed.
+    ///
+    /// Example: upswing montecarlo closed-loop --samples 100 --condition nominal,arm-mass,second-arm
+    ClosedLoop(ClosedLoopArgs),
+}
+
+/// Options of both.
+#[derive(Clone, Debug, clap::Args)]
+pub struct SamplingArgs {
+    /// Options of every command.
+    #[command(flatten)]
+    pub common: CommonArgs,
+    /// How many starts
+    #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = clap::value_parser!(u64).range(1..=MOST))]
+    pub samples: u64,
+    /// Seed of the random starts
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub seed: u64,
+    /// Only start number INDEX, counted from 0: repeats one result of a longer run
+    #[arg(long, value_name = "INDEX", conflicts_with = "samples")]
+    pub only: Option<u64>,
+    /// Database to plan from; `paper` is built first, which takes up to a minute
+    #[arg(long, default_value = "default")]
+    pub grid: Grid,
+    /// Database file to plan from, as `upswing db build` writes it
+    #[arg(long, value_name = "FILE", conflicts_with = "grid")]
+    pub database: Option<PathBuf>,
+    /// Threads, 1 to 1024 [default: one per core]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
+}
+
+/// A month on two cores.
+const MOST: u64 = 100_000_000;
+
+/// A database that needs no file.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum Grid {
+    /// The one of the settings
+    Default,
+    /// The paper's 4 x 4 x 4 x 4 poses
+    Paper,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// [`Failure::BadInput`] for unusable options or files; [`Failure::Failed`] if not every start succeeded.
+pub fn run(args: &MonteCarloArgs) -> Result<(), Failure> {
+    match &args.command {
+        MonteCarloCommand::Replan(args) => replan::run(args),
+        MonteCarloCommand::ClosedLoop(args) => closed_loop::run(args),
+    }
+}
+
+impl From<NoStart> for Failure {
+    fn from(e: NoStart) -> Self {
+        Self::BadInput(e.to_string())
+    }
+}
+
+impl SamplingArgs {
+    /// The planner with the database that the options name. Raising `stop` ends the build of one.
+    fn planner(&self, stop: &AtomicBool) -> Result<Planner, Failure> {
+        let mut config = self.common.process.load()?;
+        match (&self.database, self.grid) {
+            (Some(path), _) => use_database(&mut config, path)?,
+            (None, Grid::Paper) => {
+                config.use_paper_grid()?;
+                let dir =
+                    tempfile::tempdir().map_err(|e| failed(format!("no folder for the database: {e}")))?;
+                let path = dir.path().join("paper.bin");
+                build_database(&config, &path, stop)?;
+                use_database(&mut config, &path)?;
+                config.database.origin = "the paper's grid".into();
+            }
+            (None, Grid::Default) => {}
+        }
+        let origin = config.database.origin.clone();
+        Planner::new(config).map_err(|e| Failure::BadInput(format!("{origin}: {e}")))
+    }
+
+    /// The numbers of the starts.
+    fn indices(&self) -> Vec<u64> {
+        self.only.map_or_else(|| (0..self.samples).collect(), |index| vec![index])
+    }
+
+    /// How many threads to use.
+    fn threads(&self) -> usize {
+        let cores = || std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+        self.threads.map_or_else(cores, usize::from)
+    }
+
+    /// The exit code of a run over `samples` starts.
+    fn verdict(&self, complete: bool, samples: usize, succeeded: usize) -> Result<(), Failure> {
+        match (complete, samples - succeeded) {
+            (true, 0) => Ok(()),
+            (true, n) => Err(failed(format!("{n} of {samples} starts failed; --only INDEX repeats one"))),
+            (false, _) => Err(failed(format!("interrupted after {samples} starts"))),
+        }
+    }
+
+    /// [`for_each`] start, with a progress bar.
+    fn run<S, T: Send>(
+        &self,
+        stop: &AtomicBool,
+        scratch: impl Fn() -> S + Sync + Send,
+        work: impl Fn(&mut S, u64) -> Result<T, NoStart> + Sync + Send,
+    ) -> Result<Vec<T>, Failure> {
+        let indices = self.indices();
+        let bar = progress_bar(indices.len() as u64, "starts");
+        let results = for_each(&indices, self.threads(), stop, || bar.inc(1), scratch, work);
+        bar.finish_and_clear();
+        let results = results.map_err(|e| failed(format!("cannot start threads: {e}")))?;
+        Ok(results.into_iter().collect::<Result<_, _>>()?)
+    }
+}
+
+/// Lists failed starts: number, angles of joints 1-7 (deg), reason. Of many, the first ones.
+fn list_failures<'a>(
+    f: &mut std::fmt::Formatter<'_>,
+    failures: impl Iterator<Item = (u64, &'a [f64; NU], String)>,
+) -> std::fmt::Result {
+    const SHOWN: usize = 20;
+    let mut left = 0;
+    for (i, (index, start_deg, reason)) in failures.enumerate() {
+        if i < SHOWN {
+            let start = start_deg.map(|d| format!("{d:.2}")).join(", ");
+            write!(f, "\n  start {index} at [{start}] deg: {reason}")?;
+        } else {
+            left += 1;
+        }
+    }
+    if left > 0 { write!(f, "\n  and {left} more; --json lists all") } else { Ok(()) }
+}
+
+/// Plans from a database file instead of that of the settings.
+fn use_database(config: &mut Config, path: &Path) -> Result<(), Failure> {
+    let origin = path.display().to_string();
+    let bytes = std::fs::read(path).map_err(|e| Failure::BadInput(format!("cannot read {origin}: {e}")))?;
+    config.database = upswing_config::DatabaseFile { bytes: bytes.into(), origin };
+    Ok(())
+}
+
+/// Builds the database of the settings' grid.
+fn build_database(config: &Config, path: &Path, stop: &AtomicBool) -> Result<(), Failure> {
+    let bar = progress_bar(config.grid.poses() as u64, "poses of the database");
+    let summary = build::build(config, Shard::WHOLE, path, stop, |n| bar.inc(n as u64)).map_err(failed)?;
+    bar.finish_and_clear();
+    match (summary.left, summary.failed.len()) {
+        (0, 0) => Ok(()),
+        (0, n) => Err(failed(format!("{n} poses of the database have no solution"))),
+        (n, _) => Err(failed(format!("interrupted with {n} poses of the database left"))),
+    }
+}

@@ -1,0 +1,249 @@
+//! `upswing montecarlo replan`.
+
+use super::{SamplingArgs, failed, list_failures};
+use crate::montecarlo::{NoStart, Spread, Starts, arm_degrees};
+use crate::picture::map;
+use serde::Serialize;
+use std::path::PathBuf;
+use std::time::Instant;
+use upswing_config::process::{Failure, shutdown_flag};
+use upswing_model::{NU, State};
+use upswing_planner::qp::Solver;
+use upswing_planner::replan::{Planner, Replan};
+use upswing_planner::service::payload;
+use upswing_trajectory::{Certificate, Margin, Margins};
+
+/// How to plan.
+#[derive(Clone, Debug, clap::Args)]
+pub struct ReplanArgs {
+    /// Which starts, from which database.
+    #[command(flatten)]
+    pub sampling: SamplingArgs,
+    /// Most linearisations per entry; 1 is the paper's mode [default: the setting]
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=100))]
+    pub iterations: Option<u32>,
+    /// Draw the smallest margins over the ranges of the starts (SVG)
+    #[arg(long, value_name = "FILE")]
+    pub svg: Option<PathBuf>,
+}
+
+/// Share of half a limit's range by which the spline may be beyond a limit: what the planner itself allows, because a
+/// start is measured a hair outside, here at twice as many points.
+const LIMIT_TOLERANCE: f64 = 1e-3;
+/// Defect of the real dynamics that counts as closed, rad or rad/s per interval.
+const CLOSED_DEFECT: f64 = 1e-6;
+
+/// What became of one start. All but the times depends on settings, seed and index alone.
+#[derive(Clone, Debug, Serialize)]
+struct Sample {
+    index: u64,
+    start_deg: [f64; NU],
+    plan: Option<Figures>,
+    /// Why it is no success.
+    failure: Option<String>,
+    #[serde(skip)]
+    times: Times,
+}
+
+/// Figures of a plan.
+#[derive(Clone, Debug, Serialize)]
+struct Figures {
+    t_f: f64,
+    nearest_entry: usize,
+    distance: f64,
+    attempts: usize,
+    iterations: usize,
+    defect: f64,
+    margin_q: f64,
+    margin_qd: f64,
+    margin_tau: f64,
+}
+
+/// s
+#[derive(Clone, Copy, Debug, Default)]
+struct Times {
+    qp: f64,
+    lqr: f64,
+    total: f64,
+}
+
+fn sample(planner: &Planner, solver: &mut Solver, iterations: usize, index: u64, start: &State) -> Sample {
+    let begin = Instant::now();
+    let result = planner.replan_with(solver, start, iterations, None);
+    let total = begin.elapsed().as_secs_f64();
+    let (plan, failure, times) = match &result {
+        Ok(replan) => {
+            let config = planner.config();
+            let limits = &config.robot.planning;
+            let margins = Margins::of(&replan.trajectory, &config.model, limits, Certificate::BETWEEN);
+            let refused = upswingd::plan::accept(&payload(&replan.plan(config)), config).err();
+            let failure =
+                refused.map(|e| format!("the daemon refused the plan: {e}")).or_else(|| beyond(&margins));
+            let (qp, lqr) = (replan.times.qp.as_secs_f64(), replan.times.lqr.as_secs_f64());
+            (Some(figures(replan, &margins)), failure, Times { qp, lqr, total })
+        }
+        Err(e) => (None, Some(e.to_string()), Times { total, ..Times::default() }),
+    };
+    Sample { index, start_deg: arm_degrees(start), plan, failure, times }
+}
+
+fn figures(replan: &Replan, margins: &Margins) -> Figures {
+    // A plan has at least the attempt that gave it.
+    let used = replan.attempts.last().map(|a| a.entry);
+    Figures {
+        t_f: replan.trajectory.t_f,
+        nearest_entry: used.map_or(0, |e| e.index),
+        distance: used.map_or(0.0, |e| e.distance),
+        attempts: replan.attempts.len(),
+        iterations: replan.iterations,
+        defect: replan.defect,
+        margin_q: margins.q.share,
+        margin_qd: margins.qd.share,
+        margin_tau: margins.tau.share,
+    }
+}
+
+/// The first kind of limit that a plan does not keep between its knots.
+fn beyond(margins: &Margins) -> Option<String> {
+    let kinds: [(&str, &Margin); 3] =
+        [("position", &margins.q), ("velocity", &margins.qd), ("torque", &margins.tau)];
+    let (limit, m) = kinds.into_iter().find(|(_, m)| !(m.share >= -LIMIT_TOLERANCE))?;
+    let (joint, percent) = (m.joint + 1, -100.0 * m.share);
+    Some(format!("{limit} limit of joint {joint} is exceeded by {percent:.2} % at {:.3} s", m.time))
+}
+
+#[derive(Serialize)]
+struct Answer {
+    success: bool,
+    complete: bool,
+    database: String,
+    entries: usize,
+    seed: u64,
+    samples: usize,
+    /// Starts with a plan that the daemon accepts and that keeps all limits between knots.
+    succeeded: usize,
+    /// Starts with a plan.
+    feasible: usize,
+    /// Plans whose defect is at most 1e-6.
+    defect_closed: usize,
+    /// Plans by the number of entries that were tried, from 1.
+    attempts: Vec<usize>,
+    /// Linearisations for the entry used.
+    iterations: Option<Spread>,
+    defect: Option<Spread>,
+    margin_q: Option<Spread>,
+    margin_qd: Option<Spread>,
+    margin_tau: Option<Spread>,
+    t_f: Option<Spread>,
+    distance: Option<Spread>,
+    times: AnswerTimes,
+    results: Vec<Sample>,
+    #[serde(skip)]
+    threads: usize,
+}
+
+/// All in s; the only part that differs from run to run.
+#[derive(Serialize)]
+struct AnswerTimes {
+    replan: Option<Spread>,
+    qp: Option<Spread>,
+    lqr: Option<Spread>,
+    total: f64,
+}
+
+impl std::fmt::Display for Answer {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let part = if self.complete { "" } else { " (interrupted)" };
+        let (n, seed) = (self.samples, self.seed);
+        writeln!(f, "{} of {n} starts planned within all limits{part}, seed {seed}", self.succeeded)?;
+        writeln!(f, "  database  {}, {} entries", self.database, self.entries)?;
+        let attempts: Vec<_> = self.attempts.iter().map(usize::to_string).collect();
+        writeln!(
+            f,
+            "  feasible  {} (from the nearest entry, the next, ...: {})",
+            self.feasible,
+            attempts.join(", ")
+        )?;
+        writeln!(f, "  defect    at most {CLOSED_DEFECT:.0e} in {} plans", self.defect_closed)?;
+        Spread::write_heading(f)?;
+        let rows = [
+            ("linearisations", self.iterations, 1.0),
+            ("defect, rad or rad/s", self.defect, 1.0),
+            ("margin of position", self.margin_q, 1.0),
+            ("margin of velocity", self.margin_qd, 1.0),
+            ("margin of torque", self.margin_tau, 1.0),
+            ("t_F, s", self.t_f, 1.0),
+            ("distance, rad", self.distance, 1.0),
+            ("replan, ms", self.times.replan, 1e3),
+            ("  its QPs, ms", self.times.qp, 1e3),
+            ("  its gains, ms", self.times.lqr, 1e3),
+        ];
+        for (name, spread, unit) in rows {
+            Spread::write_row(f, name, spread, unit)?;
+        }
+        write!(f, "  time      {:.1} s on {} threads", self.times.total, self.threads)?;
+        let failures = self.results.iter().filter_map(|s| Some((s.index, &s.start_deg, s.failure.clone()?)));
+        list_failures(f, failures)
+    }
+}
+
+/// Plans from every start.
+///
+/// # Errors
+/// [`Failure::BadInput`] for unusable options or files; [`Failure::Failed`] if not every start succeeded.
+pub fn run(args: &ReplanArgs) -> Result<(), Failure> {
+    let stop = shutdown_flag()?;
+    let begin = Instant::now();
+    let planner = args.sampling.planner(&stop)?;
+    let config = planner.config();
+    let iterations = args.iterations.map_or(config.planner.replan.iterations, |n| n as usize);
+    let starts = Starts { config, seed: args.sampling.seed };
+    let work = |solver: &mut Solver, index: u64| -> Result<Sample, NoStart> {
+        Ok(sample(&planner, solver, iterations, index, &starts.start(index)?))
+    };
+    let results = args.sampling.run(&stop, || planner.solver(), work)?;
+    let complete = results.len() == args.sampling.indices().len();
+    let plans = || results.iter().filter_map(|s| s.plan.as_ref());
+    let spread = |value: fn(&Figures) -> f64| Spread::of(plans().map(value));
+    let time = |value: fn(&Times) -> f64| Spread::of(results.iter().map(|s| value(&s.times)));
+    let most = plans().map(|p| p.attempts).max().unwrap_or(0);
+    let succeeded = results.iter().filter(|s| s.failure.is_none()).count();
+    let success = complete && succeeded == results.len();
+    if let Some(path) = &args.svg {
+        let margins = |p: &Figures| [p.margin_q, p.margin_qd, p.margin_tau];
+        let points: Vec<_> = results
+            .iter()
+            .map(|s| map::Point { q_deg: s.start_deg, margins: s.plan.as_ref().map(margins) })
+            .collect();
+        map::draw(path, &config.grid.axes, &points).map_err(failed)?;
+    }
+    let samples = results.len();
+    args.sampling.common.print(&Answer {
+        success,
+        complete,
+        database: config.database.origin.clone(),
+        entries: planner.entries().len(),
+        seed: args.sampling.seed,
+        samples,
+        succeeded,
+        feasible: plans().count(),
+        defect_closed: plans().filter(|p| p.defect <= CLOSED_DEFECT).count(),
+        attempts: (1..=most).map(|n| plans().filter(|p| p.attempts == n).count()).collect(),
+        iterations: spread(|p| p.iterations as f64),
+        defect: spread(|p| p.defect),
+        margin_q: spread(|p| p.margin_q),
+        margin_qd: spread(|p| p.margin_qd),
+        margin_tau: spread(|p| p.margin_tau),
+        t_f: spread(|p| p.t_f),
+        distance: spread(|p| p.distance),
+        times: AnswerTimes {
+            replan: time(|t| t.total),
+            qp: time(|t| t.qp),
+            lqr: time(|t| t.lqr),
+            total: begin.elapsed().as_secs_f64(),
+        },
+        threads: args.sampling.threads(),
+        results,
+    })?;
+    args.sampling.verdict(complete, samples, succeeded)
+}

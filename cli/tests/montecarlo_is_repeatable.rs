@@ -1,0 +1,60 @@
+//! Equal settings, seeds and conditions give equal results: on one thread and on two, and when a single start is
+//! repeated. Only times differ.
+
+use serde_json::Value;
+use std::process::Command;
+
+/// The document of `upswing montecarlo ARGS --json`, without its times.
+fn montecarlo(args: &[&str]) -> Value {
+    let output = Command::new(env!("CARGO_BIN_EXE_upswing"))
+        .arg("montecarlo")
+        .args(args)
+        .arg("--json")
+        .output()
+        .expect("upswing runs");
+    let mut answer: Value =
+        serde_json::from_slice(&output.stdout).unwrap_or_else(|e| panic!("{args:?}: {e}: {output:?}"));
+    assert_eq!(output.status.success(), answer["success"] == true, "{args:?}");
+    forget_times(&mut answer);
+    answer
+}
+
+fn forget_times(value: &mut Value) {
+    match value {
+        Value::Object(map) => {
+            map.remove("times");
+            map.values_mut().for_each(forget_times);
+        }
+        Value::Array(items) => items.iter_mut().for_each(forget_times),
+        _ => {}
+    }
+}
+
+#[test]
+fn replans() {
+    let run = ["replan", "--samples", "5", "--seed", "3"];
+    let one = montecarlo(&[&run[..], &["--threads", "1"]].concat());
+    let two = montecarlo(&[&run[..], &["--threads", "2"]].concat());
+    assert_eq!(one, two);
+    assert_eq!((&one["success"], &one["samples"]), (&true.into(), &5.into()), "{one}");
+    let again = montecarlo(&["replan", "--seed", "3", "--only", "4"]);
+    assert_eq!(again["samples"], 1);
+    assert_eq!(again["results"][0], one["results"][4]);
+    let other = montecarlo(&["replan", "--seed", "4", "--only", "4"]);
+    assert_ne!(other["results"][0]["start_deg"], one["results"][4]["start_deg"]);
+}
+
+#[test]
+fn closed_loops() {
+    // With masses that are drawn, and encoders whose noise is.
+    let run = ["closed-loop", "--samples", "3", "--seed", "3", "--condition", "arm-mass,coarse-encoders"];
+    let one = montecarlo(&[&run[..], &["--threads", "1"]].concat());
+    let two = montecarlo(&[&run[..], &["--threads", "2"]].concat());
+    assert_eq!(one, two);
+    for (i, condition) in ["arm-mass", "coarse-encoders"].iter().enumerate() {
+        let results = &one["conditions"][i]["results"];
+        assert_eq!(results.as_array().map(Vec::len), Some(3));
+        let again = montecarlo(&["closed-loop", "--seed", "3", "--condition", condition, "--only", "2"]);
+        assert_eq!(again["conditions"][0]["results"][0], results[2], "{condition}");
+    }
+}

@@ -1,0 +1,80 @@
+//! A run that does not succeed ends with exit code 1, and its start is listed with the limit and the state.
+
+use serde_json::Value;
+use std::process::{Command, Output};
+use upswing_config::Config;
+
+fn upswing(args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_upswing")).args(args).output().expect("upswing runs")
+}
+
+#[test]
+fn a_loop_that_is_given_up() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let config = dir.path().join("config");
+    Config::export(&config).expect("settings are exported");
+    let file = config.join("daemon.toml");
+    let (from, to) = ("tracking_error_trip_rad = 0.5", "tracking_error_trip_rad = 0.005");
+    let text = std::fs::read_to_string(&file).expect("read");
+    assert_eq!(text.matches(from).count(), 1);
+    std::fs::write(&file, text.replace(from, to)).expect("written");
+
+    let config = config.to_str().expect("a plain path");
+    let run = ["montecarlo", "closed-loop", "--samples", "2", "--seed", "3", "--config", config];
+    let output = upswing(&[&run[..], &["--json"]].concat());
+    assert_eq!(output.status.code(), Some(1));
+    let answer: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let runs = &answer["conditions"][0];
+    assert_eq!((&answer["success"], &runs["succeeded"]), (&false.into(), &0.into()));
+    for i in 0..2 {
+        let failure = runs["results"][i]["reasons"][0].as_str().expect("a reason");
+        for part in ["track was given up", "from its reference, limit 0.0050 rad", "q [", "qd ["] {
+            assert!(failure.contains(part), "expected `{part}` in: {failure}");
+        }
+    }
+    let kinds = runs["failures"].as_object().expect("kinds of failures");
+    assert_eq!(kinds.values().filter_map(Value::as_u64).sum::<u64>(), 2);
+    assert!(kinds.keys().all(|kind| kind.contains("too far from the reference, joint ")), "{kinds:?}");
+    let text = upswing(&run);
+    let text = String::from_utf8_lossy(&text.stdout);
+    assert!(text.contains("0 of 2 starts") && text.contains("start 1 at ["), "{text}");
+}
+
+#[test]
+fn a_failed_run_can_be_drawn() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let picture = dir.path().join("run.svg");
+    let file = picture.to_str().expect("a plain path");
+    let condition = ["--condition", "dead-encoder", "--only", "1", "--picture", file];
+    let output = upswing(&[&["montecarlo", "closed-loop"], &condition[..]].concat());
+    assert_eq!(output.status.code(), Some(1), "{output:?}");
+    let text = String::from_utf8_lossy(&output.stdout);
+    assert!(text.contains("the angle of joint 9 is NaN"), "{text}");
+    let svg = std::fs::read_to_string(picture).expect("the picture");
+    assert!(svg.starts_with("<svg") && svg.contains("joint 9"));
+}
+
+#[test]
+fn a_start_without_a_plan() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| dir.path().join(name).to_str().expect("a plain path").to_owned();
+    let (grid, database) = (path("grid.toml"), path("database.bin"));
+    // One entry in the middle of the ranges does not serve all of them.
+    let pose = "joints = [{ joint = 4, from_deg = -90, to_deg = -90, points = 1 }]";
+    std::fs::write(&grid, format!("{pose}\nstart = \"rest\"\nmax_rest_angle_deg = 45\n")).expect("written");
+    let build = ["db", "build", "--grid", &grid, "--output", &database];
+    let built = upswing(&build);
+    assert!(built.status.success(), "{built:?}");
+
+    let args = ["montecarlo", "replan", "--samples", "10", "--database", &database, "--json"];
+    let output = upswing(&args);
+    assert_eq!(output.status.code(), Some(1));
+    let answer: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let results = answer["results"].as_array().expect("results");
+    let failures: Vec<_> = results.iter().filter_map(|r| r["failure"].as_str()).collect();
+    assert!((1..10).contains(&failures.len()), "{failures:?}");
+    assert_eq!((&answer["success"], &answer["succeeded"]), (&false.into(), &(10 - failures.len()).into()));
+    for failure in failures {
+        assert!(failure.contains("entry 0 (") && failure.contains("rad away): "), "{failure}");
+    }
+}

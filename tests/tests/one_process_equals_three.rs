@@ -1,0 +1,46 @@
+//! Controller and plant in one process, as Monte Carlo runs couple them, do bit for bit what the three processes do on
+//! the clock `lockstep`: every number of every cycle of swing-up and balance.
+
+use upswing::closed_loop::swing_up;
+use upswing_config::{Config, PendulumStart};
+use upswing_ipc::{Clock, Mode, Telemetry};
+use upswing_planner::replan::Planner;
+use upswing_plant::Plant;
+use upswing_tests::{System, bits};
+
+const START_DEG: [f64; 7] = [10.0, 10.0, 0.0, -100.0, 0.0, -20.0, 0.0];
+/// Balance time, s.
+const SECONDS: f64 = 2.0;
+
+fn moving(records: Vec<Telemetry>) -> Vec<Telemetry> {
+    records.into_iter().filter(|r| matches!(r.mode(), Ok(Mode::Track | Mode::Balance))).collect()
+}
+
+fn in_one_process() -> Vec<Telemetry> {
+    let mut config = Config::embedded().expect("embedded settings");
+    config.plant.start.q = START_DEG.map(f64::to_radians);
+    config.plant.start.pendulum = PendulumStart::Rest;
+    let plant = Plant::new(&config).expect("a start");
+    let planner = Planner::new(config).expect("the shipped database fits");
+    let mut records = Vec::new();
+    let report = swing_up(&planner, &mut planner.solver(), plant, SECONDS, &mut records);
+    let report = report.unwrap_or_else(|e| panic!("{e}"));
+    assert!(report.success, "{report}");
+    moving(records)
+}
+
+#[test]
+fn bit_for_bit() {
+    let mut system = System::start(Clock::Lockstep, START_DEG);
+    let report = system.swing_up(SECONDS);
+    assert!(report.success, "{report}");
+    let three = moving(std::mem::take(&mut system.session.records));
+    let one = in_one_process();
+    assert!(one.len() > 30_000, "only {} cycles", one.len());
+    // The daemon may have run for a different number of cycles when the plan began, and the session may look away
+    // before the last ones.
+    for (a, b) in one.iter().zip(&three) {
+        assert!(bits(a) == bits(b), "t = {} s:\n{a:?}\n{b:?}", a.t_plan);
+    }
+    assert!(three.len() + 2 >= one.len(), "{} and {} cycles", one.len(), three.len());
+}
