@@ -4,12 +4,13 @@ use crate::report::Report;
 use crate::swing_up::SETTLE;
 use upswing_ipc::{Measurement, Mode, PlannerResponse, Telemetry};
 use upswing_planner::qp::Solver;
-use upswing_planner::replan::{NoPlan, Planner};
+use upswing_planner::replan::{Effort, Manoeuvre, NoPlan, Planner};
 use upswing_planner::service::payload;
 use upswing_plant::Plant;
 use upswingd::controller::{Controller, Order};
 use upswingd::plan::{PlanRefusal, accept};
-use upswingd::supervisor::{Refusal, Request, Trip};
+use upswingd::supervisor::{Refusal, Request};
+use upswingd::trip::Trip;
 
 /// Cycles without a new measurement after which a run is given up: one second.
 const MOST_SILENT: u32 = 8000;
@@ -140,7 +141,12 @@ pub fn swing_up(
     run.cycle(Some(("enable", Order::Do(Request::Enable))))?;
     run.cycles(cycles(SETTLE) - 1)?;
     let start = *run.controller.state();
-    let replan = planner.replan_with(solver, &start, config.planner.replan.iterations, None)?;
+    let replan = planner.replan_with(
+        solver,
+        Manoeuvre::SwingUp,
+        &start,
+        &Effort::iterations(config.planner.replan.iterations),
+    )?;
     let plan = accept(&payload(&replan.plan(config)), config)?;
     run.cycle(Some(("load", Order::Load(plan))))?;
     run.cycle(Some(("start", Order::Do(Request::Start))))?;

@@ -305,7 +305,7 @@ impl Session {
         Ok(self.control.call(&ControlRequest::new(command), ANSWER_PATIENCE)?)
     }
 
-    /// Asks for a swing-up from the present state and publishes it to the daemon.
+    /// Asks for a swing-up or swing-down from the present state and publishes it to the daemon.
     ///
     /// # Errors
     /// [`SessionError::Refused`] with the planner's reason.

@@ -1,4 +1,4 @@
-//! A swing-up from the state the system is in: enable, plan, start, balance.
+//! A swing-up or swing-down from the state the system is in: enable, plan, start, balance or hold.
 
 use crate::session::{Session, SessionError};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -26,12 +26,22 @@ pub fn swing_up(
     session.control(ControlCommand::Enable)?;
     session.advance(cycles(SETTLE))?;
     expect_mode(session, &[Mode::Hold])?;
-    let plan = session.plan_from_now(PlannerKind::SwingUp)?;
-    session.wait_for("the daemon to load the plan", PATIENCE, |s| {
-        let status = s.ask_control(ControlCommand::Status)?;
-        Ok(status.plan_id == plan.plan_id)
-    })?;
-    session.control(ControlCommand::Start)?;
+    execute(session, PlannerKind::SwingUp, period, seconds, interrupted)
+}
+
+/// Plans from the present state, starts the plan and lets its duration and `seconds` pass. `period` in s.
+///
+/// # Errors
+/// [`SessionError`], also if the daemon leaves the modes of a swing-up or swing-down.
+pub fn execute(
+    session: &mut Session,
+    kind: PlannerKind,
+    period: f64,
+    seconds: f64,
+    interrupted: &AtomicBool,
+) -> Result<PlannerResponse, SessionError> {
+    let cycles = |s: f64| (s / period).ceil() as u64;
+    let plan = plan_and_start(session, kind)?;
     // In portions, so that an interrupt or a fault ends the wait.
     let mut left = cycles(plan.t_f + seconds);
     while left > 0 {
@@ -43,6 +53,20 @@ pub fn swing_up(
         expect_mode(session, &[Mode::Hold, Mode::Track, Mode::Balance])?;
         left -= portion;
     }
+    Ok(plan)
+}
+
+/// Plans from the present state and starts the plan.
+///
+/// # Errors
+/// [`SessionError`] if planner or daemon refuse.
+pub fn plan_and_start(session: &mut Session, kind: PlannerKind) -> Result<PlannerResponse, SessionError> {
+    let plan = session.plan_from_now(kind)?;
+    session.wait_for("the daemon to load the plan", PATIENCE, |s| {
+        let status = s.ask_control(ControlCommand::Status)?;
+        Ok(status.plan_id == plan.plan_id)
+    })?;
+    session.control(ControlCommand::Start)?;
     Ok(plan)
 }
 

@@ -2,8 +2,9 @@
 //! often as the settings allow; then it stays in Hold.
 
 use std::time::{Duration, Instant};
+use upswing::swing_up::plan_and_start;
 use upswing_config::Config;
-use upswing_ipc::{Clock, ControlCommand, Mode};
+use upswing_ipc::{Clock, ControlCommand, Mode, PlannerKind};
 use upswing_tests::System;
 
 const START: [f64; 7] = [0.0, -15.0, 0.0, -95.0, 0.0, 10.0, 0.0];
@@ -62,11 +63,7 @@ fn fallen(attempts: u32) -> (System, tempfile::TempDir) {
         session.advance(1)?;
         session.control(ControlCommand::Enable)?;
         session.advance(2000)?;
-        let plan = session.plan_from_now()?;
-        session.wait_for("the daemon to load the plan", PATIENCE, |s| {
-            Ok(s.ask_control(ControlCommand::Status)?.plan_id == plan.plan_id)
-        })?;
-        session.control(ControlCommand::Start)
+        plan_and_start(session, PlannerKind::SwingUp)
     };
     swing().unwrap_or_else(|e| panic!("{e}"));
     pass(&mut system, Mode::Stop);

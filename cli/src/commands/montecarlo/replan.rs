@@ -9,7 +9,7 @@ use std::time::Instant;
 use upswing_config::process::{Failure, shutdown_flag};
 use upswing_model::{NU, State};
 use upswing_planner::qp::Solver;
-use upswing_planner::replan::{Planner, Replan};
+use upswing_planner::replan::{Effort, Manoeuvre, Planner, Replan};
 use upswing_planner::service::payload;
 use upswing_trajectory::{Certificate, Margin, Margins};
 
@@ -69,7 +69,7 @@ struct Times {
 
 fn sample(planner: &Planner, solver: &mut Solver, iterations: usize, index: u64, start: &State) -> Sample {
     let begin = Instant::now();
-    let result = planner.replan_with(solver, start, iterations, None);
+    let result = planner.replan_with(solver, Manoeuvre::SwingUp, start, &Effort::iterations(iterations));
     let total = begin.elapsed().as_secs_f64();
     let (plan, failure, times) = match &result {
         Ok(replan) => {

@@ -1,0 +1,60 @@
+//! After a swing-up and some balancing, a swing-down brings the pendulum to hang at rest, as smoothly as it went up: no
+//! limit is exceeded, the arm then holds, and a swing-up can follow.
+
+use std::sync::atomic::AtomicBool;
+use upswing::swing_up::execute;
+use upswing_ipc::{Clock, Mode, PlannerKind};
+use upswing_model::{N_ACTUATED, NQ};
+use upswing_tests::System;
+
+#[test]
+fn and_a_second_swing_up_follows() {
+    let mut system = System::start(Clock::Lockstep, [-15.0, -15.0, 0.0, -95.0, 0.0, 10.0, 0.0]);
+    let report = system.swing_up(1.0);
+    assert!(report.success, "{report}");
+    let period = system.period();
+    let before = system.session.records.len();
+    let go = |system: &mut System, kind| {
+        execute(&mut system.session, kind, period, 1.0, &AtomicBool::new(false))
+            .unwrap_or_else(|e| panic!("{e}"))
+    };
+    let plan = go(&mut system, PlannerKind::SwingDown);
+    assert!(plan.margin_q >= 0.0 && plan.margin_qd >= 0.0 && plan.margin_tau >= 0.0, "{plan:?}");
+
+    let down = &system.session.records[before..];
+    let limits = &system.config.robot.limits;
+    for record in down {
+        for i in 0..N_ACTUATED {
+            assert!(record.tau[i].abs() <= limits.tau_max[i], "torque {} of joint {}", record.tau[i], i + 1);
+        }
+        for i in 0..NQ {
+            assert!(record.qd[i].abs() <= limits.qd_max[i], "speed {} of joint {}", record.qd[i], i + 1);
+        }
+    }
+    let error = |record: &upswing_ipc::Telemetry| {
+        (0..NQ).map(|i| (record.q[i] - record.q_d[i]).abs()).fold(0.0, f64::max)
+    };
+    let tracked = down.iter().filter(|r| r.mode() == Ok(Mode::Track)).map(error).fold(0.0, f64::max);
+    assert!(tracked > 0.0 && tracked < 0.1, "tracking error {tracked} rad");
+    let last = down.last().expect("records");
+    assert_eq!(last.mode(), Ok(Mode::Hold));
+    // Hanging: the rod hardly moves, and not upright.
+    assert!(last.q[7].abs() < 0.2, "q8 is {} rad", last.q[7]);
+    assert!(last.qd.iter().all(|v| v.abs() < 0.1), "{:?}", last.qd);
+
+    let before = system.session.records.len();
+    go(&mut system, PlannerKind::SwingUp);
+    let last = system.session.records[before..].last().expect("records");
+    assert_eq!(last.mode(), Ok(Mode::Balance));
+    system.session.end_in_place().unwrap_or_else(|e| panic!("{e}"));
+}
+
+#[test]
+fn only_from_balance() {
+    let mut system = System::start(Clock::Lockstep, [0.0, -15.0, 0.0, -95.0, 0.0, 10.0, 0.0]);
+    system.session.advance(100).unwrap_or_else(|e| panic!("{e}"));
+    let refusal =
+        system.session.plan_from_now(PlannerKind::SwingDown).expect_err("nothing to swing down from");
+    assert!(refusal.to_string().contains("balance"), "{refusal}");
+    system.session.end_in_place().unwrap_or_else(|e| panic!("{e}"));
+}
