@@ -151,7 +151,13 @@ impl Planner {
                     times.total = begin.elapsed();
                     return Ok(Replan { trajectory, gains, attempts, iterations, defect, margins, times });
                 }
-                Err(refusal) => attempts.push(Attempt { entry, refused: Some(refusal) }),
+                Err(refusal) => {
+                    let no_time = matches!(refusal, Refusal::Deadline { .. } | Refusal::Cancelled { .. });
+                    attempts.push(Attempt { entry, refused: Some(refusal) });
+                    if no_time {
+                        break;
+                    }
+                }
             }
         }
         Err(NoPlan { attempts })

@@ -10,7 +10,7 @@ use upswing_tests::System;
 #[test]
 fn and_a_second_swing_up_follows() {
     let mut system = System::start(Clock::Lockstep, [-15.0, -15.0, 0.0, -95.0, 0.0, 10.0, 0.0]);
-    let report = system.swing_up(1.0);
+    let report = system.swing_up(3.0);
     assert!(report.success, "{report}");
     let period = system.period();
     let before = system.session.records.len();
@@ -38,9 +38,10 @@ fn and_a_second_swing_up_follows() {
     assert!(tracked > 0.0 && tracked < 0.1, "tracking error {tracked} rad");
     let last = down.last().expect("records");
     assert_eq!(last.mode(), Ok(Mode::Hold));
-    // Hanging: the rod hardly moves, and not upright.
-    assert!(last.q[7].abs() < 0.2, "q8 is {} rad", last.q[7]);
-    assert!(last.qd.iter().all(|v| v.abs() < 0.1), "{:?}", last.qd);
+    // Hanging: nobody controls the pendulum in Hold, so that what is left at the end of the plan swings on.
+    assert!(last.q[7].abs() < 0.1, "q8 is {} rad", last.q[7]);
+    assert!(last.qd[..N_ACTUATED].iter().all(|v| v.abs() < 0.01), "{:?}", last.qd);
+    assert!(last.qd[N_ACTUATED..].iter().all(|v| v.abs() < 0.3), "{:?}", last.qd);
 
     let before = system.session.records.len();
     go(&mut system, PlannerKind::SwingUp);

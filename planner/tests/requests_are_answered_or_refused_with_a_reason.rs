@@ -1,0 +1,197 @@
+//! What the planner process answers to requests, sensible and not, without any shared memory.
+
+use std::cell::Cell;
+use std::time::Instant;
+use upswing_config::{Config, PendulumStart};
+use upswing_ipc::{Mode, PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus, Telemetry};
+use upswing_model::{NQ, State};
+use upswing_planner::replan::Planner;
+use upswing_planner::service::Desk;
+use upswing_trajectory::{N, Plan};
+
+fn planner() -> Planner {
+    Planner::new(Config::embedded().expect("embedded settings")).expect("the shipped database fits")
+}
+
+fn rest(planner: &Planner) -> State {
+    let q = [-15.0, -15.0, 0.0, -95.0, 0.0, 10.0, 0.0].map(f64::to_radians);
+    planner.config().start_state(&q, PendulumStart::Rest).expect("a start at rest")
+}
+
+/// A record of a daemon whose clock runs, unless in `lockstep`.
+fn record(x: &State, mode: Mode, lockstep: bool) -> Telemetry {
+    let mut record = Telemetry { mode: mode.code(), ..Telemetry::default() };
+    for i in 0..NQ {
+        (record.q[i], record.qd[i], record.q_d[i]) = (x[i], x[NQ + i], x[i]);
+    }
+    record.compute_ns = if lockstep { 0 } else { 5000 };
+    record
+}
+
+fn from_now(kind: PlannerKind) -> PlannerRequest {
+    PlannerRequest { kind: kind.code(), from_now: 1, publish: 1, ..PlannerRequest::default() }
+}
+
+fn ask(desk: &mut Desk<'_>, request: &PlannerRequest) -> (PlannerResponse, Option<Plan>) {
+    desk.answer(request, &|| true)
+}
+
+#[track_caller]
+fn refused(answer: (PlannerResponse, Option<Plan>), status: PlannerStatus, part: &str) {
+    let reason = answer.0.reason.as_str().expect("text").to_owned();
+    assert_eq!(answer.0.status(), Ok(status), "{reason}");
+    assert!(reason.contains(part), "`{reason}` does not say `{part}`");
+    assert!(answer.1.is_none() && answer.0.plan_id == 0);
+}
+
+#[test]
+fn a_plan_is_ready_while_the_arm_holds() {
+    let planner = planner();
+    let mut desk = Desk::new(&planner);
+    let x = rest(&planner);
+    desk.observe(record(&x, Mode::Hold, false));
+    desk.prepare();
+    let (answer, plan) = ask(&mut desk, &from_now(PlannerKind::SwingUp));
+    assert_eq!(answer.reason.as_str(), Ok("ready before it was asked for"));
+    let plan = plan.expect("a plan");
+    assert_eq!(answer.plan_id, plan.id);
+    assert!((plan.trajectory.x[0] - x).amax() < 1e-6);
+
+    // A hair elsewhere it still serves, farther away it does not.
+    for (shift, ready) in [(1e-4, true), (1e-2, false)] {
+        let mut moved = x;
+        moved[1] += shift;
+        desk.observe(record(&moved, Mode::Hold, false));
+        let (answer, plan) = ask(&mut desk, &from_now(PlannerKind::SwingUp));
+        assert_eq!(answer.reason.as_str().expect("text").starts_with("ready"), ready, "moved by {shift}");
+        assert!((plan.expect("a plan").trajectory.x[0] - moved).amax() < 2e-4);
+    }
+}
+
+#[test]
+fn in_lockstep_a_plan_begins_with_the_state_of_the_record() {
+    let planner = planner();
+    let mut desk = Desk::new(&planner);
+    let mut x = rest(&planner);
+    x[NQ + 7] = 0.3;
+    for moving in [false, true] {
+        if !moving {
+            x[NQ + 7] = 0.0;
+        }
+        desk.observe(record(&x, Mode::Hold, true));
+        desk.prepare();
+        let (answer, plan) = ask(&mut desk, &from_now(PlannerKind::SwingUp));
+        assert_eq!(answer.reason.as_str(), Ok(""), "nothing is prepared in lockstep");
+        assert!((plan.expect("a plan").trajectory.x[0] - x).amax() < 1e-6);
+    }
+}
+
+#[test]
+fn a_moving_start_is_predicted_and_handed_over_when_it_is_due() {
+    let planner = planner();
+    let mut desk = Desk::new(&planner);
+    let mut x = rest(&planner);
+    x[NQ + 7] = 0.5;
+    desk.observe(record(&x, Mode::Hold, false));
+    let begin = Instant::now();
+    let (_, plan) = ask(&mut desk, &from_now(PlannerKind::SwingUp));
+    let lead = planner.config().planner.replan.lead;
+    assert!(begin.elapsed() >= lead, "handed over before the predicted moment");
+    let start = plan.expect("a plan").trajectory.x[0];
+    // The pendulum has swung on by about its speed times the lead; the arm still holds.
+    let swung = start[7] - x[7];
+    let want = 0.5 * lead.as_secs_f64();
+    assert!(swung > 0.5 * want && swung < 1.5 * want, "swung by {swung} rad instead of about {want}");
+    assert!((0..7).all(|i| (start[i] - x[i]).abs() < 1e-2));
+}
+
+#[test]
+fn a_swing_down_begins_upright_and_ends_hanging_at_rest() {
+    let planner = planner();
+    let mut desk = Desk::new(&planner);
+    let mut upright = planner.entries()[17].trajectory.x[N];
+    upright[1] += 0.02;
+    upright[5] -= 0.01;
+    desk.observe(record(&upright, Mode::Balance, false));
+    let (answer, plan) = ask(&mut desk, &from_now(PlannerKind::SwingDown));
+    assert_eq!(answer.status(), Ok(PlannerStatus::Solved), "{:?}", answer.reason.as_str());
+    let trajectory = plan.expect("a plan").trajectory;
+    assert!((trajectory.x[0] - upright).amax() < 1e-6);
+    assert!(answer.defect <= 1e-6, "defect {:e}", answer.defect);
+    assert!(answer.margin_q >= 0.0 && answer.margin_qd >= 0.0 && answer.margin_tau >= 0.0, "{answer:?}");
+    let end = trajectory.x[N];
+    assert!(end.fixed_rows::<NQ>(NQ).amax() < 1e-7, "not at rest");
+    let q = upswing_model::position(&end);
+    let hanging = planner.config().model.rest_position(&q, &mut upswing_model::Workspace::default());
+    assert!((hanging.expect("a rest pose") - q).amax() < 1e-6, "not hanging");
+}
+
+#[test]
+fn from_another_mode_or_without_a_daemon() {
+    let planner = planner();
+    let mut desk = Desk::new(&planner);
+    refused(ask(&mut desk, &from_now(PlannerKind::SwingUp)), PlannerStatus::NotReady, "is upswingd running");
+    desk.observe(record(&rest(&planner), Mode::Idle, false));
+    refused(ask(&mut desk, &from_now(PlannerKind::SwingUp)), PlannerStatus::NotReady, "enable it first");
+    desk.observe(record(&rest(&planner), Mode::Hold, false));
+    refused(ask(&mut desk, &from_now(PlannerKind::SwingDown)), PlannerStatus::NotReady, "swing up first");
+}
+
+#[test]
+fn nonsense() {
+    let planner = planner();
+    let mut desk = Desk::new(&planner);
+    let good = PlannerRequest {
+        kind: PlannerKind::SwingUp.code(),
+        start: rest(&planner).into(),
+        ..PlannerRequest::default()
+    };
+    let with = |change: &dyn Fn(&mut PlannerRequest)| {
+        let mut request = good;
+        change(&mut request);
+        request
+    };
+    refused(ask(&mut desk, &with(&|r| r.kind = 99)), PlannerStatus::BadRequest, "99");
+    refused(ask(&mut desk, &with(&|r| r.iterations = 101)), PlannerStatus::BadRequest, "got 101");
+    refused(ask(&mut desk, &with(&|r| r.start[3] = f64::NAN)), PlannerStatus::BadRequest, "entry 3");
+    refused(ask(&mut desk, &with(&|r| r.start[1] = 9.0)), PlannerStatus::StartOutsideLimits, "joint 2");
+    refused(
+        ask(&mut desk, &with(&|r| r.start[NQ] = 9.0)),
+        PlannerStatus::StartOutsideLimits,
+        "velocity of joint 1",
+    );
+    assert!(ask(&mut desk, &good).1.is_some());
+}
+
+#[test]
+fn a_plan_that_nobody_waits_for_any_more_is_given_up() {
+    let planner = planner();
+    let mut desk = Desk::new(&planner);
+    let request = PlannerRequest {
+        kind: PlannerKind::SwingUp.code(),
+        start: rest(&planner).into(),
+        ..PlannerRequest::default()
+    };
+    let asked = Cell::new(0);
+    let wanted = || {
+        asked.set(asked.get() + 1);
+        asked.get() < 4
+    };
+    refused(desk.answer(&request, &wanted), PlannerStatus::Infeasible, "cancelled before QP 1");
+    // With every neighbour given up at once.
+    assert!(asked.get() <= 4 + planner.config().planner.replan.neighbours);
+}
+
+#[test]
+fn a_budget_that_is_too_short() {
+    let planner = planner();
+    let mut desk = Desk::new(&planner);
+    let request = PlannerRequest {
+        kind: PlannerKind::SwingUp.code(),
+        start: rest(&planner).into(),
+        budget_ms: 1,
+        iterations: 100,
+        ..PlannerRequest::default()
+    };
+    refused(ask(&mut desk, &request), PlannerStatus::Deadline, "time budget");
+}
