@@ -67,9 +67,9 @@ fn scenarios_and_disturbances() {
         &["disturb", "fault", "delay-measurement", "--amount", "0.5"],
         &["whole number of cycles", "0.5"],
     );
-    refused(&["disturb", "push", "1,2"], &["expected 3 numbers", "got 2"]);
-    refused(&["disturb", "push", "1,2,inf"], &["three finite numbers", "inf"]);
-    refused(&["disturb", "push", "1,2,3", "--cycles", "0"], &["cycles: expected 1 or more"]);
+    refused(&["disturb", "push", "--impulse", "1,2"], &["expected 3 numbers", "got 2"]);
+    refused(&["disturb", "push", "--impulse", "1,2,inf"], &["three finite numbers", "inf"]);
+    refused(&["disturb", "push", "--impulse", "-1,2,3", "--cycles", "0"], &["cycles: expected 1 or more"]);
 }
 
 #[test]

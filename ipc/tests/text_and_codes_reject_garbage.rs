@@ -76,7 +76,7 @@ fn only_known_codes_become_variants() {
         Degradation: 5 "degradation",
         PlannerKind: 3 "planner request",
         PlannerStatus: 7 "planner status",
-        PlantKind: 5 "plant request",
+        PlantKind: 6 "plant request",
     }
     let error = ControlRequest { command: 99 }.command().unwrap_err();
     assert!(error.to_string().starts_with("unknown control command code 99: expected 0..=5"), "{error}");

@@ -12,7 +12,7 @@ const PATIENCE: Duration = Duration::from_secs(10);
 
 /// Breaks something in the simulated plant, pushes the pendulum, or repairs everything.
 ///
-/// Example: upswing disturb fault encoder-stuck --joint 9 && upswing disturb push 0.02,0,0
+/// Example: upswing disturb fault encoder-stuck --joint 9 && upswing disturb push --impulse 0.02,0,0
 #[derive(Clone, Debug, clap::Args)]
 pub struct DisturbArgs {
     /// Options of every command.
@@ -46,7 +46,13 @@ pub enum What {
     /// Push the tip of the rod
     Push {
         /// Force times its duration, world frame (z up), N s
-        #[arg(value_name = "X,Y,Z", value_delimiter = ',', num_args = 1, allow_hyphen_values = true)]
+        #[arg(
+            long,
+            value_name = "X,Y,Z",
+            value_delimiter = ',',
+            required = true,
+            allow_hyphen_values = true
+        )]
         impulse: Vec<f64>,
         /// How many cycles it lasts
         #[arg(long, default_value_t = 80)]
@@ -113,7 +119,7 @@ fn request(what: &What) -> Result<PlantRequest, Failure> {
         }
         What::Push { impulse, cycles, from } => {
             let impulse = impulse.as_slice().try_into().map_err(|_| {
-                bad(&format!("impulse: expected 3 numbers, X,Y,Z in N s, got {}", impulse.len()))
+                bad(&format!("--impulse: expected 3 numbers, X,Y,Z in N s, got {}", impulse.len()))
             })?;
             let push = Push { from: from.unwrap_or_default(), cycles: *cycles, impulse };
             push.check().map_err(|e| bad(&e))?;
