@@ -23,9 +23,9 @@ const QP_TOLERANCE: f64 = 1e-9;
 /// Its complementarity: an entry, whose bounds are all touched without force, is found again to 1e-6 s.
 const QP_COMPLEMENTARITY: f64 = 1e-12;
 /// Points between two knots at which margins are checked.
-const BETWEEN: usize = 4;
-/// Share of a limit's range by which a spline may exceed a limit: a start is measured a hair outside.
-const MARGIN_SLACK: f64 = 1e-3;
+const BETWEEN: usize = 9;
+/// Share of half the range by which a trajectory may be beyond a limit of position: a start is measured a hair outside.
+const POSITION_SLACK: f64 = 1e-3;
 
 /// Largest defect (rad, rad/s per interval) of a replan that is accepted; the feedback absorbs it.
 const LARGEST_DEFECT: f64 = 1e-3;
@@ -200,8 +200,12 @@ impl Planner {
         if iterations > 1 && !(defect <= LARGEST_DEFECT) {
             return Err(Refusal::Defect { defect, iterations: done });
         }
-        for (limit, m) in [("position", &margins.q), ("velocity", &margins.qd), ("torque", &margins.tau)] {
-            if !(m.share >= -MARGIN_SLACK) {
+        for (limit, m, slack) in [
+            ("position", &margins.q, POSITION_SLACK),
+            ("velocity", &margins.qd, 0.0),
+            ("torque", &margins.tau, 0.0),
+        ] {
+            if !(m.share >= -slack) {
                 return Err(Refusal::Limit { limit, joint: m.joint, share: m.share, time: m.time });
             }
         }
