@@ -1,6 +1,6 @@
 //! `daemon.toml`.
 
-use crate::check::{ACUTE, COUNT, Check, NON_NEGATIVE, POSITIVE};
+use crate::check::{ACUTE, COUNT, Check, NON_NEGATIVE, POSITIVE, SHARE};
 use crate::{ConfigError, RobotSettings};
 use serde::Deserialize;
 use std::path::PathBuf;
@@ -16,6 +16,8 @@ pub struct DaemonSettings {
     pub hold: HoldGains,
     /// Deceleration of each actuated joint when stopping, rad/s^2.
     pub stop_deceleration: [f64; NU],
+    /// Estimate of the torque that acts besides the commanded one.
+    pub disturbance: DisturbanceSettings,
     /// When the daemon warns and when it gives up control.
     pub limits: Levels,
     /// What happens to plans that arrive while one is being tracked.
@@ -46,6 +48,15 @@ pub struct HoldGains {
     pub stiffness: [f64; NU],
     /// rad/s^2 per rad/s.
     pub damping: [f64; NU],
+}
+
+/// Estimate of the torque that acts on the arm besides the commanded one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DisturbanceSettings {
+    /// Bandwidth, rad/s; 0: no estimate.
+    pub bandwidth: f64,
+    /// Largest estimate, as a share of the 100 % torque limits.
+    pub most: f64,
 }
 
 /// Above `warn` the daemon warns, above `trip` it gives up control; warn < trip.
@@ -152,6 +163,7 @@ struct Raw {
     cycle: RawCycle,
     hold: RawHold,
     stop: RawStop,
+    disturbance: RawDisturbance,
     limits: RawLevels,
     plans: RawPlans,
     recovery: RawRecovery,
@@ -178,6 +190,13 @@ struct RawHold {
 #[serde(deny_unknown_fields)]
 struct RawStop {
     deceleration_rad_s2: Vec<f64>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawDisturbance {
+    bandwidth_rad_s: f64,
+    torque_fraction: f64,
 }
 
 #[derive(Deserialize)]
@@ -282,6 +301,14 @@ impl DaemonSettings {
                 1,
                 &POSITIVE,
             )?,
+            disturbance: DisturbanceSettings {
+                bandwidth: check.number(
+                    "disturbance.bandwidth_rad_s",
+                    raw.disturbance.bandwidth_rad_s,
+                    &NON_NEGATIVE,
+                )?,
+                most: check.number("disturbance.torque_fraction", raw.disturbance.torque_fraction, &SHARE)?,
+            },
             limits,
             plan_while_tracking: raw.plans.while_tracking,
             recovery: RecoverySettings {

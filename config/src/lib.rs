@@ -18,8 +18,8 @@ mod scenario;
 mod start;
 
 pub use daemon::{
-    CycleSettings, DaemonSettings, HoldGains, Level, Levels, PlanWhileTracking, RealtimeMode,
-    RealtimeSettings, RecorderSettings, RecoverySettings, StartTolerance,
+    CycleSettings, DaemonSettings, DisturbanceSettings, HoldGains, Level, Levels, PlanWhileTracking,
+    RealtimeMode, RealtimeSettings, RecorderSettings, RecoverySettings, StartTolerance,
 };
 pub use error::ConfigError;
 pub use fault::{EventError, Fault, FaultKind, Push};

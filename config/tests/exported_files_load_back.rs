@@ -23,7 +23,7 @@ fn the_same_settings() {
 #[test]
 fn an_edit_takes_effect_in_si_units() {
     let dir = exported();
-    edit(dir.path(), "planner.toml", "torque = \"exact\"", "torque = \"paper\"");
+    edit(dir.path(), "planner.toml", "torque = \"exact\"\n# Largest residual", "torque = \"paper\"\n#");
     edit(dir.path(), "robot.toml", "velocity_fraction_unactuated = 0.5", "velocity_fraction_unactuated = 1");
     edit(dir.path(), "daemon.toml", "cpu = -1", "cpu = 3");
     edit(dir.path(), "plant.toml", "pendulum = \"rest\"", "pendulum = \"zero\"");

@@ -60,8 +60,8 @@ fn values_of_the_wrong_type() {
         ("robot.toml", "tau_nm = [320,", "tau_nm = [true,", &["limits.tau_nm", "boolean", "expected f64"]),
         (
             "planner.toml",
-            "torque = \"exact\"",
-            "torque = \"fast\"",
+            "torque = \"exact\"\n# Largest residual",
+            "torque = \"fast\"\n#",
             &["offline.torque", "`fast`", "`exact` or `paper`"],
         ),
         (

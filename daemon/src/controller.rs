@@ -5,6 +5,7 @@
 
 use crate::arm::ArmReference;
 use crate::checks::Checks;
+use crate::disturbance::Disturbance;
 use crate::law;
 use crate::observer::Observer;
 use crate::plan::{Ending, rod};
@@ -13,7 +14,7 @@ use crate::trip::{Trip, TripCause};
 use nalgebra::Vector3;
 use upswing_config::{Config, PlanWhileTracking};
 use upswing_ipc::{Clock, Command, Measurement, Mode, Telemetry};
-use upswing_model::{ActuatedVector, Model, State, Workspace, position, velocity};
+use upswing_model::{ActuatedVector, Model, NQ, NU, State, Workspace, position, velocity};
 use upswing_trajectory::Plan;
 
 /// What the controller is told besides the measurement; at most one per cycle.
@@ -84,6 +85,7 @@ pub struct Controller {
     late: u64,
 
     observer: Observer,
+    disturbance: Disturbance,
     arm: ArmReference,
     /// Time of this cycle and, while a plan runs, of its start, ns.
     now: u64,
@@ -94,6 +96,8 @@ pub struct Controller {
     rod_at_end: Vector3<f64>,
     /// Mode and torque of the last cycle.
     last: (Mode, ActuatedVector),
+    /// Input to (24) of the last cycle, unless the limiter cut its torque.
+    last_input: Option<ActuatedVector>,
 }
 
 impl Controller {
@@ -112,6 +116,11 @@ impl Controller {
             cycle: 0,
             late: 0,
             observer: Observer::new(&config.daemon.cycle),
+            disturbance: Disturbance::new(
+                config.daemon.disturbance.bandwidth,
+                config.robot.limits.tau_max * config.daemon.disturbance.most,
+                config.daemon.cycle.velocity_filter,
+            ),
             arm: ArmReference::new(&config.daemon),
             now: 0,
             start: 0,
@@ -119,6 +128,7 @@ impl Controller {
             running: None,
             rod_at_end: Vector3::zeros(),
             last: (Mode::Idle, ActuatedVector::zeros()),
+            last_input: None,
         }
     }
 
@@ -172,6 +182,13 @@ impl Controller {
         let (fresh, restarted) = self.observer.observe(measurement, &self.checks, braked, &mut self.warnings);
         if matches!(self.mode, Mode::Idle | Mode::Hold) {
             self.observer.drop_turns();
+        }
+        if braked {
+            self.disturbance.reset();
+        } else {
+            let v: ActuatedVector = self.observer.x.fixed_rows::<NU>(NQ).into();
+            let u = self.last_input.as_ref();
+            self.disturbance.update(&self.model, &v, u, elapsed, &self.work);
         }
         // Without a new measurement it is a cycle on the wall clock only, on the others an order between cycles.
         self.cycle += u64::from(fresh || wall);
@@ -379,8 +396,10 @@ impl Controller {
     fn torque(&mut self, target: Target) -> (Target, law::Torque) {
         if !is_braked(self.mode) {
             let x = &self.observer.x;
-            match law::torque(&self.model, x, &target.u, &self.tau_max, &mut self.work) {
+            let disturbance = self.disturbance.estimate();
+            match law::torque(&self.model, x, &target.u, disturbance, &self.tau_max, &mut self.work) {
                 Some(torque) => {
+                    self.last_input = (!torque.limited).then_some(target.u);
                     // A new mode may begin with a step: the brakes held, or another reference was followed.
                     let rate = match self.last {
                         (mode, last) if mode == self.mode => {
@@ -401,6 +420,7 @@ impl Controller {
         }
         let none = ActuatedVector::zeros();
         self.last = (self.mode, none);
+        self.last_input = None;
         (self.rest(), law::Torque { tau: none, limited: false })
     }
 }

@@ -11,16 +11,17 @@ pub struct Torque {
     pub limited: bool,
 }
 
-/// tau_A = M~ u + C~ qd + g~ (24) at the state `x` (rad, rad/s) for the input `u` (rad/s^2), limited to
-/// +-`tau_max` (N m); `None` if it is not finite.
+/// tau_A = M~ u + C~ qd + g~ (24) at the state `x` (rad, rad/s) for the input `u` (rad/s^2), less the torque that acts
+/// besides (`disturbance`, N m; the paper knows none), limited to +-`tau_max` (N m); `None` if it is not finite.
 pub fn torque(
     model: &Model,
     x: &State,
     u: &ActuatedVector,
+    disturbance: &ActuatedVector,
     tau_max: &ActuatedVector,
     work: &mut Workspace,
 ) -> Option<Torque> {
-    limit(&model.torque(x, u, work), tau_max)
+    limit(&(model.torque(x, u, work) - disturbance), tau_max)
 }
 
 /// Limits `tau` to +-`tau_max` (both N m); `None` if it is not finite.

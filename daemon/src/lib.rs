@@ -6,6 +6,7 @@
 //! | [`controller`] | one cycle: measurement in, command out; a pure function of measurement, time and its own state |
 //! | [`observer`], [`filter`] | the state x from measurements, and whether it can be trusted |
 //! | [`arm`], [`law`] | the reference of Hold and Stop, the torque law (24) |
+//! | [`disturbance`] | the torque that acts besides the commanded one, to be taken off it |
 //! | [`supervisor`], [`checks`], [`trip`] | the table of modes, the levels that are watched, what is beyond them |
 //! | [`plan`] | which plans it may run |
 //! | [`realtime`] | the thread that runs the cycle on time |
@@ -16,6 +17,7 @@
 pub mod arm;
 pub mod checks;
 pub mod controller;
+pub mod disturbance;
 pub mod filter;
 pub mod flight;
 pub mod histogram;

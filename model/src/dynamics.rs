@@ -132,6 +132,13 @@ impl Model {
         self.accelerations(x, u, work).tau
     }
 
+    /// M~ a (10), N m, for `a` in rad/s^2, at the q of the last evaluation with `work`.
+    pub fn reduced_inertia_times(&self, a: &ActuatedVector, work: &Workspace) -> ActuatedVector {
+        let mut carried = JointVector::zeros();
+        carried.fixed_rows_mut::<N_ACTUATED>(0).copy_from(a);
+        reduce(&(work.mass_matrix() * carried), work).tau
+    }
+
     /// M~ u + g~ (11), N m: the torque without its Coriolis part; equal to [`Self::torque`] at qd = 0.
     pub fn torque_without_coriolis(
         &self,
