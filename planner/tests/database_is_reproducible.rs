@@ -171,3 +171,50 @@ fn other_limits_are_refused_with_both_fingerprints() {
     let what = "set of limits and weights";
     assert_eq!(refusal, DatabaseError::Fingerprint { what, expected, got });
 }
+
+#[test]
+fn a_full_disk_gives_one_clear_error_and_loses_nothing_that_was_finished() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let disk = dir.path().join("disk");
+    std::fs::create_dir(&disk).expect("a folder");
+    // Room for the records of one or two poses.
+    let Some(_mounted) = Tmpfs::mount(&disk, "size=32k") else {
+        println!("skipped: mounting a small tmpfs needs rights that this user does not have");
+        return;
+    };
+    let path = disk.join("database.bin");
+    let refusal = build(&small_grid(), Shard::WHOLE, &path, &go(), |_| ()).expect_err("no room");
+    let text = refusal.to_string();
+    assert!(text.starts_with("cannot write") && text.contains("No space left on device"), "{text}");
+
+    // With more room the build goes on where it was.
+    run("mount", &["-o", "remount,size=4m", &disk.to_string_lossy()]).expect("a larger disk");
+    let summary = build(&small_grid(), Shard::WHOLE, &path, &go(), |_| ()).expect("it builds");
+    assert!(summary.resumed > 0, "nothing was left to resume from");
+    assert_eq!((summary.solved, summary.rejected), (3, 3));
+    assert_eq!(bytes(&path), bytes(&whole(dir.path())));
+}
+
+/// A file system in memory; unmounted when dropped.
+struct Tmpfs<'a>(&'a Path);
+
+impl<'a> Tmpfs<'a> {
+    fn mount(path: &'a Path, options: &str) -> Option<Self> {
+        run("mount", &["-t", "tmpfs", "-o", options, "tmpfs", &path.to_string_lossy()]).map(|()| Self(path))
+    }
+}
+
+impl Drop for Tmpfs<'_> {
+    fn drop(&mut self) {
+        let _ = run("umount", &[&self.0.to_string_lossy()]);
+    }
+}
+
+fn run(program: &str, arguments: &[&str]) -> Option<()> {
+    let status = std::process::Command::new(program)
+        .args(arguments)
+        .stdout(std::process::Stdio::null())
+        .stderr(std::process::Stdio::null())
+        .status();
+    status.is_ok_and(|s| s.success()).then_some(())
+}
