@@ -51,9 +51,10 @@ def settings_folder(torque: str, folder: Path) -> Path:
         if file.suffix in (".toml", ".urdf", ".bin") and file.name != "Cargo.toml":
             shutil.copy(file, folder)
     planner = folder / "planner.toml"
-    text, count = re.subn(r'(?m)^torque = ".*"$', f'torque = "{torque}"', planner.read_text())
+    # The first one, of the section [offline]; a replan has its own.
+    text, count = re.subn(r'(?m)^torque = ".*"$', f'torque = "{torque}"', planner.read_text(), count=1)
     if count != 1:
-        sys.exit(f"error: config/planner.toml: expected one line `torque = ...`, got {count}")
+        sys.exit("error: config/planner.toml: expected a line `torque = ...`, got none")
     planner.write_text(text)
     return folder
 
