@@ -31,11 +31,18 @@ impl std::fmt::Display for Degrees {
     }
 }
 
-/// The state at rest of a `--start` option.
+/// The state at rest that an `option` like `--start` asks for.
 ///
 /// # Errors
 /// [`Failure::BadInput`] that names joint, value and limit.
-pub fn start_state(config: &Config, start: &Degrees, pendulum: PendulumStart) -> Result<State, Failure> {
+pub fn start_state(
+    config: &Config,
+    option: &str,
+    start: &Degrees,
+    pendulum: PendulumStart,
+) -> Result<State, Failure> {
     let radians: Vec<f64> = start.0.iter().map(|d| d.to_radians()).collect();
-    config.start_state(&radians, pendulum).map_err(|e: StartError| Failure::BadInput(format!("--start: {e}")))
+    config
+        .start_state(&radians, pendulum)
+        .map_err(|e: StartError| Failure::BadInput(format!("{option}: {e}")))
 }

@@ -47,6 +47,9 @@ fn starts() {
             &["rests at -80.0 deg", "joint 9", "-45.0 to 45.0 deg"],
         );
     }
+    let plan = ["plan", "--start", "0,-15,0,-95,0,10,0", "--reference"];
+    refused(&[&plan[..], &["0,-150,0,-95,0,10,0"]].concat(), &["--reference", "joint 2", "-150.00"]);
+    refused(&[&plan[..], &["0,-15"]].concat(), &["--reference", "expected 7", "got 2"]);
 }
 
 #[test]

@@ -14,7 +14,10 @@ fn a_loop_that_is_given_up() {
     let config = dir.path().join("config");
     Config::export(&config).expect("settings are exported");
     let file = config.join("daemon.toml");
-    let (from, to) = ("tracking_error_trip_rad = 0.5", "tracking_error_trip_rad = 0.005");
+    let (from, to) = (
+        "tracking_error_rad = { warn = 0.25, trip = 0.5 }",
+        "tracking_error_rad = { warn = 0.0025, trip = 0.005 }",
+    );
     let text = std::fs::read_to_string(&file).expect("read");
     assert_eq!(text.matches(from).count(), 1);
     std::fs::write(&file, text.replace(from, to)).expect("written");

@@ -80,7 +80,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
         Some(start) => start.clone(),
         None => Degrees(config.plant.start.q.iter().map(|q| (q.to_degrees() * 1e9).round() / 1e9).collect()),
     };
-    start_state(&config, &start, PendulumStart::Rest)?;
+    start_state(&config, "--start", &start, PendulumStart::Rest)?;
     let stop = shutdown_flag()?;
 
     let domain = format!("{}-demo-{}", args.common.process.domain, std::process::id());

@@ -55,7 +55,7 @@ struct Answer {
 pub fn run(args: &OptimizeArgs) -> Result<(), Failure> {
     let config = args.common.process.load()?;
     let pendulum = if args.zero { PendulumStart::Zero } else { PendulumStart::Rest };
-    let start = start_state(&config, &args.start, pendulum)?;
+    let start = start_state(&config, "--start", &args.start, pendulum)?;
     let begin = Instant::now();
     let time_budget = match args.budget {
         None => None,

@@ -2,14 +2,21 @@
 
 use super::{CommonArgs, TrajectoryJson, failed, print_json, print_line};
 use crate::parse::{Degrees, start_state};
+use crate::picture;
 use serde::Serialize;
-use upswing_config::PendulumStart;
+use std::path::PathBuf;
 use upswing_config::process::Failure;
+use upswing_config::{Config, DatabaseFile, PendulumStart};
+use upswing_model::State;
+use upswing_planner::build::{Shard, certify, heading};
+use upswing_planner::interior_point::Status;
+use upswing_planner::offline::{Effort, optimize, options};
 use upswing_planner::replan::Planner;
+use upswing_trajectory::{Database, Entry, Outcome, Record};
 
 /// Adapts the nearest database entry to a start at rest, as the planner process does.
 ///
-/// Example: upswing plan --start -15,-15,0,-95,0,10,0 --iterations 1
+/// Example: upswing plan --start -15,-15,0,-95,0,10,0 --iterations 1 --svg plan.svg
 #[derive(Clone, Debug, clap::Args)]
 pub struct PlanArgs {
     /// Options of every command.
@@ -24,6 +31,12 @@ pub struct PlanArgs {
     /// QPs, each linearised around the result before; 1 is the paper's mode [default: the setting]
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=100))]
     pub iterations: Option<u32>,
+    /// Adapt the optimal trajectory from these angles of joints 1-7, deg, instead of a database entry
+    #[arg(long, value_name = "Q1,..,Q7", allow_hyphen_values = true)]
+    pub reference: Option<Degrees>,
+    /// Draw the plan solid and the trajectory it was adapted from dashed, each scaled by the limits of plans (SVG)
+    #[arg(long, value_name = "FILE")]
+    pub svg: Option<PathBuf>,
 }
 
 #[derive(Serialize)]
@@ -51,9 +64,13 @@ struct Answer {
 /// # Errors
 /// [`Failure::BadInput`] for an impossible start or database, [`Failure::Failed`] if there is no plan.
 pub fn run(args: &PlanArgs) -> Result<(), Failure> {
-    let config = args.common.process.load()?;
+    let mut config = args.common.process.load()?;
     let pendulum = if args.zero { PendulumStart::Zero } else { PendulumStart::Rest };
-    let start = start_state(&config, &args.start, pendulum)?;
+    let start = start_state(&config, "--start", &args.start, pendulum)?;
+    if let Some(reference) = &args.reference {
+        let x = start_state(&config, "--reference", reference, pendulum)?;
+        config.database = single_entry(&config, x)?;
+    }
     let origin = config.database.origin.clone();
     let planner = Planner::new(config).map_err(|e| Failure::BadInput(format!("{origin}: {e}")))?;
     let settings = &planner.config().planner;
@@ -61,6 +78,12 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
     let replan = planner.replan(&start, iterations, None).map_err(failed)?;
     // A plan has at least the attempt that gave it.
     let used = replan.attempts.last().map(|a| a.entry);
+    if let (Some(path), Some(used)) = (&args.svg, used) {
+        let reference = &planner.entries()[used.index].trajectory;
+        let config = planner.config();
+        picture::plan::draw(path, &config.model, &config.robot.planning, &replan.trajectory, reference)
+            .map_err(failed)?;
+    }
     let answer = Answer {
         trajectory: (&replan.trajectory).into(),
         status: "solved",
@@ -99,4 +122,16 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
         1e3 * answer.time_qp_s,
         1e3 * answer.time_lqr_s
     ))
+}
+
+/// A database of the optimal trajectory from `start` alone.
+fn single_entry(config: &Config, start: State) -> Result<DatabaseFile, Failure> {
+    let solution = optimize(config, start, Effort::Best, None, &options(config));
+    if solution.status != Status::Solved {
+        return Err(failed(format!("--reference: no trajectory: {}", solution.status)));
+    }
+    let entry = Entry::new(&solution.trajectory, |t| certify(config, t));
+    let records = vec![Record { pose: 0, outcome: Outcome::Solved(Box::new(entry)) }];
+    let database = Database { heading: heading(config, Shard::WHOLE), records };
+    Ok(DatabaseFile { bytes: database.encode().into(), origin: "--reference".into() })
 }

@@ -1,0 +1,134 @@
+//! One QP from cold, whole replans, LQR syntheses; times of one thread.
+
+use crate::qps::QpFile;
+use crate::{config, print, starts};
+use std::path::Path;
+use std::time::{Duration, Instant};
+use upswing_config::QpBackend;
+use upswing_model::{State, Workspace};
+use upswing_planner::lqr;
+use upswing_planner::qp::{Options, Qp, Solver, Status};
+use upswing_planner::replan::{Effort, Manoeuvre, Planner, Replan};
+use upswing_trajectory::N;
+
+/// As in a replan (`planner/src/replan.rs`) but for a tenth of its complementarity, with which all solvers come equally
+/// close to the exact solution.
+const OPTIONS: Options<'_> =
+    Options { tolerance: 1e-9, complementarity: 1e-13, max_iterations: 100, deadline: None, cancelled: None };
+
+/// How long something took.
+#[derive(Clone, Copy)]
+pub struct Took {
+    /// Of this thread.
+    pub cpu: Duration,
+    /// On the clock.
+    pub wall: Duration,
+}
+
+/// `work`, timed.
+fn timed<T>(work: impl FnOnce() -> T) -> (T, Took) {
+    let (cpu, wall) = (thread_cpu(), Instant::now());
+    let result = work();
+    let (wall, cpu) = (wall.elapsed(), thread_cpu() - cpu);
+    (result, Took { cpu, wall })
+}
+
+/// CPU time of this thread.
+fn thread_cpu() -> Duration {
+    let mut now = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+    // SAFETY: plain system call that writes into `now`.
+    let status = unsafe { libc::clock_gettime(libc::CLOCK_THREAD_CPUTIME_ID, &mut now) };
+    assert_eq!(status, 0, "CLOCK_THREAD_CPUTIME_ID");
+    Duration::new(now.tv_sec as u64, now.tv_nsec as u32)
+}
+
+fn print_both(name: &str, times: &[Took]) {
+    print(&format!("{name}, CPU"), times.iter().map(|t| t.cpu));
+    print(&format!("{name}, wall"), times.iter().map(|t| t.wall));
+}
+
+/// Times everything from `count` starts and writes `qps.bin` into `folder`.
+pub fn run(folder: &Path, count: u64) {
+    let planner = Planner::new(config()).unwrap_or_else(|e| panic!("{e}"));
+    let starts = starts(planner.config(), count);
+    println!("{count} random starts, {} database entries", planner.entries().len());
+    one_qp(&planner, &starts, &folder.join("qps.bin"));
+    replans(&planner, &starts);
+}
+
+/// The first QP of each replan.
+fn one_qp(planner: &Planner, starts: &[State], path: &Path) {
+    let backends = [QpBackend::Structured, QpBackend::Clarabel];
+    let mut solvers = backends.map(|backend| Solver::new(backend, N));
+    let mut file = QpFile::default();
+    let mut infeasible = 0;
+    for start in starts {
+        let qp = first_qp(planner, start);
+        let results = solvers.each_mut().map(|solver| {
+            let (status, took) = timed(|| solver.solve(&qp, &OPTIONS));
+            (status, took, solver.solution())
+        });
+        match results.each_ref().map(|(status, ..)| *status) {
+            [Status::Solved, Status::Solved] => {
+                file.push(&qp, results.map(|(_, took, solution)| (took, solution)));
+            }
+            [Status::Infeasible(_), Status::Infeasible(_)] => infeasible += 1,
+            other => panic!("the back ends do not agree: {other:?}"),
+        }
+    }
+    if infeasible > 0 {
+        println!("{infeasible} QPs are infeasible and left out; a replan then takes the next entry");
+    }
+    std::fs::write(path, file.bytes()).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+}
+
+/// (16), linearised around the nearest entry.
+fn first_qp(planner: &Planner, start: &State) -> Qp {
+    let nearest = planner.nearest(Manoeuvre::SwingUp, start)[0];
+    let reference = &planner.entries()[nearest.index].trajectory;
+    planner.qp(&planner.problem(start), reference, reference, &mut Workspace::default())
+}
+
+fn replans(planner: &Planner, starts: &[State]) {
+    let config = planner.config();
+    let mut solver = planner.solver();
+    let mut times = Vec::new();
+    let plans: Vec<Replan> = starts
+        .iter()
+        .map(|start| {
+            let effort = Effort::iterations(config.planner.replan.iterations);
+            let (replan, took) =
+                timed(|| planner.replan_with(&mut solver, Manoeuvre::SwingUp, start, &effort));
+            times.push(took);
+            replan.unwrap_or_else(|e| panic!("{e}"))
+        })
+        .collect();
+    print_both("whole replan", &times);
+    print("  its linearisations and QPs, wall", plans.iter().map(|p| p.times.qp));
+    print("  its checks, wall", plans.iter().map(|p| p.times.check));
+    print("  its gains, wall", plans.iter().map(|p| p.times.lqr));
+    let mut iterations: Vec<usize> = plans.iter().map(|p| p.iterations).collect();
+    iterations.sort_unstable();
+    println!(
+        "linearisations: median {}, most {}",
+        iterations[iterations.len() / 2],
+        iterations.last().unwrap_or(&0)
+    );
+
+    let ts = config.daemon.cycle.period.as_secs_f64();
+    let mut work = Workspace::default();
+    let times: Vec<Took> = plans
+        .iter()
+        .map(|plan| {
+            let (gains, took) = timed(|| {
+                lqr::synthesize(&config.model, &plan.trajectory, &config.planner.lqr, ts, &mut work)
+            });
+            assert!(gains.is_ok(), "{gains:?}");
+            took
+        })
+        .collect();
+    print_both("LQR synthesis", &times);
+    let mut steps: Vec<usize> = plans.iter().map(|p| (p.trajectory.t_f / ts) as usize).collect();
+    steps.sort_unstable();
+    println!("periods per synthesis: median {}", steps[steps.len() / 2]);
+}
