@@ -62,6 +62,8 @@ pub struct Shared {
     pub stands_still: AtomicBool,
     /// Records that did not fit into the ring.
     pub dropped: AtomicU64,
+    /// Heartbeat of the real-time thread: moves on at least every 20 ms, whether or not there is a plant.
+    pub beats: AtomicU64,
 }
 
 /// The other thread's ends of the rings.
@@ -146,6 +148,7 @@ impl Cycle {
         let mut last_new = monotonic_ns();
         let mut lost = false;
         while !self.shared.exit.load(Ordering::Acquire) {
+            self.shared.beats.fetch_add(1, Ordering::Relaxed);
             self.adopt_reader();
             let clock = self.clock();
             // Orders wait for the next measurement, in order of arrival: on lockstep, where time may stand still for
