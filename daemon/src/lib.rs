@@ -15,6 +15,9 @@
 //! | `journal`, [`histogram`], [`overrun`], [`flight`] | what it keeps of the cycles: statistics, causes of overruns, the flight recorder |
 //! | [`recovery`] | what follows a lost balance |
 
+// `.ci/rtsan` builds with this: the functions of the cycle then end the process if they allocate, lock or block.
+#![cfg_attr(rtsan, feature(sanitize))]
+
 pub mod arm;
 pub mod checks;
 pub mod controller;

@@ -198,6 +198,7 @@ impl Cycle {
         if self.measurement.period_ns == 0 { None } else { self.measurement.clock().ok() }
     }
 
+    #[cfg_attr(rtsan, sanitize(realtime = "nonblocking"))]
     fn adopt_reader(&mut self) {
         while let Ok(reader) = self.readers.pop() {
             if self.reader.is_some() {
@@ -213,6 +214,7 @@ impl Cycle {
 
     /// Computes the cycle planned for `planned` (CLOCK_MONOTONIC, ns) on the wall clock; returns when the next one
     /// is planned: a whole number of periods later, so that a late cycle does not shift all others.
+    #[cfg_attr(rtsan, sanitize(realtime = "nonblocking"))]
     fn wall_cycle(&mut self, planned: u64) -> u64 {
         let started = monotonic_ns();
         if let Some(reader) = &self.reader {
@@ -232,6 +234,7 @@ impl Cycle {
     }
 
     /// Computes the cycle that answers the measurement just read, on the paced and lockstep clocks.
+    #[cfg_attr(rtsan, sanitize(realtime = "nonblocking"))]
     fn answer_measurement(&mut self) {
         let clock = self.clock();
         let started = monotonic_ns();
@@ -248,6 +251,7 @@ impl Cycle {
     }
 
     /// A step between cycles, without a new measurement, to answer an order or to notice that the plant is lost.
+    #[cfg_attr(rtsan, sanitize(realtime = "nonblocking"))]
     fn compute(&mut self, now: u64) {
         let (record, _) = self.compute_timed(now);
         self.publish(record, false);

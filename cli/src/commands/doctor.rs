@@ -73,8 +73,6 @@ struct Report {
     wake_us: Option<Times>,
     /// Lower ends, us, of the octaves, and how many wake-ups each has.
     histogram: Vec<(f64, u64)>,
-    /// Wake-ups later than a period.
-    overruns: u64,
 }
 
 impl fmt::Display for Report {
@@ -98,7 +96,7 @@ impl fmt::Display for Report {
         }
         if let Some(wake) = &self.wake_us {
             wake.line(f, "wake-up")?;
-            writeln!(f, "\n{} of {} later than a period", self.overruns, wake.count)?;
+            writeln!(f)?;
         }
         f.write_str(match self.verdict {
             Grade::Good => "This host is fit for real time.",
@@ -135,14 +133,17 @@ pub fn run(args: &DoctorArgs) -> Result<(), Failure> {
     drop(prepared);
     refused.extend(of_thread);
     findings.extend(granted(&refused, &settings));
-
     let percentiles = histogram.percentiles();
+    if overruns > 0 {
+        let found = format!("{overruns} of {} came later than a period", percentiles.count);
+        let fix = "see the advice above, and what else runs on this machine";
+        findings.push(Finding::new("wake-up", Grade::Advice, found, fix));
+    }
     let report = Report {
         verdict: findings.iter().map(|finding| finding.grade).max().unwrap_or(Grade::Good),
         findings,
         wake_us: (percentiles.count > 0).then(|| Times::new(&percentiles)),
         histogram: histogram.octaves().into_iter().map(|(ns, n)| (ns as f64 * 1e-3, n)).collect(),
-        overruns,
     };
     args.common.print(&report)?;
     if report.verdict == Grade::Bad { Err(failed("this host is not fit for real time")) } else { Ok(()) }
