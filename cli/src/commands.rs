@@ -4,6 +4,7 @@ pub mod config;
 pub mod db;
 pub mod demo;
 pub mod disturb;
+pub mod doctor;
 pub mod model;
 pub mod montecarlo;
 pub mod optimize;

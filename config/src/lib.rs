@@ -10,6 +10,7 @@ mod daemon;
 mod error;
 mod fault;
 mod grid;
+pub mod notify;
 mod planner;
 mod plant;
 pub mod process;

@@ -5,6 +5,10 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use tracing::{Event, Level, Subscriber};
+use tracing_subscriber::fmt::FmtContext;
+use tracing_subscriber::fmt::format::{Format, FormatEvent, FormatFields, Full, Writer};
+use tracing_subscriber::registry::LookupSpan;
 
 /// Options of every process.
 #[derive(Clone, Debug, clap::Args)]
@@ -59,24 +63,64 @@ pub fn finish(result: Result<(), Failure>) -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
-            eprintln!("error: {failure}");
+            let level = if stderr_is_journal() { "<3>" } else { "" };
+            eprintln!("{level}error: {failure}");
             ExitCode::from(failure.code())
         }
     }
 }
 
-/// Sends logs to stderr, one line each, from level `info` on or what RUST_LOG asks for.
+/// Sends logs to stderr, one line each, from level `info` on or what RUST_LOG asks for; with levels as journald reads
+/// them where it does.
 pub fn start_logging() {
     use std::io::IsTerminal;
     let filter = tracing_subscriber::EnvFilter::try_from_default_env()
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info"));
+    let logger = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
     // A second call (several roles in one test process) leaves the first logger in place.
-    let _ = tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(std::io::stderr)
-        .with_ansi(std::io::stderr().is_terminal())
-        .with_target(false)
-        .try_init();
+    let _ = if stderr_is_journal() {
+        logger.with_ansi(false).event_format(JournalFormat::default()).try_init()
+    } else {
+        logger.with_ansi(std::io::stderr().is_terminal()).with_target(false).try_init()
+    };
+}
+
+/// Whether stderr is the stream that systemd connected to journald, systemd.exec(5); it may be another one by now.
+fn stderr_is_journal() -> bool {
+    use std::os::unix::fs::MetadataExt;
+    let stream = std::env::var("JOURNAL_STREAM").unwrap_or_default();
+    std::fs::metadata("/proc/self/fd/2").is_ok_and(|fd| stream == format!("{}:{}", fd.dev(), fd.ino()))
+}
+
+/// Lines that begin with their level as in sd-daemon(3); journald adds the time.
+struct JournalFormat(Format<Full, ()>);
+
+impl Default for JournalFormat {
+    fn default() -> Self {
+        Self(Format::default().without_time().with_level(false).with_target(false))
+    }
+}
+
+impl<S, N> FormatEvent<S, N> for JournalFormat
+where
+    S: Subscriber + for<'a> LookupSpan<'a>,
+    N: for<'a> FormatFields<'a> + 'static,
+{
+    fn format_event(
+        &self,
+        context: &FmtContext<'_, S, N>,
+        mut line: Writer<'_>,
+        event: &Event<'_>,
+    ) -> std::fmt::Result {
+        let priority = match *event.metadata().level() {
+            Level::ERROR => 3,
+            Level::WARN => 4,
+            Level::INFO => 6,
+            _ => 7,
+        };
+        write!(line, "<{priority}>")?;
+        self.0.format_event(context, line, event)
+    }
 }
 
 /// A flag that SIGINT, SIGTERM and SIGHUP raise.

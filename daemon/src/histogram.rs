@@ -43,6 +43,19 @@ impl Histogram {
         }
     }
 
+    /// How many durations there are in each octave [2^k, 2^(k+1)) ns: pairs of its lower end, ns, and the count, from
+    /// the first to the last octave that has any. 0 ns counts in the first.
+    pub fn octaves(&self) -> Vec<(u64, u64)> {
+        let mut counts = [0; LARGEST_BITS as usize];
+        for (bucket, n) in self.counts.iter().enumerate() {
+            counts[upper_end(bucket).max(1).ilog2() as usize] += n;
+        }
+        let pairs = counts.into_iter().enumerate().map(|(k, n)| (1 << k, n));
+        let mut used: Vec<_> = pairs.skip_while(|(_, n)| *n == 0).collect();
+        used.truncate(used.iter().rposition(|(_, n)| *n > 0).map_or(0, |last| last + 1));
+        used
+    }
+
     fn percentile(&self, count: u64, share: f64) -> u64 {
         if count == 0 {
             return 0;

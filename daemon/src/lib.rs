@@ -10,9 +10,13 @@
 //! | [`supervisor`], [`checks`], [`trip`] | the table of modes, the levels that are watched, what is beyond them |
 //! | [`plan`] | which plans it may run |
 //! | [`realtime`] | the thread that runs the cycle on time |
+//! | [`os`] | clock, scheduler and memory calls, and what the system refuses of them |
 //! | [`service`] | the thread that does all the rest |
 //! | `journal`, [`histogram`], [`overrun`], [`flight`] | what it keeps of the cycles: statistics, causes of overruns, the flight recorder |
 //! | [`recovery`] | what follows a lost balance |
+
+// `.ci/rtsan` builds with this: the functions of the cycle then end the process if they allocate, lock or block.
+#![cfg_attr(rtsan, feature(sanitize))]
 
 pub mod arm;
 pub mod checks;
@@ -24,7 +28,7 @@ pub mod histogram;
 mod journal;
 pub mod law;
 pub mod observer;
-mod os;
+pub mod os;
 pub mod overrun;
 pub mod plan;
 pub mod realtime;

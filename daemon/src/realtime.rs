@@ -62,6 +62,8 @@ pub struct Shared {
     pub stands_still: AtomicBool,
     /// Records that did not fit into the ring.
     pub dropped: AtomicU64,
+    /// Heartbeat of the real-time thread: moves on at least every 20 ms, whether or not there is a plant.
+    pub beats: AtomicU64,
 }
 
 /// The other thread's ends of the rings.
@@ -146,6 +148,7 @@ impl Cycle {
         let mut last_new = monotonic_ns();
         let mut lost = false;
         while !self.shared.exit.load(Ordering::Acquire) {
+            self.shared.beats.fetch_add(1, Ordering::Relaxed);
             self.adopt_reader();
             let clock = self.clock();
             // Orders wait for the next measurement, in order of arrival: on lockstep, where time may stand still for
@@ -195,6 +198,7 @@ impl Cycle {
         if self.measurement.period_ns == 0 { None } else { self.measurement.clock().ok() }
     }
 
+    #[cfg_attr(rtsan, sanitize(realtime = "nonblocking"))]
     fn adopt_reader(&mut self) {
         while let Ok(reader) = self.readers.pop() {
             if self.reader.is_some() {
@@ -210,6 +214,7 @@ impl Cycle {
 
     /// Computes the cycle planned for `planned` (CLOCK_MONOTONIC, ns) on the wall clock; returns when the next one
     /// is planned: a whole number of periods later, so that a late cycle does not shift all others.
+    #[cfg_attr(rtsan, sanitize(realtime = "nonblocking"))]
     fn wall_cycle(&mut self, planned: u64) -> u64 {
         let started = monotonic_ns();
         if let Some(reader) = &self.reader {
@@ -229,6 +234,7 @@ impl Cycle {
     }
 
     /// Computes the cycle that answers the measurement just read, on the paced and lockstep clocks.
+    #[cfg_attr(rtsan, sanitize(realtime = "nonblocking"))]
     fn answer_measurement(&mut self) {
         let clock = self.clock();
         let started = monotonic_ns();
@@ -245,6 +251,7 @@ impl Cycle {
     }
 
     /// A step between cycles, without a new measurement, to answer an order or to notice that the plant is lost.
+    #[cfg_attr(rtsan, sanitize(realtime = "nonblocking"))]
     fn compute(&mut self, now: u64) {
         let (record, _) = self.compute_timed(now);
         self.publish(record, false);

@@ -1,6 +1,6 @@
 //! The other thread: finds the plant, answers requests, checks plans, publishes telemetry.
 
-use crate::controller::Order;
+use crate::controller::{Order, Record};
 use crate::journal::Journal;
 use crate::os::{self, Refused};
 use crate::plan;
@@ -12,6 +12,7 @@ use std::sync::mpsc;
 use std::thread::{Builder, JoinHandle, sleep};
 use std::time::{Duration, Instant};
 use tracing::{info, warn};
+use upswing_config::notify::Notifier;
 use upswing_config::process::Failure;
 use upswing_config::{Config, PlanWhileTracking, RealtimeMode};
 use upswing_ipc::{
@@ -53,6 +54,7 @@ pub fn serve(config: &Config, domain: &Domain, shutdown: &AtomicBool) -> Result<
     info!("daemon ready in domain `{domain}`, model {:016x}", config.model.fingerprint());
 
     let result = desk.work(&server, shutdown, &thread);
+    desk.manager.stopping();
     desk.ends.shared.exit.store(true, Ordering::Release);
     let joined = thread.join();
     desk.fetch();
@@ -112,6 +114,11 @@ struct Desk<'a> {
     plants: Finder<Measurement>,
     next_look: Instant,
     journal: Journal<'a>,
+    manager: Notifier,
+    /// The heartbeat of the real-time thread as the manager knows it.
+    beats: u64,
+    /// The mode it was told last.
+    mode_told: Option<Mode>,
     recovery: Recovery,
     /// Asks the planner for a recovery.
     asker: Option<JoinHandle<Result<u64, String>>>,
@@ -138,6 +145,9 @@ impl<'a> Desk<'a> {
             plants: node.measurement_finder(),
             next_look: Instant::now(),
             journal: Journal::new(&config.daemon, node.telemetry_publisher().map_err(failed)?),
+            manager: Notifier::new(),
+            beats: 0,
+            mode_told: None,
             recovery: Recovery::new(config.daemon.recovery),
             asker: None,
             degraded: 0,
@@ -177,6 +187,7 @@ impl<'a> Desk<'a> {
             self.hear_planner();
             let tended = self.journal.tend(self.dropped());
             self.complain_of(tended);
+            self.tell_manager();
             if shutdown.load(Ordering::Acquire) && self.may_exit(&mut shutdown_begin) {
                 return Ok(());
             }
@@ -204,6 +215,27 @@ impl<'a> Desk<'a> {
         }
     }
 
+    /// Tells the service manager about the real-time thread: a heartbeat only while it has one.
+    fn tell_manager(&mut self) {
+        let beats = self.ends.shared.beats.load(Ordering::Relaxed);
+        if beats != self.beats {
+            self.beats = beats;
+            self.manager.alive();
+        }
+        let good = |record: &Record| record.telemetry.measurement_seq > 0 && record.telemetry.fault == 0;
+        if self.journal.newest.as_ref().is_some_and(good) {
+            self.manager.ready();
+        } else if self.mode_told.is_none() {
+            self.manager.status("waits for a plant");
+            return;
+        }
+        let mode = self.journal.mode();
+        if self.mode_told.replace(mode) != Some(mode) {
+            let remark = Some(self.journal.remark()).filter(|text| !text.is_empty());
+            self.manager.status(&remark.map_or(mode.to_string(), |remark| format!("{mode}: {remark}")));
+        }
+    }
+
     /// Whether a process that shall end may do so: the brakes hold, or waiting is no use.
     fn may_exit(&mut self, begin: &mut Option<Instant>) -> bool {
         if is_braked(self.journal.mode()) {
@@ -211,6 +243,7 @@ impl<'a> Desk<'a> {
         }
         let begin = *begin.get_or_insert_with(|| {
             info!("shutting down");
+            self.manager.stopping();
             self.recovery.yield_to_operator();
             if self.order(Order::Do(Request::Shutdown)).is_none() {
                 self.complain("the real-time thread does not take the order to shut down".into());

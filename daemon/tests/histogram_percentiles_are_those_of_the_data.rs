@@ -24,6 +24,21 @@ proptest! {
     }
 }
 
+proptest! {
+    #[test]
+    fn octaves_hold_all_data(data in prop::collection::vec(0_u64..60_000_000_000, 0..1000)) {
+        let mut histogram = Histogram::default();
+        data.iter().for_each(|ns| histogram.add(*ns));
+        let octaves = histogram.octaves();
+        for (begin, count) in &octaves {
+            let first = if *begin == octaves[0].0 { 0 } else { *begin };
+            prop_assert_eq!(data.iter().filter(|ns| (first..2 * begin).contains(*ns)).count() as u64, *count);
+        }
+        prop_assert_eq!(octaves.iter().map(|(_, n)| n).sum::<u64>(), data.len() as u64);
+        prop_assert!(octaves.windows(2).all(|w| w[1].0 == 2 * w[0].0));
+    }
+}
+
 #[test]
 fn what_is_too_long_counts_as_long() {
     let mut histogram = Histogram::default();

@@ -128,8 +128,12 @@ impl Domain {
     ///
     /// # Errors
     /// [`IpcError::Root`] or [`IpcError::Foreign`] if the directory cannot be used, [`IpcError::Connect`] if the
-    /// node cannot be created.
+    /// node cannot be created, [`IpcError::Full`] if there is no room for it.
     pub fn connect(&self, role: &str) -> Result<Node, IpcError> {
+        self.with_room(|| self.join(role))
+    }
+
+    fn join(&self, role: &str) -> Result<Node, IpcError> {
         let presence = self.hold_root()?;
         self.set_process_defaults()?;
         let failed =
@@ -183,19 +187,33 @@ impl Domain {
         Ok(true)
     }
 
+    /// How many processes of the domain died and left something that nobody cleaned up yet. Touches nothing.
+    ///
+    /// # Errors
+    /// [`IpcError::List`] if it cannot be found out.
+    pub fn count_dead(&self) -> Result<usize, IpcError> {
+        // Without the directory there is nobody; and to list creates nothing then.
+        if !self.root().exists() {
+            return Ok(0);
+        }
+        let mut dead = 0;
+        self.for_each_node(|node| dead += usize::from(matches!(node, NodeState::Dead(_))))?;
+        Ok(dead)
+    }
+
     /// Whether processes that do not take part in the lock of the directory (other languages) are alive.
     fn has_foreign_peers(&self) -> Result<bool, IpcError> {
         let mut alive = false;
+        self.for_each_node(|node| alive |= matches!(node, NodeState::Alive(_) | NodeState::Inaccessible(_)))?;
+        Ok(alive)
+    }
+
+    fn for_each_node(&self, mut visit: impl FnMut(NodeState<ipc::Service>)) -> Result<(), IpcError> {
         IoxNode::<ipc::Service>::list(&self.config, |node| {
-            alive |= matches!(node, NodeState::Alive(_) | NodeState::Inaccessible(_));
+            visit(node);
             CallbackProgression::Continue
         })
-        .map_err(|e| IpcError::List {
-            what: "nodes",
-            domain: self.name.clone(),
-            cause: e.into(),
-        })?;
-        Ok(alive)
+        .map_err(|e| IpcError::List { what: "nodes", domain: self.name.clone(), cause: e.into() })
     }
 
     /// Whether `file` in [`SHM`] is this domain's. The prefix alone does not tell: that of `a` also begins the
@@ -275,7 +293,7 @@ impl Domain {
             return Ok(());
         }
         let file = self.root().join("iceoryx2.toml");
-        let draft = self.root().join(format!("iceoryx2.toml.{}", std::process::id()));
+        let draft = self.root().join("iceoryx2.toml.new");
         let settings = format!(
             "[global]\nroot-path = \"{}\"\nprefix = \"{}\"\n",
             root_text(&self.name),
@@ -285,8 +303,14 @@ impl Domain {
             let path = file.clone();
             move |cause| IpcError::Root { action, path, cause }
         };
-        std::fs::write(&draft, settings).map_err(failed("write"))?;
-        std::fs::rename(&draft, &file).map_err(failed("write"))?;
+        {
+            // One draft for all: that of a process that was killed here is the next one's.
+            let _site = Site::enter(self);
+            if std::fs::read_to_string(&file).ok().as_ref() != Some(&settings) {
+                std::fs::write(&draft, settings).map_err(failed("write"))?;
+                std::fs::rename(&draft, &file).map_err(failed("write"))?;
+            }
+        }
         let path = FilePath::new(file.as_os_str().as_encoded_bytes())
             .map_err(|e| failed("name")(std::io::Error::other(format!("{e:?}"))))?;
         Config::setup_global_config_from_file(&path).map_err(|e| failed("load")(std::io::Error::other(e)))?;

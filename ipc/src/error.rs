@@ -37,6 +37,19 @@ pub enum IpcError {
         /// The user id that it should belong to.
         expected: u32,
     },
+    /// No room for what a process needs.
+    #[error(
+        "/dev/shm is too full: {needed} more bytes are needed now, {free} are free; remove what is not needed there, or \
+         enlarge it (mount -o remount,size=...; a whole system takes up to {system} bytes)"
+    )]
+    Full {
+        /// Bytes that did not fit.
+        needed: u64,
+        /// Bytes that are free.
+        free: u64,
+        /// Bytes of a whole system.
+        system: u64,
+    },
     /// The node could not be created.
     #[error(
         "cannot join domain `{domain}` as `{role}`: {cause}; roles have at most 128 ASCII characters; check the free \
@@ -81,7 +94,8 @@ pub enum IpcError {
     },
     /// All places of this kind are taken by live processes.
     #[error(
-        "service `{service}` already has its {max} {port}(s) in live processes; stop one of them, or use another domain"
+        "service `{service}` already has its {max} {port}(s) in live processes (pid {}); stop one of them, or use \
+         another domain", .holders.iter().map(u32::to_string).collect::<Vec<_>>().join(", ")
     )]
     Taken {
         /// Name of the service.
@@ -90,6 +104,8 @@ pub enum IpcError {
         port: &'static str,
         /// How many there can be.
         max: usize,
+        /// Ids of the processes that have them.
+        holders: Vec<u32>,
     },
     /// An end of the service could not be created.
     #[error("cannot create a {port} of service `{service}`: {cause}; check the free space of /dev/shm")]

@@ -50,6 +50,7 @@ mod node;
 mod payload;
 mod request;
 mod services;
+mod space;
 mod text;
 
 pub use blackboard::{Finder, Reader, Snapshot, Writer, WriterEntry, WriterPorts};

@@ -2,13 +2,13 @@
 //! or leaves, sending and receiving open files and map memory.
 
 use crate::error::{Cause, IpcError};
-use crate::node::Node;
+use crate::node::{Node, note_pid};
 use crate::services::{MAX_BORROWED, MAX_NODES, MAX_SUBSCRIBERS, Topic};
 use iceoryx2::port::DegradationAction;
 use iceoryx2::port::publisher::{Publisher as IoxPublisher, PublisherCreateError};
 use iceoryx2::port::subscriber::{Subscriber as IoxSubscriber, SubscriberCreateError};
 use iceoryx2::port::update_connections::UpdateConnections;
-use iceoryx2::prelude::{BackpressureStrategy, ServiceName, ipc};
+use iceoryx2::prelude::{BackpressureStrategy, PortFactory as _, ServiceName, ipc};
 use iceoryx2::sample::Sample;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use std::ops::Deref;
@@ -39,7 +39,9 @@ impl<T: Topic> Publisher<T> {
         };
         let port = node.persist(create).map_err(|e| match e {
             PublisherCreateError::ExceedsMaxSupportedPublishers => {
-                IpcError::Taken { service: T::SERVICE.to_owned(), port: "publisher", max: 1 }
+                let mut holders = Vec::new();
+                service.dynamic_config().list_publishers(|p| note_pid(&mut holders, &p.node_id));
+                IpcError::Taken { service: T::SERVICE.to_owned(), port: "publisher", max: 1, holders }
             }
             e => IpcError::Port { service: T::SERVICE.to_owned(), port: "publisher", cause: e.into() },
         })?;
@@ -95,7 +97,14 @@ impl<T: Topic> Subscriber<T> {
         };
         let port = node.persist(create).map_err(|e| match e {
             SubscriberCreateError::ExceedsMaxSupportedSubscribers => {
-                IpcError::Taken { service: T::SERVICE.to_owned(), port: "subscriber", max: MAX_SUBSCRIBERS }
+                let mut holders = Vec::new();
+                service.dynamic_config().list_subscribers(|s| note_pid(&mut holders, &s.node_id));
+                IpcError::Taken {
+                    service: T::SERVICE.to_owned(),
+                    port: "subscriber",
+                    max: MAX_SUBSCRIBERS,
+                    holders,
+                }
             }
             e => IpcError::Port { service: T::SERVICE.to_owned(), port: "subscriber", cause: e.into() },
         })?;

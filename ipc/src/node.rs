@@ -9,7 +9,8 @@ use crate::payload::{
     Command, ControlRequest, Measurement, Plan, PlannerRequest, PlantRequest, TelemetryBatch,
 };
 use crate::request::{Client, Server};
-use iceoryx2::prelude::{Node as IoxNode, ipc};
+use iceoryx2::identifiers::UniqueNodeId;
+use iceoryx2::prelude::{CallbackProgression, Node as IoxNode, ipc};
 use std::fmt;
 use std::fs::File;
 use std::sync::Arc;
@@ -78,9 +79,9 @@ impl Node {
     /// Measurements out (plant).
     ///
     /// # Errors
-    /// As [`Writer::create`].
+    /// As [`Writer::create`], and [`IpcError::Full`].
     pub fn measurement_writer(&self) -> Result<Writer<Measurement>, IpcError> {
-        Writer::create(self)
+        self.domain().with_room(|| Writer::create(self))
     }
 
     /// Measurements in (daemon).
@@ -91,9 +92,9 @@ impl Node {
     /// Commands out (daemon).
     ///
     /// # Errors
-    /// As [`Writer::create`].
+    /// As [`Writer::create`], and [`IpcError::Full`].
     pub fn command_writer(&self) -> Result<Writer<Command>, IpcError> {
-        Writer::create(self)
+        self.domain().with_room(|| Writer::create(self))
     }
 
     /// Commands in (plant).
@@ -104,81 +105,81 @@ impl Node {
     /// Plans out (planner).
     ///
     /// # Errors
-    /// As [`Publisher::create`].
+    /// As [`Publisher::create`], and [`IpcError::Full`].
     pub fn plan_publisher(&self) -> Result<Publisher<Plan>, IpcError> {
-        Publisher::create(self)
+        self.domain().with_room(|| Publisher::create(self))
     }
 
     /// Plans in (daemon).
     ///
     /// # Errors
-    /// As [`Subscriber::create`].
+    /// As [`Subscriber::create`], and [`IpcError::Full`].
     pub fn plan_subscriber(&self) -> Result<Subscriber<Plan>, IpcError> {
-        Subscriber::create(self)
+        self.domain().with_room(|| Subscriber::create(self))
     }
 
     /// Telemetry out (daemon).
     ///
     /// # Errors
-    /// As [`Publisher::create`].
+    /// As [`Publisher::create`], and [`IpcError::Full`].
     pub fn telemetry_publisher(&self) -> Result<Publisher<TelemetryBatch>, IpcError> {
-        Publisher::create(self)
+        self.domain().with_room(|| Publisher::create(self))
     }
 
     /// Telemetry in (planner, command line).
     ///
     /// # Errors
-    /// As [`Subscriber::create`].
+    /// As [`Subscriber::create`], and [`IpcError::Full`].
     pub fn telemetry_subscriber(&self) -> Result<Subscriber<TelemetryBatch>, IpcError> {
-        Subscriber::create(self)
+        self.domain().with_room(|| Subscriber::create(self))
     }
 
     /// Operator requests out (command line).
     ///
     /// # Errors
-    /// As [`Client::create`].
+    /// As [`Client::create`], and [`IpcError::Full`].
     pub fn control_client(&self) -> Result<Client<ControlRequest>, IpcError> {
-        Client::create(self)
+        self.domain().with_room(|| Client::create(self))
     }
 
     /// Operator requests in (daemon).
     ///
     /// # Errors
-    /// As [`Server::create`].
+    /// As [`Server::create`], and [`IpcError::Full`].
     pub fn control_server(&self) -> Result<Server<ControlRequest>, IpcError> {
-        Server::create(self)
+        self.domain().with_room(|| Server::create(self))
     }
 
     /// Planner requests out (command line, harness).
     ///
     /// # Errors
-    /// As [`Client::create`].
+    /// As [`Client::create`], and [`IpcError::Full`].
     pub fn planner_client(&self) -> Result<Client<PlannerRequest>, IpcError> {
-        Client::create(self)
+        self.domain().with_room(|| Client::create(self))
     }
 
     /// Planner requests in (planner).
     ///
     /// # Errors
-    /// As [`Server::create`].
+    /// As [`Server::create`], and [`IpcError::Full`].
     pub fn planner_server(&self) -> Result<Server<PlannerRequest>, IpcError> {
-        Server::create(self)
+        self.domain().with_room(|| Server::create(self))
     }
 
     /// Plant requests out (harness).
     ///
     /// # Errors
-    /// As [`Client::create`].
+    /// As [`Client::create`], and [`IpcError::Full`].
     pub fn plant_client(&self) -> Result<Client<PlantRequest>, IpcError> {
-        Client::create(self)
+        self.domain().with_room(|| Client::create(self))
     }
 
     /// Plant requests in (plant).
     ///
     /// # Errors
-    /// As [`Server::create`].
+    /// As [`Server::create`], and [`IpcError::Full`].
     pub fn plant_server(&self) -> Result<Server<PlantRequest>, IpcError> {
-        Server::create(self)
+        self.domain().with_room(|| Server::create(self))
     }
 
     /// Repeats `attempt`, on site and cleaning up after dead processes: what one process opens another may be
@@ -199,4 +200,10 @@ impl Node {
         let _site = Site::enter(self.domain());
         attempt()
     }
+}
+
+/// Adds the id of the process that a node belongs to.
+pub(crate) fn note_pid(pids: &mut Vec<u32>, node: &UniqueNodeId) -> CallbackProgression {
+    pids.extend(node.pid::<ipc::Service>().ok().and_then(|pid| u32::try_from(pid.value()).ok()));
+    CallbackProgression::Continue
 }

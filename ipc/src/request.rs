@@ -1,7 +1,7 @@
 //! Requests to one server and its answers. Nothing here is for the real-time thread.
 
 use crate::error::{CallError, IpcError};
-use crate::node::Node;
+use crate::node::{Node, note_pid};
 use crate::services::{MAX_CLIENTS, MAX_NODES, Request};
 use iceoryx2::port::DegradationAction;
 use iceoryx2::port::client::Client as IoxClient;
@@ -50,7 +50,9 @@ impl<Q: Request> Client<Q> {
         };
         let port = node.persist(create).map_err(|e| match e {
             ClientCreateError::ExceedsMaxSupportedClients => {
-                IpcError::Taken { service: Q::SERVICE.to_owned(), port: "client", max: MAX_CLIENTS }
+                let mut holders = Vec::new();
+                service.dynamic_config().list_clients(|client| note_pid(&mut holders, &client.node_id));
+                IpcError::Taken { service: Q::SERVICE.to_owned(), port: "client", max: MAX_CLIENTS, holders }
             }
             e => IpcError::Port { service: Q::SERVICE.to_owned(), port: "client", cause: e.into() },
         })?;
@@ -161,7 +163,9 @@ impl<Q: Request> Server<Q> {
         };
         let port = node.persist(create).map_err(|e| match e {
             ServerCreateError::ExceedsMaxSupportedServers => {
-                IpcError::Taken { service: Q::SERVICE.to_owned(), port: "server", max: 1 }
+                let mut holders = Vec::new();
+                service.dynamic_config().list_servers(|server| note_pid(&mut holders, &server.node_id));
+                IpcError::Taken { service: Q::SERVICE.to_owned(), port: "server", max: 1, holders }
             }
             e => IpcError::Port { service: Q::SERVICE.to_owned(), port: "server", cause: e.into() },
         })?;

@@ -155,7 +155,9 @@ fn a_second_server_and_a_second_publisher_are_refused() {
     let server = first.control_server().unwrap();
     let error = second.control_server().err().unwrap();
     assert!(matches!(&error, IpcError::Taken { port: "server", max: 1, .. }), "{error}");
-    assert!(error.to_string().contains("control"), "{error}");
+    let holder =
+        format!("control` already has its 1 server(s) in live processes (pid {})", std::process::id());
+    assert!(error.to_string().contains(&holder), "{error}");
     drop(server);
     second.control_server().unwrap();
 

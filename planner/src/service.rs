@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use tracing::{info, warn};
+use upswing_config::notify::Notifier;
 use upswing_config::process::{Failure, ProcessArgs, shutdown_flag};
 use upswing_ipc::{
     Domain, Mode, PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus, Subscriber, Telemetry,
@@ -49,6 +50,9 @@ fn serve(planner: &Planner, domain: &Domain, stop: &Arc<AtomicBool>) -> Result<(
     let telemetry = node.telemetry_subscriber()?;
     let mut desk = Desk::new(planner);
     info!(entries = planner.entries().len(), domain = domain.name(), "planner ready");
+    let mut manager = Notifier::new();
+    manager.ready();
+    manager.status(&format!("{} database entries", planner.entries().len()));
     while !stop.load(Ordering::Acquire) {
         if let Some(record) = drain(&telemetry)? {
             desk.observe(record);
@@ -70,7 +74,9 @@ fn serve(planner: &Planner, domain: &Domain, stop: &Arc<AtomicBool>) -> Result<(
             desk.prepare();
             std::thread::sleep(PAUSE);
         }
+        manager.alive();
     }
+    manager.stopping();
     Ok(())
 }
 

@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
 use std::time::Duration;
 use tracing::{info, warn};
+use upswing_config::notify::Notifier;
 use upswing_config::{Config, Fault, FaultKind, Push};
 use upswing_ipc::{
     Clock, Command, Domain, IpcError, Measurement, PlantKind, PlantRequest, PlantResponse, Server, Text,
@@ -62,8 +63,9 @@ pub(crate) fn serve(
         })?;
         let link = Link::new(found);
         let outcome = node.measurement_writer().map(|writer| {
-            let front =
-                Front { plant, clock: settings.clock, granted: 0, measured: false, server, failing: false };
+            let manager = Notifier::new();
+            let clock = settings.clock;
+            let front = Front { plant, clock, granted: 0, measured: false, server, failing: false, manager };
             let watchdog_cycles = settings.watchdog_cycles;
             Service { front, writer, published: 0, link, watchdog_cycles, shutdown }.run();
         });
@@ -96,11 +98,14 @@ impl Service<'_> {
     fn run(mut self) {
         let q = self.front.plant.position().map(|v| (v.to_degrees() * 100.0).round() / 100.0);
         info!(clock = %self.front.clock, q_deg = ?q.as_slice(), "plant started, brakes closed");
+        self.front.manager.ready();
+        self.front.manager.status(&format!("clock {}", self.front.clock));
         wake_precisely();
         match self.front.clock {
             Clock::Wall => self.run_on_wall_clock(),
             Clock::Paced | Clock::Lockstep => self.run_with_daemon(),
         }
+        self.front.manager.stopping();
         info!(cycle = self.front.completed(), "plant stopped");
     }
 
@@ -292,6 +297,7 @@ struct Front {
     server: Server<PlantRequest>,
     /// Whether the service failed when it was looked at last.
     failing: bool,
+    manager: Notifier,
 }
 
 impl Front {
@@ -302,7 +308,8 @@ impl Front {
 
     /// Answers all waiting requests.
     fn serve(&mut self) {
-        let Self { plant, clock, granted, measured, server, failing } = self;
+        let Self { plant, clock, granted, measured, server, failing, manager } = self;
+        manager.alive();
         let next = plant.seq() + u64::from(*measured);
         let outcome = server.poll(|request| answer(plant, *clock, granted, next, request));
         if let Err(e) = &outcome

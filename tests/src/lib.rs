@@ -1,6 +1,8 @@
 //! Harness for hardware-in-the-loop style tests: starts a whole system, the three programs as separate processes
 //! in a shared-memory domain of its own, drives it and collects its telemetry.
 
+pub mod running;
+
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use upswing::report::Report;

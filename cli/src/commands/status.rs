@@ -34,8 +34,8 @@ struct Status {
 
 /// Percentiles, us.
 #[derive(Serialize)]
-struct Times {
-    count: u64,
+pub(super) struct Times {
+    pub(super) count: u64,
     p50: f64,
     p99: f64,
     p99_9: f64,
@@ -44,20 +44,18 @@ struct Times {
 }
 
 impl Times {
-    fn new(p: &Percentiles) -> Self {
+    pub(super) fn new(p: &Percentiles) -> Self {
         let [p50, p99, p99_9, p99_99, max] =
             [p.p50, p.p99, p.p99_9, p.p99_99, p.max].map(|ns| ns as f64 * 1e-3);
         Self { count: p.count, p50, p99, p99_9, p99_99, max }
     }
 
-    fn line(&self, f: &mut std::fmt::Formatter<'_>, name: &str) -> std::fmt::Result {
-        if self.count == 0 {
-            return Ok(());
-        }
+    /// One line without its end.
+    pub(super) fn line(&self, f: &mut std::fmt::Formatter<'_>, name: &str) -> std::fmt::Result {
         let Self { p50, p99, p99_9, p99_99, max, .. } = self;
         write!(
             f,
-            "\n{name:<10} p50 {p50:.1}, p99 {p99:.1}, p99.9 {p99_9:.1}, p99.99 {p99_99:.1}, max {max:.1} us"
+            "{name:<10} p50 {p50:.1}, p99 {p99:.1}, p99.9 {p99_9:.1}, p99.99 {p99_99:.1}, max {max:.1} us"
         )
     }
 }
@@ -74,8 +72,12 @@ impl std::fmt::Display for Status {
             or_none(&self.running_plan)
         )?;
         write!(f, "cycles     {} ({} late)", self.cycles, self.overruns)?;
-        self.wake_us.line(f, "wake-up")?;
-        self.compute_us.line(f, "compute")?;
+        for (times, name) in [(&self.wake_us, "wake-up"), (&self.compute_us, "compute")] {
+            if times.count > 0 {
+                writeln!(f)?;
+                times.line(f, name)?;
+            }
+        }
         if let Some(overrun) = &self.last_overrun {
             write!(f, "\nlast late  {overrun}")?;
         }

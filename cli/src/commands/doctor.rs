@@ -1,0 +1,214 @@
+//! `upswing doctor`: whether this host can run the control daemon on time, and what to change.
+
+pub mod host;
+
+use super::status::Times;
+use super::{CommonArgs, failed};
+use host::Host;
+use serde::Serialize;
+use std::fmt;
+use std::path::Path;
+use std::time::Duration;
+use upswing_config::RealtimeSettings;
+use upswing_config::process::Failure;
+use upswing_ipc::Domain;
+use upswingd::histogram::Histogram;
+use upswingd::os;
+
+/// Checks this host for real time and measures how late a thread wakes up.
+///
+/// Run it as the user and with the limits that the daemon will have. Exit code 1: something is refused that real time
+/// needs.
+///
+/// Example: upswing doctor --seconds 60
+#[derive(Clone, Debug, clap::Args)]
+pub struct DoctorArgs {
+    /// Options of every command.
+    #[command(flatten)]
+    pub common: CommonArgs,
+    /// How long to measure the wake-up latency, s; 0: not at all
+    #[arg(long, value_name = "S", default_value_t = 5.0)]
+    pub seconds: f64,
+}
+
+/// How bad it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Grade {
+    /// As it should be.
+    Good,
+    /// The daemon runs, cycles may be late.
+    Advice,
+    /// The daemon does not run, or without real time.
+    Bad,
+}
+
+/// One thing that was looked at.
+#[derive(Clone, Debug, Serialize)]
+pub struct Finding {
+    /// What was looked at.
+    pub what: &'static str,
+    /// How bad it is.
+    pub grade: Grade,
+    /// What is there.
+    pub found: String,
+    /// What to do; empty if nothing.
+    pub fix: String,
+}
+
+impl Finding {
+    fn good(what: &'static str, found: String) -> Self {
+        Self::new(what, Grade::Good, found, "")
+    }
+
+    fn new(what: &'static str, grade: Grade, found: String, fix: &str) -> Self {
+        Self { what, grade, found, fix: fix.into() }
+    }
+}
+
+#[derive(Serialize)]
+struct Report {
+    verdict: Grade,
+    findings: Vec<Finding>,
+    wake_us: Option<Times>,
+    /// Lower ends, us, of the octaves, and how many wake-ups each has.
+    histogram: Vec<(f64, u64)>,
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for Finding { what, grade, found, fix } in &self.findings {
+            let sign = match grade {
+                Grade::Good => "ok",
+                Grade::Advice => "advice",
+                Grade::Bad => "BAD",
+            };
+            writeln!(f, "{sign:<7}{what:<21}{found}")?;
+            if !fix.is_empty() {
+                writeln!(f, "{:28}-> {fix}", "")?;
+            }
+        }
+        let most = self.histogram.iter().map(|(_, n)| *n).max().unwrap_or(0);
+        for (begin, n) in &self.histogram {
+            // Logarithmic: one late wake-up in a million shows.
+            let share = (*n as f64 + 1.0).ln() / (most as f64 + 1.0).ln();
+            writeln!(f, "{begin:>10.1} us {n:>9}  {}", "#".repeat((40.0 * share).round() as usize))?;
+        }
+        if let Some(wake) = &self.wake_us {
+            wake.line(f, "wake-up")?;
+            writeln!(f)?;
+        }
+        f.write_str(match self.verdict {
+            Grade::Good => "This host is fit for real time.",
+            Grade::Advice => "The daemon runs in real time here; cycles may be late for the reasons above.",
+            Grade::Bad => "The daemon does not run in real time here.",
+        })
+    }
+}
+
+/// Looks, measures and reports.
+///
+/// # Errors
+/// [`Failure::BadInput`] for options that cannot be used, [`Failure::Failed`] if something is bad.
+pub fn run(args: &DoctorArgs) -> Result<(), Failure> {
+    const LONGEST: f64 = 86_400.0;
+    if !(0.0..=LONGEST).contains(&args.seconds) {
+        let got = args.seconds;
+        return Err(Failure::BadInput(format!("--seconds: expected 0 to {LONGEST}, got {got}")));
+    }
+    let config = args.common.process.load()?;
+    let domain = Domain::new(&args.common.process.domain).map_err(|e| Failure::BadInput(e.to_string()))?;
+    let (period, settings) = (config.daemon.cycle.period, config.daemon.realtime);
+    let mut findings = Host::at(Path::new("/")).findings(settings.cpu);
+    findings.extend([memory(), leftovers(&domain)]);
+
+    let (prepared, mut refused) = os::prepare_process();
+    let duration = Duration::from_secs_f64(args.seconds);
+    let measured = std::thread::spawn(move || {
+        let refused = os::prepare_thread(&settings);
+        (refused, wake_up_latency(period, duration))
+    });
+    let (of_thread, (histogram, overruns)) =
+        measured.join().map_err(|_| failed("the measurement panicked"))?;
+    drop(prepared);
+    refused.extend(of_thread);
+    findings.extend(granted(&refused, &settings));
+    let percentiles = histogram.percentiles();
+    if overruns > 0 {
+        let found = format!("{overruns} of {} came later than a period", percentiles.count);
+        let fix = "see the advice above, and what else runs on this machine";
+        findings.push(Finding::new("wake-up", Grade::Advice, found, fix));
+    }
+    let report = Report {
+        verdict: findings.iter().map(|finding| finding.grade).max().unwrap_or(Grade::Good),
+        findings,
+        wake_us: (percentiles.count > 0).then(|| Times::new(&percentiles)),
+        histogram: histogram.octaves().into_iter().map(|(ns, n)| (ns as f64 * 1e-3, n)).collect(),
+    };
+    args.common.print(&report)?;
+    if report.verdict == Grade::Bad { Err(failed("this host is not fit for real time")) } else { Ok(()) }
+}
+
+/// What the daemon asks of the system at its start.
+fn granted(refused: &[os::Refused], settings: &RealtimeSettings) -> Vec<Finding> {
+    const NAME: &str = "real-time set-up";
+    if refused.is_empty() {
+        let found = format!("SCHED_FIFO {}, memory lock, timer and CPU are granted", settings.priority);
+        return vec![Finding::good(NAME, found)];
+    }
+    let bad = |refused: &os::Refused| {
+        Finding::new(NAME, Grade::Bad, refused.what.to_string(), &format!("refused: {}", refused.why))
+    };
+    refused.iter().map(bad).collect()
+}
+
+fn memory() -> Finding {
+    const NAME: &str = "shared memory";
+    const MIB: u64 = 1 << 20;
+    let needed = Domain::MEMORY / MIB;
+    match Domain::free_memory() {
+        Ok(free) if free >= Domain::MEMORY => {
+            Finding::good(NAME, format!("{} MiB free in /dev/shm", free / MIB))
+        }
+        Ok(free) => Finding::new(
+            NAME,
+            Grade::Bad,
+            format!("{} MiB free in /dev/shm, a system takes up to {needed}", free / MIB),
+            "remove what is not needed there, or enlarge it: mount -o remount,size=1g /dev/shm",
+        ),
+        Err(e) => Finding::new(NAME, Grade::Bad, format!("/dev/shm: {e}"), "mount a tmpfs at /dev/shm"),
+    }
+}
+
+/// Processes that died and that nobody cleaned up after.
+fn leftovers(domain: &Domain) -> Finding {
+    const NAME: &str = "leftovers";
+    match domain.count_dead() {
+        Ok(0) => Finding::good(NAME, format!("none in domain `{domain}`")),
+        Ok(n) => Finding::new(
+            NAME,
+            Grade::Advice,
+            format!("{n} dead process(es) in domain `{domain}`"),
+            "the next process that starts there removes them",
+        ),
+        Err(e) => Finding::new(NAME, Grade::Bad, e.to_string(), "run the doctor as the daemon's user"),
+    }
+}
+
+/// Sleeps to absolute deadlines as the daemon does; how late each wake-up is, and how many by more than a period.
+fn wake_up_latency(period: Duration, duration: Duration) -> (Histogram, u64) {
+    let period = u64::try_from(period.as_nanos()).unwrap_or(u64::MAX).max(1);
+    let mut histogram = Histogram::default();
+    let mut overruns = 0;
+    let begin = os::monotonic_ns();
+    let end = begin.saturating_add(u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX));
+    let mut deadline = begin + period;
+    while deadline <= end {
+        os::sleep_until(deadline);
+        let late = os::monotonic_ns().saturating_sub(deadline);
+        histogram.add(late);
+        overruns += u64::from(late >= period);
+        deadline += (late / period + 1) * period;
+    }
+    (histogram, overruns)
+}

@@ -1,0 +1,142 @@
+//! What the files of the kernel say about a host.
+
+use super::{Finding, Grade};
+use std::path::{Path, PathBuf};
+
+/// A machine, by its file system.
+#[derive(Clone, Debug)]
+pub struct Host {
+    root: PathBuf,
+}
+
+impl Host {
+    /// The machine with the file system at `root`: `/`, or a copy of the files.
+    pub fn at(root: &Path) -> Self {
+        Self { root: root.to_owned() }
+    }
+
+    /// Contents of a file without white space at its ends; `None` if there is none.
+    fn read(&self, path: &str) -> Option<String> {
+        std::fs::read_to_string(self.root.join(path)).ok().map(|text| text.trim().to_owned())
+    }
+
+    fn number(&self, path: &str) -> Option<i64> {
+        self.read(path)?.parse().ok()
+    }
+
+    /// All that can be found out from files, for a real-time thread on `cpu` (`None`: on any).
+    pub fn findings(&self, cpu: Option<usize>) -> Vec<Finding> {
+        vec![self.kernel(), self.throttling(), self.group(), self.governor(cpu), self.isolation(cpu)]
+    }
+
+    fn kernel(&self) -> Finding {
+        let release = self.read("proc/sys/kernel/osrelease").unwrap_or_else(|| "unknown".into());
+        if self.number("sys/kernel/realtime") == Some(1) {
+            return Finding::good("kernel", format!("{release}, PREEMPT_RT"));
+        }
+        let fix = "install a kernel with PREEMPT_RT (Debian: linux-image-rt-amd64): others delay a thread by milliseconds";
+        Finding::new("kernel", Grade::Advice, format!("{release}, not PREEMPT_RT"), fix)
+    }
+
+    /// Share of each period that the kernel leaves to real-time threads.
+    fn throttling(&self) -> Finding {
+        const NAME: &str = "real-time throttling";
+        const FILE: &str = "kernel.sched_rt_runtime_us";
+        let runtime = self.number("proc/sys/kernel/sched_rt_runtime_us");
+        let period = self.number("proc/sys/kernel/sched_rt_period_us").filter(|us| *us > 0);
+        match (runtime, period) {
+            (Some(-1), _) => Finding::good(NAME, "off".into()),
+            (Some(0), _) => Finding::new(
+                NAME,
+                Grade::Bad,
+                format!("{FILE} is 0: no real-time thread ever runs"),
+                "sysctl kernel.sched_rt_runtime_us=950000",
+            ),
+            (Some(runtime), Some(period)) if 2 * runtime < period => Finding::new(
+                NAME,
+                Grade::Advice,
+                format!("{FILE} leaves {runtime} of {period} us"),
+                "sysctl kernel.sched_rt_runtime_us=950000",
+            ),
+            (Some(runtime), Some(period)) => {
+                Finding::good(NAME, format!("{runtime} of {period} us; the daemon sleeps most of the time"))
+            }
+            _ => Finding::good(NAME, "none in this kernel".into()),
+        }
+    }
+
+    /// What the cgroup of this process may use of real time: only with RT_GROUP_SCHED, and then 0 where nobody set it.
+    fn group(&self) -> Finding {
+        const NAME: &str = "control group";
+        let groups = self.read("proc/self/cgroup").unwrap_or_default();
+        let cpu_group = groups.lines().find_map(|line| {
+            let (controllers, path) = line.split_once(':')?.1.split_once(':')?;
+            controllers.split(',').any(|name| name == "cpu").then_some(path)
+        });
+        let file =
+            cpu_group.map(|path| format!("sys/fs/cgroup/cpu{path}/cpu.rt_runtime_us").replace("//", "/"));
+        match file.and_then(|file| self.number(&file).map(|us| (file, us))) {
+            Some((file, 0)) => Finding::new(
+                NAME,
+                Grade::Bad,
+                format!("/{file} is 0: SCHED_FIFO is refused"),
+                "write a runtime into that file and those of the groups above, or boot with a kernel without \
+                 RT_GROUP_SCHED",
+            ),
+            Some((_, us)) => Finding::good(NAME, format!("{us} us of real time")),
+            None => Finding::good(NAME, "does not limit real time".into()),
+        }
+    }
+
+    fn governor(&self, cpu: Option<usize>) -> Finding {
+        const NAME: &str = "frequency governor";
+        let of = |cpu: usize| {
+            let governor = self.read(&format!("sys/devices/system/cpu/cpu{cpu}/cpufreq/scaling_governor"))?;
+            Some((cpu, governor))
+        };
+        let cpus = cpu.map_or(0..=1023, |cpu| cpu..=cpu);
+        let (fast, slow): (Vec<_>, Vec<_>) = cpus.filter_map(of).partition(|(_, name)| name == "performance");
+        match (slow.first(), fast.is_empty()) {
+            (Some((cpu, name)), _) => Finding::new(
+                NAME,
+                Grade::Advice,
+                format!("`{name}` on CPU {cpu}: it slows down while the daemon sleeps"),
+                "cpupower frequency-set --governor performance",
+            ),
+            (None, true) => {
+                Finding::good(NAME, "none: this machine does not scale frequencies itself".into())
+            }
+            (None, false) => Finding::good(NAME, "performance".into()),
+        }
+    }
+
+    fn isolation(&self, cpu: Option<usize>) -> Finding {
+        const NAME: &str = "CPU of its own";
+        let isolated = self.read("sys/devices/system/cpu/isolated").unwrap_or_default();
+        let Some(cpu) = cpu else {
+            return Finding::new(
+                NAME,
+                Grade::Advice,
+                "realtime.cpu is -1: the thread runs wherever there is room".into(),
+                "isolate a CPU (kernel command line: isolcpus=N nohz_full=N irqaffinity=OTHERS) and set realtime.cpu",
+            );
+        };
+        if in_list(&isolated, cpu) {
+            return Finding::good(NAME, format!("{cpu}, isolated"));
+        }
+        let fix =
+            format!("add isolcpus={cpu} nohz_full={cpu} to the kernel command line, irqaffinity= without it");
+        Finding::new(NAME, Grade::Advice, format!("CPU {cpu} also does other work"), &fix)
+    }
+}
+
+/// Whether a kernel list ("0,2-4") has `number`.
+fn in_list(list: &str, number: usize) -> bool {
+    list.split(',').any(|part| {
+        let (first, last) = part.split_once('-').unwrap_or((part, part));
+        match (first.trim().parse::<usize>(), last.trim().parse::<usize>()) {
+            (Ok(first), Ok(last)) => (first..=last).contains(&number),
+            _ => false,
+        }
+    })
+}

@@ -1,0 +1,90 @@
+//! Where /dev/shm is too small or full, a process gets an error that says so; it does not die of SIGBUS.
+//!
+//! The parent runs itself with a /dev/shm of its own. Where the system does not allow that, the test says so.
+
+use std::process::Command;
+use upswing_ipc::{Domain, IpcError, Plan, TelemetryBatch};
+
+const CHILD: &str = "UPSWING_TEST_SMALL_MEMORY";
+
+/// Runs test `name` again where /dev/shm has `size` bytes. `None`: this system does not allow that.
+fn with_memory_of(size: &str, name: &str) -> Option<std::process::Output> {
+    let unshare = ["--mount", "--map-root-user", "--", "sh", "-c"];
+    let mount = format!("mount -t tmpfs -o size={size} tmpfs /dev/shm || exit 77; exec \"$0\" \"$@\"");
+    let output = Command::new("unshare")
+        .args(unshare)
+        .arg(mount)
+        .arg(std::env::current_exe().unwrap())
+        .args(["--exact", name, "--nocapture"])
+        .env(CHILD, size)
+        .output()
+        .ok()?;
+    let refused = output.status.code() == Some(77) || output.stderr.starts_with(b"unshare:");
+    if refused {
+        println!("skipped: {}", String::from_utf8_lossy(&output.stderr).trim());
+    }
+    (!refused).then_some(output)
+}
+
+fn is_child() -> bool {
+    std::env::var_os(CHILD).is_some()
+}
+
+fn check(size: &str, name: &str) {
+    let Some(output) = with_memory_of(size, name) else { return };
+    let text = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success(), "{:?}: {text}", output.status);
+    assert!(text.contains("1 passed"), "{text}");
+}
+
+fn expect_full<T>(result: Result<T, IpcError>) {
+    match result {
+        Err(error @ IpcError::Full { needed, free, .. }) => {
+            assert!(needed > free, "{error}");
+            assert!(error.to_string().contains("/dev/shm is too full"), "{error}");
+        }
+        Err(error) => panic!("{error}"),
+        Ok(_) => panic!("there was room"),
+    }
+}
+
+#[test]
+fn too_small_for_anything() {
+    if is_child() {
+        return expect_full(Domain::new("small").unwrap().connect("daemon"));
+    }
+    check("1m", "too_small_for_anything");
+}
+
+#[test]
+fn too_small_for_telemetry() {
+    if is_child() {
+        let node = Domain::new("small").unwrap().connect("daemon").unwrap();
+        return expect_full(node.telemetry_publisher());
+    }
+    check("32m", "too_small_for_telemetry");
+}
+
+#[test]
+fn full_later_does_no_harm() {
+    if is_child() {
+        let node = Domain::new("later").unwrap().connect("daemon").unwrap();
+        let telemetry = node.telemetry_publisher().unwrap();
+        let plans = node.plan_publisher().unwrap();
+        let subscribers: Vec<_> = (0..8).map(|_| node.telemetry_subscriber().unwrap()).collect();
+        telemetry.publish(&TelemetryBatch::boxed_zeroed()).unwrap();
+        // All but the room for connections, which are there already.
+        let free = Domain::free_memory().unwrap();
+        let filler = vec![1_u8; usize::try_from(free).unwrap()];
+        let _ = std::fs::write("/dev/shm/filler", filler);
+        assert!(Domain::free_memory().unwrap() < 4096);
+        // Every place of every queue is written.
+        for _ in 0..5000 {
+            telemetry.publish(&TelemetryBatch::boxed_zeroed()).unwrap();
+            plans.publish(&Plan::boxed_zeroed()).unwrap();
+        }
+        assert!(subscribers.iter().all(|s| s.receive().unwrap().is_some()));
+        return expect_full(node.control_server());
+    }
+    check("128m", "full_later_does_no_harm");
+}
