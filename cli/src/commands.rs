@@ -4,10 +4,12 @@ pub mod config;
 pub mod db;
 pub mod demo;
 pub mod disturb;
+pub mod export;
 pub mod model;
 pub mod montecarlo;
 pub mod optimize;
 pub mod plan;
+pub mod record;
 pub mod request;
 pub mod status;
 

@@ -7,6 +7,8 @@ pub mod commands;
 pub mod montecarlo;
 pub mod parse;
 pub mod picture;
+pub mod recording;
 pub mod report;
+pub mod robot;
 pub mod session;
 pub mod swing_up;

@@ -1,5 +1,6 @@
 //! Values on the command line.
 
+use crate::recording::Window;
 use upswing_config::Config;
 use upswing_config::process::Failure;
 use upswing_config::{PendulumStart, StartError};
@@ -38,4 +39,17 @@ impl std::fmt::Display for Degrees {
 pub fn start_state(config: &Config, start: &Degrees, pendulum: PendulumStart) -> Result<State, Failure> {
     let radians: Vec<f64> = start.0.iter().map(|d| d.to_radians()).collect();
     config.start_state(&radians, pendulum).map_err(|e: StartError| Failure::BadInput(format!("--start: {e}")))
+}
+
+/// The stretch of a recording of the options `--from` and `--to`, s.
+///
+/// # Errors
+/// [`Failure::BadInput`] if it is empty.
+pub fn window(from: f64, to: Option<f64>) -> Result<Window, Failure> {
+    let to = to.unwrap_or(f64::INFINITY);
+    if !(from >= 0.0 && from < to) {
+        let got = format!("{from} to {to}");
+        return Err(Failure::BadInput(format!("--from, --to: expected 0 <= from < to in s, got {got}")));
+    }
+    Ok(Window { from, to })
 }
