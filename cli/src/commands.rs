@@ -10,6 +10,7 @@ pub mod montecarlo;
 pub mod optimize;
 pub mod plan;
 pub mod record;
+pub mod report;
 pub mod request;
 pub mod status;
 

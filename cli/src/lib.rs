@@ -5,6 +5,7 @@
 pub mod closed_loop;
 pub mod commands;
 pub mod montecarlo;
+pub mod page;
 pub mod parse;
 pub mod picture;
 pub mod recording;

@@ -1,6 +1,7 @@
 //! A picture like the paper's Fig. 5: positions, velocities and torques over time, each scaled by its limit,
 //! measured values in colour, desired ones dashed.
 
+pub mod figures;
 pub mod map;
 
 use plotters::prelude::*;

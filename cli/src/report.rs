@@ -237,6 +237,10 @@ impl std::fmt::Display for Report {
             100.0 * self.figures.peak_velocity,
             100.0 * self.figures.peak_torque
         )?;
-        write!(f, "  cycles    {} recorded, {} lost, {} late", self.figures.cycles, self.figures.dropped, self.figures.overruns)
+        write!(
+            f,
+            "  cycles    {} recorded, {} lost, {} late",
+            self.figures.cycles, self.figures.dropped, self.figures.overruns
+        )
     }
 }

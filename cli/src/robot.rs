@@ -77,7 +77,9 @@ impl Robot {
         while !pending.is_empty() {
             let before = pending.len();
             pending.retain(|joint| {
-                let Some(parent) = links.iter().position(|l| l.name == joint.parent.link) else { return true };
+                let Some(parent) = links.iter().position(|l| l.name == joint.parent.link) else {
+                    return true;
+                };
                 let index = names.iter().position(|name| *name == joint.name);
                 links.push(Link {
                     name: joint.child.link.clone(),

@@ -92,8 +92,9 @@ fn columns() -> Vec<String> {
 
 fn line(record: &Telemetry) -> String {
     let integer = FIELDS.iter().flat_map(|field| std::iter::repeat_n(field.integer, field.length));
-    let texts = record.words().zip(integer).map(|(word, integer)| {
-        if integer { word.to_string() } else { f64::from_bits(word).to_string() }
-    });
+    let texts = record
+        .words()
+        .zip(integer)
+        .map(|(word, integer)| if integer { word.to_string() } else { f64::from_bits(word).to_string() });
     texts.collect::<Vec<_>>().join(",")
 }

@@ -54,8 +54,9 @@ impl Recording {
 pub fn read(path: &Path, window: Window) -> Result<Recording, RecordingError> {
     let bytes = std::fs::read(path).map_err(|cause| RecordingError::Read { path: path.to_owned(), cause })?;
     let not_mcap = |cause: McapError| RecordingError::NotMcap { path: path.to_owned(), cause: cause.into() };
-    let records = mcap_read::ChunkFlattener::new_with_options(&bytes, mcap_read::Options::IgnoreEndMagic.into())
-        .map_err(not_mcap)?;
+    let records =
+        mcap_read::ChunkFlattener::new_with_options(&bytes, mcap_read::Options::IgnoreEndMagic.into())
+            .map_err(not_mcap)?;
     let mut reader = Reader { path, window, schemas: BTreeMap::new(), cycle_channel: None, first_ns: None };
     let mut recording = Recording::default();
     let mut finished = false;

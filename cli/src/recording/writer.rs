@@ -100,8 +100,7 @@ impl Recorder {
 
     fn put(&mut self, channel_id: u16, record: &Telemetry, data: &[u8]) -> mcap::McapResult<()> {
         let sequence = record.seq as u32;
-        let header =
-            MessageHeader { channel_id, sequence, log_time: record.t_ns, publish_time: record.t_ns };
+        let header = MessageHeader { channel_id, sequence, log_time: record.t_ns, publish_time: record.t_ns };
         self.writer.write_to_known_channel(&header, data)
     }
 
