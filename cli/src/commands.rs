@@ -1,5 +1,6 @@
 //! The commands of the `upswing` program, one module each.
 
+pub mod completions;
 pub mod config;
 pub mod db;
 pub mod demo;

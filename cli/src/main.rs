@@ -1,6 +1,6 @@
 //! The operator's command line.
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 use std::process::ExitCode;
 use upswing::commands;
 use upswing_config::process::{finish, start_logging};
@@ -31,6 +31,8 @@ enum Command {
     #[command(name = "montecarlo")]
     MonteCarlo(commands::montecarlo::MonteCarloArgs),
     Config(commands::config::ConfigArgs),
+    Completions(commands::completions::CompletionsArgs),
+    Man(commands::completions::ManArgs),
     /// Run as the control daemon, like `upswingd`
     Daemon(upswingd::DaemonArgs),
     /// Run as the planner, like `upswing-planner`
@@ -56,6 +58,8 @@ fn main() -> ExitCode {
         Command::Model(args) => commands::model::run(args),
         Command::MonteCarlo(args) => commands::montecarlo::run(args),
         Command::Config(args) => commands::config::run(args),
+        Command::Completions(args) => commands::completions::completions(args, &mut Cli::command()),
+        Command::Man(args) => commands::completions::man(args, Cli::command()),
         Command::Daemon(args) => upswingd::run(args.clone()),
         Command::Planner(args) => upswing_planner::service::run(args),
         Command::Plant(args) => upswing_plant::run(args.clone()),

@@ -129,7 +129,7 @@ impl Data {
     /// # Errors
     /// [`RecordingError`] if the recording does not hold a robot that can be drawn.
     pub fn new(path: &Path, recording: &Recording) -> Result<Self, RecordingError> {
-        let urdf = recording.file(path, "robot.urdf")?;
+        let urdf = urdf(path, recording)?;
         let model = model(path, urdf)?;
         let robot = Robot::from_urdf(urdf, &model)
             .map_err(|cause| RecordingError::Robot { path: path.to_owned(), cause })?;
@@ -170,10 +170,13 @@ impl Data {
     }
 }
 
-/// The robot of a recording.
-///
-/// # Errors
-/// [`RecordingError::Robot`]
+fn urdf<'a>(path: &Path, recording: &'a Recording) -> Result<&'a str, RecordingError> {
+    recording.file_text("robot.urdf").ok_or_else(|| RecordingError::Missing {
+        path: path.to_owned(),
+        expected: "an attachment robot.urdf".into(),
+    })
+}
+
 fn model(path: &Path, urdf: &str) -> Result<Model, RecordingError> {
     Model::from_urdf(urdf).map_err(|e| RecordingError::Robot {
         path: path.to_owned(),
@@ -186,7 +189,7 @@ fn model(path: &Path, urdf: &str) -> Result<Model, RecordingError> {
 /// # Errors
 /// [`RecordingError`] if there is no robot.
 pub fn limits(path: &Path, recording: &Recording) -> Result<Limits, RecordingError> {
-    Ok(*model(path, recording.file(path, "robot.urdf")?)?.rated_limits())
+    Ok(*model(path, urdf(path, recording)?)?.rated_limits())
 }
 
 /// Time from one cycle to the next, s: the median, because cycles may be late or missing.

@@ -32,7 +32,7 @@ class Scene {
   constructor(canvas, links, changed) {
     this.canvas = canvas;
     this.links = links;
-    this.camera = { azimuth: -0.95, elevation: 0.16, distance: 3.1, target: [0.1, 0, 1.45] };
+    this.camera = { azimuth: -0.95, elevation: 0.14, distance: 2.5, target: [0.2, 0, 1.42] };
     const rod = links[links.length - 1];
     const ends = rod.shapes.flatMap(s => [s.a, s.b]);
     const length = v => Math.hypot(...v);

@@ -3,6 +3,7 @@
 use crate::page::times::Times;
 use crate::page::{period, spans, zero};
 use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
 use std::path::{Path, PathBuf};
 use upswing_ipc::{Mode, Telemetry};
 use upswing_model::Limits;
@@ -98,18 +99,21 @@ fn modes<'a>(path: &'a Path, records: &[Telemetry]) -> Drawn<'a> {
     let mut chart = ChartBuilder::on(&root)
         .margin(12)
         .x_label_area_size(42)
-        .y_label_area_size(70)
+        .y_label_area_size(74)
         .build_cartesian_2d(from..to.max(from + 1e-3), 0.0..rows as f64)?;
-    let row_name = |y: &f64| Mode::ALL.get(*y as usize).map_or_else(String::new, |mode| mode.to_string());
     chart
         .configure_mesh()
+        .disable_y_axis()
         .light_line_style(TRANSPARENT)
         .bold_line_style(BLACK.mix(0.08))
         .label_style(("sans-serif", 14))
         .x_desc("time (s)")
-        .y_labels(rows)
-        .y_label_formatter(&row_name)
         .draw()?;
+    let label = TextStyle::from(("sans-serif", 14).into_font()).pos(Pos::new(HPos::Right, VPos::Center));
+    for (row, mode) in Mode::ALL.iter().enumerate() {
+        let (_, y) = chart.backend_coord(&(from, row as f64 + 0.4));
+        root.draw_text(&mode.to_string(), &label, (74, y))?;
+    }
     for span in &spans {
         let row =
             Mode::ALL.iter().position(|mode| span.name.starts_with(&mode.to_string())).unwrap_or(0) as f64;
@@ -160,7 +164,8 @@ fn cycle_times<'a>(path: &'a Path, all: &[Times], period_us: f64) -> Drawn<'a> {
     chart
         .configure_series_labels()
         .position(SeriesLabelPosition::UpperRight)
-        .background_style(WHITE.mix(0.9))
+        .margin(20)
+        .background_style(WHITE.mix(0.7))
         .label_font(("sans-serif", 14))
         .draw()?;
     root.present()

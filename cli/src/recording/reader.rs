@@ -1,11 +1,17 @@
 //! Reads recordings, also those of a killed process.
 
 use super::{CYCLE_TOPIC, DETAILS, RecordingError, cycle};
+use mcap::parse_record;
 use mcap::records::Record;
-use mcap::{McapError, read as mcap_read};
+use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::Read;
 use std::path::Path;
 use upswing_ipc::Telemetry;
+
+/// Longest record, bytes: ten times a chunk. A damaged length asks for no more memory than this.
+const LONGEST: usize = 16 << 20;
 
 /// A stretch of a recording, s from its first cycle.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -36,39 +42,51 @@ pub struct Recording {
 
 impl Recording {
     /// Text of one of the settings files.
-    ///
-    /// # Errors
-    /// [`RecordingError::Missing`]; `path` is for the message.
-    pub fn file(&self, path: &Path, name: &str) -> Result<&str, RecordingError> {
-        let found = self.files.iter().find(|(n, _)| n == name).map(|(_, text)| text.as_str());
-        let expected = || format!("an attachment {name}");
-        found.ok_or_else(|| RecordingError::Missing { path: path.to_owned(), expected: expected() })
+    pub fn file_text(&self, name: &str) -> Option<&str> {
+        self.files.iter().find(|(n, _)| n == name).map(|(_, text)| text.as_str())
     }
 }
 
-/// Reads a file. All of it must fit into memory: about 3 MB per second of an 8 kHz recording, 5 MB for the cycles.
+/// Reads a file; its cycles must fit into memory, 5 MB per second at 8 kHz.
 ///
 /// # Errors
 /// [`RecordingError`] if it is no recording of this version or holds no cycle in the window. A file that ends early
 /// is no error, see [`Recording::cut`].
 pub fn read(path: &Path, window: Window) -> Result<Recording, RecordingError> {
-    let bytes = std::fs::read(path).map_err(|cause| RecordingError::Read { path: path.to_owned(), cause })?;
-    let not_mcap = |cause: McapError| RecordingError::NotMcap { path: path.to_owned(), cause: cause.into() };
-    let records =
-        mcap_read::ChunkFlattener::new_with_options(&bytes, mcap_read::Options::IgnoreEndMagic.into())
-            .map_err(not_mcap)?;
+    let unreadable = |cause| RecordingError::Read { path: path.to_owned(), cause };
+    let mut file = File::open(path).map_err(unreadable)?;
+    let options = LinearReaderOptions::default()
+        .with_skip_end_magic(true)
+        // A damaged chunk gives no cycles at all.
+        .with_prevalidate_chunk_crcs(true)
+        .with_record_length_limit(LONGEST);
+    let mut events = LinearReader::new_with_options(options);
     let mut reader = Reader { path, window, schemas: BTreeMap::new(), cycle_channel: None, first_ns: None };
     let mut recording = Recording::default();
-    let mut finished = false;
-    for record in records {
+    let (mut begun, mut finished) = (false, false);
+    while let Some(event) = events.next_event() {
+        let record = match event {
+            Ok(LinearReadEvent::ReadRequest(need)) => {
+                let space = events.insert(need.min(LONGEST));
+                let got = file.read(space).map_err(unreadable)?;
+                events.notify_read(got);
+                continue;
+            }
+            Ok(LinearReadEvent::Record { data, opcode }) => parse_record(opcode, data),
+            Err(e) => Err(e),
+        };
         match record {
             Ok(Record::Footer(_)) => finished = true,
             Ok(record) => reader.take(record, &mut recording)?,
+            Err(cause) if !begun => {
+                return Err(RecordingError::NotMcap { path: path.to_owned(), cause: cause.into() });
+            }
             Err(e) => {
                 recording.cut = Some(e.to_string());
                 break;
             }
         }
+        begun = true;
     }
     if !finished && recording.cut.is_none() {
         recording.cut = Some("the end is missing".into());
