@@ -58,7 +58,7 @@ class Scene {
     const ahead = -x * Math.cos(a) - y * Math.sin(a), right = -x * Math.sin(a) + y * Math.cos(a);
     const depth = distance + ahead * Math.cos(e) - z * Math.sin(e);
     const up = z * Math.cos(e) + ahead * Math.sin(e);
-    const scale = 1.35 * this.height / Math.max(depth, 0.05);
+    const scale = 1.35 * Math.min(this.height, 1.2 * this.width) / Math.max(depth, 0.05);
     return [this.width / 2 + right * scale, this.height / 2 - up * scale, scale, depth];
   }
 

@@ -24,12 +24,10 @@ pub struct Times {
 impl Times {
     /// Wake-up and computing time, as far as they were measured: on `lockstep` they are not.
     pub fn of(records: &[Telemetry]) -> Vec<Self> {
-        let durations: [(&str, fn(&Telemetry) -> u64); 2] = [
-            ("wake-up", |t| t.wake_ns),
-            ("compute", |t| t.read_ns.saturating_add(t.compute_ns).saturating_add(t.write_ns)),
-        ];
-        let times = durations.map(|(name, of)| Self::new(name, records.iter().map(of).collect()));
-        times.into_iter().flatten().collect()
+        let wake = records.iter().map(|t| t.wake_ns).collect();
+        let compute = |t: &Telemetry| t.read_ns.saturating_add(t.compute_ns).saturating_add(t.write_ns);
+        let compute = records.iter().map(compute).collect();
+        [Self::new("wake-up", wake), Self::new("compute", compute)].into_iter().flatten().collect()
     }
 
     fn new(name: &'static str, mut ns: Vec<u64>) -> Option<Self> {

@@ -87,7 +87,7 @@ impl Recorder {
             self.put(self.channels.description, record, &messages::description(&self.robot.urdf))?;
         }
         self.put(self.channels.cycle, record, &cycle::encode(record))?;
-        if record.seq % self.view_every == 0 {
+        if record.seq.is_multiple_of(self.view_every) {
             let names = self.joint_names.each_ref().map(String::as_str);
             self.put(self.channels.joint_states, record, &messages::joint_states(&names, record))?;
             self.put(self.channels.transforms, record, &messages::transforms(&self.robot, record))?;
