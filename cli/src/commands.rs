@@ -1,14 +1,18 @@
 //! The commands of the `upswing` program, one module each.
 
+pub mod completions;
 pub mod config;
 pub mod db;
 pub mod demo;
 pub mod disturb;
 pub mod doctor;
+pub mod export;
 pub mod model;
 pub mod montecarlo;
 pub mod optimize;
 pub mod plan;
+pub mod record;
+pub mod report;
 pub mod request;
 pub mod status;
 

@@ -5,8 +5,11 @@
 pub mod closed_loop;
 pub mod commands;
 pub mod montecarlo;
+pub mod page;
 pub mod parse;
 pub mod picture;
+pub mod recording;
 pub mod report;
+pub mod robot;
 pub mod session;
 pub mod swing_up;

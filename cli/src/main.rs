@@ -1,6 +1,6 @@
 //! The operator's command line.
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 use std::process::ExitCode;
 use upswing::commands;
 use upswing_config::process::{finish, start_logging};
@@ -22,6 +22,9 @@ enum Command {
     Disturb(commands::disturb::DisturbArgs),
     Status(commands::status::StatusArgs),
     Doctor(commands::doctor::DoctorArgs),
+    Record(commands::record::RecordArgs),
+    Report(commands::report::ReportArgs),
+    Export(commands::export::ExportArgs),
     Plan(commands::plan::PlanArgs),
     Optimize(commands::optimize::OptimizeArgs),
     Db(commands::db::DbArgs),
@@ -29,6 +32,8 @@ enum Command {
     #[command(name = "montecarlo")]
     MonteCarlo(commands::montecarlo::MonteCarloArgs),
     Config(commands::config::ConfigArgs),
+    Completions(commands::completions::CompletionsArgs),
+    Man(commands::completions::ManArgs),
     /// Run as the control daemon, like `upswingd`
     Daemon(upswingd::DaemonArgs),
     /// Run as the planner, like `upswing-planner`
@@ -46,12 +51,17 @@ fn main() -> ExitCode {
         Command::Disturb(args) => commands::disturb::run(args),
         Command::Status(args) => commands::status::run(args),
         Command::Doctor(args) => commands::doctor::run(args),
+        Command::Record(args) => commands::record::run(args),
+        Command::Report(args) => commands::report::run(args),
+        Command::Export(args) => commands::export::run(args),
         Command::Plan(args) => commands::plan::run(args),
         Command::Optimize(args) => commands::optimize::run(args),
         Command::Db(args) => commands::db::run(args),
         Command::Model(args) => commands::model::run(args),
         Command::MonteCarlo(args) => commands::montecarlo::run(args),
         Command::Config(args) => commands::config::run(args),
+        Command::Completions(args) => commands::completions::completions(args, &mut Cli::command()),
+        Command::Man(args) => commands::completions::man(args, Cli::command()),
         Command::Daemon(args) => upswingd::run(args.clone()),
         Command::Planner(args) => upswing_planner::service::run(args),
         Command::Plant(args) => upswing_plant::run(args.clone()),

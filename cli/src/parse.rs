@@ -1,5 +1,6 @@
 //! Values on the command line.
 
+use crate::recording::Window;
 use upswing_config::Config;
 use upswing_config::process::Failure;
 use upswing_config::{PendulumStart, StartError};
@@ -45,4 +46,17 @@ pub fn start_state(
     config
         .start_state(&radians, pendulum)
         .map_err(|e: StartError| Failure::BadInput(format!("{option}: {e}")))
+}
+
+/// The stretch of a recording of the options `--from` and `--to`, s.
+///
+/// # Errors
+/// [`Failure::BadInput`] if it is empty.
+pub fn window(from: f64, to: Option<f64>) -> Result<Window, Failure> {
+    let to = to.unwrap_or(f64::INFINITY);
+    if !(from >= 0.0 && from < to) {
+        let got = format!("{from} to {to}");
+        return Err(Failure::BadInput(format!("--from, --to: expected 0 <= from < to in s, got {got}")));
+    }
+    Ok(Window { from, to })
 }

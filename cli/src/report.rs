@@ -3,25 +3,11 @@
 use serde::Serialize;
 use upswing_config::Config;
 use upswing_ipc::{Mode, PlannerResponse, Telemetry};
-use upswing_model::{JointVector, Model, NQ, NU};
+use upswing_model::{JointVector, Limits, Model, NQ, NU};
 
-/// Figures of one swing-up.
+/// Figures of any stretch of records.
 #[derive(Clone, Debug, Serialize)]
-pub struct Report {
-    /// Balanced to the end, all limits kept.
-    pub success: bool,
-    /// Why not, for people.
-    pub failures: Vec<String>,
-    /// Duration of the planned swing-up t_F, s.
-    pub t_f: f64,
-    /// Time from the request to the plan, s.
-    pub planning_s: f64,
-    /// Index of the database entry and its distance, rad.
-    pub nearest_entry: u64,
-    /// See `nearest_entry`.
-    pub distance: f64,
-    /// Defect of the plan's real dynamics, rad/s per interval.
-    pub defect: f64,
+pub struct Figures {
     /// Largest difference between a joint angle and its reference while tracking, rad, of joints 1-7 and 8-9.
     pub tracking_error_arm: f64,
     /// See `tracking_error_arm`.
@@ -44,6 +30,28 @@ pub struct Report {
     pub dropped: u64,
     /// Cycles that ended late (clock `wall`).
     pub overruns: u64,
+}
+
+/// A swing-up and whether it was one.
+#[derive(Clone, Debug, Serialize)]
+pub struct Report {
+    /// Balanced to the end, all limits kept.
+    pub success: bool,
+    /// Why not, for people.
+    pub failures: Vec<String>,
+    /// Duration of the planned swing-up t_F, s.
+    pub t_f: f64,
+    /// Time from the request to the plan, s.
+    pub planning_s: f64,
+    /// Index of the database entry and its distance, rad.
+    pub nearest_entry: u64,
+    /// See `nearest_entry`.
+    pub distance: f64,
+    /// Defect of the plan's real dynamics, rad/s per interval.
+    pub defect: f64,
+    /// What the records show.
+    #[serde(flatten)]
+    pub figures: Figures,
 }
 
 /// Tilt up to which the pendulum counts as balanced, deg.
@@ -79,25 +87,10 @@ impl std::fmt::Display for Beyond<'_> {
     }
 }
 
-impl Report {
-    /// Evaluates the records of a swing-up that shall balance for `seconds`.
-    pub fn new(
-        config: &Config,
-        plan: &PlannerResponse,
-        records: &[Telemetry],
-        dropped: u64,
-        seconds: f64,
-    ) -> Self {
-        let limits = &config.robot.limits;
-        let period = config.daemon.cycle.period.as_secs_f64();
-        let mut r = Self {
-            success: false,
-            failures: Vec::new(),
-            t_f: plan.t_f,
-            planning_s: plan.time_total_us * 1e-6,
-            nearest_entry: plan.nearest_entry,
-            distance: plan.distance,
-            defect: plan.defect,
+impl Figures {
+    /// Evaluates records, of which `dropped` were lost. `period` in s.
+    pub fn new(model: &Model, limits: &Limits, period: f64, records: &[Telemetry], dropped: u64) -> Self {
+        let mut f = Self {
             tracking_error_arm: 0.0,
             tracking_error_pendulum: 0.0,
             peak_position: 0.0,
@@ -110,68 +103,105 @@ impl Report {
             dropped,
             overruns: 0,
         };
-        let mut beyond = Beyond { rad: f64::NEG_INFINITY, joint: 0, record: None };
-        let balance: Vec<_> = records.iter().filter(|t| t.mode() == Ok(Mode::Balance)).collect();
         for t in records {
-            r.overruns += u64::from(t.flags & Telemetry::OVERRUN != 0);
+            f.overruns += u64::from(t.flags & Telemetry::OVERRUN != 0);
             for i in 0..NU {
                 let range = if t.q[i] < 0.0 { limits.q_min[i] } else { limits.q_max[i] };
-                r.peak_position = r.peak_position.max(t.q[i] / range);
-                let rad = (t.q[i] - limits.q_max[i]).max(limits.q_min[i] - t.q[i]);
-                if rad > beyond.rad {
-                    beyond = Beyond { rad, joint: i, record: Some(t) };
-                }
-                r.peak_velocity = r.peak_velocity.max(t.qd[i].abs() / limits.qd_max[i]);
-                r.peak_torque = r.peak_torque.max(t.tau[i].abs() / limits.tau_max[i]);
+                f.peak_position = f.peak_position.max(t.q[i] / range);
+                f.peak_velocity = f.peak_velocity.max(t.qd[i].abs() / limits.qd_max[i]);
+                f.peak_torque = f.peak_torque.max(t.tau[i].abs() / limits.tau_max[i]);
             }
             if t.mode() == Ok(Mode::Track) {
                 for i in 0..NQ {
                     let error = (t.q[i] - t.q_d[i]).abs();
                     let worst =
-                        if i < NU { &mut r.tracking_error_arm } else { &mut r.tracking_error_pendulum };
+                        if i < NU { &mut f.tracking_error_arm } else { &mut f.tracking_error_pendulum };
                     *worst = worst.max(error);
                 }
             }
         }
-        r.balance_s = balance.len() as f64 * period;
+        let balance: Vec<_> = records.iter().filter(|t| t.mode() == Ok(Mode::Balance)).collect();
+        f.balance_s = balance.len() as f64 * period;
         let end = &balance[balance.len().saturating_sub((1.0 / period) as usize)..];
         if !end.is_empty() {
-            let tilts = end.iter().map(|t| tilt(&config.model, &JointVector::from(t.q)).to_degrees());
-            r.final_tilt_deg = tilts.fold(0.0, f64::max);
-            r.final_speed = end.iter().flat_map(|t| &t.qd[..NU]).fold(0.0, |most, v| v.abs().max(most));
+            let tilts = end.iter().map(|t| tilt(model, &JointVector::from(t.q)).to_degrees());
+            f.final_tilt_deg = tilts.fold(0.0, f64::max);
+            f.final_speed = end.iter().flat_map(|t| &t.qd[..NU]).fold(0.0, |most, v| v.abs().max(most));
         }
+        f
+    }
+}
+
+impl<'a> Beyond<'a> {
+    fn most(limits: &Limits, records: &'a [Telemetry]) -> Self {
+        let mut most = Self { rad: f64::NEG_INFINITY, joint: 0, record: None };
+        for t in records {
+            for i in 0..NU {
+                let rad = (t.q[i] - limits.q_max[i]).max(limits.q_min[i] - t.q[i]);
+                if rad > most.rad {
+                    most = Self { rad, joint: i, record: Some(t) };
+                }
+            }
+        }
+        most
+    }
+}
+
+impl Report {
+    /// Evaluates the records of a swing-up that shall balance for `seconds`.
+    pub fn new(
+        config: &Config,
+        plan: &PlannerResponse,
+        records: &[Telemetry],
+        dropped: u64,
+        seconds: f64,
+    ) -> Self {
+        let limits = &config.robot.limits;
+        let period = config.daemon.cycle.period.as_secs_f64();
+        let figures = Figures::new(&config.model, limits, period, records, dropped);
+        let beyond = Beyond::most(limits, records);
+        let mut failures = Vec::new();
+        let f = &figures;
         let mut fail = |bad: bool, text: String| {
             if bad {
-                r.failures.push(text);
+                failures.push(text);
             }
         };
         fail(
-            !(r.final_tilt_deg <= BALANCED_DEG),
+            !(f.final_tilt_deg <= BALANCED_DEG),
             format!(
                 "rod {:.2} deg from upright in the last second, expected at most {BALANCED_DEG}",
-                r.final_tilt_deg
+                f.final_tilt_deg
             ),
         );
         fail(
-            r.balance_s + 2.0 * period < seconds,
-            format!("balanced {:.3} s, expected {seconds} s", r.balance_s),
+            f.balance_s + 2.0 * period < seconds,
+            format!("balanced {:.3} s, expected {seconds} s", f.balance_s),
         );
         fail(
-            !(r.final_speed <= AT_REST),
+            !(f.final_speed <= AT_REST),
             format!(
                 "the arm moves at {:.3} rad/s in the last second, expected at most {AT_REST}",
-                r.final_speed
+                f.final_speed
             ),
         );
         fail(
-            r.peak_velocity > 1.0,
-            format!("a velocity reached {:.0} % of its limit", 100.0 * r.peak_velocity),
+            f.peak_velocity > 1.0,
+            format!("a velocity reached {:.0} % of its limit", 100.0 * f.peak_velocity),
         );
-        fail(r.peak_torque > 1.0, format!("torque reached {:.0} % of its limit", 100.0 * r.peak_torque));
+        fail(f.peak_torque > 1.0, format!("torque reached {:.0} % of its limit", 100.0 * f.peak_torque));
         fail(beyond.rad > RESOLUTION, beyond.to_string());
-        fail(r.dropped > 0, format!("{} telemetry records were lost", r.dropped));
-        r.success = r.failures.is_empty();
-        r
+        fail(f.dropped > 0, format!("{} telemetry records were lost", f.dropped));
+        Self {
+            success: failures.is_empty(),
+            failures,
+            t_f: plan.t_f,
+            planning_s: plan.time_total_us * 1e-6,
+            nearest_entry: plan.nearest_entry,
+            distance: plan.distance,
+            defect: plan.defect,
+            figures,
+        }
     }
 }
 
@@ -193,20 +223,24 @@ impl std::fmt::Display for Report {
         writeln!(
             f,
             "  tracking  within {:.3} rad (joints 1-7), {:.3} rad (pendulum)",
-            self.tracking_error_arm, self.tracking_error_pendulum
+            self.figures.tracking_error_arm, self.figures.tracking_error_pendulum
         )?;
         writeln!(
             f,
             "  balance   {:.2} s, rod within {:.2} deg of upright and arm below {:.3} rad/s in the last second",
-            self.balance_s, self.final_tilt_deg, self.final_speed
+            self.figures.balance_s, self.figures.final_tilt_deg, self.figures.final_speed
         )?;
         writeln!(
             f,
             "  peaks     position {:.0} %, velocity {:.0} %, torque {:.0} % of the 100 % limits of joints 1-7",
-            100.0 * self.peak_position,
-            100.0 * self.peak_velocity,
-            100.0 * self.peak_torque
+            100.0 * self.figures.peak_position,
+            100.0 * self.figures.peak_velocity,
+            100.0 * self.figures.peak_torque
         )?;
-        write!(f, "  cycles    {} recorded, {} lost, {} late", self.cycles, self.dropped, self.overruns)
+        write!(
+            f,
+            "  cycles    {} recorded, {} lost, {} late",
+            self.figures.cycles, self.figures.dropped, self.figures.overruns
+        )
     }
 }

@@ -1,5 +1,6 @@
 //! A system of three processes in a shared-memory domain of its own, and the means to drive it.
 
+use crate::recording::{Recorder, RecordingError, Tally};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -65,6 +66,9 @@ pub enum SessionError {
     /// Shared memory.
     #[error(transparent)]
     Ipc(#[from] IpcError),
+    /// The recording.
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
     /// Ctrl-C.
     #[error("interrupted")]
     Interrupted,
@@ -218,8 +222,9 @@ pub struct Session {
     clock: Clock,
     /// Every record received so far.
     pub records: Vec<Telemetry>,
-    /// Records that were lost on the way here.
-    pub dropped: u64,
+    /// Takes every record, too; [`Session::end`] completes it.
+    pub recorder: Option<Recorder>,
+    tally: Tally,
 }
 
 impl Session {
@@ -256,12 +261,18 @@ impl Session {
             domain,
             clock: options.clock,
             records: Vec::new(),
-            dropped: 0,
+            recorder: None,
+            tally: Tally::default(),
         };
         session.wait_for("all three processes to answer", START_PATIENCE, |s| {
             Ok(s.control.has_server() && s.planner.has_server() && s.plant.has_server())
         })?;
         Ok(session)
+    }
+
+    /// Records that were lost on the way here.
+    pub fn dropped(&self) -> u64 {
+        self.tally.lost
     }
 
     /// Process id of a role; `None` if it was ended.
@@ -404,11 +415,16 @@ impl Session {
     /// Takes all telemetry that is waiting.
     ///
     /// # Errors
-    /// [`SessionError::Ipc`].
+    /// [`SessionError::Ipc`], [`SessionError::Recording`].
     pub fn collect(&mut self) -> Result<(), SessionError> {
         while let Some(batch) = self.telemetry.receive()? {
+            let begin = self.records.len();
             self.records.extend_from_slice(batch.used());
-            self.dropped += batch.dropped;
+            let new = &self.records[begin..];
+            new.iter().for_each(|record| self.tally.count(record));
+            if let Some(recorder) = &mut self.recorder {
+                recorder.write(new)?;
+            }
         }
         Ok(())
     }
@@ -459,6 +475,9 @@ impl Session {
                 }
             }
             self.processes[i] = None;
+        }
+        if let Some(recorder) = self.recorder.take() {
+            recorder.finish()?;
         }
         Ok(())
     }

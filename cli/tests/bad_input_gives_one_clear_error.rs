@@ -136,6 +136,22 @@ fn monte_carlo_runs() {
 }
 
 #[test]
+fn recordings() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let file = dir.path().join("run.mcap");
+    std::fs::write(&file, "no recording").expect("written");
+    let file = file.to_str().expect("a plain path");
+    refused(&["report", file], &["run.mcap", "expected an MCAP recording"]);
+    refused(&["report", "/nonexistent/run.mcap"], &["/nonexistent/run.mcap"]);
+    refused(&["report", file, "--from", "3", "--to", "2"], &["--from", "3 to 2"]);
+    refused(&["export", file, "--csv", "a.csv", "--every", "0"], &["--every", "0"]);
+    refused(&["record", file, "--seconds", "nan"], &["--seconds", "NaN"]);
+    refused(&["demo", "--record", file], &["run.mcap", "not overwritten"]);
+    refused(&["man", file], &["run.mcap"]);
+    refused(&["completions", "dos"], &["dos", "bash"]);
+}
+
+#[test]
 fn commands() {
     refused(&["swing"], &["swing"]);
     refused(&["status", "--domain", "no spaces"], &["domain"]);

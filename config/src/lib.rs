@@ -212,6 +212,15 @@ impl Config {
         Ok(purpose)
     }
 
+    /// Names and texts of the settings files, for whoever keeps them with results: all but scenarios and database.
+    ///
+    /// # Errors
+    /// A file has become unreadable since it was loaded.
+    pub fn texts(&self) -> Result<Vec<(&'static str, String)>, ConfigError> {
+        let files = [&URDF, &ROBOT, &PLANNER, &DAEMON, &PLANT, &GRID];
+        files.iter().map(|file| Ok((file.name, text_of(self.dir.as_deref(), file)?.1))).collect()
+    }
+
     /// Names of the scenarios of the set.
     pub fn scenario_names() -> impl Iterator<Item = &'static str> {
         SCENARIOS.iter().map(scenario_name)

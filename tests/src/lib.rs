@@ -101,7 +101,7 @@ impl System {
         let period = self.period();
         let plan = swing_up(&mut self.session, period, seconds, &AtomicBool::new(false))
             .unwrap_or_else(|e| panic!("{e}"));
-        Report::new(&self.config, &plan, &self.session.records, self.session.dropped, seconds)
+        Report::new(&self.config, &plan, &self.session.records, self.session.dropped(), seconds)
     }
 }
 

@@ -1,8 +1,9 @@
 //! `upswing demo`: the whole system on this machine.
 
-use super::{CommonArgs, failed};
+use super::{CommonArgs, failed, record};
 use crate::parse::{Degrees, start_state};
 use crate::picture;
+use crate::recording::Recorder;
 use crate::report::Report;
 use crate::session::{CleanUp, Options, Programs, Session, SessionError};
 use crate::swing_up::swing_up;
@@ -33,6 +34,9 @@ pub struct DemoArgs {
     /// How long to balance, s (at least 2)
     #[arg(long, default_value_t = 5.0)]
     pub seconds: f64,
+    /// Record every cycle in this new file (MCAP); look at it with `upswing report`, Foxglove or PlotJuggler
+    #[arg(long, value_name = "FILE.mcap")]
+    pub record: Option<PathBuf>,
     /// Where to write the picture (SVG)
     #[arg(long, value_name = "FILE", default_value = "upswing-demo.svg")]
     pub picture: PathBuf,
@@ -46,12 +50,17 @@ struct Answer {
     start_deg: Vec<f64>,
     scenario: Option<String>,
     picture: PathBuf,
+    recording: Option<PathBuf>,
 }
 
 impl std::fmt::Display for Answer {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         writeln!(f, "{}", self.report)?;
-        write!(f, "  picture   {}", self.picture.display())
+        write!(f, "  picture   {}", self.picture.display())?;
+        match &self.recording {
+            Some(file) => write!(f, "\n  recording {}", file.display()),
+            None => Ok(()),
+        }
     }
 }
 
@@ -96,18 +105,25 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
         logs: logs.clone(),
     };
     let period = config.daemon.cycle.period.as_secs_f64();
+    let recorder = args.record.as_deref().map(|file| {
+        let mut details = vec![("clock", args.clock.to_string()), ("start_deg", start.to_string())];
+        details.extend(args.scenario.clone().map(|scenario| ("scenario", scenario)));
+        Recorder::create(file, &config, details).map_err(record::failure)
+    });
+    let recorder = recorder.transpose()?;
     if !args.common.json {
         eprintln!("starting daemon, planner and plant ({} clock) ...", args.clock);
     }
-    let swing = || -> Result<_, SessionError> {
+    let swing = move || -> Result<_, SessionError> {
         let programs = Programs::own().map_err(|cause| SessionError::Spawn {
             role: "daemon",
             program: "upswing".into(),
             cause,
         })?;
         let mut session = Session::start(programs, &options)?;
+        session.recorder = recorder;
         let plan = swing_up(&mut session, period, args.seconds, &stop)?;
-        let dropped = session.dropped;
+        let dropped = session.dropped();
         let records = session.records.clone();
         session.end()?;
         Ok((plan, records, dropped))
@@ -124,6 +140,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
         start_deg: start.0,
         scenario: args.scenario.clone(),
         picture: args.picture.clone(),
+        recording: args.record.clone(),
     };
     args.common.print(&answer)?;
     if success { Ok(()) } else { Err(failed("the pendulum was not swung up and balanced")) }

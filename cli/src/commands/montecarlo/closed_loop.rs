@@ -68,13 +68,13 @@ impl From<&Report> for Figures {
     fn from(r: &Report) -> Self {
         Self {
             t_f: r.t_f,
-            tracking_error_arm: r.tracking_error_arm,
-            tracking_error_pendulum: r.tracking_error_pendulum,
-            peak_position: r.peak_position,
-            peak_velocity: r.peak_velocity,
-            peak_torque: r.peak_torque,
-            final_tilt_deg: r.final_tilt_deg,
-            final_speed: r.final_speed,
+            tracking_error_arm: r.figures.tracking_error_arm,
+            tracking_error_pendulum: r.figures.tracking_error_pendulum,
+            peak_position: r.figures.peak_position,
+            peak_velocity: r.figures.peak_velocity,
+            peak_torque: r.figures.peak_torque,
+            final_tilt_deg: r.figures.final_tilt_deg,
+            final_speed: r.figures.final_speed,
         }
     }
 }

@@ -1,0 +1,69 @@
+//! `upswing completions` and `upswing man`: the command line, for shells and for `man`.
+
+use super::{failed, print};
+use clap_complete::Shell;
+use serde::Serialize;
+use std::path::PathBuf;
+use upswing_config::process::Failure;
+
+/// Name of the program.
+const NAME: &str = "upswing";
+
+/// Prints a script that completes commands and options in a shell.
+///
+/// Example: upswing completions bash > ~/.local/share/bash-completion/completions/upswing
+#[derive(Clone, Debug, clap::Args)]
+pub struct CompletionsArgs {
+    /// The shell
+    #[arg(value_enum)]
+    pub shell: Shell,
+}
+
+/// Writes a man page for each command.
+///
+/// Example: upswing man ~/.local/share/man/man1 && man upswing-demo
+#[derive(Clone, Debug, clap::Args)]
+pub struct ManArgs {
+    /// The folder, made if need be
+    pub dir: PathBuf,
+    /// Print one JSON document on stdout instead of text
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(Serialize)]
+struct Written {
+    dir: PathBuf,
+    pages: usize,
+}
+
+impl std::fmt::Display for Written {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} pages in {}", self.pages, self.dir.display())
+    }
+}
+
+/// Prints the script for `command`.
+///
+/// # Errors
+/// [`Failure::Failed`] if stdout cannot be written.
+pub fn completions(args: &CompletionsArgs, command: &mut clap::Command) -> Result<(), Failure> {
+    let mut script = Vec::new();
+    clap_complete::generate(args.shell, command, NAME, &mut script);
+    super::print_line(&String::from_utf8(script).map_err(failed)?)
+}
+
+/// Writes the pages of `command`.
+///
+/// # Errors
+/// [`Failure::BadInput`] if the folder cannot be written to.
+pub fn man(args: &ManArgs, command: clap::Command) -> Result<(), Failure> {
+    let write = || -> std::io::Result<usize> {
+        std::fs::create_dir_all(&args.dir)?;
+        clap_mangen::generate_to(command, &args.dir)?;
+        Ok(std::fs::read_dir(&args.dir)?.count())
+    };
+    let bad = |e| Failure::BadInput(format!("cannot write man pages to {}: {e}", args.dir.display()));
+    let pages = write().map_err(bad)?;
+    print(args.json, &Written { dir: args.dir.clone(), pages })
+}

@@ -1,0 +1,100 @@
+//! `upswing export`: a recording as a table.
+
+use super::{CommonArgs, failed, record};
+use crate::parse::window;
+use crate::recording::cycle::FIELDS;
+use crate::recording::read;
+use serde::Serialize;
+use std::io::{BufWriter, Write};
+use std::path::PathBuf;
+use upswing_config::process::Failure;
+use upswing_ipc::Telemetry;
+
+/// Writes the cycles of a recording as CSV: one line per cycle, one column per number, in SI units.
+///
+/// Example: upswing export run.mcap --csv run.csv --from 0.5 --to 3 --every 8
+#[derive(Clone, Debug, clap::Args)]
+pub struct ExportArgs {
+    /// Options of every command.
+    #[command(flatten)]
+    pub common: CommonArgs,
+    /// The recording
+    #[arg(value_name = "FILE.mcap")]
+    pub file: PathBuf,
+    /// The table to write
+    #[arg(long, value_name = "FILE.csv")]
+    pub csv: PathBuf,
+    /// Begin, s after the first cycle
+    #[arg(long, value_name = "S", default_value_t = 0.0)]
+    pub from: f64,
+    /// End, s after the first cycle [default: the end of the recording]
+    #[arg(long, value_name = "S")]
+    pub to: Option<f64>,
+    /// Write only each n-th cycle
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    pub every: u32,
+}
+
+#[derive(Serialize)]
+struct Answer<'a> {
+    csv: &'a PathBuf,
+    lines: usize,
+    columns: usize,
+    cut: Option<String>,
+}
+
+impl std::fmt::Display for Answer<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}: {} cycles, {} columns", self.csv.display(), self.lines, self.columns)?;
+        match &self.cut {
+            Some(why) => write!(f, "; the recording ends early ({why})"),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Writes the table.
+///
+/// # Errors
+/// [`Failure::BadInput`] if there is no such recording, [`Failure::Failed`] if the table cannot be written.
+pub fn run(args: &ExportArgs) -> Result<(), Failure> {
+    let recording = read(&args.file, window(args.from, args.to)?).map_err(record::failure)?;
+    let records: Vec<_> = recording.cycles.iter().step_by(args.every as usize).collect();
+    let write = || -> std::io::Result<()> {
+        let mut file = BufWriter::new(std::fs::File::create(&args.csv)?);
+        writeln!(file, "{}", columns().join(","))?;
+        records.iter().try_for_each(|record| writeln!(file, "{}", line(record)))?;
+        file.flush()
+    };
+    write().map_err(|e| failed(format!("cannot write {}: {e}", args.csv.display())))?;
+    args.common.print(&Answer {
+        csv: &args.csv,
+        lines: records.len(),
+        columns: columns().len(),
+        cut: recording.cut,
+    })
+}
+
+/// `q1_rad`, `t_plan_s`, ...
+fn columns() -> Vec<String> {
+    let suffix = |unit: &str| match unit {
+        "" => String::new(),
+        unit => format!("_{}", unit.replace(' ', "").replace("/s^2", "_s2").replace('/', "_")),
+    };
+    let names = FIELDS.iter().flat_map(|field| {
+        // `t_ns` says its unit already.
+        let unit = if field.name.ends_with("_ns") { String::new() } else { suffix(field.unit) };
+        let joint = move |i: usize| if field.length == 1 { String::new() } else { (i + 1).to_string() };
+        (0..field.length).map(move |i| format!("{}{}{unit}", field.name, joint(i)))
+    });
+    names.collect()
+}
+
+fn line(record: &Telemetry) -> String {
+    let integer = FIELDS.iter().flat_map(|field| std::iter::repeat_n(field.integer, field.length));
+    let texts = record
+        .words()
+        .zip(integer)
+        .map(|(word, integer)| if integer { word.to_string() } else { f64::from_bits(word).to_string() });
+    texts.collect::<Vec<_>>().join(",")
+}

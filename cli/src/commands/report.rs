@@ -1,0 +1,81 @@
+//! `upswing report`: a recording as a page to look at.
+
+use super::{CommonArgs, failed, record};
+use crate::page::{self, Data};
+use crate::parse::window;
+use crate::picture::figures;
+use crate::recording::read;
+use serde::Serialize;
+use std::io::{BufWriter, Write};
+use std::path::PathBuf;
+use upswing_config::process::Failure;
+
+/// Writes one HTML file that shows a recording in any browser, without network: the robot in motion with play, pause and
+/// scrub, positions, velocities and torques, modes, cycle times, summary and settings.
+///
+/// Example: upswing demo --record run.mcap && upswing report run.mcap --svg
+#[derive(Clone, Debug, clap::Args)]
+pub struct ReportArgs {
+    /// Options of every command.
+    #[command(flatten)]
+    pub common: CommonArgs,
+    /// The recording
+    #[arg(value_name = "FILE.mcap")]
+    pub file: PathBuf,
+    /// The page to write [default: the recording's name with .html]
+    #[arg(long, value_name = "FILE.html")]
+    pub output: Option<PathBuf>,
+    /// Begin, s after the first cycle
+    #[arg(long, value_name = "S", default_value_t = 0.0)]
+    pub from: f64,
+    /// End, s after the first cycle [default: the end of the recording]
+    #[arg(long, value_name = "S")]
+    pub to: Option<f64>,
+    /// Write each figure as SVG, too, beside the page
+    #[arg(long)]
+    pub svg: bool,
+    /// Write each figure as PNG, too, beside the page; needs a sans-serif font on this machine
+    #[arg(long)]
+    pub png: bool,
+}
+
+#[derive(Serialize)]
+struct Answer {
+    page: PathBuf,
+    figures: Vec<PathBuf>,
+    cut: Option<String>,
+}
+
+impl std::fmt::Display for Answer {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}", self.page.display())?;
+        self.figures.iter().try_for_each(|figure| write!(f, "\n{}", figure.display()))?;
+        match &self.cut {
+            Some(why) => write!(f, "\nthe recording ends early ({why})"),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Writes the page and the figures.
+///
+/// # Errors
+/// [`Failure::BadInput`] if there is no such recording, [`Failure::Failed`] if a file cannot be written.
+pub fn run(args: &ReportArgs) -> Result<(), Failure> {
+    let recording = read(&args.file, window(args.from, args.to)?).map_err(record::failure)?;
+    let data = Data::new(&args.file, &recording).map_err(record::failure)?;
+    let page = args.output.clone().unwrap_or_else(|| args.file.with_extension("html"));
+    let write = || -> std::io::Result<()> {
+        let mut file = BufWriter::new(std::fs::File::create(&page)?);
+        page::write(&data, &mut file)?;
+        file.flush()
+    };
+    write().map_err(|e| failed(format!("cannot write {}: {e}", page.display())))?;
+    let figures = if args.svg || args.png {
+        let limits = page::limits(&args.file, &recording).map_err(record::failure)?;
+        figures::draw(&page, &recording.cycles, &limits, args.svg, args.png).map_err(Failure::Failed)?
+    } else {
+        Vec::new()
+    };
+    args.common.print(&Answer { page, figures, cut: recording.cut })
+}

@@ -1,0 +1,114 @@
+// Puts the page together and moves it through time.
+
+addEventListener("DOMContentLoaded", () => {
+  const data = JSON.parse(document.getElementById("data").textContent);
+  const $ = id => document.getElementById(id);
+  const { t, q, q_d: desired, modes } = data;
+  const [begin, end] = [t[0], t[t.length - 1]];
+  // Starts where there is something to see.
+  let now = Math.max(begin, Math.min(0, end)), playing = false, last = 0;
+
+  // Value of a column at the present moment, between its samples.
+  const place = s => {
+    let [a, b] = [0, t.length - 1];
+    while (b - a > 1) { const m = (a + b) >> 1; if (t[m] <= s) a = m; else b = m; }
+    return [a, b, b > a ? Math.max(0, Math.min(1, (s - t[a]) / (t[b] - t[a]))) : 0];
+  };
+  const at = (column, [a, b, s]) => column[a] + (column[b] - column[a]) * s;
+  const modeAt = s => [...modes].reverse().find(m => m.from <= s) || modes[0];
+  const isMoving = name => name === "track" || name === "balance";
+
+  const rows = (table, entries, cell = "td") => entries.forEach(([name, ...values]) => {
+    const row = $(table).insertRow();
+    const head = row.appendChild(document.createElement("th"));
+    head.textContent = name;
+    values.forEach(v => { row.appendChild(document.createElement(cell)).textContent = v; });
+  });
+  document.title = `${data.name} - upswing`;
+  $("name").textContent = data.name;
+  $("about").textContent = `upswing ${data.details.version || ""}, model ${data.details.model_fingerprint || "unknown"}`;
+  rows("summary", data.summary);
+  rows("details", Object.entries(data.details));
+  if (data.times.length) rows("percentiles", [["us", "p50", "p99", "p99.9", "max"]], "th");
+  rows("percentiles", data.times.map(d => [d.name, ...d.percentiles.map(v => v.toFixed(1))]));
+  for (const [name, fingerprint, text] of data.settings) {
+    const details = $("settings").appendChild(document.createElement("details"));
+    const summary = details.appendChild(document.createElement("summary"));
+    summary.textContent = name;
+    summary.appendChild(document.createElement("code")).textContent = fingerprint;
+    details.appendChild(document.createElement("pre")).textContent = text;
+  }
+
+  // Runs of samples in which a plan is followed.
+  const parts = modes.filter(m => isMoving(m.name)).map(m => t.map((_, i) => i).filter(i => t[i] >= m.from && t[i] < m.to));
+  const scaled = (column, limit) => column.map(v => v / limit);
+  const panels = [];
+  for (const joints of [[0, 1, 2], [3, 4, 5], [6, 7, 8]]) {
+    const panel = (title, values, wanted, limits) => {
+      const curves = joints.filter(i => i < values.length).map((i, k) => ({
+        label: `q${i + 1}`, colour: COLOURS[k], values: scaled(values[i], limits[i]),
+        desired: wanted && scaled(wanted[i], limits[i]), parts,
+      }));
+      panels.push(new Panel($("panels"), title, t, curves, seek));
+    };
+    panel("position", q, desired, data.limits.q);
+    panel("velocity", data.qd, data.qd_d, data.limits.qd);
+    panel("torque", data.tau, null, data.limits.tau);
+  }
+
+  const scene = new Scene($("scene"), data.links, draw);
+  const scrub = $("scrub");
+  Object.assign(scrub, { min: begin, max: end, step: 0.001 });
+
+  function draw() {
+    const where = place(now), mode = modeAt(now).name;
+    const angles = columns => columns.map(column => at(column, where));
+    const trail = [];
+    for (let s = Math.max(begin, now - 1); s < now; s += 0.02) trail.push(scene.tip(q.map(c => at(c, place(s)))));
+    trail.push(scene.tip(angles(q)));
+    scene.draw(angles(q), isMoving(mode) ? angles(desired) : null, trail);
+    const deg = i => (at(q[i], where) * 180 / Math.PI).toFixed(1).padStart(7);
+    $("readout").textContent = `mode ${mode}\nq8 ${deg(7)} deg\nq9 ${deg(8)} deg`;
+    $("clock").textContent = `${now.toFixed(3)} s`;
+    scrub.value = now;
+    panels.forEach(panel => panel.draw(now, column => at(column, where)));
+    drawTimeline($("timeline"), modes, data.late, begin, end, now);
+  }
+
+  function seek(s) { now = Math.max(begin, Math.min(end, s)); draw(); }
+
+  function play(on) {
+    playing = on;
+    $("play").textContent = on ? "Pause" : "Play";
+    if (!on) return;
+    if (now >= end) now = begin;
+    last = performance.now();
+    requestAnimationFrame(step);
+  }
+
+  function step(moment) {
+    if (!playing) return;
+    const passed = Math.max(0, moment - last) / 1000 * Number($("speed").value);
+    last = moment;
+    seek(now + passed);
+    if (now >= end) play(false); else requestAnimationFrame(step);
+  }
+
+  function resize() {
+    panels.forEach(panel => panel.render());
+    drawTimes($("times"), data.times, data.period_us);
+    draw();
+  }
+
+  $("play").addEventListener("click", () => play(!playing));
+  scrub.addEventListener("input", () => { play(false); seek(Number(scrub.value)); });
+  $("timeline").addEventListener("pointerdown", e => seek(begin + e.offsetX / $("timeline").clientWidth * (end - begin)));
+  addEventListener("keydown", e => {
+    if (["INPUT", "SELECT", "BUTTON"].includes(e.target.tagName)) return;
+    if (e.key === " ") { e.preventDefault(); play(!playing); }
+    if (e.key === "ArrowRight") seek(now + 0.02);
+    if (e.key === "ArrowLeft") seek(now - 0.02);
+  });
+  addEventListener("resize", resize);
+  resize();
+});

@@ -1,0 +1,116 @@
+"use strict";
+// The robot: forward kinematics of the links, drawn as shaded capsules, farthest first.
+
+const add = (a, b) => [a[0] + b[0], a[1] + b[1], a[2] + b[2]];
+const mix = (a, b, s) => a.map((v, i) => v + (b[i] - v) * s);
+const apply = (m, v) => m.map(r => r[0] * v[0] + r[1] * v[1] + r[2] * v[2]);
+const times = (a, b) => a.map(r => [0, 1, 2].map(j => r[0] * b[0][j] + r[1] * b[1][j] + r[2] * b[2][j]));
+
+// Rodrigues' formula.
+function turn([x, y, z], angle) {
+  const c = Math.cos(angle), s = Math.sin(angle), d = 1 - c;
+  return [
+    [c + x * x * d, x * y * d - z * s, x * z * d + y * s],
+    [y * x * d + z * s, c + y * y * d, y * z * d - x * s],
+    [z * x * d - y * s, z * y * d + x * s, c + z * z * d],
+  ];
+}
+
+// Position and rotation of each link in the world at the angles q.
+function poses(links, q) {
+  const result = [];
+  for (const link of links) {
+    const parent = link.parent === null ? { p: [0, 0, 0], r: [[1, 0, 0], [0, 1, 0], [0, 0, 1]] } : result[link.parent];
+    let r = times(parent.r, link.rotation);
+    if (link.joint !== null) r = times(r, turn(link.axis, q[link.joint]));
+    result.push({ p: add(parent.p, apply(parent.r, link.origin)), r });
+  }
+  return result;
+}
+
+class Scene {
+  constructor(canvas, links, changed) {
+    this.canvas = canvas;
+    this.links = links;
+    this.camera = { azimuth: -0.95, elevation: 0.14, distance: 2.5, target: [0.2, 0, 1.42] };
+    const rod = links[links.length - 1];
+    const ends = rod.shapes.flatMap(s => [s.a, s.b]);
+    const length = v => Math.hypot(...v);
+    this.tipInRod = ends.reduce((far, v) => (length(v) > length(far) ? v : far), [0, 0, 0]);
+    canvas.addEventListener("pointerdown", e => canvas.setPointerCapture(e.pointerId));
+    canvas.addEventListener("pointermove", e => {
+      if (!e.buttons) return;
+      this.camera.azimuth -= e.movementX * 0.008;
+      this.camera.elevation = Math.max(-1.4, Math.min(1.4, this.camera.elevation + e.movementY * 0.008));
+      changed();
+    });
+    canvas.addEventListener("wheel", e => {
+      e.preventDefault();
+      this.camera.distance = Math.max(0.8, Math.min(8, this.camera.distance * Math.exp(e.deltaY * 0.001)));
+      changed();
+    }, { passive: false });
+  }
+
+  // Point in the world -> [px, px, px per m, distance].
+  project(v) {
+    const { azimuth: a, elevation: e, distance, target } = this.camera;
+    const [x, y, z] = v.map((c, i) => c - target[i]);
+    const ahead = -x * Math.cos(a) - y * Math.sin(a), right = -x * Math.sin(a) + y * Math.cos(a);
+    const depth = distance + ahead * Math.cos(e) - z * Math.sin(e);
+    const up = z * Math.cos(e) + ahead * Math.sin(e);
+    const scale = 1.35 * Math.min(this.height, 1.2 * this.width) / Math.max(depth, 0.05);
+    return [this.width / 2 + right * scale, this.height / 2 - up * scale, scale, depth];
+  }
+
+  tip(q) {
+    const pose = poses(this.links, q).pop();
+    return add(pose.p, apply(pose.r, this.tipInRod));
+  }
+
+  line(a, b, style, width, dash = []) {
+    const [p, r] = [this.project(a), this.project(b)];
+    const g = this.g;
+    g.strokeStyle = style; g.lineWidth = width; g.setLineDash(dash); g.lineCap = "round";
+    g.beginPath(); g.moveTo(p[0], p[1]); g.lineTo(r[0], r[1]); g.stroke();
+    g.setLineDash([]);
+  }
+
+  grid(z, half, style) {
+    for (let i = -4; i <= 4; i++) {
+      const c = half * i / 4;
+      this.line([c, -half, z], [c, half, z], style, 1);
+      this.line([-half, c, z], [half, c, z], style, 1);
+    }
+  }
+
+  // `desired`: angles or null; `trail`: points that the tip went through, oldest first.
+  draw(q, desired, trail) {
+    [this.g, this.width, this.height] = prepare(this.canvas);
+    const g = this.g;
+    const sky = g.createLinearGradient(0, 0, 0, this.height);
+    sky.addColorStop(0, "#eef2f7"); sky.addColorStop(1, "#fbfcfd");
+    g.fillStyle = sky; g.fillRect(0, 0, this.width, this.height);
+    const now = poses(this.links, q);
+    this.grid(0, 1, "#dfe4ea");
+    this.grid(now[Math.min(1, now.length - 1)].p[2], 0.4, "#c3ccd6");
+    trail.slice(1).forEach((v, i) => this.line(trail[i], v, `rgba(140, 20, 25, ${0.55 * (i + 1) / trail.length})`, 2));
+    const pieces = this.links.flatMap((link, i) => link.shapes.map(shape => {
+      const [a, b] = [shape.a, shape.b].map(v => add(now[i].p, apply(now[i].r, v)));
+      return { a, b, shape, depth: this.project(mix(a, b, 0.5))[3] };
+    }));
+    pieces.sort((x, y) => y.depth - x.depth);
+    for (const { a, b, shape } of pieces) {
+      const width = Math.max(2 * shape.radius * this.project(mix(a, b, 0.5))[2], 2.5);
+      const shade = f => `rgb(${shape.colour.map(c => Math.round(Math.min(255, c * f + (f > 1 ? 30 : 0)))).join(",")})`;
+      this.line(a, b, shade(0.55), width + 1.5);
+      this.line(a, b, shade(0.92), width);
+      // Light from above on a round body.
+      const light = [0, 0, shape.radius * 0.45];
+      if (width > 6) this.line(add(a, light), add(b, light), shade(1.08), width * 0.35);
+    }
+    if (desired) {
+      const rod = poses(this.links, desired).pop();
+      this.line(rod.p, add(rod.p, apply(rod.r, this.tipInRod)), "#000", 1.5, [5, 5]);
+    }
+  }
+}

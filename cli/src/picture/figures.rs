@@ -1,0 +1,172 @@
+//! The figures of a recording as files: trajectories, modes, cycle times.
+
+use crate::page::times::Times;
+use crate::page::{period, spans, zero};
+use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
+use std::path::{Path, PathBuf};
+use upswing_ipc::{Mode, Telemetry};
+use upswing_model::Limits;
+
+/// px
+const TIMES_SIZE: (u32, u32) = (900, 420);
+const MODES_SIZE: (u32, u32) = (1200, 260);
+/// Pixels of a PNG per unit of the SVG: sharp in print.
+const SCALE: f32 = 2.0;
+
+type Drawn<'a> = Result<(), DrawingAreaErrorKind<<SVGBackend<'a> as DrawingBackend>::ErrorType>>;
+
+/// Draws what there is of the figures beside `page`, as `NAME-trajectories.svg` and so on; the paths.
+///
+/// # Errors
+/// A text that says which file could not be written.
+pub fn draw(
+    page: &Path,
+    records: &[Telemetry],
+    limits: &Limits,
+    svg: bool,
+    png: bool,
+) -> Result<Vec<PathBuf>, String> {
+    let scratch = tempfile::tempdir().map_err(|e| format!("cannot make a temporary folder: {e}"))?;
+    let mut written = Vec::new();
+    let mut finish = |name: &str, drawing: &Path| -> Result<(), String> {
+        let text = std::fs::read_to_string(drawing).map_err(|e| format!("cannot read the drawing: {e}"))?;
+        let stem = page.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned());
+        let mut write = |extension: &str, bytes: &[u8]| {
+            let path = page.with_file_name(format!("{stem}-{name}.{extension}"));
+            std::fs::write(&path, bytes).map_err(|e| format!("cannot write {}: {e}", path.display()))?;
+            written.push(path);
+            Ok::<_, String>(())
+        };
+        if svg {
+            write("svg", text.as_bytes())?;
+        }
+        if png {
+            write("png", &rasterise(&text)?)?;
+        }
+        Ok(())
+    };
+    let path = scratch.path().join("drawing.svg");
+    let failed = |e: &dyn std::fmt::Display| format!("cannot draw: {e}");
+    if records.iter().any(|t| matches!(t.mode(), Ok(Mode::Track | Mode::Balance))) {
+        super::draw(&path, records, limits, period(records))?;
+        finish("trajectories", &path)?;
+    }
+    modes(&path, records).map_err(|e| failed(&e))?;
+    finish("modes", &path)?;
+    let times = Times::of(records);
+    if !times.is_empty() {
+        cycle_times(&path, &times, period(records) * 1e6).map_err(|e| failed(&e))?;
+        finish("cycle-times", &path)?;
+    }
+    Ok(written)
+}
+
+/// Pixels of a drawing, as PNG.
+fn rasterise(svg: &str) -> Result<Vec<u8>, String> {
+    let mut options = resvg::usvg::Options::default();
+    options.fontdb_mut().load_system_fonts();
+    if options.fontdb.is_empty() {
+        return Err("--png: expected a font on this machine, got none; install one, or use --svg".into());
+    }
+    // What `sans-serif` means is not asked of the system's settings.
+    let family = options.fontdb.faces().find_map(|face| {
+        let name = &face.families.first()?.0;
+        ["DejaVu Sans", "Liberation Sans", "Noto Sans", "Arial"]
+            .contains(&name.as_str())
+            .then(|| name.clone())
+    });
+    let any = options.fontdb.faces().find_map(|face| Some(face.families.first()?.0.clone()));
+    if let Some(family) = family.or(any) {
+        options.fontdb_mut().set_sans_serif_family(family);
+    }
+    let tree = resvg::usvg::Tree::from_str(svg, &options).map_err(|e| e.to_string())?;
+    let size = tree.size();
+    let (width, height) = ((size.width() * SCALE) as u32, (size.height() * SCALE) as u32);
+    let mut pixels = resvg::tiny_skia::Pixmap::new(width, height).ok_or("an empty drawing")?;
+    resvg::render(&tree, resvg::tiny_skia::Transform::from_scale(SCALE, SCALE), &mut pixels.as_mut());
+    pixels.encode_png().map_err(|e| e.to_string())
+}
+
+/// Modes as bars over time.
+fn modes<'a>(path: &'a Path, records: &[Telemetry]) -> Drawn<'a> {
+    let spans = spans(records, zero(records));
+    let (from, to) =
+        (spans.first().map_or(0.0, |s| s.from), spans.last().map_or(1.0, |s| s.to).max(f64::MIN_POSITIVE));
+    let root = SVGBackend::new(path, MODES_SIZE).into_drawing_area();
+    root.fill(&WHITE)?;
+    let rows = Mode::ALL.len();
+    let mut chart = ChartBuilder::on(&root)
+        .margin(12)
+        .x_label_area_size(42)
+        .y_label_area_size(74)
+        .build_cartesian_2d(from..to.max(from + 1e-3), 0.0..rows as f64)?;
+    chart
+        .configure_mesh()
+        .disable_y_axis()
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(BLACK.mix(0.08))
+        .label_style(("sans-serif", 14))
+        .x_desc("time (s)")
+        .draw()?;
+    let label = TextStyle::from(("sans-serif", 14).into_font()).pos(Pos::new(HPos::Right, VPos::Center));
+    for (row, mode) in Mode::ALL.iter().enumerate() {
+        let (_, y) = chart.backend_coord(&(from, row as f64 + 0.4));
+        root.draw_text(&mode.to_string(), &label, (74, y))?;
+    }
+    for span in &spans {
+        let row =
+            Mode::ALL.iter().position(|mode| span.name.starts_with(&mode.to_string())).unwrap_or(0) as f64;
+        let bar = [(span.from, row), (span.to, row + 0.8)];
+        chart.draw_series([Rectangle::new(bar, super::COLOURS[row as usize % 3].filled())])?;
+    }
+    root.present()
+}
+
+/// Wake-up and computing times as steps on logarithmic axes, with the period.
+fn cycle_times<'a>(path: &'a Path, all: &[Times], period_us: f64) -> Drawn<'a> {
+    let ends = |t: &Times| (t.first, t.first * t.ratio.powi(t.counts.len() as i32));
+    let from = all.iter().map(|t| ends(t).0).fold(period_us, f64::min);
+    let to = all.iter().map(|t| ends(t).1).fold(period_us * 1.3, f64::max);
+    let most = all.iter().flat_map(|t| &t.counts).max().map_or(1.0, |n| *n as f64 * 1.5);
+    let root = SVGBackend::new(path, TIMES_SIZE).into_drawing_area();
+    root.fill(&WHITE)?;
+    let mut chart = ChartBuilder::on(&root)
+        .margin(12)
+        .x_label_area_size(42)
+        .y_label_area_size(64)
+        .build_cartesian_2d((from..to).log_scale(), (0.5..most).log_scale())?;
+    chart
+        .configure_mesh()
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(BLACK.mix(0.08))
+        .label_style(("sans-serif", 14))
+        .x_desc("us")
+        .y_desc("cycles")
+        .draw()?;
+    for (times, colour) in all.iter().zip(super::COLOURS) {
+        let edge = |i: usize| times.first * times.ratio.powi(i as i32);
+        let steps = times.counts.iter().enumerate().flat_map(|(i, n)| {
+            let n = (*n as f64).max(0.5);
+            [(edge(i), n), (edge(i + 1), n)]
+        });
+        let [p50, p99, p99_9, max] = times.percentiles;
+        let label = format!("{}: p50 {p50:.1}, p99 {p99:.1}, p99.9 {p99_9:.1}, max {max:.1} us", times.name);
+        chart
+            .draw_series(LineSeries::new(steps, colour.stroke_width(2)))?
+            .label(label)
+            .legend(move |(x, y)| PathElement::new([(x, y), (x + 16, y)], colour.stroke_width(2)));
+    }
+    chart
+        .draw_series(LineSeries::new([(period_us, 0.5), (period_us, most)], BLACK.mix(0.6)))?
+        .label(format!("period {period_us:.0} us"))
+        .legend(|(x, y)| PathElement::new([(x, y), (x + 16, y)], BLACK.mix(0.6)));
+    chart
+        .configure_series_labels()
+        .position(SeriesLabelPosition::UpperRight)
+        .margin(20)
+        .background_style(WHITE.mix(0.7))
+        .label_font(("sans-serif", 14))
+        .draw()?;
+    root.present()
+}

@@ -1,0 +1,49 @@
+//! Common Data Representation (OMG DDS-XTypes, version 1, little-endian): how ROS 2 writes messages.
+
+/// Marks the body that follows as CDR, little-endian.
+pub const HEADER: [u8; 4] = [0, 1, 0, 0];
+
+/// A message being written. Numbers are aligned to their size, counted from the end of the header.
+pub struct Cdr(Vec<u8>);
+
+impl Cdr {
+    pub fn new() -> Self {
+        Self(HEADER.to_vec())
+    }
+
+    fn align(&mut self, size: usize) {
+        let body = self.0.len() - HEADER.len();
+        self.0.resize(HEADER.len() + body.next_multiple_of(size), 0);
+    }
+
+    pub fn u32(&mut self, value: u32) {
+        self.align(4);
+        self.0.extend(value.to_le_bytes());
+    }
+
+    pub fn f64(&mut self, value: f64) {
+        self.align(8);
+        self.0.extend(value.to_le_bytes());
+    }
+
+    /// The length of a sequence, before its items.
+    pub fn length(&mut self, items: usize) {
+        self.u32(u32::try_from(items).unwrap_or(u32::MAX));
+    }
+
+    /// Counts its final zero.
+    pub fn text(&mut self, text: &str) {
+        self.length(text.len() + 1);
+        self.0.extend(text.as_bytes());
+        self.0.push(0);
+    }
+
+    pub fn sequence(&mut self, values: &[f64]) {
+        self.length(values.len());
+        values.iter().for_each(|v| self.f64(*v));
+    }
+
+    pub fn bytes(self) -> Vec<u8> {
+        self.0
+    }
+}

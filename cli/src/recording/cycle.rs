@@ -1,0 +1,145 @@
+//! The message of a cycle: all fields of [`Telemetry`], in its order.
+
+use super::cdr;
+use std::fmt::Write;
+use std::mem::offset_of;
+use upswing_ipc::{Mode, Telemetry};
+use upswing_model::{NQ, NU};
+
+/// ROS type of the message.
+pub const TYPE: &str = "upswing_msgs/msg/Cycle";
+const WORD: usize = size_of::<u64>();
+/// Bytes of one message.
+const SIZE: usize = cdr::HEADER.len() + size_of::<Telemetry>();
+
+/// One field of a cycle.
+#[derive(Clone, Copy, Debug)]
+pub struct Field {
+    /// As in [`Telemetry`].
+    pub name: &'static str,
+    /// Numbers in it: 1, or those of an array.
+    pub length: usize,
+    /// Whether the numbers are integers.
+    pub integer: bool,
+    /// Words before it.
+    pub offset: usize,
+    /// Unit, empty where there is none, and meaning.
+    pub unit: &'static str,
+    /// See `unit`.
+    pub meaning: &'static str,
+}
+
+/// A type that a field can have.
+trait Numbers {
+    const LENGTH: usize;
+    const INTEGER: bool;
+}
+
+impl Numbers for u64 {
+    const LENGTH: usize = 1;
+    const INTEGER: bool = true;
+}
+
+impl Numbers for f64 {
+    const LENGTH: usize = 1;
+    const INTEGER: bool = false;
+}
+
+impl<const N: usize> Numbers for [f64; N] {
+    const LENGTH: usize = N;
+    const INTEGER: bool = false;
+}
+
+macro_rules! fields {
+    ($($name:ident: $kind:ty, $unit:literal, $meaning:literal;)+) => {
+        /// All fields in the order of their bytes.
+        pub const FIELDS: &[Field] = &[$({
+            // Does not compile if the type is another one.
+            const _: fn(&Telemetry) -> &$kind = |t| &t.$name;
+            Field {
+                name: stringify!($name),
+                length: <$kind as Numbers>::LENGTH,
+                integer: <$kind as Numbers>::INTEGER,
+                offset: offset_of!(Telemetry, $name) / WORD,
+                unit: $unit,
+                meaning: $meaning,
+            }
+        }),+];
+    };
+}
+
+fields! {
+    seq: u64, "", "cycle number of the daemon since its start, from 1";
+    t_ns: u64, "ns", "start of the cycle";
+    measurement_seq: u64, "", "number of the measurement used";
+    mode: u64, "", "mode at the end of the cycle";
+    fault: u64, "", "latched fault, 0: none";
+    warnings: u64, "", "limits beyond their warning level, one bit each";
+    degraded: u64, "", "refused of the real-time set-up, one bit each";
+    plan_id: u64, "", "running plan, 0: none";
+    flags: u64, "", "1 overrun, 2 stale measurement, 4 torque limited, 8 brakes closed";
+    t_plan: f64, "s", "time since the start of the plan";
+    q: [f64; NQ], "rad", "measured positions of joints 1-9";
+    qd: [f64; NQ], "rad/s", "estimated velocities";
+    q_d: [f64; NQ], "rad", "desired positions";
+    qd_d: [f64; NQ], "rad/s", "desired velocities";
+    u_d: [f64; NU], "rad/s^2", "desired accelerations of joints 1-7";
+    u: [f64; NU], "rad/s^2", "the same after feedback";
+    tau: [f64; NU], "N m", "commanded torques";
+    tau_measured: [f64; NU], "N m", "measured torques";
+    wake_ns: u64, "ns", "lateness of the wake-up";
+    read_ns: u64, "ns", "reading the measurement";
+    compute_ns: u64, "ns", "computing the command";
+    write_ns: u64, "ns", "writing the command";
+}
+
+// One field follows the other, and nothing is left out.
+const _: () = {
+    let mut words = 0;
+    let mut i = 0;
+    while i < FIELDS.len() {
+        assert!(FIELDS[i].offset == words);
+        words += FIELDS[i].length;
+        i += 1;
+    }
+    assert!(words * WORD == size_of::<Telemetry>());
+};
+
+/// Definition of the message in the language of ROS 2.
+pub fn definition() -> String {
+    let mut text = String::from("# One control cycle of upswing. Joints run from the base to the tip.\n");
+    for field in FIELDS {
+        if field.name == "mode" {
+            // Foxglove shows the names of constants that stand before a field.
+            for mode in Mode::ALL {
+                let _ = writeln!(text, "uint64 {}={}", mode.to_string().to_uppercase(), mode.code());
+            }
+        }
+        let kind = if field.integer { "uint64" } else { "float64" };
+        let array = if field.length > 1 { format!("[{}]", field.length) } else { String::new() };
+        let unit = if field.unit.is_empty() { String::new() } else { format!(", {}", field.unit) };
+        let _ = writeln!(text, "{kind}{array} {}  # {}{unit}", field.name, field.meaning);
+    }
+    text
+}
+
+/// The lines of a definition without its comments.
+pub fn layout_of(definition: &str) -> Vec<&str> {
+    let code = definition.lines().map(|line| line.split('#').next().unwrap_or("").trim());
+    code.filter(|line| !line.is_empty()).collect()
+}
+
+/// The message.
+pub fn encode(record: &Telemetry) -> Vec<u8> {
+    let mut bytes = Vec::with_capacity(SIZE);
+    bytes.extend(cdr::HEADER);
+    bytes.extend(record.words().flat_map(u64::to_le_bytes));
+    bytes
+}
+
+/// The record in a message; `None` if its size or header is another one.
+pub fn decode(message: &[u8]) -> Option<Telemetry> {
+    let body = message.strip_prefix(&cdr::HEADER)?;
+    let words: Vec<u64> = body.as_chunks::<WORD>().0.iter().map(|word| u64::from_le_bytes(*word)).collect();
+    if body.len() == words.len() * WORD { Telemetry::from_words(&words) } else { None }
+}

@@ -1,0 +1,158 @@
+//! Reads recordings, also those of a killed process.
+
+use super::{CYCLE_TOPIC, DETAILS, RecordingError, cycle};
+use mcap::parse_record;
+use mcap::records::Record;
+use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+use upswing_ipc::Telemetry;
+
+/// Longest record, bytes: ten times a chunk. A damaged length asks for no more memory than this.
+const LONGEST: usize = 16 << 20;
+
+/// A stretch of a recording, s from its first cycle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Window {
+    /// First moment.
+    pub from: f64,
+    /// Last moment.
+    pub to: f64,
+}
+
+impl Window {
+    /// All of it.
+    pub const ALL: Self = Self { from: 0.0, to: f64::INFINITY };
+}
+
+/// The contents of a file.
+#[derive(Clone, Debug, Default)]
+pub struct Recording {
+    /// The cycles of the window, in the order of their recording; at least one.
+    pub cycles: Vec<Telemetry>,
+    /// What identifies the run.
+    pub details: BTreeMap<String, String>,
+    /// Names and texts of the settings.
+    pub files: Vec<(String, String)>,
+    /// Why the file ends early: its process was killed, or it is damaged.
+    pub cut: Option<String>,
+}
+
+impl Recording {
+    /// Text of one of the settings files.
+    pub fn file_text(&self, name: &str) -> Option<&str> {
+        self.files.iter().find(|(n, _)| n == name).map(|(_, text)| text.as_str())
+    }
+}
+
+/// Reads a file; its cycles must fit into memory, 5 MB per second at 8 kHz.
+///
+/// # Errors
+/// [`RecordingError`] if it is no recording of this version or holds no cycle in the window. A file that ends early
+/// is no error, see [`Recording::cut`].
+pub fn read(path: &Path, window: Window) -> Result<Recording, RecordingError> {
+    let unreadable = |cause| RecordingError::Read { path: path.to_owned(), cause };
+    let mut file = File::open(path).map_err(unreadable)?;
+    let options = LinearReaderOptions::default()
+        .with_skip_end_magic(true)
+        // A damaged chunk gives no cycles at all.
+        .with_prevalidate_chunk_crcs(true)
+        .with_record_length_limit(LONGEST);
+    let mut events = LinearReader::new_with_options(options);
+    let mut reader = Reader { path, window, schemas: BTreeMap::new(), cycle_channel: None, first_ns: None };
+    let mut recording = Recording::default();
+    let (mut begun, mut finished) = (false, false);
+    while let Some(event) = events.next_event() {
+        let record = match event {
+            Ok(LinearReadEvent::ReadRequest(need)) => {
+                let space = events.insert(need.min(LONGEST));
+                let got = file.read(space).map_err(unreadable)?;
+                events.notify_read(got);
+                continue;
+            }
+            Ok(LinearReadEvent::Record { data, opcode }) => parse_record(opcode, data),
+            Err(e) => Err(e),
+        };
+        match record {
+            Ok(Record::Footer(_)) => finished = true,
+            Ok(record) => reader.take(record, &mut recording)?,
+            Err(cause) if !begun => {
+                return Err(RecordingError::NotMcap { path: path.to_owned(), cause: cause.into() });
+            }
+            Err(e) => {
+                recording.cut = Some(e.to_string());
+                break;
+            }
+        }
+        begun = true;
+    }
+    if !finished && recording.cut.is_none() {
+        recording.cut = Some("the end is missing".into());
+    }
+    if recording.cycles.is_empty() {
+        let cut = recording.cut.map_or_else(String::new, |why| format!(" before the file ends ({why})"));
+        let expected = format!("cycles on {CYCLE_TOPIC} from {} s to {} s{cut}", window.from, window.to);
+        return Err(RecordingError::Missing { path: path.to_owned(), expected });
+    }
+    Ok(recording)
+}
+
+/// What is known so far.
+struct Reader<'a> {
+    path: &'a Path,
+    window: Window,
+    /// Name and definition by id.
+    schemas: BTreeMap<u16, (String, String)>,
+    cycle_channel: Option<u16>,
+    first_ns: Option<u64>,
+}
+
+impl Reader<'_> {
+    fn take(&mut self, record: Record<'_>, into: &mut Recording) -> Result<(), RecordingError> {
+        let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+        match record {
+            Record::Metadata(m) if m.name == DETAILS => into.details = m.metadata,
+            Record::Attachment { header, data, .. } => into.files.push((header.name, text(&data))),
+            Record::Schema { header, data } => {
+                self.schemas.insert(header.id, (header.name, text(&data)));
+            }
+            Record::Channel(c) if c.topic == CYCLE_TOPIC => {
+                self.check(c.schema_id)?;
+                self.cycle_channel = Some(c.id);
+            }
+            Record::Message { header, data } if Some(header.channel_id) == self.cycle_channel => {
+                let what = || format!("cycle {} has {} bytes", header.sequence, data.len());
+                let cycle = cycle::decode(&data).ok_or_else(|| self.other_version(what()))?;
+                let first = *self.first_ns.get_or_insert(cycle.t_ns);
+                let t = (cycle.t_ns as f64 - first as f64) * 1e-9;
+                if t >= self.window.from && t <= self.window.to {
+                    into.cycles.push(cycle);
+                }
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// Whether the cycles have the fields of this version.
+    fn check(&self, schema: u16) -> Result<(), RecordingError> {
+        let expected = cycle::definition();
+        let (name, got) = self.schemas.get(&schema).map_or(("", ""), |(n, text)| (n.as_str(), text.as_str()));
+        let (expected, got) = (cycle::layout_of(&expected), cycle::layout_of(got));
+        if name != cycle::TYPE || expected != got {
+            let differing = expected.iter().zip(&got).find(|(e, g)| e != g);
+            let differing = differing.map_or_else(
+                || format!("{} fields, expected {}", got.len(), expected.len()),
+                |(e, g)| format!("`{g}`, expected `{e}`"),
+            );
+            return Err(self.other_version(format!("the cycles are `{name}` with {differing}")));
+        }
+        Ok(())
+    }
+
+    fn other_version(&self, what: String) -> RecordingError {
+        RecordingError::Version { path: self.path.to_owned(), what }
+    }
+}

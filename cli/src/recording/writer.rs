@@ -1,0 +1,159 @@
+//! Writes recordings.
+
+use super::{CHUNK, CYCLE_TOPIC, DETAILS, RecordingError, Tally, cycle, messages};
+use crate::robot::Robot;
+use mcap::records::{MessageHeader, Metadata};
+use mcap::{Attachment, WriteOptions, Writer};
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+use upswing_config::Config;
+use upswing_ipc::Telemetry;
+use upswing_model::NQ;
+use xxhash_rust::xxh3::xxh3_64;
+
+/// Rate of the topics that are for looking at the robot, Hz: more than screens show.
+const VIEW_RATE: f64 = 125.0;
+
+/// A recording being written. Complete once [`Recorder::finish`] succeeded; readable up to the last chunk if not.
+pub struct Recorder {
+    path: PathBuf,
+    writer: Writer<BufWriter<File>>,
+    channels: Channels,
+    robot: Robot,
+    joint_names: [String; NQ],
+    view_every: u64,
+    tally: Tally,
+}
+
+/// Ids of the topics.
+struct Channels {
+    cycle: u16,
+    joint_states: u16,
+    transforms: u16,
+    description: u16,
+}
+
+impl Recorder {
+    /// Makes the file, which must not exist yet, with the settings as attachments and `details` of the run.
+    ///
+    /// # Errors
+    /// [`RecordingError`] that names the file and why it cannot be made.
+    pub fn create(
+        path: &Path,
+        config: &Config,
+        details: impl IntoIterator<Item = (&'static str, String)>,
+    ) -> Result<Self, RecordingError> {
+        let robot = Robot::from_urdf(&config.urdf, &config.model)
+            .map_err(|cause| RecordingError::Robot { path: path.to_owned(), cause })?;
+        let texts = config.texts()?;
+        let file = File::create_new(path)
+            .map_err(|cause| RecordingError::Create { path: path.to_owned(), cause })?;
+        let period = config.daemon.cycle.period.as_secs_f64();
+        let mut all = BTreeMap::from([
+            ("version".into(), env!("CARGO_PKG_VERSION").into()),
+            ("model_fingerprint".into(), format!("{:016x}", config.model.fingerprint())),
+            ("database_fingerprint".into(), format!("{:016x}", xxh3_64(&config.database.bytes))),
+            ("period_us".into(), (period * 1e6).to_string()),
+        ]);
+        all.extend(details.into_iter().map(|(key, value)| (key.to_owned(), value)));
+        let (writer, channels) = begin(file, texts, all)
+            .map_err(|cause| RecordingError::Write { path: path.to_owned(), cause: cause.into() })?;
+        Ok(Self {
+            path: path.to_owned(),
+            writer,
+            channels,
+            robot,
+            joint_names: config.model.joint_names().map(str::to_owned),
+            view_every: ((1.0 / (VIEW_RATE * period)) as u64).max(1),
+            tally: Tally::default(),
+        })
+    }
+
+    /// Appends cycles.
+    ///
+    /// # Errors
+    /// [`RecordingError::Write`], for example if the disk is full.
+    pub fn write(&mut self, records: &[Telemetry]) -> Result<(), RecordingError> {
+        let result = records.iter().try_for_each(|record| self.append(record));
+        result.map_err(|cause| RecordingError::Write { path: self.path.clone(), cause: cause.into() })
+    }
+
+    fn append(&mut self, record: &Telemetry) -> mcap::McapResult<()> {
+        self.tally.count(record);
+        if self.tally.cycles == 1 {
+            self.put(self.channels.description, record, &messages::description(&self.robot.urdf))?;
+        }
+        self.put(self.channels.cycle, record, &cycle::encode(record))?;
+        if record.seq.is_multiple_of(self.view_every) {
+            let names = self.joint_names.each_ref().map(String::as_str);
+            self.put(self.channels.joint_states, record, &messages::joint_states(&names, record))?;
+            self.put(self.channels.transforms, record, &messages::transforms(&self.robot, record))?;
+        }
+        if self.tally.cycles.is_multiple_of(CHUNK as u64) {
+            self.writer.flush()?;
+        }
+        Ok(())
+    }
+
+    fn put(&mut self, channel_id: u16, record: &Telemetry, data: &[u8]) -> mcap::McapResult<()> {
+        let sequence = record.seq as u32;
+        let header = MessageHeader { channel_id, sequence, log_time: record.t_ns, publish_time: record.t_ns };
+        self.writer.write_to_known_channel(&header, data)
+    }
+
+    /// What has been recorded so far.
+    pub fn tally(&self) -> Tally {
+        self.tally
+    }
+
+    /// Writes the index at the end of the file.
+    ///
+    /// # Errors
+    /// [`RecordingError::Write`].
+    pub fn finish(mut self) -> Result<Tally, RecordingError> {
+        let result = self.writer.finish();
+        result.map_err(|cause| RecordingError::Write { path: self.path, cause: cause.into() })?;
+        Ok(self.tally)
+    }
+}
+
+/// Everything that comes before the first cycle.
+fn begin(
+    file: File,
+    texts: Vec<(&'static str, String)>,
+    details: BTreeMap<String, String>,
+) -> mcap::McapResult<(Writer<BufWriter<File>>, Channels)> {
+    let mut writer = WriteOptions::new()
+        .profile("ros2")
+        .library(concat!("upswing ", env!("CARGO_PKG_VERSION")))
+        // Chunks end where `append` says; one thread is enough and leaves the other CPUs to the loop.
+        .chunk_size(None)
+        .compression_threads(0)
+        .compression_level(1)
+        .create(BufWriter::new(file))?;
+    writer.write_metadata(&Metadata { name: DETAILS.into(), metadata: details })?;
+    for (name, text) in texts {
+        let media_type = if name.ends_with(".urdf") { "application/xml" } else { "application/toml" };
+        writer.attach(&Attachment {
+            log_time: 0,
+            create_time: 0,
+            name: name.into(),
+            media_type: media_type.into(),
+            data: Cow::Borrowed(text.as_bytes()),
+        })?;
+    }
+    let mut channel = |topic: &str, kind: &str, definition: &str| {
+        let schema = writer.add_schema(kind, "ros2msg", definition.as_bytes())?;
+        writer.add_channel(schema, topic, "cdr", &BTreeMap::new())
+    };
+    let mut known = |t: &messages::Topic| channel(t.name, t.kind, t.definition);
+    let (joint_states, transforms, description) =
+        (known(&messages::JOINT_STATES)?, known(&messages::TRANSFORMS)?, known(&messages::DESCRIPTION)?);
+    let cycle = channel(CYCLE_TOPIC, cycle::TYPE, &cycle::definition())?;
+    // What a killed process leaves is complete up to here.
+    writer.flush()?;
+    Ok((writer, Channels { cycle, joint_states, transforms, description }))
+}

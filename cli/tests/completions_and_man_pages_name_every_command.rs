@@ -1,0 +1,41 @@
+//! Completions and man pages know every command that `upswing help` lists.
+
+use std::process::Command;
+
+fn upswing(args: &[&str]) -> String {
+    let output = Command::new(env!("CARGO_BIN_EXE_upswing")).args(args).output().expect("upswing runs");
+    assert!(output.status.success(), "{args:?}: {output:?}");
+    String::from_utf8(output.stdout).expect("text")
+}
+
+/// The commands in the list of `upswing help`.
+fn commands() -> Vec<String> {
+    let help = upswing(&["help"]);
+    let list = help.split("Commands:").nth(1).and_then(|t| t.split("Options:").next()).expect("a list");
+    let names = list.lines().filter(|line| line.starts_with("  ") && !line.starts_with("   "));
+    names.filter_map(|line| line.split_whitespace().next()).map(str::to_owned).collect()
+}
+
+#[test]
+fn completions() {
+    let commands = commands();
+    assert!(commands.len() > 10, "{commands:?}");
+    for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
+        let script = upswing(&["completions", shell]);
+        for command in &commands {
+            assert!(script.contains(command.as_str()), "{shell}: {command}");
+        }
+    }
+}
+
+#[test]
+fn man_pages() {
+    let dir = tempfile::tempdir().expect("a folder");
+    upswing(&["man", dir.path().to_str().expect("a plain path")]);
+    for command in commands().iter().filter(|c| *c != "help") {
+        let page = dir.path().join(format!("upswing-{command}.1"));
+        let text = std::fs::read_to_string(&page).unwrap_or_else(|e| panic!("{}: {e}", page.display()));
+        assert!(text.contains(".SH"), "{command}");
+    }
+    assert!(dir.path().join("upswing.1").exists());
+}

@@ -1,0 +1,115 @@
+//! The official Python reader reads recordings, also one that was cut off, and Chromium shows the report.
+//!
+//! Needs Python 3.10 or newer and the package index for the first, Chromium, too, for the second; a test whose tools are
+//! not there says so and does nothing.
+
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::OnceLock;
+
+/// A Python with the packages of `python/requirements.txt`, made once, or why there is none.
+fn python() -> Result<&'static Path, &'static str> {
+    static PYTHON: OnceLock<Result<PathBuf, String>> = OnceLock::new();
+    let made = PYTHON.get_or_init(|| {
+        // The name changes with the requirements; a folder that was not finished is not used.
+        let requirements = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/requirements.txt");
+        let text = std::fs::read_to_string(&requirements).map_err(|e| e.to_string())?;
+        let name = format!("python-{}", text.split_whitespace().collect::<Vec<_>>().join("-"));
+        let venv = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name.replace("==", "-"));
+        let (program, done) = (venv.join("bin/python"), venv.join("complete"));
+        if !done.exists() {
+            let requirements = requirements.to_string_lossy();
+            run(Command::new("python3").args(["-m", "venv"]).arg(&venv))?;
+            let pip = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "-r", &requirements];
+            run(Command::new(&program).args(pip))?;
+            std::fs::write(done, "").map_err(|e| e.to_string())?;
+        }
+        Ok(program)
+    });
+    made.as_deref().map_err(String::as_str)
+}
+
+/// Runs a program; its output, or what it said if it failed.
+fn run(command: &mut Command) -> Result<String, String> {
+    let output = command.output().map_err(|e| format!("{command:?}: {e}"))?;
+    let text = [output.stdout, output.stderr].map(|t| String::from_utf8_lossy(&t).into_owned()).concat();
+    if output.status.success() { Ok(text) } else { Err(format!("{command:?}: {text}")) }
+}
+
+fn chromium() -> Option<&'static str> {
+    let names = ["chromium", "chromium-browser", "google-chrome"];
+    names.into_iter().find(|name| run(Command::new(name).arg("--version")).is_ok())
+}
+
+fn upswing(args: &[&str]) -> Value {
+    let output = Command::new(env!("CARGO_BIN_EXE_upswing")).args(args).arg("--json").output();
+    let output = output.expect("upswing runs");
+    assert!(output.status.success(), "{args:?}: {output:?}");
+    serde_json::from_slice(&output.stdout).expect("a JSON document")
+}
+
+fn script(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python").join(name)
+}
+
+/// A demo with its recording in `dir`; cycles in it by our own count.
+fn demo(dir: &Path) -> (String, usize) {
+    let path = |name: &str| dir.join(name).to_str().expect("a plain path").to_owned();
+    let (file, picture, table) = (path("run.mcap"), path("demo.svg"), path("run.csv"));
+    let lockstep = ["demo", "--clock", "lockstep", "--seconds", "2", "--picture", &picture];
+    let answer = upswing(&[&lockstep[..], &["--record", &file]].concat());
+    let cycles = upswing(&["export", &file, "--csv", &table])["lines"].as_u64().expect("a number");
+    assert!(cycles >= answer["cycles"].as_u64().expect("a number"), "the end of the run is in the file, too");
+    let csv = std::fs::read_to_string(table).expect("the table");
+    let columns: Vec<usize> = csv.lines().map(|line| line.split(',').count()).collect();
+    assert_eq!(columns, vec![78; cycles as usize + 1]);
+    assert!(csv.starts_with("seq,t_ns,") && csv.contains("q9_rad") && csv.contains("tau7_Nm"));
+    (file, cycles as usize)
+}
+
+#[test]
+fn the_official_python_reader() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let (file, cycles) = demo(dir.path());
+    let python = match python() {
+        Ok(python) => python,
+        Err(why) => return eprintln!("skipped: no Python with the packages needed: {why}"),
+    };
+    let read = |cycles: usize, options: &[&str]| {
+        let mut command = Command::new(python);
+        command.arg(script("read_recording.py")).args([&file, &cycles.to_string()]).args(options);
+        run(&mut command).unwrap_or_else(|e| panic!("{e}"))
+    };
+    read(cycles, &[]);
+    let bytes = std::fs::read(&file).expect("read");
+    std::fs::write(&file, &bytes[..bytes.len() * 2 / 3]).expect("written");
+    read(cycles / 2, &["--cut"]);
+}
+
+#[test]
+fn chromium_plays_the_report() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let (file, _) = demo(dir.path());
+    let answer = upswing(&["report", &file, "--svg", "--png"]);
+    let page = answer["page"].as_str().expect("a path");
+    let html = std::fs::read_to_string(page).expect("the page");
+    // One file: nothing is fetched.
+    assert!(!html.contains("src=") && !html.contains("<link"), "the page refers to other files");
+    let figures = answer["figures"].as_array().expect("figures");
+    // Lockstep has no cycle times.
+    assert_eq!(figures.len(), 4, "{figures:?}");
+    for figure in figures.iter().filter_map(Value::as_str) {
+        let bytes = std::fs::read(figure).expect("the figure");
+        assert!(bytes.starts_with(b"<svg") || bytes.starts_with(b"\x89PNG"), "{figure}");
+    }
+    let (python, chromium) = match (python(), chromium()) {
+        (Ok(python), Some(chromium)) => (python, chromium),
+        (Err(why), _) => return eprintln!("skipped: no Python with the packages needed: {why}"),
+        (_, None) => return eprintln!("skipped: no Chromium (on Debian: apt install chromium)"),
+    };
+    let program = run(Command::new("sh").args(["-c", &format!("command -v {chromium}")])).expect("its path");
+    let mut look = Command::new(python);
+    look.arg(script("look_at_page.py")).args([program.trim(), page]).arg(dir.path().join("screenshots"));
+    run(&mut look).unwrap_or_else(|e| panic!("{e}"));
+}

@@ -1,0 +1,49 @@
+//! `upswing record` takes every cycle of a running system; killed, it leaves a file that is readable up to the last quarter of
+//! a second, and the loop does not notice.
+
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+use upswing::recording::{CHUNK, Tally, Window, read};
+use upswing_ipc::Clock;
+use upswing_tests::{System, programs};
+
+const START: [f64; 7] = [0.0, -15.0, 0.0, -95.0, 0.0, 10.0, 0.0];
+const PATIENCE: Duration = Duration::from_secs(60);
+
+#[test]
+fn killed_while_recording() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let file = dir.path().join("run.mcap");
+    let mut system = System::start(Clock::Paced, START);
+    system.session.advance(1).unwrap_or_else(|e| panic!("{e}"));
+    let mut recorder = Command::new(programs().join("upswing"))
+        .arg("record")
+        .arg(&file)
+        .args(["--domain", &system.session.domain().to_string()])
+        .stdout(Stdio::null())
+        .spawn()
+        .expect("upswing starts");
+    let begin = Instant::now();
+    // Until several chunks are complete, as another process sees it.
+    let cycles = loop {
+        system.session.advance(800).unwrap_or_else(|e| panic!("{e}"));
+        match read(&file, Window::ALL) {
+            Ok(recording) if recording.cycles.len() >= 4 * CHUNK => break recording.cycles.len(),
+            _ if begin.elapsed() > PATIENCE => panic!("no recording after {PATIENCE:?}"),
+            _ => {}
+        }
+    };
+    recorder.kill().expect("killed");
+    recorder.wait().expect("reaped");
+    let recording = read(&file, Window::ALL).unwrap_or_else(|e| panic!("{e}"));
+    assert!(recording.cut.is_some(), "a killed recording has no end");
+    assert!(recording.cycles.len() >= cycles);
+    assert_eq!(Tally::of(&recording.cycles).lost, 0);
+    // The same cycles as the session saw.
+    let first = recording.cycles[0].seq;
+    system.session.advance(800).unwrap_or_else(|e| panic!("{e}"));
+    let records = &system.session.records;
+    let offset = records.iter().position(|r| r.seq == first).expect("recorded here, too");
+    assert_eq!(recording.cycles, records[offset..offset + recording.cycles.len()]);
+    assert_eq!(system.session.dropped(), 0);
+}
