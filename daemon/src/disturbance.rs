@@ -97,7 +97,7 @@ mod tests {
         let mut x: State = config.start_state(&q, PendulumStart::Rest).expect("a start at rest");
         let model = &config.model;
         let mut work = Workspace::default();
-        let mut inertia_inverse = |x: &State| {
+        let inertia_inverse = |x: &State| {
             let mut work = Workspace::default();
             let zero = model.torque(x, &ActuatedVector::zeros(), &mut work);
             let column = |i: usize, work: &mut Workspace| {
