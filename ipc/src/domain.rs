@@ -293,7 +293,7 @@ impl Domain {
             return Ok(());
         }
         let file = self.root().join("iceoryx2.toml");
-        let draft = self.root().join("iceoryx2.toml.new");
+        let draft = self.root().join(format!("iceoryx2.toml.{}", std::process::id()));
         let settings = format!(
             "[global]\nroot-path = \"{}\"\nprefix = \"{}\"\n",
             root_text(&self.name),
@@ -303,14 +303,8 @@ impl Domain {
             let path = file.clone();
             move |cause| IpcError::Root { action, path, cause }
         };
-        {
-            // One draft for all: that of a process that was killed here is the next one's.
-            let _site = Site::enter(self);
-            if std::fs::read_to_string(&file).ok().as_ref() != Some(&settings) {
-                std::fs::write(&draft, settings).map_err(failed("write"))?;
-                std::fs::rename(&draft, &file).map_err(failed("write"))?;
-            }
-        }
+        std::fs::write(&draft, settings).map_err(failed("write"))?;
+        std::fs::rename(&draft, &file).map_err(failed("write"))?;
         let path = FilePath::new(file.as_os_str().as_encoded_bytes())
             .map_err(|e| failed("name")(std::io::Error::other(format!("{e:?}"))))?;
         Config::setup_global_config_from_file(&path).map_err(|e| failed("load")(std::io::Error::other(e)))?;
