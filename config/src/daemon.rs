@@ -73,6 +73,8 @@ pub struct Level {
 pub struct Levels {
     /// Age of the newest measurement, cycles.
     pub measurement_age: Level,
+    /// Cycles in which the drives do not act although the brakes are commanded open.
+    pub drives_stopped: Level,
     /// Measurements missed between two that were seen.
     pub measurement_gap: Level,
     /// Change of an angle between two measurements beyond what its speed explains, rad.
@@ -210,6 +212,7 @@ struct RawLevel {
 #[serde(deny_unknown_fields)]
 struct RawLevels {
     measurement_age_cycles: RawLevel,
+    drives_stopped_cycles: RawLevel,
     measurement_gap: RawLevel,
     encoder_jump_rad: RawLevel,
     position_margin_deg: RawLevel,
@@ -355,6 +358,7 @@ impl RawLevels {
         let to_rad = 1_f64.to_radians();
         Ok(Levels {
             measurement_age: level("measurement_age_cycles", &self.measurement_age_cycles, &COUNT)?,
+            drives_stopped: level("drives_stopped_cycles", &self.drives_stopped_cycles, &COUNT)?,
             measurement_gap: level("measurement_gap", &self.measurement_gap, &COUNT)?,
             encoder_jump: level("encoder_jump_rad", &self.encoder_jump_rad, &POSITIVE)?,
             position_margin: scaled(

@@ -83,15 +83,20 @@ impl Checks {
         Some(Trip { cause: TripCause::NotFinite, joint, value, limit: ENCODER_RANGE })
     }
 
-    /// Age of the newest measurement, `cycles` on the wall clock.
-    pub fn age(&self, cycles: u32, warnings: &mut u64) -> Option<Trip> {
-        count(TripCause::StaleMeasurement, f64::from(cycles), self.levels.measurement_age, warnings)
+    /// Age of the newest measurement, cycles.
+    pub fn age(&self, cycles: u64, warnings: &mut u64) -> Option<Trip> {
+        count(TripCause::StaleMeasurement, cycles as f64, self.levels.measurement_age, warnings)
     }
 
     /// The trip for measurements that have not come for `cycles`.
     pub fn lost(&self, cycles: u32) -> Trip {
         let (value, limit) = (f64::from(cycles), self.levels.measurement_age.trip);
         Trip { cause: TripCause::StaleMeasurement, joint: 0, value, limit }
+    }
+
+    /// How many `cycles` the drives have not acted although the brakes were commanded open.
+    pub fn drives(&self, cycles: u64, warnings: &mut u64) -> Option<Trip> {
+        count(TripCause::DrivesStopped, cycles as f64, self.levels.drives_stopped, warnings)
     }
 
     /// Measurements `missed` since the one before.

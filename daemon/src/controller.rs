@@ -179,7 +179,8 @@ impl Controller {
         self.now = now;
         self.warnings = 0;
         let braked = is_braked(self.mode);
-        let (fresh, restarted) = self.observer.observe(measurement, &self.checks, braked, &mut self.warnings);
+        let (fresh, restarted) =
+            self.observer.observe(measurement, now_ns, &self.checks, braked, &mut self.warnings);
         if matches!(self.mode, Mode::Idle | Mode::Hold) {
             self.observer.drop_turns();
         }

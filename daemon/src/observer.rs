@@ -28,8 +28,12 @@ pub struct Observer {
     filtered_seq: u64,
     /// Code of the plant's clock.
     clock: u64,
-    /// Cycles without a new measurement.
-    age: u32,
+    /// Time stamp of the newest measurement, ns.
+    t_ns: u64,
+    /// Cycles without a new measurement: one with the next number and a later time stamp.
+    age: u64,
+    /// Cycles in which the drives did not act although the brakes were commanded open.
+    stopped: u64,
     /// Whole turns of q8 that do not count any more, rad.
     turned: f64,
 }
@@ -45,23 +49,28 @@ impl Observer {
             seq: 0,
             filtered_seq: 0,
             clock: 0,
+            t_ns: 0,
             age: 0,
+            stopped: 0,
             turned: 0.0,
         }
     }
 
     /// Takes in the newest measurement, whether or not it is new: whether it is, and whether a restart of the plant was
-    /// noticed. `braked`: the brakes hold; what the robot did then is no fault.
+    /// noticed. `now_ns`: the time of the cycle, which counts on the wall clock only. `braked`: the brakes hold; what the
+    /// robot did then is no fault.
     pub fn observe(
         &mut self,
         measurement: &Measurement,
+        now_ns: u64,
         checks: &Checks,
         braked: bool,
         warnings: &mut u64,
     ) -> (bool, Option<Trip>) {
+        let wall = measurement.clock() == Ok(Clock::Wall);
         if measurement.seq == self.seq {
-            self.age = self.age.saturating_add(1);
-            if measurement.clock() == Ok(Clock::Wall) && self.seq > 0 {
+            if wall && self.seq > 0 {
+                self.age += 1;
                 self.unfit = checks.age(self.age, warnings).or(self.unfit);
             }
             return (false, None);
@@ -71,14 +80,24 @@ impl Observer {
         if measurement.seq == 0 {
             return (false, restarted);
         }
-        let missed = if self.seq == 0 { 0 } else { measurement.seq - self.seq - 1 };
-        (self.seq, self.clock, self.age) = (measurement.seq, measurement.clock, 0);
+        let elapsed = if self.seq == 0 { 1 } else { measurement.seq - self.seq };
+        self.age = if measurement.t_ns > self.t_ns { 0 } else { self.age.saturating_add(elapsed) };
+        if wall {
+            let on_the_way = now_ns.saturating_sub(measurement.t_ns) / measurement.period_ns.max(1);
+            self.age = self.age.max(on_the_way);
+        }
+        (self.seq, self.t_ns, self.clock) = (measurement.seq, measurement.t_ns, measurement.clock);
         self.drives_ready = measurement.status & Measurement::DRIVES_READY != 0;
-        self.unfit = checks.measurement(measurement, warnings);
+        let acts = self.drives_ready && measurement.status & Measurement::BRAKES_CLOSED == 0;
+        self.stopped = if acts || braked { 0 } else { self.stopped.saturating_add(elapsed) };
+        self.unfit = checks
+            .measurement(measurement, warnings)
+            .or(checks.age(self.age, warnings))
+            .or(checks.drives(self.stopped, warnings));
         if checks.finite(measurement).is_some() {
             return (true, restarted);
         }
-        let gap = checks.gap(missed, warnings).filter(|_| !braked);
+        let gap = checks.gap(elapsed - 1, warnings).filter(|_| !braked);
         self.unfit = self.unfit.or(gap);
         let q = self.position(measurement);
         let cycles = self.seq - self.filtered_seq;
@@ -118,7 +137,8 @@ impl Observer {
     pub fn restart(&mut self) -> Trip {
         let trip = Trip::plain(TripCause::MeasurementRestarted);
         self.filter.reset();
-        (self.seq, self.filtered_seq, self.age, self.turned) = (0, 0, 0, 0.0);
+        (self.seq, self.filtered_seq, self.turned) = (0, 0, 0.0);
+        (self.t_ns, self.age, self.stopped) = (0, 0, 0);
         self.unfit = Some(trip);
         trip
     }

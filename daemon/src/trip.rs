@@ -29,27 +29,29 @@ pub enum TripCause {
     TorqueRate = 10,
     /// A drive reports a fault.
     DriveFault = 11,
+    /// The brakes are closed or the drives not ready, although the command opens the brakes.
+    DrivesStopped = 12,
     /// The plant runs with another period.
-    PeriodMismatch = 12,
+    PeriodMismatch = 13,
     /// The plant names a clock that does not exist.
-    UnknownClock = 13,
+    UnknownClock = 14,
     /// The control law gave no finite torque.
-    LawNotFinite = 14,
+    LawNotFinite = 15,
     /// An angle is too far from its reference.
-    TrackingError = 15,
+    TrackingError = 16,
     /// The rod is too far from upright.
-    BalanceLost = 16,
+    BalanceLost = 17,
     /// An angle of the pendulum is too far past the range open to plans.
-    PendulumRange = 17,
+    PendulumRange = 18,
     /// Too many cycles in a row ended late.
-    LateCycles = 18,
+    LateCycles = 19,
     /// The loaded plan is too old to be started.
-    PlanAge = 19,
+    PlanAge = 20,
 }
 
 impl TripCause {
     /// Every cause; the index is the code less 1.
-    pub const ALL: [Self; 19] = [
+    pub const ALL: [Self; 20] = [
         Self::NoMeasurement,
         Self::StaleMeasurement,
         Self::MeasurementGap,
@@ -61,6 +63,7 @@ impl TripCause {
         Self::TorqueLimit,
         Self::TorqueRate,
         Self::DriveFault,
+        Self::DrivesStopped,
         Self::PeriodMismatch,
         Self::UnknownClock,
         Self::LawNotFinite,
@@ -95,6 +98,7 @@ impl TripCause {
             Self::TorqueLimit => "a measured torque is too high",
             Self::TorqueRate => "the commanded torque changes too fast",
             Self::DriveFault => "a drive reports a fault",
+            Self::DrivesStopped => "the drives do not act",
             Self::PeriodMismatch => "plant and daemon have different periods",
             Self::UnknownClock => "the plant names an unknown clock",
             Self::LawNotFinite => "the control law gave no finite torque",
@@ -169,6 +173,13 @@ impl fmt::Display for Trip {
                 write!(
                     f,
                     "the torque commanded to joint {joint} changes by {value:.0} N m/s, limit {limit:.0} N m/s"
+                )
+            }
+            TripCause::DrivesStopped => {
+                write!(
+                    f,
+                    "brakes closed or drives not ready for {value:.0} cycles with the brakes commanded open, limit \
+                     {limit:.0}"
                 )
             }
             TripCause::PeriodMismatch => {

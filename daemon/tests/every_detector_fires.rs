@@ -274,6 +274,77 @@ fn stale_measurement() {
 }
 
 #[test]
+fn time_stamp_that_stands_still() {
+    let (mut controller, q) = enabled();
+    let stuck = measurement(2, &q).t_ns;
+    let mut cycle = |seq, t_ns| {
+        controller.step(&Measurement { t_ns, ..measurement(seq, &q) }, 0, None);
+        trip(&controller)
+    };
+    for seq in 3..=22 {
+        assert_eq!(cycle(seq, stuck), None);
+    }
+    // It went on in time; a stamp from far ahead does not make the next ones old.
+    assert_eq!(cycle(23, u64::MAX), None);
+    for seq in 24..=200 {
+        assert_eq!(cycle(seq, seq * PERIOD_NS), None);
+    }
+    for seq in 201..=220 {
+        assert_eq!(cycle(seq, 200 * PERIOD_NS), None);
+    }
+    assert_eq!(cycle(221, 200 * PERIOD_NS), Some((Mode::Fault, TripCause::StaleMeasurement, 0)));
+}
+
+#[test]
+fn measurement_that_comes_late() {
+    let q = rest_pose(&config());
+    for (late, expected) in [(20, Mode::Hold), (21, Mode::Fault)] {
+        let mut controller = Controller::new(&config());
+        let mut cycle = |seq: u64, now: u64, order| {
+            let measured = Measurement { clock: Clock::Wall.code(), ..measurement(seq, &q) };
+            controller.step(&measured, now * PERIOD_NS, order);
+            controller.mode()
+        };
+        assert_eq!(cycle(1, 1, Some(Order::Do(Request::Enable))), Mode::Hold);
+        assert_eq!(cycle(2, 2 + late, None), expected);
+    }
+}
+
+#[test]
+fn drives_stopped() {
+    for spoil in [
+        |m: &mut Measurement| m.status |= Measurement::BRAKES_CLOSED,
+        |m: &mut Measurement| m.status &= !Measurement::DRIVES_READY,
+    ] {
+        let (mut controller, q) = enabled();
+        let mut cycle = |seq, spoiled: bool| {
+            let mut next = measurement(seq, &q);
+            if spoiled {
+                spoil(&mut next);
+            }
+            let output = controller.step(&next, 0, None);
+            (controller.mode(), warns(&output, TripCause::DrivesStopped))
+        };
+        for seq in 3..803 {
+            assert_eq!(cycle(seq, true), (Mode::Hold, seq > 82));
+        }
+        // They act again, and stop again.
+        assert_eq!(cycle(803, false), (Mode::Hold, false));
+        assert_eq!((804..1604).find(|seq| cycle(*seq, true).0 != Mode::Hold), None);
+        assert_eq!(cycle(1604, true), (Mode::Fault, true));
+        assert_eq!(trip(&controller), Some((Mode::Fault, TripCause::DrivesStopped, 0)));
+    }
+    // With braked joints they need not act.
+    let mut controller = Controller::new(&config());
+    let q = rest_pose(&config());
+    for seq in 1..2000 {
+        let status = Measurement::BRAKES_CLOSED;
+        let output = controller.step(&Measurement { status, ..measurement(seq, &q) }, 0, None);
+        assert!(!warns(&output, TripCause::DrivesStopped));
+    }
+}
+
+#[test]
 fn restarted_measurement() {
     let (mut controller, q) = enabled();
     controller.step(&measurement(1, &q), 0, None);

@@ -10,6 +10,7 @@ use upswing_ipc::{
     Node, Reader, Writer,
 };
 use upswing_model::JointVector;
+use upswingd::os::monotonic_ns;
 
 /// Far beyond anything that is waited for here.
 pub const LONG: Duration = Duration::from_secs(30);
@@ -45,6 +46,9 @@ impl Plant {
     pub fn publish(&self) {
         let mut next = measurement(self.seq, &self.q);
         next.clock = self.clock.code();
+        if self.clock == Clock::Wall {
+            next.t_ns = monotonic_ns();
+        }
         self.writer.write(next);
     }
 
