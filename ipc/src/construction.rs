@@ -3,9 +3,11 @@
 //! A process that is killed while it creates a service leaves unfinished files. iceoryx2 0.10 takes them for the
 //! work of somebody who is still at it: opening that service fails for good, and for root even listing services or
 //! cleaning up waits without end. So every creation in a domain happens under one lock, and whoever gets the lock
-//! removes what is unfinished: nobody is building it.
+//! removes what is unfinished: nobody is building it. The same goes for nodes, which iceoryx2 takes for starting ones for
+//! good, and for connections of ports that are gone, which it forgets.
 
 use crate::domain::Domain;
+use std::collections::HashSet;
 use std::fs::{File, Metadata, OpenOptions, TryLockError};
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
@@ -15,8 +17,8 @@ use std::time::{Duration, Instant};
 const PATIENCE: Duration = Duration::from_secs(2);
 /// Pause between looks at the lock.
 const PAUSE: Duration = Duration::from_micros(500);
-/// From this age on an unfinished connection is an orphan. iceoryx2 creates connections while it sends and
-/// receives, which happens without the lock and takes microseconds.
+/// From this age on an unfinished connection or node is an orphan. iceoryx2 creates connections while it sends and
+/// receives, and programs in other languages create nodes: both without the lock, within milliseconds.
 const ORPHAN_AGE: Duration = Duration::from_secs(2);
 /// Permission bits.
 const OWNER_READ: u32 = 0o400;
@@ -38,6 +40,10 @@ impl Site {
             domain.memory().for_each(|path| remove_if(&path, is_unfinished_memory));
             descriptions
                 .for_each(|entry| remove_if(&entry.path(), |_, state| is_unfinished_description(state)));
+            let ports = clear_nodes(&domain.root().join("nodes"));
+            domain.memory().for_each(|path| {
+                remove_if(&path, |path, state| is_old(state) && is_without_port(path, &ports));
+            });
         }
         Self { _lock: lock }
     }
@@ -72,6 +78,45 @@ fn is_unfinished_memory(path: &Path, state: &Metadata) -> bool {
 /// iceoryx2 forbids the owner to write to the description of a service when it is complete.
 fn is_unfinished_description(state: &Metadata) -> bool {
     state.mode() & OWNER_WRITE != 0
+}
+
+/// Removes the nodes that were never finished; returns the ports of the others.
+///
+/// iceoryx2 first makes a folder `<id>` with the details of a node and the tags of its ports, then files `*_<id>.*`, and
+/// makes the context, one of them, readable last.
+fn clear_nodes(nodes: &Path) -> HashSet<String> {
+    let entries = || std::fs::read_dir(nodes).into_iter().flatten().flatten().map(|entry| entry.path());
+    let finished: HashSet<_> = entries()
+        .filter(|path| path.extension().is_some_and(|suffix| suffix == "node_monitor_context"))
+        .filter(|path| path.metadata().is_ok_and(|state| state.mode() & OWNER_READ != 0))
+        .filter_map(|path| id(&path))
+        .collect();
+    let mut ports = HashSet::new();
+    for path in entries() {
+        let Some(node) = id(&path) else { continue };
+        if finished.contains(&node) {
+            let tags = std::fs::read_dir(&path).into_iter().flatten().flatten().map(|tag| tag.path());
+            ports.extend(
+                tags.filter(|tag| tag.extension().is_some_and(|s| s == "port_tag")).filter_map(|p| id(&p)),
+            );
+        } else if path.symlink_metadata().is_ok_and(|state| is_old(&state)) {
+            let _ = if path.is_dir() { std::fs::remove_dir_all(&path) } else { std::fs::remove_file(&path) };
+        }
+    }
+    ports
+}
+
+/// Whether it is a connection, `*_<sender>_<receiver>.connection`, one end of which has no port.
+fn is_without_port(path: &Path, ports: &HashSet<String>) -> bool {
+    let Some(ends) = path.file_stem().and_then(|stem| stem.to_str()) else { return false };
+    path.extension().is_some_and(|suffix| suffix == "connection")
+        && ends.rsplit('_').take(2).any(|port| !ports.contains(port))
+}
+
+/// The number with which iceoryx2 ends the name of what belongs to one node or port.
+fn id(path: &Path) -> Option<String> {
+    let number = path.file_stem()?.to_str()?.rsplit('_').next()?;
+    number.bytes().all(|b| b.is_ascii_digit()).then(|| number.to_owned())
 }
 
 fn is_old(state: &Metadata) -> bool {

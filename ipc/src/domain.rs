@@ -135,11 +135,11 @@ impl Domain {
 
     fn join(&self, role: &str) -> Result<Node, IpcError> {
         let presence = self.hold_root()?;
-        self.set_process_defaults()?;
         let failed =
             |cause: Cause| IpcError::Connect { domain: self.name.clone(), role: role.to_owned(), cause };
         let name = NodeName::new(role).map_err(|e| failed(e.into()))?;
         let site = Site::enter(self);
+        self.set_process_defaults(&site)?;
         let node = NodeBuilder::new()
             .name(&name)
             .config(&self.config)
@@ -283,7 +283,7 @@ impl Domain {
     /// All calls of this crate pass their configuration, except inside iceoryx2: the clean-up after a process that
     /// was killed before its node was complete falls back to the global one. Unless that is set, iceoryx2 would
     /// look for it in the working directory. In a process with several domains the first one stays set.
-    fn set_process_defaults(&self) -> Result<(), IpcError> {
+    fn set_process_defaults(&self, _site: &Site) -> Result<(), IpcError> {
         static QUIET: Once = Once::new();
         QUIET.call_once(|| set_log_level(LogLevel::Error));
 
@@ -293,7 +293,6 @@ impl Domain {
             return Ok(());
         }
         let file = self.root().join("iceoryx2.toml");
-        let draft = self.root().join(format!("iceoryx2.toml.{}", std::process::id()));
         let settings = format!(
             "[global]\nroot-path = \"{}\"\nprefix = \"{}\"\n",
             root_text(&self.name),
@@ -303,8 +302,10 @@ impl Domain {
             let path = file.clone();
             move |cause| IpcError::Root { action, path, cause }
         };
-        std::fs::write(&draft, settings).map_err(failed("write"))?;
-        std::fs::rename(&draft, &file).map_err(failed("write"))?;
+        // In place, not by a draft that a killed process would leave: on site nobody else reads it.
+        if std::fs::read_to_string(&file).ok().as_ref() != Some(&settings) {
+            std::fs::write(&file, settings).map_err(failed("write"))?;
+        }
         let path = FilePath::new(file.as_os_str().as_encoded_bytes())
             .map_err(|e| failed("name")(std::io::Error::other(format!("{e:?}"))))?;
         Config::setup_global_config_from_file(&path).map_err(|e| failed("load")(std::io::Error::other(e)))?;

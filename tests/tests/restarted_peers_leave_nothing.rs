@@ -1,0 +1,136 @@
+//! Planner, plant and clients that are killed and started again a hundred times leave no file and no memory, and do not
+//! reach the daemon's real-time thread; a second daemon is told whose place it wants.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::Duration;
+use upswing::session::CleanUp;
+use upswing_ipc::{ControlCommand, ControlRequest, ControlResponse, Domain};
+use upswing_tests::running::{LONG, Running, wait_for};
+use upswing_tests::{programs, unique_domain};
+
+const ROUNDS: u64 = 100;
+
+/// How many files of each kind (folder and suffix) the domain has, by a wider net than the one that removes them.
+fn files(domain: &Domain) -> BTreeMap<String, usize> {
+    let shared = std::fs::read_dir("/dev/shm").expect("/dev/shm").flatten();
+    let own =
+        shared.filter(|e| e.file_name().to_string_lossy().contains(&format!("upswing_{}_", domain.name())));
+    let mut kinds = BTreeMap::new();
+    own.for_each(|entry| count(&mut kinds, "", &entry.path()));
+    count(&mut kinds, "", &domain.root());
+    kinds
+}
+
+fn count(kinds: &mut BTreeMap<String, usize>, folder: &str, path: &Path) {
+    let Ok(state) = path.symlink_metadata() else { return };
+    let suffix = path.extension().unwrap_or_default().to_string_lossy();
+    if !state.is_dir() {
+        *kinds.entry(format!("{folder}*.{suffix}")).or_default() += 1;
+        return;
+    }
+    // Names of nodes are numbers.
+    let folder = format!("{folder}{}/", if suffix.is_empty() { "*".into() } else { suffix });
+    *kinds.entry(folder.clone()).or_default() += 1;
+    for entry in std::fs::read_dir(path).into_iter().flatten().flatten() {
+        count(kinds, &folder, &entry.path());
+    }
+}
+
+/// Page faults, minor and major, of a thread: proc(5), stat, fields 10 and 12.
+fn faults(daemon: &Running, thread: i32) -> (u64, u64) {
+    let stat = daemon.proc(&format!("task/{thread}/stat"));
+    let fields: Vec<_> = stat.rsplit_once(')').expect("a name").1.split_whitespace().collect();
+    (fields[7].parse().expect("a number"), fields[9].parse().expect("a number"))
+}
+
+fn asks_for_status(client: &mut Command) {
+    client.arg("status");
+}
+
+#[test]
+fn a_hundred_times() {
+    let name = unique_domain();
+    let domain = Domain::new(&name).expect("a name");
+    let _clean = CleanUp(domain.clone());
+    let start = |program: &str| Running::start(program, &name, |_| {});
+    let daemon = start("upswingd");
+    let (mut plant, mut planner) = (start("upswing-plant"), start("upswing-planner"));
+    let node = domain.connect("operator").expect("a node");
+    let (client, plants, planners) = (
+        node.control_client().expect("a client"),
+        node.plant_client().expect("a client"),
+        node.planner_client().expect("a client"),
+    );
+    let status = || -> ControlResponse {
+        client.call(&ControlRequest::new(ControlCommand::Status), LONG).expect("an answer")
+    };
+    // All three serve, and the cycle goes on: nothing is under construction.
+    let settle = || {
+        wait_for("all processes", || {
+            (client.has_server() && plants.has_server() && planners.has_server()).then_some(())
+        });
+        let seq = status().seq;
+        wait_for("cycles", || (status().seq > seq + 100).then_some(()));
+        // What was never finished counts as an orphan after two seconds.
+        std::thread::sleep(Duration::from_millis(2_500));
+        node.clean_up();
+    };
+    settle();
+    let thread = daemon.thread("realtime");
+    // The first restarts use memory that is used again from then on.
+    let mut before = None;
+    for round in 0..ROUNDS {
+        if round == ROUNDS / 10 {
+            settle();
+            before = Some((files(&domain), daemon.resident(), faults(&daemon, thread)));
+        }
+        drop((plant, planner));
+        (plant, planner) = (start("upswing-plant"), start("upswing-planner"));
+        let clients: Vec<_> = (0..2).map(|_| Running::start("upswing", &name, asks_for_status)).collect();
+        // From the first instructions of a start to a process that serves.
+        std::thread::sleep(Duration::from_millis(3 * (round % 40)));
+        drop(clients);
+    }
+    settle();
+    let (files_before, resident_before, faults_before) = before.expect("a first look");
+    assert_eq!(files(&domain), files_before, "files of the domain");
+    let resident = daemon.resident();
+    // A leak of a reader (some pages) or of a segment (megabytes) per restart would be more.
+    assert!(
+        resident <= resident_before + 1024,
+        "resident memory grew from {resident_before} to {resident} KiB"
+    );
+    if status().degraded & upswing_ipc::Degradation::Memory.bit() == 0 {
+        assert_eq!(faults(&daemon, thread), faults_before, "page faults of the real-time thread");
+    }
+    drop((plant, planner, daemon));
+    drop((client, plants, planners, node));
+    assert!(domain.remove_if_unused().expect("removed"));
+    assert_eq!(files(&domain), BTreeMap::new());
+}
+
+#[test]
+fn a_second_daemon_names_the_first() {
+    let name = unique_domain();
+    let domain = Domain::new(&name).expect("a name");
+    let _clean = CleanUp(domain.clone());
+    let first = Running::start("upswingd", &name, |_| {});
+    let node = domain.connect("operator").expect("a node");
+    let client = node.control_client().expect("a client");
+    wait_for("the first daemon", || client.has_server().then_some(()));
+    let second = || {
+        let mut command = Command::new(programs().join("upswingd"));
+        command.args(["--domain", &name]).stdin(Stdio::null());
+        let output = command.output().expect("upswingd runs");
+        (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    let (code, text) = second();
+    assert_eq!(code, Some(1), "{text}");
+    assert!(text.contains("has a daemon already") && text.contains(&format!("pid {}", first.id())), "{text}");
+    // The place of a killed one is free.
+    drop(first);
+    let _next = Running::start("upswingd", &name, |_| {});
+    wait_for("the next daemon", || client.has_server().then_some(()));
+}
