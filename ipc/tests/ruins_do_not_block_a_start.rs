@@ -6,7 +6,7 @@ use common::{TestDomain, Victim, domain_of_child, until_killed, wait_for};
 use std::fs::Permissions;
 use std::os::unix::fs::PermissionsExt;
 use std::path::PathBuf;
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 use upswing_ipc::{CallError, ControlCommand, ControlRequest, Domain, Measurement};
 
 /// Entry of the child process: holds some ends until it is killed.
@@ -90,6 +90,38 @@ fn unfinished_descriptions_of_services_do_not() {
         std::fs::File::create(&path).unwrap();
     }
     all_can_start(&domain);
+}
+
+#[test]
+fn unfinished_nodes_and_connections_without_a_port_are_removed_when_they_are_old() {
+    let domain = TestDomain::new("nodes");
+    let node = domain.connect("first").unwrap();
+    let nodes = domain.root().join("nodes");
+    let complete = files(nodes.clone(), "").len();
+    let prefix = format!("upswing_{}_", domain.name());
+    let context = nodes.join(format!("{prefix}42.node_monitor_context"));
+    let connection = PathBuf::from(format!("/dev/shm/{prefix}{}_42_43.connection", "0".repeat(40)));
+    // As after the folder and the first two files of a node, before the context can be read.
+    std::fs::create_dir(nodes.join("42")).unwrap();
+    std::fs::File::create(nodes.join("42").join(format!("{prefix}node.details"))).unwrap();
+    for file in [&nodes.join(format!("{prefix}42.node_monitor")), &context, &connection] {
+        std::fs::File::create(file).unwrap();
+    }
+    std::fs::set_permissions(&context, Permissions::from_mode(0o200)).unwrap();
+    let found = || (files(nodes.clone(), "").len(), connection.exists());
+    node.clean_up();
+    assert_eq!(found(), (complete + 3, true), "somebody may be at it");
+
+    let long_ago = SystemTime::now() - Duration::from_secs(3);
+    for path in files(nodes.clone(), "").iter().chain([&connection]) {
+        if path != &context {
+            std::fs::File::open(path).unwrap().set_modified(long_ago).unwrap();
+        }
+    }
+    std::fs::OpenOptions::new().write(true).open(&context).unwrap().set_modified(long_ago).unwrap();
+    node.clean_up();
+    assert_eq!(found(), (complete, false), "those of the living node stay");
+    let _server = node.control_server().unwrap();
 }
 
 #[test]
