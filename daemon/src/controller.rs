@@ -172,6 +172,7 @@ impl Controller {
 
     /// One cycle. `measurement` is the newest one, whether or not it is new; `now_ns` is the planned time of the
     /// cycle on the wall clock, and ignored on the others: they advance one period per measurement.
+    #[cfg_attr(rtsan, sanitize(realtime = "nonblocking"))]
     pub fn step(&mut self, measurement: &Measurement, now_ns: u64, order: Option<Order>) -> Output {
         let wall = measurement.clock() == Ok(Clock::Wall);
         let now = if wall { now_ns } else { measurement.seq.saturating_mul(measurement.period_ns) };

@@ -2,40 +2,11 @@
 
 mod common;
 
+use allocation_counter::measure;
 use common::{Arm, at_rest, config, rest_plan, upright_pose};
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
 use upswing_ipc::Mode;
 use upswingd::controller::{Controller, Order};
 use upswingd::supervisor::Request;
-
-struct Counting;
-
-thread_local! {
-    static CALLS: Cell<usize> = const { Cell::new(0) };
-}
-
-fn count() {
-    let _ = CALLS.try_with(|calls| calls.set(calls.get() + 1));
-}
-
-// SAFETY: all calls go to the system allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        count();
-        // SAFETY: as the caller promises.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, memory: *mut u8, layout: Layout) {
-        count();
-        // SAFETY: as the caller promises.
-        unsafe { System.dealloc(memory, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 #[test]
 fn in_any_mode() {
@@ -59,9 +30,10 @@ fn in_any_mode() {
         if k == 3900 {
             measurement.q[0] = f64::NAN;
         }
-        let before = CALLS.get();
-        let output = controller.step(&measurement, 0, order);
-        assert_eq!(CALLS.get() - before, 0, "cycle {k} in {}", controller.mode());
+        let mut output = None;
+        let heap = measure(|| output = Some(controller.step(&measurement, 0, order)));
+        assert_eq!((heap.count_total, heap.count_current), (0, 0), "cycle {k} in {}", controller.mode());
+        let output = output.expect("it ran");
         if !seen.contains(&controller.mode()) {
             seen.push(controller.mode());
         }
@@ -71,7 +43,6 @@ fn in_any_mode() {
     let expected = [Mode::Idle, Mode::Hold, Mode::Track, Mode::Balance, Mode::Stop, Mode::Fault];
     assert_eq!(seen, expected);
     assert_eq!(garbage.len(), 1, "the plan that another one replaced");
-    let before = CALLS.get();
-    drop(Box::new(1));
-    assert_eq!(CALLS.get() - before, 2, "the counter counts");
+    let heap = measure(|| drop(garbage));
+    assert!(heap.count_current < 0, "the counter counts");
 }
