@@ -20,7 +20,7 @@ mod start;
 
 pub use daemon::{
     CycleSettings, DaemonSettings, DisturbanceSettings, HoldGains, Level, Levels, PlanWhileTracking,
-    RealtimeMode, RealtimeSettings, RecorderSettings, RecoverySettings, StartTolerance,
+    RealtimeMode, RealtimeSettings, RecorderSettings, RecoverySettings, StartTolerance, VelocityEstimate,
 };
 pub use error::ConfigError;
 pub use fault::{EventError, Fault, FaultKind, Push};

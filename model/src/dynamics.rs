@@ -1,5 +1,6 @@
 //! Equations of motion (1)-(5), (9), (11), (24), by recursions over the chain in the world frame.
 
+use crate::positive;
 use crate::spatial::{Inertia, Spatial};
 use crate::{
     ActuatedVector, JointMatrix, JointVector, Model, N_ACTUATED, N_UNACTUATED, NQ, NX, State,
@@ -202,7 +203,7 @@ impl Model {
         for i in 0..N_ACTUATED {
             mass[(i, i)] += rotors[i];
         }
-        Some(mass.cholesky()?.solve(&(tau - bias)))
+        positive::solve(&mass, &(tau - bias))
     }
 
     /// Kinetic plus potential energy, J.

@@ -163,7 +163,12 @@ impl Friction {
     /// N m
     fn torque(&self, qd: &JointVector) -> JointVector {
         JointVector::from_fn(|i, _| {
-            self.viscous[i] * qd[i] + self.coulomb[i] * (qd[i] / self.smoothing).tanh()
+            let viscous = self.viscous[i] * qd[i];
+            // Where the drives remove all of it, nothing is left to compute.
+            if self.coulomb[i] == 0.0 {
+                return viscous;
+            }
+            viscous + self.coulomb[i] * (qd[i] / self.smoothing).tanh()
         })
     }
 }
