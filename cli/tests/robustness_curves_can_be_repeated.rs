@@ -31,7 +31,10 @@ fn missed_cycles() {
     let counts: Vec<_> = points.iter().map(|p| (p["value"].as_f64(), p["succeeded"].as_u64())).collect();
     assert_eq!(counts, [(Some(5.0), Some(2)), (Some(30.0), Some(0))], "{one}");
     let failed = &points[1]["failed"][1];
-    assert!(failed["kind"].as_str().is_some_and(|kind| kind.contains("measurements were missed")), "{failed}");
+    assert!(
+        failed["kind"].as_str().is_some_and(|kind| kind.contains("measurements were missed")),
+        "{failed}"
+    );
     let svg = std::fs::read_to_string(svg).expect("the picture");
     assert!(svg.starts_with("<svg") && svg.contains("cycles missed in Balance"));
 
