@@ -2,11 +2,12 @@
 
 use crate::report::Report;
 use crate::swing_up::SETTLE;
+use upswing_config::{Config, Push};
 use upswing_ipc::{Measurement, Mode, PlannerResponse, Telemetry};
 use upswing_planner::qp::Solver;
 use upswing_planner::replan::{Effort, Manoeuvre, NoPlan, Planner};
 use upswing_planner::service::payload;
-use upswing_plant::Plant;
+use upswing_plant::{Plant, SetEventError};
 use upswingd::controller::{Controller, Order};
 use upswingd::plan::{PlanRefusal, accept};
 use upswingd::supervisor::{Refusal, Request};
@@ -32,6 +33,9 @@ pub enum Aborted {
         /// Why not.
         refusal: Refusal,
     },
+    /// A push that cannot be.
+    #[error("push: {0}")]
+    Push(#[from] SetEventError),
     /// A fault of the plant keeps all measurements back.
     #[error("no new measurement in {MOST_SILENT} cycles")]
     Silent,
@@ -59,12 +63,31 @@ impl Aborted {
             Self::NoPlan(_) => "no plan".into(),
             Self::Plan(_) => "the daemon refused the plan".into(),
             Self::Refused { request, .. } => format!("{request} was refused"),
+            Self::Push(_) => "the push cannot be".into(),
             Self::Silent => "no measurements".into(),
             Self::GivenUp { mode, trip, .. } => {
                 format!("{mode} was given up: {}, joint {}", trip.cause.text(), trip.joint + 1)
             }
         }
     }
+}
+
+/// Cycles in a row in which the controller does not run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Missed {
+    /// The first one, counted from the start of the plan.
+    pub from: u64,
+    /// How many.
+    pub cycles: u64,
+}
+
+/// What disturbs a swing-up after its plan has started.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Disturbances {
+    /// Pushes on the rod, their cycles counted from the start of the plan.
+    pub pushes: Vec<Push>,
+    /// In the order of time.
+    pub missed: Vec<Missed>,
 }
 
 /// A controller and a plant that answer each other.
@@ -115,23 +138,39 @@ impl Loop<'_> {
     fn cycles(&mut self, count: u64) -> Result<(), Aborted> {
         (0..count).try_for_each(|_| self.cycle(None))
     }
+
+    /// `count` cycles, without those that are missed: in them the drives hear nothing.
+    fn cycles_without(&mut self, missed: &[Missed], count: u64) -> Result<(), Aborted> {
+        let mut passed = 0;
+        for miss in missed {
+            self.cycles(miss.from.min(count).saturating_sub(passed))?;
+            passed = passed.max(miss.from.min(count));
+            let end = miss.from.saturating_add(miss.cycles).min(count);
+            while passed < end {
+                self.plant.step(None);
+                passed += 1;
+            }
+        }
+        self.cycles(count - passed)
+    }
 }
 
 /// Enables the controller, lets the arm settle in Hold, plans from the measured state, swings up and balances for
-/// `seconds`: the course of [`crate::swing_up::swing_up`], with time standing still while the plan is made. The
-/// planner's settings are those of the controller, too; the plant may be another one. `records` is cleared and then
-/// holds every cycle.
+/// `seconds`: the course of [`crate::swing_up::swing_up`], with time standing still while the plan is made. `config`
+/// are the settings of the controller; the plant may be another one. `disturbances` is told the duration t_F of the plan,
+/// s. `records` is cleared and then holds every cycle.
 ///
 /// # Errors
 /// [`Aborted`] if it could not be run to the end; how it ended, the report says.
 pub fn swing_up(
     planner: &Planner,
     solver: &mut Solver,
+    config: &Config,
     plant: Plant,
     seconds: f64,
+    disturbances: impl FnOnce(f64) -> Disturbances,
     records: &mut Vec<Telemetry>,
 ) -> Result<Report, Aborted> {
-    let config = planner.config();
     let period = config.daemon.cycle.period.as_secs_f64();
     let cycles = |s: f64| (s / period).ceil() as u64;
     records.clear();
@@ -150,7 +189,12 @@ pub fn swing_up(
     let plan = accept(&payload(&replan.plan(config)), config)?;
     run.cycle(Some(("load", Order::Load(plan))))?;
     run.cycle(Some(("start", Order::Do(Request::Start))))?;
-    run.cycles(cycles(replan.trajectory.t_f + seconds))?;
+    let Disturbances { pushes, missed } = disturbances(replan.trajectory.t_f);
+    let now = run.plant.seq();
+    for push in pushes {
+        run.plant.push(&Push { from: now + push.from, ..push })?;
+    }
+    run.cycles_without(&missed, cycles(replan.trajectory.t_f + seconds))?;
     let used = replan.attempts.last().map(|a| a.entry);
     let response = PlannerResponse {
         t_f: replan.trajectory.t_f,

@@ -14,12 +14,15 @@ pub mod plan;
 pub mod record;
 pub mod report;
 pub mod request;
+pub mod soak;
 pub mod status;
 
+use crate::session::{CleanUp, SessionError};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
+use std::path::PathBuf;
 use upswing_config::process::{Failure, ProcessArgs};
-use upswing_ipc::{Domain, Node};
+use upswing_ipc::{Domain, IpcError, Node};
 use upswing_trajectory::Trajectory;
 
 /// Options of every command but the processes.
@@ -49,6 +52,29 @@ impl CommonArgs {
     pub fn connect(&self) -> Result<Node, Failure> {
         let domain = Domain::new(&self.process.domain).map_err(|e| Failure::BadInput(e.to_string()))?;
         domain.connect("cli").map_err(failed)
+    }
+}
+
+/// A domain of this process alone for a system that it starts itself, and a folder for the logs of its processes.
+///
+/// # Errors
+/// [`Failure::BadInput`] for a bad name, [`Failure::Failed`] if there is no place for the logs.
+fn own_domain(common: &CommonArgs, what: &str) -> Result<(CleanUp, PathBuf), Failure> {
+    let name = format!("{}-{what}-{}", common.process.domain, std::process::id());
+    let domain = Domain::new(&name).map_err(|e| Failure::BadInput(e.to_string()))?;
+    let logs = std::env::temp_dir().join(&name);
+    std::fs::create_dir_all(&logs).map_err(|e| failed(format!("cannot create {}: {e}", logs.display())))?;
+    Ok((CleanUp(domain), logs))
+}
+
+/// A refusal of an input is the user's to mend; everything else is ours.
+fn session_failure(e: SessionError) -> Failure {
+    match e {
+        SessionError::Ended { status, .. } if status.code() == Some(2) => Failure::BadInput(e.to_string()),
+        SessionError::Ipc(IpcError::Taken { .. }) => {
+            failed(format!("{e}; is another system using this domain?"))
+        }
+        e => failed(e),
     }
 }
 

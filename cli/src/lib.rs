@@ -12,4 +12,5 @@ pub mod recording;
 pub mod report;
 pub mod robot;
 pub mod session;
+pub mod soak;
 pub mod swing_up;

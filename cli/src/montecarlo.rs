@@ -57,9 +57,14 @@ impl Starts<'_> {
 
     /// A number in [0, 1) that belongs to start number `index` and tells nothing about it.
     pub fn share(&self, index: u64) -> f64 {
+        self.shares(index).next().unwrap_or_default()
+    }
+
+    /// Numbers as [`Self::share`], up to half a million of them.
+    pub fn shares(&self, index: u64) -> impl Iterator<Item = f64> + use<> {
         let mut rng = self.generator(index);
         rng.advance(BLOCK / 2);
-        unit(&mut rng)
+        std::iter::repeat_with(move || unit(&mut rng))
     }
 
     fn generator(&self, index: u64) -> Pcg64 {
@@ -107,6 +112,22 @@ pub fn for_each<S, T: Send>(
     Ok(results.into_iter().flatten().collect())
 }
 
+/// 95 % interval of a probability of which `succeeded` of `samples` trials are known (E. B. Wilson, J. Am. Stat. Assoc. 22,
+/// 1927).
+pub fn wilson(succeeded: usize, samples: usize) -> (f64, f64) {
+    /// 97.5 % of a normal distribution are below this, in standard deviations.
+    const Z: f64 = 1.959_963_984_540_054;
+    if samples == 0 {
+        return (0.0, 1.0);
+    }
+    let n = samples as f64;
+    let share = succeeded as f64 / n;
+    let middle = share + Z * Z / (2.0 * n);
+    let half = Z * (share * (1.0 - share) / n + Z * Z / (4.0 * n * n)).sqrt();
+    let at = |v: f64| (v / (1.0 + Z * Z / n)).clamp(0.0, 1.0);
+    (at(middle - half), at(middle + half))
+}
+
 /// How a figure is distributed over the samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Spread {
@@ -152,5 +173,26 @@ impl Spread {
             if v != 0.0 && v.abs() < 1e-3 { write!(f, " {v:>11.1e}")? } else { write!(f, " {v:>11.4}")? }
         }
         writeln!(f)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::wilson;
+
+    #[test]
+    fn intervals_are_those_of_the_literature() {
+        // R. G. Newcombe, Statistics in Medicine 17, 1998, table I, method 3.
+        for ((r, n), (low, high)) in [
+            ((81, 263), (0.2553, 0.3662)),
+            ((15, 148), (0.0624, 0.1605)),
+            ((0, 20), (0.0, 0.1611)),
+            ((1, 29), (0.0061, 0.1718)),
+        ] {
+            let (l, h) = wilson(r, n);
+            assert!((l - low).abs() < 5.1e-5 && (h - high).abs() < 5.1e-5, "{r} of {n}: {l} to {h}");
+            let (l, h) = wilson(n - r, n);
+            assert!((l - 1.0 + high).abs() < 5.1e-5 && (h - 1.0 + low).abs() < 5.1e-5);
+        }
     }
 }

@@ -1,5 +1,6 @@
 //! Pictures like the paper's Fig. 4 and 5: positions, velocities and torques over time, each scaled by its limit.
 
+pub mod curves;
 pub mod figures;
 pub mod map;
 pub mod plan;

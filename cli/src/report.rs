@@ -64,6 +64,23 @@ const AT_REST: f64 = 0.05;
 /// What a joint that stands on its limit may be measured beyond it, rad: a few steps of an encoder.
 const RESOLUTION: f64 = 1e-4;
 
+/// Time in balance, s: by the clock, because a cycle that the controller missed between two others is balanced, too.
+fn balance_time(records: &[Telemetry], period: f64) -> f64 {
+    let balances = |t: &Telemetry| t.mode() == Ok(Mode::Balance);
+    let mut last: Option<&Telemetry> = None;
+    let mut sum = 0.0;
+    for t in records {
+        if balances(t) {
+            sum += match last.filter(|last| balances(last)) {
+                Some(last) => t.t_ns.saturating_sub(last.t_ns) as f64 * 1e-9,
+                None => period,
+            };
+        }
+        last = Some(t);
+    }
+    sum
+}
+
 /// Angle of the rod from upright, rad: between the line from the last joint to the tip and the vertical.
 pub fn tilt(model: &Model, q: &JointVector) -> f64 {
     let rod = model.tip(q) - model.poses(q)[NQ - 1].translation.vector;
@@ -121,7 +138,7 @@ impl Figures {
             }
         }
         let balance: Vec<_> = records.iter().filter(|t| t.mode() == Ok(Mode::Balance)).collect();
-        f.balance_s = balance.len() as f64 * period;
+        f.balance_s = balance_time(records, period);
         let end = &balance[balance.len().saturating_sub((1.0 / period) as usize)..];
         if !end.is_empty() {
             let tilts = end.iter().map(|t| tilt(model, &JointVector::from(t.q)).to_degrees());

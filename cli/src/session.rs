@@ -1,8 +1,11 @@
 //! A system of three processes in a shared-memory domain of its own, and the means to drive it.
 
+mod process;
+
+pub use process::{Options, Programs, Role};
+
 use crate::recording::{Recorder, RecordingError, Tally};
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use process::Process;
 use std::time::{Duration, Instant};
 use upswing_ipc::{
     CallError, Client, Clock, ControlCommand, ControlRequest, ControlResponse, Domain, IpcError, Node,
@@ -74,144 +77,10 @@ pub enum SessionError {
     Interrupted,
 }
 
-/// The programs of a system, without the options that [`Session::start`] adds.
-#[derive(Debug)]
-pub struct Programs {
-    /// Starts the daemon.
-    pub daemon: Command,
-    /// Starts the planner.
-    pub planner: Command,
-    /// Starts the plant simulator.
-    pub plant: Command,
-}
-
-impl Programs {
-    /// The `upswing` program itself in each of the three roles.
-    ///
-    /// # Errors
-    /// If the path of the running program cannot be found out.
-    pub fn own() -> std::io::Result<Self> {
-        let program = std::env::current_exe()?;
-        let role = |name| {
-            let mut c = Command::new(&program);
-            c.arg(name);
-            c
-        };
-        Ok(Self { daemon: role("daemon"), planner: role("planner"), plant: role("plant") })
-    }
-
-    /// The three dedicated programs in `folder`.
-    pub fn dedicated(folder: &Path) -> Self {
-        Self {
-            daemon: Command::new(folder.join("upswingd")),
-            planner: Command::new(folder.join("upswing-planner")),
-            plant: Command::new(folder.join("upswing-plant")),
-        }
-    }
-}
-
-/// What to start.
-#[derive(Clone, Debug)]
-pub struct Options {
-    /// Folder with settings; `None`: the embedded ones.
-    pub config: Option<PathBuf>,
-    /// Name of the domain.
-    pub domain: String,
-    /// Clock of the plant.
-    pub clock: Clock,
-    /// Start pose of the arm, deg, comma-separated; `None`: as the plant's settings say.
-    pub start: Option<String>,
-    /// Scenario of the plant; `None`: as its settings say.
-    pub scenario: Option<String>,
-    /// Folder for the logs of the processes.
-    pub logs: PathBuf,
-}
-
-/// One process of the system; ended when dropped.
-struct Process {
-    role: &'static str,
-    child: Child,
-    log: PathBuf,
-}
-
-impl Process {
-    fn start(
-        role: &'static str,
-        mut command: Command,
-        options: &Options,
-        extra: &[String],
-    ) -> Result<Self, SessionError> {
-        let program = command.get_program().to_string_lossy().into_owned();
-        let spawn = |cause| SessionError::Spawn { role, program: program.clone(), cause };
-        let log = options.logs.join(format!("{role}.log"));
-        let file = std::fs::File::create(&log).map_err(spawn)?;
-        command.args(["--domain", &options.domain]).args(extra);
-        if let Some(config) = &options.config {
-            command.arg("--config").arg(config);
-        }
-        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(file);
-        die_with_parent(&mut command);
-        let child = command.spawn().map_err(spawn)?;
-        Ok(Self { role, child, log })
-    }
-
-    fn check(&mut self) -> Result<(), SessionError> {
-        match self.child.try_wait() {
-            Ok(Some(status)) => Err(SessionError::Ended { role: self.role, status, log: self.tail() }),
-            _ => Ok(()),
-        }
-    }
-
-    /// The last lines of the log.
-    fn tail(&self) -> String {
-        /// Enough for an error and what led to it.
-        const LINES: usize = 5;
-        let text = std::fs::read_to_string(&self.log).unwrap_or_default();
-        let lines: Vec<_> = text.lines().collect();
-        let tail = &lines[lines.len().saturating_sub(LINES)..];
-        if tail.is_empty() { String::new() } else { format!("; its log ends with:\n  {}", tail.join("\n  ")) }
-    }
-
-    fn signal(&self, signal: i32) {
-        // SAFETY: plain system call; the child has not been waited for, so that the id is still its own.
-        unsafe { libc::kill(self.child.id() as libc::pid_t, signal) };
-    }
-}
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        if let Ok(None) = self.child.try_wait() {
-            let _ = self.child.kill();
-            let _ = self.child.wait();
-        }
-    }
-}
-
-/// The kernel ends the child if this process dies without doing so.
-fn die_with_parent(command: &mut Command) {
-    use std::os::unix::process::CommandExt;
-    // SAFETY: prctl is async-signal-safe; the closure allocates nothing and touches no lock.
-    unsafe {
-        command.pre_exec(|| {
-            libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGTERM);
-            Ok(())
-        });
-    }
-}
-
-/// Who of the system.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Role {
-    /// upswingd
-    Daemon,
-    /// upswing-planner
-    Planner,
-    /// upswing-plant
-    Plant,
-}
-
 /// A running system.
 pub struct Session {
+    programs: Programs,
+    options: Options,
     processes: [Option<Process>; 3],
     control: Client<ControlRequest>,
     planner: Client<PlannerRequest>,
@@ -219,7 +88,6 @@ pub struct Session {
     telemetry: Subscriber<TelemetryBatch>,
     node: Node,
     domain: Domain,
-    clock: Clock,
     /// Every record received so far.
     pub records: Vec<Telemetry>,
     /// Takes every record, too; [`Session::end`] completes it.
@@ -239,19 +107,11 @@ impl Session {
         let (control, planner, plant) =
             (node.control_client()?, node.planner_client()?, node.plant_client()?);
         let telemetry = node.telemetry_subscriber()?;
-        let mut plant_options = vec!["--clock".into(), options.clock.to_string()];
-        if let Some(start) = &options.start {
-            plant_options.push(format!("--start={start}"));
-        }
-        if let Some(scenario) = &options.scenario {
-            plant_options.push(format!("--scenario={scenario}"));
-        }
-        let processes = [
-            Some(Process::start("daemon", programs.daemon, options, &[])?),
-            Some(Process::start("planner", programs.planner, options, &[])?),
-            Some(Process::start("plant", programs.plant, options, &plant_options)?),
-        ];
+        let start = |role| Process::start(role, &programs, options).map(Some);
+        let processes = [start(Role::Daemon)?, start(Role::Planner)?, start(Role::Plant)?];
         let mut session = Self {
+            programs,
+            options: options.clone(),
             processes,
             control,
             planner,
@@ -259,7 +119,6 @@ impl Session {
             telemetry,
             node,
             domain,
-            clock: options.clock,
             records: Vec::new(),
             recorder: None,
             tally: Tally::default(),
@@ -283,6 +142,66 @@ impl Session {
     /// Kills a process (SIGKILL) and reaps it.
     pub fn kill(&mut self, role: Role) {
         self.processes[role as usize] = None;
+    }
+
+    /// Starts a process that was killed or ended, and waits until it answers. `start` is where a plant shall start, deg,
+    /// comma-separated; `None`: where the last one did.
+    ///
+    /// # Errors
+    /// [`SessionError`] if it cannot be started or does not answer.
+    pub fn restart(&mut self, role: Role, start: Option<String>) -> Result<(), SessionError> {
+        self.kill(role);
+        if start.is_some() {
+            self.options.start = start;
+        }
+        self.processes[role as usize] = Some(Process::start(role, &self.programs, &self.options)?);
+        self.wait_for("the new process to answer", START_PATIENCE, |s| {
+            Ok(match role {
+                Role::Daemon => s.control.has_server(),
+                Role::Planner => s.planner.has_server(),
+                Role::Plant => s.plant.has_server(),
+            })
+        })
+    }
+
+    /// Ends a process in its own way: SIGTERM.
+    ///
+    /// # Errors
+    /// [`SessionError::Ended`] if it ends with an error, [`SessionError::Timeout`] if it does not end.
+    pub fn end_process(&mut self, role: Role) -> Result<(), SessionError> {
+        let i = role as usize;
+        let Some(process) = &self.processes[i] else { return Ok(()) };
+        process.signal(libc::SIGTERM);
+        let begin = Instant::now();
+        loop {
+            self.collect()?;
+            if self.options.clock == Clock::Lockstep && role == Role::Daemon {
+                // The daemon needs cycles to stop the arm in.
+                if let Ok(now) = self.plant_status() {
+                    let seq = now.seq + 100;
+                    let request =
+                        PlantRequest { kind: PlantKind::AdvanceTo.code(), seq, ..Default::default() };
+                    self.plant(&request)?;
+                }
+            }
+            let Some(process) = &mut self.processes[i] else { break };
+            match process.child.try_wait() {
+                Ok(Some(status)) if status.success() => break,
+                Ok(Some(status)) => {
+                    return Err(SessionError::Ended { role: role.name(), status, log: process.tail() });
+                }
+                _ if begin.elapsed() > END_PATIENCE => {
+                    return Err(SessionError::Timeout {
+                        what: format!("the {} to end", role.name()),
+                        waited: begin.elapsed(),
+                        log: process.tail(),
+                    });
+                }
+                _ => std::thread::sleep(PAUSE),
+            }
+        }
+        self.processes[i] = None;
+        Ok(())
     }
 
     /// The domain that the system runs in.
@@ -363,7 +282,7 @@ impl Session {
         while left > 0 {
             let portion = left.min(PORTION);
             left -= portion;
-            let goal = match self.clock {
+            let goal = match self.options.clock {
                 Clock::Lockstep => {
                     let seq = self.plant_status()?.seq + portion;
                     self.plant(&PlantRequest {
@@ -400,9 +319,7 @@ impl Session {
             if done(self)? {
                 return Ok(());
             }
-            for process in self.processes.iter_mut().flatten() {
-                process.check()?;
-            }
+            self.check()?;
             let waited = begin.elapsed();
             if waited > patience {
                 let log = self.processes.iter().flatten().map(Process::tail).collect();
@@ -410,6 +327,14 @@ impl Session {
             }
             std::thread::sleep(PAUSE);
         }
+    }
+
+    /// Whether all processes run that were not ended here.
+    ///
+    /// # Errors
+    /// [`SessionError::Ended`] with the end of the log of one that does not.
+    pub fn check(&mut self) -> Result<(), SessionError> {
+        self.processes.iter_mut().flatten().try_for_each(Process::check)
     }
 
     /// Takes all telemetry that is waiting.
@@ -443,39 +368,7 @@ impl Session {
     /// # Errors
     /// As [`Self::end`].
     pub fn end_in_place(&mut self) -> Result<(), SessionError> {
-        for i in [Role::Daemon, Role::Planner, Role::Plant].map(|r| r as usize) {
-            let Some(process) = &self.processes[i] else { continue };
-            process.signal(libc::SIGTERM);
-            let begin = Instant::now();
-            loop {
-                self.collect()?;
-                if self.clock == Clock::Lockstep && i == Role::Daemon as usize {
-                    // The daemon needs cycles to stop the arm in.
-                    if let Ok(now) = self.plant_status() {
-                        let seq = now.seq + 100;
-                        let request =
-                            PlantRequest { kind: PlantKind::AdvanceTo.code(), seq, ..Default::default() };
-                        self.plant(&request)?;
-                    }
-                }
-                let Some(process) = &mut self.processes[i] else { break };
-                match process.child.try_wait() {
-                    Ok(Some(status)) if status.success() => break,
-                    Ok(Some(status)) => {
-                        return Err(SessionError::Ended { role: process.role, status, log: process.tail() });
-                    }
-                    _ if begin.elapsed() > END_PATIENCE => {
-                        return Err(SessionError::Timeout {
-                            what: format!("the {} to end", process.role),
-                            waited: begin.elapsed(),
-                            log: process.tail(),
-                        });
-                    }
-                    _ => std::thread::sleep(PAUSE),
-                }
-            }
-            self.processes[i] = None;
-        }
+        Role::ALL.into_iter().try_for_each(|role| self.end_process(role))?;
         if let Some(recorder) = self.recorder.take() {
             recorder.finish()?;
         }

@@ -39,6 +39,18 @@ pub struct CycleSettings {
     pub period: Duration,
     /// Time constant T_1 of the differential filter, s.
     pub velocity_filter: f64,
+    /// Where velocities come from.
+    pub velocity: VelocityEstimate,
+}
+
+/// Where velocities come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum VelocityEstimate {
+    /// The differential filter alone, as in the paper.
+    Filter,
+    /// What the filter lags behind is taken from the model.
+    Model,
 }
 
 /// Gains of u = stiffness (reference - q) - damping qd for the actuated joints.
@@ -179,6 +191,7 @@ struct Raw {
 struct RawCycle {
     period_us: i64,
     velocity_filter_ms: f64,
+    velocity: VelocityEstimate,
 }
 
 #[derive(Deserialize)]
@@ -293,6 +306,7 @@ impl DaemonSettings {
             cycle: CycleSettings {
                 period: Duration::from_micros(period_us),
                 velocity_filter: filter_ms * 1e-3,
+                velocity: raw.cycle.velocity,
             },
             hold: HoldGains {
                 stiffness: check.list("hold.stiffness", &raw.hold.stiffness, 1, &POSITIVE)?,

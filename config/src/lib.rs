@@ -20,7 +20,7 @@ mod start;
 
 pub use daemon::{
     CycleSettings, DaemonSettings, DisturbanceSettings, HoldGains, Level, Levels, PlanWhileTracking,
-    RealtimeMode, RealtimeSettings, RecorderSettings, RecoverySettings, StartTolerance,
+    RealtimeMode, RealtimeSettings, RecorderSettings, RecoverySettings, StartTolerance, VelocityEstimate,
 };
 pub use error::ConfigError;
 pub use fault::{EventError, Fault, FaultKind, Push};
@@ -47,7 +47,7 @@ use upswing_model::{Limits, Model, NQ, NU};
 pub struct Config {
     /// Text of the robot description.
     pub urdf: String,
-    /// The robot read from it; its rated limits agree with `robot.limits`.
+    /// The robot read from it, with the rotors of `robot`; its rated limits agree with `robot.limits`.
     pub model: Model,
     /// Limits and target.
     pub robot: RobotSettings,
@@ -177,6 +177,7 @@ impl Config {
         let (robot_name, robot) = text(&ROBOT)?;
         let robot = RobotSettings::read(&robot_name, &robot)?;
         check_agreement(&robot_name, &robot.limits, model.rated_limits())?;
+        let model = model.with_rotors(robot.rotor_inertia);
         let (name, planner) = text(&PLANNER)?;
         let planner = PlannerSettings::read(&name, &planner)?;
         let (name, daemon) = text(&DAEMON)?;

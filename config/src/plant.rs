@@ -51,11 +51,12 @@ pub struct ModelSettings {
 }
 
 impl ModelSettings {
-    /// The bodies that move, given those of the URDF. The rotors are not in it: they are no bodies of the chain.
+    /// The bodies and rotors that move, given the bodies of the URDF.
     pub fn apply(&self, urdf: &Model) -> Model {
         urdf.with_scaled_masses(self.arm_mass_scale, self.pendulum_mass_scale)
             .with_scaled_rod_length(self.pendulum_length_scale)
             .with_payload(self.payload, self.payload_position.into())
+            .with_rotors(self.rotor_inertia)
     }
 }
 

@@ -16,6 +16,8 @@ pub struct RobotSettings {
     pub coriolis_bound: CoriolisBound,
     /// The target x_T, (8).
     pub target: Target,
+    /// Inertia of the rotors, reflected to the actuated joints, kg m^2; part of [`crate::Config::model`].
+    pub rotor_inertia: [f64; NU],
 }
 
 /// Range of C~ qd over all admissible states, (11), N m.
@@ -43,6 +45,7 @@ struct Raw {
     usage: RawUsage,
     coriolis_bound: RawCoriolisBound,
     target: RawTarget,
+    drives: RawDrives,
 }
 
 #[derive(Deserialize)]
@@ -67,6 +70,12 @@ struct RawUsage {
 struct RawCoriolisBound {
     upper_nm: Vec<f64>,
     lower_nm: Vec<f64>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawDrives {
+    rotor_inertia_kg_m2: Vec<f64>,
 }
 
 #[derive(Deserialize)]
@@ -139,6 +148,8 @@ impl RobotSettings {
             pitch: check.number("target.pitch_deg", raw.target.pitch_deg, &FULL_TURN)?.to_radians(),
             q8: check.angle("target.q8_deg", raw.target.q8_deg, N_ACTUATED, &planning)?,
         };
-        Ok(Self { limits, planning, coriolis_bound, target })
+        let key = "drives.rotor_inertia_kg_m2";
+        let rotor_inertia = check.list(key, &raw.drives.rotor_inertia_kg_m2, 1, &NON_NEGATIVE)?;
+        Ok(Self { limits, planning, coriolis_bound, target, rotor_inertia })
     }
 }

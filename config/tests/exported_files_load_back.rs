@@ -3,7 +3,7 @@
 mod common;
 use common::{edit, exported};
 use std::time::Duration;
-use upswing_config::{Config, ConfigError, PendulumStart, TorqueConstraint};
+use upswing_config::{Config, ConfigError, PendulumStart, TorqueConstraint, VelocityEstimate};
 
 #[test]
 fn the_same_settings() {
@@ -50,6 +50,8 @@ fn the_papers_values() {
     assert_eq!((robot.coriolis_bound.lower[1], robot.coriolis_bound.upper[1]), (-7.0, 8.0));
     assert_eq!(config.daemon.cycle.period, Duration::from_micros(125));
     assert_eq!(config.daemon.cycle.velocity_filter, 0.012);
+    assert_eq!(config.daemon.cycle.velocity, VelocityEstimate::Model);
+    assert_eq!(config.robot.rotor_inertia, [0.0; 7]);
     assert_eq!(config.daemon.realtime.cpu, None);
     assert!((config.plant.encoder.pendulum_resolution - 4.79e-5).abs() < 1e-7);
     assert_eq!(config.plant.start.q[3], deg(-95.0));

@@ -33,6 +33,11 @@ fn robot() {
             "margin_deg = [20, -1]",
             &["usage.position_margin_deg", NOT_NEGATIVE, "got -1 for joint 9"],
         ),
+        (
+            "inertia_kg_m2 = [0, 0",
+            "inertia_kg_m2 = [0, -1",
+            &["drives.rotor_inertia_kg_m2", NOT_NEGATIVE, "got -1 for joint 2"],
+        ),
         ("upper_nm = [6", "upper_nm = [-6", &["coriolis_bound.upper_nm", POSITIVE, "got -6 for joint 1"]),
         ("lower_nm = [-6", "lower_nm = [6", &["coriolis_bound.lower_nm", "below 0", "got 6 for joint 1"]),
         (

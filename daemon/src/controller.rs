@@ -14,7 +14,7 @@ use crate::trip::{Trip, TripCause};
 use nalgebra::Vector3;
 use upswing_config::{Config, PlanWhileTracking};
 use upswing_ipc::{Clock, Command, Measurement, Mode, Telemetry};
-use upswing_model::{ActuatedVector, Model, NQ, NU, State, Workspace, position, velocity};
+use upswing_model::{ActuatedVector, JointVector, Model, NU, State, Workspace, position, velocity};
 use upswing_trajectory::Plan;
 
 /// What the controller is told besides the measurement; at most one per cycle.
@@ -96,8 +96,8 @@ pub struct Controller {
     rod_at_end: Vector3<f64>,
     /// Mode and torque of the last cycle.
     last: (Mode, ActuatedVector),
-    /// Input to (24) of the last cycle, unless the limiter cut its torque.
-    last_input: Option<ActuatedVector>,
+    /// qdd that the torque of the last cycle is meant for, unless the limiter cut it.
+    expected: Option<JointVector>,
 }
 
 impl Controller {
@@ -128,7 +128,7 @@ impl Controller {
             running: None,
             rod_at_end: Vector3::zeros(),
             last: (Mode::Idle, ActuatedVector::zeros()),
-            last_input: None,
+            expected: None,
         }
     }
 
@@ -180,17 +180,18 @@ impl Controller {
         self.now = now;
         self.warnings = 0;
         let braked = is_braked(self.mode);
+        let expected = self.expected.as_ref();
         let (fresh, restarted) =
-            self.observer.observe(measurement, now_ns, &self.checks, braked, &mut self.warnings);
+            self.observer.observe(measurement, now_ns, &self.checks, expected, braked, &mut self.warnings);
         if matches!(self.mode, Mode::Idle | Mode::Hold) {
             self.observer.drop_turns();
         }
         if braked {
             self.disturbance.reset();
         } else {
-            let v: ActuatedVector = self.observer.x.fixed_rows::<NU>(NQ).into();
-            let u = self.last_input.as_ref();
-            self.disturbance.update(&self.model, &v, u, elapsed, &self.work);
+            let v: ActuatedVector = self.observer.filtered.fixed_rows::<NU>(0).into();
+            let u: Option<ActuatedVector> = expected.map(|qdd| qdd.fixed_rows::<NU>(0).into());
+            self.disturbance.update(&self.model, &v, u.as_ref(), elapsed, &self.work);
         }
         // Without a new measurement it is a cycle on the wall clock only, on the others an order between cycles.
         self.cycle += u64::from(fresh || wall);
@@ -401,7 +402,7 @@ impl Controller {
             let disturbance = self.disturbance.estimate();
             match law::torque(&self.model, x, &target.u, disturbance, &self.tau_max, &mut self.work) {
                 Some(torque) => {
-                    self.last_input = (!torque.limited).then_some(target.u);
+                    self.expected = (!torque.limited).then_some(torque.qdd);
                     // A new mode may begin with a step: the brakes held, or another reference was followed.
                     let rate = match self.last {
                         (mode, last) if mode == self.mode => {
@@ -422,8 +423,8 @@ impl Controller {
         }
         let none = ActuatedVector::zeros();
         self.last = (self.mode, none);
-        self.last_input = None;
-        (self.rest(), law::Torque { tau: none, limited: false })
+        self.expected = None;
+        (self.rest(), law::Torque { tau: none, limited: false, qdd: JointVector::zeros() })
     }
 }
 

@@ -1,4 +1,4 @@
-//! The differential filter of Section VI: joint velocities from joint angles.
+//! The differential filter of Section VI: joint velocities from joint angles; and what it lags behind, from the model.
 
 use upswing_model::JointVector;
 
@@ -50,5 +50,38 @@ impl DifferentialFilter {
         };
         self.state = Some((z, *q));
         (q - z) / self.time_constant
+    }
+}
+
+/// What the differential filter lags behind: v = qd / (T_1 s + 1) and a = qdd / (T_1 s + 1) make v + T_1 a = qd.
+///
+/// The acceleration is the one that the model expects. As far as that is wrong, the sum is wrong by T_1 times the error,
+/// where the filter alone is wrong by T_1 times the whole acceleration.
+#[derive(Clone, Debug)]
+pub struct Lead {
+    /// T_s, s.
+    period: f64,
+    /// T_1, s.
+    time_constant: f64,
+    /// a, rad/s^2.
+    acceleration: JointVector,
+}
+
+impl Lead {
+    /// For a filter with the cycle T_s = `period` and the time constant T_1, both in s and above 0.
+    pub fn new(period: f64, time_constant: f64) -> Self {
+        Self { period, time_constant, acceleration: JointVector::zeros() }
+    }
+
+    /// Forgets all accelerations.
+    pub fn reset(&mut self) {
+        self.acceleration = JointVector::zeros();
+    }
+
+    /// Takes the acceleration `qdd` (rad/s^2) of the last `cycles` cycles; returns T_1 a, rad/s.
+    pub fn update(&mut self, qdd: &JointVector, cycles: u64) -> JointVector {
+        let share = -(-(cycles as f64) * self.period / self.time_constant).exp_m1();
+        self.acceleration += (qdd - self.acceleration) * share;
+        self.acceleration * self.time_constant
     }
 }

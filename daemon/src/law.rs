@@ -1,6 +1,8 @@
 //! The torque law (24) and the torque limiter.
 
-use upswing_model::{ActuatedVector, Model, NU, State, Workspace};
+use upswing_model::{
+    Accelerations, ActuatedVector, JointVector, Model, N_ACTUATED, N_UNACTUATED, NU, State, Workspace,
+};
 
 /// Torque for the drives.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -9,6 +11,8 @@ pub struct Torque {
     pub tau: ActuatedVector,
     /// Whether the limiter cut at least one joint.
     pub limited: bool,
+    /// qdd = [u, qdd_U] (3a) that belongs to it if nothing was cut, rad/s^2.
+    pub qdd: JointVector,
 }
 
 /// tau_A = M~ u + C~ qd + g~ (24) at the state `x` (rad, rad/s) for the input `u` (rad/s^2), less the torque that acts
@@ -21,14 +25,14 @@ pub fn torque(
     tau_max: &ActuatedVector,
     work: &mut Workspace,
 ) -> Option<Torque> {
-    limit(&(model.torque(x, u, work) - disturbance), tau_max)
-}
-
-/// Limits `tau` to +-`tau_max` (both N m); `None` if it is not finite.
-pub fn limit(tau: &ActuatedVector, tau_max: &ActuatedVector) -> Option<Torque> {
+    let Accelerations { qdd_u, tau } = model.accelerations(x, u, work);
+    let tau = tau - disturbance;
     if !tau.iter().all(|v| v.is_finite()) {
         return None;
     }
+    let mut qdd = JointVector::zeros();
+    qdd.fixed_rows_mut::<N_ACTUATED>(0).copy_from(u);
+    qdd.fixed_rows_mut::<N_UNACTUATED>(N_ACTUATED).copy_from(&qdd_u);
     let within = ActuatedVector::from_fn(|i, _| tau[i].min(tau_max[i]).max(-tau_max[i]));
-    Some(Torque { tau: within, limited: (0..NU).any(|i| within[i] != tau[i]) })
+    Some(Torque { tau: within, limited: (0..NU).any(|i| within[i] != tau[i]), qdd })
 }

@@ -1,10 +1,10 @@
 //! From measurements to the state x = [q, qd], and whether it can be trusted.
 
 use crate::checks::Checks;
-use crate::filter::DifferentialFilter;
+use crate::filter::{DifferentialFilter, Lead};
 use crate::trip::{Trip, TripCause};
 use std::f64::consts::{PI, TAU};
-use upswing_config::CycleSettings;
+use upswing_config::{CycleSettings, VelocityEstimate};
 use upswing_ipc::{Clock, Measurement};
 use upswing_model::{JointVector, NU, State, state};
 
@@ -17,8 +17,11 @@ const SLACK: f64 = 0.5;
 #[derive(Clone, Debug)]
 pub struct Observer {
     filter: DifferentialFilter,
+    lead: Option<Lead>,
     /// x = [q, qd], measured and filtered, rad and rad/s.
     pub x: State,
+    /// Velocities of the filter alone, rad/s.
+    pub filtered: JointVector,
     /// What speaks against using the newest measurement.
     pub unfit: Option<Trip>,
     /// Whether every drive is powered.
@@ -43,7 +46,10 @@ impl Observer {
     pub fn new(cycle: &CycleSettings) -> Self {
         Self {
             filter: DifferentialFilter::new(cycle.period.as_secs_f64(), cycle.velocity_filter),
+            lead: (cycle.velocity == VelocityEstimate::Model)
+                .then(|| Lead::new(cycle.period.as_secs_f64(), cycle.velocity_filter)),
             x: State::zeros(),
+            filtered: JointVector::zeros(),
             unfit: Some(Trip::plain(TripCause::NoMeasurement)),
             drives_ready: false,
             seq: 0,
@@ -57,13 +63,14 @@ impl Observer {
     }
 
     /// Takes in the newest measurement, whether or not it is new: whether it is, and whether a restart of the plant was
-    /// noticed. `now_ns`: the time of the cycle, which counts on the wall clock only. `braked`: the brakes hold; what the
-    /// robot did then is no fault.
+    /// noticed. `now_ns`: the time of the cycle, which counts on the wall clock only. `expected`: qdd that the last command
+    /// was meant for, rad/s^2, where that is known. `braked`: the brakes hold; what the robot did then is no fault.
     pub fn observe(
         &mut self,
         measurement: &Measurement,
         now_ns: u64,
         checks: &Checks,
+        expected: Option<&JointVector>,
         braked: bool,
         warnings: &mut u64,
     ) -> (bool, Option<Trip>) {
@@ -103,11 +110,14 @@ impl Observer {
         let cycles = self.seq - self.filtered_seq;
         let last = self.filter.last();
         if let Some(trip) = last.and_then(|last| checks.jump(last, &q, cycles, warnings)) {
-            self.filter.reset();
+            self.forget();
             // Somebody may have moved the robot by other means.
             self.unfit = self.unfit.or(Some(trip).filter(|_| !braked));
         }
-        self.x = state(&q, &self.filter.update(&q, cycles));
+        self.filtered = self.filter.update(&q, cycles);
+        let expected = expected.copied().unwrap_or_default();
+        let lead = self.lead.as_mut().map_or_else(JointVector::zeros, |lead| lead.update(&expected, cycles));
+        self.x = state(&q, &(self.filtered + lead));
         self.filtered_seq = self.seq;
         let arm = checks.arm(&self.x, warnings);
         self.unfit = self.unfit.or(arm);
@@ -136,10 +146,17 @@ impl Observer {
     /// Forgets a plant that has gone or restarted.
     pub fn restart(&mut self) -> Trip {
         let trip = Trip::plain(TripCause::MeasurementRestarted);
-        self.filter.reset();
+        self.forget();
         (self.seq, self.filtered_seq, self.turned) = (0, 0, 0.0);
         (self.t_ns, self.age, self.stopped) = (0, 0, 0);
         self.unfit = Some(trip);
         trip
+    }
+
+    fn forget(&mut self) {
+        self.filter.reset();
+        if let Some(lead) = &mut self.lead {
+            lead.reset();
+        }
     }
 }

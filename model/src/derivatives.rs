@@ -113,7 +113,9 @@ impl Model {
             qdd_u_x,
             qdd_u_u,
             tau_x: r_x.fixed_rows::<N_ACTUATED>(0) + m_au * qdd_u_x,
-            tau_u: m.fixed_view::<N_ACTUATED, N_ACTUATED>(0, 0) + m_au * qdd_u_u,
+            tau_u: m.fixed_view::<N_ACTUATED, N_ACTUATED>(0, 0)
+                + SMatrix::from_diagonal(&self.rotors)
+                + m_au * qdd_u_u,
         }
     }
 

@@ -1,5 +1,6 @@
 //! Equations of motion (1)-(5), (9), (11), (24), by recursions over the chain in the world frame.
 
+use crate::positive;
 use crate::spatial::{Inertia, Spatial};
 use crate::{
     ActuatedVector, JointMatrix, JointVector, Model, N_ACTUATED, N_UNACTUATED, NQ, NX, State,
@@ -103,13 +104,25 @@ impl Model {
         self.place(q, work);
         self.move_with(qd, work);
         self.accelerate_with(qd, qdd, work);
-        generalized_force(work)
+        let mut force = generalized_force(work);
+        for i in 0..N_ACTUATED {
+            force[i] += self.rotors[i] * qdd[i];
+        }
+        force
     }
 
     /// M(q), kg m^2 (1): symmetric, positive definite.
     pub fn mass_matrix(&self, q: &JointVector, work: &mut Workspace) -> JointMatrix {
         self.place(q, work);
-        work.mass_matrix()
+        self.with_rotor_inertia(work.mass_matrix())
+    }
+
+    /// The mass matrix of bodies and rotors, given that of the bodies.
+    fn with_rotor_inertia(&self, mut bodies: JointMatrix) -> JointMatrix {
+        for i in 0..N_ACTUATED {
+            bodies[(i, i)] += self.rotors[i];
+        }
+        bodies
     }
 
     /// C(q, qd) qd + g(q), N m (1); equal to [`Self::inverse_dynamics`] with qdd = 0.
@@ -136,7 +149,7 @@ impl Model {
     pub fn reduced_inertia_times(&self, a: &ActuatedVector, work: &Workspace) -> ActuatedVector {
         let mut carried = JointVector::zeros();
         carried.fixed_rows_mut::<N_ACTUATED>(0).copy_from(a);
-        reduce(&(work.mass_matrix() * carried), work).tau
+        reduce(&(self.with_rotor_inertia(work.mass_matrix()) * carried), work).tau
     }
 
     /// M~ u + g~ (11), N m: the torque without its Coriolis part; equal to [`Self::torque`] at qd = 0.
@@ -184,25 +197,8 @@ impl Model {
         tau: &JointVector,
         work: &mut Workspace,
     ) -> Option<JointVector> {
-        self.forward_dynamics_with_rotors(q, qd, tau, &ActuatedVector::zeros(), work)
-    }
-
-    /// As [`Self::forward_dynamics`] with the inertia of the motors' `rotors`, reflected to the joints (kg m^2), on the
-    /// diagonal of M: the usual approximation of a geared drive, without gyroscopic terms.
-    pub fn forward_dynamics_with_rotors(
-        &self,
-        q: &JointVector,
-        qd: &JointVector,
-        tau: &JointVector,
-        rotors: &ActuatedVector,
-        work: &mut Workspace,
-    ) -> Option<JointVector> {
         let bias = self.nonlinear_effects(q, qd, work);
-        let mut mass = work.mass_matrix();
-        for i in 0..N_ACTUATED {
-            mass[(i, i)] += rotors[i];
-        }
-        Some(mass.cholesky()?.solve(&(tau - bias)))
+        positive::solve(&self.with_rotor_inertia(work.mass_matrix()), &(tau - bias))
     }
 
     /// Kinetic plus potential energy, J.

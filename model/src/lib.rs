@@ -11,6 +11,7 @@
 mod derivatives;
 mod dynamics;
 mod model;
+mod positive;
 mod rest;
 mod spatial;
 mod urdf;

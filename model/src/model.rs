@@ -83,6 +83,8 @@ pub struct Model {
     pub(crate) base: Frame,
     /// Point on the last body farthest from its joint (the tip of the rod) for drawings, m.
     pub(crate) tip: Vector3<f64>,
+    /// Inertia of the rotors, reflected to the actuated joints, kg m^2.
+    pub(crate) rotors: ActuatedVector,
     /// Gravity in the world frame, m/s^2.
     pub(crate) gravity: Vector3<f64>,
     pub(crate) rated_limits: Limits,
@@ -176,6 +178,15 @@ impl Model {
         loaded
     }
 
+    /// A copy whose motors have rotors of the inertia `rotors`, reflected to the actuated joints (kg m^2, 0 or above): on the
+    /// diagonal of M, the usual approximation of a geared drive, without gyroscopic terms. f (5) stays as it is.
+    pub fn with_rotors(&self, rotors: [f64; NU]) -> Self {
+        let mut geared = self.clone();
+        geared.rotors = rotors.into();
+        geared.fingerprint = geared.compute_fingerprint();
+        geared
+    }
+
     /// Joint torques J^T F, N m, of a `force` (N, world frame) on the tip of the pendulum.
     pub fn torque_of_tip_force(&self, q: &JointVector, force: &Vector3<f64>) -> JointVector {
         let frames = self.frames(q);
@@ -198,6 +209,10 @@ impl Model {
             put(j.mass);
         }
         self.gravity.iter().for_each(|v| put(*v));
+        // Without rotors a model is what its URDF says.
+        if self.rotors != ActuatedVector::zeros() {
+            self.rotors.iter().for_each(|v| put(*v));
+        }
         hash.digest()
     }
 }

@@ -189,6 +189,7 @@ impl Model {
             joints,
             base: Frame::new(&Isometry3::identity()),
             tip,
+            rotors: ActuatedVector::zeros(),
             gravity,
             rated_limits,
             fingerprint: 0,

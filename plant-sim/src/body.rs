@@ -2,9 +2,7 @@
 
 use crate::drives::Action;
 use upswing_config::{Config, FrictionSettings, StopSettings};
-use upswing_model::{
-    ActuatedVector, JointVector, Model, N_ACTUATED, N_UNACTUATED, NU, UnactuatedVector, Workspace,
-};
+use upswing_model::{JointVector, Model, N_ACTUATED, N_UNACTUATED, NU, UnactuatedVector, Workspace};
 
 /// A force at the tip of the rod, world frame, N.
 pub(crate) type Force = [f64; 3];
@@ -18,7 +16,6 @@ pub(crate) struct Body {
     pub q: JointVector,
     pub qd: JointVector,
     model: Model,
-    rotors: ActuatedVector,
     friction: Friction,
     stops: StopSettings,
     /// s, at least one integration step: the integration must resolve it.
@@ -38,7 +35,6 @@ impl Body {
             q: *q,
             qd: *qd,
             model,
-            rotors: settings.model.rotor_inertia.into(),
             friction: Friction::new(&settings.friction),
             stops: settings.stops,
             brake_time_constant: settings.drive.brake_time_constant.max(step),
@@ -102,7 +98,7 @@ impl Body {
         for i in 0..N_ACTUATED {
             load[i] += torque[i];
         }
-        self.model.forward_dynamics_with_rotors(q, qd, &load, &self.rotors, &mut self.work)
+        self.model.forward_dynamics(q, qd, &load, &mut self.work)
     }
 
     /// qdd = [u, qdd_U] with u = -qd_A / time constant: (3a) with the load of the pendulum (N m),
@@ -163,7 +159,12 @@ impl Friction {
     /// N m
     fn torque(&self, qd: &JointVector) -> JointVector {
         JointVector::from_fn(|i, _| {
-            self.viscous[i] * qd[i] + self.coulomb[i] * (qd[i] / self.smoothing).tanh()
+            let viscous = self.viscous[i] * qd[i];
+            // Where the drives remove all of it, nothing is left to compute.
+            if self.coulomb[i] == 0.0 {
+                return viscous;
+            }
+            viscous + self.coulomb[i] * (qd[i] / self.smoothing).tanh()
         })
     }
 }

@@ -1,7 +1,7 @@
 //! Controller and plant in one process, as Monte Carlo runs couple them, do bit for bit what the three processes do on
 //! the clock `lockstep`: every number of every cycle of swing-up and balance.
 
-use upswing::closed_loop::swing_up;
+use upswing::closed_loop::{Disturbances, swing_up};
 use upswing_config::{Config, PendulumStart};
 use upswing_ipc::{Clock, Mode, Telemetry};
 use upswing_planner::replan::Planner;
@@ -21,9 +21,17 @@ fn in_one_process() -> Vec<Telemetry> {
     config.plant.start.q = START_DEG.map(f64::to_radians);
     config.plant.start.pendulum = PendulumStart::Rest;
     let plant = Plant::new(&config).expect("a start");
-    let planner = Planner::new(config).expect("the shipped database fits");
+    let planner = Planner::new(config.clone()).expect("the shipped database fits");
     let mut records = Vec::new();
-    let report = swing_up(&planner, &mut planner.solver(), plant, SECONDS, &mut records);
+    let report = swing_up(
+        &planner,
+        &mut planner.solver(),
+        &config,
+        plant,
+        SECONDS,
+        |_| Disturbances::default(),
+        &mut records,
+    );
     let report = report.unwrap_or_else(|e| panic!("{e}"));
     assert!(report.success, "{report}");
     moving(records)

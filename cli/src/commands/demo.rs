@@ -1,17 +1,17 @@
 //! `upswing demo`: the whole system on this machine.
 
-use super::{CommonArgs, failed, record};
+use super::{CommonArgs, failed, own_domain, record, session_failure};
 use crate::parse::{Degrees, start_state};
 use crate::picture;
 use crate::recording::Recorder;
 use crate::report::Report;
-use crate::session::{CleanUp, Options, Programs, Session, SessionError};
+use crate::session::{Options, Programs, Session, SessionError};
 use crate::swing_up::swing_up;
 use serde::Serialize;
 use std::path::PathBuf;
 use upswing_config::PendulumStart;
 use upswing_config::process::{Failure, shutdown_flag};
-use upswing_ipc::{Clock, Domain, IpcError};
+use upswing_ipc::Clock;
 
 /// Starts daemon, planner and plant as three processes, swings the pendulum up and balances it.
 ///
@@ -92,13 +92,10 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
     start_state(&config, "--start", &start, PendulumStart::Rest)?;
     let stop = shutdown_flag()?;
 
-    let domain = format!("{}-demo-{}", args.common.process.domain, std::process::id());
-    let _clean = CleanUp(Domain::new(&domain).map_err(|e| Failure::BadInput(e.to_string()))?);
-    let logs = std::env::temp_dir().join(&domain);
-    std::fs::create_dir_all(&logs).map_err(|e| failed(format!("cannot create {}: {e}", logs.display())))?;
+    let (clean, logs) = own_domain(&args.common, "demo")?;
     let options = Options {
         config: args.common.process.config.clone(),
-        domain,
+        domain: clean.0.name().to_owned(),
         clock: args.clock,
         start: Some(start.to_string()),
         scenario: args.scenario.clone(),
@@ -144,15 +141,4 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
     };
     args.common.print(&answer)?;
     if success { Ok(()) } else { Err(failed("the pendulum was not swung up and balanced")) }
-}
-
-/// A refusal of an input is the user's to mend; everything else is ours.
-fn session_failure(e: SessionError) -> Failure {
-    match e {
-        SessionError::Ended { status, .. } if status.code() == Some(2) => Failure::BadInput(e.to_string()),
-        SessionError::Ipc(IpcError::Taken { .. }) => {
-            failed(format!("{e}; is another system using this domain?"))
-        }
-        e => failed(e),
-    }
 }

@@ -3,6 +3,8 @@
 mod closed_loop;
 mod condition;
 mod replan;
+mod robustness;
+mod variation;
 
 use super::{CommonArgs, failed, progress_bar};
 use crate::montecarlo::{NoStart, for_each};
@@ -17,6 +19,7 @@ use upswing_planner::replan::Planner;
 
 pub use closed_loop::ClosedLoopArgs;
 pub use replan::ReplanArgs;
+pub use robustness::RobustnessArgs;
 
 /// Swings up from many random starts and counts what succeeds.
 #[derive(Clone, Debug, clap::Args)]
@@ -42,9 +45,16 @@ pub enum MonteCarloCommand {
     ///
     /// Example: upswing montecarlo closed-loop --samples 100 --condition nominal,arm-mass,second-arm
     ClosedLoop(ClosedLoopArgs),
+    /// As closed-loop, over growing errors of one kind: how many swing-ups succeed, as a curve
+    ///
+    /// All values of all curves use the same starts, those of the other two commands with the same seed. A failed one is
+    /// repeated by naming it (--only) with its value.
+    ///
+    /// Example: upswing montecarlo robustness --over torque-delay,friction --samples 100 --svg curves.svg
+    Robustness(RobustnessArgs),
 }
 
-/// Options of both.
+/// Options of all.
 #[derive(Clone, Debug, clap::Args)]
 pub struct SamplingArgs {
     /// Options of every command.
@@ -90,6 +100,7 @@ pub fn run(args: &MonteCarloArgs) -> Result<(), Failure> {
     match &args.command {
         MonteCarloCommand::Replan(args) => replan::run(args),
         MonteCarloCommand::ClosedLoop(args) => closed_loop::run(args),
+        MonteCarloCommand::Robustness(args) => robustness::run(args),
     }
 }
 
@@ -140,16 +151,16 @@ impl SamplingArgs {
         }
     }
 
-    /// [`for_each`] start, with a progress bar.
+    /// [`for_each`] of `indices`, with a progress bar.
     fn run<S, T: Send>(
         &self,
+        indices: &[u64],
         stop: &AtomicBool,
         scratch: impl Fn() -> S + Sync + Send,
         work: impl Fn(&mut S, u64) -> Result<T, NoStart> + Sync + Send,
     ) -> Result<Vec<T>, Failure> {
-        let indices = self.indices();
-        let bar = progress_bar(indices.len() as u64, "starts");
-        let results = for_each(&indices, self.threads(), stop, || bar.inc(1), scratch, work);
+        let bar = progress_bar(indices.len() as u64, "runs");
+        let results = for_each(indices, self.threads(), stop, || bar.inc(1), scratch, work);
         bar.finish_and_clear();
         let results = results.map_err(|e| failed(format!("cannot start threads: {e}")))?;
         Ok(results.into_iter().collect::<Result<_, _>>()?)

@@ -2,7 +2,7 @@
 
 use super::condition::Condition;
 use super::{SamplingArgs, failed, list_failures};
-use crate::closed_loop::swing_up;
+use crate::closed_loop::{Disturbances, swing_up};
 use crate::montecarlo::{NoStart, Spread, Starts, arm_degrees};
 use crate::picture;
 use crate::report::Report;
@@ -80,13 +80,13 @@ impl From<&Report> for Figures {
 }
 
 /// What a thread keeps from one run to the next.
-struct Scratch {
-    solver: Solver,
-    records: Vec<Telemetry>,
+pub(super) struct Scratch {
+    pub solver: Solver,
+    pub records: Vec<Telemetry>,
 }
 
 impl Scratch {
-    fn new(planner: &Planner) -> Self {
+    pub fn new(planner: &Planner) -> Self {
         Self { solver: planner.solver(), records: Vec::new() }
     }
 }
@@ -123,12 +123,15 @@ impl Runs<'_> {
         let plant =
             Plant::new(&config).map_err(|e| ("the plant cannot start there".into(), e.to_string()))?;
         let Scratch { solver, records } = scratch;
-        swing_up(self.planner, solver, plant, self.seconds, records).map_err(|e| (e.kind(), e.to_string()))
+        let (planner, undisturbed) = (self.planner, |_| Disturbances::default());
+        swing_up(planner, solver, planner.config(), plant, self.seconds, undisturbed, records)
+            .map_err(|e| (e.kind(), e.to_string()))
     }
 
     fn all(&self, sampling: &SamplingArgs, stop: &AtomicBool) -> Result<ConditionAnswer, Failure> {
         let begin = Instant::now();
         let results = sampling.run(
+            &sampling.indices(),
             stop,
             || Scratch::new(self.planner),
             |scratch, index| self.sample(scratch, index),

@@ -201,7 +201,7 @@ pub fn run(args: &ReplanArgs) -> Result<(), Failure> {
     let work = |solver: &mut Solver, index: u64| -> Result<Sample, NoStart> {
         Ok(sample(&planner, solver, iterations, index, &starts.start(index)?))
     };
-    let results = args.sampling.run(&stop, || planner.solver(), work)?;
+    let results = args.sampling.run(&args.sampling.indices(), &stop, || planner.solver(), work)?;
     let complete = results.len() == args.sampling.indices().len();
     let plans = || results.iter().filter_map(|s| s.plan.as_ref());
     let spread = |value: fn(&Figures) -> f64| Spread::of(plans().map(value));

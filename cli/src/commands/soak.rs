@@ -1,0 +1,145 @@
+//! `upswing soak`: the whole system on this machine, for long.
+
+use super::{CommonArgs, failed, own_domain, session_failure};
+use crate::montecarlo::Starts;
+use crate::session::{Options, Programs, Session, SessionError};
+use crate::soak::{Growth, Kill, Record, Soak};
+use serde::Serialize;
+use std::time::Instant;
+use upswing_config::process::{Failure, shutdown_flag};
+use upswing_ipc::Clock;
+
+/// Swings up, balances, pushes, swings down and holds, over and over, from random starts
+///
+/// Daemon, planner and plant run as three processes. In a share of the rounds one of them is killed (SIGKILL) at a random
+/// moment, started again, and the next round shows that the system has recovered. Exit code 1: a round failed by itself.
+///
+/// Example: upswing soak --seconds 1800 --clock wall --json
+#[derive(Clone, Debug, clap::Args)]
+pub struct SoakArgs {
+    /// Options of every command.
+    #[command(flatten)]
+    pub common: CommonArgs,
+    /// How long, s; the last round is brought to its end
+    #[arg(long, default_value_t = 60.0)]
+    pub seconds: f64,
+    /// Clock: `paced` (real-time pace) or `wall`
+    #[arg(long, default_value = "paced")]
+    pub clock: Clock,
+    /// Share of the rounds in which a process is killed, 0 to 1
+    #[arg(long, value_name = "SHARE", default_value_t = 0.5)]
+    pub kills: f64,
+    /// Seed of starts, pushes and kills
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub seed: u64,
+}
+
+#[derive(Serialize)]
+struct Answer {
+    success: bool,
+    clock: String,
+    seed: u64,
+    seconds: f64,
+    #[serde(flatten)]
+    record: Record,
+    growth: Vec<Growth>,
+}
+
+impl std::fmt::Display for Answer {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Record { rounds, completed, kills, losses, orderly_restarts, cycles, .. } = &self.record;
+        writeln!(f, "Soak: {}", if self.success { "passed" } else { "FAILED" })?;
+        writeln!(f, "  clock     {}, {:.0} s, seed {}", self.clock, self.seconds, self.seed)?;
+        writeln!(
+            f,
+            "  rounds    {rounds}: {completed} completed, {} ended by a kill, {} failed",
+            rounds - completed - losses.len() as u64,
+            losses.len()
+        )?;
+        let longest = |role: &str| {
+            let of_role: Vec<&Kill> = kills.iter().filter(|kill| kill.role == role).collect();
+            let most = of_role.iter().map(|kill| kill.recovered_s).fold(0.0, f64::max);
+            format!("{} {role} (ready after {most:.2} s at most)", of_role.len())
+        };
+        let each = ["daemon", "planner", "plant"].map(longest).join(", ");
+        writeln!(f, "  kills     {each}; {orderly_restarts} daemons ended in their own way")?;
+        let (stretches, missed) = cycles.misses();
+        let longest = cycles.missed.last_key_value().map_or(0, |(length, _)| *length);
+        writeln!(
+            f,
+            "  cycles    {}; measurements missed {missed} in {stretches} stretches, {longest} in a row at most; {} cycles \
+             without a new one; telemetry lost {}",
+            cycles.cycles, cycles.without_measurement, cycles.telemetry_lost
+        )?;
+        let late: Vec<_> = cycles.late.iter().map(|(phase, n)| format!("{n} mostly in {phase}")).collect();
+        write!(f, "  late      {}", if late.is_empty() { "none".into() } else { late.join(", ") })?;
+        if let Some(cause) = self.record.late_causes.last() {
+            write!(f, "; the last: {cause}")?;
+        }
+        self.growth.iter().try_for_each(|growth| write!(f, "\n  {growth}"))?;
+        losses.iter().try_for_each(|l| write!(f, "\n  round {} failed in {}: {}", l.round, l.phase, l.reason))
+    }
+}
+
+/// Runs the soak.
+///
+/// # Errors
+/// [`Failure::BadInput`] for what cannot be, [`Failure::Failed`] if a round failed by itself or the system could not be
+/// brought back.
+pub fn run(args: &SoakArgs) -> Result<(), Failure> {
+    /// A week.
+    const LONGEST: f64 = 604_800.0;
+    let refuse = |text: String| Err(Failure::BadInput(text));
+    if !(args.seconds > 0.0 && args.seconds <= LONGEST) {
+        return refuse(format!(
+            "--seconds: expected more than 0 and at most {LONGEST}, got {}",
+            args.seconds
+        ));
+    }
+    if !(0.0..=1.0).contains(&args.kills) {
+        return refuse(format!("--kills: expected 0 to 1, got {}", args.kills));
+    }
+    if args.clock == Clock::Lockstep {
+        return refuse(
+            "--clock: expected paced or wall, got lockstep, which stands still between requests".into(),
+        );
+    }
+    let config = args.common.process.load()?;
+    let starts = Starts { config: &config, seed: args.seed };
+    let start = Soak::first_start(&starts)?;
+    let stop = shutdown_flag()?;
+    let (clean, logs) = own_domain(&args.common, "soak")?;
+    let options = Options {
+        config: args.common.process.config.clone(),
+        domain: clean.0.name().to_owned(),
+        clock: args.clock,
+        start: Some(start),
+        scenario: None,
+        logs: logs.clone(),
+    };
+    let begin = Instant::now();
+    let soak = || -> Result<Record, SessionError> {
+        let spawn = |cause| SessionError::Spawn { role: "daemon", program: "upswing".into(), cause };
+        let session = Session::start(Programs::own().map_err(spawn)?, &options)?;
+        let mut soak = Soak::new(session, starts, args.clock, args.kills);
+        soak.run(args.seconds, &stop)?;
+        soak.session.end_in_place()?;
+        Ok(soak.record)
+    };
+    let record = soak().map_err(session_failure)?;
+    // Only a run that needs no explanation leaves no logs.
+    let success = record.losses.is_empty() && record.completed > 0;
+    if success {
+        let _ = std::fs::remove_dir_all(&logs);
+    }
+    let lost = record.losses.len();
+    let growth = Growth::of(&record.samples);
+    let seconds = begin.elapsed().as_secs_f64();
+    let clock = args.clock.to_string();
+    args.common.print(&Answer { success, clock, seed: args.seed, seconds, record, growth })?;
+    match (success, lost) {
+        (true, _) => Ok(()),
+        (false, 0) => Err(failed("no round was completed: allow more time")),
+        (false, n) => Err(failed(format!("{n} rounds failed; logs in {}", logs.display()))),
+    }
+}

@@ -1,0 +1,155 @@
+//! The processes of a system: how they are started, and what they leave in their logs.
+
+use super::SessionError;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use upswing_ipc::Clock;
+
+/// Who of the system.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Role {
+    /// upswingd
+    Daemon,
+    /// upswing-planner
+    Planner,
+    /// upswing-plant
+    Plant,
+}
+
+impl Role {
+    /// All of them, in the order in which they are started and ended.
+    pub const ALL: [Self; 3] = [Self::Daemon, Self::Planner, Self::Plant];
+
+    /// For messages and files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Daemon => "daemon",
+            Self::Planner => "planner",
+            Self::Plant => "plant",
+        }
+    }
+}
+
+/// The programs of a system, without the options that [`super::Session::start`] adds.
+#[derive(Clone, Debug)]
+pub struct Programs {
+    /// Path and first argument, if there is one, of each [`Role`].
+    programs: [(PathBuf, Option<&'static str>); 3],
+}
+
+impl Programs {
+    /// The `upswing` program itself in each of the three roles.
+    ///
+    /// # Errors
+    /// If the path of the running program cannot be found out.
+    pub fn own() -> std::io::Result<Self> {
+        let program = std::env::current_exe()?;
+        Ok(Self { programs: Role::ALL.map(|role| (program.clone(), Some(role.name()))) })
+    }
+
+    /// The three dedicated programs in `folder`.
+    pub fn dedicated(folder: &Path) -> Self {
+        let names = ["upswingd", "upswing-planner", "upswing-plant"];
+        Self { programs: names.map(|name| (folder.join(name), None)) }
+    }
+
+    fn command(&self, role: Role) -> Command {
+        let (program, argument) = &self.programs[role as usize];
+        let mut command = Command::new(program);
+        command.args(*argument);
+        command
+    }
+}
+
+/// What to start.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Folder with settings; `None`: the embedded ones.
+    pub config: Option<PathBuf>,
+    /// Name of the domain.
+    pub domain: String,
+    /// Clock of the plant.
+    pub clock: Clock,
+    /// Start pose of the arm, deg, comma-separated; `None`: as the plant's settings say.
+    pub start: Option<String>,
+    /// Scenario of the plant; `None`: as its settings say.
+    pub scenario: Option<String>,
+    /// Folder for the logs of the processes.
+    pub logs: PathBuf,
+}
+
+/// One process of the system; ended when dropped.
+pub(super) struct Process {
+    pub role: Role,
+    pub child: Child,
+    log: PathBuf,
+}
+
+impl Process {
+    pub(super) fn start(role: Role, programs: &Programs, options: &Options) -> Result<Self, SessionError> {
+        let mut command = programs.command(role);
+        let program = command.get_program().to_string_lossy().into_owned();
+        let spawn = |cause| SessionError::Spawn { role: role.name(), program: program.clone(), cause };
+        let log = options.logs.join(format!("{}.log", role.name()));
+        // A process that takes the place of another one goes on with its log.
+        let file = std::fs::OpenOptions::new().create(true).append(true).open(&log).map_err(spawn)?;
+        command.args(["--domain", &options.domain]);
+        if role == Role::Plant {
+            command.args(["--clock", &options.clock.to_string()]);
+            command.args(options.start.iter().map(|start| format!("--start={start}")));
+            command.args(options.scenario.iter().map(|scenario| format!("--scenario={scenario}")));
+        }
+        if let Some(config) = &options.config {
+            command.arg("--config").arg(config);
+        }
+        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(file);
+        die_with_parent(&mut command);
+        let child = command.spawn().map_err(spawn)?;
+        Ok(Self { role, child, log })
+    }
+
+    /// # Errors
+    /// [`SessionError::Ended`] if it has.
+    pub(super) fn check(&mut self) -> Result<(), SessionError> {
+        match self.child.try_wait() {
+            Ok(Some(status)) => Err(SessionError::Ended { role: self.role.name(), status, log: self.tail() }),
+            _ => Ok(()),
+        }
+    }
+
+    /// The last lines of the log.
+    pub(super) fn tail(&self) -> String {
+        /// Enough for an error and what led to it.
+        const LINES: usize = 5;
+        let text = std::fs::read_to_string(&self.log).unwrap_or_default();
+        let lines: Vec<_> = text.lines().collect();
+        let tail = &lines[lines.len().saturating_sub(LINES)..];
+        if tail.is_empty() { String::new() } else { format!("; its log ends with:\n  {}", tail.join("\n  ")) }
+    }
+
+    pub(super) fn signal(&self, signal: i32) {
+        // SAFETY: plain system call; the child has not been waited for, so that the id is still its own.
+        unsafe { libc::kill(self.child.id() as libc::pid_t, signal) };
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        if let Ok(None) = self.child.try_wait() {
+            let _ = self.child.kill();
+            let _ = self.child.wait();
+        }
+    }
+}
+
+/// The kernel ends the child if this process dies without doing so.
+fn die_with_parent(command: &mut Command) {
+    use std::os::unix::process::CommandExt;
+    // SAFETY: prctl is async-signal-safe; the closure allocates nothing and touches no lock.
+    unsafe {
+        command.pre_exec(|| {
+            libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGTERM);
+            Ok(())
+        });
+    }
+}

@@ -1,0 +1,144 @@
+//! Memory and handles of the processes over time.
+
+use crate::session::{Role, Session};
+use serde::Serialize;
+
+/// What a process holds at one moment.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Holdings {
+    /// Process id.
+    pub pid: u32,
+    /// Resident memory, KiB.
+    pub resident_kib: u64,
+    /// Open file descriptors.
+    pub handles: usize,
+    /// Threads.
+    pub threads: usize,
+}
+
+impl Holdings {
+    /// Of a process of this user; `None` if there is none.
+    pub fn of(pid: u32) -> Option<Self> {
+        let folder = |name: &str| std::fs::read_dir(format!("/proc/{pid}/{name}")).ok().map(Iterator::count);
+        let status = std::fs::read_to_string(format!("/proc/{pid}/status")).ok()?;
+        let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
+        let resident_kib = line.split_whitespace().next()?.parse().ok()?;
+        Some(Self { pid, resident_kib, handles: folder("fd")?, threads: folder("task")? })
+    }
+}
+
+/// All processes at one moment.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Sample {
+    /// Time since the beginning, s.
+    pub t_s: f64,
+    /// upswingd
+    pub daemon: Option<Holdings>,
+    /// upswing-planner
+    pub planner: Option<Holdings>,
+    /// upswing-plant
+    pub plant: Option<Holdings>,
+    /// The program that drives the system.
+    pub operator: Option<Holdings>,
+}
+
+impl Sample {
+    /// Looks at the processes of a session, `t_s` (s) after the beginning.
+    pub fn take(session: &Session, t_s: f64) -> Self {
+        let of = |role| session.pid(role).and_then(Holdings::of);
+        Self {
+            t_s,
+            daemon: of(Role::Daemon),
+            planner: of(Role::Planner),
+            plant: of(Role::Plant),
+            operator: Holdings::of(std::process::id()),
+        }
+    }
+}
+
+/// What became of a role over all samples.
+#[derive(Clone, Debug, Serialize)]
+pub struct Growth {
+    /// daemon, planner, plant or operator.
+    pub role: &'static str,
+    /// Processes that played it.
+    pub processes: usize,
+    /// Least and most resident memory, KiB.
+    pub resident_kib: (u64, u64),
+    /// Fewest and most handles.
+    pub handles: (usize, usize),
+    /// Largest growth of one process from its first sample to its last, KiB.
+    pub grown_kib: i64,
+}
+
+impl Growth {
+    /// Of each role that was seen.
+    pub fn of(samples: &[Sample]) -> Vec<Self> {
+        let roles: [(_, fn(&Sample) -> Option<Holdings>); 4] = [
+            ("daemon", |s| s.daemon),
+            ("planner", |s| s.planner),
+            ("plant", |s| s.plant),
+            ("operator", |s| s.operator),
+        ];
+        roles
+            .into_iter()
+            .filter_map(|(role, of)| Self::of_role(role, samples.iter().filter_map(of)))
+            .collect()
+    }
+
+    fn of_role(role: &'static str, mut samples: impl Iterator<Item = Holdings>) -> Option<Self> {
+        let mut first = samples.next()?;
+        let (kib, handles) = (first.resident_kib, first.handles);
+        let mut growth =
+            Self { role, processes: 1, resident_kib: (kib, kib), handles: (handles, handles), grown_kib: 0 };
+        for sample in samples {
+            let (kib, handles) = (sample.resident_kib, sample.handles);
+            growth.resident_kib = (growth.resident_kib.0.min(kib), growth.resident_kib.1.max(kib));
+            growth.handles = (growth.handles.0.min(handles), growth.handles.1.max(handles));
+            if sample.pid == first.pid {
+                growth.grown_kib = growth.grown_kib.max(kib as i64 - first.resident_kib as i64);
+            } else {
+                growth.processes += 1;
+                first = sample;
+            }
+        }
+        Some(growth)
+    }
+}
+
+impl std::fmt::Display for Growth {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let mib = |kib: u64| kib as f64 / 1024.0;
+        write!(
+            f,
+            "{:<9} {} processes, memory {:.1} to {:.1} MiB, of one it grew by at most {:.1} MiB; handles {} to {}",
+            self.role,
+            self.processes,
+            mib(self.resident_kib.0),
+            mib(self.resident_kib.1),
+            self.grown_kib as f64 / 1024.0,
+            self.handles.0,
+            self.handles.1
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Growth, Holdings};
+
+    #[test]
+    fn growth_is_that_of_one_process() {
+        let held = |pid, resident_kib, handles| Holdings { pid, resident_kib, handles, threads: 1 };
+        let samples = [held(1, 100, 5), held(1, 130, 7), held(2, 90, 4), held(2, 95, 4)];
+        let growth = Growth::of_role("plant", samples.into_iter()).expect("samples");
+        assert_eq!((growth.processes, growth.grown_kib), (2, 30));
+        assert_eq!((growth.resident_kib, growth.handles), ((90, 130), (4, 7)));
+    }
+
+    #[test]
+    fn this_process_holds_something() {
+        let own = Holdings::of(std::process::id()).expect("this process");
+        assert!(own.resident_kib > 0 && own.handles > 2 && own.threads > 0, "{own:?}");
+    }
+}

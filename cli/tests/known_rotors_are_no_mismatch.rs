@@ -1,0 +1,50 @@
+//! A robot whose reflected rotor inertias are in `robot.toml` swings up a plant that has them, from a database made for it;
+//! a database made without them is refused.
+
+use serde_json::Value;
+use std::process::{Command, Output};
+use upswing_config::Config;
+
+fn upswing(args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_upswing")).args(args).output().expect("upswing runs")
+}
+
+#[test]
+fn from_a_database_made_for_them() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| dir.path().join(name).to_str().expect("a plain path").to_owned();
+    let config = dir.path().join("config");
+    Config::export(&config).expect("settings are exported");
+    let of = |file: &str| std::fs::read_to_string(config.join(file)).expect("a file of the set");
+    let line = |text: &str| text.lines().find(|l| l.starts_with("rotor_inertia_kg_m2")).map(str::to_owned);
+    let rotors = line(&of("scenarios/rotor-inertia.toml")).expect("the rotors of the scenario");
+    let unknown = line(&of("robot.toml")).expect("the rotors of the settings");
+    std::fs::write(config.join("robot.toml"), of("robot.toml").replace(&unknown, &rotors)).expect("written");
+    let settings = path("config");
+
+    let start = "0,-15,0,-95,0,10,0";
+    let refused = upswing(&["plan", "--config", &settings, "--start", start]);
+    assert_eq!(refused.status.code(), Some(2), "{refused:?}");
+
+    // One pose, which is the start.
+    let (grid, database) = (path("grid.toml"), path("database.bin"));
+    let joints = [
+        "2, from_deg = -15, to_deg = -15",
+        "4, from_deg = -95, to_deg = -95",
+        "6, from_deg = 10, to_deg = 10",
+    ];
+    let joints = joints.map(|joint| format!("{{ joint = {joint}, points = 1 }}")).join(", ");
+    let text = format!("joints = [{joints}]\nstart = \"rest\"\nmax_rest_angle_deg = 45\n");
+    std::fs::write(&grid, text).expect("written");
+    let built = upswing(&["db", "build", "--config", &settings, "--grid", &grid, "--output", &database]);
+    assert!(built.status.success(), "{built:?}");
+    std::fs::copy(&database, config.join("database.bin")).expect("copied");
+
+    let domain = format!("rotor-test-{}", std::process::id());
+    let picture = path("demo.svg");
+    let demo = ["demo", "--json", "--clock", "lockstep", "--seconds", "3", "--scenario", "rotor-inertia"];
+    let place = ["--config", &settings, "--domain", &domain, "--picture", &picture, "--start", start];
+    let output = upswing(&[&demo[..], &place[..]].concat());
+    let answer: Value = serde_json::from_slice(&output.stdout).unwrap_or_else(|e| panic!("{e}: {output:?}"));
+    assert_eq!((&answer["success"], output.status.code()), (&true.into(), Some(0)), "{answer}");
+}
