@@ -8,6 +8,7 @@ pub mod disturb;
 pub mod doctor;
 pub mod export;
 pub mod model;
+pub mod monitor;
 pub mod montecarlo;
 pub mod optimize;
 pub mod plan;

@@ -4,7 +4,10 @@
 
 pub mod closed_loop;
 pub mod commands;
+pub mod live;
+pub mod monitor;
 pub mod montecarlo;
+pub mod operator;
 pub mod page;
 pub mod parse;
 pub mod picture;

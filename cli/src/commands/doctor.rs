@@ -2,8 +2,8 @@
 
 pub mod host;
 
-use super::status::Times;
 use super::{CommonArgs, failed};
+use crate::live::Times;
 use host::Host;
 use serde::Serialize;
 use std::fmt;
