@@ -7,6 +7,7 @@ pub mod demo;
 pub mod disturb;
 pub mod doctor;
 pub mod export;
+pub mod metrics;
 pub mod model;
 pub mod monitor;
 pub mod montecarlo;

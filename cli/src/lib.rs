@@ -4,7 +4,9 @@
 
 pub mod closed_loop;
 pub mod commands;
+pub mod http;
 pub mod live;
+pub mod metrics;
 pub mod monitor;
 pub mod montecarlo;
 pub mod operator;
@@ -17,3 +19,4 @@ pub mod robot;
 pub mod session;
 pub mod soak;
 pub mod swing_up;
+pub mod web;

@@ -1,6 +1,6 @@
 //! What the page shows, as the JSON that its script reads.
 
-use super::times::Times;
+use super::times::{CycleTimes, Times};
 use crate::recording::{Recording, RecordingError, Tally};
 use crate::report::Figures;
 use crate::robot::{Capsule, Link, Robot};
@@ -25,8 +25,8 @@ pub struct Data {
     details: BTreeMap<String, String>,
     /// Name, fingerprint, text.
     settings: Vec<(String, String, String)>,
-    links: Vec<LinkJson>,
-    limits: LimitsJson,
+    #[serde(flatten)]
+    body: Body,
     /// Times of the samples.
     t: Vec<f64>,
     /// Angles of one joint each, rad.
@@ -52,6 +52,27 @@ pub struct Span {
     pub from: f64,
     /// End, s.
     pub to: f64,
+}
+
+/// The robot as both pages draw it.
+#[derive(Debug, Serialize)]
+pub(super) struct Body {
+    links: Vec<LinkJson>,
+    limits: LimitsJson,
+}
+
+impl Body {
+    /// `limits`: 100 %.
+    pub(super) fn new(robot: Robot, limits: &Limits) -> Self {
+        Self {
+            links: robot.links.into_iter().map(LinkJson::from).collect(),
+            limits: LimitsJson {
+                q: limits.q_max.iter().copied().collect(),
+                qd: limits.qd_max.iter().copied().collect(),
+                tau: limits.tau_max.iter().copied().collect(),
+            },
+        }
+    }
 }
 
 #[derive(Debug, Serialize)]
@@ -150,12 +171,7 @@ impl Data {
             summary: summary(&Figures::new(&model, limits, period, records, tally.lost), &tally, recording),
             details: recording.details.clone(),
             settings: settings(recording),
-            links: robot.links.into_iter().map(LinkJson::from).collect(),
-            limits: LimitsJson {
-                q: limits.q_max.iter().copied().collect(),
-                qd: limits.qd_max.iter().copied().collect(),
-                tau: limits.tau_max.iter().copied().collect(),
-            },
+            body: Body::new(robot, limits),
             t: samples.iter().map(|t| seconds(t, zero)).collect(),
             q: columns(NQ, |t, i| t.q[i]),
             qd: columns(NQ, |t, i| t.qd[i]),
@@ -164,7 +180,7 @@ impl Data {
             tau: columns(NU, |t, i| t.tau[i]),
             modes: spans(records, zero),
             late: late.take(SAMPLES).map(|t| seconds(t, zero)).collect(),
-            times: Times::of(records),
+            times: CycleTimes::of(records).times(),
             period_us: period * 1e6,
         })
     }

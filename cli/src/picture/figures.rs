@@ -1,6 +1,6 @@
 //! The figures of a recording as files: trajectories, modes, cycle times.
 
-use crate::page::times::Times;
+use crate::page::times::{CycleTimes, Times};
 use crate::page::{period, spans, zero};
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
@@ -54,7 +54,7 @@ pub fn draw(
     }
     modes(&path, records).map_err(|e| failed(&e))?;
     finish("modes", &path)?;
-    let times = Times::of(records);
+    let times = CycleTimes::of(records).times();
     if !times.is_empty() {
         cycle_times(&path, &times, period(records) * 1e6).map_err(|e| failed(&e))?;
         finish("cycle-times", &path)?;
