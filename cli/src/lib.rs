@@ -2,6 +2,7 @@
 //!
 //! The `upswing` program is a thin layer of commands over this library; the end-to-end tests use it, too.
 
+pub mod cli;
 pub mod closed_loop;
 pub mod commands;
 pub mod http;

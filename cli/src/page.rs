@@ -2,9 +2,11 @@
 //! cycle times, summary and settings; and the page of a running system, of the same parts.
 
 mod data;
+mod digest;
 pub mod times;
 
-pub use data::{Data, Span, limits, period, spans, zero};
+pub use data::{Data, Span};
+pub use digest::Digest;
 
 use crate::operator::Action;
 use crate::robot::{Robot, RobotError};

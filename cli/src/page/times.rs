@@ -44,13 +44,6 @@ impl CycleTimes {
         self.compute.count(t.read_ns.saturating_add(t.compute_ns).saturating_add(t.write_ns));
     }
 
-    /// Of all records.
-    pub fn of(records: &[Telemetry]) -> Self {
-        let mut times = Self::default();
-        records.iter().for_each(|record| times.count(record));
-        times
-    }
-
     /// What was measured so far: on `lockstep` nothing is.
     pub fn times(&self) -> Vec<Times> {
         [self.wake.times("wake-up"), self.compute.times("compute")].into_iter().flatten().collect()
