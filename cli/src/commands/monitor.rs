@@ -1,6 +1,6 @@
 //! `upswing monitor`: a running system, live.
 
-use super::{CommonArgs, failed};
+use super::{CommonArgs, failed, print_json};
 use crate::http::Listener;
 use crate::live::Live;
 use crate::monitor::{self, Look};
@@ -66,7 +66,7 @@ pub fn run(args: &MonitorArgs) -> Result<(), Failure> {
     if args.common.json {
         let mut live = Live::open(&args.common, &config)?;
         live.settle().map_err(failed)?;
-        return args.common.print(&live.view());
+        return print_json(&live.view());
     }
     if !(std::io::stdout().is_terminal() && std::io::stdin().is_terminal()) {
         return Err(Failure::BadInput(

@@ -60,8 +60,6 @@ pub struct Cycle {
     pub tilt: f64,
     /// Direction from the last joint to the tip, world frame, z up, length 1.
     pub rod: [f64; 3],
-    /// Speed of the tip along `rod`'s turn: both pendulum joints together, rad/s.
-    pub swing: f64,
     /// Largest distance from the reference, rad: joints 1-7 and 8-9.
     pub error_arm: f64,
     /// See `error_arm`.
@@ -138,13 +136,5 @@ impl Joint {
     /// Torque as a share of its limit.
     pub fn torque(&self) -> Option<f64> {
         self.tau_max.map(|max| self.tau / max)
-    }
-}
-
-impl std::fmt::Display for View {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let here = |here: bool| if here { "runs" } else { "absent" };
-        let (daemon, planner, plant) = (here(self.daemon), here(self.planner), here(self.plant));
-        write!(f, "domain {}: daemon {daemon}, planner {planner}, plant {plant}", self.domain)
     }
 }

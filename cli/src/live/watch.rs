@@ -204,7 +204,6 @@ impl Watch {
             t_plan: r.t_plan,
             tilt: tilt(&self.model, &q),
             rod: (rod / rod.norm()).into(),
-            swing: r.qd[NU].hypot(r.qd[NU + 1]),
             error_arm: if follows { error(0..NU) } else { 0.0 },
             error_pendulum: if follows { error(NU..NQ) } else { 0.0 },
             joints: std::array::from_fn(|i| Joint {
