@@ -70,7 +70,7 @@ fn and_an_option_for_json() {
 
 #[test]
 fn and_units() {
-    const UNITS: [&str; 5] = [", s", " s ", "deg", "rad", "N s"];
+    const UNITS: [&str; 7] = [", s", " s ", "deg", "rad", "N s", "Share ", "unit"];
     let is_real = |arg: &&Arg| arg.get_value_parser().type_id() == TypeId::of::<f64>();
     let mut seen = 0;
     for (path, command) in &commands() {

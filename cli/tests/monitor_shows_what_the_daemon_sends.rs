@@ -5,7 +5,7 @@ use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 use ratatui::crossterm::event::{KeyCode, KeyEvent};
 use std::sync::LazyLock;
-use upswing::closed_loop::swing_up;
+use upswing::closed_loop::{Disturbances, swing_up};
 use upswing::live::{View, Watch};
 use upswing::monitor::{Keys, Look, draw};
 use upswing_config::Config;
@@ -19,7 +19,9 @@ static CYCLES: LazyLock<Vec<Telemetry>> = LazyLock::new(|| {
     let planner = Planner::new(CONFIG.clone()).expect("the database fits");
     let plant = Plant::new(&CONFIG).expect("a possible start");
     let mut records = Vec::new();
-    let report = swing_up(&planner, &mut planner.solver(), plant, 2.0, &mut records).expect("a swing-up");
+    let calm = |_| Disturbances::default();
+    let report = swing_up(&planner, &mut planner.solver(), &CONFIG, plant, 2.0, calm, &mut records);
+    let report = report.expect("a swing-up");
     assert!(report.success, "{report}");
     records
 });
