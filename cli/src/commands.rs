@@ -7,23 +7,28 @@ pub mod demo;
 pub mod disturb;
 pub mod doctor;
 pub mod export;
+mod json;
+pub mod metrics;
 pub mod model;
+pub mod monitor;
 pub mod montecarlo;
 pub mod optimize;
 pub mod plan;
+mod progress;
 pub mod record;
 pub mod report;
 pub mod request;
 pub mod soak;
 pub mod status;
 
+pub use json::{MarginsJson, PlanFigures, TrajectoryJson};
+
 use crate::session::{CleanUp, SessionError};
-use indicatif::{ProgressBar, ProgressStyle};
+use progress::{byte_bar, progress_bar, spinner, time_bar};
 use serde::Serialize;
 use std::path::PathBuf;
 use upswing_config::process::{Failure, ProcessArgs};
 use upswing_ipc::{Domain, IpcError, Node};
-use upswing_trajectory::Trajectory;
 
 /// Options of every command but the processes.
 #[derive(Clone, Debug, clap::Args)]
@@ -109,35 +114,4 @@ pub fn print_line(line: &impl std::fmt::Display) -> Result<(), Failure> {
 /// "Ran, but the answer is no."
 pub fn failed(e: impl std::fmt::Display) -> Failure {
     Failure::Failed(e.to_string())
-}
-
-/// A bar with an estimate of the time left; draws nothing where stderr is not a terminal.
-fn progress_bar(length: u64, what: &str) -> ProgressBar {
-    let bar = ProgressBar::new(length);
-    let template = format!("{{bar:40}} {{human_pos}}/{{human_len}} {what}, {{eta}} left");
-    if let Ok(style) = ProgressStyle::with_template(&template) {
-        bar.set_style(style);
-    }
-    bar
-}
-
-/// A trajectory as JSON: t_F in s, x (KNOTS x NX) in rad and rad/s, u (KNOTS x NU) in rad/s^2.
-#[derive(Clone, Debug, Serialize)]
-pub struct TrajectoryJson {
-    /// t_F, s.
-    pub t_f: f64,
-    /// x_k
-    pub x: Vec<Vec<f64>>,
-    /// u_k
-    pub u: Vec<Vec<f64>>,
-}
-
-impl From<&Trajectory> for TrajectoryJson {
-    fn from(t: &Trajectory) -> Self {
-        Self {
-            t_f: t.t_f,
-            x: t.x.iter().map(|x| x.iter().copied().collect()).collect(),
-            u: t.u.iter().map(|u| u.iter().copied().collect()).collect(),
-        }
-    }
 }

@@ -2,9 +2,15 @@
 //!
 //! The `upswing` program is a thin layer of commands over this library; the end-to-end tests use it, too.
 
+pub mod cli;
 pub mod closed_loop;
 pub mod commands;
+pub mod http;
+pub mod live;
+pub mod metrics;
+pub mod monitor;
 pub mod montecarlo;
+pub mod operator;
 pub mod page;
 pub mod parse;
 pub mod picture;
@@ -14,3 +20,4 @@ pub mod robot;
 pub mod session;
 pub mod soak;
 pub mod swing_up;
+pub mod web;

@@ -22,7 +22,7 @@ mod reader;
 mod tally;
 mod writer;
 
-pub use reader::{Recording, Window, read};
+pub use reader::{Recording, Window, read, scan};
 pub use tally::Tally;
 pub use writer::Recorder;
 

@@ -1,6 +1,7 @@
 //! What a swing-up was like, from its telemetry.
 
 use serde::Serialize;
+use std::collections::VecDeque;
 use upswing_config::Config;
 use upswing_ipc::{Mode, PlannerResponse, Telemetry};
 use upswing_model::{JointVector, Limits, Model, NQ, NU};
@@ -64,23 +65,6 @@ const AT_REST: f64 = 0.05;
 /// What a joint that stands on its limit may be measured beyond it, rad: a few steps of an encoder.
 const RESOLUTION: f64 = 1e-4;
 
-/// Time in balance, s: by the clock, because a cycle that the controller missed between two others is balanced, too.
-fn balance_time(records: &[Telemetry], period: f64) -> f64 {
-    let balances = |t: &Telemetry| t.mode() == Ok(Mode::Balance);
-    let mut last: Option<&Telemetry> = None;
-    let mut sum = 0.0;
-    for t in records {
-        if balances(t) {
-            sum += match last.filter(|last| balances(last)) {
-                Some(last) => t.t_ns.saturating_sub(last.t_ns) as f64 * 1e-9,
-                None => period,
-            };
-        }
-        last = Some(t);
-    }
-    sum
-}
-
 /// Angle of the rod from upright, rad: between the line from the last joint to the tip and the vertical.
 pub fn tilt(model: &Model, q: &JointVector) -> f64 {
     let rod = model.tip(q) - model.poses(q)[NQ - 1].translation.vector;
@@ -104,48 +88,82 @@ impl std::fmt::Display for Beyond<'_> {
     }
 }
 
-impl Figures {
-    /// Evaluates records, of which `dropped` were lost. `period` in s.
-    pub fn new(model: &Model, limits: &Limits, period: f64, records: &[Telemetry], dropped: u64) -> Self {
-        let mut f = Self {
-            tracking_error_arm: 0.0,
-            tracking_error_pendulum: 0.0,
-            peak_position: 0.0,
-            peak_velocity: 0.0,
-            peak_torque: 0.0,
-            final_tilt_deg: f64::NAN,
-            final_speed: f64::NAN,
-            balance_s: 0.0,
-            cycles: records.len() as u64,
-            dropped,
-            overruns: 0,
+/// Makes [`Figures`] of one record after the other.
+#[derive(Clone, Debug, Default)]
+pub struct FigureCounter {
+    tracking_error_arm: f64,
+    tracking_error_pendulum: f64,
+    peak_position: f64,
+    peak_velocity: f64,
+    peak_torque: f64,
+    cycles: u64,
+    overruns: u64,
+    /// Time from one balanced cycle to the next, ns: by the clock, because a cycle that the controller missed between two
+    /// others is balanced, too.
+    balance_ns: u64,
+    /// How often a balance began; each has one cycle more than steps.
+    balances: u64,
+    /// When the cycle before was balanced, ns.
+    balanced_ns: Option<u64>,
+    /// The last second of balance: time, ns, angle of the rod from upright, rad, and fastest joint of the arm, rad/s.
+    end: VecDeque<(u64, f64, f64)>,
+}
+
+impl FigureCounter {
+    /// The next record.
+    pub fn count(&mut self, model: &Model, limits: &Limits, t: &Telemetry) {
+        /// ns
+        const SECOND: u64 = 1_000_000_000;
+        self.cycles += 1;
+        self.overruns += u64::from(t.flags & Telemetry::OVERRUN != 0);
+        for i in 0..NU {
+            let range = if t.q[i] < 0.0 { limits.q_min[i] } else { limits.q_max[i] };
+            self.peak_position = self.peak_position.max(t.q[i] / range);
+            self.peak_velocity = self.peak_velocity.max(t.qd[i].abs() / limits.qd_max[i]);
+            self.peak_torque = self.peak_torque.max(t.tau[i].abs() / limits.tau_max[i]);
+        }
+        if t.mode() == Ok(Mode::Track) {
+            for i in 0..NQ {
+                let error = (t.q[i] - t.q_d[i]).abs();
+                let worst =
+                    if i < NU { &mut self.tracking_error_arm } else { &mut self.tracking_error_pendulum };
+                *worst = worst.max(error);
+            }
+        }
+        let before = self.balanced_ns.take();
+        if t.mode() == Ok(Mode::Balance) {
+            match before {
+                Some(before) => self.balance_ns += t.t_ns.saturating_sub(before),
+                None => self.balances += 1,
+            }
+            self.balanced_ns = Some(t.t_ns);
+            let fastest = t.qd[..NU].iter().fold(0.0, |most: f64, v| v.abs().max(most));
+            self.end.push_back((t.t_ns, tilt(model, &JointVector::from(t.q)), fastest));
+            while self.end.front().is_some_and(|(begin, ..)| t.t_ns.saturating_sub(*begin) >= SECOND) {
+                self.end.pop_front();
+            }
+        }
+    }
+
+    /// The figures of all records so far, of which `dropped` were lost. `period` in s.
+    pub fn figures(&self, period: f64, dropped: u64) -> Figures {
+        let most = |of: fn(&(u64, f64, f64)) -> f64| match self.end.is_empty() {
+            true => f64::NAN,
+            false => self.end.iter().map(of).fold(0.0, f64::max),
         };
-        for t in records {
-            f.overruns += u64::from(t.flags & Telemetry::OVERRUN != 0);
-            for i in 0..NU {
-                let range = if t.q[i] < 0.0 { limits.q_min[i] } else { limits.q_max[i] };
-                f.peak_position = f.peak_position.max(t.q[i] / range);
-                f.peak_velocity = f.peak_velocity.max(t.qd[i].abs() / limits.qd_max[i]);
-                f.peak_torque = f.peak_torque.max(t.tau[i].abs() / limits.tau_max[i]);
-            }
-            if t.mode() == Ok(Mode::Track) {
-                for i in 0..NQ {
-                    let error = (t.q[i] - t.q_d[i]).abs();
-                    let worst =
-                        if i < NU { &mut f.tracking_error_arm } else { &mut f.tracking_error_pendulum };
-                    *worst = worst.max(error);
-                }
-            }
+        Figures {
+            tracking_error_arm: self.tracking_error_arm,
+            tracking_error_pendulum: self.tracking_error_pendulum,
+            peak_position: self.peak_position,
+            peak_velocity: self.peak_velocity,
+            peak_torque: self.peak_torque,
+            final_tilt_deg: most(|end| end.1).to_degrees(),
+            final_speed: most(|end| end.2),
+            balance_s: self.balance_ns as f64 * 1e-9 + self.balances as f64 * period,
+            cycles: self.cycles,
+            dropped,
+            overruns: self.overruns,
         }
-        let balance: Vec<_> = records.iter().filter(|t| t.mode() == Ok(Mode::Balance)).collect();
-        f.balance_s = balance_time(records, period);
-        let end = &balance[balance.len().saturating_sub((1.0 / period) as usize)..];
-        if !end.is_empty() {
-            let tilts = end.iter().map(|t| tilt(model, &JointVector::from(t.q)).to_degrees());
-            f.final_tilt_deg = tilts.fold(0.0, f64::max);
-            f.final_speed = end.iter().flat_map(|t| &t.qd[..NU]).fold(0.0, |most, v| v.abs().max(most));
-        }
-        f
     }
 }
 
@@ -175,7 +193,9 @@ impl Report {
     ) -> Self {
         let limits = &config.robot.limits;
         let period = config.daemon.cycle.period.as_secs_f64();
-        let figures = Figures::new(&config.model, limits, period, records, dropped);
+        let mut counter = FigureCounter::default();
+        records.iter().for_each(|record| counter.count(&config.model, limits, record));
+        let figures = counter.figures(period, dropped);
         let beyond = Beyond::most(limits, records);
         let mut failures = Vec::new();
         let f = &figures;

@@ -138,8 +138,14 @@ impl<'a> Soak<'a> {
     ///
     /// # Errors
     /// [`SessionError`] if the system could not be brought back.
-    pub fn run(&mut self, seconds: f64, stop: &AtomicBool) -> Result<(), SessionError> {
+    pub fn run(
+        &mut self,
+        seconds: f64,
+        stop: &AtomicBool,
+        progress: &dyn Fn(f64),
+    ) -> Result<(), SessionError> {
         while self.begin.elapsed().as_secs_f64() < seconds && !stop.load(Ordering::Acquire) {
+            progress(self.begin.elapsed().as_secs_f64());
             let round = self.record.rounds;
             self.record.rounds += 1;
             let no_start = |e: NoStart| SessionError::Refused { role: "operator", reason: e.to_string() };

@@ -10,7 +10,8 @@ pub(crate) const SETTLE: f64 = 0.25;
 /// Longest wait for a mode or a plan to take effect.
 const PATIENCE: Duration = Duration::from_secs(30);
 
-/// Swings up and balances for `seconds`; the session then holds all records. `period` in s.
+/// Swings up and balances for `seconds`; the session then holds all records. `period` in s. `progress` is told how
+/// much has passed of how long, s.
 ///
 /// # Errors
 /// [`SessionError`], also if the daemon leaves the modes of a swing-up.
@@ -19,6 +20,7 @@ pub fn swing_up(
     period: f64,
     seconds: f64,
     interrupted: &AtomicBool,
+    progress: &dyn Fn(f64, f64),
 ) -> Result<PlannerResponse, SessionError> {
     let cycles = |s: f64| (s / period).ceil() as u64;
     // A daemon that has measured nothing yet refuses to be enabled.
@@ -26,10 +28,11 @@ pub fn swing_up(
     session.control(ControlCommand::Enable)?;
     session.advance(cycles(SETTLE))?;
     expect_mode(session, &[Mode::Hold])?;
-    execute(session, PlannerKind::SwingUp, period, seconds, interrupted)
+    execute(session, PlannerKind::SwingUp, period, seconds, interrupted, progress)
 }
 
-/// Plans from the present state, starts the plan and lets its duration and `seconds` pass. `period` in s.
+/// Plans from the present state, starts the plan and lets its duration and `seconds` pass. `period` in s, `progress` as
+/// for [`swing_up`].
 ///
 /// # Errors
 /// [`SessionError`], also if the daemon leaves the modes of a swing-up or swing-down.
@@ -39,11 +42,13 @@ pub fn execute(
     period: f64,
     seconds: f64,
     interrupted: &AtomicBool,
+    progress: &dyn Fn(f64, f64),
 ) -> Result<PlannerResponse, SessionError> {
     let cycles = |s: f64| (s / period).ceil() as u64;
     let plan = plan_and_start(session, kind)?;
     // In portions, so that an interrupt or a fault ends the wait.
-    let mut left = cycles(plan.t_f + seconds);
+    let total = cycles(plan.t_f + seconds);
+    let mut left = total;
     while left > 0 {
         if interrupted.load(Ordering::Acquire) {
             return Err(SessionError::Interrupted);
@@ -52,6 +57,7 @@ pub fn execute(
         session.advance(portion)?;
         expect_mode(session, &[Mode::Hold, Mode::Track, Mode::Balance])?;
         left -= portion;
+        progress((total - left) as f64 * period, total as f64 * period);
     }
     Ok(plan)
 }

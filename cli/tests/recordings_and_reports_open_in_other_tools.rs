@@ -3,54 +3,18 @@
 //! Needs Python 3.10 or newer and the package index for the first, Chromium, too, for the second; a test whose tools are
 //! not there says so and does nothing.
 
+mod common;
+
+use common::{chromium, python, run, script};
 use serde_json::Value;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
-use std::sync::OnceLock;
-
-/// A Python with the packages of `python/requirements.txt`, made once, or why there is none.
-fn python() -> Result<&'static Path, &'static str> {
-    static PYTHON: OnceLock<Result<PathBuf, String>> = OnceLock::new();
-    let made = PYTHON.get_or_init(|| {
-        // The name changes with the requirements; a folder that was not finished is not used.
-        let requirements = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/requirements.txt");
-        let text = std::fs::read_to_string(&requirements).map_err(|e| e.to_string())?;
-        let name = format!("python-{}", text.split_whitespace().collect::<Vec<_>>().join("-"));
-        let venv = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name.replace("==", "-"));
-        let (program, done) = (venv.join("bin/python"), venv.join("complete"));
-        if !done.exists() {
-            let requirements = requirements.to_string_lossy();
-            run(Command::new("python3").args(["-m", "venv"]).arg(&venv))?;
-            let pip = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "-r", &requirements];
-            run(Command::new(&program).args(pip))?;
-            std::fs::write(done, "").map_err(|e| e.to_string())?;
-        }
-        Ok(program)
-    });
-    made.as_deref().map_err(String::as_str)
-}
-
-/// Runs a program; its output, or what it said if it failed.
-fn run(command: &mut Command) -> Result<String, String> {
-    let output = command.output().map_err(|e| format!("{command:?}: {e}"))?;
-    let text = [output.stdout, output.stderr].map(|t| String::from_utf8_lossy(&t).into_owned()).concat();
-    if output.status.success() { Ok(text) } else { Err(format!("{command:?}: {text}")) }
-}
-
-fn chromium() -> Option<&'static str> {
-    let names = ["chromium", "chromium-browser", "google-chrome"];
-    names.into_iter().find(|name| run(Command::new(name).arg("--version")).is_ok())
-}
 
 fn upswing(args: &[&str]) -> Value {
     let output = Command::new(env!("CARGO_BIN_EXE_upswing")).args(args).arg("--json").output();
     let output = output.expect("upswing runs");
     assert!(output.status.success(), "{args:?}: {output:?}");
     serde_json::from_slice(&output.stdout).expect("a JSON document")
-}
-
-fn script(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python").join(name)
 }
 
 /// A demo with its recording in `dir`; cycles in it by our own count.
@@ -108,8 +72,7 @@ fn chromium_plays_the_report() {
         (Err(why), _) => return eprintln!("skipped: no Python with the packages needed: {why}"),
         (_, None) => return eprintln!("skipped: no Chromium (on Debian: apt install chromium)"),
     };
-    let program = run(Command::new("sh").args(["-c", &format!("command -v {chromium}")])).expect("its path");
     let mut look = Command::new(python);
-    look.arg(script("look_at_page.py")).args([program.trim(), page]).arg(dir.path().join("screenshots"));
+    look.arg(script("look_at_page.py")).args([chromium.as_str(), page]).arg(dir.path().join("screenshots"));
     run(&mut look).unwrap_or_else(|e| panic!("{e}"));
 }

@@ -70,10 +70,14 @@ pub fn finish(result: Result<(), Failure>) -> ExitCode {
     }
 }
 
+/// Whether to write colours to `stream`: a terminal, and NO_COLOR (<https://no-color.org>) is not set.
+pub fn colours(stream: &impl std::io::IsTerminal) -> bool {
+    stream.is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
+}
+
 /// Sends logs to stderr, one line each, from level `info` on or what RUST_LOG asks for; with levels as journald reads
 /// them where it does.
 pub fn start_logging() {
-    use std::io::IsTerminal;
     let filter = tracing_subscriber::EnvFilter::try_from_default_env()
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info"));
     let logger = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
@@ -81,7 +85,7 @@ pub fn start_logging() {
     let _ = if stderr_is_journal() {
         logger.with_ansi(false).event_format(JournalFormat::default()).try_init()
     } else {
-        logger.with_ansi(std::io::stderr().is_terminal()).with_target(false).try_init()
+        logger.with_ansi(colours(&std::io::stderr())).with_target(false).try_init()
     };
 }
 

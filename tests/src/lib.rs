@@ -99,7 +99,7 @@ impl System {
     /// If the system refuses or leaves the modes of a swing-up.
     pub fn swing_up(&mut self, seconds: f64) -> Report {
         let period = self.period();
-        let plan = swing_up(&mut self.session, period, seconds, &AtomicBool::new(false))
+        let plan = swing_up(&mut self.session, period, seconds, &AtomicBool::new(false), &|_, _| ())
             .unwrap_or_else(|e| panic!("{e}"));
         Report::new(&self.config, &plan, &self.session.records, self.session.dropped(), seconds)
     }

@@ -15,7 +15,7 @@ fn and_a_second_swing_up_follows() {
     let period = system.period();
     let before = system.session.records.len();
     let go = |system: &mut System, kind| {
-        execute(&mut system.session, kind, period, 1.0, &AtomicBool::new(false))
+        execute(&mut system.session, kind, period, 1.0, &AtomicBool::new(false), &|_, _| ())
             .unwrap_or_else(|e| panic!("{e}"))
     };
     let plan = go(&mut system, PlannerKind::SwingDown);

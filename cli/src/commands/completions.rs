@@ -17,6 +17,9 @@ pub struct CompletionsArgs {
     /// The shell
     #[arg(value_enum)]
     pub shell: Shell,
+    /// Print one JSON document on stdout instead of the script
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// Writes a man page for each command.
@@ -29,6 +32,18 @@ pub struct ManArgs {
     /// Print one JSON document on stdout instead of text
     #[arg(long)]
     pub json: bool,
+}
+
+#[derive(Serialize)]
+struct Script {
+    shell: String,
+    script: String,
+}
+
+impl std::fmt::Display for Script {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.script)
+    }
 }
 
 #[derive(Serialize)]
@@ -50,7 +65,8 @@ impl std::fmt::Display for Written {
 pub fn completions(args: &CompletionsArgs, command: &mut clap::Command) -> Result<(), Failure> {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, command, NAME, &mut script);
-    super::print_line(&String::from_utf8(script).map_err(failed)?)
+    let script = String::from_utf8(script).map_err(failed)?;
+    print(args.json, &Script { shell: args.shell.to_string(), script })
 }
 
 /// Writes the pages of `command`.

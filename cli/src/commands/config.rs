@@ -7,6 +7,8 @@ use upswing_config::Config;
 use upswing_config::process::Failure;
 
 /// Writes or checks settings.
+///
+/// Example: upswing config export my-config && upswing config check --config my-config
 #[derive(Clone, Debug, clap::Args)]
 pub struct ConfigArgs {
     /// What to do.
@@ -18,6 +20,8 @@ pub struct ConfigArgs {
 #[derive(Clone, Debug, clap::Subcommand)]
 pub enum ConfigCommand {
     /// Write the embedded settings, robot and database to a folder; overwrites nothing
+    ///
+    /// Example: upswing config export my-config
     Export {
         /// The folder
         dir: PathBuf,
@@ -26,6 +30,8 @@ pub enum ConfigCommand {
         json: bool,
     },
     /// Read the settings and say whether they are valid
+    ///
+    /// Example: upswing config check --config my-config
     Check(CommonArgs),
 }
 

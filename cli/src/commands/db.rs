@@ -10,6 +10,8 @@ use upswing_planner::build::{self, BuildError, Shard, Summary};
 use upswing_trajectory::{Certificate, Database, Entry, Outcome};
 
 /// Builds, joins, checks, describes or exports trajectory databases.
+///
+/// Example: upswing db info
 #[derive(Clone, Debug, clap::Args)]
 pub struct DbArgs {
     /// What to do.
@@ -38,6 +40,8 @@ pub enum DbCommand {
         output: PathBuf,
     },
     /// Join the shards of one build; the result has the bytes of a build in one piece
+    ///
+    /// Example: upswing db merge --output database.bin shard-1.bin shard-2.bin
     Merge {
         /// Options of every command.
         #[command(flatten)]
@@ -50,6 +54,8 @@ pub enum DbCommand {
         shards: Vec<PathBuf>,
     },
     /// Recompute the certificate of every entry
+    ///
+    /// Example: upswing db verify database.bin
     Verify {
         /// Options of every command.
         #[command(flatten)]
@@ -57,7 +63,9 @@ pub enum DbCommand {
         /// A database file instead of that of the settings
         file: Option<PathBuf>,
     },
-    /// Describe the database of the settings, or a file
+    /// Describe the database of the settings, or a file; angles in deg, t_F in s
+    ///
+    /// Example: upswing db info database.bin
     Info {
         /// Options of every command.
         #[command(flatten)]
@@ -65,7 +73,7 @@ pub enum DbCommand {
         /// A database file instead of that of the settings
         file: Option<PathBuf>,
     },
-    /// Print trajectories as JSON, one line per entry
+    /// Print trajectories as JSON, one line per entry; s, rad, rad/s, rad/s^2
     ///
     /// Example: upswing db export --entry 0 > trajectory.json
     Export {

@@ -1,6 +1,6 @@
 //! `upswing demo`: the whole system on this machine.
 
-use super::{CommonArgs, failed, own_domain, record, session_failure};
+use super::{CommonArgs, failed, own_domain, session_failure, time_bar};
 use crate::parse::{Degrees, start_state};
 use crate::picture;
 use crate::recording::Recorder;
@@ -105,7 +105,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
     let recorder = args.record.as_deref().map(|file| {
         let mut details = vec![("clock", args.clock.to_string()), ("start_deg", start.to_string())];
         details.extend(args.scenario.clone().map(|scenario| ("scenario", scenario)));
-        Recorder::create(file, &config, details).map_err(record::failure)
+        Recorder::create(file, &config, details).map_err(Failure::from)
     });
     let recorder = recorder.transpose()?;
     if !args.common.json {
@@ -119,7 +119,14 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
         })?;
         let mut session = Session::start(programs, &options)?;
         session.recorder = recorder;
-        let plan = swing_up(&mut session, period, args.seconds, &stop)?;
+        let bar = time_bar(args.seconds, "swinging up and balancing");
+        let progress = |passed: f64, total: f64| {
+            bar.set_length((total * 1e3) as u64);
+            bar.set_position((passed * 1e3) as u64);
+        };
+        let plan = swing_up(&mut session, period, args.seconds, &stop, &progress);
+        bar.finish_and_clear();
+        let plan = plan?;
         let dropped = session.dropped();
         let records = session.records.clone();
         session.end()?;

@@ -27,6 +27,8 @@ pub struct DisturbArgs {
 #[derive(Clone, Debug, clap::Subcommand)]
 pub enum What {
     /// Break something
+    ///
+    /// Example: upswing disturb fault encoder-jump --joint 9 --amount 0.1
     Fault {
         /// What breaks
         kind: FaultKind,
@@ -44,6 +46,8 @@ pub enum What {
         from: Option<u64>,
     },
     /// Push the tip of the rod
+    ///
+    /// Example: upswing disturb push --impulse 0.02,0,0
     Push {
         /// Force times its duration, world frame (z up), N s
         #[arg(
@@ -62,6 +66,8 @@ pub enum What {
         from: Option<u64>,
     },
     /// Remove all faults
+    ///
+    /// Example: upswing disturb clear
     Clear,
 }
 

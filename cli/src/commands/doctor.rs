@@ -2,13 +2,13 @@
 
 pub mod host;
 
-use super::status::Times;
-use super::{CommonArgs, failed};
+use super::{CommonArgs, failed, time_bar};
+use crate::live::Times;
 use host::Host;
 use serde::Serialize;
 use std::fmt;
 use std::path::Path;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use upswing_config::RealtimeSettings;
 use upswing_config::process::Failure;
 use upswing_ipc::Domain;
@@ -128,6 +128,13 @@ pub fn run(args: &DoctorArgs) -> Result<(), Failure> {
         let refused = os::prepare_thread(&settings);
         (refused, wake_up_latency(period, duration))
     });
+    let bar = time_bar(args.seconds, "measuring wake-ups");
+    let begin = Instant::now();
+    while !measured.is_finished() {
+        bar.set_position(u64::try_from(begin.elapsed().as_millis()).unwrap_or(u64::MAX));
+        std::thread::sleep(Duration::from_millis(100).min(duration));
+    }
+    bar.finish_and_clear();
     let (of_thread, (histogram, overruns)) =
         measured.join().map_err(|_| failed("the measurement panicked"))?;
     drop(prepared);

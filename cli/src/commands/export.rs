@@ -1,9 +1,9 @@
 //! `upswing export`: a recording as a table.
 
-use super::{CommonArgs, failed, record};
+use super::{CommonArgs, byte_bar, failed};
 use crate::parse::window;
 use crate::recording::cycle::FIELDS;
-use crate::recording::read;
+use crate::recording::scan;
 use serde::Serialize;
 use std::io::{BufWriter, Write};
 use std::path::PathBuf;
@@ -58,21 +58,39 @@ impl std::fmt::Display for Answer<'_> {
 /// # Errors
 /// [`Failure::BadInput`] if there is no such recording, [`Failure::Failed`] if the table cannot be written.
 pub fn run(args: &ExportArgs) -> Result<(), Failure> {
-    let recording = read(&args.file, window(args.from, args.to)?).map_err(record::failure)?;
-    let records: Vec<_> = recording.cycles.iter().step_by(args.every as usize).collect();
-    let write = || -> std::io::Result<()> {
-        let mut file = BufWriter::new(std::fs::File::create(&args.csv)?);
-        writeln!(file, "{}", columns().join(","))?;
-        records.iter().try_for_each(|record| writeln!(file, "{}", line(record)))?;
-        file.flush()
+    let window = window(args.from, args.to)?;
+    let unwritable = |e: std::io::Error| failed(format!("cannot write {}: {e}", args.csv.display()));
+    // Opened with the first cycle: a file that is no recording leaves the table as it is.
+    let mut table = None;
+    let (mut seen, mut lines) = (0, 0);
+    let bar = byte_bar();
+    let progress = |done, total| {
+        bar.set_length(total);
+        bar.set_position(done);
     };
-    write().map_err(|e| failed(format!("cannot write {}: {e}", args.csv.display())))?;
-    args.common.print(&Answer {
-        csv: &args.csv,
-        lines: records.len(),
-        columns: columns().len(),
-        cut: recording.cut,
-    })
+    let recording = scan(&args.file, window, progress, |_, cycle| -> Result<(), Failure> {
+        let mut write = || -> std::io::Result<()> {
+            let file = match &mut table {
+                Some(file) => file,
+                none => {
+                    let file = none.insert(BufWriter::new(std::fs::File::create(&args.csv)?));
+                    writeln!(file, "{}", columns().join(","))?;
+                    file
+                }
+            };
+            if seen % args.every as usize == 0 {
+                writeln!(file, "{}", line(cycle))?;
+                lines += 1;
+            }
+            seen += 1;
+            Ok(())
+        };
+        write().map_err(unwritable)
+    });
+    bar.finish_and_clear();
+    let recording = recording?;
+    table.map_or(Ok(()), |mut file| file.flush()).map_err(unwritable)?;
+    args.common.print(&Answer { csv: &args.csv, lines, columns: columns().len(), cut: recording.cut })
 }
 
 /// `q1_rad`, `t_plan_s`, ...

@@ -10,6 +10,8 @@ use upswing_model::{ActuatedVector, JointVector, Limits, Model, NQ, NU, Workspac
 use upswing_planner::coriolis::bound;
 
 /// Evaluates or prints the robot model.
+///
+/// Example: upswing model bound --samples 1000000
 #[derive(Clone, Debug, clap::Args)]
 pub struct ModelArgs {
     /// What to do.
@@ -22,11 +24,13 @@ pub struct ModelArgs {
 pub enum ModelCommand {
     /// Evaluate the dynamics for each JSON line on stdin; prints one JSON line each
     #[command(after_help = "Input: {\"q\":[9],\"qd\":[9],\"u\":[7]} in rad, rad/s, rad/s^2.\n\
-        Output: M, nle (C qd + g), g, f, A, B, tau, tau_without_coriolis; rows first, SI units.\n\n\
+        Output: one JSON line each, with or without --json: M, nle (C qd + g), g, f, A, B, tau, tau_without_coriolis; rows first, SI units.\n\n\
         Example: echo '{\"q\":[0,0,0,-1.57,0,0,0,0,0],\"qd\":[0,0,0,0,0,0,0,0,0],\
         \"u\":[0,0,0,0,0,0,0]}' | upswing model eval")]
     Eval(CommonArgs),
     /// Print the robot description (URDF)
+    ///
+    /// Example: upswing model urdf > robot.urdf
     Urdf(CommonArgs),
     /// Sample the Coriolis torques over random admissible states: the bound c of (11), Section III-A
     ///

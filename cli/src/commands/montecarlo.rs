@@ -22,6 +22,8 @@ pub use replan::ReplanArgs;
 pub use robustness::RobustnessArgs;
 
 /// Swings up from many random starts and counts what succeeds.
+///
+/// Example: upswing montecarlo replan --samples 1000
 #[derive(Clone, Debug, clap::Args)]
 pub struct MonteCarloArgs {
     /// What to do from each start.

@@ -1,6 +1,6 @@
 //! `upswing optimize`: one offline optimisation.
 
-use super::{CommonArgs, TrajectoryJson, failed, print_json, print_line};
+use super::{CommonArgs, MarginsJson, TrajectoryJson, failed, print_json, print_line, spinner};
 use crate::parse::{Degrees, start_state};
 use serde::Serialize;
 use std::time::Instant;
@@ -42,9 +42,8 @@ struct Answer {
     iterations: usize,
     violation: f64,
     stationarity: f64,
-    margin_q: f64,
-    margin_qd: f64,
-    margin_tau: f64,
+    #[serde(flatten)]
+    margins: MarginsJson,
     time_s: f64,
 }
 
@@ -68,7 +67,9 @@ pub fn run(args: &OptimizeArgs) -> Result<(), Failure> {
     let stop = shutdown_flag()?;
     let effort = if args.best { Effort::Best } else { Effort::Once };
     let options = Options { time_budget, stop: Some(&stop), ..options(&config) };
+    let waiting = spinner("optimising; Ctrl-C prints what there is");
     let solution = optimize(&config, start, effort, None, &options);
+    waiting.finish_and_clear();
     let time_s = begin.elapsed().as_secs_f64();
     let status = solution.status.to_string();
     let margins = Margins::of(&solution.trajectory, &config.model, &config.robot.planning, 0);
@@ -79,9 +80,7 @@ pub fn run(args: &OptimizeArgs) -> Result<(), Failure> {
         iterations: solution.iterations,
         violation: solution.violation,
         stationarity: solution.stationarity,
-        margin_q: margins.q.share,
-        margin_qd: margins.qd.share,
-        margin_tau: margins.tau.share,
+        margins: (&margins).into(),
         time_s,
     };
     if args.common.json {
@@ -90,16 +89,14 @@ pub fn run(args: &OptimizeArgs) -> Result<(), Failure> {
         print_line(&format!(
             "{status}: t_F {:.4} s, cost {:.5}, {} iterations in {:.2} s\n\
              largest violation {:.1e}, stationarity {:.1e}\n\
-             smallest margin at the knots (share of half the range): position {:.3}, velocity {:.3}, torque {:.3}",
+             smallest margin at the knots (share of half the range): {}",
             answer.trajectory.t_f,
             answer.cost,
             answer.iterations,
             time_s,
             answer.violation,
             answer.stationarity,
-            answer.margin_q,
-            answer.margin_qd,
-            answer.margin_tau
+            answer.margins
         ))?;
     }
     if solution.status == Status::Solved { Ok(()) } else { Err(failed(format!("no solution: {status}"))) }

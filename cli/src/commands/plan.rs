@@ -1,6 +1,6 @@
 //! `upswing plan`: one replan, without a running system.
 
-use super::{CommonArgs, TrajectoryJson, failed, print_json, print_line};
+use super::{CommonArgs, PlanFigures, TrajectoryJson, failed, print_json, print_line};
 use crate::parse::{Degrees, start_state};
 use crate::picture;
 use serde::Serialize;
@@ -15,6 +15,8 @@ use upswing_planner::replan::Planner;
 use upswing_trajectory::{Database, Entry, Outcome, Record};
 
 /// Adapts the nearest database entry to a start at rest, as the planner process does.
+///
+/// Prints t_F in s, distances in rad, margins as shares; --json has the trajectory in s, rad, rad/s, rad/s^2.
 ///
 /// Example: upswing plan --start -15,-15,0,-95,0,10,0 --iterations 1 --svg plan.svg
 #[derive(Clone, Debug, clap::Args)]
@@ -45,14 +47,8 @@ struct Answer {
     trajectory: TrajectoryJson,
     status: &'static str,
     cost: f64,
-    nearest_entry: usize,
-    distance: f64,
-    attempts: usize,
-    iterations: usize,
-    defect: f64,
-    margin_q: f64,
-    margin_qd: f64,
-    margin_tau: f64,
+    #[serde(flatten)]
+    figures: PlanFigures,
     time_nearest_s: f64,
     time_qp_s: f64,
     time_lqr_s: f64,
@@ -77,9 +73,8 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
     let iterations = args.iterations.map_or(settings.replan.iterations, |n| n as usize);
     let replan = planner.replan(&start, iterations, None).map_err(failed)?;
     // A plan has at least the attempt that gave it.
-    let used = replan.attempts.last().map(|a| a.entry);
-    if let (Some(path), Some(used)) = (&args.svg, used) {
-        let reference = &planner.entries()[used.index].trajectory;
+    if let (Some(path), Some(used)) = (&args.svg, replan.attempts.last()) {
+        let reference = &planner.entries()[used.entry.index].trajectory;
         let config = planner.config();
         picture::plan::draw(path, &config.model, &config.robot.planning, &replan.trajectory, reference)
             .map_err(failed)?;
@@ -88,14 +83,7 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
         trajectory: (&replan.trajectory).into(),
         status: "solved",
         cost: replan.trajectory.cost(settings.offline.input_weight),
-        nearest_entry: used.map_or(0, |e| e.index),
-        distance: used.map_or(0.0, |e| e.distance),
-        attempts: replan.attempts.len(),
-        iterations: replan.iterations,
-        defect: replan.defect,
-        margin_q: replan.margins.q.share,
-        margin_qd: replan.margins.qd.share,
-        margin_tau: replan.margins.tau.share,
+        figures: PlanFigures::new(&replan, &replan.margins),
         time_nearest_s: replan.times.nearest.as_secs_f64(),
         time_qp_s: replan.times.qp.as_secs_f64(),
         time_lqr_s: replan.times.lqr.as_secs_f64(),
@@ -104,20 +92,18 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
     if args.common.json {
         return print_json(&answer);
     }
+    let f = &answer.figures;
     print_line(&format!(
         "solved: t_F {:.4} s, cost {:.5}, from entry {} ({:.3} rad away), {} QPs\n\
-         defect of the real dynamics {:.1e}; smallest margin (share of half the range): position {:.3}, velocity \
-         {:.3}, torque {:.3}\n\
+         defect of the real dynamics {:.1e}; smallest margin (share of half the range): {}\n\
          {:.0} ms: QPs {:.0} ms, gains {:.0} ms",
         answer.trajectory.t_f,
         answer.cost,
-        answer.nearest_entry,
-        answer.distance,
-        answer.iterations,
-        answer.defect,
-        answer.margin_q,
-        answer.margin_qd,
-        answer.margin_tau,
+        f.nearest_entry,
+        f.distance,
+        f.iterations,
+        f.defect,
+        f.margins,
         1e3 * answer.time_s,
         1e3 * answer.time_qp_s,
         1e3 * answer.time_lqr_s

@@ -1,8 +1,7 @@
 //! `upswing record`: every cycle of a running system in a file.
 
-use super::{CommonArgs, failed};
+use super::{CommonArgs, failed, spinner, time_bar};
 use crate::recording::{Recorder, RecordingError, Tally};
-use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -67,17 +66,19 @@ pub fn run(args: &RecordArgs) -> Result<(), Failure> {
     let stop = shutdown_flag()?;
     let telemetry = node.telemetry_subscriber().map_err(failed)?;
     let details = [("domain", args.common.process.domain.clone())];
-    let recorder = Recorder::create(&args.file, &config, details).map_err(failure)?;
+    let recorder = Recorder::create(&args.file, &config, details)?;
     let tally = record(args, &telemetry, recorder, &stop)?;
     let bytes = std::fs::metadata(&args.file).map_or(0, |file| file.len());
     args.common.print(&Answer { file: &args.file, bytes, tally })
 }
 
 /// A file that cannot be used is the user's to mend; a disk that is full is not.
-pub(super) fn failure(e: RecordingError) -> Failure {
-    match e {
-        RecordingError::Write { .. } => failed(e),
-        _ => Failure::BadInput(e.to_string()),
+impl From<RecordingError> for Failure {
+    fn from(e: RecordingError) -> Self {
+        match e {
+            RecordingError::Write { .. } => failed(e),
+            _ => Self::BadInput(e.to_string()),
+        }
     }
 }
 
@@ -88,11 +89,14 @@ fn record(
     stop: &AtomicBool,
 ) -> Result<Tally, Failure> {
     let end = args.seconds.unwrap_or(f64::INFINITY);
-    let bar = progress(args.seconds);
+    let bar = match args.seconds {
+        Some(seconds) => time_bar(seconds, ""),
+        None => spinner("recording; Ctrl-C ends it"),
+    };
     let begin = Instant::now();
     while !stop.load(Ordering::Acquire) && recorder.tally().seconds < end {
         while let Some(batch) = telemetry.receive().map_err(failed)? {
-            recorder.write(batch.used()).map_err(failure)?;
+            recorder.write(batch.used())?;
         }
         let tally = recorder.tally();
         if tally.cycles == 0 && begin.elapsed() > PATIENCE {
@@ -106,21 +110,11 @@ fn record(
             )));
         }
         bar.set_position((tally.seconds * 1e3) as u64);
-        bar.set_message(format!("{} cycles, {} lost", tally.cycles, tally.lost));
+        if args.seconds.is_some() {
+            bar.set_message(format!("{} cycles, {} lost", tally.cycles, tally.lost));
+        }
         std::thread::sleep(PAUSE);
     }
     bar.finish_and_clear();
-    recorder.finish().map_err(failure)
-}
-
-/// Recorded time; draws nothing where stderr is not a terminal.
-fn progress(seconds: Option<f64>) -> ProgressBar {
-    let (bar, template) = match seconds {
-        Some(seconds) => (ProgressBar::new((seconds * 1e3) as u64), "{bar:40} {msg}, {eta} left"),
-        None => (ProgressBar::new_spinner(), "{spinner} {msg}, Ctrl-C ends the recording"),
-    };
-    match ProgressStyle::with_template(template) {
-        Ok(style) => bar.with_style(style),
-        Err(_) => bar,
-    }
+    Ok(recorder.finish()?)
 }

@@ -1,10 +1,10 @@
 //! `upswing report`: a recording as a page to look at.
 
-use super::{CommonArgs, failed, record};
-use crate::page::{self, Data};
+use super::{CommonArgs, byte_bar, failed};
+use crate::page::{self, Data, Digest};
 use crate::parse::window;
 use crate::picture::figures;
-use crate::recording::read;
+use crate::recording::scan;
 use serde::Serialize;
 use std::io::{BufWriter, Write};
 use std::path::PathBuf;
@@ -62,8 +62,26 @@ impl std::fmt::Display for Answer {
 /// # Errors
 /// [`Failure::BadInput`] if there is no such recording, [`Failure::Failed`] if a file cannot be written.
 pub fn run(args: &ReportArgs) -> Result<(), Failure> {
-    let recording = read(&args.file, window(args.from, args.to)?).map_err(record::failure)?;
-    let data = Data::new(&args.file, &recording).map_err(record::failure)?;
+    let mut digest = None;
+    let bar = byte_bar();
+    let progress = |done, total| {
+        bar.set_length(total);
+        bar.set_position(done);
+    };
+    let window = window(args.from, args.to)?;
+    let recording = scan(&args.file, window, progress, |head, cycle| -> Result<(), Failure> {
+        let digest = match &mut digest {
+            Some(digest) => digest,
+            none => none.insert(Digest::new(&args.file, head)?),
+        };
+        digest.take(cycle);
+        Ok(())
+    });
+    bar.finish_and_clear();
+    let recording = recording?;
+    // A recording has at least one cycle.
+    let digest = digest.ok_or_else(|| failed("no cycle"))?;
+    let data = Data::new(&args.file, &recording, &digest)?;
     let page = args.output.clone().unwrap_or_else(|| args.file.with_extension("html"));
     let write = || -> std::io::Result<()> {
         let mut file = BufWriter::new(std::fs::File::create(&page)?);
@@ -72,8 +90,7 @@ pub fn run(args: &ReportArgs) -> Result<(), Failure> {
     };
     write().map_err(|e| failed(format!("cannot write {}: {e}", page.display())))?;
     let figures = if args.svg || args.png {
-        let limits = page::limits(&args.file, &recording).map_err(record::failure)?;
-        figures::draw(&page, &recording.cycles, &limits, args.svg, args.png).map_err(Failure::Failed)?
+        figures::draw(&page, &digest, args.svg, args.png).map_err(Failure::Failed)?
     } else {
         Vec::new()
     };

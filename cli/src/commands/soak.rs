@@ -1,6 +1,6 @@
 //! `upswing soak`: the whole system on this machine, for long.
 
-use super::{CommonArgs, failed, own_domain, session_failure};
+use super::{CommonArgs, failed, own_domain, session_failure, time_bar};
 use crate::montecarlo::Starts;
 use crate::session::{Options, Programs, Session, SessionError};
 use crate::soak::{Growth, Kill, Record, Soak};
@@ -122,7 +122,10 @@ pub fn run(args: &SoakArgs) -> Result<(), Failure> {
         let spawn = |cause| SessionError::Spawn { role: "daemon", program: "upswing".into(), cause };
         let session = Session::start(Programs::own().map_err(spawn)?, &options)?;
         let mut soak = Soak::new(session, starts, args.clock, args.kills);
-        soak.run(args.seconds, &stop)?;
+        let bar = time_bar(args.seconds, "soak");
+        let ran = soak.run(args.seconds, &stop, &|passed| bar.set_position((passed * 1e3) as u64));
+        bar.finish_and_clear();
+        ran?;
         soak.session.end_in_place()?;
         Ok(soak.record)
     };

@@ -1,20 +1,15 @@
 //! What the page shows, as the JSON that its script reads.
 
+use super::Digest;
 use super::times::Times;
-use crate::recording::{Recording, RecordingError, Tally};
-use crate::report::Figures;
+use crate::recording::{Recording, RecordingError};
 use crate::robot::{Capsule, Link, Robot};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;
-use upswing_ipc::{Degradation, Mode, Telemetry};
+use upswing_ipc::{Degradation, Telemetry};
 use upswing_model::{Limits, Model, NQ, NU};
 use xxhash_rust::xxh3::xxh3_64;
-
-/// Samples of the motion per second: smooth on a screen.
-const RATE: f64 = 250.0;
-/// Most samples of one page; a longer recording gets a coarser motion.
-const SAMPLES: usize = 30_000;
 
 /// Everything on the page. Times in s from the start of the first plan, or else from the first cycle.
 #[derive(Debug, Serialize)]
@@ -25,8 +20,8 @@ pub struct Data {
     details: BTreeMap<String, String>,
     /// Name, fingerprint, text.
     settings: Vec<(String, String, String)>,
-    links: Vec<LinkJson>,
-    limits: LimitsJson,
+    #[serde(flatten)]
+    body: Body,
     /// Times of the samples.
     t: Vec<f64>,
     /// Angles of one joint each, rad.
@@ -52,6 +47,27 @@ pub struct Span {
     pub from: f64,
     /// End, s.
     pub to: f64,
+}
+
+/// The robot as both pages draw it.
+#[derive(Debug, Serialize)]
+pub(super) struct Body {
+    links: Vec<LinkJson>,
+    limits: LimitsJson,
+}
+
+impl Body {
+    /// `limits`: 100 %.
+    pub(super) fn new(robot: Robot, limits: &Limits) -> Self {
+        Self {
+            links: robot.links.into_iter().map(LinkJson::from).collect(),
+            limits: LimitsJson {
+                q: limits.q_max.iter().copied().collect(),
+                qd: limits.qd_max.iter().copied().collect(),
+                tau: limits.tau_max.iter().copied().collect(),
+            },
+        }
+    }
 }
 
 #[derive(Debug, Serialize)]
@@ -88,38 +104,8 @@ impl From<Link> for LinkJson {
     }
 }
 
-/// Moment that pictures count from: the start of the first plan, or else the first cycle. ns.
-pub fn zero(records: &[Telemetry]) -> u64 {
-    let first = records.iter().find(|t| t.mode() == Ok(Mode::Track)).or(records.first());
-    first.map_or(0, |t| t.t_ns)
-}
-
-/// The modes one after the other, s from `zero` (ns).
-pub fn spans(records: &[Telemetry], zero: u64) -> Vec<Span> {
-    let mut spans: Vec<Span> = Vec::new();
-    let mut previous = None;
-    for record in records {
-        let t = seconds(record, zero);
-        if let Some(span) = spans.last_mut() {
-            span.to = t;
-        }
-        if previous != Some((record.mode, record.fault)) {
-            let mode = record.mode().map_or_else(|e| e.to_string(), |mode| mode.to_string());
-            let cause = upswingd::fault_text(record.fault).filter(|_| record.mode() == Ok(Mode::Fault));
-            let name = cause.map_or_else(|| mode.clone(), |cause| format!("{mode}: {cause}"));
-            spans.push(Span { name, from: t, to: t });
-            previous = Some((record.mode, record.fault));
-        }
-    }
-    spans
-}
-
-fn seconds(record: &Telemetry, zero: u64) -> f64 {
-    round((record.t_ns as i128 - zero as i128) as f64 * 1e-9, 1e6)
-}
-
 /// Digits that no screen shows would double the size of the page.
-fn round(value: f64, per_unit: f64) -> f64 {
+pub(super) fn round(value: f64, per_unit: f64) -> f64 {
     (value * per_unit).round() / per_unit
 }
 
@@ -128,44 +114,29 @@ impl Data {
     ///
     /// # Errors
     /// [`RecordingError`] if the recording does not hold a robot that can be drawn.
-    pub fn new(path: &Path, recording: &Recording) -> Result<Self, RecordingError> {
-        let urdf = urdf(path, recording)?;
-        let model = model(path, urdf)?;
-        let robot = Robot::from_urdf(urdf, &model)
+    pub fn new(path: &Path, recording: &Recording, digest: &Digest) -> Result<Self, RecordingError> {
+        let robot = Robot::from_urdf(urdf(path, recording)?, &digest.model)
             .map_err(|cause| RecordingError::Robot { path: path.to_owned(), cause })?;
-        let records = &recording.cycles;
-        let limits = model.rated_limits();
-        let tally = Tally::of(records);
-        let period = period(records);
-        let zero = zero(records);
-        let every = ((1.0 / (RATE * period)) as usize).max(records.len() / SAMPLES).max(1);
-        let samples: Vec<_> = records.iter().step_by(every).collect();
-        let column = |of: &dyn Fn(&Telemetry) -> f64| samples.iter().map(|t| round(of(t), 1e4)).collect();
+        let samples = &digest.samples;
         let columns = |n: usize, of: fn(&Telemetry, usize) -> f64| {
-            (0..n).map(|i| column(&|t| of(t, i))).collect::<Vec<Vec<f64>>>()
+            (0..n).map(|i| samples.iter().map(|t| round(of(t, i), 1e4)).collect()).collect::<Vec<Vec<f64>>>()
         };
-        let late = records.iter().filter(|t| t.flags & Telemetry::OVERRUN != 0);
         Ok(Self {
             name: path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned()),
-            summary: summary(&Figures::new(&model, limits, period, records, tally.lost), &tally, recording),
+            summary: summary(digest, recording),
             details: recording.details.clone(),
             settings: settings(recording),
-            links: robot.links.into_iter().map(LinkJson::from).collect(),
-            limits: LimitsJson {
-                q: limits.q_max.iter().copied().collect(),
-                qd: limits.qd_max.iter().copied().collect(),
-                tau: limits.tau_max.iter().copied().collect(),
-            },
-            t: samples.iter().map(|t| seconds(t, zero)).collect(),
+            body: Body::new(robot, digest.model.rated_limits()),
+            t: samples.iter().map(|t| digest.seconds(t.t_ns)).collect(),
             q: columns(NQ, |t, i| t.q[i]),
             qd: columns(NQ, |t, i| t.qd[i]),
             q_d: columns(NQ, |t, i| t.q_d[i]),
             qd_d: columns(NQ, |t, i| t.qd_d[i]),
             tau: columns(NU, |t, i| t.tau[i]),
-            modes: spans(records, zero),
-            late: late.take(SAMPLES).map(|t| seconds(t, zero)).collect(),
-            times: Times::of(records),
-            period_us: period * 1e6,
+            modes: digest.spans(),
+            late: digest.late(),
+            times: digest.times.times(),
+            period_us: digest.period * 1e6,
         })
     }
 }
@@ -177,28 +148,12 @@ fn urdf<'a>(path: &Path, recording: &'a Recording) -> Result<&'a str, RecordingE
     })
 }
 
-fn model(path: &Path, urdf: &str) -> Result<Model, RecordingError> {
-    Model::from_urdf(urdf).map_err(|e| RecordingError::Robot {
+/// The robot of a recording, whose file is `path`.
+pub(super) fn model(path: &Path, recording: &Recording) -> Result<Model, RecordingError> {
+    Model::from_urdf(urdf(path, recording)?).map_err(|e| RecordingError::Robot {
         path: path.to_owned(),
         cause: crate::robot::RobotError::Parse(e.to_string()),
     })
-}
-
-/// Limits of the robot in a recording, 100 %.
-///
-/// # Errors
-/// [`RecordingError`] if there is no robot.
-pub fn limits(path: &Path, recording: &Recording) -> Result<Limits, RecordingError> {
-    Ok(*model(path, urdf(path, recording)?)?.rated_limits())
-}
-
-/// Time from one cycle to the next, s: the median, because cycles may be late or missing.
-pub fn period(records: &[Telemetry]) -> f64 {
-    /// Where there is a single cycle only.
-    const USUAL: f64 = 125e-6;
-    let mut steps: Vec<u64> = records.windows(2).map(|w| w[1].t_ns.saturating_sub(w[0].t_ns)).collect();
-    steps.sort_unstable();
-    steps.get(steps.len() / 2).filter(|step| **step > 0).map_or(USUAL, |step| *step as f64 * 1e-9)
 }
 
 fn settings(recording: &Recording) -> Vec<(String, String, String)> {
@@ -208,12 +163,11 @@ fn settings(recording: &Recording) -> Vec<(String, String, String)> {
         .collect()
 }
 
-fn summary(f: &Figures, tally: &Tally, recording: &Recording) -> Vec<(&'static str, String)> {
+fn summary(digest: &Digest, recording: &Recording) -> Vec<(&'static str, String)> {
+    let (f, tally) = (digest.figures(), &digest.tally);
     let percent = |share: f64| format!("{:.0} %", 100.0 * share);
-    let degraded = recording.cycles.iter().fold(0, |bits, t| bits | t.degraded);
-    let degraded: Vec<_> = Degradation::of(degraded).map(|d| d.to_string()).collect();
-    let warnings = recording.cycles.iter().fold(0, |bits, t| bits | t.warnings);
-    let warnings: Vec<_> = upswingd::warning_texts(warnings).collect();
+    let degraded: Vec<_> = Degradation::of(digest.degraded).map(|d| d.to_string()).collect();
+    let warnings: Vec<_> = upswingd::warning_texts(digest.warnings).collect();
     let mut rows = vec![
         ("duration", format!("{:.3} s", tally.seconds)),
         ("cycles", format!("{} recorded, {} lost, {} late", f.cycles, f.dropped, f.overruns)),

@@ -33,7 +33,6 @@ class Panel {
     this.canvas = parent.appendChild(document.createElement("canvas"));
     this.canvas.setAttribute("aria-label", `${title}: ${curves.map(c => c.label).join(", ")}`);
     this.picture = document.createElement("canvas");
-    this.top = curves.reduce((most, c) => [c.values, c.desired || []].flat().reduce((m, v) => Math.max(m, Math.abs(v)), most), 1) * 1.08;
     const move = e => { if (e.buttons) seek(this.time(e.offsetX)); };
     this.canvas.addEventListener("pointerdown", e => { this.canvas.setPointerCapture(e.pointerId); move(e); });
     this.canvas.addEventListener("pointermove", move);
@@ -43,8 +42,10 @@ class Panel {
   x(t) { return 38 + (t - this.t[0]) / ((this.t[this.t.length - 1] - this.t[0]) || 1) * (this.width - 46); }
   y(v) { return 22 + (1 - v / this.top) / 2 * (this.height - 44); }
 
-  // The curves do not change, only the cursor: they are drawn once per size.
+  // Where the curves do not change, only the cursor, they are drawn once per size.
   render() {
+    const largest = (most, column) => column.reduce((m, v) => Math.max(m, Math.abs(v)), most);
+    this.top = this.curves.reduce((most, c) => largest(largest(most, c.values), c.desired || []), 1) * 1.08;
     const [, w, h] = prepare(this.canvas);
     [this.width, this.height] = [w, h];
     const ratio = this.canvas.width / w;

@@ -1,7 +1,9 @@
 //! How long the phases of a cycle took.
 
 use serde::Serialize;
+use std::collections::BTreeMap;
 use upswing_ipc::Telemetry;
+use upswingd::histogram::Histogram;
 
 /// Bins per factor of two.
 const BINS_PER_OCTAVE: f64 = 4.0;
@@ -11,7 +13,7 @@ const BINS_PER_OCTAVE: f64 = 4.0;
 pub struct Times {
     /// What took so long.
     pub name: &'static str,
-    /// 50, 99, 99.9 and 100 %, us.
+    /// 50, 99, 99.9 and 100 %, us; all but the last at most 7 % too large.
     pub percentiles: [f64; 4],
     /// Lower end of the first bin, us; each bin ends at `ratio` times its lower end.
     pub first: f64,
@@ -21,30 +23,50 @@ pub struct Times {
     pub counts: Vec<u64>,
 }
 
-impl Times {
-    /// Wake-up and computing time, as far as they were measured: on `lockstep` they are not.
-    pub fn of(records: &[Telemetry]) -> Vec<Self> {
-        let wake = records.iter().map(|t| t.wake_ns).collect();
-        let compute = |t: &Telemetry| t.read_ns.saturating_add(t.compute_ns).saturating_add(t.write_ns);
-        let compute = records.iter().map(compute).collect();
-        [Self::new("wake-up", wake), Self::new("compute", compute)].into_iter().flatten().collect()
+/// Counts wake-up and computing times as they come.
+#[derive(Clone, Debug, Default)]
+pub struct CycleTimes {
+    wake: Counter,
+    compute: Counter,
+}
+
+#[derive(Clone, Debug, Default)]
+struct Counter {
+    histogram: Histogram,
+    /// Cycles by bin.
+    bins: BTreeMap<u32, u64>,
+}
+
+impl CycleTimes {
+    /// The next cycle.
+    pub fn count(&mut self, t: &Telemetry) {
+        self.wake.count(t.wake_ns);
+        self.compute.count(t.read_ns.saturating_add(t.compute_ns).saturating_add(t.write_ns));
     }
 
-    fn new(name: &'static str, mut ns: Vec<u64>) -> Option<Self> {
-        ns.retain(|ns| *ns > 0);
-        ns.sort_unstable();
-        let longest = *ns.last()?;
-        let bin = |ns: u64| ((ns as f64).log2() * BINS_PER_OCTAVE).floor() as usize;
-        let lowest = bin(ns[0]);
-        let mut counts = vec![0; bin(longest) - lowest + 1];
-        ns.iter().for_each(|ns| counts[bin(*ns) - lowest] += 1);
-        let share = |share: f64| ns[((ns.len() as f64 * share).ceil() as usize).clamp(1, ns.len()) - 1];
-        Some(Self {
+    /// What was measured so far: on `lockstep` nothing is.
+    pub fn times(&self) -> Vec<Times> {
+        [self.wake.times("wake-up"), self.compute.times("compute")].into_iter().flatten().collect()
+    }
+}
+
+impl Counter {
+    fn count(&mut self, ns: u64) {
+        if ns > 0 {
+            self.histogram.add(ns);
+            *self.bins.entry(((ns as f64).log2() * BINS_PER_OCTAVE).floor() as u32).or_default() += 1;
+        }
+    }
+
+    fn times(&self, name: &'static str) -> Option<Times> {
+        let (first, last) = (*self.bins.keys().next()?, *self.bins.keys().next_back()?);
+        let p = self.histogram.percentiles();
+        Some(Times {
             name,
-            percentiles: [0.5, 0.99, 0.999, 1.0].map(|p| share(p) as f64 * 1e-3),
-            first: (lowest as f64 / BINS_PER_OCTAVE).exp2() * 1e-3,
+            percentiles: [p.p50, p.p99, p.p99_9, p.max].map(|ns| ns as f64 * 1e-3),
+            first: (f64::from(first) / BINS_PER_OCTAVE).exp2() * 1e-3,
             ratio: (1.0 / BINS_PER_OCTAVE).exp2(),
-            counts,
+            counts: (first..=last).map(|bin| self.bins.get(&bin).copied().unwrap_or(0)).collect(),
         })
     }
 }

@@ -1,12 +1,11 @@
 //! The figures of a recording as files: trajectories, modes, cycle times.
 
 use crate::page::times::Times;
-use crate::page::{period, spans, zero};
+use crate::page::{Digest, Span};
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use std::path::{Path, PathBuf};
-use upswing_ipc::{Mode, Telemetry};
-use upswing_model::Limits;
+use upswing_ipc::Mode;
 
 /// px
 const TIMES_SIZE: (u32, u32) = (900, 420);
@@ -20,13 +19,7 @@ type Drawn<'a> = Result<(), DrawingAreaErrorKind<<SVGBackend<'a> as DrawingBacke
 ///
 /// # Errors
 /// A text that says which file could not be written.
-pub fn draw(
-    page: &Path,
-    records: &[Telemetry],
-    limits: &Limits,
-    svg: bool,
-    png: bool,
-) -> Result<Vec<PathBuf>, String> {
+pub fn draw(page: &Path, digest: &Digest, svg: bool, png: bool) -> Result<Vec<PathBuf>, String> {
     let scratch = tempfile::tempdir().map_err(|e| format!("cannot make a temporary folder: {e}"))?;
     let mut written = Vec::new();
     let mut finish = |name: &str, drawing: &Path| -> Result<(), String> {
@@ -48,15 +41,15 @@ pub fn draw(
     };
     let path = scratch.path().join("drawing.svg");
     let failed = |e: &dyn std::fmt::Display| format!("cannot draw: {e}");
-    if records.iter().any(|t| matches!(t.mode(), Ok(Mode::Track | Mode::Balance))) {
-        super::draw(&path, records, limits, period(records))?;
+    if digest.samples.iter().any(|t| matches!(t.mode(), Ok(Mode::Track | Mode::Balance))) {
+        super::draw(&path, &digest.samples, digest.model.rated_limits(), digest.step())?;
         finish("trajectories", &path)?;
     }
-    modes(&path, records).map_err(|e| failed(&e))?;
+    modes(&path, &digest.spans()).map_err(|e| failed(&e))?;
     finish("modes", &path)?;
-    let times = Times::of(records);
+    let times = digest.times.times();
     if !times.is_empty() {
-        cycle_times(&path, &times, period(records) * 1e6).map_err(|e| failed(&e))?;
+        cycle_times(&path, &times, digest.period * 1e6).map_err(|e| failed(&e))?;
         finish("cycle-times", &path)?;
     }
     Ok(written)
@@ -89,8 +82,7 @@ fn rasterise(svg: &str) -> Result<Vec<u8>, String> {
 }
 
 /// Modes as bars over time.
-fn modes<'a>(path: &'a Path, records: &[Telemetry]) -> Drawn<'a> {
-    let spans = spans(records, zero(records));
+fn modes<'a>(path: &'a Path, spans: &[Span]) -> Drawn<'a> {
     let (from, to) =
         (spans.first().map_or(0.0, |s| s.from), spans.last().map_or(1.0, |s| s.to).max(f64::MIN_POSITIVE));
     let root = SVGBackend::new(path, MODES_SIZE).into_drawing_area();
@@ -114,7 +106,7 @@ fn modes<'a>(path: &'a Path, records: &[Telemetry]) -> Drawn<'a> {
         let (_, y) = chart.backend_coord(&(from, row as f64 + 0.4));
         root.draw_text(&mode.to_string(), &label, (74, y))?;
     }
-    for span in &spans {
+    for span in spans {
         let row =
             Mode::ALL.iter().position(|mode| span.name.starts_with(&mode.to_string())).unwrap_or(0) as f64;
         let bar = [(span.from, row), (span.to, row + 0.8)];

@@ -27,11 +27,9 @@ impl Window {
     pub const ALL: Self = Self { from: 0.0, to: f64::INFINITY };
 }
 
-/// The contents of a file.
+/// The contents of a file but its cycles.
 #[derive(Clone, Debug, Default)]
 pub struct Recording {
-    /// The cycles of the window, in the order of their recording; at least one.
-    pub cycles: Vec<Telemetry>,
     /// What identifies the run.
     pub details: BTreeMap<String, String>,
     /// Names and texts of the settings.
@@ -47,14 +45,36 @@ impl Recording {
     }
 }
 
-/// Reads a file; its cycles must fit into memory, 5 MB per second at 8 kHz.
+/// Reads a file with its cycles, which must fit into memory: 5 MB per second at 8 kHz.
 ///
 /// # Errors
-/// [`RecordingError`] if it is no recording of this version or holds no cycle in the window. A file that ends early
-/// is no error, see [`Recording::cut`].
-pub fn read(path: &Path, window: Window) -> Result<Recording, RecordingError> {
+/// As [`scan`].
+pub fn read(path: &Path, window: Window) -> Result<(Vec<Telemetry>, Recording), RecordingError> {
+    let mut cycles = Vec::new();
+    let keep = |_: &Recording, cycle: &Telemetry| -> Result<(), RecordingError> {
+        cycles.push(*cycle);
+        Ok(())
+    };
+    let recording = scan(path, window, |_, _| (), keep)?;
+    Ok((cycles, recording))
+}
+
+/// Goes through a file, whose cycles need not fit into memory: `each` gets what stands before a cycle of the window, and
+/// the cycle, in the order of their recording. `progress` is told how many bytes have been read of how many.
+///
+/// # Errors
+/// [`RecordingError`] if it is no recording of this version or holds no cycle in the window; what `each` says. A file that
+/// ends early is no error, see [`Recording::cut`].
+pub fn scan<E: From<RecordingError>>(
+    path: &Path,
+    window: Window,
+    mut progress: impl FnMut(u64, u64),
+    mut each: impl FnMut(&Recording, &Telemetry) -> Result<(), E>,
+) -> Result<Recording, E> {
     let unreadable = |cause| RecordingError::Read { path: path.to_owned(), cause };
     let mut file = File::open(path).map_err(unreadable)?;
+    let total = file.metadata().map_err(unreadable)?.len();
+    let (mut done, mut seen) = (0, 0_u64);
     let options = LinearReaderOptions::default()
         .with_skip_end_magic(true)
         // A damaged chunk gives no cycles at all.
@@ -70,6 +90,8 @@ pub fn read(path: &Path, window: Window) -> Result<Recording, RecordingError> {
                 let space = events.insert(need.min(LONGEST));
                 let got = file.read(space).map_err(unreadable)?;
                 events.notify_read(got);
+                done += got as u64;
+                progress(done, total);
                 continue;
             }
             Ok(LinearReadEvent::Record { data, opcode }) => parse_record(opcode, data),
@@ -77,9 +99,14 @@ pub fn read(path: &Path, window: Window) -> Result<Recording, RecordingError> {
         };
         match record {
             Ok(Record::Footer(_)) => finished = true,
-            Ok(record) => reader.take(record, &mut recording)?,
+            Ok(record) => {
+                if let Some(cycle) = reader.take(record, &mut recording)? {
+                    seen += 1;
+                    each(&recording, &cycle)?;
+                }
+            }
             Err(cause) if !begun => {
-                return Err(RecordingError::NotMcap { path: path.to_owned(), cause: cause.into() });
+                return Err(RecordingError::NotMcap { path: path.to_owned(), cause: cause.into() }.into());
             }
             Err(e) => {
                 recording.cut = Some(e.to_string());
@@ -91,10 +118,10 @@ pub fn read(path: &Path, window: Window) -> Result<Recording, RecordingError> {
     if !finished && recording.cut.is_none() {
         recording.cut = Some("the end is missing".into());
     }
-    if recording.cycles.is_empty() {
+    if seen == 0 {
         let cut = recording.cut.map_or_else(String::new, |why| format!(" before the file ends ({why})"));
         let expected = format!("cycles on {CYCLE_TOPIC} from {} s to {} s{cut}", window.from, window.to);
-        return Err(RecordingError::Missing { path: path.to_owned(), expected });
+        return Err(RecordingError::Missing { path: path.to_owned(), expected }.into());
     }
     Ok(recording)
 }
@@ -110,7 +137,12 @@ struct Reader<'a> {
 }
 
 impl Reader<'_> {
-    fn take(&mut self, record: Record<'_>, into: &mut Recording) -> Result<(), RecordingError> {
+    /// Notes what a record says; the cycle, if it is one of the window.
+    fn take(
+        &mut self,
+        record: Record<'_>,
+        into: &mut Recording,
+    ) -> Result<Option<Telemetry>, RecordingError> {
         let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
         match record {
             Record::Metadata(m) if m.name == DETAILS => into.details = m.metadata,
@@ -127,13 +159,11 @@ impl Reader<'_> {
                 let cycle = cycle::decode(&data).ok_or_else(|| self.other_version(what()))?;
                 let first = *self.first_ns.get_or_insert(cycle.t_ns);
                 let t = (cycle.t_ns as f64 - first as f64) * 1e-9;
-                if t >= self.window.from && t <= self.window.to {
-                    into.cycles.push(cycle);
-                }
+                return Ok((t >= self.window.from && t <= self.window.to).then_some(cycle));
             }
             _ => {}
         }
-        Ok(())
+        Ok(None)
     }
 
     /// Whether the cycles have the fields of this version.

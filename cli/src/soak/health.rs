@@ -74,17 +74,17 @@ pub struct Growth {
 impl Growth {
     /// Of each role that was seen.
     pub fn of(samples: &[Sample]) -> Vec<Self> {
-        let role =
-            |name, of: fn(&Sample) -> Option<Holdings>| Self::of_role(name, samples.iter().filter_map(of));
-        [
-            role("daemon", |s| s.daemon),
-            role("planner", |s| s.planner),
-            role("plant", |s| s.plant),
-            role("operator", |s| s.operator),
-        ]
-        .into_iter()
-        .flatten()
-        .collect()
+        type Of = fn(&Sample) -> Option<Holdings>;
+        let roles: [(_, Of); 4] = [
+            ("daemon", |s| s.daemon),
+            ("planner", |s| s.planner),
+            ("plant", |s| s.plant),
+            ("operator", |s| s.operator),
+        ];
+        roles
+            .into_iter()
+            .filter_map(|(role, of)| Self::of_role(role, samples.iter().filter_map(of)))
+            .collect()
     }
 
     fn of_role(role: &'static str, mut samples: impl Iterator<Item = Holdings>) -> Option<Self> {

@@ -1,6 +1,7 @@
 //! `upswing montecarlo replan`.
 
 use super::{SamplingArgs, failed, list_failures};
+use crate::commands::PlanFigures;
 use crate::montecarlo::{NoStart, Spread, Starts, arm_degrees};
 use crate::picture::map;
 use serde::Serialize;
@@ -9,7 +10,7 @@ use std::time::Instant;
 use upswing_config::process::{Failure, shutdown_flag};
 use upswing_model::{NU, State};
 use upswing_planner::qp::Solver;
-use upswing_planner::replan::{Effort, Manoeuvre, Planner, Replan};
+use upswing_planner::replan::{Effort, Manoeuvre, Planner};
 use upswing_planner::service::payload;
 use upswing_trajectory::{Certificate, Margin, Margins};
 
@@ -45,18 +46,12 @@ struct Sample {
     times: Times,
 }
 
-/// Figures of a plan.
+/// A plan's t_F, s, and the rest.
 #[derive(Clone, Debug, Serialize)]
 struct Figures {
     t_f: f64,
-    nearest_entry: usize,
-    distance: f64,
-    attempts: usize,
-    iterations: usize,
-    defect: f64,
-    margin_q: f64,
-    margin_qd: f64,
-    margin_tau: f64,
+    #[serde(flatten)]
+    plan: PlanFigures,
 }
 
 /// s
@@ -79,28 +74,14 @@ fn sample(planner: &Planner, solver: &mut Solver, iterations: usize, index: u64,
             let refused = upswingd::plan::accept(&payload(&replan.plan(config)), config).err();
             let failure =
                 refused.map(|e| format!("the daemon refused the plan: {e}")).or_else(|| beyond(&margins));
+            let plan = PlanFigures::new(replan, &margins);
+            let figures = Figures { t_f: replan.trajectory.t_f, plan };
             let (qp, lqr) = (replan.times.qp.as_secs_f64(), replan.times.lqr.as_secs_f64());
-            (Some(figures(replan, &margins)), failure, Times { qp, lqr, total })
+            (Some(figures), failure, Times { qp, lqr, total })
         }
         Err(e) => (None, Some(e.to_string()), Times { total, ..Times::default() }),
     };
     Sample { index, start_deg: arm_degrees(start), plan, failure, times }
-}
-
-fn figures(replan: &Replan, margins: &Margins) -> Figures {
-    // A plan has at least the attempt that gave it.
-    let used = replan.attempts.last().map(|a| a.entry);
-    Figures {
-        t_f: replan.trajectory.t_f,
-        nearest_entry: used.map_or(0, |e| e.index),
-        distance: used.map_or(0.0, |e| e.distance),
-        attempts: replan.attempts.len(),
-        iterations: replan.iterations,
-        defect: replan.defect,
-        margin_q: margins.q.share,
-        margin_qd: margins.qd.share,
-        margin_tau: margins.tau.share,
-    }
 }
 
 /// The first kind of limit that a plan does not keep between its knots.
@@ -206,11 +187,12 @@ pub fn run(args: &ReplanArgs) -> Result<(), Failure> {
     let plans = || results.iter().filter_map(|s| s.plan.as_ref());
     let spread = |value: fn(&Figures) -> f64| Spread::of(plans().map(value));
     let time = |value: fn(&Times) -> f64| Spread::of(results.iter().map(|s| value(&s.times)));
-    let most = plans().map(|p| p.attempts).max().unwrap_or(0);
+    let most = plans().map(|p| p.plan.attempts).max().unwrap_or(0);
     let succeeded = results.iter().filter(|s| s.failure.is_none()).count();
     let success = complete && succeeded == results.len();
     if let Some(path) = &args.svg {
-        let margins = |p: &Figures| [p.margin_q, p.margin_qd, p.margin_tau];
+        let margins =
+            |p: &Figures| [p.plan.margins.margin_q, p.plan.margins.margin_qd, p.plan.margins.margin_tau];
         let points: Vec<_> = results
             .iter()
             .map(|s| map::Point { q_deg: s.start_deg, margins: s.plan.as_ref().map(margins) })
@@ -227,15 +209,15 @@ pub fn run(args: &ReplanArgs) -> Result<(), Failure> {
         samples,
         succeeded,
         feasible: plans().count(),
-        defect_closed: plans().filter(|p| p.defect <= CLOSED_DEFECT).count(),
-        attempts: (1..=most).map(|n| plans().filter(|p| p.attempts == n).count()).collect(),
-        iterations: spread(|p| p.iterations as f64),
-        defect: spread(|p| p.defect),
-        margin_q: spread(|p| p.margin_q),
-        margin_qd: spread(|p| p.margin_qd),
-        margin_tau: spread(|p| p.margin_tau),
+        defect_closed: plans().filter(|p| p.plan.defect <= CLOSED_DEFECT).count(),
+        attempts: (1..=most).map(|n| plans().filter(|p| p.plan.attempts == n).count()).collect(),
+        iterations: spread(|p| p.plan.iterations as f64),
+        defect: spread(|p| p.plan.defect),
+        margin_q: spread(|p| p.plan.margins.margin_q),
+        margin_qd: spread(|p| p.plan.margins.margin_qd),
+        margin_tau: spread(|p| p.plan.margins.margin_tau),
         t_f: spread(|p| p.t_f),
-        distance: spread(|p| p.distance),
+        distance: spread(|p| p.plan.distance),
         times: AnswerTimes {
             replan: time(|t| t.total),
             qp: time(|t| t.qp),

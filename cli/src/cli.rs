@@ -1,0 +1,85 @@
+//! The command line as a whole.
+
+use crate::commands;
+use clap::{CommandFactory, Parser, Subcommand};
+use upswing_config::process::Failure;
+
+/// Swings up and balances a spherical pendulum on a 7-DoF robot.
+///
+/// Exit codes: 0 success, 1 it ran but the answer is no, 2 bad input. Results go to stdout, all else to stderr; colours
+/// and bars only to a terminal, colours not where NO_COLOR is set. --json prints one JSON document, in SI units.
+///
+/// Example: upswing demo
+#[derive(Parser)]
+#[command(name = "upswing", version)]
+pub struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Demo(commands::demo::DemoArgs),
+    Request(commands::request::RequestArgs),
+    Disturb(commands::disturb::DisturbArgs),
+    Soak(commands::soak::SoakArgs),
+    Status(commands::status::StatusArgs),
+    Monitor(commands::monitor::MonitorArgs),
+    Metrics(commands::metrics::MetricsArgs),
+    Doctor(commands::doctor::DoctorArgs),
+    Record(commands::record::RecordArgs),
+    Report(commands::report::ReportArgs),
+    Export(commands::export::ExportArgs),
+    Plan(commands::plan::PlanArgs),
+    Optimize(commands::optimize::OptimizeArgs),
+    Db(commands::db::DbArgs),
+    Model(commands::model::ModelArgs),
+    #[command(name = "montecarlo")]
+    MonteCarlo(commands::montecarlo::MonteCarloArgs),
+    Config(commands::config::ConfigArgs),
+    Completions(commands::completions::CompletionsArgs),
+    Man(commands::completions::ManArgs),
+    /// Run as the control daemon, like `upswingd`
+    ///
+    /// Example: upswing daemon --domain robot
+    Daemon(upswingd::DaemonArgs),
+    /// Run as the planner, like `upswing-planner`
+    ///
+    /// Example: upswing planner --domain robot
+    Planner(upswing_planner::service::PlannerArgs),
+    /// Run as the plant simulator, like `upswing-plant`
+    ///
+    /// Example: upswing plant --domain robot --clock wall
+    Plant(upswing_plant::PlantArgs),
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// [`Failure`], which says what to do.
+pub fn run(cli: &Cli) -> Result<(), Failure> {
+    match &cli.command {
+        Command::Demo(args) => commands::demo::run(args),
+        Command::Request(args) => commands::request::run(args),
+        Command::Disturb(args) => commands::disturb::run(args),
+        Command::Soak(args) => commands::soak::run(args),
+        Command::Status(args) => commands::status::run(args),
+        Command::Monitor(args) => commands::monitor::run(args),
+        Command::Metrics(args) => commands::metrics::run(args),
+        Command::Doctor(args) => commands::doctor::run(args),
+        Command::Record(args) => commands::record::run(args),
+        Command::Report(args) => commands::report::run(args),
+        Command::Export(args) => commands::export::run(args),
+        Command::Plan(args) => commands::plan::run(args),
+        Command::Optimize(args) => commands::optimize::run(args),
+        Command::Db(args) => commands::db::run(args),
+        Command::Model(args) => commands::model::run(args),
+        Command::MonteCarlo(args) => commands::montecarlo::run(args),
+        Command::Config(args) => commands::config::run(args),
+        Command::Completions(args) => commands::completions::completions(args, &mut Cli::command()),
+        Command::Man(args) => commands::completions::man(args, Cli::command()),
+        Command::Daemon(args) => upswingd::run(args.clone()),
+        Command::Planner(args) => upswing_planner::service::run(args),
+        Command::Plant(args) => upswing_plant::run(args.clone()),
+    }
+}

@@ -1,0 +1,84 @@
+//! What several commands answer as JSON.
+
+use serde::Serialize;
+use upswing_planner::replan::Replan;
+use upswing_trajectory::{Margins, Trajectory};
+
+/// A trajectory as JSON: t_F in s, x (KNOTS x NX) in rad and rad/s, u (KNOTS x NU) in rad/s^2.
+#[derive(Clone, Debug, Serialize)]
+pub struct TrajectoryJson {
+    /// t_F, s.
+    pub t_f: f64,
+    /// x_k
+    pub x: Vec<Vec<f64>>,
+    /// u_k
+    pub u: Vec<Vec<f64>>,
+}
+
+/// Figures of a replan, beside its t_F.
+#[derive(Clone, Debug, Serialize)]
+pub struct PlanFigures {
+    /// Index of the database entry it was adapted from.
+    pub nearest_entry: usize,
+    /// Distance of the start to that entry, rad.
+    pub distance: f64,
+    /// Entries that were tried.
+    pub attempts: usize,
+    /// QPs, each linearised around the result before.
+    pub iterations: usize,
+    /// Defect of the real dynamics, rad or rad/s per interval.
+    pub defect: f64,
+    /// Smallest margins.
+    #[serde(flatten)]
+    pub margins: MarginsJson,
+}
+
+impl PlanFigures {
+    /// Of a replan; its margins are those at the knots, or others that were found.
+    pub fn new(replan: &Replan, margins: &Margins) -> Self {
+        // A plan has at least the attempt that gave it.
+        let used = replan.attempts.last().map(|a| a.entry);
+        Self {
+            nearest_entry: used.map_or(0, |e| e.index),
+            distance: used.map_or(0.0, |e| e.distance),
+            attempts: replan.attempts.len(),
+            iterations: replan.iterations,
+            defect: replan.defect,
+            margins: margins.into(),
+        }
+    }
+}
+
+/// Smallest margins as shares of half the range; negative: violated.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct MarginsJson {
+    /// Positions.
+    pub margin_q: f64,
+    /// Velocities.
+    pub margin_qd: f64,
+    /// Torques.
+    pub margin_tau: f64,
+}
+
+impl From<&Margins> for MarginsJson {
+    fn from(m: &Margins) -> Self {
+        Self { margin_q: m.q.share, margin_qd: m.qd.share, margin_tau: m.tau.share }
+    }
+}
+
+impl std::fmt::Display for MarginsJson {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { margin_q, margin_qd, margin_tau } = self;
+        write!(f, "position {margin_q:.3}, velocity {margin_qd:.3}, torque {margin_tau:.3}")
+    }
+}
+
+impl From<&Trajectory> for TrajectoryJson {
+    fn from(t: &Trajectory) -> Self {
+        Self {
+            t_f: t.t_f,
+            x: t.x.iter().map(|x| x.iter().copied().collect()).collect(),
+            u: t.u.iter().map(|u| u.iter().copied().collect()).collect(),
+        }
+    }
+}

@@ -1,0 +1,159 @@
+//! `upswing metrics`: a running system for Prometheus.
+
+use super::{CommonArgs, failed, print_json, print_line};
+use crate::http::{self, Listener};
+use crate::live::Live;
+use crate::metrics::{self, CONTENT_TYPE};
+use serde::Serialize;
+use std::io::Write;
+use std::net::SocketAddr;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+use upswing_config::process::{Failure, shutdown_flag};
+
+/// Pause between two looks for telemetry; its buffer lasts for two seconds.
+const PAUSE: Duration = Duration::from_millis(20);
+/// Age of what a scrape gets at most.
+const FRESH: Duration = Duration::from_millis(200);
+
+/// Gives what the monitor shows as OpenMetrics: once, at an address, or as a file; seconds, rad, N m.
+///
+/// With neither --listen nor --file the metrics are printed once. docs/grafana.json is a dashboard of them.
+///
+/// Example: upswing metrics --listen 127.0.0.1:9464
+#[derive(Clone, Debug, clap::Args)]
+pub struct MetricsArgs {
+    /// Options of every command.
+    #[command(flatten)]
+    pub common: CommonArgs,
+    /// Answer GET /metrics at this address until Ctrl-C
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    pub listen: Option<SocketAddr>,
+    /// Renew this file until Ctrl-C, for node_exporter's textfile collector; it is removed in the end
+    #[arg(long, value_name = "FILE.prom")]
+    pub file: Option<PathBuf>,
+    /// Time between two renewals of the file, s, 0.1 to 3600
+    #[arg(long, value_name = "S", default_value_t = 5.0, requires = "file")]
+    pub every: f64,
+}
+
+#[derive(Serialize)]
+struct Answer {
+    metrics: Vec<metrics::Family>,
+}
+
+#[derive(Serialize)]
+struct Begun {
+    url: Option<String>,
+    file: Option<PathBuf>,
+}
+
+impl std::fmt::Display for Begun {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let file = self.file.as_ref().map(|file| file.display().to_string());
+        let places: Vec<_> = self.url.iter().cloned().chain(file).collect();
+        write!(f, "metrics at {}; Ctrl-C ends them", places.join(" and "))
+    }
+}
+
+/// Exports.
+///
+/// # Errors
+/// [`Failure::BadInput`] for an address or file that cannot be used, [`Failure::Failed`] if the file cannot be renewed
+/// any more.
+pub fn run(args: &MetricsArgs) -> Result<(), Failure> {
+    if !(args.every >= 0.1 && args.every <= 3600.0) {
+        return Err(Failure::BadInput(format!("--every: expected 0.1 to 3600 s, got {}", args.every)));
+    }
+    if let Some(file) = args.file.as_deref().filter(|f| f.extension().is_none_or(|e| e != "prom")) {
+        let got = file.display();
+        return Err(Failure::BadInput(format!("--file: expected a name that ends in .prom, got {got}")));
+    }
+    let config = args.common.process.load()?;
+    if args.listen.is_none() && args.file.is_none() {
+        let mut live = Live::open(&args.common, &config)?;
+        live.settle().map_err(failed)?;
+        let metrics = metrics::families(&live.view());
+        return if args.common.json {
+            print_json(&Answer { metrics })
+        } else {
+            print_line(&metrics::text(&metrics).trim_end())
+        };
+    }
+    let stop = shutdown_flag()?;
+    let listener = args.listen.map(Listener::bind).transpose();
+    let listener = listener.map_err(|e| Failure::BadInput(format!("--listen: {e}")))?;
+    let mut live = Live::open(&args.common, &config)?;
+    live.settle().map_err(failed)?;
+    let text = |live: &Live| metrics::text(&metrics::families(&live.view()));
+    if let Some(file) = &args.file {
+        replace(file, &text(&live)).map_err(|e| Failure::BadInput(format!("--file: {e}")))?;
+    }
+    let newest = Arc::new(Mutex::new(text(&live)));
+    args.common.print(&Begun {
+        url: listener.as_ref().map(|l| format!("http://{}/metrics", l.address)),
+        file: args.file.clone(),
+    })?;
+    let server = listener.map(|listener| {
+        let (stop, newest) = (Arc::clone(&stop), Arc::clone(&newest));
+        std::thread::spawn(move || listener.serve(&stop, move |request| answer(request, &newest)))
+    });
+    let every = Duration::from_secs_f64(args.every);
+    let (mut shown, mut written) = (Instant::now(), Instant::now());
+    let mut watch = || -> Result<(), Failure> {
+        while !stop.load(Ordering::Acquire) {
+            live.poll(|_| ()).map_err(failed)?;
+            if shown.elapsed() >= FRESH {
+                *newest.lock().unwrap_or_else(PoisonError::into_inner) = text(&live);
+                shown = Instant::now();
+            }
+            if let Some(file) = args.file.as_deref().filter(|_| written.elapsed() >= every) {
+                replace(file, &text(&live)).map_err(failed)?;
+                written = Instant::now();
+            }
+            std::thread::sleep(PAUSE);
+        }
+        Ok(())
+    };
+    let result = watch();
+    stop.store(true, Ordering::Release);
+    if let Some(server) = server {
+        let _ = server.join();
+    }
+    // What nobody renews would look like a system that stands still.
+    if let Some(file) = &args.file {
+        let _ = std::fs::remove_file(file);
+    }
+    result
+}
+
+fn answer(request: tiny_http::Request, newest: &Mutex<String>) {
+    let get = *request.method() == tiny_http::Method::Get;
+    let (status, kind, body) = match (get, request.url()) {
+        (true, "/metrics") => {
+            (200, CONTENT_TYPE, newest.lock().unwrap_or_else(PoisonError::into_inner).clone())
+        }
+        (true, _) => (404, "text/plain", "expected /metrics\n".into()),
+        (false, _) => (405, "text/plain", "expected GET\n".into()),
+    };
+    http::respond(request, status, kind, body);
+}
+
+/// Writes a file that is complete whenever somebody reads it.
+fn replace(path: &Path, text: &str) -> Result<(), String> {
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let write = || -> std::io::Result<()> {
+        // The collector runs as another user and reads only *.prom.
+        let mut file = tempfile::Builder::new()
+            .prefix(".upswing-")
+            .permissions(std::fs::Permissions::from_mode(0o644))
+            .tempfile_in(folder)?;
+        file.write_all(text.as_bytes())?;
+        file.persist(path).map_err(|e| e.error)?;
+        Ok(())
+    };
+    write().map_err(|e| format!("cannot write {}: {e}", path.display()))
+}

@@ -1,0 +1,100 @@
+//! `upswing monitor`: a running system, live.
+
+use super::{CommonArgs, failed, print_json};
+use crate::http::Listener;
+use crate::live::Live;
+use crate::monitor::{self, Look};
+use crate::page::Setup;
+use crate::web::{self, Token};
+use serde::Serialize;
+use std::io::IsTerminal;
+use std::net::SocketAddr;
+use upswing_config::Config;
+use upswing_config::process::{Failure, colours, shutdown_flag};
+
+/// Shows a running system live: modes, rod, joints between their limits, cycle times, plans, faults.
+///
+/// In the terminal: e, u, d, h, r ask for enable, swing-up, swing-down, hold and reset once y confirms; s stops at
+/// once; q ends the monitor. Angles in deg on the screen. With --json: one look, as one document in SI units. With --web:
+/// a page for browsers at that address, read-only but for --allow-control.
+///
+/// Example: upswing monitor --web 127.0.0.1:8080
+#[derive(Clone, Debug, clap::Args)]
+pub struct MonitorArgs {
+    /// Options of every command.
+    #[command(flatten)]
+    pub common: CommonArgs,
+    /// Serve a page at this address instead; port 0: any that is free [default: 127.0.0.1:8080]
+    #[arg(long, value_name = "ADDRESS:PORT", num_args = 0..=1, default_missing_value = "127.0.0.1:8080")]
+    pub web: Option<SocketAddr>,
+    /// The page can make requests, with the token that is printed; only on this machine (127.0.0.1, [::1])
+    #[arg(long, requires = "web")]
+    pub allow_control: bool,
+}
+
+#[derive(Serialize)]
+struct Begun {
+    url: String,
+    token: Option<String>,
+}
+
+impl std::fmt::Display for Begun {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match &self.token {
+            None => write!(f, "{} (read-only); Ctrl-C ends it", self.url),
+            Some(token) => {
+                write!(
+                    f,
+                    "{}#token={token}\nwho has this address can move the robot; Ctrl-C ends it",
+                    self.url
+                )
+            }
+        }
+    }
+}
+
+/// Shows the system.
+///
+/// # Errors
+/// [`Failure::BadInput`] if there is no terminal or an option cannot be used, [`Failure::Failed`] if the domain cannot
+/// be used.
+pub fn run(args: &MonitorArgs) -> Result<(), Failure> {
+    let config = args.common.process.load()?;
+    if let Some(address) = args.web {
+        return serve(args, &config, address);
+    }
+    if args.common.json {
+        let mut live = Live::open(&args.common, &config)?;
+        live.settle().map_err(failed)?;
+        return print_json(&live.view());
+    }
+    if !(std::io::stdout().is_terminal() && std::io::stdin().is_terminal()) {
+        return Err(Failure::BadInput(
+            "expected a terminal on stdin and stdout, got a pipe or a file; use --json for one look, or --web".into(),
+        ));
+    }
+    let stop = shutdown_flag()?;
+    let mut live = Live::open(&args.common, &config)?;
+    monitor::run(&mut live, Look { colours: colours(&std::io::stdout()) }, &stop).map_err(failed)
+}
+
+fn serve(args: &MonitorArgs, config: &Config, address: SocketAddr) -> Result<(), Failure> {
+    if args.allow_control && !address.ip().is_loopback() {
+        return Err(Failure::BadInput(format!(
+            "--allow-control: expected an address of this machine alone (127.0.0.1 or [::1]), got {}; use ssh -L to \
+             reach it from elsewhere",
+            address.ip()
+        )));
+    }
+    let stop = shutdown_flag()?;
+    let token = args.allow_control.then(Token::new).transpose();
+    let token = token.map_err(|e| failed(format!("no random numbers for the token: {e}")))?;
+    let listener = Listener::bind(address).map_err(|e| Failure::BadInput(format!("--web: {e}")))?;
+    let domain = &args.common.process.domain;
+    let setup = Setup::new(domain, config, args.allow_control)
+        .map_err(|e| Failure::BadInput(format!("robot.urdf: {e}")))?;
+    let mut live = Live::open(&args.common, config)?;
+    let url = format!("http://{}/", listener.address);
+    args.common.print(&Begun { url, token: token.as_ref().map(|t| t.text().to_owned()) })?;
+    web::run(&mut live, listener, &setup, token, &stop).map_err(failed)
+}

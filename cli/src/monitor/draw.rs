@@ -1,0 +1,270 @@
+//! One picture of a [`View`].
+
+use super::keys::ACTIONS;
+use super::{Keys, rows};
+use crate::live::{Cycle, Joint, Kind, Times, View};
+use crate::operator::Action;
+use ratatui::Frame;
+use ratatui::layout::{Constraint, Flex, Layout, Rect};
+use ratatui::style::{Color, Modifier, Style};
+use ratatui::text::{Line, Span};
+use ratatui::widgets::canvas::{Canvas, Circle, Line as Stroke};
+use ratatui::widgets::{Block, Clear, Paragraph};
+
+/// Whether to use colours; without them what matters is reversed or bold.
+#[derive(Clone, Copy, Debug)]
+pub struct Look {
+    /// Colours.
+    pub colours: bool,
+}
+
+/// Share of a limit from which on a bar warns.
+const HIGH: f64 = 0.8;
+
+impl Look {
+    fn ink(self, colour: Color) -> Style {
+        if self.colours { Style::new().fg(colour) } else { Style::new() }
+    }
+
+    fn alarm(self) -> Style {
+        self.ink(Color::Red).add_modifier(Modifier::BOLD | Modifier::REVERSED)
+    }
+
+    fn share(self, share: f64) -> Style {
+        match share.abs() {
+            s if s > 1.0 || !s.is_finite() => self.alarm(),
+            s if s > HIGH => self.ink(Color::Yellow).add_modifier(Modifier::BOLD),
+            _ => self.ink(Color::Cyan),
+        }
+    }
+
+    fn mode(self, mode: &str) -> Style {
+        match mode {
+            "fault" => self.alarm(),
+            "stop" => self.ink(Color::Magenta).add_modifier(Modifier::BOLD),
+            "track" => self.ink(Color::Yellow).add_modifier(Modifier::BOLD),
+            "balance" => self.ink(Color::Green).add_modifier(Modifier::BOLD),
+            _ => self.ink(Color::Cyan).add_modifier(Modifier::BOLD),
+        }
+    }
+}
+
+/// Draws everything; what does not fit a small terminal is cut off.
+pub fn draw(frame: &mut Frame, view: &View, keys: &Keys, look: Look) {
+    let [head, upper, lower, events, foot] = Layout::vertical([
+        Constraint::Length(1),
+        Constraint::Length(12),
+        Constraint::Length(6),
+        Constraint::Min(3),
+        Constraint::Length(1),
+    ])
+    .areas(frame.area());
+    let [joints, pendulum] = Layout::horizontal([Constraint::Min(44), Constraint::Length(34)]).areas(upper);
+    let [times, plan] = Layout::horizontal([Constraint::Fill(1), Constraint::Fill(1)]).areas(lower);
+    frame.render_widget(heading(view, look), head);
+    draw_joints(frame, joints, view.cycle.as_ref(), look);
+    draw_pendulum(frame, pendulum, view.cycle.as_ref(), look);
+    draw_times(frame, times, view, look);
+    draw_plan(frame, plan, view, look);
+    draw_events(frame, events, view, look);
+    frame.render_widget(footer(look), foot);
+    if let Some(action) = keys.waiting() {
+        confirm(frame, action, look);
+    }
+}
+
+fn heading(view: &View, look: Look) -> Line<'_> {
+    let mode = view.mode.as_deref().unwrap_or("no daemon");
+    let mut spans = vec![
+        Span::styled(" upswing ", Style::new().add_modifier(Modifier::BOLD)),
+        Span::raw(format!(" domain {}  ", view.domain)),
+        Span::styled(format!(" {} ", mode.to_uppercase()), look.mode(mode)),
+        Span::raw("  "),
+    ];
+    for (name, here) in [("daemon", view.daemon), ("planner", view.planner), ("plant", view.plant)] {
+        let (sign, style) =
+            if here { ("●", look.ink(Color::Green)) } else { ("○", look.ink(Color::Red)) };
+        spans.push(Span::styled(format!("{sign} "), style));
+        spans.push(Span::raw(format!("{name}  ")));
+    }
+    if let Some(asking) = view.asking {
+        spans.push(Span::styled(format!("{asking} ..."), look.ink(Color::Yellow)));
+    }
+    Line::from(spans)
+}
+
+fn draw_joints(frame: &mut Frame, area: Rect, cycle: Option<&Cycle>, look: Look) {
+    let block = Block::bordered().title(" Joints: position between limits, velocity, torque ");
+    let inner = block.inner(area);
+    frame.render_widget(block, area);
+    let Some(cycle) = cycle else {
+        return frame.render_widget(nothing("no cycles arrive: is a plant running?"), inner);
+    };
+    // Joint and angle take 14 columns, the gaps and shares 14 more.
+    let free = usize::from(inner.width).saturating_sub(28);
+    let (wide, narrow) = (free / 2, free / 4);
+    let each = narrow + 5;
+    let mut lines = vec![Line::styled(
+        format!("    angle, deg  {:wide$} {:>each$} {:>each$}", "", "velocity", "torque"),
+        look.ink(Color::DarkGray),
+    )];
+    lines.extend(cycle.joints.iter().enumerate().map(|(i, joint)| joint_line(i, joint, wide, narrow, look)));
+    frame.render_widget(Paragraph::new(lines), inner);
+}
+
+fn joint_line(i: usize, joint: &Joint, wide: usize, narrow: usize, look: Look) -> Line<'static> {
+    let (position, velocity) = (joint.position(), joint.velocity());
+    let percent = |share: f64| format!("{:>4.0}%", 100.0 * share.abs());
+    let mut spans = vec![
+        Span::raw(format!(" q{}", i + 1)),
+        Span::raw(format!("{:>10.2}  ", joint.q.to_degrees())),
+        Span::styled(rows::mark(position, wide), look.share(position)),
+        Span::raw(percent(velocity)),
+        Span::raw(" "),
+        Span::styled(rows::bar(velocity, narrow), look.share(velocity)),
+    ];
+    if let Some(torque) = joint.torque() {
+        spans.push(Span::raw(percent(torque)));
+        spans.push(Span::raw(" "));
+        spans.push(Span::styled(rows::bar(torque, narrow), look.share(torque)));
+    }
+    Line::from(spans)
+}
+
+/// The rod seen along the world's x and y axes; up is up.
+fn draw_pendulum(frame: &mut Frame, area: Rect, cycle: Option<&Cycle>, look: Look) {
+    let tilt = cycle.map_or_else(String::new, |c| format!(": {:.1} deg from upright ", c.tilt.to_degrees()));
+    let block = Block::bordered().title(format!(" Rod{tilt}"));
+    let inner = block.inner(area);
+    frame.render_widget(block, area);
+    let Some(cycle) = cycle else { return };
+    // A character is about twice as high as wide; two dials of radius 1 stand side by side.
+    let (width, height) = (f64::from(inner.width), 2.0 * f64::from(inner.height));
+    let unit = (width / 4.8).min(height / 2.6);
+    if !(unit > 0.0) || !cycle.rod.iter().all(|v| v.is_finite()) {
+        return;
+    }
+    let [x, y, z] = cycle.rod;
+    let colour = |colour: Color| if look.colours { colour } else { Color::Reset };
+    let canvas = Canvas::default()
+        .x_bounds([-width / unit / 2.0, width / unit / 2.0])
+        .y_bounds([-height / unit / 2.0, height / unit / 2.0])
+        .paint(|context| {
+            for (centre, across, name) in [(-1.2, y, "front"), (1.2, x, "side")] {
+                context.draw(&Circle { x: centre, y: 0.0, radius: 1.0, color: colour(Color::DarkGray) });
+                let (x2, y2) = (centre + 0.95 * across, 0.95 * z);
+                context.draw(&Stroke { x1: centre, y1: 0.0, x2, y2, color: colour(Color::Red) });
+                context.draw(&Circle { x: x2, y: y2, radius: 0.08, color: colour(Color::Red) });
+                context.print(centre - 0.3, -height / unit / 2.0, name);
+            }
+        });
+    frame.render_widget(canvas, inner);
+}
+
+fn draw_times(frame: &mut Frame, area: Rect, view: &View, look: Look) {
+    let block = Block::bordered().title(" Cycle times, us ");
+    let Some(status) = &view.status else {
+        return frame.render_widget(nothing("the daemon does not answer").block(block), area);
+    };
+    let heading = ["p50", "p99", "p99.9", "p99.99", "max"].map(|name| format!("{name:>8}")).concat();
+    let row = |name: &str, t: &Times| {
+        let numbers = [t.p50, t.p99, t.p99_9, t.p99_99, t.max].map(|v| format!("{v:>8.1}")).concat();
+        Line::raw(if t.count > 0 { format!("{name:<8}{numbers}") } else { format!("{name:<8} not measured") })
+    };
+    let late = match status.overruns {
+        0 => Span::raw(format!("{} cycles, none late, {} lost", status.cycles, view.lost)),
+        n => Span::styled(
+            format!(
+                "{n} of {} late, {} lost; last: {}",
+                status.cycles,
+                view.lost,
+                status.last_overrun.as_deref().unwrap_or("no cause known")
+            ),
+            look.ink(Color::Yellow),
+        ),
+    };
+    let lines = vec![
+        Line::styled(format!("{:8}{heading}", ""), look.ink(Color::DarkGray)),
+        row("wake-up", &status.wake_us),
+        row("compute", &status.compute_us),
+        Line::from(late),
+    ];
+    frame.render_widget(Paragraph::new(lines).block(block), area);
+}
+
+fn draw_plan(frame: &mut Frame, area: Rect, view: &View, look: Look) {
+    let plan = match &view.plan {
+        None => "none seen yet".into(),
+        Some(plan) => {
+            let running = view.cycle.as_ref().filter(|c| c.plan.as_ref() == Some(&plan.id));
+            let state = running.map_or_else(String::new, |c| format!(", at {:.2} s", c.t_plan));
+            let end = if plan.stands { "standing" } else { "hanging" };
+            format!("{:.3} s, ends {end}{state}", plan.t_f)
+        }
+    };
+    let fault = view.cycle.as_ref().and_then(|c| c.fault);
+    let warnings = view.status.as_ref().map(|s| s.warnings.join(", ")).filter(|w| !w.is_empty());
+    let remark = view.status.as_ref().map(|s| s.remark.clone()).filter(|r| !r.is_empty());
+    let none = || "none".to_owned();
+    let lines = vec![
+        Line::raw(format!("{:<9}{plan}", "plan")),
+        match fault {
+            Some(fault) => Line::styled(format!("{:<9}{fault}", "fault"), look.alarm()),
+            None => Line::raw(format!("{:<9}none", "fault")),
+        },
+        Line::raw(format!("{:<9}{}", "warnings", warnings.unwrap_or_else(none))),
+        Line::raw(format!("{:<9}{}", "remark", remark.unwrap_or_else(none))),
+    ];
+    frame.render_widget(Paragraph::new(lines).block(Block::bordered().title(" Plan and limits ")), area);
+}
+
+fn draw_events(frame: &mut Frame, area: Rect, view: &View, look: Look) {
+    let block = Block::bordered().title(" Events, s since the monitor began ");
+    let shown = usize::from(block.inner(area).height);
+    let lines: Vec<_> = view
+        .events
+        .iter()
+        .skip(view.events.len().saturating_sub(shown))
+        .map(|event| {
+            let style = match event.kind {
+                Kind::Note => Style::new(),
+                Kind::Warning => look.ink(Color::Yellow),
+                Kind::Fault => look.alarm(),
+            };
+            Line::styled(format!("{:>8.1}  {}", event.t, event.text), style)
+        })
+        .collect();
+    frame.render_widget(Paragraph::new(lines).block(block), area);
+}
+
+fn footer(look: Look) -> Line<'static> {
+    let keys = ACTIONS.into_iter().map(|(key, action)| (key, action.name())).chain([('q', "quit")]);
+    let key = Style::new().add_modifier(Modifier::REVERSED);
+    Line::from_iter(keys.flat_map(|(c, name)| {
+        [Span::styled(format!(" {c} "), key), Span::styled(format!(" {name}  "), look.ink(Color::Gray))]
+    }))
+}
+
+fn confirm(frame: &mut Frame, action: Action, look: Look) {
+    let effect = match action {
+        Action::Enable => "The brakes open and the arm holds its pose.",
+        Action::SwingUp | Action::SwingDown => "The arm moves fast.",
+        Action::Hold => "The arm holds its pose; a rod that stands falls.",
+        Action::Stop => "The arm decelerates.",
+        Action::Reset => "The fault is forgotten; brakes stay closed.",
+    };
+    let [row] = Layout::vertical([Constraint::Length(5)]).flex(Flex::Center).areas(frame.area());
+    let [area] = Layout::horizontal([Constraint::Length(56)]).flex(Flex::Center).areas(row);
+    let lines = vec![
+        Line::raw(effect),
+        Line::raw(""),
+        Line::styled("y: yes   any other key: no", Style::new().add_modifier(Modifier::BOLD)),
+    ];
+    let block = Block::bordered().title(format!(" {}? ", action.name())).style(look.ink(Color::Yellow));
+    frame.render_widget(Clear, area);
+    frame.render_widget(Paragraph::new(lines).centered().block(block), area);
+}
+
+fn nothing(text: &str) -> Paragraph<'_> {
+    Paragraph::new(text).centered()
+}

@@ -1,0 +1,229 @@
+//! What an operator asks of a running system, and what it answers.
+
+use serde::Serialize;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+use upswing_ipc::{
+    CallError, Client, ControlCommand, ControlRequest, ControlResponse, IpcError, Node, PlannerKind,
+    PlannerRequest,
+};
+
+/// How long to wait for an answer.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// What can be requested.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Action {
+    /// Plan from the present state, then start the plan
+    SwingUp,
+    /// Plan from upright to hanging at rest, then start the plan
+    SwingDown,
+    /// Hold the arm where it is
+    Hold,
+    /// Decelerate the arm, then hold
+    Stop,
+    /// Open the brakes and hold
+    Enable,
+    /// Leave a fault; brakes stay closed
+    Reset,
+}
+
+impl Action {
+    /// Every action.
+    pub const ALL: [Self; 6] =
+        [Self::SwingUp, Self::SwingDown, Self::Hold, Self::Stop, Self::Enable, Self::Reset];
+
+    /// As on the command line: `swing-up`, ...
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::SwingUp => "swing-up",
+            Self::SwingDown => "swing-down",
+            Self::Hold => "hold",
+            Self::Stop => "stop",
+            Self::Enable => "enable",
+            Self::Reset => "reset",
+        }
+    }
+
+    /// The action of a name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|action| action.name() == name)
+    }
+
+    /// What is asked of planner or daemon.
+    pub(crate) const fn kind(self) -> Kind {
+        match self {
+            Self::SwingUp => Kind::Plan(PlannerKind::SwingUp),
+            Self::SwingDown => Kind::Plan(PlannerKind::SwingDown),
+            Self::Hold => Kind::Control(ControlCommand::Hold),
+            Self::Stop => Kind::Control(ControlCommand::Stop),
+            Self::Enable => Kind::Control(ControlCommand::Enable),
+            Self::Reset => Kind::Control(ControlCommand::Reset),
+        }
+    }
+}
+
+/// Who is asked first.
+pub(crate) enum Kind {
+    /// The daemon alone.
+    Control(ControlCommand),
+    /// The planner, then the daemon.
+    Plan(PlannerKind),
+}
+
+/// Why a request had no success.
+#[derive(Debug, thiserror::Error)]
+pub enum OperatorError {
+    /// The daemon says no.
+    #[error("the daemon refused `{command}`: {reason}; mode {mode}, see `upswing status`")]
+    Daemon {
+        /// What was asked.
+        command: ControlCommand,
+        /// Why not.
+        reason: String,
+        /// Its mode.
+        mode: String,
+    },
+    /// The planner says no.
+    #[error("the planner refused: {0}")]
+    Planner(String),
+    /// The plan does not reach the daemon.
+    #[error("the daemon did not take the plan: {0}")]
+    NotTaken(String),
+    /// Withdrawn in time.
+    #[error("interrupted before the start of the plan; nothing moves")]
+    Interrupted,
+    /// Withdrawn just after the start.
+    #[error("interrupted at the start of the plan; the arm stops")]
+    Stopped,
+    /// No answer.
+    #[error(transparent)]
+    Call(#[from] CallError),
+    /// Shared memory.
+    #[error(transparent)]
+    Ipc(#[from] IpcError),
+}
+
+/// An accepted request.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Accepted {
+    /// Always true.
+    pub success: bool,
+    /// Mode of the daemon afterwards.
+    pub mode: String,
+    /// Id of the plan that was started.
+    pub plan_id: Option<String>,
+    /// Duration of the plan t_F, s.
+    pub t_f: Option<f64>,
+    /// From the request to the plan, s.
+    pub planning_s: Option<f64>,
+}
+
+impl std::fmt::Display for Accepted {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "accepted; mode {}", self.mode)?;
+        if let (Some(t_f), Some(planning)) = (self.t_f, self.planning_s) {
+            write!(f, "; plan of {t_f:.3} s made in {:.0} ms", 1e3 * planning)?;
+        }
+        Ok(())
+    }
+}
+
+/// A connection to the daemon; stays in its thread.
+pub struct Operator {
+    control: Client<ControlRequest>,
+    node: Node,
+}
+
+impl Operator {
+    /// Connects, whether or not there is a daemon.
+    ///
+    /// # Errors
+    /// [`OperatorError::Ipc`]
+    pub fn new(node: &Node) -> Result<Self, OperatorError> {
+        Ok(Self { control: node.control_client()?, node: node.clone() })
+    }
+
+    /// Does what is asked. Raising `interrupted` withdraws a plan before it starts.
+    ///
+    /// # Errors
+    /// [`OperatorError`] with the reason.
+    pub fn request(&self, action: Action, interrupted: &AtomicBool) -> Result<Accepted, OperatorError> {
+        match action.kind() {
+            Kind::Plan(kind) => self.plan_and_start(kind, interrupted),
+            Kind::Control(command) => {
+                let answer = self.control(command)?;
+                Ok(Accepted {
+                    success: true,
+                    mode: mode(&answer),
+                    plan_id: None,
+                    t_f: None,
+                    planning_s: None,
+                })
+            }
+        }
+    }
+
+    /// How the daemon is.
+    ///
+    /// # Errors
+    /// [`OperatorError`] if there is none.
+    pub fn status(&self) -> Result<ControlResponse, OperatorError> {
+        self.control(ControlCommand::Status)
+    }
+
+    fn control(&self, command: ControlCommand) -> Result<ControlResponse, OperatorError> {
+        let answer = self.control.call(&ControlRequest::new(command), PATIENCE)?;
+        if answer.accepted == 1 {
+            Ok(answer)
+        } else {
+            let (reason, mode) = (answer.reason.to_string(), mode(&answer));
+            Err(OperatorError::Daemon { command, reason, mode })
+        }
+    }
+
+    fn plan_and_start(&self, kind: PlannerKind, interrupted: &AtomicBool) -> Result<Accepted, OperatorError> {
+        let planner = self.node.planner_client()?;
+        let request =
+            PlannerRequest { kind: kind.code(), from_now: 1, publish: 1, ..PlannerRequest::default() };
+        let plan = match planner.call_unless(&request, PATIENCE, interrupted) {
+            Err(CallError::Interrupted { .. }) => return Err(OperatorError::Interrupted),
+            answer => answer?,
+        };
+        if plan.plan_id == 0 {
+            return Err(OperatorError::Planner(plan.reason.to_string()));
+        }
+        let begin = Instant::now();
+        loop {
+            let status = self.status()?;
+            if interrupted.load(Ordering::Acquire) {
+                return Err(OperatorError::Interrupted);
+            }
+            if status.plan_id == plan.plan_id {
+                break;
+            }
+            if begin.elapsed() > PATIENCE {
+                return Err(OperatorError::NotTaken(status.reason.to_string()));
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        let answer = self.control(ControlCommand::Start)?;
+        // Whoever interrupts a moment too late wants the arm to stand, too.
+        if interrupted.load(Ordering::Acquire) {
+            self.control(ControlCommand::Stop)?;
+            return Err(OperatorError::Stopped);
+        }
+        Ok(Accepted {
+            success: true,
+            mode: mode(&answer),
+            plan_id: Some(format!("{:016x}", plan.plan_id)),
+            t_f: Some(plan.t_f),
+            planning_s: Some(plan.time_total_us * 1e-6),
+        })
+    }
+}
+
+/// The mode of an answer as text.
+pub(crate) fn mode(answer: &ControlResponse) -> String {
+    answer.mode().map_or_else(|e| e.to_string(), |m| m.to_string())
+}

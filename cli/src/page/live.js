@@ -1,0 +1,140 @@
+// Follows a running system: frames come as server-sent events and are drawn once per picture of the screen.
+
+addEventListener("DOMContentLoaded", () => {
+  const SPAN = 10;
+  const data = JSON.parse(document.getElementById("data").textContent);
+  const $ = id => document.getElementById(id);
+  const token = new URLSearchParams(location.hash.slice(1)).get("token");
+  // The last SPAN seconds; the panels keep these arrays.
+  const t = [], modes = [], late = [];
+  const columns = n => Array.from({ length: n }, () => []);
+  const motion = { q: columns(9), q_d: columns(9), qd: columns(9), qd_d: columns(9), tau: columns(7) };
+  const limits = { q: data.limits.q, q_d: data.limits.q, qd: data.limits.qd, qd_d: data.limits.qd, tau: data.limits.tau };
+  const parts = [];
+  let view = null, times = [], connected = false, dirty = false;
+
+  const all = Object.values(motion).flat();
+  const panels = [];
+  for (const joints of [[0, 1, 2], [3, 4, 5], [6, 7, 8]]) {
+    const panel = (title, values, wanted) => {
+      const curves = joints.filter(i => i < values.length).map((i, k) => ({
+        label: `q${i + 1}`, colour: COLOURS[k], values: values[i], desired: wanted && wanted[i], parts,
+      }));
+      panels.push(new Panel($("panels"), title, t, curves, () => {}));
+    };
+    panel("position", motion.q, motion.q_d);
+    panel("velocity", motion.qd, motion.qd_d);
+    panel("torque", motion.tau, null);
+  }
+  const scene = new Scene($("scene"), data.links, () => { dirty = true; });
+  document.title = `${data.domain} - upswing`;
+  $("name").textContent = `upswing, domain ${data.domain}`;
+
+  function take(frame) {
+    ({ view, times } = frame);
+    const m = frame.motion;
+    // Another plant began anew.
+    if (m.t.length && t.length && m.t[0] < t[t.length - 1]) [t, modes, late, ...all].forEach(a => { a.length = 0; });
+    t.push(...m.t); modes.push(...m.mode); late.push(...m.late);
+    for (const [name, columns] of Object.entries(motion)) {
+      columns.forEach((column, i) => column.push(...m[name][i].map(v => v / limits[name][i])));
+    }
+    const old = t.findIndex(s => s >= t[t.length - 1] - SPAN);
+    if (old > 0) [t, modes, ...all].forEach(a => a.splice(0, old));
+    while (late.length && late[0] < t[0]) late.shift();
+    dirty = true;
+  }
+
+  const runs = () => {
+    const spans = [];
+    modes.forEach((name, i) => {
+      const last = spans[spans.length - 1];
+      if (last && last.name === name) { last.to = t[i]; last.end = i; }
+      else { if (last) last.to = t[i]; spans.push({ name, from: t[i], to: t[i], begin: i, end: i }); }
+    });
+    return spans;
+  };
+
+  function table(id, rows) {
+    $(id).replaceChildren(...rows.map(([name, ...values]) => {
+      const row = document.createElement("tr");
+      row.appendChild(document.createElement("th")).textContent = name;
+      values.forEach(v => { row.appendChild(document.createElement("td")).textContent = v; });
+      return row;
+    }));
+  }
+
+  function facts() {
+    const here = name => `${name} ${view[name] ? "runs" : "absent"}`;
+    $("about").textContent = connected ? ["daemon", "planner", "plant"].map(here).join(", ") : "the monitor does not answer";
+    const { cycle, status, plan } = view;
+    const deg = v => (v * 180 / Math.PI).toFixed(1);
+    const rows = [["mode", view.mode || "no daemon"]];
+    if (cycle) {
+      rows.push(["fault", cycle.fault || "none"], ["rod", `${deg(cycle.tilt)} deg from upright`]);
+      rows.push(["distance from reference", `${cycle.error_arm.toFixed(4)} rad (joints 1-7), ${cycle.error_pendulum.toFixed(4)} rad (pendulum)`]);
+    }
+    if (plan) {
+      const at = cycle && cycle.plan === plan.id ? `, at ${cycle.t_plan.toFixed(2)} s` : "";
+      rows.push(["plan", `${plan.t_f.toFixed(3)} s, ends ${plan.stands ? "standing" : "hanging"}${at}`]);
+    }
+    if (status) {
+      rows.push(["cycles", `${status.cycles}, ${status.overruns} late, ${view.lost} lost on the way here`]);
+      if (status.last_overrun) rows.push(["last late", status.last_overrun]);
+      rows.push(["warnings", status.warnings.join(", ") || "none"]);
+      if (status.degraded.length) rows.push(["real time, degraded", status.degraded.join(", ")]);
+      if (status.remark) rows.push(["remark", status.remark]);
+    }
+    if (view.asking) rows.push(["asked", `${view.asking} ...`]);
+    table("summary", rows);
+    table("percentiles", times.length ? [["us", "p50", "p99", "p99.9", "max"], ...times.map(d => [d.name, ...d.percentiles.map(v => v.toFixed(1))])] : []);
+    table("events", view.events.map(e => [`${e.t.toFixed(1)} s`, e.text]).reverse());
+    [...$("events").rows].reverse().forEach((row, i) => { row.className = view.events[i].kind; });
+  }
+
+  function draw() {
+    requestAnimationFrame(draw);
+    if (!dirty || !view) return;
+    dirty = false;
+    facts();
+    drawTimes($("times"), times, data.period_us);
+    if (!t.length) return;
+    const spans = runs(), now = t[t.length - 1], last = spans[spans.length - 1];
+    const follows = name => name === "track" || name === "balance";
+    parts.splice(0, parts.length, ...spans.filter(s => follows(s.name)).map(s => {
+      return Array.from({ length: s.end - s.begin + 1 }, (_, i) => s.begin + i);
+    }));
+    const newest = name => motion[name].map((column, i) => column[column.length - 1] * limits[name][i]);
+    const trail = [];
+    for (let k = t.findIndex(s => s >= now - 1); k < t.length; k += 3) {
+      trail.push(scene.tip(motion.q.map((column, i) => column[k] * limits.q[i])));
+    }
+    const q = newest("q");
+    scene.draw(q, follows(last.name) ? newest("q_d") : null, trail);
+    const deg = i => (q[i] * 180 / Math.PI).toFixed(1).padStart(7);
+    $("readout").textContent = `mode ${last.name}\nq8 ${deg(7)} deg\nq9 ${deg(8)} deg`;
+    panels.forEach(panel => { panel.render(); panel.draw(now, column => column[column.length - 1]); });
+    drawTimeline($("timeline"), spans, late, t[0], now, now);
+  }
+
+  async function ask(name) {
+    // A stop is never kept waiting.
+    if (name !== "stop" && !confirm(`${name}? The robot may move.`)) return;
+    const answer = await fetch(`/request/${name}`, { method: "POST", headers: { Authorization: `Bearer ${token}` } });
+    if (!answer.ok) alert(`${name}: ${(await answer.json()).error}`);
+  }
+
+  if (data.control && token) {
+    for (const name of data.requests) {
+      const button = $("requests").appendChild(document.createElement("button"));
+      button.type = "button"; button.textContent = name; button.id = name;
+      button.addEventListener("click", () => ask(name));
+    }
+    $("requests").hidden = false;
+  }
+  const source = new EventSource("/events");
+  source.onmessage = e => { connected = true; take(JSON.parse(e.data)); };
+  source.onerror = () => { connected = false; dirty = true; };
+  addEventListener("resize", () => { dirty = true; });
+  draw();
+});

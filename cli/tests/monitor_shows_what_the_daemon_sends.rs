@@ -1,0 +1,97 @@
+//! The monitor's picture has the numbers of the newest cycle, and stands any telemetry on any size of terminal.
+
+use proptest::prelude::*;
+use ratatui::Terminal;
+use ratatui::backend::TestBackend;
+use ratatui::crossterm::event::{KeyCode, KeyEvent};
+use std::sync::LazyLock;
+use upswing::closed_loop::{Disturbances, swing_up};
+use upswing::live::{View, Watch};
+use upswing::monitor::{Keys, Look, draw};
+use upswing_config::Config;
+use upswing_ipc::{Mode, Telemetry};
+use upswing_planner::replan::Planner;
+use upswing_plant::Plant;
+
+static CONFIG: LazyLock<Config> = LazyLock::new(|| Config::embedded().expect("embedded settings"));
+/// The cycles of a swing-up.
+static CYCLES: LazyLock<Vec<Telemetry>> = LazyLock::new(|| {
+    let planner = Planner::new(CONFIG.clone()).expect("the database fits");
+    let plant = Plant::new(&CONFIG).expect("a possible start");
+    let mut records = Vec::new();
+    let calm = |_| Disturbances::default();
+    let report = swing_up(&planner, &mut planner.solver(), &CONFIG, plant, 2.0, calm, &mut records);
+    let report = report.expect("a swing-up");
+    assert!(report.success, "{report}");
+    records
+});
+
+fn view(records: &[Telemetry]) -> View {
+    let mut watch = Watch::new(&CONFIG, "here");
+    records.iter().for_each(|record| watch.cycle(record));
+    watch.view()
+}
+
+fn picture(view: &View, keys: &Keys, width: u16, height: u16) -> String {
+    let mut terminal = Terminal::new(TestBackend::new(width, height)).expect("a terminal");
+    let look = Look { colours: width.is_multiple_of(2) };
+    terminal.draw(|frame| draw(frame, view, keys, look)).expect("drawn");
+    terminal.backend().to_string()
+}
+
+fn upto(mode: Mode) -> &'static [Telemetry] {
+    let last = CYCLES.iter().rposition(|r| r.mode() == Ok(mode)).expect("the mode occurs");
+    &CYCLES[..=last]
+}
+
+#[test]
+fn in_each_mode() {
+    for (mode, name) in [(Mode::Hold, "HOLD"), (Mode::Track, "TRACK"), (Mode::Balance, "BALANCE")] {
+        let records = upto(mode);
+        let text = picture(&view(records), &Keys::default(), 120, 34);
+        assert!(text.contains(name), "{text}");
+        let newest = records.last().expect("a record");
+        for (i, q) in newest.q.iter().enumerate() {
+            let angle = format!(" q{}{:>10.2} ", i + 1, q.to_degrees());
+            assert!(text.contains(&angle), "expected `{angle}` in\n{text}");
+        }
+        assert!(text.contains("mode hold") && text.contains("enable"), "{text}");
+    }
+    let text = picture(&view(upto(Mode::Balance)), &Keys::default(), 120, 34);
+    assert!(text.contains("Rod: 0.0 deg from upright"), "{text}");
+}
+
+#[test]
+fn a_fault_with_its_cause_and_nothing_without_a_daemon() {
+    let mut records = upto(Mode::Track).to_vec();
+    let cause = upswingd::trip::TripCause::EncoderJump;
+    let last = records.last_mut().expect("a record");
+    (last.mode, last.fault) = (Mode::Fault.code(), cause.code());
+    let text = picture(&view(&records), &Keys::default(), 120, 34);
+    assert!(text.contains("FAULT") && text.contains("fault: an angle jumped"), "{text}");
+    let text = picture(&view(&[]), &Keys::default(), 120, 34);
+    assert!(text.contains("NO DAEMON") && text.contains("no cycles arrive"), "{text}");
+}
+
+#[test]
+fn what_waits_to_be_confirmed() {
+    let mut keys = Keys::default();
+    keys.press(&KeyEvent::from(KeyCode::Char('u')));
+    let text = picture(&view(&CYCLES[..1]), &keys, 80, 24);
+    assert!(text.contains("swing-up?") && text.contains("y: yes"), "{text}");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(300) })]
+
+    #[test]
+    fn any_bits_on_any_size(
+        words in prop::collection::vec(any::<u64>(), 78),
+        width in 1_u16..200, height in 1_u16..60,
+    ) {
+        let record = Telemetry::from_words(&words).expect("78 words");
+        let view = view(&[record]);
+        picture(&view, &Keys::default(), width, height);
+        prop_assert!(serde_json::to_string(&view).is_ok());
+    }
+}
