@@ -48,7 +48,8 @@ fn the_official_python_reader() {
     read(cycles, &[]);
     let bytes = std::fs::read(&file).expect("read");
     std::fs::write(&file, &bytes[..bytes.len() * 2 / 3]).expect("written");
-    read(cycles / 2, &["--cut"]);
+    // Bytes per cycle differ: a rod at rest compresses better than one that moves.
+    read(cycles / 3, &["--cut"]);
 }
 
 #[test]
