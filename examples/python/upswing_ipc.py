@@ -9,6 +9,7 @@ import os
 import re
 import time
 from contextlib import contextmanager
+from pathlib import Path
 
 import iceoryx2 as iox2
 import upswing_layouts as layouts
@@ -48,7 +49,6 @@ class Node:
         self._presence = os.open(self.root, os.O_RDONLY)
         fcntl.flock(self._presence, fcntl.LOCK_SH)
         prefix = f"upswing_{domain}_"
-        self._load_global_config(prefix)
         config = iox2.config.default()
         config.global_cfg.root_path = iox2.Path.new(self.root)
         config.global_cfg.prefix = iox2.FileName.new(prefix)
@@ -58,6 +58,7 @@ class Node:
         config.global_cfg.service.cleanup_dead_nodes_on_open = False
         self.config = config
         with self.construction():
+            self._load_global_config(prefix)
             builder = iox2.NodeBuilder.new().name(iox2.NodeName.new(role)).config(config)
             builder = builder.signal_handling_mode(iox2.SignalHandlingMode.Disabled)
             self.iox = builder.create(iox2.ServiceType.Ipc)
@@ -65,12 +66,11 @@ class Node:
 
     def _load_global_config(self, prefix):
         """Without it iceoryx2 looks for settings in the working directory when it cleans up after a dead process."""
-        file = f"{self.root}/iceoryx2.toml"
-        draft = f"{file}.{os.getpid()}"
-        with open(draft, "w", encoding="utf-8") as settings:
-            settings.write(f'[global]\nroot-path = "{self.root}"\nprefix = "{prefix}"\n')
-        os.rename(draft, file)
-        iox2.config.setup_global_config_from_file(iox2.FilePath.new(file))
+        file = Path(self.root) / "iceoryx2.toml"
+        settings = f'[global]\nroot-path = "{self.root}"\nprefix = "{prefix}"\n'
+        if not file.exists() or file.read_text(encoding="utf-8") != settings:
+            file.write_text(settings, encoding="utf-8")
+        iox2.config.setup_global_config_from_file(iox2.FilePath.new(str(file)))
         iox2.set_log_level(iox2.LogLevel.Error)
 
     @contextmanager
