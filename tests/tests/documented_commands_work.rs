@@ -101,7 +101,7 @@ fn every_block_that_runs() {
         install(&bin, "upswing", &wrapper);
         install(&bin, "cargo", CARGO);
         // What runs in the background ends with the page, and is waited for.
-        let end = "trap 'kill $(jobs -p) 2>/dev/null; wait' EXIT";
+        let end = "trap 'kill $(jobs -p) 2>/dev/null || true; wait' EXIT";
         let path = format!("{}:{}", bin.display(), std::env::var("PATH").expect("PATH"));
         let output = Command::new("bash")
             .args(["-euo", "pipefail", "-c", &format!("{end}\nset -x\n{script}")])
