@@ -67,5 +67,5 @@ pub use payload::{
     PlannerResponse, PlantRequest, PlantResponse, TELEMETRY_BATCH, Telemetry, TelemetryBatch,
 };
 pub use request::{Client, Server};
-pub use services::{Latest, Request, Topic};
+pub use services::{Latest, MAX_NODES, MAX_READERS, Request, Topic};
 pub use text::{Text, TextError};

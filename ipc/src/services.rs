@@ -67,9 +67,9 @@ impl Request for PlantRequest {
 }
 
 /// Nodes (in practice: processes) that may have one service open at a time.
-pub(crate) const MAX_NODES: usize = 24;
+pub const MAX_NODES: usize = 24;
 /// Readers of one blackboard.
-pub(crate) const MAX_READERS: usize = 8;
+pub const MAX_READERS: usize = 8;
 /// Subscribers of one topic.
 pub(crate) const MAX_SUBSCRIBERS: usize = 8;
 /// Samples of one topic that a subscriber may hold at a time.

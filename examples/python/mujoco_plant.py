@@ -1,0 +1,201 @@
+"""Takes the place of upswing-plant: the robot of a URDF in MuJoCo, behind the same channels.
+
+    python mujoco_plant.py --config my-config --domain upswing
+
+The settings are those of `upswing config export my-config`. Clock `paced`: one period per command, not faster than real
+time; MuJoCo with Python takes about as long as real time, so that a run may take longer than its simulated time. Drives
+are ideal; of the friction only that of the pendulum's bearings is there. The `plant` service (faults, pushes) is not.
+"""
+
+import argparse
+import signal
+import sys
+import time
+import tomllib
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import upswing_layouts as layouts
+from upswing_ipc import Node
+from upswing_layouts import Clock, Command, Measurement
+
+NQ, NU = 9, 7
+BRAKE_TIME_CONSTANT_S = 0.01
+# Silence after which a daemon counts as lost, and how often one is looked for.
+LOST_AFTER_S = 1.0
+SEARCH_PERIOD_S = 0.1
+
+
+def load(urdf):
+    """The URDF as a MuJoCo model without contacts and joint stops: whether limits are kept is what the daemon watches."""
+    spec = mujoco.MjSpec.from_file(str(urdf))
+    for body in spec.bodies:
+        # Identified inertias are rounded and may miss the triangle inequality by that, which MuJoCo refuses: the
+        # largest principal moment becomes the sum of the others then.
+        xx, yy, zz, xy, xz, yz = body.fullinertia
+        if not np.isfinite(body.fullinertia).all():
+            continue
+        moments, axes = np.linalg.eigh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        moments[2] = min(moments[2], (1 - 1e-9) * (moments[0] + moments[1]))
+        xx, xy, xz, _, yy, yz, _, _, zz = (axes @ np.diag(moments) @ axes.T).ravel()
+        body.fullinertia = [xx, yy, zz, xy, xz, yz]
+    model = spec.compile()
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    return model
+
+
+class Plant:
+    """Robot and pendulum; brakes as in upswing-plant."""
+
+    def __init__(self, config):
+        settings = tomllib.loads((config / "plant.toml").read_text(encoding="utf-8"))
+        daemon = tomllib.loads((config / "daemon.toml").read_text(encoding="utf-8"))
+        robot = tomllib.loads((config / "robot.toml").read_text(encoding="utf-8"))
+        self.model = load(config / settings["model"]["urdf"])
+        if self.model.nv != NQ:
+            raise ValueError(f"{settings['model']['urdf']}: expected {NQ} joints, got {self.model.nv}")
+        self.period_ns = daemon["cycle"]["period_us"] * 1000
+        self.model.opt.timestep = self.period_ns * 1e-9
+        self.model.dof_damping[NU:] = settings["friction"]["pendulum_viscous"]
+        self.model.dof_frictionloss[NU:] = settings["friction"]["pendulum_coulomb"]
+        self.tau_max = np.array(robot["limits"]["tau_nm"], dtype=float)
+        self.grid = np.full(NQ, settings["encoder"]["arm_resolution_rad"])
+        self.grid[NU:] = 2 * np.pi / 2 ** settings["encoder"]["pendulum_bits"]
+        self.data = mujoco.MjData(self.model)
+        self.data.qpos[:NU] = np.radians(settings["start"]["q_deg"])
+        self._hang()
+        self.tau = np.zeros(NU)
+        self.braking, self.fault, self.saturated = True, False, False
+        self.seq = 1
+
+    def _hang(self):
+        """Newton's method: the pendulum at rest under the arm."""
+        data = self.data
+        for _ in range(50):
+            mujoco.mj_forward(self.model, data)
+            gravity, step = data.qfrc_bias[NU:].copy(), 1e-6
+            slope = np.empty((2, 2))
+            for i in range(2):
+                data.qpos[NU + i] += step
+                mujoco.mj_forward(self.model, data)
+                slope[:, i] = (data.qfrc_bias[NU:] - gravity) / step
+                data.qpos[NU + i] -= step
+            data.qpos[NU:] -= np.linalg.solve(slope, gravity)
+        if np.abs(gravity).max() > 1e-6:
+            raise ValueError("start.q_deg of plant.toml: the pendulum has no rest there")
+
+    def _brake_torque(self):
+        """Of u = -qd_A / time constant: the rows of the arm of (1), with qdd_U from those of the pendulum."""
+        model, data = self.model, self.data
+        mujoco.mj_forward(model, data)
+        mass = np.zeros((NQ, NQ))
+        mujoco.mj_fullM(model, data, mass)
+        h = data.qfrc_bias - data.qfrc_passive - data.qfrc_constraint
+        u = -data.qvel[:NU] / BRAKE_TIME_CONSTANT_S
+        unactuated = -np.linalg.solve(mass[NU:, NU:], mass[NU:, :NU] @ u + h[NU:])
+        return mass[:NU, :NU] @ u + mass[:NU, NU:] @ unactuated + h[:NU]
+
+    def step(self, command):
+        """One period under a command; None: the brakes are closed."""
+        self.saturated = False
+        if command is not None:
+            tau = np.array(command.tau)
+            if not np.isfinite(tau).all():
+                self.fault = True
+            elif command.brake:
+                self.fault = False
+        self.braking = command is None or self.fault or command.brake != 0
+        if self.braking:
+            self.tau[:] = 0
+            self.data.qfrc_applied[:NU] = self._brake_torque()
+        else:
+            self.saturated = bool((np.abs(tau) > self.tau_max).any())
+            self.tau = np.clip(tau, -self.tau_max, self.tau_max)
+            self.data.qfrc_applied[:NU] = self.tau
+        mujoco.mj_step(self.model, self.data)
+        self.seq += 1
+
+    def measure(self):
+        """What encoders and drives report."""
+        status = layouts.DRIVE_FAULT if self.fault else layouts.DRIVES_READY
+        status |= layouts.BRAKES_CLOSED if self.braking else 0
+        status |= layouts.SATURATED if self.saturated else 0
+        measurement = Measurement(seq=self.seq, t_ns=self.seq * self.period_ns, status=status)
+        measurement.clock, measurement.period_ns = Clock.Paced, self.period_ns
+        measurement.q[:] = (np.round(self.data.qpos / self.grid) * self.grid).tolist()
+        measurement.tau_measured[:] = self.tau.tolist()
+        return measurement
+
+
+class Daemon:
+    """The commands of the newest daemon."""
+
+    def __init__(self, node):
+        self.node, self.reader, self.seq = node, None, 0
+        self.searched = -SEARCH_PERIOD_S
+
+    def search(self):
+        now = time.monotonic()
+        if now - self.searched < SEARCH_PERIOD_S:
+            return
+        self.searched = now
+        reader = self.node.newest_reader(layouts.COMMAND_CHANNEL, Command, than=self.reader)
+        if reader is not None:
+            self.reader, self.seq = reader, 0
+
+    def take(self, newest):
+        """A command that was not taken before and answers one of the measurements 1..=newest."""
+        command = self.reader.take() if self.reader is not None else None
+        if command is None or command.seq <= self.seq or not 1 <= command.measurement_seq <= newest:
+            return None
+        self.seq = command.seq
+        return command
+
+
+def run(plant, node, going):
+    """Publishes measurement n, waits for the command that answers it, advances one period."""
+    writer = node.writer(layouts.MEASUREMENT_CHANNEL, Measurement)
+    daemon = Daemon(node)
+    period = plant.period_ns * 1e-9
+    deadline = time.monotonic()
+    present = False
+    while going():
+        writer.write(plant.measure())
+        command = None
+        if present:
+            lost = time.monotonic() + LOST_AFTER_S
+            while going() and command is None and time.monotonic() < lost:
+                command = daemon.take(plant.seq)
+                if command is not None and command.measurement_seq != plant.seq:
+                    command = None
+            present = command is not None
+            if not present and going():
+                print(f"daemon lost in cycle {plant.seq}", file=sys.stderr)
+        else:
+            daemon.search()
+            present = daemon.take(plant.seq) is not None
+            if present:
+                print(f"daemon found in cycle {plant.seq}", file=sys.stderr)
+        plant.step(command)
+        deadline = max(deadline + period, time.monotonic())
+        while (left := deadline - time.monotonic()) > 0:
+            time.sleep(left)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--config", type=Path, required=True, metavar="DIR", help="settings of upswing config export")
+    parser.add_argument("--domain", default="upswing")
+    args = parser.parse_args()
+    stop = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.append(True))
+    plant = Plant(args.config)
+    print(f"MuJoCo {mujoco.__version__}, q = {np.degrees(plant.data.qpos).round(2).tolist()} deg", file=sys.stderr)
+    run(plant, Node(args.domain, "mujoco plant"), lambda: not stop)
+
+
+if __name__ == "__main__":
+    main()
