@@ -12,6 +12,7 @@ pub mod montecarlo;
 pub mod optimize;
 pub mod plan;
 pub mod record;
+pub mod replay;
 pub mod report;
 pub mod request;
 pub mod soak;

@@ -117,8 +117,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
             program: "upswing".into(),
             cause,
         })?;
-        let mut session = Session::start(programs, &options)?;
-        session.recorder = recorder;
+        let mut session = Session::start(programs, &options, recorder)?;
         let plan = swing_up(&mut session, period, args.seconds, &stop)?;
         let dropped = session.dropped();
         let records = session.records.clone();

@@ -120,7 +120,7 @@ pub fn run(args: &SoakArgs) -> Result<(), Failure> {
     let begin = Instant::now();
     let soak = || -> Result<Record, SessionError> {
         let spawn = |cause| SessionError::Spawn { role: "daemon", program: "upswing".into(), cause };
-        let session = Session::start(Programs::own().map_err(spawn)?, &options)?;
+        let session = Session::start(Programs::own().map_err(spawn)?, &options, None)?;
         let mut soak = Soak::new(session, starts, args.clock, args.kills);
         soak.run(args.seconds, &stop)?;
         soak.session.end_in_place()?;

@@ -1,6 +1,6 @@
 //! Reads recordings, also those of a killed process.
 
-use super::{CYCLE_TOPIC, DETAILS, RecordingError, cycle};
+use super::{CYCLE_TOPIC, DETAILS, RecordingError, cdr, cycle, messages};
 use mcap::parse_record;
 use mcap::records::Record;
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
-use upswing_ipc::Telemetry;
+use upswing_ipc::{Plan, Step, Telemetry};
 
 /// Longest record, bytes: ten times a chunk. A damaged length asks for no more memory than this.
 const LONGEST: usize = 16 << 20;
@@ -27,11 +27,22 @@ impl Window {
     pub const ALL: Self = Self { from: 0.0, to: f64::INFINITY };
 }
 
+/// What a controller was given.
+#[derive(Clone, Debug)]
+pub enum Input {
+    /// One step.
+    Step(Step),
+    /// A plan that a later step may load.
+    Plan(Box<Plan>),
+}
+
 /// The contents of a file.
 #[derive(Clone, Debug, Default)]
 pub struct Recording {
     /// The cycles of the window, in the order of their recording; at least one.
     pub cycles: Vec<Telemetry>,
+    /// What led to the cycles, in the order of their recording, whatever the window.
+    pub inputs: Vec<Input>,
     /// What identifies the run.
     pub details: BTreeMap<String, String>,
     /// Names and texts of the settings.
@@ -61,7 +72,8 @@ pub fn read(path: &Path, window: Window) -> Result<Recording, RecordingError> {
         .with_prevalidate_chunk_crcs(true)
         .with_record_length_limit(LONGEST);
     let mut events = LinearReader::new_with_options(options);
-    let mut reader = Reader { path, window, schemas: BTreeMap::new(), cycle_channel: None, first_ns: None };
+    let mut reader =
+        Reader { path, window, schemas: BTreeMap::new(), channels: BTreeMap::new(), first_ns: None };
     let mut recording = Recording::default();
     let (mut begun, mut finished) = (false, false);
     while let Some(event) = events.next_event() {
@@ -99,13 +111,22 @@ pub fn read(path: &Path, window: Window) -> Result<Recording, RecordingError> {
     Ok(recording)
 }
 
+/// What a message holds, of what is read here.
+#[derive(Clone, Copy)]
+enum Kind {
+    Cycle,
+    Step,
+    Plan,
+}
+
 /// What is known so far.
 struct Reader<'a> {
     path: &'a Path,
     window: Window,
     /// Name and definition by id.
     schemas: BTreeMap<u16, (String, String)>,
-    cycle_channel: Option<u16>,
+    /// What the messages of a channel are.
+    channels: BTreeMap<u16, Kind>,
     first_ns: Option<u64>,
 }
 
@@ -118,17 +139,49 @@ impl Reader<'_> {
             Record::Schema { header, data } => {
                 self.schemas.insert(header.id, (header.name, text(&data)));
             }
-            Record::Channel(c) if c.topic == CYCLE_TOPIC => {
-                self.check(c.schema_id)?;
-                self.cycle_channel = Some(c.id);
+            Record::Channel(c) => {
+                let known = [
+                    (CYCLE_TOPIC, Kind::Cycle, cycle::TYPE, cycle::definition()),
+                    (
+                        messages::STEPS.name,
+                        Kind::Step,
+                        messages::STEPS.kind,
+                        messages::STEPS.definition.into(),
+                    ),
+                    (
+                        messages::PLANS.name,
+                        Kind::Plan,
+                        messages::PLANS.kind,
+                        messages::PLANS.definition.into(),
+                    ),
+                ];
+                if let Some((_, kind, name, definition)) = known.iter().find(|(topic, ..)| c.topic == *topic)
+                {
+                    self.check(c.schema_id, name, definition)?;
+                    self.channels.insert(c.id, *kind);
+                }
             }
-            Record::Message { header, data } if Some(header.channel_id) == self.cycle_channel => {
-                let what = || format!("cycle {} has {} bytes", header.sequence, data.len());
-                let cycle = cycle::decode(&data).ok_or_else(|| self.other_version(what()))?;
-                let first = *self.first_ns.get_or_insert(cycle.t_ns);
-                let t = (cycle.t_ns as f64 - first as f64) * 1e-9;
-                if t >= self.window.from && t <= self.window.to {
-                    into.cycles.push(cycle);
+            Record::Message { header, data } => {
+                let Some(kind) = self.channels.get(&header.channel_id) else { return Ok(()) };
+                let words = cdr::words(&data);
+                let words = words.as_deref();
+                let what = || format!("message {} has {} bytes", header.sequence, data.len());
+                let other = || self.other_version(what());
+                match kind {
+                    Kind::Cycle => {
+                        let cycle = words.and_then(Telemetry::from_words).ok_or_else(other)?;
+                        let first = *self.first_ns.get_or_insert(cycle.t_ns);
+                        let t = (cycle.t_ns as f64 - first as f64) * 1e-9;
+                        if t >= self.window.from && t <= self.window.to {
+                            into.cycles.push(cycle);
+                        }
+                    }
+                    Kind::Step => {
+                        into.inputs.push(Input::Step(words.and_then(Step::from_words).ok_or_else(other)?));
+                    }
+                    Kind::Plan => {
+                        into.inputs.push(Input::Plan(words.and_then(Plan::from_words).ok_or_else(other)?));
+                    }
                 }
             }
             _ => {}
@@ -136,18 +189,19 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// Whether the cycles have the fields of this version.
-    fn check(&self, schema: u16) -> Result<(), RecordingError> {
-        let expected = cycle::definition();
+    /// Whether the messages of a schema have the name and the fields of this version.
+    fn check(&self, schema: u16, expected_name: &str, expected: &str) -> Result<(), RecordingError> {
         let (name, got) = self.schemas.get(&schema).map_or(("", ""), |(n, text)| (n.as_str(), text.as_str()));
-        let (expected, got) = (cycle::layout_of(&expected), cycle::layout_of(got));
-        if name != cycle::TYPE || expected != got {
+        let (expected, got) = (cycle::layout_of(expected), cycle::layout_of(got));
+        if name != expected_name || expected != got {
             let differing = expected.iter().zip(&got).find(|(e, g)| e != g);
             let differing = differing.map_or_else(
                 || format!("{} fields, expected {}", got.len(), expected.len()),
                 |(e, g)| format!("`{g}`, expected `{e}`"),
             );
-            return Err(self.other_version(format!("the cycles are `{name}` with {differing}")));
+            return Err(self.other_version(format!(
+                "the messages are `{name}` with {differing}, expected `{expected_name}`"
+            )));
         }
         Ok(())
     }
