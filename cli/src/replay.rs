@@ -79,17 +79,16 @@ pub struct Replay {
     pub cycles: Vec<Telemetry>,
 }
 
-/// Replays with the settings of the recording.
+/// Replays with some settings; those of the recording are [`settings`].
 ///
 /// # Errors
 /// [`ReplayError`] if the recording does not hold all that the controller was told.
-pub fn replay(recording: &Recording) -> Result<Replay, ReplayError> {
-    let config = settings(recording)?;
+pub fn replay(recording: &Recording, config: &Config) -> Result<Replay, ReplayError> {
     // As in the real-time thread: the replay has to round as that does. In a thread of its own, for the caller's sake.
     std::thread::scope(|threads| {
         let run = threads.spawn(|| {
             flush_to_zero();
-            run(recording, &config)
+            run(recording, config)
         });
         run.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
     })
@@ -190,7 +189,10 @@ fn compare(recorded: &Telemetry, replayed: &Telemetry, replay: &mut Replay) {
 }
 
 /// The settings in a recording.
-fn settings(recording: &Recording) -> Result<Config, ReplayError> {
+///
+/// # Errors
+/// [`ReplayError`] if one is missing, or cannot be used by this version.
+pub fn settings(recording: &Recording) -> Result<Config, ReplayError> {
     let folder = tempfile::tempdir()?;
     Config::export(folder.path())?;
     for (name, _) in Config::embedded()?.texts()? {

@@ -7,7 +7,7 @@ use upswing::closed_loop::ClosedLoop;
 use upswing::commands::disturb::FaultArgs;
 use upswing_config::{Config, Fault, FaultKind};
 use upswing_ipc::{Mode, Plan};
-use upswing_model::NU;
+use upswing_model::{JointVector, NU};
 use upswing_planner::replan::Planner;
 use upswing_planner::service::payload;
 use upswing_plant::Plant;
@@ -25,6 +25,8 @@ const SETTLE: u64 = 2_000;
 const BRAKING: u64 = 800;
 /// A stop that has just begun, cycles.
 const STOPPING: u64 = 80;
+/// How far an angle may be from where it would be without the fault, before somebody should have noticed, rad.
+const ASTRAY: f64 = 0.25;
 /// How long a fault is watched, cycles: one second.
 pub const WATCHED: u64 = 8_000;
 
@@ -105,8 +107,9 @@ pub struct Case {
     config: Config,
     /// t_F of the plan, cycles.
     pub plan_cycles: u64,
-    /// Mode before the fault.
+    /// Mode before the fault, and the true angles [`WATCHED`] cycles later if there were none, rad.
     before: Mode,
+    undisturbed: JointVector,
     /// How modes were given up since.
     given_up: Vec<(Mode, Trip)>,
 }
@@ -123,8 +126,16 @@ impl Case {
         }
         let plant = Plant::new(&config).expect("a possible start");
         let system = ClosedLoop::new(&config, plant);
-        let (before, given_up) = (Mode::Idle, Vec::new());
-        Self { system, records: None, plan: None, config, plan_cycles: 0, before, given_up }
+        Self {
+            undisturbed: *system.plant.position(),
+            system,
+            records: None,
+            plan: None,
+            config,
+            plan_cycles: 0,
+            before: Mode::Idle,
+            given_up: Vec::new(),
+        }
     }
 
     /// In a mode, about to break: settled in Hold, in the middle of a plan, balancing for a quarter of a second, just
@@ -156,6 +167,9 @@ impl Case {
         }
         assert_eq!(self.system.controller.mode(), mode);
         (self.before, self.given_up) = (mode, Vec::new());
+        let mut twin = Self { records: None, ..self.clone() };
+        twin.run(WATCHED);
+        self.undisturbed = *twin.system.plant.position();
         self
     }
 
@@ -231,7 +245,7 @@ impl Case {
         (self.system.controller.mode(), self.system.plant.brakes_closed())
     }
 
-    /// What a fault led to, in the words of [`PAGE`].
+    /// What a fault led to after [`WATCHED`] cycles, in the words of [`PAGE`].
     pub fn outcome(&self) -> String {
         let (mode, braked) = self.mode();
         if mode == Mode::Fault && !braked {
@@ -247,7 +261,10 @@ impl Case {
         let undisturbed = if self.before == Mode::Stop { Mode::Hold } else { self.before };
         match mode {
             _ if braked && !is_braked(mode) => "brakes".into(),
-            mode if mode == undisturbed => "goes on".into(),
+            mode if mode == undisturbed => {
+                let astray = (self.system.plant.position() - self.undisturbed).amax() > ASTRAY;
+                if astray { "not noticed" } else { "goes on" }.into()
+            }
             mode => format!("ends in {mode}"),
         }
     }

@@ -1,6 +1,7 @@
 //! Processes that stall, die, start again or send damaged plans end as docs/faults.md says. What goes on loses no cycle; a
 //! fault is left by a reset only.
 
+use std::sync::mpsc;
 use std::time::{Duration, Instant};
 use upswing::session::Role;
 use upswing_config::Config;
@@ -120,6 +121,7 @@ fn outcome(system: &mut System, before: Mode) -> String {
 
 fn kill_planner_at_work(system: &mut System) {
     let node = system.session.node().clone();
+    let (tell, told) = mpsc::channel();
     let asker = std::thread::spawn(move || {
         let start = Config::embedded().expect("settings");
         let q = START.map(f64::to_radians);
@@ -134,11 +136,14 @@ fn kill_planner_at_work(system: &mut System) {
         let request = PlannerRequest { iterations: 50, ..request };
         let client = node.planner_client().expect("a client");
         wait_for("the planner", || client.has_server().then_some(()));
+        tell.send(()).expect("somebody listens");
         client.call(&request, Duration::from_secs(2)).is_ok()
     });
-    std::thread::sleep(Duration::from_millis(100));
+    told.recv_timeout(LONG).expect("the planner serves");
+    std::thread::sleep(Duration::from_millis(20));
     system.kill(Role::Planner);
     system.advance(AFTER);
+    // Whether or not it was faster.
     let _ = asker.join().expect("the asking thread");
     system.restart(Role::Planner);
 }

@@ -4,9 +4,14 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use upswing::recording::{Input, Recording, Window, read};
-use upswing::replay::{ReplayError, replay};
+use upswing::replay::{Replay, ReplayError, settings};
+use upswing_config::Config;
 use upswing_ipc::{Clock, Mode};
 use upswing_tests::{START, System, programs};
+
+fn replay(recording: &Recording) -> Result<Replay, ReplayError> {
+    upswing::replay::replay(recording, &settings(recording)?)
+}
 
 /// A run through all modes: swing-up, balance, a lost encoder, reset, hold.
 fn recorded(folder: &Path, clock: Clock) -> (PathBuf, Recording) {
@@ -87,10 +92,12 @@ fn kept_by_one_command(file: &Path) {
     );
 }
 
-/// Replays a kept recording: the modes in it, which must be those of the controller.
+/// Replays a kept recording with the default settings: the modes in it, which must be those of the controller.
 fn decisions(file: &Path) -> Vec<Mode> {
     let recording = read(file, Window::ALL).unwrap_or_else(|e| panic!("{e}"));
-    let result = replay(&recording).unwrap_or_else(|e| panic!("{}: {e}", file.display()));
+    let config = Config::embedded().expect("settings");
+    let result = upswing::replay::replay(&recording, &config);
+    let result = result.unwrap_or_else(|e| panic!("{}: {e}", file.display()));
     assert_eq!(result.compared, recording.cycles.len() as u64, "{}", file.display());
     assert_eq!(result.decision, None, "{}", file.display());
     recording.cycles.iter().map(|cycle| cycle.mode().expect("a mode")).collect()

@@ -2,7 +2,7 @@
 
 use super::{CommonArgs, failed, record};
 use crate::recording::{Input, Recorder, Recording, Window, read};
-use crate::replay::{Difference, Replay, replay};
+use crate::replay::{Difference, Replay, replay, settings};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use upswing_config::Config;
@@ -11,8 +11,8 @@ use upswing_config::process::Failure;
 /// Replays a recording through the controller and compares every number of every cycle, bit for bit.
 ///
 /// The controller gets the recorded measurements, orders and plans, with the recorded settings. Exit code 1: something
-/// differs. With --keep the inputs, and what the controller decides today (modes and faults), go to a small recording: in
-/// tests/recordings it is a test from then on.
+/// differs. With --keep the inputs, and what the controller of today decides with the settings of --config (modes and faults),
+/// go to a small recording: in tests/recordings it is a test from then on.
 ///
 /// Example: upswing replay run.mcap --keep tests/recordings/lost-encoder.mcap
 #[derive(Clone, Debug, clap::Args)]
@@ -71,18 +71,20 @@ fn text(difference: &Difference) -> String {
 pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
     let recording = read(&args.file, Window::ALL).map_err(record::failure)?;
     let bad = |e: &dyn std::fmt::Display| Failure::BadInput(format!("{}: {e}", args.file.display()));
-    let replay = replay(&recording).map_err(|e| bad(&e))?;
+    let result = settings(&recording).and_then(|config| replay(&recording, &config)).map_err(|e| bad(&e))?;
     if let Some(file) = &args.keep {
-        keep(file, &args.common.process.load()?, &recording, &replay)?;
+        let config = args.common.process.load()?;
+        let today = replay(&recording, &config).map_err(|e| bad(&e))?;
+        keep(file, &config, &recording, &today)?;
     }
-    let success = replay.difference.is_none();
+    let success = result.difference.is_none();
     args.common.print(&Answer {
         success,
         file: &args.file,
-        steps: replay.steps,
-        compared: replay.compared,
-        difference: &replay.difference,
-        decision: &replay.decision,
+        steps: result.steps,
+        compared: result.compared,
+        difference: &result.difference,
+        decision: &result.decision,
         kept: &args.keep,
     })?;
     if success { Ok(()) } else { Err(failed("the replay differs from the recording")) }
