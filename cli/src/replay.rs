@@ -104,7 +104,7 @@ fn run(recording: &Recording, config: &Config) -> Result<Replay, ReplayError> {
     for input in &recording.inputs {
         let step = match input {
             Input::Plan(plan) => {
-                plans.insert(plan.id, plan);
+                plans.insert(plan.id, &**plan);
                 continue;
             }
             Input::Step(step) => step,
@@ -143,11 +143,7 @@ fn run(recording: &Recording, config: &Config) -> Result<Replay, ReplayError> {
     if replay.steps == 0 { Err(ReplayError::NoSteps) } else { Ok(replay) }
 }
 
-fn order(
-    step: &Step,
-    plans: &BTreeMap<u64, &Box<Plan>>,
-    config: &Config,
-) -> Result<Option<Order>, ReplayError> {
+fn order(step: &Step, plans: &BTreeMap<u64, &Plan>, config: &Config) -> Result<Option<Order>, ReplayError> {
     let Step { number, order: code, plan_id, .. } = *step;
     if code == 0 {
         return Ok(None);

@@ -148,13 +148,15 @@ fn kill_planner_at_work(system: &mut System) {
     system.restart(Role::Planner);
 }
 
+type Damage = fn(&mut Plan);
+
 /// In place of the planner, sends a plan once for each of its fields that is damaged; the daemon names the field.
 fn damage_plans(system: &mut System) {
     let planner = Planner::new(system.config.clone()).expect("the database fits");
     let start = &system.config.plant.start;
     let x = system.config.start_state(&START.map(f64::to_radians), start.pendulum).expect("a start");
     let good = payload(&planner.replan(&x, 1, None).expect("a plan").plan(&system.config));
-    let damages: [(&str, fn(&mut Plan)); 10] = [
+    let damages: [(&str, Damage); 10] = [
         ("fingerprint", |p| p.fingerprint ^= 1),
         ("id: expected", |p| p.id = 0),
         ("x at knot 50", |p| p.x[50][3] = f64::NAN),

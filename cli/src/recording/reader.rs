@@ -29,6 +29,7 @@ impl Window {
 
 /// What a controller was given.
 #[derive(Clone, Debug)]
+#[expect(clippy::large_enum_variant, reason = "almost all are steps")]
 pub enum Input {
     /// One step.
     Step(Step),
