@@ -221,7 +221,7 @@ impl System {
     /// # Panics
     /// If it does not start.
     pub fn restart(&mut self, role: Role) {
-        must(self.session.restart(role));
+        must(self.session.restart(role, None));
     }
 
     /// Stops a process for a time of the wall clock, as if its machine had no time for it.
