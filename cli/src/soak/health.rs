@@ -74,7 +74,8 @@ pub struct Growth {
 impl Growth {
     /// Of each role that was seen.
     pub fn of(samples: &[Sample]) -> Vec<Self> {
-        let roles: [(_, fn(&Sample) -> Option<Holdings>); 4] = [
+        type Of = fn(&Sample) -> Option<Holdings>;
+        let roles: [(_, Of); 4] = [
             ("daemon", |s| s.daemon),
             ("planner", |s| s.planner),
             ("plant", |s| s.plant),
