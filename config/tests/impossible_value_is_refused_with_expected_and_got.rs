@@ -47,7 +47,7 @@ fn robot() {
         ),
         ("pitch_deg = 90", "pitch_deg = inf", &["target.pitch_deg", "from -360 to 360 deg", "got inf"]),
         ("q8_deg = 180", "q8_deg = 201", &["target.q8_deg", "from -200 to 200 deg", "got 201"]),
-    ] as [(&str, &str, &[&str]); 12]
+    ] as [(&str, &str, &[&str]); 13]
     {
         refused("robot.toml", from, to, parts);
     }

@@ -1,7 +1,7 @@
 //! Processes that stall, die, start again or send damaged plans end as docs/faults.md says. What goes on loses no cycle; a
 //! fault is left by a reset only.
 
-use std::sync::mpsc;
+use std::sync::{LazyLock, mpsc};
 use std::time::{Duration, Instant};
 use upswing::session::Role;
 use upswing_config::Config;
@@ -21,6 +21,8 @@ const AFTER: u64 = 1000;
 fn check(column: Mode) {
     let (columns, rows) = table(PAGE, SECTION);
     let index = columns.iter().position(|name| mode(name) == column).expect("a column of the mode");
+    // Before any system runs: making it takes longer than telemetry waits for its reader.
+    LazyLock::force(&GOOD);
     // One that goes on serves again, unless its plan ends meanwhile.
     let mut last = None;
     for row in rows {
@@ -150,12 +152,16 @@ fn kill_planner_at_work(system: &mut System) {
 
 type Damage = fn(&mut Plan);
 
+/// A plan without damage.
+static GOOD: LazyLock<Box<Plan>> = LazyLock::new(|| {
+    let config = Config::embedded().expect("settings");
+    let planner = Planner::new(config.clone()).expect("the database fits");
+    let x = config.start_state(&START.map(f64::to_radians), config.plant.start.pendulum).expect("a start");
+    payload(&planner.replan(&x, 1, None).expect("a plan").plan(&config))
+});
+
 /// In place of the planner, sends a plan once for each of its fields that is damaged; the daemon names the field.
 fn damage_plans(system: &mut System) {
-    let planner = Planner::new(system.config.clone()).expect("the database fits");
-    let start = &system.config.plant.start;
-    let x = system.config.start_state(&START.map(f64::to_radians), start.pendulum).expect("a start");
-    let good = payload(&planner.replan(&x, 1, None).expect("a plan").plan(&system.config));
     let damages: [(&str, Damage); 10] = [
         ("fingerprint", |p| p.fingerprint ^= 1),
         ("id: expected", |p| p.id = 0),
@@ -172,7 +178,7 @@ fn damage_plans(system: &mut System) {
     system.kill(Role::Planner);
     let publisher = system.session.node().plan_publisher().expect("the planner's place");
     for (i, (word, damage)) in damages.into_iter().enumerate() {
-        let mut plan = good.boxed_copy();
+        let mut plan = GOOD.boxed_copy();
         plan.id = 1000 + i as u64;
         damage(&mut plan);
         // All but the checksum is what a planner with an error would send.
@@ -181,6 +187,7 @@ fn damage_plans(system: &mut System) {
         }
         publisher.publish(&plan).expect("published");
         wait_for(word, || {
+            system.session.collect().expect("telemetry");
             let reason = system.status().reason.to_string();
             reason.contains("refused plan").then_some(())?;
             reason.contains(word).then_some(())
