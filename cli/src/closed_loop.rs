@@ -3,12 +3,12 @@
 use crate::report::Report;
 use crate::swing_up::SETTLE;
 use upswing_config::{Config, Push};
-use upswing_ipc::{Measurement, Mode, PlannerResponse, Telemetry};
+use upswing_ipc::{Mode, PlannerResponse, Telemetry};
 use upswing_planner::qp::Solver;
 use upswing_planner::replan::{Effort, Manoeuvre, NoPlan, Planner};
 use upswing_planner::service::payload;
 use upswing_plant::{Plant, SetEventError};
-use upswingd::controller::{Controller, Order};
+use upswingd::controller::{Controller, Order, Output};
 use upswingd::plan::{PlanRefusal, accept};
 use upswingd::supervisor::{Refusal, Request};
 use upswingd::trip::Trip;
@@ -90,22 +90,46 @@ pub struct Disturbances {
     pub missed: Vec<Missed>,
 }
 
-/// A controller and a plant that answer each other.
-struct Loop<'a> {
-    controller: Controller,
-    plant: Plant,
+/// A controller and a plant that answer each other, as on the clock `lockstep`.
+#[derive(Clone, Debug)]
+pub struct ClosedLoop {
+    /// Of the daemon.
+    pub controller: Controller,
+    /// Simulated.
+    pub plant: Plant,
     /// `seq` of the newest measurement.
     measured: u64,
+}
+
+impl ClosedLoop {
+    /// Before the first cycle.
+    pub fn new(config: &Config, plant: Plant) -> Self {
+        Self { controller: Controller::new(config), plant, measured: 0 }
+    }
+
+    /// One cycle of the plant: what the controller made of its measurement. Where a fault of the plant shows it nothing
+    /// new it makes nothing, as its process does, and the order waits.
+    pub fn cycle(&mut self, order: &mut Option<Order>) -> Option<Output> {
+        let measurement = self.plant.measure();
+        let new = measurement.seq != self.measured;
+        self.measured = measurement.seq;
+        let output = new.then(|| self.controller.step(&measurement, 0, order.take()));
+        self.plant.step(output.as_ref().map(|output| &output.command));
+        output
+    }
+}
+
+/// A run that ends as soon as something is refused or given up.
+struct Run<'a> {
+    system: ClosedLoop,
     records: &'a mut Vec<Telemetry>,
 }
 
-impl Loop<'_> {
+impl Run<'_> {
     fn cycle(&mut self, order: Option<(&'static str, Order)>) -> Result<(), Aborted> {
-        let measurement = self.measurement()?;
-        let before = self.controller.mode();
-        let (request, order) = order.unzip();
-        let output = self.controller.step(&measurement, 0, order);
-        self.plant.step(Some(&output.command));
+        let before = self.system.controller.mode();
+        let (request, mut order) = order.unzip();
+        let output = (0..MOST_SILENT).find_map(|_| self.system.cycle(&mut order)).ok_or(Aborted::Silent)?;
         let record = output.record.telemetry;
         self.records.push(record);
         if let (Some(request), Some(Err(refusal))) = (request, output.answer) {
@@ -122,19 +146,6 @@ impl Loop<'_> {
         }
     }
 
-    /// The next measurement; until a fault lets one through, the plant goes on without commands, as its process does.
-    fn measurement(&mut self) -> Result<Measurement, Aborted> {
-        for _ in 0..MOST_SILENT {
-            let measurement = self.plant.measure();
-            if measurement.seq != self.measured {
-                self.measured = measurement.seq;
-                return Ok(measurement);
-            }
-            self.plant.step(None);
-        }
-        Err(Aborted::Silent)
-    }
-
     fn cycles(&mut self, count: u64) -> Result<(), Aborted> {
         (0..count).try_for_each(|_| self.cycle(None))
     }
@@ -147,7 +158,7 @@ impl Loop<'_> {
             passed = passed.max(miss.from.min(count));
             let end = miss.from.saturating_add(miss.cycles).min(count);
             while passed < end {
-                self.plant.step(None);
+                self.system.plant.step(None);
                 passed += 1;
             }
         }
@@ -174,12 +185,12 @@ pub fn swing_up(
     let period = config.daemon.cycle.period.as_secs_f64();
     let cycles = |s: f64| (s / period).ceil() as u64;
     records.clear();
-    let mut run = Loop { controller: Controller::new(config), plant, measured: 0, records };
+    let mut run = Run { system: ClosedLoop::new(config, plant), records };
     // As in a system of processes, where nothing is measured before the first cycle.
     run.cycle(None)?;
     run.cycle(Some(("enable", Order::Do(Request::Enable))))?;
     run.cycles(cycles(SETTLE) - 1)?;
-    let start = *run.controller.state();
+    let start = *run.system.controller.state();
     let replan = planner.replan_with(
         solver,
         Manoeuvre::SwingUp,
@@ -190,9 +201,9 @@ pub fn swing_up(
     run.cycle(Some(("load", Order::Load(plan))))?;
     run.cycle(Some(("start", Order::Do(Request::Start))))?;
     let Disturbances { pushes, missed } = disturbances(replan.trajectory.t_f);
-    let now = run.plant.seq();
+    let now = run.system.plant.seq();
     for push in pushes {
-        run.plant.push(&Push { from: now + push.from, ..push })?;
+        run.system.plant.push(&Push { from: now + push.from, ..push })?;
     }
     run.cycles_without(&missed, cycles(replan.trajectory.t_f + seconds))?;
     let used = replan.attempts.last().map(|a| a.entry);

@@ -16,6 +16,7 @@ pub mod optimize;
 pub mod plan;
 mod progress;
 pub mod record;
+pub mod replay;
 pub mod report;
 pub mod request;
 pub mod soak;

@@ -15,6 +15,7 @@ pub mod page;
 pub mod parse;
 pub mod picture;
 pub mod recording;
+pub mod replay;
 pub mod report;
 pub mod robot;
 pub mod session;

@@ -3,6 +3,8 @@
 //! | topic | type | rate | what |
 //! |---|---|---|---|
 //! | `/upswing/cycle` | `upswing_msgs/msg/Cycle` | every cycle | all fields of [`upswing_ipc::Telemetry`] |
+//! | `/upswing/step` | `upswing_msgs/msg/Step` | every step | what the controller was told, [`upswing_ipc::Step`] |
+//! | `/upswing/plan` | `upswing_msgs/msg/Plan` | each plan | [`upswing_ipc::Plan`], before the step that loads it |
 //! | `/joint_states` | `sensor_msgs/msg/JointState` | 125 Hz | q, qd, measured torque |
 //! | `/tf` | `tf2_msgs/msg/TFMessage` | 125 Hz | frame of each link of the URDF in that of its parent |
 //! | `/robot_description` | `std_msgs/msg/String` | once | the URDF |
@@ -20,10 +22,12 @@ pub mod cycle;
 mod messages;
 mod reader;
 mod tally;
+mod tap;
 mod writer;
 
-pub use reader::{Recording, Window, read, scan};
+pub use reader::{Message, Recording, Window, read, scan};
 pub use tally::Tally;
+pub use tap::Tap;
 pub use writer::Recorder;
 
 use std::path::PathBuf;
@@ -94,6 +98,9 @@ pub enum RecordingError {
         /// Why not.
         cause: crate::robot::RobotError,
     },
+    /// What is to be recorded does not come.
+    #[error(transparent)]
+    Ipc(#[from] upswing_ipc::IpcError),
     /// The settings cannot be read any more.
     #[error(transparent)]
     Settings(#[from] upswing_config::ConfigError),

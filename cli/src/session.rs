@@ -4,13 +4,12 @@ mod process;
 
 pub use process::{Options, Programs, Role};
 
-use crate::recording::{Recorder, RecordingError, Tally};
+use crate::recording::{Recorder, RecordingError, Tally, Tap};
 use process::Process;
 use std::time::{Duration, Instant};
 use upswing_ipc::{
     CallError, Client, Clock, ControlCommand, ControlRequest, ControlResponse, Domain, IpcError, Node,
-    PlannerKind, PlannerRequest, PlannerResponse, PlantKind, PlantRequest, PlantResponse, Subscriber,
-    Telemetry, TelemetryBatch,
+    PlannerKind, PlannerRequest, PlannerResponse, PlantKind, PlantRequest, PlantResponse, Telemetry,
 };
 
 /// How long a process may take to appear: starting takes well below a second, but machines are shared.
@@ -19,6 +18,8 @@ const START_PATIENCE: Duration = Duration::from_secs(30);
 const ANSWER_PATIENCE: Duration = Duration::from_secs(30);
 /// How long a process may take to end after SIGTERM.
 const END_PATIENCE: Duration = Duration::from_secs(10);
+/// How long telemetry may keep silent before it is asked whether there is more to come.
+const SILENCE: Duration = Duration::from_millis(100);
 /// Pause between two looks at something awaited.
 const PAUSE: Duration = Duration::from_millis(1);
 
@@ -85,28 +86,32 @@ pub struct Session {
     control: Client<ControlRequest>,
     planner: Client<PlannerRequest>,
     plant: Client<PlantRequest>,
-    telemetry: Subscriber<TelemetryBatch>,
+    tap: Tap,
     node: Node,
     domain: Domain,
     /// Every record received so far.
     pub records: Vec<Telemetry>,
-    /// Takes every record, too; [`Session::end`] completes it.
-    pub recorder: Option<Recorder>,
+    /// Takes all that can be recorded; [`Session::end`] completes it.
+    recorder: Option<Recorder>,
     tally: Tally,
 }
 
 impl Session {
-    /// Starts the three processes and waits until each answers.
+    /// Starts the three processes and waits until each answers. `recorder` takes all from the first cycle on.
     ///
     /// # Errors
     /// [`SessionError`] with the end of the log of the process that failed.
-    pub fn start(programs: Programs, options: &Options) -> Result<Self, SessionError> {
+    pub fn start(
+        programs: Programs,
+        options: &Options,
+        recorder: Option<Recorder>,
+    ) -> Result<Self, SessionError> {
         let domain = Domain::new(&options.domain)
             .map_err(|e| SessionError::Refused { role: "domain", reason: e.to_string() })?;
         let node = domain.connect("session")?;
         let (control, planner, plant) =
             (node.control_client()?, node.planner_client()?, node.plant_client()?);
-        let telemetry = node.telemetry_subscriber()?;
+        let tap = Tap::new(&node)?;
         let start = |role| Process::start(role, &programs, options).map(Some);
         let processes = [start(Role::Daemon)?, start(Role::Planner)?, start(Role::Plant)?];
         let mut session = Self {
@@ -116,11 +121,11 @@ impl Session {
             control,
             planner,
             plant,
-            telemetry,
+            tap,
             node,
             domain,
             records: Vec::new(),
-            recorder: None,
+            recorder,
             tally: Tally::default(),
         };
         session.wait_for("all three processes to answer", START_PATIENCE, |s| {
@@ -142,6 +147,13 @@ impl Session {
     /// Kills a process (SIGKILL) and reaps it.
     pub fn kill(&mut self, role: Role) {
         self.processes[role as usize] = None;
+    }
+
+    /// Sends a signal to a process, where it runs.
+    pub fn signal(&self, role: Role, signal: i32) {
+        if let Some(process) = &self.processes[role as usize] {
+            process.signal(signal);
+        }
     }
 
     /// Starts a process that was killed or ended, and waits until it answers. `start` is where a plant shall start, deg,
@@ -270,8 +282,9 @@ impl Session {
         self.plant(&PlantRequest { kind: PlantKind::Status.code(), ..PlantRequest::default() })
     }
 
-    /// In lockstep: lets the plant run `cycles` more and waits until the daemon's record of the last one is here.
-    /// On the other clocks: waits until that many more cycles are recorded.
+    /// In lockstep: lets the plant run `cycles` more and waits until the daemon's record of the last one is here, or,
+    /// where a fault kept its measurement back, of the last that came through. On the other clocks: waits until that
+    /// many more cycles are recorded.
     ///
     /// # Errors
     /// [`SessionError::Timeout`] if time does not pass.
@@ -294,9 +307,23 @@ impl Session {
                 }
                 _ => self.last_measurement() + portion,
             };
-            self.wait_for(&format!("cycle {goal}"), ANSWER_PATIENCE, |s| Ok(s.last_measurement() >= goal))?;
+            let begin = Instant::now();
+            self.wait_for(&format!("cycle {goal}"), ANSWER_PATIENCE, |s| {
+                let here = s.last_measurement() >= goal;
+                Ok(here || (begin.elapsed() > SILENCE && s.has_passed(goal)?))
+            })?;
         }
         Ok(())
+    }
+
+    /// Whether the plant has completed cycle `goal` and all that the daemon made of it is here.
+    fn has_passed(&mut self, goal: u64) -> Result<bool, SessionError> {
+        let reached = self.plant_status()?.seq >= goal;
+        if !reached || self.pid(Role::Daemon).is_none() {
+            return Ok(reached);
+        }
+        let last = self.ask_control(ControlCommand::Status)?.seq;
+        Ok(self.records.last().map_or(0, |r| r.seq) >= last)
     }
 
     fn last_measurement(&self) -> u64 {
@@ -340,17 +367,13 @@ impl Session {
     /// Takes all telemetry that is waiting.
     ///
     /// # Errors
-    /// [`SessionError::Ipc`], [`SessionError::Recording`].
+    /// [`SessionError::Recording`].
     pub fn collect(&mut self) -> Result<(), SessionError> {
-        while let Some(batch) = self.telemetry.receive()? {
-            let begin = self.records.len();
-            self.records.extend_from_slice(batch.used());
-            let new = &self.records[begin..];
-            new.iter().for_each(|record| self.tally.count(record));
-            if let Some(recorder) = &mut self.recorder {
-                recorder.write(new)?;
-            }
-        }
+        let Self { tap, recorder, records, tally, .. } = self;
+        tap.drain(recorder.as_mut(), |new| {
+            records.extend_from_slice(new);
+            new.iter().for_each(|record| tally.count(record));
+        })?;
         Ok(())
     }
 

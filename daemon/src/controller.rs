@@ -13,7 +13,7 @@ use crate::supervisor::{Event, Refusal, Request, is_braked, transition};
 use crate::trip::{Trip, TripCause};
 use nalgebra::Vector3;
 use upswing_config::{Config, PlanWhileTracking};
-use upswing_ipc::{Clock, Command, Measurement, Mode, Telemetry};
+use upswing_ipc::{Clock, Command, Measurement, Mode, Step, Telemetry};
 use upswing_model::{ActuatedVector, JointVector, Model, NU, State, Workspace, position, velocity};
 use upswing_trajectory::Plan;
 
@@ -24,6 +24,29 @@ pub enum Order {
     Do(Request),
     /// Keep a checked plan for the next start.
     Load(Box<Plan>),
+}
+
+impl Order {
+    /// The number that stands for the order in a [`Step`]; above 0.
+    pub fn code(&self) -> u64 {
+        match self {
+            Self::Load(_) => 1,
+            // The index in `Request::ALL` is the one of the variant.
+            Self::Do(request) => 2 + *request as u64,
+        }
+    }
+
+    /// The order of a code; `plan` is for the one that loads a plan. `None` if there is no such order, or no plan for it.
+    pub fn of(code: u64, plan: impl FnOnce() -> Option<Box<Plan>>) -> Option<Self> {
+        match code.checked_sub(2) {
+            None if code == 1 => plan().map(Self::Load),
+            None => None,
+            Some(index) => {
+                let request = usize::try_from(index).ok().and_then(|index| Request::ALL.get(index));
+                request.map(|request| Self::Do(*request))
+            }
+        }
+    }
 }
 
 /// What one cycle gives.
@@ -44,6 +67,8 @@ pub struct Output {
 pub struct Record {
     /// The published part.
     pub telemetry: Telemetry,
+    /// What led to it.
+    pub step: Step,
     /// Why the last mode was given up; kept until the next enable, start or reset.
     pub trip: Option<Trip>,
     /// Cycles that ended too late since the start of the daemon; 0 from the controller, which knows no clock.
@@ -81,8 +106,8 @@ pub struct Controller {
     /// What exceeded its warning level in this cycle, [`TripCause::bit`].
     warnings: u64,
     cycle: u64,
-    /// Cycles in a row that ended late, up to now.
-    late: u64,
+    /// What it was told since the last step, and the number of that step.
+    told: Step,
 
     observer: Observer,
     disturbance: Disturbance,
@@ -114,7 +139,7 @@ impl Controller {
             trip: None,
             warnings: 0,
             cycle: 0,
-            late: 0,
+            told: Step::default(),
             observer: Observer::new(&config.daemon.cycle),
             disturbance: Disturbance::new(
                 config.daemon.disturbance.bandwidth,
@@ -154,6 +179,7 @@ impl Controller {
 
     /// To be called when measurements do not come any more, which on the paced clock only the caller can tell.
     pub fn lose_measurement(&mut self, cycles: u32) {
+        self.told.lost = cycles.into();
         let trip = self.checks.lost(cycles);
         self.observer.unfit = Some(trip);
         self.give_up(Event::Fault, trip);
@@ -161,19 +187,29 @@ impl Controller {
 
     /// To be called before the first measurement of another plant, or of the same after a restart.
     pub fn restart_measurement(&mut self) {
+        self.told.restarted = 1;
         let trip = self.observer.restart();
         self.give_up(Event::Fault, trip);
     }
 
     /// How many cycles in a row ended late before the next one; only the caller knows a clock.
     pub fn report_late(&mut self, cycles: u64) {
-        self.late = cycles;
+        self.told.late = cycles;
     }
 
     /// One cycle. `measurement` is the newest one, whether or not it is new; `now_ns` is the planned time of the
     /// cycle on the wall clock, and ignored on the others: they advance one period per measurement.
     #[cfg_attr(rtsan, sanitize(realtime = "nonblocking"))]
     pub fn step(&mut self, measurement: &Measurement, now_ns: u64, order: Option<Order>) -> Output {
+        let told = Step {
+            number: self.told.number + 1,
+            now_ns,
+            order: order.as_ref().map_or(0, Order::code),
+            plan_id: if let Some(Order::Load(plan)) = &order { plan.id } else { 0 },
+            measurement: *measurement,
+            ..self.told
+        };
+        self.told = Step { number: told.number, late: told.late, ..Step::default() };
         let wall = measurement.clock() == Ok(Clock::Wall);
         let now = if wall { now_ns } else { measurement.seq.saturating_mul(measurement.period_ns) };
         let elapsed = now.saturating_sub(self.now) as f64 * 1e-9;
@@ -199,7 +235,7 @@ impl Controller {
         if let Some(trip) = restarted.or(self.observer.unfit) {
             self.give_up(Event::Fault, trip);
         }
-        if let Some(trip) = self.checks.late(self.late, &mut self.warnings) {
+        if let Some(trip) = self.checks.late(told.late, &mut self.warnings) {
             self.give_up(Event::Lost, trip);
         }
         if let Some(kept) = &self.loaded {
@@ -256,7 +292,12 @@ impl Controller {
         };
         Output {
             command: Command { seq: self.cycle, t_ns, measurement_seq: measurement.seq, tau, brake },
-            record: Record { telemetry, trip: self.trip, overruns: 0 },
+            record: Record {
+                telemetry,
+                step: Step { cycle: self.cycle, ..told },
+                trip: self.trip,
+                overruns: 0,
+            },
             answer,
             garbage,
         }

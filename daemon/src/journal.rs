@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use tracing::{error, info, warn};
 use upswing_config::DaemonSettings;
 use upswing_ipc::{
-    ControlResponse, IpcError, Mode, Publisher, TELEMETRY_BATCH, Telemetry, TelemetryBatch, Text,
+    ControlResponse, IpcError, Mode, Node, Publisher, StepBatch, Telemetry, TelemetryBatch, Text,
 };
 
 /// Oldest telemetry that waits for a batch to fill.
@@ -28,7 +28,9 @@ pub struct Journal<'a> {
     pub sign_of_life: Instant,
     telemetry: Publisher<TelemetryBatch>,
     batch: Box<TelemetryBatch>,
-    /// When the batch got its first record.
+    steps: Publisher<StepBatch>,
+    step_batch: Box<StepBatch>,
+    /// When one of the batches got the first of its records.
     batch_begin: Instant,
     wake: Histogram,
     compute: Histogram,
@@ -43,14 +45,19 @@ pub struct Journal<'a> {
 
 impl<'a> Journal<'a> {
     /// A journal without a cycle.
-    pub fn new(settings: &'a DaemonSettings, telemetry: Publisher<TelemetryBatch>) -> Self {
+    ///
+    /// # Errors
+    /// If nothing can be published.
+    pub fn new(settings: &'a DaemonSettings, node: &Node) -> Result<Self, IpcError> {
         let cycles = FLIGHT.as_nanos() / settings.cycle.period.as_nanos();
-        Self {
+        Ok(Self {
             settings,
             newest: None,
             sign_of_life: Instant::now(),
-            telemetry,
+            telemetry: node.telemetry_publisher()?,
             batch: TelemetryBatch::boxed_zeroed(),
+            steps: node.step_publisher()?,
+            step_batch: StepBatch::boxed_zeroed(),
             batch_begin: Instant::now(),
             wake: Histogram::default(),
             compute: Histogram::default(),
@@ -59,7 +66,7 @@ impl<'a> Journal<'a> {
             overrun: None,
             recorder: Recorder::new(usize::try_from(cycles).unwrap_or(1)),
             flight: String::new(),
-        }
+        })
     }
 
     /// Watches the real-time thread `tid`.
@@ -93,7 +100,7 @@ impl<'a> Journal<'a> {
         if let Some(watch) = &mut self.watch {
             watch.refresh();
         }
-        if self.batch.count > 0 && self.batch_begin.elapsed() >= FLUSH { self.flush(dropped) } else { Ok(()) }
+        if self.batch_begin.elapsed() >= FLUSH { self.flush(dropped) } else { Ok(()) }
     }
 
     /// Takes in a record. `dropped`: records lost so far.
@@ -116,14 +123,14 @@ impl<'a> Journal<'a> {
             self.count(telemetry);
         }
         self.tell(before, &record);
-        if !is_cycle {
-            return Ok(());
-        }
-        if self.batch.count == 0 {
+        if self.step_batch.count == 0 {
             self.batch_begin = Instant::now();
         }
-        self.batch.push(*telemetry);
-        if self.batch.used().len() == TELEMETRY_BATCH { self.flush(dropped) } else { Ok(()) }
+        self.step_batch.push(record.step);
+        if is_cycle {
+            self.batch.push(*telemetry);
+        }
+        if self.batch.is_full() || self.step_batch.is_full() { self.flush(dropped) } else { Ok(()) }
     }
 
     /// Publishes what waits.
@@ -131,13 +138,19 @@ impl<'a> Journal<'a> {
     /// # Errors
     /// If telemetry cannot be published.
     pub fn flush(&mut self, dropped: u64) -> Result<(), IpcError> {
-        if self.batch.count == 0 {
-            return Ok(());
+        // Steps first: who has a cycle can have the step that gave it.
+        if self.step_batch.count > 0 {
+            let sent = self.steps.publish(&self.step_batch);
+            self.step_batch.clear();
+            sent?;
         }
-        self.batch.dropped = dropped;
-        let sent = self.telemetry.publish(&self.batch);
-        self.batch.clear();
-        sent.map(|_| ())
+        if self.batch.count > 0 {
+            self.batch.dropped = dropped;
+            let sent = self.telemetry.publish(&self.batch);
+            self.batch.clear();
+            sent?;
+        }
+        Ok(())
     }
 
     /// Statistics and warnings.

@@ -201,7 +201,7 @@ pub fn prepare_thread(settings: &RealtimeSettings) -> Vec<Refused> {
 
 /// Results too small for a normal number count as 0 in the calling thread: arithmetic on them takes a hundred times as
 /// long on some CPUs.
-fn flush_to_zero() {
+pub fn flush_to_zero() {
     #[cfg(target_arch = "x86_64")]
     {
         /// FTZ and DAZ of MXCSR.

@@ -144,7 +144,7 @@ impl<'a> Desk<'a> {
             ends,
             plants: node.measurement_finder(),
             next_look: Instant::now(),
-            journal: Journal::new(&config.daemon, node.telemetry_publisher().map_err(failed)?),
+            journal: Journal::new(&config.daemon, node).map_err(failed)?,
             manager: Notifier::new(),
             beats: 0,
             mode_told: None,

@@ -6,6 +6,7 @@
 //! | `command/<epoch>` | blackboard | daemon -> plant | [`Command`] |
 //! | `plan` | pub/sub, history 1 | planner -> daemon | [`Plan`] |
 //! | `telemetry` | pub/sub, no history | daemon -> planner, cli | [`TelemetryBatch`] |
+//! | `steps` | pub/sub, no history | daemon -> cli | [`StepBatch`] |
 //! | `control` | request/response | cli -> daemon | [`ControlRequest`] -> [`ControlResponse`] |
 //! | `planner` | request/response | cli, harness -> planner | [`PlannerRequest`] -> [`PlannerResponse`] |
 //! | `plant` | request/response | harness -> plant | [`PlantRequest`] -> [`PlantResponse`] |
@@ -64,7 +65,8 @@ pub use messages::{Publisher, Received, Subscriber};
 pub use node::Node;
 pub use payload::{
     Command, ControlRequest, ControlResponse, Measurement, Percentiles, Plan, PlannerRequest,
-    PlannerResponse, PlantRequest, PlantResponse, TELEMETRY_BATCH, Telemetry, TelemetryBatch,
+    PlannerResponse, PlantRequest, PlantResponse, Step, StepBatch, TELEMETRY_BATCH, Telemetry,
+    TelemetryBatch,
 };
 pub use request::{Client, Server};
 pub use services::{Latest, MAX_NODES, MAX_READERS, Request, Topic};

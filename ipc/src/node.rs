@@ -6,7 +6,7 @@ use crate::domain::Domain;
 use crate::error::IpcError;
 use crate::messages::{Publisher, Subscriber};
 use crate::payload::{
-    Command, ControlRequest, Measurement, Plan, PlannerRequest, PlantRequest, TelemetryBatch,
+    Command, ControlRequest, Measurement, Plan, PlannerRequest, PlantRequest, StepBatch, TelemetryBatch,
 };
 use crate::request::{Client, Server};
 use iceoryx2::identifiers::UniqueNodeId;
@@ -131,6 +131,22 @@ impl Node {
     /// # Errors
     /// As [`Subscriber::create`], and [`IpcError::Full`].
     pub fn telemetry_subscriber(&self) -> Result<Subscriber<TelemetryBatch>, IpcError> {
+        self.domain().with_room(|| Subscriber::create(self))
+    }
+
+    /// Steps of the controller out (daemon).
+    ///
+    /// # Errors
+    /// As [`Publisher::create`], and [`IpcError::Full`].
+    pub fn step_publisher(&self) -> Result<Publisher<StepBatch>, IpcError> {
+        self.domain().with_room(|| Publisher::create(self))
+    }
+
+    /// Steps of the controller in (recordings).
+    ///
+    /// # Errors
+    /// As [`Subscriber::create`], and [`IpcError::Full`].
+    pub fn step_subscriber(&self) -> Result<Subscriber<StepBatch>, IpcError> {
         self.domain().with_room(|| Subscriber::create(self))
     }
 

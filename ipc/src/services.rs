@@ -2,7 +2,7 @@
 
 use crate::payload::{
     Command, ControlRequest, ControlResponse, Measurement, Plan, PlannerRequest, PlannerResponse,
-    PlantRequest, PlantResponse, TelemetryBatch,
+    PlantRequest, PlantResponse, StepBatch, TelemetryBatch,
 };
 use iceoryx2::prelude::ZeroCopySend;
 use std::fmt::Debug;
@@ -40,6 +40,12 @@ impl Topic for Plan {
 impl Topic for TelemetryBatch {
     const SERVICE: &'static str = "telemetry";
     const BUFFER: usize = 256;
+    const HISTORY: usize = 0;
+}
+
+impl Topic for StepBatch {
+    const SERVICE: &'static str = "steps";
+    const BUFFER: usize = 128;
     const HISTORY: usize = 0;
 }
 

@@ -1,36 +1,36 @@
 //! Harness for hardware-in-the-loop style tests: starts a whole system, the three programs as separate processes
-//! in a shared-memory domain of its own, drives it and collects its telemetry.
+//! in a shared-memory domain of its own, drives it, breaks it and looks at its telemetry.
+//!
+//! ```no_run
+//! use upswing_ipc::{Clock, Mode};
+//! use upswing_tests::{START, System};
+//!
+//! let mut system = System::start(Clock::Lockstep, START);
+//! system.bring_to(Mode::Balance);
+//! system.inject("encoder-jump --joint 8 --amount -0.1");
+//! let fault = system.wait_until("a fault", |record| record.mode() == Ok(Mode::Fault));
+//! assert_eq!(upswingd::fault_text(fault.fault), Some("an angle jumped"));
+//! system.end();
+//! ```
+//!
+//! All methods panic with what went wrong: they are the assertions of a test. Tests run in parallel and beside the ruins of
+//! killed ones. A system that is dropped leaves nothing behind; if its test fails it keeps the logs of its processes and
+//! every cycle as a recording, and says where.
+//!
+//! - [`System`]: three processes. [`System::inject`] breaks the plant; [`System::kill`], [`System::restart`] and
+//!   [`System::stall`] break processes; on the clock `lockstep` all of it happens at known cycles.
+//! - [`matrix`]: controller and plant in one process, for many short runs: the fault matrix of `docs/faults.md`.
+//! - [`running`]: one program alone.
 
+pub mod matrix;
 pub mod running;
+mod system;
 
-use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use upswing::report::Report;
-use upswing::session::{CleanUp, Options, Programs, Session};
-use upswing::swing_up::swing_up;
-use upswing_config::Config;
-use upswing_ipc::{Clock, Domain, Telemetry};
+pub use system::{START, System};
 
-/// A system under test. Its processes end, and its shared memory and logs go, when it is dropped.
-pub struct System {
-    /// Drives the system. Declared first: it must end before what it uses is removed.
-    pub session: Session,
-    /// The settings the system runs with.
-    pub config: Config,
-    _logs: Logs,
-    _clean: CleanUp,
-}
-
-struct Logs(PathBuf);
-
-impl Drop for Logs {
-    fn drop(&mut self) {
-        // A failed test keeps its logs for the reader.
-        if !std::thread::panicking() {
-            let _ = std::fs::remove_dir_all(&self.0);
-        }
-    }
-}
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicU32, Ordering};
+use upswing_ipc::Telemetry;
 
 /// Folder of the programs under test: that of the test programs' parent.
 ///
@@ -50,59 +50,6 @@ pub fn programs() -> PathBuf {
 pub fn unique_domain() -> String {
     static COUNT: AtomicU32 = AtomicU32::new(0);
     format!("test-{}-{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed))
-}
-
-impl System {
-    /// Starts the dedicated programs on `clock` with the arm at `start_deg`.
-    ///
-    /// # Panics
-    /// If they do not start, with the end of the log of the one that failed.
-    pub fn start(clock: Clock, start_deg: [f64; 7]) -> Self {
-        Self::start_with(clock, start_deg, None)
-    }
-
-    /// As [`Self::start`], with the settings in a folder.
-    ///
-    /// # Panics
-    /// As [`Self::start`], and if the settings cannot be used.
-    pub fn start_with(clock: Clock, start_deg: [f64; 7], settings: Option<&Path>) -> Self {
-        let domain = unique_domain();
-        let logs = std::env::temp_dir().join(format!("upswing-{domain}"));
-        std::fs::create_dir_all(&logs).expect("folder for logs");
-        let clean = CleanUp(Domain::new(&domain).expect("valid domain"));
-        let options = Options {
-            config: settings.map(Path::to_owned),
-            domain,
-            clock,
-            start: Some(start_deg.map(|d| d.to_string()).join(",")),
-            scenario: None,
-            logs: logs.clone(),
-        };
-        let session =
-            Session::start(Programs::dedicated(&programs()), &options).unwrap_or_else(|e| panic!("{e}"));
-        Self {
-            session,
-            config: Config::load(settings).unwrap_or_else(|e| panic!("{e}")),
-            _logs: Logs(logs),
-            _clean: clean,
-        }
-    }
-
-    /// Control period, s.
-    pub fn period(&self) -> f64 {
-        self.config.daemon.cycle.period.as_secs_f64()
-    }
-
-    /// Swings up, balances for `seconds`, and evaluates.
-    ///
-    /// # Panics
-    /// If the system refuses or leaves the modes of a swing-up.
-    pub fn swing_up(&mut self, seconds: f64) -> Report {
-        let period = self.period();
-        let plan = swing_up(&mut self.session, period, seconds, &AtomicBool::new(false), &|_, _| ())
-            .unwrap_or_else(|e| panic!("{e}"));
-        Report::new(&self.config, &plan, &self.session.records, self.session.dropped(), seconds)
-    }
 }
 
 /// The bits of a record, field by field: equal only if every number is bit-identical.

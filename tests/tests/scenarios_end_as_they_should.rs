@@ -1,13 +1,11 @@
 //! Each shipped scenario ends as its purpose demands: most balanced, some with the daemon giving up safely. Torques stay
 //! within their limits in all of them.
 
-mod common;
-
 use Outcome::{Balanced, GivesUp, Safe};
-use common::ClosedLoop;
 use upswing::report::tilt;
 use upswing_config::Config;
 use upswing_ipc::Mode;
+use upswing_tests::matrix::Case;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Outcome {
@@ -46,11 +44,11 @@ fn all_of_them() {
     assert_eq!(names, Config::scenario_names().collect::<Vec<_>>(), "the table has every scenario");
     let model = Config::embedded().expect("embedded settings").model;
     for (name, expected) in TABLE {
-        let mut system = ClosedLoop::holding(Some(name));
-        let started = system.start();
-        system.run(system.plan_cycles + THREE_SECONDS);
-        let (mode, braked) = system.outcome();
-        let deg = tilt(&model, system.plant.position()).to_degrees();
+        let mut case = Case::idle(Some(name)).in_mode(Mode::Hold);
+        let started = case.start();
+        case.run(case.plan_cycles + THREE_SECONDS);
+        let (mode, braked) = case.mode();
+        let deg = tilt(&model, case.system.plant.position()).to_degrees();
         let text = format!("{name}: {mode}, brakes closed {braked}, rod at {deg:.2} deg");
         println!("{text}");
         match expected {

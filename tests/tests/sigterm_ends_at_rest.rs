@@ -1,37 +1,13 @@
 //! SIGTERM to the daemon, in any mode and also if it comes twice: the arm comes to rest, then the brakes close, then the
 //! process ends with success.
 
-use std::time::Duration;
-use upswing::session::{Role, SessionError};
-use upswing::swing_up::plan_and_start;
-use upswing_ipc::{Clock, ControlCommand, Mode, PlannerKind};
-use upswing_tests::System;
-
-const START: [f64; 7] = [0.0, -15.0, 0.0, -95.0, 0.0, 10.0, 0.0];
-const PATIENCE: Duration = Duration::from_secs(60);
-
-/// Goes to Hold and, where asked for, to Track and Balance.
-fn bring_to(mode: Mode) -> Result<System, SessionError> {
-    let mut system = System::start(Clock::Paced, START);
-    let session = &mut system.session;
-    session.advance(1)?;
-    if mode != Mode::Idle {
-        session.control(ControlCommand::Enable)?;
-        session.advance(2000)?;
-    }
-    if matches!(mode, Mode::Track | Mode::Balance) {
-        plan_and_start(session, PlannerKind::SwingUp)?;
-    }
-    session.wait_for("the mode", PATIENCE, |s| Ok(s.records.last().is_some_and(|r| r.mode() == Ok(mode))))?;
-    if mode == Mode::Track {
-        // In full swing.
-        session.advance(8000)?;
-    }
-    Ok(system)
-}
+use upswing::session::Role;
+use upswing_ipc::{Clock, Mode};
+use upswing_tests::{START, System};
 
 fn ends_from(mode: Mode) {
-    let mut system = bring_to(mode).unwrap_or_else(|e| panic!("{e}"));
+    let mut system = System::start(Clock::Paced, START);
+    system.bring_to(mode);
     let session = &mut system.session;
     let pid = libc::pid_t::try_from(session.pid(Role::Daemon).expect("a daemon")).expect("an id");
     let before = session.records.len().saturating_sub(1);

@@ -117,8 +117,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
             program: "upswing".into(),
             cause,
         })?;
-        let mut session = Session::start(programs, &options)?;
-        session.recorder = recorder;
+        let mut session = Session::start(programs, &options, recorder)?;
         let bar = time_bar(args.seconds, "swinging up and balancing");
         let progress = |passed: f64, total: f64| {
             bar.set_length((total * 1e3) as u64);

@@ -4,7 +4,7 @@ use super::{CommonArgs, failed};
 use serde::Serialize;
 use std::time::Duration;
 use upswing_config::process::Failure;
-use upswing_config::{Fault, FaultKind, Push};
+use upswing_config::{EventError, Fault, FaultKind, Push};
 use upswing_ipc::{PlantKind, PlantRequest};
 
 /// How long to wait for an answer.
@@ -29,22 +29,7 @@ pub enum What {
     /// Break something
     ///
     /// Example: upswing disturb fault encoder-jump --joint 9 --amount 0.1
-    Fault {
-        /// What breaks
-        kind: FaultKind,
-        /// Joint of an encoder, 1 to 9
-        #[arg(long)]
-        joint: Option<u64>,
-        /// How far the encoder jumps, rad, or how late measurements are, cycles
-        #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
-        amount: f64,
-        /// How many cycles it lasts; 0: until `clear`
-        #[arg(long, default_value_t = 0)]
-        cycles: u64,
-        /// First cycle of the plant [default: the next one]
-        #[arg(long, value_name = "CYCLE")]
-        from: Option<u64>,
-    },
+    Fault(FaultArgs),
     /// Push the tip of the rod
     ///
     /// Example: upswing disturb push --impulse 0.02,0,0
@@ -69,6 +54,56 @@ pub enum What {
     ///
     /// Example: upswing disturb clear
     Clear,
+}
+
+/// A fault as the command line states it.
+#[derive(Clone, Debug, clap::Args)]
+pub struct FaultArgs {
+    /// What breaks
+    pub kind: FaultKind,
+    /// Joint of an encoder, 1 to 9
+    #[arg(long)]
+    pub joint: Option<u64>,
+    /// How far the encoder jumps, rad, or how late measurements are, cycles
+    #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
+    pub amount: f64,
+    /// How many cycles it lasts; 0: until `clear`
+    #[arg(long, default_value_t = 0)]
+    pub cycles: u64,
+    /// First cycle of the plant [default: the next one]
+    #[arg(long, value_name = "CYCLE")]
+    pub from: Option<u64>,
+}
+
+impl FaultArgs {
+    /// The fault; one that begins in cycle 0 begins in the next one.
+    ///
+    /// # Errors
+    /// [`EventError`] if it cannot be.
+    pub fn fault(&self) -> Result<Fault, EventError> {
+        // Joint 0 is none; what counts from 0 here counts from 1 on the command line.
+        let joint = usize::try_from(self.joint.unwrap_or_default()).unwrap_or(usize::MAX).wrapping_sub(1);
+        let Self { kind, amount, cycles, .. } = *self;
+        let fault = Fault { kind, from: self.from.unwrap_or_default(), cycles, joint, amount };
+        fault.check().map(|()| fault)
+    }
+
+    /// The request for it.
+    ///
+    /// # Errors
+    /// As [`FaultArgs::fault`].
+    pub fn request(&self) -> Result<PlantRequest, EventError> {
+        let fault = self.fault()?;
+        Ok(PlantRequest {
+            kind: PlantKind::SetFault.code(),
+            seq: fault.from,
+            fault: fault.kind.code(),
+            joint: self.joint.unwrap_or_default(),
+            amount: fault.amount,
+            cycles: fault.cycles,
+            ..PlantRequest::default()
+        })
+    }
 }
 
 #[derive(Serialize)]
@@ -101,28 +136,7 @@ pub fn run(args: &DisturbArgs) -> Result<(), Failure> {
 fn request(what: &What) -> Result<PlantRequest, Failure> {
     let bad = |e: &dyn std::fmt::Display| Failure::BadInput(e.to_string());
     match what {
-        What::Fault { kind, joint, amount, cycles, from } => {
-            let number = joint.unwrap_or_default();
-            // Joint 0 is none; what counts from 0 here counts from 1 on the command line.
-            let index = usize::try_from(number).unwrap_or(usize::MAX).wrapping_sub(1);
-            let fault = Fault {
-                kind: *kind,
-                from: from.unwrap_or_default(),
-                cycles: *cycles,
-                joint: index,
-                amount: *amount,
-            };
-            fault.check().map_err(|e| bad(&e))?;
-            Ok(PlantRequest {
-                kind: PlantKind::SetFault.code(),
-                seq: fault.from,
-                fault: kind.code(),
-                joint: number,
-                amount: *amount,
-                cycles: *cycles,
-                ..PlantRequest::default()
-            })
-        }
+        What::Fault(fault) => fault.request().map_err(|e| bad(&e)),
         What::Push { impulse, cycles, from } => {
             let impulse = impulse.as_slice().try_into().map_err(|_| {
                 bad(&format!("--impulse: expected 3 numbers, X,Y,Z in N s, got {}", impulse.len()))

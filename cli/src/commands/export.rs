@@ -68,7 +68,8 @@ pub fn run(args: &ExportArgs) -> Result<(), Failure> {
         bar.set_length(total);
         bar.set_position(done);
     };
-    let recording = scan(&args.file, window, progress, |_, cycle| -> Result<(), Failure> {
+    let recording = scan(&args.file, window, progress, |_, message| -> Result<(), Failure> {
+        let Message::Cycle(cycle) = message else { return Ok(()) };
         let mut write = || -> std::io::Result<()> {
             let file = match &mut table {
                 Some(file) => file,
@@ -79,7 +80,7 @@ pub fn run(args: &ExportArgs) -> Result<(), Failure> {
                 }
             };
             if seen % args.every as usize == 0 {
-                writeln!(file, "{}", line(cycle))?;
+                writeln!(file, "{}", line(&cycle))?;
                 lines += 1;
             }
             seen += 1;

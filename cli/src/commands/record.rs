@@ -1,13 +1,12 @@
 //! `upswing record`: every cycle of a running system in a file.
 
 use super::{CommonArgs, failed, spinner, time_bar};
-use crate::recording::{Recorder, RecordingError, Tally};
+use crate::recording::{Recorder, RecordingError, Tally, Tap};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use upswing_config::process::{Failure, shutdown_flag};
-use upswing_ipc::{Subscriber, TelemetryBatch};
 
 /// Pause between two looks for telemetry; its buffer lasts for two seconds.
 const PAUSE: Duration = Duration::from_millis(2);
@@ -16,7 +15,7 @@ const PATIENCE: Duration = Duration::from_secs(10);
 
 /// Records every cycle of the running system as MCAP, for Foxglove, PlotJuggler, Python and `upswing report`.
 ///
-/// Ends after --seconds or on Ctrl-C. A file whose recording was killed is readable up to its last quarter of a second.
+/// Ends after --seconds or on Ctrl-C. Begun before the daemon, it can be replayed (`upswing replay`). A file whose recording was killed is readable up to its last quarter of a second.
 ///
 /// Example: upswing record run.mcap --seconds 10
 #[derive(Clone, Debug, clap::Args)]
@@ -64,10 +63,10 @@ pub fn run(args: &RecordArgs) -> Result<(), Failure> {
     let config = args.common.process.load()?;
     let node = args.common.connect()?;
     let stop = shutdown_flag()?;
-    let telemetry = node.telemetry_subscriber().map_err(failed)?;
+    let tap = Tap::new(&node).map_err(failed)?;
     let details = [("domain", args.common.process.domain.clone())];
     let recorder = Recorder::create(&args.file, &config, details)?;
-    let tally = record(args, &telemetry, recorder, &stop)?;
+    let tally = record(args, &tap, recorder, &stop)?;
     let bytes = std::fs::metadata(&args.file).map_or(0, |file| file.len());
     args.common.print(&Answer { file: &args.file, bytes, tally })
 }
@@ -76,18 +75,13 @@ pub fn run(args: &RecordArgs) -> Result<(), Failure> {
 impl From<RecordingError> for Failure {
     fn from(e: RecordingError) -> Self {
         match e {
-            RecordingError::Write { .. } => failed(e),
+            RecordingError::Write { .. } | RecordingError::Ipc(_) => failed(e),
             _ => Self::BadInput(e.to_string()),
         }
     }
 }
 
-fn record(
-    args: &RecordArgs,
-    telemetry: &Subscriber<TelemetryBatch>,
-    mut recorder: Recorder,
-    stop: &AtomicBool,
-) -> Result<Tally, Failure> {
+fn record(args: &RecordArgs, tap: &Tap, mut recorder: Recorder, stop: &AtomicBool) -> Result<Tally, Failure> {
     let end = args.seconds.unwrap_or(f64::INFINITY);
     let bar = match args.seconds {
         Some(seconds) => time_bar(seconds, ""),
@@ -95,9 +89,7 @@ fn record(
     };
     let begin = Instant::now();
     while !stop.load(Ordering::Acquire) && recorder.tally().seconds < end {
-        while let Some(batch) = telemetry.receive().map_err(failed)? {
-            recorder.write(batch.used())?;
-        }
+        tap.drain(Some(&mut recorder), |_| {})?;
         let tally = recorder.tally();
         if tally.cycles == 0 && begin.elapsed() > PATIENCE {
             // Nothing in it that anybody would miss.

@@ -69,12 +69,13 @@ pub fn run(args: &ReportArgs) -> Result<(), Failure> {
         bar.set_position(done);
     };
     let window = window(args.from, args.to)?;
-    let recording = scan(&args.file, window, progress, |head, cycle| -> Result<(), Failure> {
+    let recording = scan(&args.file, window, progress, |head, message| -> Result<(), Failure> {
+        let Message::Cycle(cycle) = message else { return Ok(()) };
         let digest = match &mut digest {
             Some(digest) => digest,
             none => none.insert(Digest::new(&args.file, head)?),
         };
-        digest.take(cycle);
+        digest.take(&cycle);
         Ok(())
     });
     bar.finish_and_clear();

@@ -120,7 +120,7 @@ pub fn run(args: &SoakArgs) -> Result<(), Failure> {
     let begin = Instant::now();
     let soak = || -> Result<Record, SessionError> {
         let spawn = |cause| SessionError::Spawn { role: "daemon", program: "upswing".into(), cause };
-        let session = Session::start(Programs::own().map_err(spawn)?, &options)?;
+        let session = Session::start(Programs::own().map_err(spawn)?, &options, None)?;
         let mut soak = Soak::new(session, starts, args.clock, args.kills);
         let bar = time_bar(args.seconds, "soak");
         let ran = soak.run(args.seconds, &stop, &|passed| bar.set_position((passed * 1e3) as u64));

@@ -3,6 +3,17 @@
 /// Marks the body that follows as CDR, little-endian.
 pub const HEADER: [u8; 4] = [0, 1, 0, 0];
 
+/// A message of plain words, which need no alignment.
+pub fn of_words(words: impl Iterator<Item = u64>) -> Vec<u8> {
+    HEADER.into_iter().chain(words.flat_map(u64::to_le_bytes)).collect()
+}
+
+/// The words of a message; `None` if it has another header, or bytes that are no word.
+pub fn words(message: &[u8]) -> Option<Vec<u64>> {
+    let (words, rest) = message.strip_prefix(&HEADER)?.as_chunks();
+    rest.is_empty().then(|| words.iter().map(|word| u64::from_le_bytes(*word)).collect())
+}
+
 /// A message being written. Numbers are aligned to their size, counted from the end of the header.
 pub struct Cdr(Vec<u8>);
 

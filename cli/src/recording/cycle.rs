@@ -9,8 +9,6 @@ use upswing_model::{NQ, NU};
 /// ROS type of the message.
 pub const TYPE: &str = "upswing_msgs/msg/Cycle";
 const WORD: usize = size_of::<u64>();
-/// Bytes of one message.
-const SIZE: usize = cdr::HEADER.len() + size_of::<Telemetry>();
 
 /// One field of a cycle.
 #[derive(Clone, Copy, Debug)]
@@ -131,15 +129,10 @@ pub fn layout_of(definition: &str) -> Vec<&str> {
 
 /// The message.
 pub fn encode(record: &Telemetry) -> Vec<u8> {
-    let mut bytes = Vec::with_capacity(SIZE);
-    bytes.extend(cdr::HEADER);
-    bytes.extend(record.words().flat_map(u64::to_le_bytes));
-    bytes
+    cdr::of_words(record.words())
 }
 
 /// The record in a message; `None` if its size or header is another one.
 pub fn decode(message: &[u8]) -> Option<Telemetry> {
-    let body = message.strip_prefix(&cdr::HEADER)?;
-    let words: Vec<u64> = body.as_chunks::<WORD>().0.iter().map(|word| u64::from_le_bytes(*word)).collect();
-    if body.len() == words.len() * WORD { Telemetry::from_words(&words) } else { None }
+    Telemetry::from_words(&cdr::words(message)?)
 }

@@ -19,6 +19,10 @@ pub const JOINT_STATES: Topic = Topic {
 };
 pub const TRANSFORMS: Topic =
     Topic { name: "/tf", kind: "tf2_msgs/msg/TFMessage", definition: include_str!("msg/TFMessage.msg") };
+pub const STEPS: Topic =
+    Topic { name: "/upswing/step", kind: "upswing_msgs/msg/Step", definition: include_str!("msg/Step.msg") };
+pub const PLANS: Topic =
+    Topic { name: "/upswing/plan", kind: "upswing_msgs/msg/Plan", definition: include_str!("msg/Plan.msg") };
 pub const DESCRIPTION: Topic =
     Topic { name: "/robot_description", kind: "std_msgs/msg/String", definition: "string data\n" };
 

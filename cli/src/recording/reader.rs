@@ -1,6 +1,6 @@
 //! Reads recordings, also those of a killed process.
 
-use super::{CYCLE_TOPIC, DETAILS, RecordingError, cycle};
+use super::{CYCLE_TOPIC, DETAILS, RecordingError, cdr, cycle, messages};
 use mcap::parse_record;
 use mcap::records::Record;
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
-use upswing_ipc::Telemetry;
+use upswing_ipc::{Plan, Step, Telemetry};
 
 /// Longest record, bytes: ten times a chunk. A damaged length asks for no more memory than this.
 const LONGEST: usize = 16 << 20;
@@ -27,7 +27,19 @@ impl Window {
     pub const ALL: Self = Self { from: 0.0, to: f64::INFINITY };
 }
 
-/// The contents of a file but its cycles.
+/// A message of a recording.
+#[derive(Clone, Debug)]
+#[expect(clippy::large_enum_variant, reason = "hardly any are plans")]
+pub enum Message {
+    /// A cycle.
+    Cycle(Telemetry),
+    /// What the controller was given in one step.
+    Step(Step),
+    /// A plan that a later step may load.
+    Plan(Box<Plan>),
+}
+
+/// The contents of a file but its messages.
 #[derive(Clone, Debug, Default)]
 pub struct Recording {
     /// What identifies the run.
@@ -51,16 +63,18 @@ impl Recording {
 /// As [`scan`].
 pub fn read(path: &Path, window: Window) -> Result<(Vec<Telemetry>, Recording), RecordingError> {
     let mut cycles = Vec::new();
-    let keep = |_: &Recording, cycle: &Telemetry| -> Result<(), RecordingError> {
-        cycles.push(*cycle);
+    let keep = |_: &Recording, message| -> Result<(), RecordingError> {
+        if let Message::Cycle(cycle) = message {
+            cycles.push(cycle);
+        }
         Ok(())
     };
     let recording = scan(path, window, |_, _| (), keep)?;
     Ok((cycles, recording))
 }
 
-/// Goes through a file, whose cycles need not fit into memory: `each` gets what stands before a cycle of the window, and
-/// the cycle, in the order of their recording. `progress` is told how many bytes have been read of how many.
+/// Goes through a file, which need not fit into memory: `each` gets the messages in the order of their recording, of the
+/// cycles those of the window, each with what else stands before it. `progress` is told how many bytes have been read of how many.
 ///
 /// # Errors
 /// [`RecordingError`] if it is no recording of this version or holds no cycle in the window; what `each` says. A file that
@@ -69,7 +83,7 @@ pub fn scan<E: From<RecordingError>>(
     path: &Path,
     window: Window,
     mut progress: impl FnMut(u64, u64),
-    mut each: impl FnMut(&Recording, &Telemetry) -> Result<(), E>,
+    mut each: impl FnMut(&Recording, Message) -> Result<(), E>,
 ) -> Result<Recording, E> {
     let unreadable = |cause| RecordingError::Read { path: path.to_owned(), cause };
     let mut file = File::open(path).map_err(unreadable)?;
@@ -81,7 +95,8 @@ pub fn scan<E: From<RecordingError>>(
         .with_prevalidate_chunk_crcs(true)
         .with_record_length_limit(LONGEST);
     let mut events = LinearReader::new_with_options(options);
-    let mut reader = Reader { path, window, schemas: BTreeMap::new(), cycle_channel: None, first_ns: None };
+    let mut reader =
+        Reader { path, window, schemas: BTreeMap::new(), channels: BTreeMap::new(), first_ns: None };
     let mut recording = Recording::default();
     let (mut begun, mut finished) = (false, false);
     while let Some(event) = events.next_event() {
@@ -100,9 +115,9 @@ pub fn scan<E: From<RecordingError>>(
         match record {
             Ok(Record::Footer(_)) => finished = true,
             Ok(record) => {
-                if let Some(cycle) = reader.take(record, &mut recording)? {
-                    seen += 1;
-                    each(&recording, &cycle)?;
+                if let Some(message) = reader.take(record, &mut recording)? {
+                    seen += u64::from(matches!(message, Message::Cycle(_)));
+                    each(&recording, message)?;
                 }
             }
             Err(cause) if !begun => {
@@ -126,23 +141,32 @@ pub fn scan<E: From<RecordingError>>(
     Ok(recording)
 }
 
+/// What a message holds, of what is read here.
+#[derive(Clone, Copy)]
+enum Kind {
+    Cycle,
+    Step,
+    Plan,
+}
+
 /// What is known so far.
 struct Reader<'a> {
     path: &'a Path,
     window: Window,
     /// Name and definition by id.
     schemas: BTreeMap<u16, (String, String)>,
-    cycle_channel: Option<u16>,
+    /// What the messages of a channel are.
+    channels: BTreeMap<u16, Kind>,
     first_ns: Option<u64>,
 }
 
 impl Reader<'_> {
-    /// Notes what a record says; the cycle, if it is one of the window.
+    /// Notes what a record says; the message, if it is one of the window.
     fn take(
         &mut self,
         record: Record<'_>,
         into: &mut Recording,
-    ) -> Result<Option<Telemetry>, RecordingError> {
+    ) -> Result<Option<Message>, RecordingError> {
         let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
         match record {
             Record::Metadata(m) if m.name == DETAILS => into.details = m.metadata,
@@ -150,34 +174,70 @@ impl Reader<'_> {
             Record::Schema { header, data } => {
                 self.schemas.insert(header.id, (header.name, text(&data)));
             }
-            Record::Channel(c) if c.topic == CYCLE_TOPIC => {
-                self.check(c.schema_id)?;
-                self.cycle_channel = Some(c.id);
+            Record::Channel(c) => {
+                let known = [
+                    (CYCLE_TOPIC, Kind::Cycle, cycle::TYPE, cycle::definition()),
+                    (
+                        messages::STEPS.name,
+                        Kind::Step,
+                        messages::STEPS.kind,
+                        messages::STEPS.definition.into(),
+                    ),
+                    (
+                        messages::PLANS.name,
+                        Kind::Plan,
+                        messages::PLANS.kind,
+                        messages::PLANS.definition.into(),
+                    ),
+                ];
+                if let Some((_, kind, name, definition)) = known.iter().find(|(topic, ..)| c.topic == *topic)
+                {
+                    self.check(c.schema_id, name, definition)?;
+                    self.channels.insert(c.id, *kind);
+                }
             }
-            Record::Message { header, data } if Some(header.channel_id) == self.cycle_channel => {
-                let what = || format!("cycle {} has {} bytes", header.sequence, data.len());
-                let cycle = cycle::decode(&data).ok_or_else(|| self.other_version(what()))?;
-                let first = *self.first_ns.get_or_insert(cycle.t_ns);
-                let t = (cycle.t_ns as f64 - first as f64) * 1e-9;
-                return Ok((t >= self.window.from && t <= self.window.to).then_some(cycle));
+            Record::Message { header, data } => {
+                let Some(kind) = self.channels.get(&header.channel_id) else { return Ok(None) };
+                let words = cdr::words(&data);
+                let words = words.as_deref();
+                let what = || format!("message {} has {} bytes", header.sequence, data.len());
+                let other = || self.other_version(what());
+                return match kind {
+                    Kind::Cycle => {
+                        let cycle = words.and_then(Telemetry::from_words).ok_or_else(other)?;
+                        let first = *self.first_ns.get_or_insert(cycle.t_ns);
+                        let t = (cycle.t_ns as f64 - first as f64) * 1e-9;
+                        let inside = t >= self.window.from && t <= self.window.to;
+                        Ok(inside.then_some(Message::Cycle(cycle)))
+                    }
+                    Kind::Step => {
+                        let step = words.and_then(Step::from_words).ok_or_else(other)?;
+                        Ok(Some(Message::Step(step)))
+                    }
+                    Kind::Plan => {
+                        let plan = words.and_then(Plan::from_words).ok_or_else(other)?;
+                        Ok(Some(Message::Plan(plan)))
+                    }
+                };
             }
             _ => {}
         }
         Ok(None)
     }
 
-    /// Whether the cycles have the fields of this version.
-    fn check(&self, schema: u16) -> Result<(), RecordingError> {
-        let expected = cycle::definition();
+    /// Whether the messages of a schema have the name and the fields of this version.
+    fn check(&self, schema: u16, expected_name: &str, expected: &str) -> Result<(), RecordingError> {
         let (name, got) = self.schemas.get(&schema).map_or(("", ""), |(n, text)| (n.as_str(), text.as_str()));
-        let (expected, got) = (cycle::layout_of(&expected), cycle::layout_of(got));
-        if name != cycle::TYPE || expected != got {
+        let (expected, got) = (cycle::layout_of(expected), cycle::layout_of(got));
+        if name != expected_name || expected != got {
             let differing = expected.iter().zip(&got).find(|(e, g)| e != g);
             let differing = differing.map_or_else(
                 || format!("{} fields, expected {}", got.len(), expected.len()),
                 |(e, g)| format!("`{g}`, expected `{e}`"),
             );
-            return Err(self.other_version(format!("the cycles are `{name}` with {differing}")));
+            return Err(self.other_version(format!(
+                "the messages are `{name}` with {differing}, expected `{expected_name}`"
+            )));
         }
         Ok(())
     }

@@ -1,6 +1,6 @@
 //! Writes recordings.
 
-use super::{CHUNK, CYCLE_TOPIC, DETAILS, RecordingError, Tally, cycle, messages};
+use super::{CHUNK, CYCLE_TOPIC, DETAILS, RecordingError, Tally, cdr, cycle, messages};
 use crate::robot::Robot;
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, WriteOptions, Writer};
@@ -10,7 +10,7 @@ use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 use upswing_config::Config;
-use upswing_ipc::Telemetry;
+use upswing_ipc::{Plan, Step, Telemetry};
 use upswing_model::NQ;
 use xxhash_rust::xxh3::xxh3_64;
 
@@ -26,11 +26,15 @@ pub struct Recorder {
     joint_names: [String; NQ],
     view_every: u64,
     tally: Tally,
+    /// Time of the last message, ns.
+    last_ns: u64,
 }
 
 /// Ids of the topics.
 struct Channels {
     cycle: u16,
+    step: u16,
+    plan: u16,
     joint_states: u16,
     transforms: u16,
     description: u16,
@@ -69,6 +73,7 @@ impl Recorder {
             joint_names: config.model.joint_names().map(str::to_owned),
             view_every: ((1.0 / (VIEW_RATE * period)) as u64).max(1),
             tally: Tally::default(),
+            last_ns: 0,
         })
     }
 
@@ -78,19 +83,47 @@ impl Recorder {
     /// [`RecordingError::Write`], for example if the disk is full.
     pub fn write(&mut self, records: &[Telemetry]) -> Result<(), RecordingError> {
         let result = records.iter().try_for_each(|record| self.append(record));
-        result.map_err(|cause| RecordingError::Write { path: self.path.clone(), cause: cause.into() })
+        result.map_err(|cause| self.error(cause))
+    }
+
+    /// Appends steps.
+    ///
+    /// # Errors
+    /// As [`Recorder::write`].
+    pub fn write_steps(&mut self, steps: &[Step]) -> Result<(), RecordingError> {
+        let mut put = |step: &Step| {
+            let t_ns = step.measurement.t_ns;
+            self.put(self.channels.step, step.number, t_ns, &cdr::of_words(step.words()))
+        };
+        steps.iter().try_for_each(&mut put).map_err(|cause| self.error(cause))
+    }
+
+    /// Appends a plan; before the step that loads it.
+    ///
+    /// # Errors
+    /// As [`Recorder::write`].
+    pub fn write_plan(&mut self, plan: &Plan) -> Result<(), RecordingError> {
+        let message = cdr::of_words(plan.words());
+        self.put(self.channels.plan, plan.id, self.last_ns, &message).map_err(|cause| self.error(cause))
+    }
+
+    fn error(&self, cause: mcap::McapError) -> RecordingError {
+        RecordingError::Write { path: self.path.clone(), cause: cause.into() }
     }
 
     fn append(&mut self, record: &Telemetry) -> mcap::McapResult<()> {
         self.tally.count(record);
+        let Telemetry { seq, t_ns, .. } = *record;
         if self.tally.cycles == 1 {
-            self.put(self.channels.description, record, &messages::description(&self.robot.urdf))?;
+            self.put(self.channels.description, seq, t_ns, &messages::description(&self.robot.urdf))?;
         }
-        self.put(self.channels.cycle, record, &cycle::encode(record))?;
+        self.put(self.channels.cycle, seq, t_ns, &cycle::encode(record))?;
         if record.seq.is_multiple_of(self.view_every) {
             let names = self.joint_names.each_ref().map(String::as_str);
-            self.put(self.channels.joint_states, record, &messages::joint_states(&names, record))?;
-            self.put(self.channels.transforms, record, &messages::transforms(&self.robot, record))?;
+            let states = messages::joint_states(&names, record);
+            self.put(self.channels.joint_states, seq, t_ns, &states)?;
+            let transforms = messages::transforms(&self.robot, record);
+            self.put(self.channels.transforms, seq, t_ns, &transforms)?;
         }
         if self.tally.cycles.is_multiple_of(CHUNK as u64) {
             self.writer.flush()?;
@@ -98,9 +131,10 @@ impl Recorder {
         Ok(())
     }
 
-    fn put(&mut self, channel_id: u16, record: &Telemetry, data: &[u8]) -> mcap::McapResult<()> {
-        let sequence = record.seq as u32;
-        let header = MessageHeader { channel_id, sequence, log_time: record.t_ns, publish_time: record.t_ns };
+    fn put(&mut self, channel_id: u16, number: u64, t_ns: u64, data: &[u8]) -> mcap::McapResult<()> {
+        self.last_ns = t_ns;
+        let header =
+            MessageHeader { channel_id, sequence: number as u32, log_time: t_ns, publish_time: t_ns };
         self.writer.write_to_known_channel(&header, data)
     }
 
@@ -150,10 +184,11 @@ fn begin(
         writer.add_channel(schema, topic, "cdr", &BTreeMap::new())
     };
     let mut known = |t: &messages::Topic| channel(t.name, t.kind, t.definition);
+    let (step, plan) = (known(&messages::STEPS)?, known(&messages::PLANS)?);
     let (joint_states, transforms, description) =
         (known(&messages::JOINT_STATES)?, known(&messages::TRANSFORMS)?, known(&messages::DESCRIPTION)?);
     let cycle = channel(CYCLE_TOPIC, cycle::TYPE, &cycle::definition())?;
     // What a killed process leaves is complete up to here.
     writer.flush()?;
-    Ok((writer, Channels { cycle, joint_states, transforms, description }))
+    Ok((writer, Channels { cycle, step, plan, joint_states, transforms, description }))
 }

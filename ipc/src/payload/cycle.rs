@@ -1,6 +1,6 @@
 //! What is exchanged or recorded every control cycle.
 
-use super::{WORD, Zeroable, boxed_zeroed};
+use super::{WORD, Zeroable, batch, words};
 use crate::codes::{Clock, Mode, UnknownCode};
 use iceoryx2::prelude::ZeroCopySend;
 use upswing_model::{NQ, NU};
@@ -137,25 +137,9 @@ impl Telemetry {
     pub fn mode(&self) -> Result<Mode, UnknownCode> {
         Mode::try_from(self.mode)
     }
-
-    /// The fields in their order as plain words (numbers with a fraction: their bits), for files.
-    pub fn words(&self) -> impl Iterator<Item = u64> + use<> {
-        let words: [u64; TELEMETRY_WORDS] =
-            // SAFETY: `repr(C)` of 8-byte numbers without padding (size assertion above); any bits are a valid `u64`.
-            unsafe { std::mem::transmute_copy(self) };
-        words.into_iter()
-    }
-
-    /// The record that [`Self::words`] gave; `None` if their number differs.
-    pub fn from_words(words: &[u64]) -> Option<Self> {
-        let words: [u64; TELEMETRY_WORDS] = words.try_into().ok()?;
-        // SAFETY: as in `words`; any bits are a valid number of 8 bytes.
-        Some(unsafe { std::mem::transmute::<[u64; TELEMETRY_WORDS], Self>(words) })
-    }
 }
 
-/// Words of one [`Telemetry`].
-const TELEMETRY_WORDS: usize = size_of::<Telemetry>() / WORD;
+words!(Telemetry);
 
 /// Records in one [`TelemetryBatch`].
 pub const TELEMETRY_BATCH: usize = 64;
@@ -175,36 +159,4 @@ pub struct TelemetryBatch {
 
 const _: () = assert!(size_of::<TelemetryBatch>() == WORD * 2 + TELEMETRY_BATCH * size_of::<Telemetry>());
 
-// SAFETY: numbers only, size above zero.
-unsafe impl Zeroable for TelemetryBatch {}
-
-impl TelemetryBatch {
-    /// An empty batch on the heap (it is too large for small stacks).
-    pub fn boxed_zeroed() -> Box<Self> {
-        boxed_zeroed()
-    }
-
-    /// The records in use; a `count` beyond the end counts as [`TELEMETRY_BATCH`].
-    pub fn used(&self) -> &[Telemetry] {
-        let count = usize::try_from(self.count).map_or(TELEMETRY_BATCH, |n| n.min(TELEMETRY_BATCH));
-        &self.records[..count]
-    }
-
-    /// Appends a record; false, and nothing done, if the batch is full.
-    pub fn push(&mut self, record: Telemetry) -> bool {
-        let slot = usize::try_from(self.count).ok().and_then(|i| self.records.get_mut(i));
-        match slot {
-            Some(slot) => {
-                *slot = record;
-                self.count += 1;
-                true
-            }
-            None => false,
-        }
-    }
-
-    /// Makes the batch empty.
-    pub fn clear(&mut self) {
-        self.count = 0;
-    }
-}
+batch!(TelemetryBatch of Telemetry, TELEMETRY_BATCH);

@@ -38,6 +38,8 @@ const _: () = assert!(size_of::<Plan>() == WORD * (4 + KNOTS * (2 * NX + NU + NU
 // The checksum covers all that lies before it, so it must be last.
 const _: () = assert!(std::mem::offset_of!(Plan, checksum) == size_of::<Plan>() - WORD);
 
+const WORDS: usize = size_of::<Plan>() / WORD;
+
 // SAFETY: numbers only, size above zero.
 unsafe impl Zeroable for Plan {}
 
@@ -52,6 +54,26 @@ impl Plan {
         let mut copy = Self::boxed_zeroed();
         *copy = *self;
         copy
+    }
+
+    /// The fields in their order as plain words (numbers with a fraction: their bits), for files.
+    pub fn words(&self) -> impl Iterator<Item = u64> {
+        // SAFETY: `repr(C)` of 8-byte numbers without padding (size assertion above); any bits are a valid `u64`.
+        let words = unsafe { std::slice::from_raw_parts(std::ptr::from_ref(self).cast::<u64>(), WORDS) };
+        words.iter().copied()
+    }
+
+    /// The plan that [`Self::words`] gave; `None` if their number differs.
+    pub fn from_words(words: &[u64]) -> Option<Box<Self>> {
+        let mut plan = Self::boxed_zeroed();
+        // SAFETY: as in `words`; any bits are a valid number of 8 bytes, and the box is borrowed mutably here only.
+        let own =
+            unsafe { std::slice::from_raw_parts_mut(std::ptr::from_mut(&mut *plan).cast::<u64>(), WORDS) };
+        if words.len() != WORDS {
+            return None;
+        }
+        own.copy_from_slice(words);
+        Some(plan)
     }
 
     /// The checksum that belongs to the contents; `checksum` itself does not enter.

@@ -1,0 +1,119 @@
+//! `upswing replay`: a recording once more through the controller.
+
+use super::{CommonArgs, failed};
+use crate::recording::{Message, Recorder, RecordingError};
+use crate::replay::{Difference, Replay, Run, replay, settings};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use upswing_config::Config;
+use upswing_config::process::Failure;
+
+/// Replays a recording through the controller and compares every number of every cycle, bit for bit.
+///
+/// The controller gets the recorded measurements, orders and plans, with the recorded settings. Exit code 1: something
+/// differs. With --keep the inputs, and what the controller of today decides with the settings of --config (modes and faults),
+/// go to a small recording: in tests/recordings it is a test from then on.
+///
+/// Example: upswing replay run.mcap --keep tests/recordings/lost-encoder.mcap
+#[derive(Clone, Debug, clap::Args)]
+pub struct ReplayArgs {
+    /// Options of every command.
+    #[command(flatten)]
+    pub common: CommonArgs,
+    /// The recording, from the start of the daemon on
+    #[arg(value_name = "FILE.mcap")]
+    pub file: PathBuf,
+    /// Where to keep inputs and decisions; an existing file is not overwritten
+    #[arg(long, value_name = "FILE.mcap")]
+    pub keep: Option<PathBuf>,
+}
+
+#[derive(Serialize)]
+struct Answer<'a> {
+    success: bool,
+    file: &'a Path,
+    steps: u64,
+    compared: u64,
+    difference: &'a Option<Difference>,
+    decision: &'a Option<Difference>,
+    kept: &'a Option<PathBuf>,
+}
+
+impl std::fmt::Display for Answer<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}: {} steps, {} cycles compared: ", self.file.display(), self.steps, self.compared)?;
+        match (self.difference, self.decision) {
+            (None, _) => write!(f, "the same, bit for bit")?,
+            (Some(number), decision) => {
+                write!(f, "first difference in {}", text(number))?;
+                match decision {
+                    None => write!(f, "; modes and faults are the same")?,
+                    Some(decision) => write!(f, "; decides otherwise in {}", text(decision))?,
+                }
+            }
+        }
+        match self.kept {
+            Some(file) => write!(f, "; kept in {}", file.display()),
+            None => Ok(()),
+        }
+    }
+}
+
+fn text(difference: &Difference) -> String {
+    let Difference { cycle, field, recorded, replayed } = difference;
+    format!("cycle {cycle}: {field} was {recorded}, is {replayed}")
+}
+
+/// Replays.
+///
+/// # Errors
+/// [`Failure::BadInput`] if the file cannot be replayed, [`Failure::Failed`] if something differs.
+pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
+    let recorded = Run::read(&args.file)?;
+    let bad = |e: &dyn std::fmt::Display| Failure::BadInput(format!("{}: {e}", args.file.display()));
+    let result = settings(&recorded.recording).and_then(|config| replay(&recorded, &config)).map_err(|e| bad(&e))?;
+    if let Some(file) = &args.keep {
+        let config = args.common.process.load()?;
+        let today = replay(&recorded, &config).map_err(|e| bad(&e))?;
+        keep(file, &config, &recorded, &today)?;
+    }
+    let success = result.difference.is_none();
+    args.common.print(&Answer {
+        success,
+        file: &args.file,
+        steps: result.steps,
+        compared: result.compared,
+        difference: &result.difference,
+        decision: &result.decision,
+        kept: &args.keep,
+    })?;
+    if success { Ok(()) } else { Err(failed("the replay differs from the recording")) }
+}
+
+/// Writes all inputs, and of the cycles as they came out those in which the controller decided something, the first and the
+/// last.
+fn keep(file: &Path, config: &Config, recorded: &Run, replay: &Replay) -> Result<(), Failure> {
+    let details = [("kept", env!("CARGO_PKG_VERSION").to_owned())];
+    let write = || -> Result<_, RecordingError> {
+        let mut recorder = Recorder::create(file, config, details)?;
+        for input in &recorded.inputs {
+            match input {
+                Message::Step(step) => recorder.write_steps(std::slice::from_ref(step))?,
+                Message::Plan(plan) => recorder.write_plan(plan)?,
+                Message::Cycle(_) => {}
+            }
+        }
+        let cycles = &replay.cycles;
+        for (i, cycle) in cycles.iter().enumerate() {
+            let same =
+                |other: &upswing_ipc::Telemetry| (other.mode, other.fault) == (cycle.mode, cycle.fault);
+            let (before, last) = (i.checked_sub(1).map(|i| &cycles[i]), i + 1 == cycles.len());
+            if last || !before.is_some_and(same) {
+                recorder.write(std::slice::from_ref(cycle))?;
+            }
+        }
+        recorder.finish()
+    };
+    write()?;
+    Ok(())
+}

@@ -1,0 +1,271 @@
+//! The fault matrix: what becomes of each fault of the plant in each mode of the daemon, with controller and plant in one
+//! process, deterministically. `docs/faults.md` says what to expect; the tests read it from there.
+
+use clap::Parser;
+use std::sync::LazyLock;
+use upswing::closed_loop::ClosedLoop;
+use upswing::commands::disturb::FaultArgs;
+use upswing_config::{Config, Fault, FaultKind};
+use upswing_ipc::{Mode, Plan};
+use upswing_model::{JointVector, NU};
+use upswing_planner::replan::Planner;
+use upswing_planner::service::payload;
+use upswing_plant::Plant;
+use upswingd::controller::{Order, Record};
+use upswingd::plan::accept;
+use upswingd::supervisor::{Request, is_braked};
+use upswingd::trip::Trip;
+
+/// The page with the tables.
+pub const PAGE: &str = include_str!("../../docs/faults.md");
+
+/// Time in which the arm settles on its hold, or a plan's end becomes a balance, cycles.
+const SETTLE: u64 = 2_000;
+/// Enough for brakes to close, cycles.
+const BRAKING: u64 = 800;
+/// A stop that has just begun, cycles.
+const STOPPING: u64 = 80;
+/// How far an angle may be from where it would be without the fault, before somebody should have noticed, rad.
+const ASTRAY: f64 = 0.25;
+/// How long a fault is watched, cycles: one second.
+pub const WATCHED: u64 = 8_000;
+
+static CONFIG: LazyLock<Config> = LazyLock::new(|| Config::embedded().expect("embedded settings"));
+static PLANNER: LazyLock<Planner> =
+    LazyLock::new(|| Planner::new(CONFIG.clone()).expect("the embedded database fits the settings"));
+
+/// A line of a table of [`PAGE`]: what breaks, and the outcome in each of the columns.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Row {
+    /// The first cell, without its backquotes.
+    pub fault: String,
+    /// The other cells.
+    pub outcomes: Vec<String>,
+}
+
+/// Column names (without the first) and rows of the table below the heading `section` of a page.
+///
+/// # Panics
+/// If there is none.
+pub fn table(page: &str, section: &str) -> (Vec<String>, Vec<Row>) {
+    let heading = format!("\n## {section}\n");
+    let (_, text) = page.split_once(&heading).unwrap_or_else(|| panic!("no `{section}` in the page"));
+    let text = text.split("\n## ").next().unwrap_or("");
+    let cells = |line: &str| -> Vec<String> {
+        let inner = line.trim().trim_matches('|');
+        inner.split('|').map(|cell| cell.trim().trim_matches('`').to_owned()).collect()
+    };
+    let mut lines = text.lines().filter(|line| line.starts_with('|')).map(cells);
+    let columns = lines.next().unwrap_or_else(|| panic!("no table in `{section}`"));
+    let rows = lines.skip(1).map(|mut cells| {
+        assert_eq!(cells.len(), columns.len(), "cells of the row {cells:?}");
+        Row { fault: cells.remove(0), outcomes: cells }
+    });
+    let rows = rows.collect();
+    (columns[1..].to_vec(), rows)
+}
+
+/// A line of the table, as it has to stand in [`PAGE`].
+pub fn line(fault: &str, outcomes: &[String]) -> String {
+    format!("| `{fault}` | {} |", outcomes.join(" | "))
+}
+
+/// The mode of a name.
+///
+/// # Panics
+/// If there is none.
+pub fn mode(name: &str) -> Mode {
+    let found = Mode::ALL.iter().find(|mode| mode.to_string() == name.to_lowercase());
+    *found.unwrap_or_else(|| panic!("no mode `{name}`"))
+}
+
+/// A fault as `upswing disturb fault` takes it, for example `encoder-jump --joint 4 --amount 0.1`.
+///
+/// # Errors
+/// What the command would say.
+pub fn fault(text: &str) -> Result<FaultArgs, String> {
+    #[derive(Parser)]
+    #[command(no_binary_name = true)]
+    struct Line {
+        #[command(flatten)]
+        fault: FaultArgs,
+    }
+    let line = Line::try_parse_from(text.split_whitespace()).map_err(|e| e.to_string())?;
+    line.fault.fault().map_err(|e| e.to_string())?;
+    Ok(line.fault)
+}
+
+/// Controller and plant in some mode, and what happened to them.
+#[derive(Clone)]
+pub struct Case {
+    /// The two.
+    pub system: ClosedLoop,
+    /// Every cycle since the start, if that is wanted.
+    pub records: Option<Vec<Record>>,
+    /// The plan that was followed.
+    pub plan: Option<Box<Plan>>,
+    config: Config,
+    /// t_F of the plan, cycles.
+    pub plan_cycles: u64,
+    /// Mode before the fault, and the true angles [`WATCHED`] cycles later if there were none, rad.
+    before: Mode,
+    undisturbed: JointVector,
+    /// How modes were given up since.
+    given_up: Vec<(Mode, Trip)>,
+}
+
+impl Case {
+    /// In Idle, in the start pose of the settings, under a scenario of the plant if one is named.
+    ///
+    /// # Panics
+    /// If there is no such scenario.
+    pub fn idle(scenario: Option<&str>) -> Self {
+        let mut config = CONFIG.clone();
+        if let Some(scenario) = scenario {
+            config.use_scenario(scenario).unwrap_or_else(|e| panic!("{e}"));
+        }
+        let plant = Plant::new(&config).expect("a possible start");
+        let system = ClosedLoop::new(&config, plant);
+        Self {
+            undisturbed: *system.plant.position(),
+            system,
+            records: None,
+            plan: None,
+            config,
+            plan_cycles: 0,
+            before: Mode::Idle,
+            given_up: Vec::new(),
+        }
+    }
+
+    /// In a mode, about to break: settled in Hold, in the middle of a plan, balancing for a quarter of a second, just
+    /// after a stop in the middle of a plan, or with closed brakes after a fault that is over.
+    pub fn in_mode(mut self, mode: Mode) -> Self {
+        self.run(1);
+        if mode != Mode::Idle {
+            self.order(Order::Do(Request::Enable));
+            self.run(SETTLE);
+        }
+        if matches!(mode, Mode::Track | Mode::Balance | Mode::Stop) {
+            assert!(self.start(), "the plan is accepted");
+        }
+        match mode {
+            Mode::Track | Mode::Stop => self.run(self.plan_cycles / 2),
+            Mode::Balance => self.run(self.plan_cycles + SETTLE),
+            _ => {}
+        }
+        match mode {
+            Mode::Stop => {
+                self.order(Order::Do(Request::Stop));
+                self.run(STOPPING);
+            }
+            Mode::Fault => {
+                self.break_now(Fault::new(FaultKind::EncoderNan, 0, 1));
+                self.run(BRAKING);
+            }
+            _ => {}
+        }
+        assert_eq!(self.system.controller.mode(), mode);
+        (self.before, self.given_up) = (mode, Vec::new());
+        let mut twin = Self { records: None, ..self.clone() };
+        twin.run(WATCHED);
+        self.undisturbed = *twin.system.plant.position();
+        self
+    }
+
+    /// Makes a plan from the present state and starts it; false if that is refused.
+    pub fn start(&mut self) -> bool {
+        let iterations = self.config.planner.replan.iterations;
+        let Ok(replan) = PLANNER.replan(self.system.controller.state(), iterations, None) else {
+            return false;
+        };
+        let period = self.config.daemon.cycle.period.as_secs_f64();
+        self.plan_cycles = (replan.trajectory.t_f / period).ceil() as u64;
+        let plan = payload(&replan.plan(&self.config));
+        let Ok(accepted) = accept(&plan, &self.config) else { return false };
+        self.plan = Some(plan);
+        self.order(Order::Load(accepted));
+        self.order(Order::Do(Request::Start));
+        self.system.controller.mode() == Mode::Track
+    }
+
+    /// Lets time pass.
+    pub fn run(&mut self, cycles: u64) {
+        for _ in 0..cycles {
+            self.cycle(&mut None);
+        }
+    }
+
+    /// Gives an order; it waits for the next measurement, which a fault may keep back.
+    fn order(&mut self, order: Order) {
+        let mut order = Some(order);
+        for _ in 0..WATCHED {
+            self.cycle(&mut order);
+            if order.is_none() {
+                return;
+            }
+        }
+    }
+
+    /// One cycle.
+    ///
+    /// # Panics
+    /// If a torque is beyond its limit or not a number, or flows while the brakes are commanded closed.
+    fn cycle(&mut self, order: &mut Option<Order>) {
+        let mode = self.system.controller.mode();
+        let Some(output) = self.system.cycle(order) else { return };
+        let command = &output.command;
+        for i in 0..NU {
+            let (tau, max) = (command.tau[i], self.config.robot.limits.tau_max[i]);
+            let max = if command.brake == 1 { 0.0 } else { max };
+            assert!(tau.abs() <= max, "cycle {}: {tau} N m on joint {}, limit {max}", command.seq, i + 1);
+        }
+        let now = self.system.controller.mode();
+        if let (Some(trip), true) =
+            (output.record.trip, now != mode && matches!(now, Mode::Stop | Mode::Fault))
+        {
+            self.given_up.push((now, trip));
+        }
+        if let Some(records) = &mut self.records {
+            records.push(output.record);
+        }
+    }
+
+    /// Adds a fault that begins in the next cycle.
+    ///
+    /// # Panics
+    /// If it cannot be.
+    pub fn break_now(&mut self, fault: Fault) {
+        let fault = Fault { from: self.system.plant.seq(), ..fault };
+        self.system.plant.set_fault(&fault).unwrap_or_else(|e| panic!("{e}"));
+    }
+
+    /// The daemon's mode and whether the brakes hold.
+    pub fn mode(&self) -> (Mode, bool) {
+        (self.system.controller.mode(), self.system.plant.brakes_closed())
+    }
+
+    /// What a fault led to after [`WATCHED`] cycles, in the words of [`PAGE`].
+    pub fn outcome(&self) -> String {
+        let (mode, braked) = self.mode();
+        if mode == Mode::Fault && !braked {
+            return "Fault with open brakes".into();
+        }
+        if !self.given_up.is_empty() {
+            let text = |(mode, trip): &(Mode, Trip)| match mode {
+                Mode::Stop => format!("Stop: {:?}", trip.cause),
+                _ => format!("Fault: {:?}", trip.cause),
+            };
+            return self.given_up.iter().map(text).collect::<Vec<_>>().join(", ");
+        }
+        let undisturbed = if self.before == Mode::Stop { Mode::Hold } else { self.before };
+        match mode {
+            _ if braked && !is_braked(mode) => "brakes".into(),
+            mode if mode == undisturbed => {
+                let astray = (self.system.plant.position() - self.undisturbed).amax() > ASTRAY;
+                if astray { "not noticed" } else { "goes on" }.into()
+            }
+            mode => format!("ends in {mode}"),
+        }
+    }
+}

@@ -1,0 +1,245 @@
+//! Three processes under test.
+
+use crate::matrix;
+use crate::{programs, unique_domain};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
+use upswing::recording::Recorder;
+use upswing::report::Report;
+use upswing::session::{CleanUp, Options, Programs, Role, Session, SessionError};
+use upswing::swing_up::{plan_and_start, swing_up};
+use upswing_config::Config;
+use upswing_ipc::{Clock, ControlCommand, ControlResponse, Domain, Mode, PlannerKind, Telemetry};
+
+/// Start of the arm in the paper's experiment, deg.
+pub const START: [f64; 7] = [0.0, -15.0, 0.0, -95.0, 0.0, 10.0, 0.0];
+/// Longest wait for something: machines are shared.
+const PATIENCE: Duration = Duration::from_secs(60);
+/// Time in which the arm settles on its hold, cycles.
+const SETTLE: u64 = 2000;
+/// Cycles between two looks, and the longest wait in cycles: a minute of virtual time.
+const STEP: u64 = 80;
+const LONGEST: u64 = 480_000;
+
+/// A system under test. Its processes end, and its shared memory and logs go, when it is dropped.
+pub struct System {
+    /// Drives the system. Declared first: it must end before what it uses is removed.
+    pub session: Session,
+    /// The settings the system runs with.
+    pub config: Config,
+    clock: Clock,
+    folder: PathBuf,
+    _clean: CleanUp,
+}
+
+impl Drop for System {
+    fn drop(&mut self) {
+        if !std::thread::panicking() {
+            let _ = std::fs::remove_dir_all(&self.folder);
+            return;
+        }
+        let file = self.folder.join("run.mcap");
+        let kept = Recorder::create(&file, &self.config, []).and_then(|mut recorder| {
+            recorder.write(&self.session.records)?;
+            recorder.finish()
+        });
+        let kept = kept.map_or_else(|e| e.to_string(), |_| "logs and a recording".to_owned());
+        eprintln!("in {}: {kept}", self.folder.display());
+    }
+}
+
+/// The value, or the end of the test.
+fn must<T>(result: Result<T, SessionError>) -> T {
+    result.unwrap_or_else(|e| panic!("{e}"))
+}
+
+impl System {
+    /// Starts the dedicated programs on `clock` with the arm at `start_deg`.
+    ///
+    /// # Panics
+    /// If they do not start, with the end of the log of the one that failed.
+    pub fn start(clock: Clock, start_deg: [f64; 7]) -> Self {
+        Self::start_with(clock, start_deg, None)
+    }
+
+    /// As [`Self::start`], with the settings in a folder.
+    ///
+    /// # Panics
+    /// As [`Self::start`], and if the settings cannot be used.
+    pub fn start_with(clock: Clock, start_deg: [f64; 7], settings: Option<&Path>) -> Self {
+        Self::start_recorded(clock, start_deg, settings, None)
+    }
+
+    /// As [`Self::start_with`], with a new recording in a file where one is named.
+    ///
+    /// # Panics
+    /// As [`Self::start_with`], and if the file cannot be made.
+    pub fn start_recorded(
+        clock: Clock,
+        start_deg: [f64; 7],
+        settings: Option<&Path>,
+        file: Option<&Path>,
+    ) -> Self {
+        let domain = unique_domain();
+        let folder = std::env::temp_dir().join(format!("upswing-{domain}"));
+        std::fs::create_dir_all(&folder).expect("folder for logs");
+        let clean = CleanUp(Domain::new(&domain).expect("valid domain"));
+        let config = Config::load(settings).unwrap_or_else(|e| panic!("{e}"));
+        let details = [("clock", clock.to_string())];
+        let recorder =
+            file.map(|file| Recorder::create(file, &config, details).unwrap_or_else(|e| panic!("{e}")));
+        let options = Options {
+            config: settings.map(Path::to_owned),
+            domain,
+            clock,
+            start: Some(start_deg.map(|d| d.to_string()).join(",")),
+            scenario: None,
+            logs: folder.clone(),
+        };
+        let session = must(Session::start(Programs::dedicated(&programs()), &options, recorder));
+        Self { session, config, clock, folder, _clean: clean }
+    }
+
+    /// Control period, s.
+    pub fn period(&self) -> f64 {
+        self.config.daemon.cycle.period.as_secs_f64()
+    }
+
+    /// Swings up, balances for `seconds`, and evaluates.
+    ///
+    /// # Panics
+    /// If the system refuses or leaves the modes of a swing-up.
+    pub fn swing_up(&mut self, seconds: f64) -> Report {
+        let period = self.period();
+        let plan = must(swing_up(&mut self.session, period, seconds, &AtomicBool::new(false), &|_, _| ()));
+        Report::new(&self.config, &plan, &self.session.records, self.session.dropped(), seconds)
+    }
+
+    /// Lets time pass until so many more cycles are recorded.
+    ///
+    /// # Panics
+    /// If it does not pass.
+    pub fn advance(&mut self, cycles: u64) {
+        must(self.session.advance(cycles));
+    }
+
+    /// Asks the daemon for something that it must accept.
+    ///
+    /// # Panics
+    /// If it refuses.
+    pub fn request(&mut self, command: ControlCommand) -> ControlResponse {
+        must(self.session.control(command))
+    }
+
+    /// The daemon's state, with what it has to say about it.
+    ///
+    /// # Panics
+    /// If it does not answer.
+    pub fn status(&mut self) -> ControlResponse {
+        must(self.session.ask_control(ControlCommand::Status))
+    }
+
+    /// Whether the brakes of the plant hold.
+    ///
+    /// # Panics
+    /// If it does not answer.
+    pub fn brakes_closed(&mut self) -> bool {
+        must(self.session.plant_status()).brakes_closed == 1
+    }
+
+    /// From the start into a mode: settled in Hold, in full swing in Track, or where the way leads from there.
+    ///
+    /// # Panics
+    /// If it does not get there.
+    pub fn bring_to(&mut self, goal: Mode) {
+        self.advance(1);
+        if goal != Mode::Idle {
+            self.request(ControlCommand::Enable);
+            self.advance(SETTLE);
+        }
+        if matches!(goal, Mode::Track | Mode::Balance | Mode::Stop) {
+            let plan = must(plan_and_start(&mut self.session, PlannerKind::SwingUp));
+            self.wait_until("track", |record| record.mode() == Ok(Mode::Track));
+            if goal != Mode::Balance {
+                self.advance((plan.t_f / self.period() / 2.0) as u64);
+            }
+        }
+        match goal {
+            Mode::Stop => drop(self.request(ControlCommand::Stop)),
+            Mode::Fault => self.inject("encoder-nan --joint 1 --cycles 1"),
+            _ => {}
+        }
+        // In real time the plan may have ended by now; it was followed.
+        if goal != Mode::Track {
+            self.wait_until(&goal.to_string(), |record| record.mode() == Ok(goal));
+        }
+    }
+
+    /// Breaks the plant as `upswing disturb fault` does, for example `encoder-jump --joint 4 --amount 0.1`; from the next
+    /// cycle on, or from that of `--from`.
+    ///
+    /// # Panics
+    /// If there is no such fault, or the plant refuses it.
+    pub fn inject(&mut self, fault: &str) {
+        let request = matrix::fault(fault).and_then(|args| args.request().map_err(|e| e.to_string()));
+        let request = request.unwrap_or_else(|e| panic!("{fault}: {e}"));
+        must(self.session.plant(&request));
+    }
+
+    /// Lets time pass until a cycle is as wanted, the newest one or one that is still to come, and returns it.
+    ///
+    /// # Panics
+    /// If none comes, with `what` was awaited.
+    pub fn wait_until(&mut self, what: &str, mut wanted: impl FnMut(&Telemetry) -> bool) -> Telemetry {
+        let mut seen = self.session.records.len().saturating_sub(1);
+        let mut find = |session: &Session| {
+            let found = session.records[seen..].iter().find(|record| wanted(record)).copied();
+            seen = session.records.len();
+            found
+        };
+        if self.clock == Clock::Lockstep {
+            for _ in 0..LONGEST / STEP {
+                if let Some(found) = find(&self.session) {
+                    return found;
+                }
+                self.advance(STEP);
+            }
+            panic!("waited {LONGEST} cycles for {what}; the last one: {:?}", self.session.records.last());
+        }
+        let mut found = None;
+        must(self.session.wait_for(what, PATIENCE, |session| {
+            found = find(session);
+            Ok(found.is_some())
+        }));
+        found.unwrap_or_default()
+    }
+
+    /// Kills a process.
+    pub fn kill(&mut self, role: Role) {
+        self.session.kill(role);
+    }
+
+    /// Kills a process and starts it again.
+    ///
+    /// # Panics
+    /// If it does not start.
+    pub fn restart(&mut self, role: Role) {
+        must(self.session.restart(role, None));
+    }
+
+    /// Stops a process for a time of the wall clock, as if its machine had no time for it.
+    pub fn stall(&mut self, role: Role, time: Duration) {
+        self.session.signal(role, libc::SIGSTOP);
+        std::thread::sleep(time);
+        self.session.signal(role, libc::SIGCONT);
+    }
+
+    /// Ends all processes in order.
+    ///
+    /// # Panics
+    /// If one of them does not end well.
+    pub fn end(mut self) {
+        must(self.session.end_in_place());
+    }
+}

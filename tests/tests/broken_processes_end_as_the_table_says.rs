@@ -1,0 +1,230 @@
+//! Processes that stall, die, start again or send damaged plans end as docs/faults.md says. What goes on loses no cycle; a
+//! fault is left by a reset only.
+
+use std::sync::{LazyLock, mpsc};
+use std::time::{Duration, Instant};
+use upswing::session::Role;
+use upswing_config::Config;
+use upswing_ipc::{Clock, ControlCommand, Mode, Plan, PlannerKind, PlannerRequest};
+use upswing_planner::replan::Planner;
+use upswing_planner::service::payload;
+use upswing_tests::matrix::{PAGE, mode, table};
+use upswing_tests::running::{LONG, wait_for};
+use upswing_tests::{START, System};
+use upswingd::trip::TripCause;
+
+const SECTION: &str = "Of processes";
+const GOES_ON: &str = "goes on";
+/// What has to go on goes on for so many cycles afterwards.
+const AFTER: u64 = 1000;
+
+fn check(column: Mode) {
+    let (columns, rows) = table(PAGE, SECTION);
+    let index = columns.iter().position(|name| mode(name) == column).expect("a column of the mode");
+    // Before any system runs: making it takes longer than telemetry waits for its reader.
+    LazyLock::force(&GOOD);
+    // One that goes on serves again, unless its plan ends meanwhile.
+    let mut last = None;
+    for row in rows {
+        let expected = &row.outcomes[index];
+        let mut system = last.take().unwrap_or_else(|| {
+            let mut system = System::start(Clock::Paced, START);
+            system.bring_to(column);
+            system
+        });
+        println!("{} in {column}", row.fault);
+        let before = system.session.records.len() - 1;
+        act(&mut system, &row.fault);
+        if expected == GOES_ON {
+            system.advance(AFTER);
+            let seen = outcome(&mut system, column);
+            assert_eq!(&seen, expected, "{} in {column}", row.fault);
+            let cycles = system.session.records[before..].windows(2);
+            let gaps = cycles.filter(|pair| pair[1].seq != pair[0].seq + 1).count();
+            assert_eq!(
+                (gaps, system.session.dropped()),
+                (0, 0),
+                "{} in {column}: cycles are lost",
+                row.fault
+            );
+            last = Some(system).filter(|_| column != Mode::Track);
+            continue;
+        }
+        let begin = Instant::now();
+        loop {
+            let seen = outcome(&mut system, column);
+            if &seen == expected {
+                break;
+            }
+            assert!(begin.elapsed() < LONG, "{} in {column}: {seen}, expected {expected}", row.fault);
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        if expected.starts_with("Fault") {
+            let answer = system.session.ask_control(ControlCommand::Enable).expect("an answer");
+            assert_eq!(answer.accepted, 0, "a fault is left by a reset only");
+        }
+    }
+}
+
+/// Breaks what a row of the table names.
+fn act(system: &mut System, fault: &str) {
+    let words: Vec<_> = fault.split(' ').collect();
+    match words[..] {
+        ["stall", who, seconds, "s"] => {
+            let time = Duration::from_secs_f64(seconds.parse().expect("a number"));
+            system.stall(role(who), time);
+        }
+        ["kill", who] => {
+            system.kill(role(who));
+            if who == "planner" {
+                system.advance(AFTER);
+                system.restart(Role::Planner);
+            }
+        }
+        ["restart", who] => system.restart(role(who)),
+        ["kill", "planner", "while", "it", "plans"] => kill_planner_at_work(system),
+        ["damage", "a", "plan", "in", "each", "field"] => damage_plans(system),
+        ["load", "the", "CPUs", "for", seconds, "s"] => {
+            load_cpus(Duration::from_secs_f64(seconds.parse().expect("a number")));
+        }
+        _ => panic!("no fault `{fault}`"),
+    }
+}
+
+fn role(name: &str) -> Role {
+    match name {
+        "daemon" => Role::Daemon,
+        "planner" => Role::Planner,
+        "plant" => Role::Plant,
+        _ => panic!("no process `{name}`"),
+    }
+}
+
+fn outcome(system: &mut System, before: Mode) -> String {
+    let braked = system.session.pid(Role::Plant).is_none() || system.brakes_closed();
+    if system.session.pid(Role::Daemon).is_none() {
+        return if braked { "brakes" } else { "open brakes without a daemon" }.into();
+    }
+    let status = system.status();
+    let now = status.mode().expect("a known mode");
+    match now {
+        Mode::Fault if braked => {
+            let cause = TripCause::ALL.into_iter().find(|cause| cause.code() == status.fault);
+            cause.map_or("Fault without a cause".into(), |cause| format!("Fault: {cause:?}"))
+        }
+        Mode::Fault => "Fault with open brakes".into(),
+        Mode::Idle if braked => "brakes".into(),
+        // A plan may end meanwhile.
+        Mode::Balance if before == Mode::Track => GOES_ON.into(),
+        now if now == before => GOES_ON.into(),
+        now => format!("ends in {now}"),
+    }
+}
+
+fn kill_planner_at_work(system: &mut System) {
+    let node = system.session.node().clone();
+    let (tell, told) = mpsc::channel();
+    let asker = std::thread::spawn(move || {
+        let start = Config::embedded().expect("settings");
+        let q = START.map(f64::to_radians);
+        let x = start.start_state(&q, start.plant.start.pendulum).expect("a start");
+        let request = PlannerRequest {
+            kind: PlannerKind::SwingUp.code(),
+            start: x.into(),
+            publish: 1,
+            ..PlannerRequest::default()
+        };
+        // Many QPs, so that it is still at work when it dies.
+        let request = PlannerRequest { iterations: 50, ..request };
+        let client = node.planner_client().expect("a client");
+        wait_for("the planner", || client.has_server().then_some(()));
+        tell.send(()).expect("somebody listens");
+        client.call(&request, Duration::from_secs(2)).is_ok()
+    });
+    told.recv_timeout(LONG).expect("the planner serves");
+    std::thread::sleep(Duration::from_millis(20));
+    system.kill(Role::Planner);
+    system.advance(AFTER);
+    // Whether or not it was faster.
+    let _ = asker.join().expect("the asking thread");
+    system.restart(Role::Planner);
+}
+
+type Damage = fn(&mut Plan);
+
+/// A plan without damage.
+static GOOD: LazyLock<Box<Plan>> = LazyLock::new(|| {
+    let config = Config::embedded().expect("settings");
+    let planner = Planner::new(config.clone()).expect("the database fits");
+    let x = config.start_state(&START.map(f64::to_radians), config.plant.start.pendulum).expect("a start");
+    payload(&planner.replan(&x, 1, None).expect("a plan").plan(&config))
+});
+
+/// In place of the planner, sends a plan once for each of its fields that is damaged; the daemon names the field.
+fn damage_plans(system: &mut System) {
+    let damages: [(&str, Damage); 10] = [
+        ("fingerprint", |p| p.fingerprint ^= 1),
+        ("id: expected", |p| p.id = 0),
+        ("x at knot 50", |p| p.x[50][3] = f64::NAN),
+        ("u at knot 0", |p| p.u[0][6] = f64::INFINITY),
+        ("f at knot 100", |p| p.f[100][17] = f64::NAN),
+        ("K at knot 7", |p| p.k[7][0][0] = f64::NAN),
+        ("the final K", |p| p.k_final[6][17] = f64::NEG_INFINITY),
+        ("t_F", |p| p.t_f = -p.t_f),
+        ("position of joint 1", |p| p.x[20][0] = 10.0),
+        ("checksum", |p| p.checksum ^= 1),
+    ];
+    let before = system.status().plan_id;
+    system.kill(Role::Planner);
+    let publisher = system.session.node().plan_publisher().expect("the planner's place");
+    for (i, (word, damage)) in damages.into_iter().enumerate() {
+        let mut plan = GOOD.boxed_copy();
+        plan.id = 1000 + i as u64;
+        damage(&mut plan);
+        // All but the checksum is what a planner with an error would send.
+        if word != "checksum" {
+            plan.seal();
+        }
+        publisher.publish(&plan).expect("published");
+        wait_for(word, || {
+            system.session.collect().expect("telemetry");
+            let reason = system.status().reason.to_string();
+            reason.contains("refused plan").then_some(())?;
+            reason.contains(word).then_some(())
+        });
+        assert_eq!(system.status().plan_id, before, "{word}");
+    }
+    drop(publisher);
+    system.restart(Role::Planner);
+}
+
+/// More threads than CPUs that do nothing but count.
+fn load_cpus(time: Duration) {
+    let end = Instant::now() + time;
+    let hogs = std::thread::available_parallelism().map_or(4, |n| 2 * n.get());
+    std::thread::scope(|threads| {
+        for _ in 0..hogs {
+            threads.spawn(|| {
+                let mut count = 0_u64;
+                while Instant::now() < end {
+                    count = std::hint::black_box(count + 1);
+                }
+            });
+        }
+    });
+}
+
+#[test]
+fn in_hold() {
+    check(Mode::Hold);
+}
+
+#[test]
+fn in_track() {
+    check(Mode::Track);
+}
+
+#[test]
+fn in_balance() {
+    check(Mode::Balance);
+}
