@@ -50,7 +50,7 @@ fn the_papers_values() {
     assert_eq!((robot.coriolis_bound.lower[1], robot.coriolis_bound.upper[1]), (-7.0, 8.0));
     assert_eq!(config.daemon.cycle.period, Duration::from_micros(125));
     assert_eq!(config.daemon.cycle.velocity_filter, 0.012);
-    assert_eq!(config.daemon.cycle.velocity, VelocityEstimate::Model);
+    assert_eq!(config.daemon.cycle.velocity, VelocityEstimate::Filter);
     assert_eq!(config.robot.rotor_inertia, [0.0; 7]);
     assert_eq!(config.daemon.realtime.cpu, None);
     assert!((config.plant.encoder.pendulum_resolution - 4.79e-5).abs() < 1e-7);

@@ -119,7 +119,8 @@ impl Observer {
         let lead = self.lead.as_mut().map_or_else(JointVector::zeros, |lead| lead.update(&expected, cycles));
         self.x = state(&q, &(self.filtered + lead));
         self.filtered_seq = self.seq;
-        let arm = checks.arm(&self.x, warnings);
+        // What the arm really does, not what the model expects.
+        let arm = checks.arm(&state(&q, &self.filtered), warnings);
         self.unfit = self.unfit.or(arm);
         (true, restarted)
     }

@@ -9,7 +9,7 @@ const T1: f64 = 12e-3;
 
 /// Amplitude (rad) and frequency (rad/s) of a joint.
 fn motion(joint: usize) -> (f64, f64) {
-    (0.1 + 0.02 * joint as f64, 3.0 + joint as f64)
+    (0.1 + 0.02 * joint as f64, 30.0 + 10.0 * joint as f64)
 }
 
 /// Largest errors of the filter alone and with the lead after the transient, for `known` times the true acceleration, as
@@ -49,7 +49,7 @@ fn with_the_right_acceleration() {
 #[test]
 fn with_missed_samples() {
     let (_, both) = errors(1.0, 4);
-    assert!(both < 0.05, "with the lead {both} are left");
+    assert!(both < 0.1, "with the lead {both} are left");
 }
 
 #[test]
