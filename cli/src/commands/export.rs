@@ -3,7 +3,7 @@
 use super::{CommonArgs, byte_bar, failed};
 use crate::parse::window;
 use crate::recording::cycle::FIELDS;
-use crate::recording::scan;
+use crate::recording::{Message, scan};
 use serde::Serialize;
 use std::io::{BufWriter, Write};
 use std::path::PathBuf;

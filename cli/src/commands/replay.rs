@@ -71,7 +71,8 @@ fn text(difference: &Difference) -> String {
 pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
     let recorded = Run::read(&args.file)?;
     let bad = |e: &dyn std::fmt::Display| Failure::BadInput(format!("{}: {e}", args.file.display()));
-    let result = settings(&recorded.recording).and_then(|config| replay(&recorded, &config)).map_err(|e| bad(&e))?;
+    let result =
+        settings(&recorded.recording).and_then(|config| replay(&recorded, &config)).map_err(|e| bad(&e))?;
     if let Some(file) = &args.keep {
         let config = args.common.process.load()?;
         let today = replay(&recorded, &config).map_err(|e| bad(&e))?;

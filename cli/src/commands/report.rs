@@ -4,7 +4,7 @@ use super::{CommonArgs, byte_bar, failed};
 use crate::page::{self, Data, Digest};
 use crate::parse::window;
 use crate::picture::figures;
-use crate::recording::scan;
+use crate::recording::{Message, scan};
 use serde::Serialize;
 use std::io::{BufWriter, Write};
 use std::path::PathBuf;

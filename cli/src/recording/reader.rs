@@ -162,11 +162,7 @@ struct Reader<'a> {
 
 impl Reader<'_> {
     /// Notes what a record says; the message, if it is one of the window.
-    fn take(
-        &mut self,
-        record: Record<'_>,
-        into: &mut Recording,
-    ) -> Result<Option<Message>, RecordingError> {
+    fn take(&mut self, record: Record<'_>, into: &mut Recording) -> Result<Option<Message>, RecordingError> {
         let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
         match record {
             Record::Metadata(m) if m.name == DETAILS => into.details = m.metadata,
