@@ -78,7 +78,8 @@ fn request(session: &mut Session, request: PlannerRequest) -> (PlannerResponse, 
 }
 
 fn entries(config: &Config) -> usize {
-    Database::decode(&config.database.bytes).map_or(0, |d| d.entries().count())
+    let database = config.database().unwrap_or_else(|e| panic!("{e}"));
+    Database::decode(&database.bytes).map_or(0, |d| d.entries().count())
 }
 
 /// Keeps as many entries of the database in a settings folder as the paper's has.

@@ -61,8 +61,6 @@ pub struct Config {
     pub plant_model: Model,
     /// Start poses of the database.
     pub grid: GridSettings,
-    /// The trajectory database, not yet decoded.
-    pub database: DatabaseFile,
     /// Where the files come from; None: embedded.
     dir: Option<PathBuf>,
 }
@@ -98,8 +96,7 @@ const PAPER_GRID: EmbeddedFile = embedded!("grid-paper.toml");
 const DATABASE: EmbeddedFile = embedded!("database.bin");
 /// Not read with a set of settings unless the plant asks for it: the second model of the arm.
 const SECOND_URDF: EmbeddedFile = embedded!("robot-acin.urdf");
-const FILES: [EmbeddedFile; 9] =
-    [URDF, ROBOT, PLANNER, DAEMON, PLANT, GRID, PAPER_GRID, DATABASE, SECOND_URDF];
+const FILES: [EmbeddedFile; 8] = [URDF, ROBOT, PLANNER, DAEMON, PLANT, GRID, PAPER_GRID, SECOND_URDF];
 /// Read only when one is asked for.
 const SCENARIOS: [EmbeddedFile; 16] = [
     embedded!("scenarios/arm-friction.toml"),
@@ -154,7 +151,7 @@ impl Config {
     /// One of the files exists already (then nothing is written), or the folder cannot be written to.
     pub fn export(dir: &Path) -> Result<(), ConfigError> {
         let name = |path: &Path| path.display().to_string();
-        let files = || FILES.iter().chain(&SCENARIOS);
+        let files = || FILES.iter().chain([&DATABASE]).chain(&SCENARIOS);
         if let Some(path) = files().map(|file| dir.join(file.name)).find(|path| path.exists()) {
             return Err(ConfigError::Exists { file: name(&path) });
         }
@@ -187,10 +184,8 @@ impl Config {
         let plant_model = read_plant_model(dir, &name, &plant.model.urdf)?;
         let (name, grid) = text(&GRID)?;
         let grid = GridSettings::read(&name, &grid, &robot)?;
-        let (origin, bytes) = contents(dir, &DATABASE)?;
-        let database = DatabaseFile { bytes, origin };
         let dir = dir.map(Path::to_owned);
-        Ok(Self { urdf, model, robot, planner, daemon, plant, plant_model, grid, database, dir })
+        Ok(Self { urdf, model, robot, planner, daemon, plant, plant_model, grid, dir })
     }
 
     /// Replaces the plant's settings by those of `plant.toml` under a scenario: one of the set by its name, or a file by
@@ -225,6 +220,15 @@ impl Config {
     /// Names of the scenarios of the set.
     pub fn scenario_names() -> impl Iterator<Item = &'static str> {
         SCENARIOS.iter().map(scenario_name)
+    }
+
+    /// The trajectory database, not yet decoded. Only who asks for it pays for it: daemon and plant need none.
+    ///
+    /// # Errors
+    /// The file is unreadable.
+    pub fn database(&self) -> Result<DatabaseFile, ConfigError> {
+        let (origin, bytes) = contents(self.dir.as_deref(), &DATABASE)?;
+        Ok(DatabaseFile { bytes, origin })
     }
 
     /// Replaces the grid by that of a file.
@@ -333,5 +337,7 @@ fn check_agreement(file: &str, toml: &Limits, urdf: &Limits) -> Result<(), Confi
 
 /// Names of all files of a full set, for messages.
 fn file_names() -> String {
-    FILES.map(|file| file.name).join(", ")
+    let mut names = FILES.map(|file| file.name).to_vec();
+    names.push(DATABASE.name);
+    names.join(", ")
 }

@@ -16,8 +16,10 @@ fn the_same_settings() {
     assert_eq!(loaded.planner, embedded.planner);
     assert_eq!(loaded.daemon, embedded.daemon);
     assert_eq!(loaded.plant, embedded.plant);
-    assert_eq!(loaded.database.bytes, embedded.database.bytes);
-    assert!(loaded.database.origin.ends_with("database.bin"));
+    let (of_folder, of_program) =
+        (loaded.database().expect("a file"), embedded.database().expect("embedded"));
+    assert_eq!(of_folder.bytes, of_program.bytes);
+    assert!(of_folder.origin.ends_with("database.bin"));
 }
 
 #[test]

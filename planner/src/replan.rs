@@ -14,7 +14,7 @@ use crate::offline::{problem, problem_fingerprint, torque_constraint};
 use crate::problem::{KnotDerivatives, Problem, TorqueConstraint};
 use crate::qp::{Options, Qp, Solver, Status, TorqueRows};
 use std::time::Instant;
-use upswing_config::Config;
+use upswing_config::{Config, ConfigError, DatabaseFile};
 use upswing_model::{NU, NX, NZ, State, Workspace, position, state, velocity};
 use upswing_trajectory::{Database, DatabaseError, Entry, Margins, N, Trajectory};
 
@@ -66,10 +66,28 @@ impl Effort<'_> {
     }
 }
 
+/// Why there is no planner.
+#[derive(Debug, thiserror::Error)]
+pub enum PlannerError {
+    /// The database cannot be read.
+    #[error(transparent)]
+    File(#[from] ConfigError),
+    /// The database cannot be used.
+    #[error("{origin}: {cause}")]
+    Database {
+        /// Where it comes from.
+        origin: String,
+        /// What is wrong with it.
+        cause: DatabaseError,
+    },
+}
+
 /// Replans from measured starts.
 #[derive(Clone, Debug)]
 pub struct Planner {
     config: Config,
+    /// Where the entries come from.
+    origin: String,
     entries: Vec<Entry>,
     /// Poses from which the entries start, and in which they end.
     starts: NearestPose,
@@ -77,22 +95,42 @@ pub struct Planner {
 }
 
 impl Planner {
-    /// Decodes the configuration's database and builds the tree.
+    /// Plans with the database of the settings.
     ///
     /// # Errors
-    /// [`DatabaseError`] if the file is damaged or was made for another robot or other settings.
-    pub fn new(config: Config) -> Result<Self, DatabaseError> {
-        let database = Database::decode(&config.database.bytes)?;
-        let entries = database.entries_for(config.model.fingerprint(), problem_fingerprint(&config))?;
+    /// [`PlannerError`] if the database is unreadable, damaged, or was made for another robot or other settings.
+    pub fn new(config: Config) -> Result<Self, PlannerError> {
+        let database = config.database()?;
+        Self::with_database(config, database)
+    }
+
+    /// Plans with another database than that of the settings.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn with_database(config: Config, database: DatabaseFile) -> Result<Self, PlannerError> {
+        let DatabaseFile { bytes, origin } = database;
+        let decoded = Database::decode(&bytes).and_then(|database| {
+            database.entries_for(config.model.fingerprint(), problem_fingerprint(&config))
+        });
+        let entries = match decoded {
+            Ok(entries) => entries,
+            Err(cause) => return Err(PlannerError::Database { origin, cause }),
+        };
         let poses = |knot: usize| entries.iter().map(move |e| pose(&e.trajectory.x[knot]));
         let metric = &config.planner.replan.metric;
         let (starts, ends) = (NearestPose::new(poses(0), metric), NearestPose::new(poses(N), metric));
-        Ok(Self { config, entries, starts, ends })
+        Ok(Self { config, origin, entries, starts, ends })
     }
 
     /// The settings.
     pub fn config(&self) -> &Config {
         &self.config
+    }
+
+    /// Where the database comes from, for messages.
+    pub fn origin(&self) -> &str {
+        &self.origin
     }
 
     /// The entries of the database.

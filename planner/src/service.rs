@@ -37,8 +37,7 @@ const START_SLACK: f64 = 1e-3;
 pub fn run(args: &PlannerArgs) -> Result<(), Failure> {
     let stop = shutdown_flag()?;
     let config = args.process.load()?;
-    let origin = config.database.origin.clone();
-    let planner = Planner::new(config).map_err(|e| Failure::BadInput(format!("{origin}: {e}")))?;
+    let planner = Planner::new(config).map_err(|e| Failure::BadInput(e.to_string()))?;
     let domain = Domain::new(&args.process.domain).map_err(|e| Failure::BadInput(e.to_string()))?;
     serve(&planner, &domain, &stop).map_err(|e| Failure::Failed(e.to_string()))
 }

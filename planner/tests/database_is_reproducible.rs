@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use upswing_config::{Config, GridAxis};
 use upswing_planner::build::{BuildError, Shard, build, merge, read, verify};
 use upswing_planner::offline::problem_fingerprint;
-use upswing_planner::replan::Planner;
+use upswing_planner::replan::{Planner, PlannerError};
 use upswing_trajectory::{DatabaseError, Outcome};
 
 /// Six poses in three lines; the second of each line has no rest position within the limits.
@@ -169,7 +169,10 @@ fn other_limits_are_refused_with_both_fingerprints() {
     let expected = problem_fingerprint(&config);
     let refusal = Planner::new(config).expect_err("made for other limits");
     let what = "set of limits and weights";
-    assert_eq!(refusal, DatabaseError::Fingerprint { what, expected, got });
+    let cause = DatabaseError::Fingerprint { what, expected, got };
+    let text = refusal.to_string();
+    assert!(matches!(refusal, PlannerError::Database { cause: found, .. } if found == cause), "{text}");
+    assert!(text.starts_with("embedded database.bin: "), "{text}");
 }
 
 #[test]

@@ -4,8 +4,8 @@ use super::{CommonArgs, TrajectoryJson, failed, print_json, progress_bar};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
-use upswing_config::Config;
 use upswing_config::process::{Failure, shutdown_flag};
+use upswing_config::{Config, DatabaseFile};
 use upswing_planner::build::{self, BuildError, Shard, Summary};
 use upswing_trajectory::{Certificate, Database, Entry, Outcome};
 
@@ -204,9 +204,9 @@ fn read(config: &Config, file: Option<&Path>) -> Result<(Database, String), Fail
     match file {
         Some(path) => Ok((build::read(path).map_err(failure)?, path.display().to_string())),
         None => {
-            let origin = config.database.origin.clone();
-            let database = Database::decode(&config.database.bytes)
-                .map_err(|e| Failure::BadInput(format!("{origin}: {e}")))?;
+            let DatabaseFile { bytes, origin } = config.database()?;
+            let database =
+                Database::decode(&bytes).map_err(|e| Failure::BadInput(format!("{origin}: {e}")))?;
             Ok((database, origin))
         }
     }

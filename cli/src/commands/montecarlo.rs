@@ -11,8 +11,8 @@ use crate::montecarlo::{NoStart, for_each};
 use clap::ValueEnum;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
-use upswing_config::Config;
 use upswing_config::process::Failure;
+use upswing_config::{Config, DatabaseFile};
 use upswing_model::NU;
 use upswing_planner::build::{self, Shard};
 use upswing_planner::replan::Planner;
@@ -117,20 +117,19 @@ impl SamplingArgs {
     fn planner(&self, stop: &AtomicBool) -> Result<Planner, Failure> {
         let mut config = self.common.process.load()?;
         match (&self.database, self.grid) {
-            (Some(path), _) => use_database(&mut config, path)?,
+            (Some(path), _) => Planner::with_database(config, database_file(path)?),
             (None, Grid::Paper) => {
                 config.use_paper_grid()?;
                 let dir =
                     tempfile::tempdir().map_err(|e| failed(format!("no folder for the database: {e}")))?;
                 let path = dir.path().join("paper.bin");
                 build_database(&config, &path, stop)?;
-                use_database(&mut config, &path)?;
-                config.database.origin = "the paper's grid".into();
+                let database = DatabaseFile { origin: "the paper's grid".into(), ..database_file(&path)? };
+                Planner::with_database(config, database)
             }
-            (None, Grid::Default) => {}
+            (None, Grid::Default) => Planner::new(config),
         }
-        let origin = config.database.origin.clone();
-        Planner::new(config).map_err(|e| Failure::BadInput(format!("{origin}: {e}")))
+        .map_err(|e| Failure::BadInput(e.to_string()))
     }
 
     /// The numbers of the starts.
@@ -187,12 +186,11 @@ fn list_failures<'a>(
     if left > 0 { write!(f, "\n  and {left} more; --json lists all") } else { Ok(()) }
 }
 
-/// Plans from a database file instead of that of the settings.
-fn use_database(config: &mut Config, path: &Path) -> Result<(), Failure> {
+/// A database that is not that of the settings.
+fn database_file(path: &Path) -> Result<DatabaseFile, Failure> {
     let origin = path.display().to_string();
     let bytes = std::fs::read(path).map_err(|e| Failure::BadInput(format!("cannot read {origin}: {e}")))?;
-    config.database = upswing_config::DatabaseFile { bytes: bytes.into(), origin };
-    Ok(())
+    Ok(DatabaseFile { bytes: bytes.into(), origin })
 }
 
 /// Builds the database of the settings' grid.

@@ -60,15 +60,18 @@ struct Answer {
 /// # Errors
 /// [`Failure::BadInput`] for an impossible start or database, [`Failure::Failed`] if there is no plan.
 pub fn run(args: &PlanArgs) -> Result<(), Failure> {
-    let mut config = args.common.process.load()?;
+    let config = args.common.process.load()?;
     let pendulum = if args.zero { PendulumStart::Zero } else { PendulumStart::Rest };
     let start = start_state(&config, "--start", &args.start, pendulum)?;
-    if let Some(reference) = &args.reference {
-        let x = start_state(&config, "--reference", reference, pendulum)?;
-        config.database = single_entry(&config, x)?;
+    let planner = match &args.reference {
+        Some(reference) => {
+            let x = start_state(&config, "--reference", reference, pendulum)?;
+            let database = single_entry(&config, x)?;
+            Planner::with_database(config, database)
+        }
+        None => Planner::new(config),
     }
-    let origin = config.database.origin.clone();
-    let planner = Planner::new(config).map_err(|e| Failure::BadInput(format!("{origin}: {e}")))?;
+    .map_err(|e| Failure::BadInput(e.to_string()))?;
     let settings = &planner.config().planner;
     let iterations = args.iterations.map_or(settings.replan.iterations, |n| n as usize);
     let replan = planner.replan(&start, iterations, None).map_err(failed)?;

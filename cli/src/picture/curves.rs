@@ -69,6 +69,9 @@ fn draw_panel<'a>(
         .label_style(("sans-serif", 12))
         .x_labels(7)
         .y_labels(6)
+        // 60, 0.025: no zeros that say nothing.
+        .x_label_formatter(&|v| ((v * 1e6).round() / 1e6).to_string())
+        .y_label_formatter(&|v| format!("{v:.0}"))
         .x_desc(panel.label.as_str())
         .y_desc("balanced (%)")
         .draw()?;

@@ -59,7 +59,7 @@ impl Recorder {
         let mut all = BTreeMap::from([
             ("version".into(), env!("CARGO_PKG_VERSION").into()),
             ("model_fingerprint".into(), format!("{:016x}", config.model.fingerprint())),
-            ("database_fingerprint".into(), format!("{:016x}", xxh3_64(&config.database.bytes))),
+            ("database_fingerprint".into(), format!("{:016x}", xxh3_64(&config.database()?.bytes))),
             ("period_us".into(), (period * 1e6).to_string()),
         ]);
         all.extend(details.into_iter().map(|(key, value)| (key.to_owned(), value)));

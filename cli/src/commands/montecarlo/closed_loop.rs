@@ -274,7 +274,7 @@ pub fn run(args: &ClosedLoopArgs) -> Result<(), Failure> {
     args.sampling.common.print(&Answer {
         success: complete && succeeded == samples,
         complete,
-        database: config.database.origin.clone(),
+        database: planner.origin().to_owned(),
         seed: args.sampling.seed,
         conditions: answers,
     })?;

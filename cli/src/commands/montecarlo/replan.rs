@@ -203,7 +203,7 @@ pub fn run(args: &ReplanArgs) -> Result<(), Failure> {
     args.sampling.common.print(&Answer {
         success,
         complete,
-        database: config.database.origin.clone(),
+        database: planner.origin().to_owned(),
         entries: planner.entries().len(),
         seed: args.sampling.seed,
         samples,

@@ -241,7 +241,7 @@ pub fn run(args: &RobustnessArgs) -> Result<(), Failure> {
     args.sampling.common.print(&Answer {
         success,
         complete,
-        database: planner.config().database.origin.clone(),
+        database: planner.origin().to_owned(),
         seed: args.sampling.seed,
         curves,
         times: Times { total: begin.elapsed().as_secs_f64() },
