@@ -12,7 +12,7 @@ from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader, make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-TOPICS = {"/upswing/cycle", "/joint_states", "/tf", "/robot_description"}
+TOPICS = {"/upswing/cycle", "/upswing/step", "/upswing/plan", "/joint_states", "/tf", "/robot_description"}
 
 
 def messages(file, cut):
@@ -28,7 +28,7 @@ def messages(file, cut):
 
 def main():
     path, expected, cut = sys.argv[1], int(sys.argv[2]), "--cut" in sys.argv
-    counts, previous = dict.fromkeys(TOPICS, 0), None
+    counts, previous, plans, steps = dict.fromkeys(TOPICS, 0), None, set(), 0
     with open(path, "rb") as file:
         for topic, log_time, m in messages(file, cut):
             counts[topic] += 1
@@ -36,6 +36,13 @@ def main():
                 assert m.t_ns == log_time and len(m.q) == 9 and len(m.tau) == 7, m
                 assert previous is None or m.seq == previous + 1, f"cycle {m.seq} after {previous}"
                 previous = m.seq
+            elif topic == "/upswing/step":
+                steps += 1
+                assert m.number == steps and len(m.q) == 9 and m.period_ns > 0, m
+                assert m.plan_id == 0 or m.plan_id in plans, m
+            elif topic == "/upswing/plan":
+                assert len(m.x) == 101 * 18 and len(m.k) == 101 * 7 * 18 and m.t_f > 0
+                plans.add(m.id)
             elif topic == "/tf":
                 for t in m.transforms:
                     r = t.transform.rotation
