@@ -186,7 +186,7 @@ impl Operator {
         let planner = self.node.planner_client()?;
         let request =
             PlannerRequest { kind: kind.code(), from_now: 1, publish: 1, ..PlannerRequest::default() };
-        let plan = match planner.call_unless(&request, PATIENCE, interrupted) {
+        let plan = match planner.call_while(&request, PATIENCE, || !interrupted.load(Ordering::Acquire)) {
             Err(CallError::Interrupted { .. }) => return Err(OperatorError::Interrupted),
             answer => answer?,
         };

@@ -254,7 +254,15 @@ impl Session {
     pub fn plan_from_now(&mut self, kind: PlannerKind) -> Result<PlannerResponse, SessionError> {
         let request =
             PlannerRequest { kind: kind.code(), from_now: 1, publish: 1, ..PlannerRequest::default() };
-        let response = self.planner.call(&request, ANSWER_PATIENCE)?;
+        let Self { planner, tap, recorder, records, tally, .. } = self;
+        // Telemetry waits a second for those who take it; a plan may take longer on a busy machine.
+        let mut collected = Ok(());
+        let response = planner.call_while(&request, ANSWER_PATIENCE, || {
+            collected = collect(tap, recorder.as_mut(), records, tally);
+            collected.is_ok()
+        });
+        collected?;
+        let response = response?;
         if response.plan_id == 0 {
             return Err(SessionError::Refused { role: "planner", reason: text(&response.reason) });
         }
@@ -369,12 +377,7 @@ impl Session {
     /// # Errors
     /// [`SessionError::Recording`].
     pub fn collect(&mut self) -> Result<(), SessionError> {
-        let Self { tap, recorder, records, tally, .. } = self;
-        tap.drain(recorder.as_mut(), |new| {
-            records.extend_from_slice(new);
-            new.iter().for_each(|record| tally.count(record));
-        })?;
-        Ok(())
+        collect(&self.tap, self.recorder.as_mut(), &mut self.records, &mut self.tally)
     }
 
     /// Ends the system: SIGTERM to the daemon, which stops the arm and closes the brakes, then to the others.
@@ -397,6 +400,19 @@ impl Session {
         }
         Ok(())
     }
+}
+
+fn collect(
+    tap: &Tap,
+    recorder: Option<&mut Recorder>,
+    records: &mut Vec<Telemetry>,
+    tally: &mut Tally,
+) -> Result<(), SessionError> {
+    tap.drain(recorder, |new| {
+        records.extend_from_slice(new);
+        new.iter().for_each(|record| tally.count(record));
+    })?;
+    Ok(())
 }
 
 /// A text from shared memory, whatever is in it.

@@ -11,7 +11,6 @@ use iceoryx2::service::port_factory::client::ClientCreateError;
 use iceoryx2::service::port_factory::request_response::PortFactory;
 use iceoryx2::service::port_factory::server::ServerCreateError;
 use std::cell::Cell;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 type Service<Q> = PortFactory<ipc::Service, Q, (), <Q as Request>::Response, ()>;
@@ -81,18 +80,18 @@ impl<Q: Request> Client<Q> {
     /// [`CallError::NoServer`] at once if there is none, [`CallError::ServerGone`] if it goes away meanwhile,
     /// [`CallError::Timeout`] if it does not answer in time.
     pub fn call(&self, request: &Q, timeout: Duration) -> Result<Q::Response, CallError> {
-        self.call_unless(request, timeout, &AtomicBool::new(false))
+        self.call_while(request, timeout, || true)
     }
 
-    /// As [`Client::call`], and gives up once `interrupted` is set.
+    /// As [`Client::call`], but asks `wanted` at each look for the answer, and gives up once that says no.
     ///
     /// # Errors
     /// As [`Client::call`], and [`CallError::Interrupted`].
-    pub fn call_unless(
+    pub fn call_while(
         &self,
         request: &Q,
         timeout: Duration,
-        interrupted: &AtomicBool,
+        mut wanted: impl FnMut() -> bool,
     ) -> Result<Q::Response, CallError> {
         if !self.had_server_lately() {
             return Err(self.no_server());
@@ -117,7 +116,7 @@ impl<Q: Request> Client<Q> {
             if !served || !self.had_server_lately() {
                 return Err(CallError::ServerGone { service: Q::SERVICE });
             }
-            if interrupted.load(Ordering::Acquire) {
+            if !wanted() {
                 return Err(CallError::Interrupted { service: Q::SERVICE });
             }
             let waited = start.elapsed();

@@ -45,7 +45,7 @@ fn from_lockstep() {
 #[test]
 fn from_a_paced_run() {
     let folder = tempfile::tempdir().expect("a folder");
-    // Without a plan: while a busy machine makes one, nobody takes the steps.
+    // Short: steps wait for a second, and a busy machine may leave a test without a CPU for as long.
     let (_, recording) = recorded(folder.path(), Clock::Paced, Mode::Hold);
     let result = replay(&recording).unwrap_or_else(|e| panic!("{e}"));
     assert_eq!(result.difference, None);

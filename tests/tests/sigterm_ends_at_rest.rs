@@ -16,8 +16,8 @@ fn ends_from(mode: Mode) {
     assert_eq!(unsafe { libc::kill(pid, libc::SIGTERM) }, 0);
     session.end_in_place().unwrap_or_else(|e| panic!("{e}"));
     let modes: Vec<Mode> = session.records[before..].iter().filter_map(|r| r.mode().ok()).collect();
-    if mode == Mode::Idle {
-        assert!(modes.iter().all(|m| *m == Mode::Idle), "brakes open in Idle");
+    if matches!(mode, Mode::Idle | Mode::Fault) {
+        assert!(modes.iter().all(|m| *m == mode), "brakes open in {mode}");
         return;
     }
     let stop = modes.iter().position(|m| *m == Mode::Stop).expect("it stops first");
@@ -46,4 +46,14 @@ fn from_track() {
 #[test]
 fn from_balance() {
     ends_from(Mode::Balance);
+}
+
+#[test]
+fn from_stop() {
+    ends_from(Mode::Stop);
+}
+
+#[test]
+fn from_fault() {
+    ends_from(Mode::Fault);
 }
