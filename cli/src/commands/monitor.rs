@@ -27,7 +27,7 @@ pub struct MonitorArgs {
     /// Serve a page at this address instead; port 0: any that is free [default: 127.0.0.1:8080]
     #[arg(long, value_name = "ADDRESS:PORT", num_args = 0..=1, default_missing_value = "127.0.0.1:8080")]
     pub web: Option<SocketAddr>,
-    /// The page can make requests, with the token that is printed; only on this machine (127.0.0.1, [::1])
+    /// The page can make requests, with the token that is printed; only on this machine (127.0.0.1 or ::1)
     #[arg(long, requires = "web")]
     pub allow_control: bool,
 }
