@@ -183,7 +183,7 @@ fn daemon() {
 #[test]
 fn plant() {
     for (from, to, parts) in [
-        ("substeps = 2", "substeps = 0", &["integrator.substeps", "from 1 to", "got 0"]),
+        ("substeps = 1", "substeps = 0", &["integrator.substeps", "from 1 to", "got 0"]),
         ("resolution_rad = 2e-5", "resolution_rad = 0", &["encoder.arm_resolution_rad", POSITIVE, "got 0"]),
         ("bits = 17", "bits = 33", &["encoder.pendulum_bits", "from 1 to 32", "got 33"]),
         ("watchdog_cycles = 20", "watchdog_cycles = 0", &["drive.watchdog_cycles", "from 1 to", "got 0"]),
