@@ -1,5 +1,5 @@
 //! Processes that stall, die, start again or send damaged plans end as docs/faults.md says. What goes on loses no cycle; a
-//! fault is left by a reset only.
+//! fault is left by a reset, or with the process, only.
 
 use std::sync::{LazyLock, mpsc};
 use std::time::{Duration, Instant};
@@ -15,8 +15,11 @@ use upswingd::trip::TripCause;
 
 const SECTION: &str = "Of processes";
 const GOES_ON: &str = "goes on";
+const STAYS: &str = "stays";
 /// What has to go on goes on for so many cycles afterwards.
 const AFTER: u64 = 1000;
+/// What has to stay stays for so long.
+const STAYING: Duration = Duration::from_millis(500);
 
 fn check(column: Mode) {
     let (columns, rows) = table(PAGE, SECTION);
@@ -47,13 +50,19 @@ fn check(column: Mode) {
                 "{} in {column}: cycles are lost",
                 row.fault
             );
-            last = Some(system).filter(|_| column != Mode::Track);
+            last = Some(system)
+                .filter(|_| matches!(column, Mode::Idle | Mode::Hold | Mode::Balance | Mode::Fault));
             continue;
         }
         let begin = Instant::now();
         loop {
             let seen = outcome(&mut system, column);
-            if &seen == expected {
+            if expected == STAYS {
+                assert_eq!(seen, GOES_ON, "{} in {column}", row.fault);
+                if begin.elapsed() > STAYING {
+                    break;
+                }
+            } else if &seen == expected {
                 break;
             }
             assert!(begin.elapsed() < LONG, "{} in {column}: {seen}, expected {expected}", row.fault);
@@ -108,14 +117,17 @@ fn outcome(system: &mut System, before: Mode) -> String {
     let status = system.status();
     let now = status.mode().expect("a known mode");
     match now {
+        Mode::Idle | Mode::Fault if braked && now == before => GOES_ON.into(),
         Mode::Fault if braked => {
             let cause = TripCause::ALL.into_iter().find(|cause| cause.code() == status.fault);
             cause.map_or("Fault without a cause".into(), |cause| format!("Fault: {cause:?}"))
         }
         Mode::Fault => "Fault with open brakes".into(),
         Mode::Idle if braked => "brakes".into(),
-        // A plan may end meanwhile.
+        Mode::Idle => "Idle with open brakes".into(),
+        // A plan, or a stop, may end meanwhile.
         Mode::Balance if before == Mode::Track => GOES_ON.into(),
+        Mode::Hold if before == Mode::Stop => GOES_ON.into(),
         now if now == before => GOES_ON.into(),
         now => format!("ends in {now}"),
     }
@@ -215,6 +227,11 @@ fn load_cpus(time: Duration) {
 }
 
 #[test]
+fn in_idle() {
+    check(Mode::Idle);
+}
+
+#[test]
 fn in_hold() {
     check(Mode::Hold);
 }
@@ -227,4 +244,14 @@ fn in_track() {
 #[test]
 fn in_balance() {
     check(Mode::Balance);
+}
+
+#[test]
+fn in_stop() {
+    check(Mode::Stop);
+}
+
+#[test]
+fn in_fault() {
+    check(Mode::Fault);
 }

@@ -8,8 +8,10 @@ use serde::Serialize;
 pub struct Holdings {
     /// Process id.
     pub pid: u32,
-    /// Resident memory, KiB.
+    /// Resident memory, KiB: its own, that of files, and the pages of shared memory that it has touched so far.
     pub resident_kib: u64,
+    /// Of this its own, KiB: what a leak would make grow.
+    pub own_kib: u64,
     /// Open file descriptors.
     pub handles: usize,
     /// Threads.
@@ -21,9 +23,17 @@ impl Holdings {
     pub fn of(pid: u32) -> Option<Self> {
         let folder = |name: &str| std::fs::read_dir(format!("/proc/{pid}/{name}")).ok().map(Iterator::count);
         let status = std::fs::read_to_string(format!("/proc/{pid}/status")).ok()?;
-        let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
-        let resident_kib = line.split_whitespace().next()?.parse().ok()?;
-        Some(Self { pid, resident_kib, handles: folder("fd")?, threads: folder("task")? })
+        let kib = |key: &str| {
+            let value = status.lines().find_map(|line| line.strip_prefix(key))?;
+            value.split_whitespace().next()?.parse().ok()
+        };
+        Some(Self {
+            pid,
+            resident_kib: kib("VmRSS:")?,
+            own_kib: kib("RssAnon:")?,
+            handles: folder("fd")?,
+            threads: folder("task")?,
+        })
     }
 }
 
@@ -67,7 +77,7 @@ pub struct Growth {
     pub resident_kib: (u64, u64),
     /// Fewest and most handles.
     pub handles: (usize, usize),
-    /// Largest growth of one process from its first sample to its last, KiB.
+    /// Largest growth of a process's own memory from its first sample on, KiB.
     pub grown_kib: i64,
 }
 
@@ -97,7 +107,7 @@ impl Growth {
             growth.resident_kib = (growth.resident_kib.0.min(kib), growth.resident_kib.1.max(kib));
             growth.handles = (growth.handles.0.min(handles), growth.handles.1.max(handles));
             if sample.pid == first.pid {
-                growth.grown_kib = growth.grown_kib.max(kib as i64 - first.resident_kib as i64);
+                growth.grown_kib = growth.grown_kib.max(sample.own_kib as i64 - first.own_kib as i64);
             } else {
                 growth.processes += 1;
                 first = sample;
@@ -112,7 +122,7 @@ impl std::fmt::Display for Growth {
         let mib = |kib: u64| kib as f64 / 1024.0;
         write!(
             f,
-            "{:<9} {} processes, memory {:.1} to {:.1} MiB, of one it grew by at most {:.1} MiB; handles {} to {}",
+            "{:<9} {} processes, memory {:.1} to {:.1} MiB, the own of one grew by at most {:.1} MiB; handles {} to {}",
             self.role,
             self.processes,
             mib(self.resident_kib.0),
@@ -130,16 +140,26 @@ mod tests {
 
     #[test]
     fn growth_is_that_of_one_process() {
-        let held = |pid, resident_kib, handles| Holdings { pid, resident_kib, handles, threads: 1 };
+        // Shared memory that is touched is no growth.
+        let held = |pid, own_kib, handles| Holdings {
+            pid,
+            resident_kib: own_kib + 10 * handles as u64,
+            own_kib,
+            handles,
+            threads: 1,
+        };
         let samples = [held(1, 100, 5), held(1, 130, 7), held(2, 90, 4), held(2, 95, 4)];
         let growth = Growth::of_role("plant", samples.into_iter()).expect("samples");
         assert_eq!((growth.processes, growth.grown_kib), (2, 30));
-        assert_eq!((growth.resident_kib, growth.handles), ((90, 130), (4, 7)));
+        assert_eq!((growth.resident_kib, growth.handles), ((130, 200), (4, 7)));
     }
 
     #[test]
     fn this_process_holds_something() {
         let own = Holdings::of(std::process::id()).expect("this process");
-        assert!(own.resident_kib > 0 && own.handles > 2 && own.threads > 0, "{own:?}");
+        assert!(
+            own.resident_kib > own.own_kib && own.own_kib > 0 && own.handles > 2 && own.threads > 0,
+            "{own:?}"
+        );
     }
 }
