@@ -36,3 +36,60 @@ pub fn torque(
     let within = ActuatedVector::from_fn(|i, _| tau[i].min(tau_max[i]).max(-tau_max[i]));
     Some(Torque { tau: within, limited: (0..NU).any(|i| within[i] != tau[i]), qdd })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{Torque, torque};
+    use upswing_config::Config;
+    use upswing_model::{
+        ActuatedVector, JointVector, N_ACTUATED, NU, State, Workspace, position, state, velocity,
+    };
+
+    /// A state in motion, and an input.
+    fn motion() -> (State, ActuatedVector) {
+        let q = JointVector::from_fn(|i, _| 0.3 * (i as f64 - 4.0));
+        let qd = JointVector::from_fn(|i, _| 0.7 - 0.2 * i as f64);
+        (state(&q, &qd), ActuatedVector::from_fn(|i, _| 2.0 - 0.8 * i as f64))
+    }
+
+    /// The law for a disturbance and limits.
+    fn law(x: &State, u: &ActuatedVector, disturbance: f64, limit: f64) -> Option<Torque> {
+        let config = Config::embedded().expect("settings");
+        let [disturbance, limit] = [disturbance, limit].map(ActuatedVector::repeat);
+        torque(&config.model, x, u, &disturbance, &limit, &mut Workspace::default())
+    }
+
+    #[test]
+    fn the_arm_accelerates_as_asked() {
+        let (x, u) = motion();
+        let model = Config::embedded().expect("settings").model;
+        for disturbance in [0.0, 3.0] {
+            let Torque { tau, limited, qdd } = law(&x, &u, disturbance, 1e3).expect("finite");
+            // What acts on the arm besides the drives, too.
+            let load = JointVector::from_fn(|i, _| if i < N_ACTUATED { tau[i] + disturbance } else { 0.0 });
+            let got = model.forward_dynamics(&position(&x), &velocity(&x), &load, &mut Workspace::default());
+            let error = (got.expect("a solution") - qdd).amax();
+            // Rounding, with inertias of 0.001 to 10 kg m^2.
+            assert!(error < 1e-9 && !limited, "{error:e} rad/s^2");
+            assert!((0..NU).all(|i| qdd[i] == u[i]), "{qdd} is not {u}");
+        }
+    }
+
+    #[test]
+    fn no_joint_gets_more_than_its_limit() {
+        let (x, u) = motion();
+        let free = law(&x, &u, 0.0, 1e3).expect("finite").tau;
+        let cut = law(&x, &u, 0.0, 5.0).expect("finite");
+        assert!(cut.limited && free.amax() > 5.0);
+        for i in 0..NU {
+            assert_eq!(cut.tau[i], free[i].clamp(-5.0, 5.0), "joint {}", i + 1);
+        }
+    }
+
+    #[test]
+    fn what_is_not_a_number_gives_no_torque() {
+        let (x, mut u) = motion();
+        u[3] = f64::NAN;
+        assert_eq!(law(&x, &u, 0.0, 1e3), None);
+    }
+}

@@ -6,7 +6,7 @@ use std::process::Command;
 use upswing::recording::Message;
 use upswing::replay::{Replay, ReplayError, Run, settings};
 use upswing_config::Config;
-use upswing_ipc::{Clock, Mode};
+use upswing_ipc::{Clock, ControlCommand, Mode};
 use upswing_tests::{START, System, programs};
 
 fn replay(recording: &Run) -> Result<Replay, ReplayError> {
@@ -21,7 +21,7 @@ fn recorded(folder: &Path, clock: Clock, goal: Mode) -> (PathBuf, Run) {
     system.inject("encoder-nan --joint 8 --cycles 1");
     system.wait_until("a fault", |record| record.mode() == Ok(Mode::Fault));
     system.advance(400);
-    system.request(upswing_ipc::ControlCommand::Reset);
+    system.request(ControlCommand::Reset);
     system.advance(400);
     system.end();
     let recording = Run::read(&file).unwrap_or_else(|e| panic!("{e}"));
@@ -50,6 +50,22 @@ fn from_a_paced_run() {
     let result = replay(&recording).unwrap_or_else(|e| panic!("{e}"));
     assert_eq!(result.difference, None);
     assert!(result.compared > 2_000, "only {} cycles", result.compared);
+}
+
+#[test]
+fn from_a_run_on_the_wall_clock() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("run.mcap");
+    let mut system = System::start_recorded(Clock::Wall, START, None, Some(&file));
+    system.advance(1);
+    // Whatever becomes of it where the machine is busy: late cycles and their faults replay like all others.
+    let _ = system.session.ask_control(ControlCommand::Enable);
+    system.advance(2000);
+    system.end();
+    let recording = Run::read(&file).unwrap_or_else(|e| panic!("{e}"));
+    let result = replay(&recording).unwrap_or_else(|e| panic!("{e}"));
+    assert_eq!(result.difference, None);
+    assert!(result.compared >= 2000, "only {} cycles", result.compared);
 }
 
 fn a_changed_input_is_found(recording: &Run) {
