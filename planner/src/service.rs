@@ -58,6 +58,10 @@ fn serve(planner: &Planner, domain: &Domain, stop: &Arc<AtomicBool>) -> Result<(
         }
         let mut published = Vec::new();
         let answered = server.poll_while_wanted(|request, wanted| {
+            // What was measured until now counts. An error comes again with the next look.
+            if let Ok(Some(record)) = drain(&telemetry) {
+                desk.observe(record);
+            }
             let (response, plan) = desk.answer(request, wanted);
             if request.publish == 1 && wanted() {
                 published.extend(plan);

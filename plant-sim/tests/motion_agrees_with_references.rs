@@ -123,5 +123,6 @@ fn one_second_under_changing_torques_agrees_with_order_twelve() {
     let (moved, error) = ((position(&x) - q).amax(), (state(plant.position(), plant.velocity()) - x).amax());
     println!("moved by {moved} rad, differs by {error:e} rad or rad/s");
     assert!(moved > 0.3);
-    assert!(error < 1e-8, "{error:e} rad or rad/s");
+    // A thousandth of what the finest encoder shows.
+    assert!(error < 1e-7, "{error:e} rad or rad/s");
 }
