@@ -49,6 +49,19 @@ impl Site {
     }
 }
 
+/// Gives connections that are still without any memory a byte of it.
+///
+/// To clean up after a port, iceoryx2 0.10 opens its connections; it takes an unfinished one for what it is, unless it is
+/// empty: then, as root, it waits for its creator without end, even for one that was killed. A creator that lives sets
+/// the size itself.
+pub(crate) fn fill_empty_connections(domain: &Domain) {
+    let connections = domain.memory().filter(|path| is_connection(path));
+    for path in connections.filter(|path| path.metadata().is_ok_and(|state| state.len() == 0)) {
+        // If it cannot be opened, this is not root.
+        let _ = OpenOptions::new().write(true).open(path).and_then(|file| file.set_len(1));
+    }
+}
+
 fn remove_if(path: &Path, condition: impl FnOnce(&Path, &Metadata) -> bool) {
     if path.symlink_metadata().is_ok_and(|state| state.is_file() && condition(path, &state)) {
         // If it cannot be removed it is gone already, or this user cannot open it anyway.
@@ -71,8 +84,11 @@ fn acquire(domain: &Domain) -> Option<File> {
 
 /// iceoryx2 lets the owner read shared memory only when it is complete.
 fn is_unfinished_memory(path: &Path, state: &Metadata) -> bool {
-    let is_connection = path.extension().is_some_and(|suffix| suffix == "connection");
-    state.mode() & OWNER_READ == 0 && (!is_connection || is_old(state))
+    state.mode() & OWNER_READ == 0 && (!is_connection(path) || is_old(state))
+}
+
+fn is_connection(path: &Path) -> bool {
+    path.extension().is_some_and(|suffix| suffix == "connection")
 }
 
 /// iceoryx2 forbids the owner to write to the description of a service when it is complete.
@@ -109,8 +125,7 @@ fn clear_nodes(nodes: &Path) -> HashSet<String> {
 /// Whether it is a connection, `*_<sender>_<receiver>.connection`, one end of which has no port.
 fn is_without_port(path: &Path, ports: &HashSet<String>) -> bool {
     let Some(ends) = path.file_stem().and_then(|stem| stem.to_str()) else { return false };
-    path.extension().is_some_and(|suffix| suffix == "connection")
-        && ends.rsplit('_').take(2).any(|port| !ports.contains(port))
+    is_connection(path) && ends.rsplit('_').take(2).any(|port| !ports.contains(port))
 }
 
 /// The number with which iceoryx2 ends the name of what belongs to one node or port.

@@ -208,7 +208,10 @@ impl Domain {
         Ok(alive)
     }
 
-    fn for_each_node(&self, mut visit: impl FnMut(NodeState<ipc::Service>)) -> Result<(), IpcError> {
+    pub(crate) fn for_each_node(
+        &self,
+        mut visit: impl FnMut(NodeState<ipc::Service>),
+    ) -> Result<(), IpcError> {
         IoxNode::<ipc::Service>::list(&self.config, |node| {
             visit(node);
             CallbackProgression::Continue

@@ -1,7 +1,7 @@
 //! A process' seat in a domain, and the ends of services that it can ask for.
 
 use crate::blackboard::{Finder, Writer};
-use crate::construction::Site;
+use crate::construction::{Site, fill_empty_connections};
 use crate::domain::Domain;
 use crate::error::IpcError;
 use crate::messages::{Publisher, Subscriber};
@@ -10,7 +10,7 @@ use crate::payload::{
 };
 use crate::request::{Client, Server};
 use iceoryx2::identifiers::UniqueNodeId;
-use iceoryx2::prelude::{CallbackProgression, Node as IoxNode, ipc};
+use iceoryx2::prelude::{CallbackProgression, Node as IoxNode, NodeState, ipc};
 use std::fmt;
 use std::fs::File;
 use std::sync::Arc;
@@ -73,7 +73,20 @@ impl Node {
 
     /// As [`Node::clean_up`], for those who are on site already.
     pub(crate) fn clean_up_at(&self, _site: &Site) {
-        self.inner.iox.blocking_cleanup_dead_nodes(CLEANUP_PATIENCE);
+        let mut dead = Vec::new();
+        // What cannot be listed, or is being cleaned up by somebody else, is left to the next time.
+        let _ = self.domain().for_each_node(|node| {
+            if let NodeState::Dead(node) = node {
+                dead.push(node);
+            }
+        });
+        if !dead.is_empty() {
+            // After they died: they make no more connections.
+            fill_empty_connections(self.domain());
+        }
+        for node in dead {
+            let _ = node.blocking_remove_stale_resources(CLEANUP_PATIENCE);
+        }
     }
 
     /// Measurements out (plant).

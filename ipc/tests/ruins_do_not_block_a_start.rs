@@ -7,7 +7,7 @@ use std::fs::Permissions;
 use std::os::unix::fs::PermissionsExt;
 use std::path::PathBuf;
 use std::time::{Duration, SystemTime};
-use upswing_ipc::{CallError, ControlCommand, ControlRequest, Domain, Measurement};
+use upswing_ipc::{CallError, ControlCommand, ControlRequest, Domain, Measurement, TelemetryBatch};
 
 /// Entry of the child process: holds some ends until it is killed.
 #[test]
@@ -19,6 +19,16 @@ fn child_holds_ends() {
     let writer = node.measurement_writer().unwrap();
     writer.write(Measurement { seq: 1, ..Measurement::default() });
     until_killed(|| {});
+}
+
+/// Entry of the child process: sends to whoever listens until it is killed.
+#[test]
+fn child_publishes() {
+    let Some(domain) = domain_of_child() else { return };
+    let publisher = domain.connect("victim").unwrap().telemetry_publisher().unwrap();
+    until_killed(|| {
+        publisher.publish(&TelemetryBatch::boxed_zeroed()).unwrap();
+    });
 }
 
 fn files(directory: PathBuf, part_of_name: &str) -> Vec<PathBuf> {
@@ -122,6 +132,32 @@ fn unfinished_nodes_and_connections_without_a_port_are_removed_when_they_are_old
     node.clean_up();
     assert_eq!(found(), (complete, false), "those of the living node stay");
     let _server = node.control_server().unwrap();
+}
+
+#[test]
+fn an_unfinished_connection_of_a_dead_port_does_not_stop_the_clean_up() {
+    let domain = TestDomain::new("connection");
+    let victim = Victim::start("child_publishes", &domain);
+    let node = domain.connect("observer").unwrap();
+    let subscriber = node.telemetry_subscriber().unwrap();
+    wait_for("telemetry", || subscriber.receive().unwrap());
+    victim.kill();
+    let connections = files("/dev/shm".into(), &format!("upswing_{}_", domain.name()));
+    let connection = connections.into_iter().find(|path| path.extension().is_some_and(|e| e == "connection"));
+    // As after shm_open, before ftruncate, a moment ago; the observer keeps what it has mapped.
+    let connection = connection.expect("one to the observer");
+    std::fs::remove_file(&connection).unwrap();
+    std::fs::File::create(&connection).unwrap();
+    std::fs::set_permissions(&connection, Permissions::from_mode(0o200)).unwrap();
+
+    let (tell, told) = std::sync::mpsc::channel();
+    std::thread::spawn(move || {
+        node.clean_up();
+        tell.send(()).unwrap();
+    });
+    told.recv_timeout(Duration::from_secs(30)).expect("the clean-up ends");
+    assert_eq!(domain.count_dead().unwrap(), 0);
+    assert!(!connection.exists());
 }
 
 #[test]
