@@ -172,11 +172,6 @@ impl Controller {
         &self.observer.x
     }
 
-    /// Whether the brakes hold.
-    pub fn is_safe_to_exit(&self) -> bool {
-        is_braked(self.mode)
-    }
-
     /// To be called when measurements do not come any more, which on the paced clock only the caller can tell.
     pub fn lose_measurement(&mut self, cycles: u32) {
         self.told.lost = cycles.into();
@@ -210,7 +205,9 @@ impl Controller {
             ..self.told
         };
         self.told = Step { number: told.number, late: told.late, ..Step::default() };
-        let wall = measurement.clock() == Ok(Clock::Wall);
+        // Before a plant shows its clock no time passes: that of a paced one will begin at 0.
+        let wall = measurement.period_ns > 0 && measurement.clock() == Ok(Clock::Wall);
+        let first = self.observer.is_new();
         let now = if wall { now_ns } else { measurement.seq.saturating_mul(measurement.period_ns) };
         let elapsed = now.saturating_sub(self.now) as f64 * 1e-9;
         self.now = now;
@@ -219,6 +216,12 @@ impl Controller {
         let expected = self.expected.as_ref();
         let (fresh, restarted) =
             self.observer.observe(measurement, now_ns, &self.checks, expected, braked, &mut self.warnings);
+        if fresh && (first || restarted.is_some()) {
+            // Another plant, another time: plans age by its clock from here.
+            for kept in [&mut self.loaded, &mut self.running].into_iter().flatten() {
+                kept.since = now;
+            }
+        }
         if matches!(self.mode, Mode::Idle | Mode::Hold) {
             self.observer.drop_turns();
         }
@@ -263,12 +266,39 @@ impl Controller {
             }
         }
 
-        let brake = u64::from(is_braked(self.mode));
         let t_ns = if wall { now_ns } else { measurement.t_ns };
-        let tau = torque.tau.into();
+        let telemetry = self.telemetry(measurement, t_ns, fresh, &target, &torque);
+        Output {
+            command: Command {
+                seq: self.cycle,
+                t_ns,
+                measurement_seq: measurement.seq,
+                tau: telemetry.tau,
+                brake: is_braked(self.mode).into(),
+            },
+            record: Record {
+                telemetry,
+                step: Step { cycle: self.cycle, ..told },
+                trip: self.trip,
+                overruns: 0,
+            },
+            answer,
+            garbage,
+        }
+    }
+
+    /// What this cycle was; `fresh`: its measurement is new.
+    fn telemetry(
+        &self,
+        measurement: &Measurement,
+        t_ns: u64,
+        fresh: bool,
+        target: &Target,
+        torque: &law::Torque,
+    ) -> Telemetry {
         let fault = self.trip.filter(|_| self.mode == Mode::Fault).map_or(0, |trip| trip.cause.code());
         let flag = |set: bool, bit: u64| if set { bit } else { 0 };
-        let telemetry = Telemetry {
+        Telemetry {
             seq: self.cycle,
             t_ns,
             measurement_seq: measurement.seq,
@@ -278,7 +308,7 @@ impl Controller {
             plan_id: self.running.as_ref().map_or(0, |kept| kept.plan.id),
             flags: flag(!fresh, Telemetry::STALE)
                 | flag(torque.limited, Telemetry::LIMITED)
-                | flag(brake == 1, Telemetry::BRAKE),
+                | flag(is_braked(self.mode), Telemetry::BRAKE),
             t_plan: target.t_plan,
             q: self.observer.position(measurement).into(),
             qd: velocity(&self.observer.x).into(),
@@ -286,20 +316,9 @@ impl Controller {
             qd_d: velocity(&target.x_d).into(),
             u_d: target.u_d.into(),
             u: target.u.into(),
-            tau,
+            tau: torque.tau.into(),
             tau_measured: measurement.tau_measured,
             ..Telemetry::default()
-        };
-        Output {
-            command: Command { seq: self.cycle, t_ns, measurement_seq: measurement.seq, tau, brake },
-            record: Record {
-                telemetry,
-                step: Step { cycle: self.cycle, ..told },
-                trip: self.trip,
-                overruns: 0,
-            },
-            answer,
-            garbage,
         }
     }
 

@@ -9,7 +9,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use upswing_config::RecorderSettings;
 use upswing_ipc::Telemetry;
-use xxhash_rust::xxh3::{Xxh3, xxh3_64};
+use xxhash_rust::xxh3::xxh3_64;
 
 /// The first word: what the file is, and the version of its records.
 pub const MAGIC: u64 = u64::from_le_bytes(*b"upswfl02");
@@ -63,17 +63,16 @@ impl Recorder {
         let path = directory.join(format!("{since:015}-{}.{EXTENSION}", std::process::id()));
         // Complete or not there: a reader never sees half a file under the final name.
         let unfinished = path.with_extension("part");
-        let mut file = io::BufWriter::new(fs::File::create(&unfinished)?);
-        let mut hash = Xxh3::new();
         let header = [MAGIC, RECORD_WORDS as u64, self.ring.len() as u64];
-        for word in header.into_iter().chain(self.records().flat_map(Telemetry::words)) {
-            hash.update(&word.to_le_bytes());
-            file.write_all(&word.to_le_bytes())?;
-        }
-        file.write_all(&hash.digest().to_le_bytes())?;
-        file.into_inner()?.sync_all()?;
+        let words = header.into_iter().chain(self.records().flat_map(Telemetry::words));
+        let mut bytes: Vec<u8> = words.flat_map(u64::to_le_bytes).collect();
+        bytes.extend(xxh3_64(&bytes).to_le_bytes());
+        let mut file = fs::File::create(&unfinished)?;
+        file.write_all(&bytes)?;
+        file.sync_all()?;
         fs::rename(&unfinished, &path)?;
-        remove_oldest(directory, settings.keep)?;
+        // What cannot be removed is tried again at the next fault.
+        let _ = remove_oldest(directory, settings.keep);
         Ok(Some(path))
     }
 }
@@ -124,8 +123,7 @@ pub enum FlightError {
 /// [`FlightError`] for whatever is no such file.
 pub fn read(path: &Path) -> Result<Vec<Telemetry>, FlightError> {
     let bytes = fs::read(path)?;
-    let words: Vec<u64> =
-        bytes.chunks_exact(WORD).map(|w| w.iter().rev().fold(0, |sum, b| sum << 8 | u64::from(*b))).collect();
+    let words: Vec<u64> = bytes.as_chunks::<WORD>().0.iter().map(|word| u64::from_le_bytes(*word)).collect();
     let word = |i: usize| words.get(i).copied().unwrap_or(0);
     if word(0) != MAGIC || word(1) != RECORD_WORDS as u64 {
         return Err(FlightError::Magic { got: word(0) });

@@ -139,18 +139,18 @@ impl<'a> Journal<'a> {
     /// If telemetry cannot be published.
     pub fn flush(&mut self, dropped: u64) -> Result<(), IpcError> {
         // Steps first: who has a cycle can have the step that gave it.
+        let mut sent = Ok(0);
         if self.step_batch.count > 0 {
-            let sent = self.steps.publish(&self.step_batch);
+            sent = self.steps.publish(&self.step_batch);
             self.step_batch.clear();
-            sent?;
         }
         if self.batch.count > 0 {
             self.batch.dropped = dropped;
-            let sent = self.telemetry.publish(&self.batch);
+            // One that fails does not keep the other from being sent.
+            sent = sent.and(self.telemetry.publish(&self.batch));
             self.batch.clear();
-            sent?;
         }
-        Ok(())
+        sent.map(drop)
     }
 
     /// Statistics and warnings.

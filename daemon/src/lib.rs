@@ -4,34 +4,34 @@
 //! | module | what |
 //! |---|---|
 //! | [`controller`] | one cycle: measurement in, command out; a pure function of measurement, time and its own state |
-//! | [`observer`], [`filter`] | the state x from measurements, and whether it can be trusted |
-//! | [`arm`], [`law`] | the reference of Hold and Stop, the torque law (24) |
-//! | [`disturbance`] | the torque that acts besides the commanded one, to be taken off it |
-//! | [`supervisor`], [`checks`], [`trip`] | the table of modes, the levels that are watched, what is beyond them |
+//! | `observer`, [`filter`] | the state x from measurements, and whether it can be trusted |
+//! | `arm`, `law` | the reference of Hold and Stop, the torque law (24) |
+//! | `disturbance` | the torque that acts besides the commanded one, to be taken off it |
+//! | [`supervisor`], `checks`, [`trip`] | the table of modes, the levels that are watched, what is beyond them |
 //! | [`plan`] | which plans it may run |
-//! | [`realtime`] | the thread that runs the cycle on time |
+//! | `realtime` | the thread that runs the cycle on time |
 //! | [`os`] | clock, scheduler and memory calls, and what the system refuses of them |
 //! | [`service`] | the thread that does all the rest |
-//! | `journal`, [`histogram`], [`overrun`], [`flight`] | what it keeps of the cycles: statistics, causes of overruns, the flight recorder |
+//! | `journal`, [`histogram`], `overrun`, [`flight`] | what it keeps of the cycles: statistics, causes of overruns, the flight recorder |
 //! | [`recovery`] | what follows a lost balance |
 
 // `.ci/rtsan` builds with this: the functions of the cycle then end the process if they allocate, lock or block.
 #![cfg_attr(rtsan, feature(sanitize))]
 
-pub mod arm;
-pub mod checks;
+mod arm;
+mod checks;
 pub mod controller;
-pub mod disturbance;
+mod disturbance;
 pub mod filter;
 pub mod flight;
 pub mod histogram;
 mod journal;
-pub mod law;
-pub mod observer;
+mod law;
+mod observer;
 pub mod os;
-pub mod overrun;
+mod overrun;
 pub mod plan;
-pub mod realtime;
+mod realtime;
 pub mod recovery;
 pub mod service;
 pub mod supervisor;

@@ -62,6 +62,11 @@ impl Observer {
         }
     }
 
+    /// Whether no plant was measured yet, or the last one is gone.
+    pub fn is_new(&self) -> bool {
+        self.seq == 0
+    }
+
     /// Takes in the newest measurement, whether or not it is new: whether it is, and whether a restart of the plant was
     /// noticed. `now_ns`: the time of the cycle, which counts on the wall clock only. `expected`: qdd that the last command
     /// was meant for, rad/s^2, where that is known. `braked`: the brakes hold; what the robot did then is no fault.

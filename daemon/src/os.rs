@@ -4,6 +4,7 @@ use std::fs::File;
 use std::io::{Error, ErrorKind, Write};
 use upswing_config::RealtimeSettings;
 use upswing_ipc::Degradation;
+pub use upswing_ipc::monotonic_ns;
 
 /// What has to be there of locked memory if it is limited: the process with all its segments uses less.
 const ENOUGH_MEMORY: libc::rlim_t = 256 << 20;
@@ -12,14 +13,6 @@ const HEAP: usize = 18 << 20;
 /// Stack that is in memory before the first cycle; the cycle uses less.
 const STACK: usize = 256 << 10;
 const PAGE: usize = 4096;
-
-/// CLOCK_MONOTONIC, ns.
-pub fn monotonic_ns() -> u64 {
-    let mut now = libc::timespec { tv_sec: 0, tv_nsec: 0 };
-    // SAFETY: `now` is a valid place to write to; this clock always exists.
-    unsafe { libc::clock_gettime(libc::CLOCK_MONOTONIC, &raw mut now) };
-    now.tv_sec.unsigned_abs() * 1_000_000_000 + now.tv_nsec.unsigned_abs()
-}
 
 /// Sleeps until `t_ns` (CLOCK_MONOTONIC, ns); not at all if that is past.
 pub fn sleep_until(t_ns: u64) {
@@ -75,10 +68,15 @@ pub fn prepare_process() -> (Prepared, Vec<Refused>) {
 fn lock_memory() -> Result<(), String> {
     let unlimited = libc::rlimit { rlim_cur: libc::RLIM_INFINITY, rlim_max: libc::RLIM_INFINITY };
     let mut limit = unlimited;
-    // Raising the limit needs a privilege and may fail: what counts is the limit that is read back.
+    // Up to the hard limit anybody may raise it, beyond takes a privilege: what counts is the limit that is read back.
     // SAFETY: both limits are valid for the duration of the calls.
     let read = unsafe {
-        libc::setrlimit(libc::RLIMIT_MEMLOCK, &raw const unlimited);
+        if libc::setrlimit(libc::RLIMIT_MEMLOCK, &raw const unlimited) != 0
+            && libc::getrlimit(libc::RLIMIT_MEMLOCK, &raw mut limit) == 0
+        {
+            limit.rlim_cur = limit.rlim_max;
+            libc::setrlimit(libc::RLIMIT_MEMLOCK, &raw const limit);
+        }
         libc::getrlimit(libc::RLIMIT_MEMLOCK, &raw mut limit)
     };
     const GRANT: &str = "set LimitMEMLOCK=infinity in the unit, or memlock unlimited in limits.conf";

@@ -76,7 +76,8 @@ impl Recovery {
             Some(TripCause::TrackingError) => self.attempts > 0,
             _ => false,
         };
-        let stops = self.mode == Mode::Stop && before != Mode::Stop;
+        // The cause stays in later records: only a stop out of these modes follows from it.
+        let stops = self.mode == Mode::Stop && matches!(before, Mode::Track | Mode::Balance);
         if stops && fell && self.attempts < self.settings.attempts {
             self.stage = Stage::Settling { lost: self.now, rest: None };
         }

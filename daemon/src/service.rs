@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use tracing::{info, warn};
 use upswing_config::notify::Notifier;
 use upswing_config::process::Failure;
-use upswing_config::{Config, PlanWhileTracking, RealtimeMode};
+use upswing_config::{Config, RealtimeMode};
 use upswing_ipc::{
     ControlCommand, ControlRequest, ControlResponse, Domain, Finder, IpcError, Measurement, Mode, Node, Plan,
     PlannerKind, PlannerRequest, Text,
@@ -76,7 +76,7 @@ fn start_thread(
         refused.extend(os::prepare_thread(&settings));
         let degraded = refused.iter().fold(0, |bits, refused| bits | refused.what.bit());
         let go = refused.is_empty() || settings.mode == RealtimeMode::Warn;
-        let heard = tell.send((os::thread_id(), refused));
+        let heard = tell.send((os::thread_id(), degraded, refused));
         drop(tell);
         if go && heard.is_ok() {
             cycle.run(degraded);
@@ -86,10 +86,10 @@ fn start_thread(
         .name("realtime".into())
         .spawn(body)
         .map_err(|e| Failure::Failed(format!("cannot start the real-time thread: {e}")))?;
-    let (tid, refused) =
+    let (tid, degraded, refused) =
         told.recv().map_err(|_| Failure::Failed("the real-time thread did not start".into()))?;
-    desk.degraded = refused.iter().fold(0, |bits, refused| bits | refused.what.bit());
-    if desk.degraded != 0 {
+    desk.degraded = degraded;
+    if degraded != 0 {
         let reasons = refused.into_iter().map(|refused| refused.why).collect::<Vec<_>>().join(", ");
         if settings.mode == RealtimeMode::Strict {
             return Err(Failure::Failed(format!(
@@ -250,13 +250,15 @@ impl<'a> Desk<'a> {
             }
             Instant::now()
         });
-        let silence = self.journal.sign_of_life.max(begin).elapsed();
-        if silence > SIGN_OF_LIFE {
-            warn!("closing the brakes: the plant is gone, or stands still");
+        let why = if self.journal.sign_of_life.max(begin).elapsed() > SIGN_OF_LIFE {
+            "the plant is gone, or stands still"
         } else if begin.elapsed() > SHUTDOWN {
-            warn!("closing the brakes: the arm does not come to rest");
-        }
-        silence > SIGN_OF_LIFE || begin.elapsed() > SHUTDOWN
+            "the arm does not come to rest"
+        } else {
+            return false;
+        };
+        warn!("closing the brakes: {why}");
+        true
     }
 
     /// Answers a request of the operator.
@@ -274,7 +276,10 @@ impl<'a> Desk<'a> {
             Err(unknown) => return self.respond(false, &unknown.to_string()),
         };
         self.recovery.yield_to_operator();
-        match self.ask(request) {
+        let asked = self.ask(request);
+        // A loss that was found meanwhile is the operator's, too.
+        self.recovery.yield_to_operator();
+        match asked {
             Ok(remark) => {
                 if matches!(request, Request::Enable | Request::Start | Request::Reset) {
                     self.journal.forget_warnings();
@@ -334,10 +339,6 @@ impl<'a> Desk<'a> {
         let before = self.loaded;
         let result =
             plan::accept(payload, self.config).map_err(|refusal| refusal.to_string()).and_then(|plan| {
-                let (tracking, running) = (self.journal.mode() == Mode::Track, self.journal.running_plan());
-                if tracking && self.config.daemon.plan_while_tracking == PlanWhileTracking::Refuse {
-                    return Err(Refusal::Tracking { running }.to_string());
-                }
                 let number = self.order(Order::Load(plan));
                 number.ok_or_else(|| "too many orders wait for the next cycle".into())
             });
@@ -385,11 +386,15 @@ impl<'a> Desk<'a> {
             match report {
                 Report::Answer { number, result } if number == self.awaited => self.answer = Some(result),
                 Report::Answer { number, result: Err(refusal) } => {
-                    warn!("queued order refused: {refusal}");
-                    self.last_refusal = format!("queued order: {refusal}");
-                    if let Some((_, before)) = self.load.take_if(|(load, _)| *load == number) {
-                        self.loaded = before;
-                    }
+                    let order = match self.load.take_if(|(load, _)| *load == number) {
+                        Some((_, before)) => {
+                            let plan = std::mem::replace(&mut self.loaded, before);
+                            format!("plan {plan}")
+                        }
+                        None => "queued order".into(),
+                    };
+                    warn!("{order} refused: {refusal}");
+                    self.last_refusal = format!("{order}: {refusal}");
                 }
                 Report::Answer { .. } => {}
                 Report::Garbage(plan) => drop(plan),

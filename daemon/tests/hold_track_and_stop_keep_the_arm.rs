@@ -7,7 +7,7 @@ use upswing_config::Config;
 use upswing_ipc::{Mode, Telemetry};
 use upswing_model::{JointVector, NQ, NU, State, position};
 use upswingd::controller::{Controller, Order};
-use upswingd::supervisor::Request;
+use upswingd::supervisor::{Request, is_braked};
 
 /// One second.
 const SECOND: usize = 8000;
@@ -125,9 +125,9 @@ fn shutdown_comes_to_rest_before_the_brakes_close() {
         system.cycle(None);
     });
     system.ask(Request::Shutdown);
-    assert!(!system.controller.is_safe_to_exit());
+    assert!(!is_braked(system.controller.mode()));
     let mut cycles = 0;
-    while !system.controller.is_safe_to_exit() {
+    while !is_braked(system.controller.mode()) {
         system.cycle(None);
         cycles += 1;
         assert!(cycles < 2 * SECOND);

@@ -4,7 +4,7 @@ mod common;
 
 use common::{at_rest, config, rest_payload, rest_plan, rest_pose, upright_pose};
 use upswing_config::{Config, PlanWhileTracking};
-use upswing_ipc::Plan as Payload;
+use upswing_ipc::{Measurement, Plan as Payload};
 use upswing_model::{NQ, State, Workspace};
 use upswingd::controller::{Controller, Order};
 use upswingd::plan::{PlanRefusal, accept};
@@ -154,6 +154,46 @@ fn an_old_plan() {
     let (answer, warned) = at(601.0);
     assert!(matches!(answer, Err(Refusal::PlanExpired { limit: 600.0, .. })), "{answer:?}");
     assert!(warned);
+}
+
+#[test]
+fn a_plan_ages_by_the_clock_of_the_plant_that_is_there() {
+    let (config, x) = rest();
+    let q = upswing_model::position(&x);
+    let seconds = |s: f64| (s / common::PERIOD) as u64;
+    let start_after = |loaded_at: u64, restarts: bool, s: f64| {
+        let mut controller = Controller::new(&config);
+        let plan = rest_plan(&config, &x, 1.0);
+        if loaded_at == 0 {
+            // Before there is a plant, in the 1000th second of the machine.
+            controller.step(&Measurement::default(), 1_000_000_000_000, Some(Order::Load(plan)));
+        } else {
+            controller.step(&common::measurement(loaded_at, &q), 0, Some(Order::Load(plan)));
+        }
+        if restarts {
+            controller.restart_measurement();
+        }
+        controller.step(&common::measurement(1, &q), 0, None);
+        let now = seconds(s);
+        controller.step(&common::measurement(now, &q), 0, Some(Order::Do(Request::Enable)));
+        let output = controller.step(&common::measurement(now + 1, &q), 0, Some(Order::Do(Request::Start)));
+        output.answer.unwrap()
+    };
+    for (loaded_at, restarts) in [(0, false), (seconds(5000.0), true), (seconds(5000.0), false)] {
+        let answer = start_after(loaded_at, restarts, 601.0);
+        assert!(matches!(answer, Err(Refusal::PlanExpired { .. })), "{loaded_at}, {restarts}: {answer:?}");
+        assert_eq!(start_after(loaded_at, restarts, 50.0), Ok(()), "{loaded_at}, {restarts}");
+    }
+}
+
+#[test]
+fn no_time_passes_before_there_is_a_plant() {
+    let (config, _) = rest();
+    let mut controller = Controller::new(&config);
+    let order = Some(Order::Do(Request::Enable));
+    let output = controller.step(&Measurement::default(), 1_000_000_000_000, order);
+    assert!(output.answer.is_some_and(|answer| answer.is_err()));
+    assert_eq!((output.record.telemetry.seq, output.record.telemetry.t_ns), (0, 0));
 }
 
 #[test]

@@ -93,6 +93,16 @@ fn an_operators_stop_is_no_loss() {
     assert!(!recovery.is_active());
 }
 
+#[test]
+fn an_operators_stop_after_a_loss_is_no_second_one() {
+    let mut recovery = fallen(1);
+    hold(&mut recovery, 2, 1.0, 1);
+    recovery.yield_to_operator();
+    // The cause of the first stop stays in the records.
+    recovery.note(&record(Mode::Stop, 3 * SECOND, 1.0, Some(TripCause::BalanceLost)), 1);
+    assert!(!recovery.is_active());
+}
+
 #[derive(Clone, Debug)]
 enum Input {
     Cycle(usize, u64, f64, Option<usize>, u64),

@@ -13,6 +13,7 @@ use crate::construction::Site;
 use crate::error::IpcError;
 use crate::node::Node;
 use crate::services::{Latest, MAX_NODES, MAX_READERS};
+use crate::time::monotonic_ns;
 use iceoryx2::port::reader::{BlackboardValue, EntryHandle, Reader as IoxReader};
 use iceoryx2::port::writer::{EntryHandleMut, Writer as IoxWriter};
 use iceoryx2::prelude::{CallbackProgression, Service as _, ServiceName, ipc};
@@ -57,7 +58,7 @@ impl<T: Latest> Writer<T> {
     ///
     /// # Errors
     /// [`IpcError::Open`] or [`IpcError::Port`] if the blackboard cannot be created.
-    pub fn create(node: &Node) -> Result<Self, IpcError> {
+    pub(crate) fn create(node: &Node) -> Result<Self, IpcError> {
         node.persist(|| Self::attempt(node))
     }
 
@@ -113,13 +114,6 @@ impl<T: Latest> WriterEntry<T> {
     }
 }
 
-impl<T: Latest> WriterPorts<T> {
-    /// As [`Writer::epoch`].
-    pub fn epoch(&self) -> u64 {
-        self.epoch
-    }
-}
-
 /// Reads the latest value of one writer start; may move to the real-time thread.
 pub struct Reader<T: Latest> {
     handle: Arc<EntryHandle<ipc::Service, u64, T>>,
@@ -171,14 +165,14 @@ pub struct Finder<T: Latest> {
 struct Opened<T: Latest> {
     // Order of drop: port and service before the shared entry.
     _port: IoxReader<ipc::Service, u64>,
-    service: PortFactory<ipc::Service, u64>,
+    _service: PortFactory<ipc::Service, u64>,
     handle: Arc<EntryHandle<ipc::Service, u64, T>>,
     epoch: u64,
 }
 
 impl<T: Latest> Finder<T> {
     /// A finder that has found nothing yet.
-    pub fn new(node: &Node) -> Self {
+    pub(crate) fn new(node: &Node) -> Self {
         Self { open: Vec::new(), node: node.clone() }
     }
 
@@ -211,12 +205,6 @@ impl<T: Latest> Finder<T> {
     /// Start of the writer found last, CLOCK_MONOTONIC, ns.
     pub fn epoch(&self) -> Option<u64> {
         self.open.last().map(|o| o.epoch)
-    }
-
-    /// Whether the writer found last still has its port; cheap. After a crash it counts as alive until somebody
-    /// cleans up, as [`Finder::poll`] does: the age of the data tells sooner.
-    pub fn peer_alive(&self) -> bool {
-        self.open.last().is_some_and(|o| has_writer(&o.service))
     }
 
     /// The epochs of all services of this channel.
@@ -262,7 +250,7 @@ impl<T: Latest> Finder<T> {
         let entry = port.entry::<T>(&KEY);
         let entry =
             entry.map_err(|_| IpcError::Layout { service: name, expected: std::any::type_name::<T>() })?;
-        Ok(Some(Opened { _port: port, service, handle: Arc::new(entry), epoch }))
+        Ok(Some(Opened { _port: port, _service: service, handle: Arc::new(entry), epoch }))
     }
 
     /// Closes all blackboards but the newest whose readers were dropped.
@@ -289,12 +277,4 @@ fn epoch_of<T: Latest>(service: &str) -> Option<u64> {
     } else {
         None
     }
-}
-
-/// CLOCK_MONOTONIC, ns: the same for all processes since the machine started.
-fn monotonic_ns() -> u64 {
-    let mut now = libc::timespec { tv_sec: 0, tv_nsec: 0 };
-    // SAFETY: `now` is a valid place to write to; this clock always exists.
-    unsafe { libc::clock_gettime(libc::CLOCK_MONOTONIC, &raw mut now) };
-    now.tv_sec.unsigned_abs() * 1_000_000_000 + now.tv_nsec.unsigned_abs()
 }

@@ -12,7 +12,6 @@ use std::fs::{DirBuilder, File, Permissions, TryLockError};
 use std::io::ErrorKind;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt};
 use std::path::PathBuf;
-use std::sync::Once;
 use std::time::{Duration, Instant};
 use thiserror::Error;
 
@@ -287,14 +286,12 @@ impl Domain {
     /// was killed before its node was complete falls back to the global one. Unless that is set, iceoryx2 would
     /// look for it in the working directory. In a process with several domains the first one stays set.
     fn set_process_defaults(&self, _site: &Site) -> Result<(), IpcError> {
-        static QUIET: Once = Once::new();
-        QUIET.call_once(|| set_log_level(LogLevel::Error));
-
         static LOADED: std::sync::Mutex<bool> = std::sync::Mutex::new(false);
         let mut loaded = LOADED.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         if *loaded {
             return Ok(());
         }
+        set_log_level(LogLevel::Error);
         let file = self.root().join("iceoryx2.toml");
         let settings = format!(
             "[global]\nroot-path = \"{}\"\nprefix = \"{}\"\n",

@@ -1,6 +1,5 @@
 //! What can go wrong with a service, and what to do about it.
 
-use crate::domain::DomainError;
 use std::path::PathBuf;
 use std::time::Duration;
 use thiserror::Error;
@@ -11,9 +10,6 @@ pub type Cause = Box<dyn std::error::Error + Send + Sync>;
 /// A node, a service or a port could not be used.
 #[derive(Debug, Error)]
 pub enum IpcError {
-    /// The name of the domain is not valid.
-    #[error(transparent)]
-    Domain(#[from] DomainError),
     /// The directory of the domain could not be used.
     #[error(
         "cannot {action} `{path}` of the domain: {cause}; check its permissions and the free space of /dev/shm"

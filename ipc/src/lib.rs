@@ -53,6 +53,7 @@ mod request;
 mod services;
 mod space;
 mod text;
+mod time;
 
 pub use blackboard::{Finder, Reader, Snapshot, Writer, WriterEntry, WriterPorts};
 pub use codes::{
@@ -65,9 +66,9 @@ pub use messages::{Publisher, Received, Subscriber};
 pub use node::Node;
 pub use payload::{
     Command, ControlRequest, ControlResponse, Measurement, Percentiles, Plan, PlannerRequest,
-    PlannerResponse, PlantRequest, PlantResponse, Step, StepBatch, TELEMETRY_BATCH, Telemetry,
-    TelemetryBatch,
+    PlannerResponse, PlantRequest, PlantResponse, Step, StepBatch, Telemetry, TelemetryBatch,
 };
 pub use request::{Client, Server};
 pub use services::{Latest, MAX_NODES, MAX_READERS, Request, Topic};
 pub use text::{Text, TextError};
+pub use time::monotonic_ns;

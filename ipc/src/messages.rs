@@ -26,7 +26,7 @@ impl<T: Topic> Publisher<T> {
     /// # Errors
     /// [`IpcError::Taken`] if another live process is, [`IpcError::Open`] or [`IpcError::Port`] if the service
     /// cannot be used.
-    pub fn create(node: &Node) -> Result<Self, IpcError> {
+    pub(crate) fn create(node: &Node) -> Result<Self, IpcError> {
         let service = open::<T>(node)?;
         let create = || {
             service
@@ -86,7 +86,7 @@ impl<T: Topic> Subscriber<T> {
     /// # Errors
     /// [`IpcError::Taken`] if there are too many, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot
     /// be used.
-    pub fn create(node: &Node) -> Result<Self, IpcError> {
+    pub(crate) fn create(node: &Node) -> Result<Self, IpcError> {
         let service = open::<T>(node)?;
         let create = || {
             service

@@ -42,7 +42,10 @@ struct Inner {
 
 impl fmt::Debug for Node {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Node").field("domain", &self.inner.domain).field("role", &self.role()).finish()
+        f.debug_struct("Node")
+            .field("domain", &self.inner.domain)
+            .field("role", self.inner.iox.name())
+            .finish()
     }
 }
 
@@ -58,11 +61,6 @@ impl Node {
     /// The domain that this node joined.
     pub fn domain(&self) -> &Domain {
         &self.inner.domain
-    }
-
-    /// The role under which it joined.
-    pub fn role(&self) -> String {
-        self.inner.iox.name().to_string()
     }
 
     /// Removes what dead processes of the domain left behind; nobody does it in the background. Some 0.1 ms when

@@ -10,7 +10,7 @@ mod plant;
 mod step;
 
 pub use control::{ControlRequest, ControlResponse, Percentiles};
-pub use cycle::{Command, Measurement, TELEMETRY_BATCH, Telemetry, TelemetryBatch};
+pub use cycle::{Command, Measurement, Telemetry, TelemetryBatch};
 pub use plan::Plan;
 pub use planner::{PlannerRequest, PlannerResponse};
 pub use plant::{PlantRequest, PlantResponse};

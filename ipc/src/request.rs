@@ -37,7 +37,7 @@ impl<Q: Request> Client<Q> {
     /// # Errors
     /// [`IpcError::Taken`] if there are too many, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot
     /// be used.
-    pub fn create(node: &Node) -> Result<Self, IpcError> {
+    pub(crate) fn create(node: &Node) -> Result<Self, IpcError> {
         let service = open::<Q>(node)?;
         let create = || {
             service
@@ -150,7 +150,7 @@ impl<Q: Request> Server<Q> {
     /// # Errors
     /// [`IpcError::Taken`] if another live process serves, [`IpcError::Open`] or [`IpcError::Port`] if the service
     /// cannot be used.
-    pub fn create(node: &Node) -> Result<Self, IpcError> {
+    pub(crate) fn create(node: &Node) -> Result<Self, IpcError> {
         let service = open::<Q>(node)?;
         let create = || {
             service

@@ -24,7 +24,6 @@ fn each_start_of_a_killed_writer_is_adopted() {
     let node = domain.connect("daemon").unwrap();
     let mut finder = node.measurement_finder();
     assert!(finder.poll().unwrap().is_none());
-    assert!(!finder.peer_alive());
 
     let mut previous = None;
     for round in 0..4 {
@@ -32,13 +31,11 @@ fn each_start_of_a_killed_writer_is_adopted() {
         let reader = wait_for("a new writer", || finder.poll().unwrap());
         let measurement = wait_for("fresh data", || Some(reader.read()).filter(|m| m.seq > 3));
         assert_eq!(measurement.t_ns, reader.epoch(), "data of this start of the writer");
-        assert!(finder.peer_alive());
         assert_eq!(finder.epoch(), Some(reader.epoch()));
         plant.kill();
 
         let last = reader.read();
         assert!(finder.poll().unwrap().is_none(), "round {round}: the dead writer is not found again");
-        assert!(!finder.peer_alive());
         assert_eq!(reader.read(), last, "the last value stays readable");
         if let Some(old) = previous.replace(reader) {
             let new = previous.as_ref().unwrap();
@@ -64,7 +61,6 @@ fn a_finder_that_comes_late_takes_the_newest_writer() {
     assert_eq!((reader.read().seq, reader.epoch()), (2, newer.epoch()));
     assert!(finder.poll().unwrap().is_none(), "the older one is not a newer one");
     drop(newer);
-    assert!(!finder.peer_alive());
     assert!(finder.poll().unwrap().is_none(), "nor is it when the newer one has left");
 }
 
@@ -81,10 +77,9 @@ fn entries_work_in_other_threads_and_values_are_never_torn() {
     let domain = TestDomain::new("torn");
     let plant = domain.connect("plant").unwrap();
     let daemon = domain.connect("daemon").unwrap();
-    let (entry, ports) = plant.measurement_writer().unwrap().split();
+    let (entry, _ports) = plant.measurement_writer().unwrap().split();
     let mut finder = daemon.measurement_finder();
     let reader = finder.poll().unwrap().unwrap();
-    assert_eq!(reader.epoch(), ports.epoch());
     assert_eq!(reader.read(), Measurement::default());
 
     let done = AtomicBool::new(false);

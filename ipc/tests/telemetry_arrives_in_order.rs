@@ -3,22 +3,22 @@
 mod common;
 
 use common::TestDomain;
-use upswing_ipc::{TELEMETRY_BATCH, Telemetry, TelemetryBatch};
+use upswing_ipc::{Telemetry, TelemetryBatch};
 
 #[test]
 fn a_batch_holds_what_was_pushed_and_no_more() {
     let mut batch = TelemetryBatch::boxed_zeroed();
     assert!(batch.used().is_empty());
-    for seq in 1..=TELEMETRY_BATCH as u64 {
+    for seq in 1..=batch.records.len() as u64 {
         assert!(batch.push(Telemetry { seq, ..Telemetry::default() }));
     }
     assert!(!batch.push(Telemetry::default()), "full");
-    assert_eq!(batch.used().len(), TELEMETRY_BATCH);
-    assert_eq!(batch.used().last().unwrap().seq, TELEMETRY_BATCH as u64);
+    assert_eq!(batch.used().len(), batch.records.len());
+    assert_eq!(batch.used().last().unwrap().seq, batch.records.len() as u64);
     batch.clear();
     assert!(batch.used().is_empty());
     batch.count = u64::MAX;
-    assert_eq!(batch.used().len(), TELEMETRY_BATCH, "a garbled count stays within the records");
+    assert_eq!(batch.used().len(), batch.records.len(), "a garbled count stays within the records");
     assert!(!batch.push(Telemetry::default()));
 }
 

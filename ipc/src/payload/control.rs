@@ -64,7 +64,7 @@ pub struct ControlResponse {
     pub fault: u64,
     /// Warnings since the last enable, start or reset; bits as in the telemetry.
     pub warnings: u64,
-    /// Id of the loaded plan, 0: none.
+    /// Id of the newest accepted plan, which waits for its start or runs; 0: none.
     pub plan_id: u64,
     /// Id of the running plan, 0: none.
     pub running_plan: u64,

@@ -54,7 +54,7 @@ impl Measurement {
 pub struct Command {
     /// Cycle number of the daemon since it started, counts from 1; 0: nothing commanded yet.
     pub seq: u64,
-    /// Time of the command, CLOCK_MONOTONIC, ns.
+    /// ns; `wall`: planned start of the cycle, CLOCK_MONOTONIC; else `t_ns` of the measurement.
     pub t_ns: u64,
     /// `seq` of the measurement that this command answers.
     pub measurement_seq: u64,
@@ -73,7 +73,7 @@ const _: () = assert!(size_of::<Command>() == WORD * (4 + NU));
 pub struct Telemetry {
     /// Cycle number of the daemon since it started, counts from 1.
     pub seq: u64,
-    /// Start of the cycle, CLOCK_MONOTONIC, ns.
+    /// ns; `wall`: planned start of the cycle, CLOCK_MONOTONIC; else `t_ns` of the measurement.
     pub t_ns: u64,
     /// `seq` of the measurement used.
     pub measurement_seq: u64,
@@ -142,14 +142,14 @@ impl Telemetry {
 words!(Telemetry);
 
 /// Records in one [`TelemetryBatch`].
-pub const TELEMETRY_BATCH: usize = 64;
+const TELEMETRY_BATCH: usize = 64;
 
 /// Consecutive cycles in one sample, because a sample per cycle would cost more than the cycle itself.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, ZeroCopySend)]
 #[type_name("upswing.TelemetryBatch.v2")]
 pub struct TelemetryBatch {
-    /// Records in use, 0..=[`TELEMETRY_BATCH`]; not to be trusted, read with [`TelemetryBatch::used`].
+    /// Records in use, 0 to the length of `records`; not to be trusted, read with [`TelemetryBatch::used`].
     pub count: u64,
     /// Records that the daemon lost before this batch, since its start.
     pub dropped: u64,
