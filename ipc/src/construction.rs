@@ -91,12 +91,13 @@ fn is_connection(path: &Path) -> bool {
     path.extension().is_some_and(|suffix| suffix == "connection")
 }
 
-/// iceoryx2 forbids the owner to write to the description of a service when it is complete.
+/// iceoryx2 forbids the owner to write to the description of a service, and to a tag, when it is complete.
 fn is_unfinished_description(state: &Metadata) -> bool {
     state.mode() & OWNER_WRITE != 0
 }
 
-/// Removes the nodes that were never finished; returns the ports of the others.
+/// Removes the nodes that were never finished, and such tags of the others, which iceoryx2 overlooks when it removes the
+/// rest of a dead node; returns the ports of the finished.
 ///
 /// iceoryx2 first makes a folder `<id>` with the details of a node and the tags of its ports, then files `*_<id>.*`, and
 /// makes the context, one of them, readable last.
@@ -111,9 +112,12 @@ fn clear_nodes(nodes: &Path) -> HashSet<String> {
     for path in entries() {
         let Some(node) = id(&path) else { continue };
         if finished.contains(&node) {
-            let tags = std::fs::read_dir(&path).into_iter().flatten().flatten().map(|tag| tag.path());
+            let tags = || std::fs::read_dir(&path).into_iter().flatten().flatten().map(|tag| tag.path());
+            tags().for_each(|tag| {
+                remove_if(&tag, |_, state| is_unfinished_description(state) && is_old(state))
+            });
             ports.extend(
-                tags.filter(|tag| tag.extension().is_some_and(|s| s == "port_tag")).filter_map(|p| id(&p)),
+                tags().filter(|tag| tag.extension().is_some_and(|s| s == "port_tag")).filter_map(|p| id(&p)),
             );
         } else if path.symlink_metadata().is_ok_and(|state| is_old(&state)) {
             let _ = if path.is_dir() { std::fs::remove_dir_all(&path) } else { std::fs::remove_file(&path) };

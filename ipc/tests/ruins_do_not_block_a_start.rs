@@ -161,6 +161,24 @@ fn an_unfinished_connection_of_a_dead_port_does_not_stop_the_clean_up() {
 }
 
 #[test]
+fn an_unfinished_tag_does_not_keep_a_dead_node() {
+    let domain = deserted("tag");
+    let nodes = domain.root().join("nodes");
+    let folders = || files(nodes.clone(), "").into_iter().filter(|path| path.is_dir()).collect::<Vec<_>>();
+    let [folder] = &folders()[..] else { panic!("one dead node, not {:?}", folders()) };
+    let tag = folder.join(format!("upswing_{}_{}.service_tag", domain.name(), "0".repeat(40)));
+    // As after open, before it is made read-only.
+    std::fs::set_permissions(folder, Permissions::from_mode(0o700)).unwrap();
+    std::fs::File::create(&tag).unwrap().set_modified(SystemTime::now() - Duration::from_secs(3)).unwrap();
+    std::fs::set_permissions(&tag, Permissions::from_mode(0o600)).unwrap();
+    let node = domain.connect("survivor").unwrap();
+    node.clean_up();
+    assert!(!folder.exists(), "{:?}", files(folder.clone(), ""));
+    drop(node);
+    assert!(files(nodes.clone(), "").is_empty(), "{:?}", files(nodes, ""));
+}
+
+#[test]
 fn kills_at_any_moment_of_a_start_do_not() {
     let domain = TestDomain::new("moments");
     for delay_us in (0..15_000).step_by(500) {
