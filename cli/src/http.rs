@@ -124,6 +124,7 @@ mod tests {
     use super::*;
     use std::io::{BufRead, BufReader};
     use std::net::TcpStream;
+    use std::sync::atomic::AtomicUsize;
 
     /// Makes a request.
     fn ask(address: SocketAddr) -> BufReader<TcpStream> {
@@ -142,32 +143,29 @@ mod tests {
     #[test]
     fn many_requests_at_a_time_are_refused_and_the_next_ones_answered() {
         let listener = Listener::bind(([127, 0, 0, 1], 0).into()).expect("a free port");
-        let (address, stop) = (listener.address, Arc::new(AtomicBool::new(false)));
-        let (ends, held) = (Arc::clone(&stop), Arc::new(AtomicBool::new(true)));
-        let holds = Arc::clone(&held);
+        let address = listener.address;
+        let [stop, over] = [(); 2].map(|()| Arc::new(AtomicBool::new(false)));
+        let held = Arc::new(AtomicUsize::new(0));
+        let (stopped, ended, holds) = (Arc::clone(&stop), Arc::clone(&over), Arc::clone(&held));
         let server = std::thread::spawn(move || {
-            listener.serve(&ends, move |request| {
-                while holds.load(Ordering::Acquire) {
+            listener.serve(&stopped, move |request| {
+                holds.fetch_add(1, Ordering::AcqRel);
+                while !ended.load(Ordering::Acquire) {
                     std::thread::sleep(Duration::from_millis(1));
                 }
                 respond(request, 200, "text/plain", "done".into());
             });
         });
-        let mut streams: Vec<_> = (0..=MOST).map(|_| ask(address)).collect();
-        // Whichever came last; the others wait.
-        let refused = loop {
-            for stream in &streams {
-                stream.get_ref().set_nonblocking(true).expect("set");
+        let hold = |i| {
+            let stream = ask(address);
+            while held.load(Ordering::Acquire) == i {
+                std::thread::sleep(Duration::from_millis(1));
             }
-            let answered = |s: &BufReader<TcpStream>| s.get_ref().peek(&mut [0]).is_ok();
-            if let Some(i) = streams.iter().position(answered) {
-                break i;
-            }
-            std::thread::sleep(Duration::from_millis(1));
+            stream
         };
-        streams.iter().for_each(|stream| stream.get_ref().set_nonblocking(false).expect("set"));
-        assert_eq!(status(&mut streams.remove(refused)), "503");
-        held.store(false, Ordering::Release);
+        let mut streams: Vec<_> = (0..MOST).map(hold).collect();
+        assert_eq!(status(&mut ask(address)), "503");
+        over.store(true, Ordering::Release);
         assert!(streams.iter_mut().all(|stream| status(stream) == "200"));
         assert_eq!(status(&mut ask(address)), "200");
         stop.store(true, Ordering::Release);

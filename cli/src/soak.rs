@@ -74,7 +74,7 @@ pub struct Record {
     /// Cycles, and those that were late or missed.
     #[serde(flatten)]
     pub cycles: Cycles,
-    /// What the daemon said about the last late cycle of each round that had one.
+    /// What the daemon said about the last late cycle of each completed round that had one.
     pub late_causes: Vec<String>,
     /// Memory and handles over time.
     pub samples: Vec<Sample>,
