@@ -57,18 +57,18 @@ impl Listener {
         // Each thread holds it: its owners but this one are the requests that are being answered.
         let answer = Arc::new(answer);
         while !stop.load(Ordering::Acquire) {
-            let busy = Arc::strong_count(&answer) - 1;
-            if busy >= 2 * MOST {
+            let busy = || Arc::strong_count(&answer) - 1;
+            if busy() >= 2 * MOST {
                 std::thread::sleep(PAUSE);
                 continue;
             }
             match self.server.recv_timeout(PAUSE) {
                 Ok(Some(request)) => {
-                    let answer = Arc::clone(&answer);
+                    let (full, answer) = (busy() >= MOST, Arc::clone(&answer));
                     // A client that reads or writes slowly keeps only itself waiting, with a refusal, too.
-                    let work = move || match busy < MOST {
-                        true => answer(request),
-                        false => respond(request, 503, "text/plain", "too many requests at a time\n".into()),
+                    let work = move || match full {
+                        false => answer(request),
+                        true => respond(request, 503, "text/plain", "too many requests at a time\n".into()),
                     };
                     if let Err(e) = std::thread::Builder::new().spawn(work) {
                         tracing::warn!("no thread to answer a request: {e}");
