@@ -82,6 +82,6 @@ pub fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Man(args) => commands::completions::man(args, Cli::command()),
         Command::Daemon(args) => upswingd::run(args.clone()),
         Command::Planner(args) => upswing_planner::service::run(args),
-        Command::Plant(args) => upswing_plant::run(args.clone()),
+        Command::Plant(args) => upswing_plant::run(args),
     }
 }

@@ -7,7 +7,7 @@ use upswing_ipc::{Mode, PlannerResponse, Telemetry};
 use upswing_planner::qp::Solver;
 use upswing_planner::replan::{Effort, Manoeuvre, NoPlan, Planner};
 use upswing_planner::service::payload;
-use upswing_plant::{Plant, SetEventError};
+use upswing_plant::{Plant, SetEventError, StateError};
 use upswingd::controller::{Controller, Order, Output};
 use upswingd::plan::{PlanRefusal, accept};
 use upswingd::supervisor::{Refusal, Request};
@@ -19,6 +19,9 @@ const MOST_SILENT: u32 = 8000;
 /// Why a swing-up was not run to its end.
 #[derive(Debug, thiserror::Error)]
 pub enum Aborted {
+    /// The plant cannot be where it shall start.
+    #[error(transparent)]
+    Start(#[from] StateError),
     /// The planner found no plan.
     #[error(transparent)]
     NoPlan(#[from] NoPlan),
@@ -60,6 +63,7 @@ impl Aborted {
     /// The kind of failure, without numbers, to be counted.
     pub fn kind(&self) -> String {
         match self {
+            Self::Start(_) => "the plant cannot start there".into(),
             Self::NoPlan(_) => "no plan".into(),
             Self::Plan(_) => "the daemon refused the plan".into(),
             Self::Refused { request, .. } => format!("{request} was refused"),

@@ -1,35 +1,35 @@
 //! The commands of the `upswing` program, one module each.
 
-pub mod completions;
-pub mod config;
-pub mod db;
-pub mod demo;
+pub(crate) mod completions;
+pub(crate) mod config;
+pub(crate) mod db;
+pub(crate) mod demo;
 pub mod disturb;
 pub mod doctor;
-pub mod export;
+pub(crate) mod export;
 mod json;
-pub mod metrics;
-pub mod model;
-pub mod monitor;
-pub mod montecarlo;
-pub mod optimize;
-pub mod plan;
+pub(crate) mod metrics;
+pub(crate) mod model;
+pub(crate) mod monitor;
+pub(crate) mod montecarlo;
+pub(crate) mod optimize;
+pub(crate) mod plan;
 mod progress;
-pub mod record;
-pub mod replay;
-pub mod report;
-pub mod request;
-pub mod soak;
-pub mod status;
+pub(crate) mod record;
+pub(crate) mod replay;
+pub(crate) mod report;
+pub(crate) mod request;
+pub(crate) mod soak;
+pub(crate) mod status;
 
-pub use json::{MarginsJson, PlanFigures, TrajectoryJson};
+pub(crate) use json::{MarginsJson, PlanFigures, TrajectoryJson};
 
-use crate::session::{CleanUp, SessionError};
+use crate::session::{CleanUp, Options, SessionError};
 use progress::{byte_bar, progress_bar, spinner, time_bar};
 use serde::Serialize;
-use std::path::PathBuf;
+use std::path::Path;
 use upswing_config::process::{Failure, ProcessArgs};
-use upswing_ipc::{Domain, IpcError, Node};
+use upswing_ipc::{Clock, Domain, IpcError, Node};
 
 /// Options of every command but the processes.
 #[derive(Clone, Debug, clap::Args)]
@@ -61,26 +61,34 @@ impl CommonArgs {
     }
 }
 
-/// A domain of this process alone for a system that it starts itself, and a folder for the logs of its processes.
+/// What to start as a system of this process's own, in a domain and with a folder for logs of its own; the plant starts
+/// at `start`, deg, comma-separated.
 ///
 /// # Errors
 /// [`Failure::BadInput`] for a bad name, [`Failure::Failed`] if there is no place for the logs.
-fn own_domain(common: &CommonArgs, what: &str) -> Result<(CleanUp, PathBuf), Failure> {
+fn own_system(
+    common: &CommonArgs,
+    what: &str,
+    clock: Clock,
+    start: String,
+    scenario: Option<String>,
+) -> Result<(CleanUp, Options), Failure> {
     let name = format!("{}-{what}-{}", common.process.domain, std::process::id());
     let domain = Domain::new(&name).map_err(|e| Failure::BadInput(e.to_string()))?;
     let logs = std::env::temp_dir().join(&name);
     std::fs::create_dir_all(&logs).map_err(|e| failed(format!("cannot create {}: {e}", logs.display())))?;
-    Ok((CleanUp(domain), logs))
+    let config = common.process.config.clone();
+    Ok((CleanUp(domain), Options { config, domain: name, clock, start: Some(start), scenario, logs }))
 }
 
-/// A refusal of an input is the user's to mend; everything else is ours.
-fn session_failure(e: SessionError) -> Failure {
+/// A refusal of an input is the user's to mend; of everything else the `logs` tell more.
+fn session_failure(e: &SessionError, logs: &Path) -> Failure {
     match e {
         SessionError::Ended { status, .. } if status.code() == Some(2) => Failure::BadInput(e.to_string()),
         SessionError::Ipc(IpcError::Taken { .. }) => {
             failed(format!("{e}; is another system using this domain?"))
         }
-        e => failed(e),
+        e => failed(format!("{e}; logs in {}", logs.display())),
     }
 }
 
@@ -88,7 +96,7 @@ fn session_failure(e: SessionError) -> Failure {
 ///
 /// # Errors
 /// [`Failure::Failed`] if stdout cannot be written.
-pub fn print(json: bool, result: &(impl Serialize + std::fmt::Display)) -> Result<(), Failure> {
+pub(crate) fn print(json: bool, result: &(impl Serialize + std::fmt::Display)) -> Result<(), Failure> {
     if json { print_json(result) } else { print_line(result) }
 }
 
@@ -96,7 +104,7 @@ pub fn print(json: bool, result: &(impl Serialize + std::fmt::Display)) -> Resul
 ///
 /// # Errors
 /// [`Failure::Failed`] if stdout cannot be written.
-pub fn print_json(result: &impl Serialize) -> Result<(), Failure> {
+pub(crate) fn print_json(result: &impl Serialize) -> Result<(), Failure> {
     print_line(&serde_json::to_string(result).map_err(failed)?)
 }
 
@@ -104,7 +112,7 @@ pub fn print_json(result: &impl Serialize) -> Result<(), Failure> {
 ///
 /// # Errors
 /// [`Failure::Failed`] if stdout cannot be written.
-pub fn print_line(line: &impl std::fmt::Display) -> Result<(), Failure> {
+pub(crate) fn print_line(line: &impl std::fmt::Display) -> Result<(), Failure> {
     use std::io::Write;
     match writeln!(std::io::stdout(), "{line}") {
         Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => Err(failed(e)),
@@ -113,6 +121,6 @@ pub fn print_line(line: &impl std::fmt::Display) -> Result<(), Failure> {
 }
 
 /// "Ran, but the answer is no."
-pub fn failed(e: impl std::fmt::Display) -> Failure {
+pub(crate) fn failed(e: impl std::fmt::Display) -> Failure {
     Failure::Failed(e.to_string())
 }

@@ -7,6 +7,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use tiny_http::{Header, Request, Response, Server};
 
+/// Requests that are answered at a time. As many again are told to come back later, all others wait.
+const MOST: usize = 64;
 /// How often to look whether to end.
 const PAUSE: Duration = Duration::from_millis(100);
 
@@ -52,13 +54,25 @@ impl Listener {
 
     /// Answers requests, each in a thread of its own, until `stop` is raised.
     pub fn serve(&self, stop: &AtomicBool, answer: impl Fn(Request) + Send + Sync + 'static) {
+        // Each thread holds it: its owners but this one are the requests that are being answered.
         let answer = Arc::new(answer);
         while !stop.load(Ordering::Acquire) {
+            let busy = || Arc::strong_count(&answer) - 1;
+            if busy() >= 2 * MOST {
+                std::thread::sleep(PAUSE);
+                continue;
+            }
             match self.server.recv_timeout(PAUSE) {
                 Ok(Some(request)) => {
-                    let answer = Arc::clone(&answer);
-                    // A client that reads or writes slowly keeps only itself waiting.
-                    std::thread::spawn(move || answer(request));
+                    let (full, answer) = (busy() >= MOST, Arc::clone(&answer));
+                    // A client that reads or writes slowly keeps only itself waiting, with a refusal, too.
+                    let work = move || match full {
+                        false => answer(request),
+                        true => respond(request, 503, "text/plain", "too many requests at a time\n".into()),
+                    };
+                    if let Err(e) = std::thread::Builder::new().spawn(work) {
+                        tracing::warn!("no thread to answer a request: {e}");
+                    }
                 }
                 Ok(None) => {}
                 Err(e) => {
@@ -102,5 +116,59 @@ pub fn stream(request: Request, mut next: impl FnMut() -> Option<String>) {
     let mut sent = send(&head);
     while let (Ok(()), Some(event)) = (&sent, next()) {
         sent = send(&format!("data: {event}\n\n"));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::{BufRead, BufReader};
+    use std::net::TcpStream;
+    use std::sync::atomic::AtomicUsize;
+
+    /// Makes a request.
+    fn ask(address: SocketAddr) -> BufReader<TcpStream> {
+        let mut stream = TcpStream::connect(address).expect("it listens");
+        stream.write_all(b"GET / HTTP/1.1\r\nHost: robot\r\n\r\n").expect("sent");
+        BufReader::new(stream)
+    }
+
+    /// The status of the answer.
+    fn status(stream: &mut BufReader<TcpStream>) -> String {
+        let mut line = String::new();
+        stream.read_line(&mut line).expect("an answer");
+        line.split(' ').nth(1).expect("a status").to_owned()
+    }
+
+    #[test]
+    fn many_requests_at_a_time_are_refused_and_the_next_ones_answered() {
+        let listener = Listener::bind(([127, 0, 0, 1], 0).into()).expect("a free port");
+        let address = listener.address;
+        let [stop, over] = [(); 2].map(|()| Arc::new(AtomicBool::new(false)));
+        let held = Arc::new(AtomicUsize::new(0));
+        let (stopped, ended, holds) = (Arc::clone(&stop), Arc::clone(&over), Arc::clone(&held));
+        let server = std::thread::spawn(move || {
+            listener.serve(&stopped, move |request| {
+                holds.fetch_add(1, Ordering::AcqRel);
+                while !ended.load(Ordering::Acquire) {
+                    std::thread::sleep(Duration::from_millis(1));
+                }
+                respond(request, 200, "text/plain", "done".into());
+            });
+        });
+        let hold = |i| {
+            let stream = ask(address);
+            while held.load(Ordering::Acquire) == i {
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            stream
+        };
+        let mut streams: Vec<_> = (0..MOST).map(hold).collect();
+        assert_eq!(status(&mut ask(address)), "503");
+        over.store(true, Ordering::Release);
+        assert!(streams.iter_mut().all(|stream| status(stream) == "200"));
+        assert_eq!(status(&mut ask(address)), "200");
+        stop.store(true, Ordering::Release);
+        server.join().expect("it ends");
     }
 }

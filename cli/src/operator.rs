@@ -155,7 +155,7 @@ impl Operator {
                 let answer = self.control(command)?;
                 Ok(Accepted {
                     success: true,
-                    mode: mode(&answer),
+                    mode: answer.mode_text(),
                     plan_id: None,
                     t_f: None,
                     planning_s: None,
@@ -177,7 +177,7 @@ impl Operator {
         if answer.accepted == 1 {
             Ok(answer)
         } else {
-            let (reason, mode) = (answer.reason.to_string(), mode(&answer));
+            let (reason, mode) = (answer.reason.to_string(), answer.mode_text());
             Err(OperatorError::Daemon { command, reason, mode })
         }
     }
@@ -215,15 +215,10 @@ impl Operator {
         }
         Ok(Accepted {
             success: true,
-            mode: mode(&answer),
+            mode: answer.mode_text(),
             plan_id: Some(format!("{:016x}", plan.plan_id)),
             t_f: Some(plan.t_f),
             planning_s: Some(plan.time_total_us * 1e-6),
         })
     }
-}
-
-/// The mode of an answer as text.
-pub(crate) fn mode(answer: &ControlResponse) -> String {
-    answer.mode().map_or_else(|e| e.to_string(), |m| m.to_string())
 }

@@ -5,6 +5,7 @@ mod data;
 mod digest;
 pub mod times;
 
+pub(crate) use data::round;
 pub use data::{Data, Span};
 pub use digest::Digest;
 

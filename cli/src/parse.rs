@@ -6,6 +6,17 @@ use upswing_config::process::Failure;
 use upswing_config::{PendulumStart, StartError};
 use upswing_model::State;
 
+/// s
+pub const WEEK: f64 = 604_800.0;
+
+/// Reads a number from `low` to `high`.
+pub fn within(low: f64, high: f64) -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync + 'static {
+    move |text| {
+        let number = text.parse().ok().filter(|v| (low..=high).contains(v));
+        number.ok_or_else(|| format!("expected a number from {low} to {high}"))
+    }
+}
+
 /// Joint angles in degrees, separated by commas, as typed by a user.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Degrees(pub Vec<f64>);

@@ -5,6 +5,7 @@ pub mod figures;
 pub mod map;
 pub mod plan;
 
+use plotters::coord::Shift;
 use plotters::prelude::*;
 use std::path::Path;
 use upswing_ipc::{Mode, Telemetry};
@@ -34,12 +35,38 @@ struct Look {
     dashes: Option<RGBColor>,
 }
 
+type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+type Drawn = Result<(), DrawingAreaErrorKind<std::io::Error>>;
+
+/// A drawing of this size, px, as SVG.
+///
+/// # Errors
+/// A text that says what cannot be drawn.
+fn svg(size: (u32, u32), draw: impl FnOnce(&Area<'_>) -> Drawn) -> Result<String, String> {
+    let mut text = String::new();
+    let root = SVGBackend::with_string(&mut text, size).into_drawing_area();
+    let drawn = root.fill(&WHITE).and_then(|()| draw(&root)).and_then(|()| root.present());
+    drop(root);
+    drawn.map_err(|e| format!("cannot draw: {e}"))?;
+    Ok(text)
+}
+
+/// Writes a drawing. That of plotters into a file would not tell that the disk is full.
+fn write(path: &Path, drawing: &[u8]) -> Result<(), String> {
+    std::fs::write(path, drawing).map_err(|e| format!("cannot write {}: {e}", path.display()))
+}
+
 /// Draws the records from 0.2 s before the plan starts to the end of the balance as an SVG: measured values in colour,
 /// desired ones dashed, as in Fig. 5.
 ///
 /// # Errors
 /// A text that says why the file could not be drawn.
 pub fn draw(path: &Path, records: &[Telemetry], limits: &Limits, period: f64) -> Result<(), String> {
+    write(path, swing_up(records, limits, period)?.as_bytes())
+}
+
+/// The drawing of [`draw`].
+fn swing_up(records: &[Telemetry], limits: &Limits, period: f64) -> Result<String, String> {
     const LEAD: f64 = 0.2;
     let moving = |t: &&Telemetry| matches!(t.mode(), Ok(Mode::Track | Mode::Balance));
     let first = records.iter().position(|t| moving(&t)).ok_or("there is no swing-up to draw")?;
@@ -54,7 +81,7 @@ pub fn draw(path: &Path, records: &[Telemetry], limits: &Limits, period: f64) ->
         shown.iter().filter(|t| moving(t)).map(|t| (time(t), value(t))).collect()
     };
     let end = shown.last().map_or(1.0, |t| time(t));
-    draw_panels(path, &Look { begin: -LEAD, end, dashes: Some(BLACK) }, |i| {
+    draw_panels(&Look { begin: -LEAD, end, dashes: Some(BLACK) }, |i| {
         let (q, qd) = (limits.q_max[i], limits.qd_max[i]);
         [
             Some(Curve { solid: measured(&|t| t.q[i] / q), dashed: desired(&|t| t.q_d[i] / q) }),
@@ -67,38 +94,29 @@ pub fn draw(path: &Path, records: &[Telemetry], limits: &Limits, period: f64) ->
 
 /// `curves` gives the curves of a joint (0-based) in the order of [`COLUMNS`].
 fn draw_panels(
-    path: &Path,
     look: &Look,
     curves: impl Fn(usize) -> [Option<Curve>; COLUMNS.len()],
-) -> Result<(), String> {
-    let root = SVGBackend::new(path, SIZE).into_drawing_area();
-    let failed = |e: &dyn std::fmt::Display| format!("cannot write {}: {e}", path.display());
-    root.fill(&WHITE).map_err(|e| failed(&e))?;
-    let panels = root.split_evenly((ROWS.len(), COLUMNS.len()));
-    for (row, joints) in ROWS.iter().enumerate() {
-        let mut columns = [const { Vec::new() }; COLUMNS.len()];
-        for joint in *joints {
-            for (column, curve) in columns.iter_mut().zip(curves(*joint)) {
-                column.extend(curve.map(|c| (*joint, c)));
+) -> Result<String, String> {
+    svg(SIZE, |root| {
+        let panels = root.split_evenly((ROWS.len(), COLUMNS.len()));
+        for (row, joints) in ROWS.iter().enumerate() {
+            let mut columns = [const { Vec::new() }; COLUMNS.len()];
+            for joint in *joints {
+                for (column, curve) in columns.iter_mut().zip(curves(*joint)) {
+                    column.extend(curve.map(|c| (*joint, c)));
+                }
+            }
+            for (column, curves) in columns.iter().enumerate() {
+                let title = if row == 0 { COLUMNS[column] } else { "" };
+                let bottom = row + 1 == ROWS.len();
+                draw_panel(&panels[row * COLUMNS.len() + column], title, bottom, look, curves)?;
             }
         }
-        for (column, curves) in columns.iter().enumerate() {
-            let title = if row == 0 { COLUMNS[column] } else { "" };
-            let bottom = row + 1 == ROWS.len();
-            draw_panel(&panels[row * COLUMNS.len() + column], title, bottom, look, curves)
-                .map_err(|e| failed(&e))?;
-        }
-    }
-    root.present().map_err(|e| failed(&e))
+        Ok(())
+    })
 }
 
-fn draw_panel<'a>(
-    area: &DrawingArea<SVGBackend<'a>, plotters::coord::Shift>,
-    title: &str,
-    bottom: bool,
-    look: &Look,
-    curves: &[(usize, Curve)],
-) -> Result<(), DrawingAreaErrorKind<<SVGBackend<'a> as DrawingBackend>::ErrorType>> {
+fn draw_panel(area: &Area<'_>, title: &str, bottom: bool, look: &Look, curves: &[(usize, Curve)]) -> Drawn {
     let values = curves.iter().flat_map(|(_, c)| c.solid.iter().chain(&c.dashed)).map(|p| p.1.abs());
     // The limits at +-1 are always in sight.
     let top = values.fold(1.0, f64::max) * 1.08;

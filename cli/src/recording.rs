@@ -26,7 +26,7 @@ mod tap;
 mod writer;
 
 pub use reader::{Message, Recording, Window, read, scan};
-pub use tally::Tally;
+pub use tally::{Elapsed, Tally};
 pub use tap::Tap;
 pub use writer::Recorder;
 

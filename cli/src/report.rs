@@ -137,6 +137,10 @@ impl FigureCounter {
                 None => self.balances += 1,
             }
             self.balanced_ns = Some(t.t_ns);
+            // Another plant began anew.
+            if self.end.back().is_some_and(|(last, ..)| t.t_ns < *last) {
+                self.end.clear();
+            }
             let fastest = t.qd[..NU].iter().fold(0.0, |most: f64, v| v.abs().max(most));
             self.end.push_back((t.t_ns, tilt(model, &JointVector::from(t.q)), fastest));
             while self.end.front().is_some_and(|(begin, ..)| t.t_ns.saturating_sub(*begin) >= SECOND) {

@@ -88,10 +88,9 @@ pub struct Session {
     plant: Client<PlantRequest>,
     tap: Tap,
     node: Node,
-    domain: Domain,
     /// Every record received so far.
     pub records: Vec<Telemetry>,
-    /// Takes all that can be recorded; [`Session::end`] completes it.
+    /// Takes all that can be recorded; [`Self::end`] completes it.
     recorder: Option<Recorder>,
     tally: Tally,
 }
@@ -123,7 +122,6 @@ impl Session {
             plant,
             tap,
             node,
-            domain,
             records: Vec::new(),
             recorder,
             tally: Tally::default(),
@@ -156,16 +154,12 @@ impl Session {
         }
     }
 
-    /// Starts a process that was killed or ended, and waits until it answers. `start` is where a plant shall start, deg,
-    /// comma-separated; `None`: where the last one did.
+    /// Starts a process anew, and waits until it answers.
     ///
     /// # Errors
     /// [`SessionError`] if it cannot be started or does not answer.
-    pub fn restart(&mut self, role: Role, start: Option<String>) -> Result<(), SessionError> {
+    pub fn restart(&mut self, role: Role) -> Result<(), SessionError> {
         self.kill(role);
-        if start.is_some() {
-            self.options.start = start;
-        }
         self.processes[role as usize] = Some(Process::start(role, &self.programs, &self.options)?);
         self.wait_for("the new process to answer", START_PATIENCE, |s| {
             Ok(match role {
@@ -216,12 +210,7 @@ impl Session {
         Ok(())
     }
 
-    /// The domain that the system runs in.
-    pub fn domain(&self) -> &Domain {
-        &self.domain
-    }
-
-    /// This process's connection to the domain.
+    /// This process's connection to the domain of the system.
     pub fn node(&self) -> &Node {
         &self.node
     }
@@ -235,7 +224,7 @@ impl Session {
         if response.accepted == 1 {
             Ok(response)
         } else {
-            Err(SessionError::Refused { role: "daemon", reason: text(&response.reason) })
+            Err(SessionError::Refused { role: "daemon", reason: response.reason.to_string() })
         }
     }
 
@@ -264,7 +253,7 @@ impl Session {
         collected?;
         let response = response?;
         if response.plan_id == 0 {
-            return Err(SessionError::Refused { role: "planner", reason: text(&response.reason) });
+            return Err(SessionError::Refused { role: "planner", reason: response.reason.to_string() });
         }
         Ok(response)
     }
@@ -278,7 +267,7 @@ impl Session {
         if response.accepted == 1 {
             Ok(response)
         } else {
-            Err(SessionError::Refused { role: "plant", reason: text(&response.reason) })
+            Err(SessionError::Refused { role: "plant", reason: response.reason.to_string() })
         }
     }
 
@@ -384,16 +373,7 @@ impl Session {
     ///
     /// # Errors
     /// [`SessionError::Ended`] if a process ends with an error, [`SessionError::Timeout`] if one does not end.
-    pub fn end(mut self) -> Result<Vec<Telemetry>, SessionError> {
-        self.end_in_place()?;
-        Ok(std::mem::take(&mut self.records))
-    }
-
-    /// As [`Self::end`], for a session that is not one's own; keeps the records.
-    ///
-    /// # Errors
-    /// As [`Self::end`].
-    pub fn end_in_place(&mut self) -> Result<(), SessionError> {
+    pub fn end(&mut self) -> Result<(), SessionError> {
         Role::ALL.into_iter().try_for_each(|role| self.end_process(role))?;
         if let Some(recorder) = self.recorder.take() {
             recorder.finish()?;
@@ -413,11 +393,6 @@ fn collect(
         new.iter().for_each(|record| tally.count(record));
     })?;
     Ok(())
-}
-
-/// A text from shared memory, whatever is in it.
-fn text(text: &upswing_ipc::Text) -> String {
-    text.as_str().map_or_else(|e| e.to_string(), str::to_owned)
 }
 
 /// Ends like a session does, and removes what the domain left in shared memory.

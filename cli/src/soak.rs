@@ -5,7 +5,7 @@ mod cycles;
 mod health;
 
 pub use cycles::Cycles;
-pub use health::{Growth, Holdings, Sample};
+pub use health::{Growth, Sample};
 
 use crate::montecarlo::{NoStart, Starts, arm_degrees};
 use crate::report::tilt;
@@ -74,7 +74,7 @@ pub struct Record {
     /// Cycles, and those that were late or missed.
     #[serde(flatten)]
     pub cycles: Cycles,
-    /// What the daemon said about the last late cycle of each round that had one.
+    /// What the daemon said about the last late cycle of each completed round that had one.
     pub late_causes: Vec<String>,
     /// Memory and handles over time.
     pub samples: Vec<Sample>,
@@ -259,7 +259,7 @@ impl<'a> Soak<'a> {
             return Err(End::Killed(role));
         }
         let begin = Instant::now();
-        self.session.restart(role, None)?;
+        self.session.restart(role)?;
         let (round, role, phase) = (self.record.rounds - 1, role.name(), self.phase);
         let recovered_s = begin.elapsed().as_secs_f64();
         self.record.kills.push(Kill { round, role, phase, recovered_s });
@@ -290,7 +290,7 @@ impl<'a> Soak<'a> {
         if status.mode() == Ok(mode) {
             return Ok(status);
         }
-        let got = status.mode().map_or_else(|e| e.to_string(), |m| m.to_string());
+        let got = status.mode_text();
         let late = if status.overrun.to_string().is_empty() { "" } else { "; last late cycle: " };
         Err(End::Lost(format!("mode {got} instead of {mode}: {}{late}{}", status.reason, status.overrun)))
     }
@@ -299,7 +299,7 @@ impl<'a> Soak<'a> {
     fn recover(&mut self) -> Result<(), SessionError> {
         let begin = Instant::now();
         if self.session.pid(Role::Plant).is_none() {
-            self.session.restart(Role::Plant, None)?;
+            self.session.restart(Role::Plant)?;
             // The daemon notices by itself.
             while !self.is_braked()? && begin.elapsed() < PATIENCE {
                 self.look()?;
@@ -311,7 +311,7 @@ impl<'a> Soak<'a> {
             self.record.orderly_restarts += 1;
         }
         if self.session.pid(Role::Daemon).is_none() {
-            self.session.restart(Role::Daemon, None)?;
+            self.session.restart(Role::Daemon)?;
         }
         loop {
             self.look()?;

@@ -80,8 +80,8 @@ fn expect_mode(session: &Session, modes: &[Mode]) -> Result<(), SessionError> {
     let Some(last) = session.records.last() else { return Ok(()) };
     match last.mode() {
         Ok(mode) if modes.contains(&mode) => Ok(()),
-        mode => {
-            let mode = mode.map_or_else(|e| e.to_string(), |m| m.to_string());
+        _ => {
+            let mode = last.mode_text();
             let cause = upswingd::fault_text(last.fault);
             let reason =
                 format!("it is in mode {mode}{}", cause.map_or_else(String::new, |c| format!(": {c}")));

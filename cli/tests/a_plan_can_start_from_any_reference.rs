@@ -1,18 +1,14 @@
 //! `upswing plan --reference` adapts the optimal trajectory from the angles given, and `--svg` draws both.
 
+mod common;
+
+use common::success;
 use serde_json::Value;
 use std::path::Path;
-use std::process::Command;
 
 /// The paper's illustrated replan, Fig. 4: a start, and one that is no entry of the database.
 const START: &str = "-15,-15,0,-95,0,10,0";
 const REFERENCE: &str = "0,0,0,-90,0,0,0";
-
-fn upswing(args: &[&str]) -> Value {
-    let output = Command::new(env!("CARGO_BIN_EXE_upswing")).args(args).output().expect("upswing runs");
-    assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
-    serde_json::from_slice(&output.stdout).unwrap_or_else(|e| panic!("{args:?}: {e}"))
-}
 
 fn number(value: &Value) -> f64 {
     value.as_f64().expect("a number")
@@ -20,14 +16,14 @@ fn number(value: &Value) -> f64 {
 
 #[test]
 fn the_optimum_from_there_is_adapted() {
-    let there = upswing(&["plan", "--start", REFERENCE, "--reference", REFERENCE, "--json"]);
-    let optimum = upswing(&["optimize", "--start", REFERENCE, "--best", "--json"]);
+    let there = success(&["plan", "--start", REFERENCE, "--reference", REFERENCE]);
+    let optimum = success(&["optimize", "--start", REFERENCE, "--best"]);
     assert_eq!(number(&there["distance"]), 0.0);
     // A replan keeps 1 % more distance from the limits.
     let more = number(&there["cost"]) / number(&optimum["cost"]) - 1.0;
     assert!((0.0..0.03).contains(&more), "the plan costs {more} more");
 
-    let plan = upswing(&["plan", "--start", START, "--reference", REFERENCE, "--json"]);
+    let plan = success(&["plan", "--start", START, "--reference", REFERENCE]);
     let distance = [15.0_f64, 15.0, 5.0, 10.0].iter().map(|d| d.to_radians().powi(2)).sum::<f64>().sqrt();
     assert!((number(&plan["distance"]) - distance).abs() < 1e-9);
     for (i, angle) in [-15.0_f64, -15.0, 0.0, -95.0, 0.0, 10.0, 0.0].iter().enumerate() {
@@ -41,7 +37,7 @@ fn both_are_drawn() {
     let draw = |name: &str, reference: &str| {
         let path = folder.path().join(name);
         let file = path.to_str().expect("a plain path");
-        upswing(&["plan", "--start", START, "--reference", reference, "--svg", file, "--json"]);
+        success(&["plan", "--start", START, "--reference", reference, "--svg", file]);
         curves(&path)
     };
     let (apart, equal) = (draw("apart.svg", REFERENCE), draw("equal.svg", START));

@@ -1,9 +1,9 @@
 //! Completions and man pages know every command that `upswing help` lists.
 
-use std::process::Command;
+mod common;
 
 fn upswing(args: &[&str]) -> String {
-    let output = Command::new(env!("CARGO_BIN_EXE_upswing")).args(args).output().expect("upswing runs");
+    let output = common::upswing(args);
     assert!(output.status.success(), "{args:?}: {output:?}");
     String::from_utf8(output.stdout).expect("text")
 }
@@ -31,7 +31,10 @@ fn completions() {
 #[test]
 fn man_pages() {
     let dir = tempfile::tempdir().expect("a folder");
-    upswing(&["man", dir.path().to_str().expect("a plain path")]);
+    std::fs::write(dir.path().join("other.1"), "a page of something else").expect("written");
+    let said = upswing(&["man", dir.path().to_str().expect("a plain path")]);
+    let written = std::fs::read_dir(dir.path()).expect("the folder").count() - 1;
+    assert!(said.starts_with(&format!("{written} pages in ")), "{said}");
     for command in commands().iter().filter(|c| *c != "help") {
         let page = dir.path().join(format!("upswing-{command}.1"));
         let text = std::fs::read_to_string(&page).unwrap_or_else(|e| panic!("{}: {e}", page.display()));

@@ -1,7 +1,9 @@
 //! Each check of the doctor fires on a host that fails it, with what to do; and none on a host that is as it should be.
 
+mod common;
+
+use common::json;
 use std::path::Path;
-use std::process::Command;
 use upswing::commands::doctor::Grade;
 use upswing::commands::doctor::host::Host;
 
@@ -67,12 +69,8 @@ fn each_file_matters() {
 #[test]
 fn the_report_has_findings_and_a_histogram() {
     let domain = format!("doctor-{}", std::process::id());
-    let output = Command::new(env!("CARGO_BIN_EXE_upswing"))
-        .args(["doctor", "--seconds", "0.2", "--json", "--domain", &domain])
-        .output()
-        .expect("upswing runs");
-    let report: serde_json::Value = serde_json::from_slice(&output.stdout).expect("a JSON document");
-    assert_eq!(output.status.code(), Some(i32::from(report["verdict"] == "bad")), "{report}");
+    let (code, report) = json(&["doctor", "--seconds", "0.2", "--domain", &domain]);
+    assert_eq!(code, Some(i32::from(report["verdict"] == "bad")), "{report}");
     let of = |v: &serde_json::Value| v.as_array().expect("an array").clone();
     assert!(of(&report["findings"]).len() >= 8, "{report}");
     let counted: u64 = of(&report["histogram"]).iter().map(|pair| pair[1].as_u64().expect("a count")).sum();

@@ -1,4 +1,4 @@
-//! Chromium shows a running system live, and moves it by the page's buttons.
+//! Chromium shows a running system live, also one that does not know where its rod is, and moves it by the page's buttons.
 //!
 //! Needs Python 3.10 or newer with the package index, and Chromium; without them the test says so and does nothing.
 
@@ -20,6 +20,8 @@ fn in_chromium() {
     let text = |key: &str| begun[key].as_str().expect("a text").to_owned();
     let mut look = Command::new(python);
     look.arg(script("look_at_live.py")).args([&chromium, &text("url"), &text("token")]).arg(dir.path());
+    let blind = place.command(&["disturb", "fault", "encoder-nan", "--joint", "9"]);
+    look.arg(blind.get_program()).args(blind.get_args());
     let found = run(&mut look).unwrap_or_else(|e| panic!("{e}"));
     assert!(found.contains("as it should be"), "{found}");
     assert!(page.end().success());

@@ -1,20 +1,15 @@
 //! Equal settings, seeds and conditions give equal results: on one thread and on two, and when a single start is
 //! repeated. Only times differ.
 
+mod common;
+
+use common::json;
 use serde_json::Value;
-use std::process::Command;
 
 /// The document of `upswing montecarlo ARGS --json`, without its times.
 fn montecarlo(args: &[&str]) -> Value {
-    let output = Command::new(env!("CARGO_BIN_EXE_upswing"))
-        .arg("montecarlo")
-        .args(args)
-        .arg("--json")
-        .output()
-        .expect("upswing runs");
-    let mut answer: Value =
-        serde_json::from_slice(&output.stdout).unwrap_or_else(|e| panic!("{args:?}: {e}: {output:?}"));
-    assert_eq!(output.status.success(), answer["success"] == true, "{args:?}");
+    let (code, mut answer) = json(&[&["montecarlo"], args].concat());
+    assert_eq!(code == Some(0), answer["success"] == true, "{args:?}");
     forget_times(&mut answer);
     answer
 }

@@ -1,12 +1,10 @@
 //! A run that does not succeed ends with exit code 1, and its start is listed with the limit and the state.
 
-use serde_json::Value;
-use std::process::{Command, Output};
-use upswing_config::Config;
+mod common;
 
-fn upswing(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_upswing")).args(args).output().expect("upswing runs")
-}
+use common::{json, upswing};
+use serde_json::Value;
+use upswing_config::Config;
 
 #[test]
 fn a_loop_that_is_given_up() {
@@ -24,9 +22,8 @@ fn a_loop_that_is_given_up() {
 
     let config = config.to_str().expect("a plain path");
     let run = ["montecarlo", "closed-loop", "--samples", "2", "--seed", "3", "--config", config];
-    let output = upswing(&[&run[..], &["--json"]].concat());
-    assert_eq!(output.status.code(), Some(1));
-    let answer: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let (code, answer) = json(&run);
+    assert_eq!(code, Some(1));
     let runs = &answer["conditions"][0];
     assert_eq!((&answer["success"], &runs["succeeded"]), (&false.into(), &0.into()));
     for i in 0..2 {
@@ -69,15 +66,18 @@ fn a_start_without_a_plan() {
     let built = upswing(&build);
     assert!(built.status.success(), "{built:?}");
 
-    let args =
-        ["montecarlo", "replan", "--samples", "10", "--iterations", "2", "--database", &database, "--json"];
-    let output = upswing(&args);
-    assert_eq!(output.status.code(), Some(1));
-    let answer: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let args = ["montecarlo", "replan", "--samples", "10", "--iterations", "2", "--database", &database];
+    let (code, answer) = json(&args);
+    assert_eq!(code, Some(1));
     let results = answer["results"].as_array().expect("results");
     let failures: Vec<_> = results.iter().filter_map(|r| r["failure"].as_str()).collect();
     assert!((1..10).contains(&failures.len()), "{failures:?}");
     assert_eq!((&answer["success"], &answer["succeeded"]), (&false.into(), &(10 - failures.len()).into()));
+    // What took no time, because it was not done, is no time of QPs and gains.
+    for part in ["qp", "lqr"] {
+        let least = answer["times"][part]["min"].as_f64().expect("a time");
+        assert!(least > 0.0, "{part}: {least} s");
+    }
     for failure in failures {
         assert!(failure.contains("entry 0 (") && failure.contains("rad away): "), "{failure}");
     }

@@ -5,31 +5,43 @@
 
 mod common;
 
-use common::{chromium, python, run, script};
+use common::{chromium, python, run, script, success};
 use serde_json::Value;
 use std::path::Path;
 use std::process::Command;
-
-fn upswing(args: &[&str]) -> Value {
-    let output = Command::new(env!("CARGO_BIN_EXE_upswing")).args(args).arg("--json").output();
-    let output = output.expect("upswing runs");
-    assert!(output.status.success(), "{args:?}: {output:?}");
-    serde_json::from_slice(&output.stdout).expect("a JSON document")
-}
+use upswing::recording::Recorder;
+use upswing_config::Config;
+use upswing_ipc::Telemetry;
 
 /// A demo with its recording in `dir`; cycles in it by our own count.
 fn demo(dir: &Path) -> (String, usize) {
     let path = |name: &str| dir.join(name).to_str().expect("a plain path").to_owned();
     let (file, picture, table) = (path("run.mcap"), path("demo.svg"), path("run.csv"));
     let lockstep = ["demo", "--clock", "lockstep", "--seconds", "2", "--picture", &picture];
-    let answer = upswing(&[&lockstep[..], &["--record", &file]].concat());
-    let cycles = upswing(&["export", &file, "--csv", &table])["lines"].as_u64().expect("a number");
+    let answer = success(&[&lockstep[..], &["--record", &file]].concat());
+    let cycles = success(&["export", &file, "--csv", &table])["lines"].as_u64().expect("a number");
     assert!(cycles >= answer["cycles"].as_u64().expect("a number"), "the end of the run is in the file, too");
     let csv = std::fs::read_to_string(table).expect("the table");
     let columns: Vec<usize> = csv.lines().map(|line| line.split(',').count()).collect();
     assert_eq!(columns, vec![78; cycles as usize + 1]);
     assert!(csv.starts_with("seq,t_ns,") && csv.contains("q9_rad") && csv.contains("tau7_Nm"));
     (file, cycles as usize)
+}
+
+/// The report of a system that loses sight of joint 9.
+fn blind(dir: &Path) -> String {
+    let path = |name: &str| dir.join(name).to_str().expect("a plain path").to_owned();
+    let file = path("blind.mcap");
+    let config = Config::embedded().expect("the settings load");
+    let mut recorder = Recorder::create(file.as_ref(), &config, []).expect("the file is made");
+    let cycle = |seq: u64| {
+        let mut t = Telemetry { seq, t_ns: seq * 10_000_000, ..Telemetry::default() };
+        t.q[8] = if seq < 50 { 0.1 } else { f64::NAN };
+        t
+    };
+    recorder.write(&(0..100).map(cycle).collect::<Vec<_>>()).expect("written");
+    recorder.finish().expect("finished");
+    success(&["report", &file])["page"].as_str().expect("a path").to_owned()
 }
 
 #[test]
@@ -56,7 +68,7 @@ fn the_official_python_reader() {
 fn chromium_plays_the_report() {
     let dir = tempfile::tempdir().expect("a folder");
     let (file, _) = demo(dir.path());
-    let answer = upswing(&["report", &file, "--svg", "--png"]);
+    let answer = success(&["report", &file, "--svg", "--png"]);
     let page = answer["page"].as_str().expect("a path");
     let html = std::fs::read_to_string(page).expect("the page");
     // One file: nothing is fetched.
@@ -74,6 +86,7 @@ fn chromium_plays_the_report() {
         (_, None) => return eprintln!("skipped: no Chromium (on Debian: apt install chromium)"),
     };
     let mut look = Command::new(python);
-    look.arg(script("look_at_page.py")).args([chromium.as_str(), page]).arg(dir.path().join("screenshots"));
+    let blind = blind(dir.path());
+    look.arg(script("look_at_page.py")).args([&chromium, page, &blind]).arg(dir.path().join("screenshots"));
     run(&mut look).unwrap_or_else(|e| panic!("{e}"));
 }

@@ -1,21 +1,17 @@
 //! A robustness curve is the same on any number of threads; each failed start is listed, and named with its value it fails
 //! again, for the same reason. What is missed beyond the limits of the daemon is what makes it give up.
 
-use serde_json::Value;
-use std::process::{Command, Output};
+mod common;
 
-fn upswing(args: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_upswing"));
-    command.args(["montecarlo", "robustness"]).args(args);
-    command.output().expect("upswing runs")
-}
+use common::{json, upswing};
+use serde_json::Value;
+
+const COMMAND: [&str; 2] = ["montecarlo", "robustness"];
 
 /// The curves, without times.
 fn curves(args: &[&str]) -> (Option<i32>, Value) {
-    let output = upswing(&[args, &["--json"]].concat());
-    let mut answer: Value =
-        serde_json::from_slice(&output.stdout).unwrap_or_else(|e| panic!("{args:?}: {e}: {output:?}"));
-    (output.status.code(), answer["curves"].take())
+    let (code, mut answer) = json(&[&COMMAND, args].concat());
+    (code, answer["curves"].take())
 }
 
 #[test]
@@ -75,7 +71,7 @@ fn what_cannot_be_is_refused() {
         (&["--over", "jitter", "--missed", "/nowhere.json"], "/nowhere.json"),
         (&["--over", "push", "--only", "1", "--picture", "x.svg"], "expected one --over, --values"),
     ] {
-        let output = upswing(args);
+        let output = upswing(&[&COMMAND, args].concat());
         let text = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(2), "{args:?}: {text}");
         assert!(text.contains(part), "{args:?}: expected `{part}` in: {text}");

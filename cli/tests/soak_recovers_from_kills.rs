@@ -1,23 +1,14 @@
 //! `upswing soak` kills processes and shows that the system recovers: no round fails but those that a kill ended, and the
 //! next one begins with all three processes.
 
-use serde_json::Value;
-use std::process::Command;
+mod common;
 
-fn soak(args: &[&str]) -> (Option<i32>, Value) {
-    let domain = "soak-test";
-    let output = Command::new(env!("CARGO_BIN_EXE_upswing"))
-        .args(["soak", "--json", "--domain", domain])
-        .args(args)
-        .output()
-        .expect("upswing runs");
-    let answer = serde_json::from_slice(&output.stdout).unwrap_or_else(|e| panic!("{e}: {output:?}"));
-    (output.status.code(), answer)
-}
+use common::json;
 
 /// One round, in which `role` is killed.
 fn killed(role: &str, seed: &str) {
-    let (code, answer) = soak(&["--seconds", "1", "--kills", "1", "--seed", seed]);
+    let (code, answer) =
+        json(&["soak", "--domain", "soak-test", "--seconds", "1", "--kills", "1", "--seed", seed]);
     let count = |key: &str| answer[key].as_array().map_or(0, Vec::len) as u64;
     assert_eq!(count("losses"), 0, "{}", answer["losses"]);
     assert_eq!((count("kills"), answer["rounds"].as_u64()), (1, Some(1)), "{answer}");

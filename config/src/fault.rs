@@ -4,7 +4,7 @@ use crate::MAX_DELAY;
 use serde::Deserialize;
 use upswing_model::NQ;
 
-/// What breaks; the index of a variant is its code in shared memory.
+/// What breaks; the index of a variant is its code in shared memory. Faults at the same time act in this order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum FaultKind {

@@ -130,7 +130,7 @@ pub struct PlantStart {
 }
 
 /// How the pendulum starts in a given pose of the arm.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum PendulumStart {
     /// In its hanging equilibrium, g_U(q) = 0; poses without one inside the limits are refused.

@@ -21,7 +21,6 @@ from upswing_ipc import Node
 from upswing_layouts import Clock, Command, Measurement
 
 NQ, NU = 9, 7
-BRAKE_TIME_CONSTANT_S = 0.01
 # Silence after which a daemon counts as lost, and how often one is looked for.
 LOST_AFTER_S = 1.0
 SEARCH_PERIOD_S = 0.1
@@ -60,6 +59,7 @@ class Plant:
         self.model.opt.timestep = self.period_ns * 1e-9
         self.model.dof_damping[NU:] = settings["friction"]["pendulum_viscous"]
         self.model.dof_frictionloss[NU:] = settings["friction"]["pendulum_coulomb"]
+        self.brake_time_constant = settings["drive"]["brake_time_constant_ms"] * 1e-3
         self.tau_max = np.array(robot["limits"]["tau_nm"], dtype=float)
         self.grid = np.full(NQ, settings["encoder"]["arm_resolution_rad"])
         self.grid[NU:] = 2 * np.pi / 2 ** settings["encoder"]["pendulum_bits"]
@@ -93,7 +93,7 @@ class Plant:
         mass = np.zeros((NQ, NQ))
         mujoco.mj_fullM(model, data, mass)
         h = data.qfrc_bias - data.qfrc_passive - data.qfrc_constraint
-        u = -data.qvel[:NU] / BRAKE_TIME_CONSTANT_S
+        u = -data.qvel[:NU] / self.brake_time_constant
         unactuated = -np.linalg.solve(mass[NU:, NU:], mass[NU:, :NU] @ u + h[NU:])
         return mass[:NU, :NU] @ u + mass[:NU, NU:] @ unactuated + h[:NU]
 

@@ -227,7 +227,7 @@ impl<'a> Desk<'a> {
             Manoeuvre::SwingDown => ("swing-down", Mode::Balance, "swing up first"),
         };
         if record.mode() != Ok(needed) {
-            let mode = record.mode().map_or_else(|e| e.to_string(), |m| m.to_string());
+            let mode = record.mode_text();
             let reason =
                 format!("a {name} from now needs the daemon in mode {needed}, it is in {mode}: {advice}");
             return Err(not_ready(reason));

@@ -45,6 +45,7 @@ struct Entry {
 /// Measurements on their way to the daemon.
 #[derive(Clone, Debug)]
 pub(crate) struct Faults {
+    /// In the order of their kinds: first which measurement arrives, then what is wrong with it, whichever was set first.
     entries: Vec<Entry>,
     /// True measurements, a ring.
     history: [Measurement; HISTORY],
@@ -55,11 +56,9 @@ pub(crate) struct Faults {
 impl Faults {
     pub(crate) fn new(faults: &[Fault]) -> Self {
         let entry = |fault: &Fault| Entry { fault: *fault, held: Measurement::default() };
-        Self {
-            entries: faults.iter().map(entry).collect(),
-            history: [Measurement::default(); HISTORY],
-            shown: Measurement::default(),
-        }
+        let mut entries: Vec<_> = faults.iter().map(entry).collect();
+        sort(&mut entries);
+        Self { entries, history: [Measurement::default(); HISTORY], shown: Measurement::default() }
     }
 
     /// Adds a fault that begins in cycle `next` or later.
@@ -70,6 +69,7 @@ impl Faults {
         });
         check_room(self.entries.len(), next, fault.from)?;
         self.entries.push(Entry { fault: *fault, held: self.at(next) });
+        sort(&mut self.entries);
         Ok(())
     }
 
@@ -131,6 +131,10 @@ impl Faults {
     fn at(&self, seq: u64) -> Measurement {
         self.history[place(seq)]
     }
+}
+
+fn sort(entries: &mut [Entry]) {
+    entries.sort_by_key(|entry| entry.fault.kind.code());
 }
 
 /// Place of a cycle in the ring.

@@ -33,7 +33,7 @@ pub use start::StateError;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use tracing::info;
-use upswing_config::process::{Failure, ProcessArgs, shutdown_flag, start_logging};
+use upswing_config::process::{Failure, ProcessArgs, shutdown_flag};
 use upswing_config::{Config, PendulumStart};
 use upswing_ipc::{Clock, Domain};
 use upswing_model::NU;
@@ -51,7 +51,7 @@ pub struct PlantArgs {
     #[arg(long, value_name = "Q1,..,Q7", value_delimiter = ',', allow_hyphen_values = true)]
     pub start: Option<Vec<f64>>,
     /// Start of the pendulum: hanging at rest, or q8 = q9 = 0 [default: start.pendulum of plant.toml]
-    #[arg(long, value_name = "START", value_parser = pendulum_parser())]
+    #[arg(long, value_name = "START")]
     pub start_pendulum: Option<PendulumStart>,
     /// What is different about the plant: a scenario of the settings, or the path of a .toml file
     #[arg(long, value_name = "NAME|FILE")]
@@ -85,8 +85,7 @@ impl PlantArgs {
 /// # Errors
 /// [`Failure::BadInput`] if the settings, the start pose or the domain cannot be used, [`Failure::Failed`] if shared
 /// memory cannot be used or another plant serves the domain.
-pub fn run(args: PlantArgs) -> Result<(), Failure> {
-    start_logging();
+pub fn run(args: &PlantArgs) -> Result<(), Failure> {
     let config = args.load()?;
     let plant = Plant::new(&config).map_err(|e| Failure::BadInput(format!("start pose: {e}")))?;
     let domain = Domain::new(&args.process.domain).map_err(|e| Failure::BadInput(e.to_string()))?;
@@ -97,9 +96,4 @@ pub fn run(args: PlantArgs) -> Result<(), Failure> {
 
 fn clock_parser() -> impl TypedValueParser<Value = Clock> {
     PossibleValuesParser::new(["wall", "paced", "lockstep"]).try_map(|name| name.parse::<Clock>())
-}
-
-fn pendulum_parser() -> impl TypedValueParser<Value = PendulumStart> {
-    PossibleValuesParser::new(["rest", "zero"])
-        .map(|name| if name == "zero" { PendulumStart::Zero } else { PendulumStart::Rest })
 }

@@ -2,7 +2,7 @@
 
 use clap::Parser;
 use std::process::ExitCode;
-use upswing_config::process::finish;
+use upswing_config::process::{finish, start_logging};
 use upswing_plant::{PlantArgs, run};
 
 /// Simulates robot, pendulum, drives, encoders and brakes
@@ -14,5 +14,7 @@ struct Arguments {
 }
 
 fn main() -> ExitCode {
-    finish(run(Arguments::parse().plant))
+    let arguments = Arguments::parse();
+    start_logging();
+    finish(run(&arguments.plant))
 }

@@ -46,7 +46,7 @@ fn event() -> impl Strategy<Value = Event> {
     ]
 }
 
-/// Measurements of all cycles, bit by bit.
+/// Measurements and states of all cycles, bit by bit.
 fn run(scenario: &str, events: &[Event]) -> Vec<u64> {
     let mut config = settings();
     config.use_scenario(scenario).unwrap();
@@ -60,12 +60,13 @@ fn run(scenario: &str, events: &[Event]) -> Vec<u64> {
                 for _ in 0..*n {
                     plant.step(command.as_ref());
                     let measured = plant.measure();
-                    assert!(plant.position().iter().chain(plant.velocity().iter()).all(|v| v.is_finite()));
+                    let state = || plant.position().iter().chain(plant.velocity().iter());
+                    assert!(state().all(|v| v.is_finite()));
                     assert!(measured.seq <= plant.seq(), "nothing is measured before its time");
                     for i in 0..NU {
                         assert!(measured.tau_measured[i].abs() <= limits.tau_max[i]);
                     }
-                    seen.extend(measured.q.map(f64::to_bits));
+                    seen.extend(state().chain(&measured.q).map(|v| v.to_bits()));
                     seen.extend([measured.seq, measured.t_ns, measured.status]);
                 }
             }

@@ -12,10 +12,10 @@ const FROM: u64 = 100;
 const CYCLES: u64 = 10;
 const END: u64 = 140;
 
-/// True measurements and those under `fault`, index 0 unused.
-fn measurements(fault: Option<Fault>) -> Vec<Measurement> {
+/// True measurements and those under `faults`, index 0 unused.
+fn measurements(faults: impl IntoIterator<Item = Fault>) -> Vec<Measurement> {
     let mut config = settings();
-    config.plant.faults.extend(fault);
+    config.plant.faults.extend(faults);
     let mut plant = Plant::at(&config, &level_pose(), &JointVector::from_fn(|i, _| 0.1 * i as f64)).unwrap();
     let mut seen = vec![Measurement::default()];
     while plant.seq() <= END {
@@ -28,7 +28,7 @@ fn measurements(fault: Option<Fault>) -> Vec<Measurement> {
 /// Numbers of what is seen in the cycles of the fault, relative to its first one.
 fn order(kind: FaultKind, amount: f64) -> Vec<i64> {
     let truth = measurements(None);
-    let seen = measurements(Some(Fault { amount, ..Fault::new(kind, FROM, CYCLES) }));
+    let seen = measurements([Fault { amount, ..Fault::new(kind, FROM, CYCLES) }]);
     for seq in (1..FROM).chain(FROM + CYCLES..=END) {
         assert_eq!(seen[seq as usize], truth[seq as usize], "{kind:?}: cycle {seq} is none of the fault");
     }
@@ -50,7 +50,7 @@ fn measurements_are_dropped_delayed_duplicated_and_reordered() {
 /// What is seen and what is true in the cycles of an endless fault, and what was seen when it began.
 fn corrupted(kind: FaultKind, joint: usize, amount: f64) -> (Vec<(Measurement, Measurement)>, Measurement) {
     let truth = measurements(None);
-    let seen = measurements(Some(Fault { kind, from: FROM, cycles: 0, joint, amount }));
+    let seen = measurements([Fault { kind, from: FROM, cycles: 0, joint, amount }]);
     assert_eq!(seen[..FROM as usize], truth[..FROM as usize]);
     let pairs = seen.into_iter().zip(truth.clone()).skip(FROM as usize).collect();
     (pairs, truth[FROM as usize])
@@ -89,6 +89,35 @@ fn one_encoder_is_stuck_jumps_or_dies_and_the_others_do_not() {
             seen.q[joint] = truth.q[joint];
             assert_eq!(seen, truth);
         }
+    }
+}
+
+#[test]
+fn an_encoder_is_as_broken_in_an_old_measurement_whichever_broke_first() {
+    let truth = measurements(None);
+    let late = Fault { amount: 3.0, ..Fault::new(FaultKind::DelayMeasurement, FROM, 0) };
+    let frozen = Fault::new(FaultKind::FreezeMeasurement, FROM, 0);
+    let jump = Fault { joint: 4, amount: 0.1, ..Fault::new(FaultKind::EncoderJump, FROM, 0) };
+    let orders = [[late, frozen, jump], [jump, frozen, late], [frozen, jump, late]];
+    for seen in orders.map(measurements) {
+        for seq in FROM + 3..=END {
+            let mut expected = truth[seq as usize - 3];
+            let held = truth[FROM as usize];
+            (expected.q, expected.tau_measured) = (held.q, held.tau_measured);
+            expected.q[4] += 0.1;
+            assert_eq!(seen[seq as usize], expected, "cycle {seq}");
+        }
+    }
+    // Set in a run, too.
+    for faults in [[late, jump], [jump, late]] {
+        let mut plant = Plant::at(&settings(), &level_pose(), &JointVector::zeros()).unwrap();
+        for fault in faults {
+            plant.set_fault(&Fault { from: 1, ..fault }).unwrap();
+        }
+        (1..10).for_each(|_| plant.step(None));
+        let seen = plant.measure();
+        plant.clear_faults();
+        assert_eq!((seen.seq, seen.q[4]), (plant.seq() - 3, plant.measure().q[4] + 0.1));
     }
 }
 

@@ -50,7 +50,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let largest = |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, f64::max);
         let error = largest(&mut cycle.q.iter().zip(&cycle.q_d).map(|(q, d)| (q - d).abs()));
         let tau = largest(&mut cycle.tau.iter().map(|tau| tau.abs()));
-        let mode = cycle.mode().map_or_else(|e| e.to_string(), |mode| mode.to_string());
+        let mode = cycle.mode_text();
         let brake = if cycle.flags & Telemetry::BRAKE == 0 { "open" } else { "closed" };
         let warnings: Vec<_> = warning_texts(cycle.warnings).collect();
         println!(

@@ -28,7 +28,7 @@ mod system;
 
 pub use system::{START, System};
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 use upswing_ipc::Telemetry;
 
@@ -52,8 +52,15 @@ pub fn unique_domain() -> String {
     format!("test-{}-{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed))
 }
 
-/// The bits of a record, field by field: equal only if every number is bit-identical.
-pub fn bits(record: &Telemetry) -> String {
-    // Debug prints the shortest text that reads back to the same bits; NaN does not occur.
-    format!("{record:?}")
+/// Whether every number of two records is the same, bit for bit.
+pub fn same_bits(a: &Telemetry, b: &Telemetry) -> bool {
+    a.words().eq(b.words())
+}
+
+/// The folder of the project.
+///
+/// # Panics
+/// Never: this crate has a folder in it.
+pub fn repository() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the folder above this crate")
 }

@@ -225,7 +225,7 @@ impl System {
     /// # Panics
     /// If it does not start.
     pub fn restart(&mut self, role: Role) {
-        must(self.session.restart(role, None));
+        must(self.session.restart(role));
     }
 
     /// Stops a process for a time of the wall clock, as if its machine had no time for it.
@@ -240,6 +240,6 @@ impl System {
     /// # Panics
     /// If one of them does not end well.
     pub fn end(mut self) {
-        must(self.session.end_in_place());
+        must(self.session.end());
     }
 }

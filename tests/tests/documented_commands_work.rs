@@ -8,7 +8,7 @@ use std::fmt::Write;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use upswing_tests::{programs, unique_domain};
+use upswing_tests::{programs, repository, unique_domain};
 
 /// Runs `upswing` in a domain of the test's own. Demos run as fast as they can. A request that comes too early for a machine
 /// under load is repeated.
@@ -39,10 +39,6 @@ const BEGINS: [&str; 2] = ["upswing ", "cargo run --release -- "];
 struct Block {
     runs: bool,
     text: String,
-}
-
-fn repository() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the repository")
 }
 
 /// README and every page of docs.

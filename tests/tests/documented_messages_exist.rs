@@ -1,10 +1,7 @@
 //! The messages that docs/troubleshooting.md explains are messages of the programs.
 
 use std::path::{Path, PathBuf};
-
-fn repository() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the repository")
-}
+use upswing_tests::repository;
 
 /// All sources of a kind under a folder.
 fn sources(folder: &Path, found: &mut Vec<PathBuf>) {

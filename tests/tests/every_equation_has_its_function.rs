@@ -2,10 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::path::Path;
-
-fn repository() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the repository")
-}
+use upswing_tests::repository;
 
 fn read(path: impl AsRef<Path>) -> String {
     let path = repository().join(path);

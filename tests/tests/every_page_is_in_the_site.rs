@@ -1,10 +1,7 @@
 //! Every Markdown file of the project is a page of the site.
 
 use std::path::{Path, PathBuf};
-
-fn repository() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the repository")
-}
+use upswing_tests::repository;
 
 fn pages(folder: &Path, found: &mut Vec<PathBuf>) {
     for entry in std::fs::read_dir(folder).expect("a folder") {

@@ -2,7 +2,7 @@
 //! balance.
 
 use upswing_ipc::{Clock, Telemetry};
-use upswing_tests::{System, bits};
+use upswing_tests::{System, same_bits};
 
 fn run() -> Vec<Telemetry> {
     let mut system = System::start(Clock::Lockstep, [10.0, 10.0, 0.0, -100.0, 0.0, -20.0, 0.0]);
@@ -17,6 +17,6 @@ fn two_runs_give_the_same_bits() {
     assert_eq!(first.len(), second.len());
     assert!(first.len() > 20_000, "only {} cycles", first.len());
     for (a, b) in first.iter().zip(&second) {
-        assert!(bits(a) == bits(b), "cycle {}:\n{a:?}\n{b:?}", a.seq);
+        assert!(same_bits(a, b), "cycle {}:\n{a:?}\n{b:?}", a.seq);
     }
 }

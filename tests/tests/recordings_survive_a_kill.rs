@@ -19,7 +19,7 @@ fn killed_while_recording() {
     let mut recorder = Command::new(programs().join("upswing"))
         .arg("record")
         .arg(&file)
-        .args(["--domain", &system.session.domain().to_string()])
+        .args(["--domain", system.session.node().domain().name()])
         .stdout(Stdio::null())
         .spawn()
         .expect("upswing starts");

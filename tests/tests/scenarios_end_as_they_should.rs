@@ -30,7 +30,7 @@ const TABLE: [(&str, Outcome); 16] = [
     ("payload", Balanced),
     ("push", Balanced),
     ("rotor-inertia", Safe),
-    ("second-arm", Safe),
+    ("second-arm", Balanced),
     ("slow-drives", Balanced),
     ("torque-offset", Safe),
     ("worn-bearings", Balanced),

@@ -9,12 +9,10 @@ fn ends_from(mode: Mode) {
     let mut system = System::start(Clock::Paced, START);
     system.bring_to(mode);
     let session = &mut system.session;
-    let pid = libc::pid_t::try_from(session.pid(Role::Daemon).expect("a daemon")).expect("an id");
     let before = session.records.len().saturating_sub(1);
-    // `end_in_place` sends another one at once.
-    // SAFETY: plain system call; the session has not waited for its child.
-    assert_eq!(unsafe { libc::kill(pid, libc::SIGTERM) }, 0);
-    session.end_in_place().unwrap_or_else(|e| panic!("{e}"));
+    // `end` sends another one at once.
+    session.signal(Role::Daemon, libc::SIGTERM);
+    session.end().unwrap_or_else(|e| panic!("{e}"));
     let modes: Vec<Mode> = session.records[before..].iter().filter_map(|r| r.mode().ok()).collect();
     if matches!(mode, Mode::Idle | Mode::Fault) {
         assert!(modes.iter().all(|m| *m == mode), "brakes open in {mode}");

@@ -47,7 +47,7 @@ fn and_a_second_swing_up_follows() {
     go(&mut system, PlannerKind::SwingUp);
     let last = system.session.records[before..].last().expect("records");
     assert_eq!(last.mode(), Ok(Mode::Balance));
-    system.session.end_in_place().unwrap_or_else(|e| panic!("{e}"));
+    system.session.end().unwrap_or_else(|e| panic!("{e}"));
 }
 
 #[test]
@@ -63,5 +63,5 @@ fn only_from_balance() {
         })
         .expect("the planner hears of the daemon");
     assert!(refusal.to_string().contains("balance"), "{refusal}");
-    system.session.end_in_place().unwrap_or_else(|e| panic!("{e}"));
+    system.session.end().unwrap_or_else(|e| panic!("{e}"));
 }

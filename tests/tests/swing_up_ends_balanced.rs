@@ -11,7 +11,7 @@ fn check(clock: Clock, start_deg: [f64; 7]) {
     let mut system = System::start(clock, start_deg);
     let report = system.swing_up(SECONDS);
     assert!(report.success, "{start_deg:?}: {report}");
-    system.session.end_in_place().unwrap_or_else(|e| panic!("{e}"));
+    system.session.end().unwrap_or_else(|e| panic!("{e}"));
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use super::{failed, print};
 use clap_complete::Shell;
 use serde::Serialize;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use upswing_config::process::Failure;
 
 /// Name of the program.
@@ -69,6 +69,16 @@ pub fn completions(args: &CompletionsArgs, command: &mut clap::Command) -> Resul
     print(args.json, &Script { shell: args.shell.to_string(), script })
 }
 
+/// Writes the pages of a command and of those in it; how many.
+fn pages(command: &clap::Command, dir: &Path) -> std::io::Result<usize> {
+    let mut count = 1;
+    for command in command.get_subcommands() {
+        count += pages(command, dir)?;
+    }
+    clap_mangen::Man::new(command.clone()).generate_to(dir)?;
+    Ok(count)
+}
+
 /// Writes the pages of `command`.
 ///
 /// # Errors
@@ -76,8 +86,9 @@ pub fn completions(args: &CompletionsArgs, command: &mut clap::Command) -> Resul
 pub fn man(args: &ManArgs, command: clap::Command) -> Result<(), Failure> {
     let write = || -> std::io::Result<usize> {
         std::fs::create_dir_all(&args.dir)?;
-        clap_mangen::generate_to(command, &args.dir)?;
-        Ok(std::fs::read_dir(&args.dir)?.count())
+        let mut command = command.disable_help_subcommand(true);
+        command.build();
+        pages(&command, &args.dir)
     };
     let bad = |e| Failure::BadInput(format!("cannot write man pages to {}: {e}", args.dir.display()));
     let pages = write().map_err(bad)?;

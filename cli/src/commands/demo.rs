@@ -1,11 +1,11 @@
 //! `upswing demo`: the whole system on this machine.
 
-use super::{CommonArgs, failed, own_domain, session_failure, time_bar};
-use crate::parse::{Degrees, start_state};
+use super::{CommonArgs, failed, own_system, session_failure, time_bar};
+use crate::parse::{Degrees, start_state, within};
 use crate::picture;
 use crate::recording::Recorder;
 use crate::report::Report;
-use crate::session::{Options, Programs, Session, SessionError};
+use crate::session::{Programs, Session, SessionError};
 use crate::swing_up::swing_up;
 use serde::Serialize;
 use std::path::PathBuf;
@@ -31,8 +31,8 @@ pub struct DemoArgs {
     /// What is different about the plant: a scenario of the settings, or the path of a .toml file
     #[arg(long, value_name = "NAME|FILE")]
     pub scenario: Option<String>,
-    /// How long to balance, s (at least 2)
-    #[arg(long, default_value_t = 5.0)]
+    /// How long to balance, s (2 to 600); the last second is judged, the one before it belongs to the transient
+    #[arg(long, value_name = "S", default_value_t = 5.0, value_parser = within(2.0, 600.0))]
     pub seconds: f64,
     /// Record every cycle in this new file (MCAP); look at it with `upswing report`, Foxglove or PlotJuggler
     #[arg(long, value_name = "FILE.mcap")]
@@ -70,14 +70,6 @@ impl std::fmt::Display for Answer {
 /// [`Failure::BadInput`] for an impossible start or duration, [`Failure::Failed`] if the pendulum does not end
 /// balanced.
 pub fn run(args: &DemoArgs) -> Result<(), Failure> {
-    /// The last second is what is judged; the one before it belongs to the transient.
-    const SHORTEST: f64 = 2.0;
-    /// An hour of records fills the memory of a laptop.
-    const LONGEST: f64 = 600.0;
-    if !(args.seconds >= SHORTEST && args.seconds <= LONGEST) {
-        let got = args.seconds;
-        return Err(Failure::BadInput(format!("--seconds: expected {SHORTEST} to {LONGEST}, got {got}")));
-    }
     let mut config = args.common.process.load()?;
     if let Some(scenario) = &args.scenario {
         let purpose = config.use_scenario(scenario)?;
@@ -92,15 +84,8 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
     start_state(&config, "--start", &start, PendulumStart::Rest)?;
     let stop = shutdown_flag()?;
 
-    let (clean, logs) = own_domain(&args.common, "demo")?;
-    let options = Options {
-        config: args.common.process.config.clone(),
-        domain: clean.0.name().to_owned(),
-        clock: args.clock,
-        start: Some(start.to_string()),
-        scenario: args.scenario.clone(),
-        logs: logs.clone(),
-    };
+    let (_clean, options) =
+        own_system(&args.common, "demo", args.clock, start.to_string(), args.scenario.clone())?;
     let period = config.daemon.cycle.period.as_secs_f64();
     let recorder = args.record.as_deref().map(|file| {
         let mut details = vec![("clock", args.clock.to_string()), ("start_deg", start.to_string())];
@@ -111,13 +96,8 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
     if !args.common.json {
         eprintln!("starting daemon, planner and plant ({} clock) ...", args.clock);
     }
-    let swing = move || -> Result<_, SessionError> {
-        let programs = Programs::own().map_err(|cause| SessionError::Spawn {
-            role: "daemon",
-            program: "upswing".into(),
-            cause,
-        })?;
-        let mut session = Session::start(programs, &options, recorder)?;
+    let swing = || -> Result<_, SessionError> {
+        let mut session = Session::start(Programs::own()?, &options, recorder)?;
         let bar = time_bar(args.seconds, "swinging up and balancing");
         let progress = |passed: f64, total: f64| {
             bar.set_length((total * 1e3) as u64);
@@ -127,15 +107,12 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
         bar.finish_and_clear();
         let plan = plan?;
         let dropped = session.dropped();
-        let records = session.records.clone();
+        let records = std::mem::take(&mut session.records);
         session.end()?;
         Ok((plan, records, dropped))
     };
-    let (plan, records, dropped) = swing().map_err(session_failure)?;
-    // Only a run that needs no explanation leaves no logs.
-    let _ = std::fs::remove_dir_all(&logs);
+    let (plan, records, dropped) = swing().map_err(|e| session_failure(&e, &options.logs))?;
     let report = Report::new(&config, &plan, &records, dropped, args.seconds);
-    picture::draw(&args.picture, &records, &config.robot.limits, period).map_err(Failure::Failed)?;
     let success = report.success;
     let answer = Answer {
         report,
@@ -146,5 +123,12 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
         recording: args.record.clone(),
     };
     args.common.print(&answer)?;
-    if success { Ok(()) } else { Err(failed("the pendulum was not swung up and balanced")) }
+    let drawn = picture::draw(&args.picture, &records, &config.robot.limits, period);
+    if !success {
+        let logs = options.logs.display();
+        return Err(failed(format!("the pendulum was not swung up and balanced; logs in {logs}")));
+    }
+    // Only a run that needs no explanation leaves no logs.
+    let _ = std::fs::remove_dir_all(&options.logs);
+    drawn.map_err(Failure::Failed)
 }

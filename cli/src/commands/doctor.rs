@@ -4,6 +4,7 @@ pub mod host;
 
 use super::{CommonArgs, failed, time_bar};
 use crate::live::Times;
+use crate::parse::within;
 use host::Host;
 use serde::Serialize;
 use std::fmt;
@@ -26,8 +27,8 @@ pub struct DoctorArgs {
     /// Options of every command.
     #[command(flatten)]
     pub common: CommonArgs,
-    /// How long to measure the wake-up latency, s; 0: not at all
-    #[arg(long, value_name = "S", default_value_t = 5.0)]
+    /// How long to measure the wake-up latency, s (up to a day); 0: not at all
+    #[arg(long, value_name = "S", default_value_t = 5.0, value_parser = within(0.0, 86_400.0))]
     pub seconds: f64,
 }
 
@@ -111,11 +112,6 @@ impl fmt::Display for Report {
 /// # Errors
 /// [`Failure::BadInput`] for options that cannot be used, [`Failure::Failed`] if something is bad.
 pub fn run(args: &DoctorArgs) -> Result<(), Failure> {
-    const LONGEST: f64 = 86_400.0;
-    if !(0.0..=LONGEST).contains(&args.seconds) {
-        let got = args.seconds;
-        return Err(Failure::BadInput(format!("--seconds: expected 0 to {LONGEST}, got {got}")));
-    }
     let config = args.common.process.load()?;
     let domain = Domain::new(&args.common.process.domain).map_err(|e| Failure::BadInput(e.to_string()))?;
     let (period, settings) = (config.daemon.cycle.period, config.daemon.realtime);

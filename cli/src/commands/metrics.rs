@@ -4,6 +4,7 @@ use super::{CommonArgs, failed, print_json, print_line};
 use crate::http::{self, Listener};
 use crate::live::Live;
 use crate::metrics::{self, CONTENT_TYPE};
+use crate::parse::within;
 use serde::Serialize;
 use std::io::Write;
 use std::net::SocketAddr;
@@ -36,7 +37,7 @@ pub struct MetricsArgs {
     #[arg(long, value_name = "FILE.prom")]
     pub file: Option<PathBuf>,
     /// Time between two renewals of the file, s, 0.1 to 3600
-    #[arg(long, value_name = "S", default_value_t = 5.0, requires = "file")]
+    #[arg(long, value_name = "S", default_value_t = 5.0, requires = "file", value_parser = within(0.1, 3600.0))]
     pub every: f64,
 }
 
@@ -65,9 +66,6 @@ impl std::fmt::Display for Begun {
 /// [`Failure::BadInput`] for an address or file that cannot be used, [`Failure::Failed`] if the file cannot be renewed
 /// any more.
 pub fn run(args: &MetricsArgs) -> Result<(), Failure> {
-    if !(args.every >= 0.1 && args.every <= 3600.0) {
-        return Err(Failure::BadInput(format!("--every: expected 0.1 to 3600 s, got {}", args.every)));
-    }
     if let Some(file) = args.file.as_deref().filter(|f| f.extension().is_none_or(|e| e != "prom")) {
         let got = file.display();
         return Err(Failure::BadInput(format!("--file: expected a name that ends in .prom, got {got}")));

@@ -47,7 +47,7 @@ pub struct BoundArgs {
     /// Options of every command.
     #[command(flatten)]
     pub common: CommonArgs,
-    /// How many states [the paper: 100000000, minutes on two cores]
+    /// How many states [the paper: 100000000, half a minute on two cores]
     #[arg(long, value_name = "N", default_value_t = 100_000_000)]
     pub samples: u64,
     /// Seed of the random states

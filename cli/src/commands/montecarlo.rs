@@ -7,15 +7,20 @@ mod robustness;
 mod variation;
 
 use super::{CommonArgs, failed, progress_bar};
+use crate::closed_loop::{Aborted, Disturbances, swing_up};
 use crate::montecarlo::{NoStart, for_each};
+use crate::report::Report;
 use clap::ValueEnum;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use upswing_config::process::Failure;
-use upswing_config::{Config, DatabaseFile};
-use upswing_model::NU;
+use upswing_config::{Config, DatabaseFile, PendulumStart};
+use upswing_ipc::Telemetry;
+use upswing_model::{NU, State};
 use upswing_planner::build::{self, Shard};
+use upswing_planner::qp::Solver;
 use upswing_planner::replan::Planner;
+use upswing_plant::Plant;
 
 pub use closed_loop::ClosedLoopArgs;
 pub use replan::ReplanArgs;
@@ -103,6 +108,37 @@ pub fn run(args: &MonteCarloArgs) -> Result<(), Failure> {
         MonteCarloCommand::Replan(args) => replan::run(args),
         MonteCarloCommand::ClosedLoop(args) => closed_loop::run(args),
         MonteCarloCommand::Robustness(args) => robustness::run(args),
+    }
+}
+
+/// What a thread keeps from one swing-up to the next.
+struct Scratch {
+    solver: Solver,
+    /// Every cycle of the last one.
+    records: Vec<Telemetry>,
+}
+
+impl Scratch {
+    fn new(planner: &Planner) -> Self {
+        Self { solver: planner.solver(), records: Vec::new() }
+    }
+
+    /// Swings up from start number `index`, at rest where the pendulum rests in this plant, and balances for `seconds`.
+    /// `controller` and `plant` are the settings of the two.
+    fn swing_up(
+        &mut self,
+        planner: &Planner,
+        (index, start): (u64, &State),
+        controller: &Config,
+        mut plant: Config,
+        seconds: f64,
+        disturbances: impl FnOnce(f64) -> Disturbances,
+    ) -> Result<Report, Aborted> {
+        plant.plant.start.q = std::array::from_fn(|i| start[i]);
+        plant.plant.start.pendulum = PendulumStart::Rest;
+        plant.plant.encoder.seed = plant.plant.encoder.seed.wrapping_add(index);
+        let plant = Plant::new(&plant)?;
+        swing_up(planner, &mut self.solver, controller, plant, seconds, disturbances, &mut self.records)
     }
 }
 

@@ -1,6 +1,7 @@
 //! `upswing record`: every cycle of a running system in a file.
 
 use super::{CommonArgs, failed, spinner, time_bar};
+use crate::parse::{WEEK, within};
 use crate::recording::{Recorder, RecordingError, Tally, Tap};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -26,8 +27,8 @@ pub struct RecordArgs {
     /// The new file; an existing one is not overwritten
     #[arg(value_name = "FILE.mcap")]
     pub file: PathBuf,
-    /// How long to record, s of the plant's time [default: until Ctrl-C]
-    #[arg(long)]
+    /// How long to record, s of the plant's time (0.001 to a week) [default: until Ctrl-C]
+    #[arg(long, value_name = "S", value_parser = within(1e-3, WEEK))]
     pub seconds: Option<f64>,
 }
 
@@ -56,10 +57,6 @@ impl std::fmt::Display for Answer<'_> {
 /// [`Failure::BadInput`] if the file exists or cannot be made, [`Failure::Failed`] if no telemetry comes or the disk is
 /// full.
 pub fn run(args: &RecordArgs) -> Result<(), Failure> {
-    if args.seconds.is_some_and(|s| !(s > 0.0 && s.is_finite())) {
-        let got = args.seconds.unwrap_or_default();
-        return Err(Failure::BadInput(format!("--seconds: expected a number above 0, got {got}")));
-    }
     let config = args.common.process.load()?;
     let node = args.common.connect()?;
     let stop = shutdown_flag()?;

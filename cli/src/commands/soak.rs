@@ -1,8 +1,9 @@
 //! `upswing soak`: the whole system on this machine, for long.
 
-use super::{CommonArgs, failed, own_domain, session_failure, time_bar};
+use super::{CommonArgs, failed, own_system, session_failure, time_bar};
 use crate::montecarlo::Starts;
-use crate::session::{Options, Programs, Session, SessionError};
+use crate::parse::{WEEK, within};
+use crate::session::{Programs, Session, SessionError};
 use crate::soak::{Growth, Kill, Record, Soak};
 use serde::Serialize;
 use std::time::Instant;
@@ -20,14 +21,14 @@ pub struct SoakArgs {
     /// Options of every command.
     #[command(flatten)]
     pub common: CommonArgs,
-    /// How long, s; the last round is brought to its end
-    #[arg(long, default_value_t = 60.0)]
+    /// How long, s (1 to a week); the last round is brought to its end
+    #[arg(long, value_name = "S", default_value_t = 60.0, value_parser = within(1.0, WEEK))]
     pub seconds: f64,
     /// Clock: `paced` (real-time pace) or `wall`
     #[arg(long, default_value = "paced")]
     pub clock: Clock,
     /// Share of the rounds in which a process is killed, 0 to 1
-    #[arg(long, value_name = "SHARE", default_value_t = 0.5)]
+    #[arg(long, value_name = "SHARE", default_value_t = 0.5, value_parser = within(0.0, 1.0))]
     pub kills: f64,
     /// Seed of starts, pushes and kills
     #[arg(long, value_name = "N", default_value_t = 0)]
@@ -87,53 +88,32 @@ impl std::fmt::Display for Answer {
 /// [`Failure::BadInput`] for what cannot be, [`Failure::Failed`] if a round failed by itself or the system could not be
 /// brought back.
 pub fn run(args: &SoakArgs) -> Result<(), Failure> {
-    /// A week.
-    const LONGEST: f64 = 604_800.0;
-    let refuse = |text: String| Err(Failure::BadInput(text));
-    if !(args.seconds > 0.0 && args.seconds <= LONGEST) {
-        return refuse(format!(
-            "--seconds: expected more than 0 and at most {LONGEST}, got {}",
-            args.seconds
-        ));
-    }
-    if !(0.0..=1.0).contains(&args.kills) {
-        return refuse(format!("--kills: expected 0 to 1, got {}", args.kills));
-    }
     if args.clock == Clock::Lockstep {
-        return refuse(
+        return Err(Failure::BadInput(
             "--clock: expected paced or wall, got lockstep, which stands still between requests".into(),
-        );
+        ));
     }
     let config = args.common.process.load()?;
     let starts = Starts { config: &config, seed: args.seed };
     let start = Soak::first_start(&starts)?;
     let stop = shutdown_flag()?;
-    let (clean, logs) = own_domain(&args.common, "soak")?;
-    let options = Options {
-        config: args.common.process.config.clone(),
-        domain: clean.0.name().to_owned(),
-        clock: args.clock,
-        start: Some(start),
-        scenario: None,
-        logs: logs.clone(),
-    };
+    let (_clean, options) = own_system(&args.common, "soak", args.clock, start, None)?;
     let begin = Instant::now();
     let soak = || -> Result<Record, SessionError> {
-        let spawn = |cause| SessionError::Spawn { role: "daemon", program: "upswing".into(), cause };
-        let session = Session::start(Programs::own().map_err(spawn)?, &options, None)?;
+        let session = Session::start(Programs::own()?, &options, None)?;
         let mut soak = Soak::new(session, starts, args.clock, args.kills);
         let bar = time_bar(args.seconds, "soak");
         let ran = soak.run(args.seconds, &stop, &|passed| bar.set_position((passed * 1e3) as u64));
         bar.finish_and_clear();
         ran?;
-        soak.session.end_in_place()?;
+        soak.session.end()?;
         Ok(soak.record)
     };
-    let record = soak().map_err(session_failure)?;
+    let record = soak().map_err(|e| session_failure(&e, &options.logs))?;
     // Only a run that needs no explanation leaves no logs.
     let success = record.losses.is_empty() && record.completed > 0;
     if success {
-        let _ = std::fs::remove_dir_all(&logs);
+        let _ = std::fs::remove_dir_all(&options.logs);
     }
     let lost = record.losses.len();
     let growth = Growth::of(&record.samples);
@@ -143,6 +123,6 @@ pub fn run(args: &SoakArgs) -> Result<(), Failure> {
     match (success, lost) {
         (true, _) => Ok(()),
         (false, 0) => Err(failed("no round was completed: allow more time")),
-        (false, n) => Err(failed(format!("{n} rounds failed; logs in {}", logs.display()))),
+        (false, n) => Err(failed(format!("{n} rounds failed; logs in {}", options.logs.display()))),
     }
 }

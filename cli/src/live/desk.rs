@@ -71,7 +71,12 @@ impl Desk {
                 work.run(&orders, &closed);
             }
         });
-        is_open.recv().unwrap_or(Ok(()))?;
+        let Ok(opened) = is_open.recv() else {
+            // It panicked: a desk of which nothing is ever heard would look like a system that is not there.
+            let panic = thread.join().err();
+            std::panic::resume_unwind(panic.unwrap_or_else(|| Box::new("the desk ended at its start")));
+        };
+        opened?;
         Ok(Self { asker: Asker(orders_in), news, thread: Some(thread), closing })
     }
 

@@ -1,6 +1,5 @@
 //! What the daemon says about itself.
 
-use crate::operator::mode;
 use serde::Serialize;
 use upswing_ipc::{ControlResponse, Degradation, Percentiles};
 
@@ -73,7 +72,7 @@ impl Status {
     pub fn new(s: &ControlResponse) -> Self {
         let id = |id: u64| (id != 0).then(|| format!("{id:016x}"));
         Self {
-            mode: mode(s),
+            mode: s.mode_text(),
             fault: upswingd::fault_text(s.fault).map(Into::into),
             loaded_plan: id(s.plan_id),
             running_plan: id(s.running_plan),

@@ -80,13 +80,12 @@ impl Watch {
         if self.state != Some((record.mode, record.fault)) {
             self.state = Some((record.mode, record.fault));
             self.warned = 0;
-            let mode = record.mode().map_or_else(|e| e.to_string(), |m| m.to_string());
             match upswingd::fault_text(record.fault).filter(|_| record.mode() == Ok(Mode::Fault)) {
                 Some(cause) => {
                     self.faults += 1;
                     self.tell(Kind::Fault, format!("fault: {cause}"));
                 }
-                None => self.tell(Kind::Note, format!("mode {mode}")),
+                None => self.tell(Kind::Note, format!("mode {}", record.mode_text())),
             }
         }
         let new = record.warnings & !self.warned;
@@ -168,7 +167,7 @@ impl Watch {
     pub fn view(&self) -> View {
         let [daemon, planner, plant] = self.present.unwrap_or_default();
         let cycle = self.newest.as_ref();
-        let mode = cycle.map(|r| r.mode().map_or_else(|e| e.to_string(), |m| m.to_string()));
+        let mode = cycle.map(Telemetry::mode_text);
         View {
             domain: self.domain.clone(),
             t: self.t,

@@ -105,7 +105,7 @@ impl From<Link> for LinkJson {
 }
 
 /// Digits that no screen shows would double the size of the page.
-pub(super) fn round(value: f64, per_unit: f64) -> f64 {
+pub(crate) fn round(value: f64, per_unit: f64) -> f64 {
     (value * per_unit).round() / per_unit
 }
 

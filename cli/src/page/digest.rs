@@ -2,7 +2,7 @@
 
 use super::Span;
 use super::times::CycleTimes;
-use crate::recording::{Recording, RecordingError, Tally};
+use crate::recording::{Elapsed, Recording, RecordingError, Tally};
 use crate::report::{FigureCounter, Figures};
 use std::path::Path;
 use upswing_ipc::{Mode, Telemetry};
@@ -17,7 +17,7 @@ const SAMPLES: usize = 30_000;
 pub struct Digest {
     /// The robot.
     pub model: Model,
-    /// Cycles at least `step_s` apart.
+    /// Cycles at least `step` apart, their times counted from the first cycle.
     pub samples: Vec<Telemetry>,
     /// Counts of all cycles.
     pub tally: Tally,
@@ -35,7 +35,7 @@ pub struct Digest {
     spans: Vec<(String, u64, u64)>,
     state: Option<(u64, u64)>,
     late_ns: Vec<u64>,
-    first_ns: Option<u64>,
+    elapsed: Elapsed,
     plan_ns: Option<u64>,
 }
 
@@ -58,20 +58,20 @@ impl Digest {
             spans: Vec::new(),
             state: None,
             late_ns: Vec::new(),
-            first_ns: None,
+            elapsed: Elapsed::default(),
             plan_ns: None,
         })
     }
 
     /// The next cycle.
     pub fn take(&mut self, record: &Telemetry) {
-        let t = record.t_ns;
+        let t = self.elapsed.until(record.t_ns);
+        let record = &Telemetry { t_ns: t, ..*record };
         self.tally.count(record);
         self.times.count(record);
         self.figures.count(&self.model, self.model.rated_limits(), record);
         self.warnings |= record.warnings;
         self.degraded |= record.degraded;
-        self.first_ns.get_or_insert(t);
         if record.mode() == Ok(Mode::Track) {
             self.plan_ns.get_or_insert(t);
         }
@@ -84,8 +84,7 @@ impl Digest {
         if self.state.replace((record.mode, record.fault)) != Some((record.mode, record.fault)) {
             self.spans.push((name(record), t, t));
         }
-        // Another plant may have begun at 0 again.
-        if self.samples.last().is_none_or(|last| t < last.t_ns || t - last.t_ns >= self.step_ns) {
+        if self.samples.last().is_none_or(|last| t - last.t_ns >= self.step_ns) {
             self.samples.push(*record);
         }
         if self.samples.len() > SAMPLES {
@@ -123,16 +122,15 @@ impl Digest {
         self.late_ns.iter().map(|t| self.seconds(*t)).collect()
     }
 
-    /// A moment, ns, in s from the start of the first plan, or else from the first cycle.
+    /// A moment, ns since the first cycle, in s from the start of the first plan, or else from the first cycle.
     pub fn seconds(&self, t_ns: u64) -> f64 {
-        let zero = self.plan_ns.or(self.first_ns).unwrap_or(0);
-        super::data::round((t_ns as i128 - zero as i128) as f64 * 1e-9, 1e6)
+        super::data::round((t_ns as f64 - self.plan_ns.unwrap_or(0) as f64) * 1e-9, 1e6)
     }
 }
 
 /// The mode, or the cause of a fault.
 fn name(record: &Telemetry) -> String {
-    let mode = record.mode().map_or_else(|e| e.to_string(), |mode| mode.to_string());
+    let mode = record.mode_text();
     let cause = upswingd::fault_text(record.fault).filter(|_| record.mode() == Ok(Mode::Fault));
     cause.map_or_else(|| mode.clone(), |cause| format!("{mode}: {cause}"))
 }

@@ -37,7 +37,7 @@ addEventListener("DOMContentLoaded", () => {
     if (m.t.length && t.length && m.t[0] < t[t.length - 1]) [t, modes, late, ...all].forEach(a => { a.length = 0; });
     t.push(...m.t); modes.push(...m.mode); late.push(...m.late);
     for (const [name, columns] of Object.entries(motion)) {
-      columns.forEach((column, i) => column.push(...m[name][i].map(v => v / limits[name][i])));
+      columns.forEach((column, i) => column.push(...numbers(m[name][i]).map(v => v / limits[name][i])));
     }
     const old = t.findIndex(s => s >= t[t.length - 1] - SPAN);
     if (old > 0) [t, modes, ...all].forEach(a => a.splice(0, old));
@@ -68,15 +68,16 @@ addEventListener("DOMContentLoaded", () => {
     const here = name => `${name} ${view[name] ? "runs" : "absent"}`;
     $("about").textContent = connected ? ["daemon", "planner", "plant"].map(here).join(", ") : "the monitor does not answer";
     const { cycle, status, plan } = view;
-    const deg = v => (v * 180 / Math.PI).toFixed(1);
+    const fixed = (v, digits) => v === null ? "unknown" : v.toFixed(digits);
+    const tilt = cycle && cycle.tilt !== null ? `${(cycle.tilt * 180 / Math.PI).toFixed(1)} deg from upright` : "unknown";
     const rows = [["mode", view.mode || "no daemon"]];
     if (cycle) {
-      rows.push(["fault", cycle.fault || "none"], ["rod", `${deg(cycle.tilt)} deg from upright`]);
-      rows.push(["distance from reference", `${cycle.error_arm.toFixed(4)} rad (joints 1-7), ${cycle.error_pendulum.toFixed(4)} rad (pendulum)`]);
+      rows.push(["fault", cycle.fault || "none"], ["rod", tilt]);
+      rows.push(["distance from reference", `${fixed(cycle.error_arm, 4)} rad (joints 1-7), ${fixed(cycle.error_pendulum, 4)} rad (pendulum)`]);
     }
     if (plan) {
-      const at = cycle && cycle.plan === plan.id ? `, at ${cycle.t_plan.toFixed(2)} s` : "";
-      rows.push(["plan", `${plan.t_f.toFixed(3)} s, ends ${plan.stands ? "standing" : "hanging"}${at}`]);
+      const at = cycle && cycle.plan === plan.id ? `, at ${fixed(cycle.t_plan, 2)} s` : "";
+      rows.push(["plan", `${fixed(plan.t_f, 3)} s, ends ${plan.stands ? "standing" : "hanging"}${at}`]);
     }
     if (status) {
       rows.push(["cycles", `${status.cycles}, ${status.overruns} late, ${view.lost} lost on the way here`]);

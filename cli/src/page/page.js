@@ -3,6 +3,7 @@
 addEventListener("DOMContentLoaded", () => {
   const data = JSON.parse(document.getElementById("data").textContent);
   const $ = id => document.getElementById(id);
+  for (const name of ["q", "q_d", "qd", "qd_d", "tau"]) data[name] = data[name].map(numbers);
   const { t, q, q_d: desired, modes } = data;
   const [begin, end] = [t[0], t[t.length - 1]];
   // Starts where there is something to see.

@@ -5,6 +5,9 @@ const COLOURS = ["#0072b2", "#d55e00", "#009e73"];
 const MODE_COLOURS = { idle: "#b8c0ca", hold: "#56b4e9", track: "#e69f00", balance: "#009e73", stop: "#cc79a7", fault: "#c1272d" };
 const FONT = "12px system-ui, Arial, sans-serif";
 
+// Values of which those that are no finite numbers came as null, which would count as 0.
+const numbers = values => values.map(v => v === null ? NaN : v);
+
 // Sizes a canvas to its place on the page; returns its context in CSS pixels, width and height.
 function prepare(canvas) {
   const ratio = window.devicePixelRatio || 1, { clientWidth: w, clientHeight: h } = canvas;
@@ -44,7 +47,7 @@ class Panel {
 
   // Where the curves do not change, only the cursor, they are drawn once per size.
   render() {
-    const largest = (most, column) => column.reduce((m, v) => Math.max(m, Math.abs(v)), most);
+    const largest = (most, column) => column.reduce((m, v) => Math.max(m, Math.abs(v) || 0), most);
     this.top = this.curves.reduce((most, c) => largest(largest(most, c.values), c.desired || []), 1) * 1.08;
     const [, w, h] = prepare(this.canvas);
     [this.width, this.height] = [w, h];
@@ -73,9 +76,14 @@ class Panel {
     }
   }
 
+  // What is no number leaves a gap.
   stroke(g, points) {
     g.beginPath();
-    points.forEach(([x, y], i) => (i ? g.lineTo(x, y) : g.moveTo(x, y)));
+    let drawn = false;
+    for (const [x, y] of points) {
+      if (drawn) g.lineTo(x, y); else g.moveTo(x, y);
+      drawn = Number.isFinite(y);
+    }
     g.stroke();
   }
 

@@ -1,7 +1,6 @@
 //! Curves of success: the share of runs that succeed over what is varied, with the interval in which its probability is.
 
-use super::COLOURS;
-use plotters::coord::Shift;
+use super::{Area, COLOURS, Drawn, svg, write};
 use plotters::prelude::*;
 use std::path::Path;
 
@@ -38,20 +37,15 @@ pub struct Panel {
 pub fn draw(path: &Path, panels: &[Panel]) -> Result<(), String> {
     let columns = panels.len().clamp(1, COLUMNS);
     let rows = panels.len().div_ceil(columns).max(1);
-    let failed = |e: &dyn std::fmt::Display| format!("cannot write {}: {e}", path.display());
     let size = (PANEL.0 * columns as u32, PANEL.1 * rows as u32);
-    let root = SVGBackend::new(path, size).into_drawing_area();
-    root.fill(&WHITE).map_err(|e| failed(&e))?;
-    for (panel, area) in panels.iter().zip(root.split_evenly((rows, columns))) {
-        draw_panel(&area, panel).map_err(|e| failed(&e))?;
-    }
-    root.present().map_err(|e| failed(&e))
+    let drawing = svg(size, |root| {
+        let mut areas = panels.iter().zip(root.split_evenly((rows, columns)));
+        areas.try_for_each(|(panel, area)| draw_panel(&area, panel))
+    })?;
+    write(path, drawing.as_bytes())
 }
 
-fn draw_panel<'a>(
-    area: &DrawingArea<SVGBackend<'a>, Shift>,
-    panel: &Panel,
-) -> Result<(), DrawingAreaErrorKind<<SVGBackend<'a> as DrawingBackend>::ErrorType>> {
+fn draw_panel(area: &Area<'_>, panel: &Panel) -> Drawn {
     let values = panel.series.iter().flat_map(|(_, points)| points).map(|p| p.x);
     let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), x| (a.min(x), b.max(x)));
     // A single value, or none, needs an axis, too.

@@ -1,5 +1,6 @@
 //! The figures of a recording as files: trajectories, modes, cycle times.
 
+use super::{Area, Drawn, svg, swing_up};
 use crate::page::times::Times;
 use crate::page::{Digest, Span};
 use plotters::prelude::*;
@@ -13,44 +14,35 @@ const MODES_SIZE: (u32, u32) = (1200, 260);
 /// Pixels of a PNG per unit of the SVG: sharp in print.
 const SCALE: f32 = 2.0;
 
-type Drawn<'a> = Result<(), DrawingAreaErrorKind<<SVGBackend<'a> as DrawingBackend>::ErrorType>>;
-
 /// Draws what there is of the figures beside `page`, as `NAME-trajectories.svg` and so on; the paths.
 ///
 /// # Errors
 /// A text that says which file could not be written.
-pub fn draw(page: &Path, digest: &Digest, svg: bool, png: bool) -> Result<Vec<PathBuf>, String> {
-    let scratch = tempfile::tempdir().map_err(|e| format!("cannot make a temporary folder: {e}"))?;
+pub fn draw(page: &Path, digest: &Digest, as_svg: bool, as_png: bool) -> Result<Vec<PathBuf>, String> {
     let mut written = Vec::new();
-    let mut finish = |name: &str, drawing: &Path| -> Result<(), String> {
-        let text = std::fs::read_to_string(drawing).map_err(|e| format!("cannot read the drawing: {e}"))?;
+    let mut finish = |name: &str, drawing: &str| -> Result<(), String> {
         let stem = page.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned());
         let mut write = |extension: &str, bytes: &[u8]| {
             let path = page.with_file_name(format!("{stem}-{name}.{extension}"));
-            std::fs::write(&path, bytes).map_err(|e| format!("cannot write {}: {e}", path.display()))?;
+            super::write(&path, bytes)?;
             written.push(path);
             Ok::<_, String>(())
         };
-        if svg {
-            write("svg", text.as_bytes())?;
+        if as_svg {
+            write("svg", drawing.as_bytes())?;
         }
-        if png {
-            write("png", &rasterise(&text)?)?;
+        if as_png {
+            write("png", &rasterise(drawing)?)?;
         }
         Ok(())
     };
-    let path = scratch.path().join("drawing.svg");
-    let failed = |e: &dyn std::fmt::Display| format!("cannot draw: {e}");
     if digest.samples.iter().any(|t| matches!(t.mode(), Ok(Mode::Track | Mode::Balance))) {
-        super::draw(&path, &digest.samples, digest.model.rated_limits(), digest.step())?;
-        finish("trajectories", &path)?;
+        finish("trajectories", &swing_up(&digest.samples, digest.model.rated_limits(), digest.step())?)?;
     }
-    modes(&path, &digest.spans()).map_err(|e| failed(&e))?;
-    finish("modes", &path)?;
+    finish("modes", &modes(&digest.spans())?)?;
     let times = digest.times.times();
     if !times.is_empty() {
-        cycle_times(&path, &times, digest.period * 1e6).map_err(|e| failed(&e))?;
-        finish("cycle-times", &path)?;
+        finish("cycle-times", &cycle_times(&times, digest.period * 1e6)?)?;
     }
     Ok(written)
 }
@@ -82,13 +74,15 @@ fn rasterise(svg: &str) -> Result<Vec<u8>, String> {
 }
 
 /// Modes as bars over time.
-fn modes<'a>(path: &'a Path, spans: &[Span]) -> Drawn<'a> {
+fn modes(spans: &[Span]) -> Result<String, String> {
+    svg(MODES_SIZE, |root| draw_modes(root, spans))
+}
+
+fn draw_modes(root: &Area<'_>, spans: &[Span]) -> Drawn {
     let (from, to) =
         (spans.first().map_or(0.0, |s| s.from), spans.last().map_or(1.0, |s| s.to).max(f64::MIN_POSITIVE));
-    let root = SVGBackend::new(path, MODES_SIZE).into_drawing_area();
-    root.fill(&WHITE)?;
     let rows = Mode::ALL.len();
-    let mut chart = ChartBuilder::on(&root)
+    let mut chart = ChartBuilder::on(root)
         .margin(12)
         .x_label_area_size(42)
         .y_label_area_size(74)
@@ -112,18 +106,20 @@ fn modes<'a>(path: &'a Path, spans: &[Span]) -> Drawn<'a> {
         let bar = [(span.from, row), (span.to, row + 0.8)];
         chart.draw_series([Rectangle::new(bar, super::COLOURS[row as usize % 3].filled())])?;
     }
-    root.present()
+    Ok(())
 }
 
 /// Wake-up and computing times as steps on logarithmic axes, with the period.
-fn cycle_times<'a>(path: &'a Path, all: &[Times], period_us: f64) -> Drawn<'a> {
+fn cycle_times(all: &[Times], period_us: f64) -> Result<String, String> {
+    svg(TIMES_SIZE, |root| draw_times(root, all, period_us))
+}
+
+fn draw_times(root: &Area<'_>, all: &[Times], period_us: f64) -> Drawn {
     let ends = |t: &Times| (t.first, t.first * t.ratio.powi(t.counts.len() as i32));
     let from = all.iter().map(|t| ends(t).0).fold(period_us, f64::min);
     let to = all.iter().map(|t| ends(t).1).fold(period_us * 1.3, f64::max);
     let most = all.iter().flat_map(|t| &t.counts).max().map_or(1.0, |n| *n as f64 * 1.5);
-    let root = SVGBackend::new(path, TIMES_SIZE).into_drawing_area();
-    root.fill(&WHITE)?;
-    let mut chart = ChartBuilder::on(&root)
+    let mut chart = ChartBuilder::on(root)
         .margin(12)
         .x_label_area_size(42)
         .y_label_area_size(64)
@@ -159,6 +155,5 @@ fn cycle_times<'a>(path: &'a Path, all: &[Times], period_us: f64) -> Drawn<'a> {
         .margin(20)
         .background_style(WHITE.mix(0.7))
         .label_font(("sans-serif", 14))
-        .draw()?;
-    root.present()
+        .draw()
 }

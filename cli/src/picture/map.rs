@@ -1,7 +1,7 @@
 //! A map of plans over the ranges of their starts: for each kind of limit and each pair of joints, the smallest
 //! margin of all plans whose start is in a cell of the two angles, whatever the other angles are.
 
-use plotters::coord::Shift;
+use super::{Area, Drawn, svg, write};
 use plotters::prelude::*;
 use std::path::Path;
 use upswing_config::GridAxis;
@@ -73,21 +73,20 @@ pub fn draw(path: &Path, axes: &[GridAxis], points: &[Point]) -> Result<(), Stri
     if pairs.is_empty() {
         return Err("a map needs a grid with ranges of two joints or more".into());
     }
-    let failed = |e: &dyn std::fmt::Display| format!("cannot write {}: {e}", path.display());
     let size = (PANEL * pairs.len() as u32 + SCALE_WIDTH, PANEL * ROWS.len() as u32);
-    let root = SVGBackend::new(path, size).into_drawing_area();
-    root.fill(&WHITE).map_err(|e| failed(&e))?;
-    let areas = root.split_evenly((ROWS.len(), 1));
-    for (kind, area) in areas.iter().enumerate() {
-        let (panels, scale) = area.split_horizontally(PANEL * pairs.len() as u32);
-        let margins = points.iter().filter_map(|p| p.margins).map(|m| m[kind]).filter(|m| m.is_finite());
-        let range = margins.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), m| (a.min(m), b.max(m)));
-        for (panel, (x, y)) in panels.split_evenly((1, pairs.len())).iter().zip(&pairs) {
-            draw_panel(panel, x, y, &smallest(points, kind, x, y), range).map_err(|e| failed(&e))?;
+    let drawing = svg(size, |root| {
+        for (kind, area) in root.split_evenly((ROWS.len(), 1)).iter().enumerate() {
+            let (panels, scale) = area.split_horizontally(PANEL * pairs.len() as u32);
+            let margins = points.iter().filter_map(|p| p.margins).map(|m| m[kind]).filter(|m| m.is_finite());
+            let range = margins.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), m| (a.min(m), b.max(m)));
+            for (panel, (x, y)) in panels.split_evenly((1, pairs.len())).iter().zip(&pairs) {
+                draw_panel(panel, x, y, &smallest(points, kind, x, y), range)?;
+            }
+            draw_scale(&scale, ROWS[kind], range)?;
         }
-        draw_scale(&scale, ROWS[kind], range).map_err(|e| failed(&e))?;
-    }
-    root.present().map_err(|e| failed(&e))
+        Ok(())
+    })?;
+    write(path, drawing.as_bytes())
 }
 
 /// Cells of a panel, `x` running fastest.
@@ -104,8 +103,6 @@ fn smallest(points: &[Point], kind: usize, x: &Side, y: &Side) -> Vec<Cell> {
     cells
 }
 
-type DrawResult<'a> = Result<(), DrawingAreaErrorKind<<SVGBackend<'a> as DrawingBackend>::ErrorType>>;
-
 /// From dark, a share of 0, to light, 1; in the order of brightness in print and for the colour-blind, too.
 fn shade(share: f64) -> RGBColor {
     const STOPS: [[f64; 3]; 3] = [[68.0, 1.0, 84.0], [33.0, 145.0, 140.0], [253.0, 231.0, 37.0]];
@@ -115,13 +112,7 @@ fn shade(share: f64) -> RGBColor {
     RGBColor(mix(0), mix(1), mix(2))
 }
 
-fn draw_panel<'a>(
-    area: &DrawingArea<SVGBackend<'a>, Shift>,
-    x: &Side,
-    y: &Side,
-    cells: &[Cell],
-    range: (f64, f64),
-) -> DrawResult<'a> {
+fn draw_panel(area: &Area<'_>, x: &Side, y: &Side, cells: &[Cell], range: (f64, f64)) -> Drawn {
     let mut chart = ChartBuilder::on(area)
         .margin(6)
         .x_label_area_size(34)
@@ -153,11 +144,7 @@ fn draw_panel<'a>(
 }
 
 /// The colours and what they mean.
-fn draw_scale<'a>(
-    area: &DrawingArea<SVGBackend<'a>, Shift>,
-    name: &str,
-    range: (f64, f64),
-) -> DrawResult<'a> {
+fn draw_scale(area: &Area<'_>, name: &str, range: (f64, f64)) -> Drawn {
     const STEPS: i32 = 40;
     let (top, height, left, width) = (44, 110, 6, 14);
     let text = |t: String, x: i32, y: i32| Text::new(t, (x, y), ("sans-serif", 12).into_font());

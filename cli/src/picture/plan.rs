@@ -1,6 +1,6 @@
 //! A plan and the trajectory it was adapted from, as in the paper's Fig. 4.
 
-use super::{Curve, Look, POINTS, draw_panels};
+use super::{Curve, Look, POINTS, draw_panels, write};
 use std::path::Path;
 use upswing_model::{ActuatedVector, Limits, Model, NQ, NU, State, Workspace};
 use upswing_trajectory::{Spline, Trajectory};
@@ -45,7 +45,7 @@ pub fn draw(
 ) -> Result<(), String> {
     let look = Look { begin: 0.0, end: plan.t_f.max(reference.t_f), dashes: None };
     let (plan, reference) = (Samples::of(plan, model), Samples::of(reference, model));
-    draw_panels(path, &look, |i| {
+    let drawing = draw_panels(&look, |i| {
         let curve = |values: &dyn Fn(&Samples) -> Vec<(f64, f64)>| Curve {
             solid: values(&plan),
             dashed: values(&reference),
@@ -55,5 +55,6 @@ pub fn draw(
             Some(curve(&|s| s.state(NQ + i, limits.qd_max[i]))),
             (i < NU).then(|| curve(&|s| s.torque(i, limits.tau_max[i]))),
         ]
-    })
+    })?;
+    write(path, drawing.as_bytes())
 }

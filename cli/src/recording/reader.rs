@@ -1,6 +1,6 @@
 //! Reads recordings, also those of a killed process.
 
-use super::{CYCLE_TOPIC, DETAILS, RecordingError, cdr, cycle, messages};
+use super::{CYCLE_TOPIC, DETAILS, Elapsed, RecordingError, cdr, cycle, messages};
 use mcap::parse_record;
 use mcap::records::Record;
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
@@ -13,7 +13,7 @@ use upswing_ipc::{Plan, Step, Telemetry};
 /// Longest record, bytes: ten times a chunk. A damaged length asks for no more memory than this.
 const LONGEST: usize = 16 << 20;
 
-/// A stretch of a recording, s from its first cycle.
+/// A stretch of a recording, s from its first cycle, as [`Elapsed`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Window {
     /// First moment.
@@ -95,8 +95,8 @@ pub fn scan<E: From<RecordingError>>(
         .with_prevalidate_chunk_crcs(true)
         .with_record_length_limit(LONGEST);
     let mut events = LinearReader::new_with_options(options);
-    let mut reader =
-        Reader { path, window, schemas: BTreeMap::new(), channels: BTreeMap::new(), first_ns: None };
+    let (schemas, channels) = (BTreeMap::new(), BTreeMap::new());
+    let mut reader = Reader { path, window, schemas, channels, elapsed: Elapsed::default() };
     let mut recording = Recording::default();
     let (mut begun, mut finished) = (false, false);
     while let Some(event) = events.next_event() {
@@ -157,7 +157,7 @@ struct Reader<'a> {
     schemas: BTreeMap<u16, (String, String)>,
     /// What the messages of a channel are.
     channels: BTreeMap<u16, Kind>,
-    first_ns: Option<u64>,
+    elapsed: Elapsed,
 }
 
 impl Reader<'_> {
@@ -201,8 +201,7 @@ impl Reader<'_> {
                 return match kind {
                     Kind::Cycle => {
                         let cycle = words.and_then(Telemetry::from_words).ok_or_else(other)?;
-                        let first = *self.first_ns.get_or_insert(cycle.t_ns);
-                        let t = (cycle.t_ns as f64 - first as f64) * 1e-9;
+                        let t = self.elapsed.until(cycle.t_ns) as f64 * 1e-9;
                         let inside = t >= self.window.from && t <= self.window.to;
                         Ok(inside.then_some(Message::Cycle(cycle)))
                     }

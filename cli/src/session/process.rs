@@ -41,9 +41,10 @@ impl Programs {
     /// The `upswing` program itself in each of the three roles.
     ///
     /// # Errors
-    /// If the path of the running program cannot be found out.
-    pub fn own() -> std::io::Result<Self> {
-        let program = std::env::current_exe()?;
+    /// [`SessionError::Spawn`] if the path of the running program cannot be found out.
+    pub fn own() -> Result<Self, SessionError> {
+        let unknown = |cause| SessionError::Spawn { role: "daemon", program: "upswing".into(), cause };
+        let program = std::env::current_exe().map_err(unknown)?;
         Ok(Self { programs: Role::ALL.map(|role| (program.clone(), Some(role.name()))) })
     }
 

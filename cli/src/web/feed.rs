@@ -1,6 +1,7 @@
 //! What the page draws, in frames of JSON that any number of readers follow.
 
 use crate::live::View;
+use crate::page::round;
 use crate::page::times::{CycleTimes, Times};
 use serde::Serialize;
 use std::collections::VecDeque;
@@ -76,7 +77,7 @@ impl Sampler {
         self.sampled_ns = Some(record.t_ns);
         let m = &mut self.frame;
         m.t.push(t);
-        m.mode.push(record.mode().map_or_else(|e| e.to_string(), |mode| mode.to_string()));
+        m.mode.push(record.mode_text());
         for (columns, values) in [
             (&mut m.q, &record.q[..]),
             (&mut m.q_d, &record.q_d),
@@ -85,7 +86,7 @@ impl Sampler {
             (&mut m.tau, &record.tau),
         ] {
             for (column, value) in columns.iter_mut().zip(values) {
-                column.push((value * 1e4).round() * 1e-4);
+                column.push(round(*value, 1e4));
             }
         }
     }

@@ -1,13 +1,32 @@
-//! What several tests need: systems that run, and tools in Python.
+//! What several tests need: the program under test, systems that run, and tools in Python.
 #![allow(dead_code, reason = "no test file uses all of it")]
 
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Command, Output, Stdio};
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU32, Ordering};
 use upswing::session::CleanUp;
 use upswing_ipc::Domain;
+
+/// Runs `upswing` to its end.
+pub fn upswing(args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_upswing")).args(args).output().expect("upswing runs")
+}
+
+/// As [`upswing`], with `--json`: exit code and document.
+pub fn json(args: &[&str]) -> (Option<i32>, serde_json::Value) {
+    let output = upswing(&[args, &["--json"]].concat());
+    let document = serde_json::from_slice(&output.stdout);
+    (output.status.code(), document.unwrap_or_else(|e| panic!("{args:?}: {e}: {output:?}")))
+}
+
+/// As [`json`], of a command that must succeed.
+pub fn success(args: &[&str]) -> serde_json::Value {
+    let (code, document) = json(args);
+    assert_eq!(code, Some(0), "{args:?}: {document}");
+    document
+}
 
 /// The program under test in a domain of its own; what it leaves there goes in the end.
 pub struct Place {

@@ -1,10 +1,12 @@
 """Opens the live page in headless Chromium, swings up by its buttons, and takes screenshots.
 
-usage: look_at_live.py CHROMIUM URL TOKEN FOLDER
-The system holds at the start. Ends with 1 and one line per finding if something is not as it should be.
+usage: look_at_live.py CHROMIUM URL TOKEN FOLDER COMMAND...
+The system holds at the start; the command makes the angle of joint 9 no number. Ends with 1 and one line per finding if
+something is not as it should be.
 """
 
 import pathlib
+import subprocess
 import sys
 
 from playwright.sync_api import sync_playwright
@@ -25,7 +27,7 @@ def watch(page, wanted):
     )
 
 
-def look(browser, url, token, folder):
+def look(browser, url, token, folder, blind):
     page = browser.new_page(viewport={"width": 1400, "height": 1000})
     asked = []
     page.on("dialog", lambda d: (asked.append(d.message), d.accept()))
@@ -67,13 +69,20 @@ def look(browser, url, token, folder):
     # A new page has the last seconds at once: the mode before the stop is still in its events.
     expect("no history", "mode balance" in reader.locator("#events").text_content())
 
+    subprocess.run(blind, check=True, stdout=subprocess.DEVNULL)
+    watch(page, "modefault")
+    watch(page, "rodunknown")
+    readout = page.locator("#readout").text_content()
+    expect(f"an angle that is not known is shown as {readout}", "q9     NaN deg" in readout)
+    page.screenshot(path=folder / "blind.png", full_page=True)
+
 
 def main():
-    chromium, url, token, folder = sys.argv[1], sys.argv[2], sys.argv[3], pathlib.Path(sys.argv[4])
+    chromium, url, token, folder, *blind = sys.argv[1:]
     with sync_playwright() as p:
         # Containers offer neither the sandbox of the browser nor much shared memory.
         browser = p.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-dev-shm-usage"])
-        look(browser, url, token, folder)
+        look(browser, url, token, pathlib.Path(folder), blind)
         browser.close()
     print("\n".join(findings) or "as it should be")
     sys.exit(bool(findings))

@@ -1,6 +1,7 @@
 """Opens a report in headless Chromium, plays and scrubs it, and takes screenshots.
 
-usage: look_at_page.py CHROMIUM REPORT.html FOLDER
+usage: look_at_page.py CHROMIUM REPORT.html BLIND.html FOLDER
+In the second report the angle of joint 9 is no number in the end.
 Ends with 1 and one line per finding if something is not as it should be.
 """
 
@@ -76,13 +77,24 @@ def look(browser, report, folder):
     page.screenshot(path=folder / "narrow.png")
 
 
+def look_at_blind(browser, report):
+    page = browser.new_page()
+    page.on("pageerror", lambda e: findings.append(f"the script failed: {e}"))
+    page.goto(report.as_uri())
+    page.locator("#scrub").fill(page.locator("#scrub").get_attribute("max"))
+    readout = page.locator("#readout").text_content()
+    expect(f"an angle that is not known is shown as {readout}", "q9     NaN deg" in readout)
+
+
 def main():
-    chromium, report, folder = sys.argv[1], pathlib.Path(sys.argv[2]).resolve(), pathlib.Path(sys.argv[3])
+    chromium, folder = sys.argv[1], pathlib.Path(sys.argv[4])
+    report, blind = (pathlib.Path(path).resolve() for path in sys.argv[2:4])
     folder.mkdir(exist_ok=True)
     with sync_playwright() as p:
         # Containers offer neither the sandbox of the browser nor much shared memory.
         browser = p.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-dev-shm-usage"])
         look(browser, report, folder)
+        look_at_blind(browser, blind)
         browser.close()
     print("\n".join(findings) or "as it should be")
     sys.exit(bool(findings))

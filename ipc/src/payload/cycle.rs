@@ -137,6 +137,11 @@ impl Telemetry {
     pub fn mode(&self) -> Result<Mode, UnknownCode> {
         Mode::try_from(self.mode)
     }
+
+    /// The daemon's mode, or what is wrong with it, for people.
+    pub fn mode_text(&self) -> String {
+        self.mode().map_or_else(|e| e.to_string(), |mode| mode.to_string())
+    }
 }
 
 words!(Telemetry);

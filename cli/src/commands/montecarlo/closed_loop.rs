@@ -1,9 +1,10 @@
 //! `upswing montecarlo closed-loop`.
 
 use super::condition::Condition;
-use super::{SamplingArgs, failed, list_failures};
-use crate::closed_loop::{Disturbances, swing_up};
+use super::{SamplingArgs, Scratch, failed, list_failures};
+use crate::closed_loop::{Aborted, Disturbances};
 use crate::montecarlo::{NoStart, Spread, Starts, arm_degrees};
+use crate::parse::within;
 use crate::picture;
 use crate::report::Report;
 use serde::Serialize;
@@ -11,13 +12,9 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
-use upswing_config::PendulumStart;
 use upswing_config::process::{Failure, shutdown_flag};
-use upswing_ipc::Telemetry;
 use upswing_model::{NU, State};
-use upswing_planner::qp::Solver;
 use upswing_planner::replan::Planner;
-use upswing_plant::Plant;
 
 /// How to swing up.
 #[derive(Clone, Debug, clap::Args)]
@@ -30,8 +27,8 @@ pub struct ClosedLoopArgs {
     /// plant, by name or as .toml files
     #[arg(long, value_name = "NAME|FILE,..", value_delimiter = ',', default_value = "nominal")]
     pub condition: Vec<String>,
-    /// How long to balance, s (at least 2); the last second is judged
-    #[arg(long, default_value_t = 2.0)]
+    /// How long to balance, s (2 to 600); the last second is judged
+    #[arg(long, value_name = "S", default_value_t = 2.0, value_parser = within(2.0, 600.0))]
     pub seconds: f64,
     /// Draw the swing-up of --only as far as it came (SVG)
     #[arg(long, value_name = "FILE", requires = "only")]
@@ -79,18 +76,6 @@ impl From<&Report> for Figures {
     }
 }
 
-/// What a thread keeps from one run to the next.
-pub(super) struct Scratch {
-    pub solver: Solver,
-    pub records: Vec<Telemetry>,
-}
-
-impl Scratch {
-    pub fn new(planner: &Planner) -> Self {
-        Self { solver: planner.solver(), records: Vec::new() }
-    }
-}
-
 /// All runs under one condition.
 struct Runs<'a> {
     planner: &'a Planner,
@@ -108,24 +93,16 @@ impl Runs<'_> {
                 let failure = (!report.success).then(|| "came to its end, but not as it should".into());
                 (Some(Figures::from(&report)), failure, report.failures)
             }
-            Err((failure, reason)) => (None, Some(failure), vec![reason]),
+            Err(e) => (None, Some(e.kind()), vec![e.to_string()]),
         };
         let time_s = begin.elapsed().as_secs_f64();
         Ok(Sample { index, start_deg: arm_degrees(&start), end, failure, reasons, time_s })
     }
 
-    /// The report, or kind and reason of a failure.
-    fn run(&self, scratch: &mut Scratch, index: u64, start: &State) -> Result<Report, (String, String)> {
-        let mut config = self.condition.plant(&self.starts, index);
-        // The pendulum rests where it does in this plant.
-        config.plant.start.q = std::array::from_fn(|i| start[i]);
-        config.plant.start.pendulum = PendulumStart::Rest;
-        let plant =
-            Plant::new(&config).map_err(|e| ("the plant cannot start there".into(), e.to_string()))?;
-        let Scratch { solver, records } = scratch;
-        let (planner, undisturbed) = (self.planner, |_| Disturbances::default());
-        swing_up(planner, solver, planner.config(), plant, self.seconds, undisturbed, records)
-            .map_err(|e| (e.kind(), e.to_string()))
+    fn run(&self, scratch: &mut Scratch, index: u64, start: &State) -> Result<Report, Aborted> {
+        let (planner, plant) = (self.planner, self.condition.plant(&self.starts, index));
+        let undisturbed = |_| Disturbances::default();
+        scratch.swing_up(planner, (index, start), planner.config(), plant, self.seconds, undisturbed)
     }
 
     fn all(&self, sampling: &SamplingArgs, stop: &AtomicBool) -> Result<ConditionAnswer, Failure> {
@@ -240,9 +217,6 @@ impl std::fmt::Display for ConditionAnswer {
 /// # Errors
 /// [`Failure::BadInput`] for unusable options or files; [`Failure::Failed`] if not every start succeeded.
 pub fn run(args: &ClosedLoopArgs) -> Result<(), Failure> {
-    if !(args.seconds >= 2.0 && args.seconds <= 3600.0) {
-        return Err(Failure::BadInput(format!("--seconds: expected 2 to 3600, got {}", args.seconds)));
-    }
     let stop = shutdown_flag()?;
     let planner = args.sampling.planner(&stop)?;
     let config = planner.config();

@@ -57,7 +57,6 @@ impl Condition {
             Drawn::PendulumMass => model.pendulum_mass_scale *= scale,
             Drawn::PendulumLength => model.pendulum_length_scale *= scale,
         }
-        config.plant.encoder.seed = config.plant.encoder.seed.wrapping_add(index);
         config
     }
 }

@@ -54,7 +54,7 @@ struct Figures {
     plan: PlanFigures,
 }
 
-/// s
+/// s; QPs and gains of a start without a plan: 0.
 #[derive(Clone, Copy, Debug, Default)]
 struct Times {
     qp: f64,
@@ -187,6 +187,10 @@ pub fn run(args: &ReplanArgs) -> Result<(), Failure> {
     let plans = || results.iter().filter_map(|s| s.plan.as_ref());
     let spread = |value: fn(&Figures) -> f64| Spread::of(plans().map(value));
     let time = |value: fn(&Times) -> f64| Spread::of(results.iter().map(|s| value(&s.times)));
+    // Of a start without a plan they are not known.
+    let part = |value: fn(&Times) -> f64| {
+        Spread::of(results.iter().filter(|s| s.plan.is_some()).map(|s| value(&s.times)))
+    };
     let most = plans().map(|p| p.plan.attempts).max().unwrap_or(0);
     let succeeded = results.iter().filter(|s| s.failure.is_none()).count();
     let success = complete && succeeded == results.len();
@@ -220,8 +224,8 @@ pub fn run(args: &ReplanArgs) -> Result<(), Failure> {
         distance: spread(|p| p.plan.distance),
         times: AnswerTimes {
             replan: time(|t| t.total),
-            qp: time(|t| t.qp),
-            lqr: time(|t| t.lqr),
+            qp: part(|t| t.qp),
+            lqr: part(|t| t.lqr),
             total: begin.elapsed().as_secs_f64(),
         },
         threads: args.sampling.threads(),

@@ -1,10 +1,10 @@
 //! `upswing montecarlo robustness`.
 
-use super::closed_loop::Scratch;
 use super::variation::{Misses, Variation};
-use super::{SamplingArgs, failed};
-use crate::closed_loop::swing_up;
+use super::{SamplingArgs, Scratch, failed};
+use crate::closed_loop::Aborted;
 use crate::montecarlo::{NoStart, Starts, arm_degrees, wilson};
+use crate::parse::within;
 use crate::picture::{self, curves};
 use crate::report::Report;
 use serde::Serialize;
@@ -12,10 +12,9 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Instant;
 use upswing_config::process::{Failure, shutdown_flag};
-use upswing_config::{Config, PendulumStart, VelocityEstimate};
+use upswing_config::{Config, VelocityEstimate};
 use upswing_model::{NU, State};
 use upswing_planner::replan::Planner;
-use upswing_plant::Plant;
 
 /// What to vary.
 #[derive(Clone, Debug, clap::Args)]
@@ -38,8 +37,8 @@ pub struct RobustnessArgs {
     /// How often cycles were missed, for `--over jitter`: what `upswing soak --clock wall --json` printed
     #[arg(long, value_name = "FILE")]
     pub missed: Option<PathBuf>,
-    /// How long to balance, s (at least 2); the last second is judged. One second longer where the balance is disturbed
-    #[arg(long, default_value_t = 2.0)]
+    /// How long to balance, s (2 to 600); the last second is judged. One second longer where the balance is disturbed
+    #[arg(long, value_name = "S", default_value_t = 2.0, value_parser = within(2.0, 600.0))]
     pub seconds: f64,
     /// Draw the curves (SVG)
     #[arg(long, value_name = "FILE")]
@@ -82,33 +81,19 @@ impl Runs<'_> {
         let (kind, reasons) = match self.run(case, scratch, index, &start) {
             Ok(report) if report.success => return Ok(None),
             Ok(report) => ("came to its end, but not as it should".into(), report.failures),
-            Err((kind, reason)) => (kind, vec![reason]),
+            Err(e) => (e.kind(), vec![e.to_string()]),
         };
         Ok(Some(Failed { index, start_deg: arm_degrees(&start), kind, reasons }))
     }
 
-    /// The report, or kind and reason of a failure.
-    fn run(
-        &self,
-        case: &Case,
-        scratch: &mut Scratch,
-        index: u64,
-        start: &State,
-    ) -> Result<Report, (String, String)> {
-        let mut config = case.config.clone();
-        config.plant.start.q = std::array::from_fn(|i| start[i]);
-        config.plant.start.pendulum = PendulumStart::Rest;
-        config.plant.encoder.seed = config.plant.encoder.seed.wrapping_add(index);
-        let plant =
-            Plant::new(&config).map_err(|e| ("the plant cannot start there".into(), e.to_string()))?;
+    fn run(&self, case: &Case, scratch: &mut Scratch, index: u64, start: &State) -> Result<Report, Aborted> {
+        let config = &case.config;
         let seconds = case.over.seconds(self.seconds);
         let period = config.daemon.cycle.period.as_secs_f64();
         let shares = self.starts.shares(index);
         let disturbances =
             |t_f: f64| case.over.disturbances(case.value, t_f, seconds, period, &self.misses, shares);
-        let Scratch { solver, records } = scratch;
-        swing_up(self.planner, solver, &config, plant, seconds, disturbances, records)
-            .map_err(|e| (e.kind(), e.to_string()))
+        scratch.swing_up(self.planner, (index, start), config, config.clone(), seconds, disturbances)
     }
 }
 
@@ -193,9 +178,6 @@ fn name(velocity: VelocityEstimate) -> &'static str {
 /// `--only` did not end balanced.
 pub fn run(args: &RobustnessArgs) -> Result<(), Failure> {
     let begin = Instant::now();
-    if !(args.seconds >= 2.0 && args.seconds <= 3600.0) {
-        return Err(Failure::BadInput(format!("--seconds: expected 2 to 3600, got {}", args.seconds)));
-    }
     let misses = args.missed.as_deref().map_or_else(|| Ok(Misses::default()), Misses::read)?;
     if args.over.contains(&Variation::Jitter) && args.missed.is_none() {
         return Err(Failure::BadInput("--over jitter: expected a file by --missed, got none".into()));
