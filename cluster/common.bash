@@ -30,7 +30,7 @@ read_options() {
     if [[ -n $config ]]; then
         [[ -d $config ]] || refuse "-c: expected a folder of settings, got $config"
         settings+=(--config "$(realpath "$config")")
-        inputs+=("$config"/*)
+        inputs+=("$config"/*.toml "$config"/*.urdf)
     fi
     # A file, or a name that upswing knows.
     if [[ -n $grid ]]; then

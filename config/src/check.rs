@@ -27,8 +27,11 @@ pub(crate) const NEGATIVE: Rule =
     Rule { expected: "a finite number below 0", holds: |v| v.is_finite() && v < 0.0 };
 pub(crate) const FRACTION: Rule = Rule { expected: "a share in (0, 1]", holds: |v| v > 0.0 && v <= 1.0 };
 pub(crate) const SHARE: Rule = Rule { expected: "a share in [0, 1]", holds: |v| (0.0..=1.0).contains(&v) };
+pub(crate) const PART: Rule = Rule { expected: "a share in [0, 1)", holds: |v| (0.0..1.0).contains(&v) };
 pub(crate) const BELOW_ONE: Rule =
     Rule { expected: "a number between 0 and 1, both excluded", holds: |v| v > 0.0 && v < 1.0 };
+pub(crate) const DURATION: Rule =
+    Rule { expected: "a duration above 0 and at most 60 s", holds: |v| v > 0.0 && v <= 60.0 };
 pub(crate) const FULL_TURN: Rule =
     Rule { expected: "an angle from -360 to 360 deg", holds: |v| (-360.0..=360.0).contains(&v) };
 pub(crate) const ACUTE: Rule =

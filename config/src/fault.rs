@@ -58,7 +58,7 @@ pub struct Fault {
     pub cycles: u64,
     /// The joint, counted from 0, of the kinds that concern one.
     pub joint: usize,
-    /// Cycles (`DelayMeasurement`, 1..=[`MAX_DELAY`]) or rad (`EncoderJump`).
+    /// Cycles (`DelayMeasurement`, 1..=[`MAX_DELAY`]) or rad (`EncoderJump`, not 0).
     pub amount: f64,
 }
 
@@ -87,6 +87,9 @@ impl Fault {
                 if !(amount.fract() == 0.0 && (1.0..=f64::from(MAX_DELAY)).contains(&amount)) =>
             {
                 Err(EventError::Delay { got: amount })
+            }
+            FaultKind::EncoderJump if !(amount.is_finite() && amount != 0.0) => {
+                Err(EventError::Jump { got: amount })
             }
             _ if !amount.is_finite() => Err(EventError::Amount { got: amount }),
             _ => Ok(()),
@@ -138,6 +141,12 @@ pub enum EventError {
     /// A delay that is no number of cycles, or too long.
     #[error("amount: expected a whole number of cycles from 1 to {MAX_DELAY}, got {got}")]
     Delay {
+        /// What came.
+        got: f64,
+    },
+    /// A jump by nothing, or by what is no number.
+    #[error("amount: expected a finite number other than 0, rad, got {got}")]
+    Jump {
         /// What came.
         got: f64,
     },

@@ -37,11 +37,6 @@ impl Notifier {
         }
     }
 
-    /// Whether somebody listens.
-    pub fn is_managed(&self) -> bool {
-        self.managed
-    }
-
     /// The process does its work from now on. Only the first call counts.
     pub fn ready(&mut self) {
         if !std::mem::replace(&mut self.ready, true) {

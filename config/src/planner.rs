@@ -1,7 +1,7 @@
 //! `planner.toml`.
 
 use crate::ConfigError;
-use crate::check::{BELOW_ONE, Check, POSITIVE, SHARE};
+use crate::check::{BELOW_ONE, Check, DURATION, PART, POSITIVE};
 use serde::Deserialize;
 use std::time::Duration;
 use upswing_model::{NQ, NU};
@@ -161,7 +161,7 @@ impl PlannerSettings {
             replan: ReplanSettings {
                 iterations: check.integer("replan.iterations", replan.iterations, 1..=1000)?,
                 defect: check.number("replan.defect", replan.defect, &BELOW_ONE)?,
-                knot_margin: check.number("replan.knot_margin", replan.knot_margin, &SHARE)?,
+                knot_margin: check.number("replan.knot_margin", replan.knot_margin, &PART)?,
                 torque: replan.torque,
                 sub_horizons: read_sub_horizons(check, replan.sub_horizons)?,
                 lead: Duration::from_millis(check.integer("replan.lead_ms", replan.lead_ms, 0..=1000)?),
@@ -204,8 +204,8 @@ fn read_sub_horizons(check: Check<'_>, value: i64) -> Result<usize, ConfigError>
 }
 
 fn read_offline(check: Check<'_>, raw: &RawOffline) -> Result<OfflineSettings, ConfigError> {
-    let t_f_min = check.number("offline.t_f_min_s", raw.t_f_min_s, &POSITIVE)?;
-    let t_f_max = check.number("offline.t_f_max_s", raw.t_f_max_s, &POSITIVE)?;
+    let t_f_min = check.number("offline.t_f_min_s", raw.t_f_min_s, &DURATION)?;
+    let t_f_max = check.number("offline.t_f_max_s", raw.t_f_max_s, &DURATION)?;
     check.above("offline.t_f_max_s", t_f_max, t_f_min, "offline.t_f_min_s")?;
     Ok(OfflineSettings {
         input_weight: check.number("offline.input_weight", raw.input_weight, &POSITIVE)?,

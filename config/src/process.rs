@@ -75,11 +75,12 @@ pub fn colours(stream: &impl std::io::IsTerminal) -> bool {
     stream.is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
 }
 
-/// Sends logs to stderr, one line each, from level `info` on or what RUST_LOG asks for; with levels as journald reads
-/// them where it does.
+/// Sends logs to stderr, one line each, from level `info` on or what RUST_LOG asks for (what cannot be read of it is named
+/// on stderr and left out); with levels as journald reads them where it does.
 pub fn start_logging() {
-    let filter = tracing_subscriber::EnvFilter::try_from_default_env()
-        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info"));
+    let filter = tracing_subscriber::EnvFilter::builder()
+        .with_default_directive(tracing_subscriber::filter::LevelFilter::INFO.into())
+        .from_env_lossy();
     let logger = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
     // A second call (several roles in one test process) leaves the first logger in place.
     let _ = if stderr_is_journal() {

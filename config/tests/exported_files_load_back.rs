@@ -16,6 +16,8 @@ fn the_same_settings() {
     assert_eq!(loaded.planner, embedded.planner);
     assert_eq!(loaded.daemon, embedded.daemon);
     assert_eq!(loaded.plant, embedded.plant);
+    assert_eq!(loaded.plant_model.fingerprint(), embedded.plant_model.fingerprint());
+    assert_eq!(loaded.grid, embedded.grid);
     let (of_folder, of_program) =
         (loaded.database().expect("a file"), embedded.database().expect("embedded"));
     assert_eq!(of_folder.bytes, of_program.bytes);

@@ -78,6 +78,8 @@ fn planner() {
     for (from, to, parts) in [
         ("input_weight = 0.01", "input_weight = 0", &["offline.input_weight", POSITIVE, "got 0"]),
         ("t_f_max_s = 8.0", "t_f_max_s = 0.2", &["offline.t_f_max_s", "more than the 0.3", "got 0.2"]),
+        ("t_f_max_s = 8.0", "t_f_max_s = 61", &["offline.t_f_max_s", "at most 60 s", "got 61"]),
+        ("knot_margin = 0.015", "knot_margin = 1", &["replan.knot_margin", "[0, 1)", "got 1"]),
         ("tolerance = 1e-9", "tolerance = 1", &["offline.tolerance", "between 0 and 1", "got 1"]),
         ("max_iterations = 3000", "max_iterations = 0", &["offline.max_iterations", "from 1 to", "got 0"]),
         ("\niterations = 10", "\niterations = -4", &["replan.iterations", "from 1 to", "got -4"]),
@@ -88,7 +90,7 @@ fn planner() {
         ("metric = [1", "metric = [-1", &["replan.metric", POSITIVE, "got -1 for joint 1"]),
         ("q_angles = 100", "q_angles = nan", &["lqr.q_angles", POSITIVE, "got NaN"]),
         ("\nr = 0.01", "\nr = 0", &["lqr.r", POSITIVE, "got 0"]),
-    ] as [(&str, &str, &[&str]); 12]
+    ] as [(&str, &str, &[&str]); 14]
     {
         refused("planner.toml", from, to, parts);
     }

@@ -5,8 +5,8 @@ mod common;
 use common::exported;
 use upswing_config::{Config, ConfigError};
 
-const FILES: [&str; 6] =
-    ["robot.urdf", "robot.toml", "planner.toml", "daemon.toml", "plant.toml", "database.bin"];
+const FILES: [&str; 7] =
+    ["robot.urdf", "robot.toml", "planner.toml", "daemon.toml", "plant.toml", "grid.toml", "database.bin"];
 
 #[test]
 fn each_file() {

@@ -136,6 +136,10 @@ fn what_cannot_be_is_refused() {
         ("purpose = 'a'\n[[fault]]\nkind = 'b'\nfrom_cycle = 1", &["line 3", "fault.kind", "`lose-command`"]),
         ("purpose = 'a'\n[[fault]]\nkind = 'lose-command'\nfrom_cycle = 0", &["fault.from_cycle", "from 1"]),
         (
+            "purpose = 'a'\n[[fault]]\nkind = 'encoder-jump'\nfrom_cycle = 1\njoint = 8",
+            &["amount: expected a finite number other than 0, rad, got 0"],
+        ),
+        (
             "purpose = 'a'\n[[fault]]\nkind = 'encoder-nan'\nfrom_cycle = 1",
             &["fault.joint", "expected a joint, got none"],
         ),

@@ -159,9 +159,7 @@ impl Model {
         }
         h
     }
-}
 
-impl Model {
     /// As [`Self::hessian`], of `mu` . (M~ u + g~) (11) after [`Self::derivatives_without_coriolis`].
     pub fn hessian_without_coriolis(
         &self,

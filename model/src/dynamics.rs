@@ -48,7 +48,7 @@ impl Default for Workspace {
 }
 
 impl Workspace {
-    /// Row i of the mass matrix right of and on the diagonal times anything: I^C_i S_i.
+    /// I^C_i S_i: its product with S_j, j <= i, is the entry M_ji.
     #[inline]
     pub(crate) fn composite_axis(&self, i: usize) -> Spatial {
         self.composite[i].apply(&self.axis[i])

@@ -38,6 +38,9 @@ pub(crate) fn solve(m: &JointMatrix, b: &JointVector) -> Option<JointVector> {
     Some(x)
 }
 
+// `below` adds in the order in which nalgebra does for nine rows; for other numbers that is another one.
+const _: () = assert!(NQ == 9);
+
 /// Column `j` of `l` below its diagonal times the same rows of `x`.
 fn below(l: &JointMatrix, x: &JointVector, j: usize) -> f64 {
     let product = |i: usize| l[(j + 1 + i, j)] * x[j + 1 + i];

@@ -37,10 +37,10 @@ pub enum UrdfError {
         /// Its type.
         got: String,
     },
-    /// A mass or inertia no body can have.
-    #[error("body of joint `{joint}`: {reason}")]
+    /// A joint, or the body that it carries, that cannot be.
+    #[error("joint `{joint}`: {reason}")]
     Impossible {
-        /// The joint that carries the body.
+        /// The joint.
         joint: String,
         /// What is wrong.
         reason: String,
@@ -122,6 +122,7 @@ impl Model {
             .iter()
             .find(|l| robot.joints.iter().all(|j| j.child.link != l.name))
             .ok_or(UrdfError::NoRoot)?;
+        check_joints(&robot)?;
 
         // Walk from the root: `frame` is the current link's frame in the frame of the last movable body.
         let (mut current, mut frame) = (root.name.clone(), Isometry3::identity());
@@ -204,6 +205,30 @@ fn rod_tip(com: Vector3<f64>) -> Vector3<f64> {
     com * 2.0
 }
 
+/// Each joint connects two links of the robot and is somewhere, and no link hangs on two joints: from the root, which is
+/// the child of none, no walk comes to a link twice.
+fn check_joints(robot: &urdf_rs::Robot) -> Result<(), UrdfError> {
+    for (i, joint) in robot.joints.iter().enumerate() {
+        let fail = |reason: String| Err(UrdfError::Impossible { joint: joint.name.clone(), reason });
+        for name in [&joint.parent.link, &joint.child.link] {
+            if robot.links.iter().all(|l| l.name != *name) {
+                return fail(format!("expected two links of the robot, there is no link `{name}`"));
+            }
+        }
+        let child = &joint.child.link;
+        if let Some(first) = robot.joints[..i].iter().find(|j| j.child.link == *child) {
+            return fail(format!("its link `{child}` is the child of joint `{}` already", first.name));
+        }
+        let numbers = [("xyz", joint.origin.xyz.0), ("rpy", joint.origin.rpy.0), ("axis", joint.axis.xyz.0)];
+        for (what, v) in numbers {
+            if !v.iter().all(|v| v.is_finite()) {
+                return fail(format!("expected finite numbers for {what}, got {v:?}"));
+            }
+        }
+    }
+    Ok(())
+}
+
 /// A body needs a positive mass and a positive definite inertia. The triangle inequality of its principal
 /// moments is not demanded: identified parameters miss it by rounding, and the joint-space mass matrix
 /// stays positive definite.
@@ -211,10 +236,13 @@ fn check_body(joint: &Joint) -> Result<(), UrdfError> {
     let fail = |reason: String| Err(UrdfError::Impossible { joint: joint.name.clone(), reason });
     let all_finite = joint.inertia.iter().chain(joint.com.iter()).all(|v| v.is_finite());
     if !all_finite || !joint.mass.is_finite() || joint.mass <= 0.0 {
-        return fail(format!("expected a positive, finite mass and finite inertia, got {} kg", joint.mass));
+        let got = joint.mass;
+        return fail(format!(
+            "expected a body with a positive, finite mass and finite inertia, got {got} kg"
+        ));
     }
     if nalgebra::Cholesky::new(joint.inertia).is_none() {
-        return fail("expected a positive definite inertia about the centre of mass".into());
+        return fail("expected a positive definite inertia of its body about the centre of mass".into());
     }
     Ok(())
 }

@@ -9,13 +9,14 @@
 use crate::interior_point::{Options, Status};
 use crate::offline::{Effort, optimize, options, problem_fingerprint};
 use rayon::prelude::*;
+use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 use upswing_config::{Config, GridSettings};
-use upswing_model::N_ACTUATED;
+use upswing_model::{N_ACTUATED, N_UNACTUATED};
 use upswing_trajectory::{Certificate, Database, DatabaseError, Entry, Heading, Outcome, Record, Trajectory};
 use xxhash_rust::xxh3::Xxh3;
 
@@ -48,7 +49,7 @@ impl std::str::FromStr for Shard {
 #[derive(Debug, thiserror::Error)]
 pub enum BuildError {
     /// A file cannot be read or written.
-    #[error("cannot {action} {}: {cause}; what was finished is kept in the journal", path.display())]
+    #[error("cannot {action} {}: {cause}{}", path.display(), if *action == "read" { "" } else { KEPT })]
     File {
         /// read, write, ...
         action: &'static str,
@@ -85,6 +86,16 @@ pub enum BuildError {
         /// How many there should be.
         of: u64,
     },
+    /// All shards are there, but not all poses: one of them is not finished.
+    #[error(
+        "expected {poses} poses in the shards together, got {got}; finish the shards with `upswing db build`"
+    )]
+    Incomplete {
+        /// How many the grid has.
+        poses: u64,
+        /// How many there are.
+        got: u64,
+    },
     /// The same pose with different contents.
     #[error("pose {pose} differs between {} and {}", first.display(), second.display())]
     Disagree {
@@ -103,8 +114,11 @@ pub enum BuildError {
     Nothing,
 }
 
+/// What an error while writing leaves.
+const KEPT: &str = "; what was finished is kept in the journal";
+
 /// Identifies a grid.
-pub fn grid_fingerprint(grid: &GridSettings) -> u64 {
+fn grid_fingerprint(grid: &GridSettings) -> u64 {
     let mut hash = Xxh3::new();
     for number in 0..grid.poses() {
         grid.pose(number).iter().for_each(|q| hash.update(&q.to_le_bytes()));
@@ -185,10 +199,11 @@ pub fn build(
     // Journals joined by hand may hold a pose twice.
     records.sort_by_key(|r| r.pose);
     records.dedup_by_key(|r| r.pose);
-    let done: std::collections::HashSet<u64> = records.iter().map(|r| r.pose).collect();
+    let done: HashSet<u64> = records.iter().map(|r| r.pose).collect();
     // A line is journaled at once: one that is there in part belongs to a process that was killed while writing.
     let whole = |line: &Line| line.iter().all(|pose| done.contains(&(*pose as u64)));
-    records.retain(|r| lines.iter().any(|line| line.contains(&(r.pose as usize)) && whole(line)));
+    let kept: HashSet<u64> = lines.iter().filter(|line| whole(line)).flatten().map(|p| *p as u64).collect();
+    records.retain(|r| kept.contains(&r.pose));
     let resumed = records.len();
     progress(resumed);
     let results: Mutex<Result<Vec<Record>, BuildError>> = Mutex::new(Ok(records));
@@ -240,18 +255,21 @@ fn solve_line(
             return None;
         }
         let start = config.start_state(&grid.pose(*pose), grid.start).ok();
-        let accepted = start.filter(|x| x.rows(N_ACTUATED, 2).amax() <= grid.max_rest_angle);
+        let accepted = start.filter(|x| x.rows(N_ACTUATED, N_UNACTUATED).amax() <= grid.max_rest_angle);
         let outcome = match accepted {
             None => Outcome::Rejected,
             Some(start) => {
                 let solution = optimize(config, start, Effort::Best, neighbour.as_ref(), &options);
+                // The best of some guesses need not be the best of all.
+                if stop.load(Ordering::Acquire) {
+                    return None;
+                }
                 match solution.status {
                     Status::Solved => {
                         let entry = Entry::new(&solution.trajectory, |t| certify(config, t));
                         neighbour = Some(entry.trajectory.clone());
                         Outcome::Solved(Box::new(entry))
                     }
-                    Status::Interrupted => return None,
                     _ => Outcome::Failed,
                 }
             }
@@ -357,9 +375,9 @@ fn same_origin(path: &Path, got: &Heading, expected: &Heading) -> Result<(), Bui
 /// # Errors
 /// [`BuildError`] for missing shards, files of different builds, and poses that differ between files.
 pub fn merge(inputs: &[PathBuf], output: &Path) -> Result<Database, BuildError> {
-    let mut records: std::collections::BTreeMap<u64, (Record, PathBuf)> = std::collections::BTreeMap::new();
+    let mut records: BTreeMap<u64, (Record, PathBuf)> = BTreeMap::new();
     let mut first: Option<Heading> = None;
-    let mut present = std::collections::BTreeSet::new();
+    let mut present = BTreeSet::new();
     for path in inputs {
         let database = read(path)?;
         let expected = *first.get_or_insert(database.heading);
@@ -385,8 +403,12 @@ pub fn merge(inputs: &[PathBuf], output: &Path) -> Result<Database, BuildError> 
     }
     let heading = first.ok_or(BuildError::Nothing)?;
     let missing: Vec<u64> = (1..=heading.shards).filter(|i| !present.contains(i)).collect();
-    if !missing.is_empty() || records.len() as u64 != heading.poses {
+    if !missing.is_empty() {
         return Err(BuildError::Missing { missing, of: heading.shards });
+    }
+    let (poses, got) = (heading.poses, records.len() as u64);
+    if got != poses {
+        return Err(BuildError::Incomplete { poses, got });
     }
     let heading = Heading { shard: 1, shards: 1, ..heading };
     let database = Database { heading, records: records.into_values().map(|(r, _)| r).collect() };

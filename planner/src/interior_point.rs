@@ -9,7 +9,7 @@ mod bounded;
 mod filter;
 
 use crate::kkt::{Factor, Kkt, KnotDynamics, KnotMatrix, KnotVector, Rhs, SolveWorkspace, Step, TargetRow};
-use crate::problem::{KnotDerivatives, Problem};
+use crate::problem::{KnotDerivatives, LimitKind, Problem};
 use bounded::Bounded;
 use filter::Filter;
 use nalgebra::{SMatrix, SVector};
@@ -25,19 +25,10 @@ pub struct Options<'a> {
     pub tolerance: f64,
     /// Most iterations.
     pub max_iterations: usize,
-    /// Barrier parameter to begin with. The default takes a third fewer iterations than the publication's 0.1 on the
-    /// paper's grid, to equally good optima.
-    pub barrier: f64,
     /// Longest time; the last iterate is returned then.
     pub time_budget: Option<Duration>,
     /// Raised from outside: the last iterate is returned.
     pub stop: Option<&'a AtomicBool>,
-}
-
-impl Default for Options<'_> {
-    fn default() -> Self {
-        Self { tolerance: 1e-9, max_iterations: 1000, barrier: 1e-3, time_budget: None, stop: None }
-    }
 }
 
 /// How a solve ended.
@@ -51,6 +42,8 @@ pub enum Status {
     OutOfTime,
     /// Stopped from outside.
     Interrupted,
+    /// No step leads on, though all constraints are kept within the tolerance: the optimum is not found more precisely.
+    Stalled,
     /// No step reduces the constraint violation any more: near this trajectory the constraints contradict each
     /// other, and this limit cannot be kept.
     Infeasible(Limit),
@@ -67,25 +60,9 @@ pub struct Limit {
     pub time: f64,
 }
 
-/// What a limit bounds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum LimitKind {
-    /// q
-    Position,
-    /// qd
-    Velocity,
-    /// tau_A
-    Torque,
-}
-
 impl std::fmt::Display for Limit {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let kind = match self.kind {
-            LimitKind::Position => "position",
-            LimitKind::Velocity => "velocity",
-            LimitKind::Torque => "torque",
-        };
-        write!(f, "{kind} limit of joint {} at {:.2} s", self.joint + 1, self.time)
+        write!(f, "{} limit of joint {} at {:.2} s", self.kind, self.joint + 1, self.time)
     }
 }
 
@@ -96,6 +73,9 @@ impl std::fmt::Display for Status {
             Self::MaxIterations => f.write_str("iteration budget used up"),
             Self::OutOfTime => f.write_str("time budget used up"),
             Self::Interrupted => f.write_str("interrupted"),
+            Self::Stalled => {
+                f.write_str("no progress any more: all limits are kept, the optimum is not reached")
+            }
             Self::Infeasible(limit) => write!(f, "infeasible: the {limit} cannot be kept"),
         }
     }
@@ -226,8 +206,12 @@ struct Solver<'a> {
 
 /// Solves the problem from the `guess`.
 pub fn solve(problem: &Problem<'_>, guess: &Trajectory, options: &Options<'_>) -> Solution {
-    Solver::new(problem, guess, options).run(options)
+    Solver::new(problem, guess).run(options)
 }
+
+/// Barrier parameter to begin with: takes a third fewer iterations than the publication's 0.1 on the paper's grid, to
+/// equally good optima.
+const BARRIER: f64 = 1e-3;
 
 /// Multipliers up to this mean size leave the residuals unscaled.
 const S_MAX: f64 = 100.0;
@@ -243,9 +227,9 @@ const ACCURACY: f64 = 1e-12;
 const INPUT_DAMPING: f64 = 1e-2;
 
 impl<'a> Solver<'a> {
-    fn new(problem: &'a Problem<'a>, guess: &Trajectory, options: &Options<'_>) -> Self {
+    fn new(problem: &'a Problem<'a>, guess: &Trajectory) -> Self {
         let mut work = Workspace::default();
-        let mu = options.barrier;
+        let mu = BARRIER;
         let (low, high) = problem.torque.bounds(&problem.limits.tau_max);
         let (torque_centre, torque_half) = ((low + high) * 0.5, (high - low) * 0.5);
         let limits = &problem.limits;
@@ -647,6 +631,7 @@ impl<'a> Solver<'a> {
             self.condense(&mut linear);
             match self.iterate(&mut linear, &c, &mut filter) {
                 Some(next) => c = next,
+                None if violation <= options.tolerance => break (Status::Stalled, stationarity),
                 None => break (Status::Infeasible(self.blocking_limit()), stationarity),
             }
         };

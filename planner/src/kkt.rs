@@ -18,7 +18,7 @@
 //! products of full matrices. The reduced Hessian is positive definite exactly if every pivot block is; that is the
 //! inertia test, for free. The target rows T enter as a stiff penalty, whose error iterative refinement removes.
 
-use crate::rows::{Pivot, STATE_ROW, StateRow, add_scaled};
+use crate::rows::{Pivot, ROW, STATE_ROW, StateRow, add_scaled};
 use nalgebra::{SMatrix, SVector};
 use upswing_model::{ActuatedVector, Derivatives, N_ACTUATED, N_UNACTUATED, NQ, NU, NX, NZ, State};
 
@@ -148,8 +148,6 @@ pub struct Kkt {
     pub target: Vec<TargetRow>,
 }
 
-/// Entries of a row of a knot's quadratic, rounded up to full vector registers; those beyond NZ are zero.
-const ROW: usize = NZ.next_multiple_of(4);
 /// First row of the velocities, of the unactuated velocities, and of the inputs among z = (x, u).
 const V: usize = NQ;
 const V_U: usize = NQ + N_ACTUATED;

@@ -211,28 +211,34 @@ fn weight_row<const W: usize>(
     p[i][..W].copy_from_slice(&row);
 }
 
-/// X of (21) by structured doubling (Chu, Fan, Lin, Wang, *Structure-preserving algorithms for periodic
-/// discrete-time algebraic Riccati equations*, Int. J. Control 77, 2004): each step doubles the horizon.
-fn algebraic_riccati(rows: &Rows, q: &SVector<f64, NX>, r: f64, ts: f64) -> Option<Weight> {
-    /// 2^40 periods of 125 us are four years.
-    const DOUBLINGS: usize = 40;
-    let mut a = StateMatrix::identity();
+/// Phi = I + Ts A and Gamma = Ts B.
+fn discretised(rows: &Rows, ts: f64) -> (StateMatrix, SMatrix<f64, NX, NU>) {
+    let mut phi = StateMatrix::identity();
+    let mut gamma = SMatrix::zeros();
     for i in 0..NQ {
-        a[(i, NQ + i)] += ts;
+        phi[(i, NQ + i)] += ts;
     }
-    let mut gamma = SMatrix::<f64, NX, NU>::zeros();
     for i in 0..N_ACTUATED {
         gamma[(NQ + i, i)] = ts;
     }
     for m in 0..N_UNACTUATED {
         let row = NX - N_UNACTUATED + m;
         for j in 0..NX {
-            a[(row, j)] += ts * rows.a[m][j];
+            phi[(row, j)] += ts * rows.a[m][j];
         }
         for j in 0..NU {
             gamma[(row, j)] = ts * rows.b[m][j];
         }
     }
+    (phi, gamma)
+}
+
+/// X of (21) by structured doubling (Chu, Fan, Lin, Wang, *Structure-preserving algorithms for periodic
+/// discrete-time algebraic Riccati equations*, Int. J. Control 77, 2004): each step doubles the horizon.
+fn algebraic_riccati(rows: &Rows, q: &SVector<f64, NX>, r: f64, ts: f64) -> Option<Weight> {
+    /// 2^40 periods of 125 us are four years.
+    const DOUBLINGS: usize = 40;
+    let (mut a, gamma) = discretised(rows, ts);
     let mut g = gamma * gamma.transpose() / r;
     let mut h = StateMatrix::from_diagonal(q);
     for _ in 0..DOUBLINGS {
@@ -275,26 +281,6 @@ mod tests {
         Rows { a, b: std::array::from_fn(|i| std::array::from_fn(|j| b(i, j))) }
     }
 
-    fn dense(rows: &Rows, ts: f64) -> (StateMatrix, SMatrix<f64, NX, NU>) {
-        let mut phi = StateMatrix::identity();
-        let mut gamma = SMatrix::<f64, NX, NU>::zeros();
-        for i in 0..NQ {
-            phi[(i, NQ + i)] += ts;
-        }
-        for i in 0..N_ACTUATED {
-            gamma[(NQ + i, i)] = ts;
-        }
-        for m in 0..N_UNACTUATED {
-            for j in 0..NX {
-                phi[(NX - N_UNACTUATED + m, j)] += ts * rows.a[m][j];
-            }
-            for j in 0..NU {
-                gamma[(NX - N_UNACTUATED + m, j)] = ts * rows.b[m][j];
-            }
-        }
-        (phi, gamma)
-    }
-
     fn matrix(weight: &Weight) -> StateMatrix {
         StateMatrix::from_fn(|i, j| weight[i][j])
     }
@@ -311,7 +297,7 @@ mod tests {
         }
         let gain = riccati_step(&mut next, &rows, &q, r, ts).expect("positive definite").gain();
         let next = matrix(&next);
-        let (phi, gamma) = dense(&rows, ts);
+        let (phi, gamma) = discretised(&rows, ts);
         let pivot = SMatrix::<f64, NU, NU>::identity() * r + gamma.transpose() * p * gamma;
         let k = -pivot.try_inverse().expect("invertible") * gamma.transpose() * p * phi;
         let want = StateMatrix::from_diagonal(&q)

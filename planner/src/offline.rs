@@ -1,7 +1,7 @@
 //! Offline optimisation (6), (8), (9)/(11) with the settings of a configuration.
 
-use crate::interior_point::{Limit, LimitKind, Options, Solution, Status, solve};
-use crate::problem::{Problem, TorqueConstraint, upright_target};
+use crate::interior_point::{Limit, Options, Solution, Status, solve};
+use crate::problem::{LimitKind, Problem, TorqueConstraint, upright_target};
 use upswing_config::Config;
 use upswing_model::{ActuatedVector, N_ACTUATED, NQ, NU, NX, State, Workspace};
 use upswing_trajectory::{N, Trajectory};
@@ -181,5 +181,10 @@ fn most_exceeded(
 /// The options of the settings.
 pub fn options(config: &Config) -> Options<'static> {
     let offline = &config.planner.offline;
-    Options { tolerance: offline.tolerance, max_iterations: offline.max_iterations, ..Options::default() }
+    Options {
+        tolerance: offline.tolerance,
+        max_iterations: offline.max_iterations,
+        time_budget: None,
+        stop: None,
+    }
 }

@@ -32,6 +32,27 @@ impl TorqueConstraint {
     }
 }
 
+/// What the limit of a joint bounds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LimitKind {
+    /// q
+    Position,
+    /// qd
+    Velocity,
+    /// tau_A
+    Torque,
+}
+
+impl std::fmt::Display for LimitKind {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Position => "position",
+            Self::Velocity => "velocity",
+            Self::Torque => "torque",
+        })
+    }
+}
+
 /// One trajectory to optimise.
 #[derive(Clone, Debug)]
 pub struct Problem<'a> {
@@ -186,7 +207,7 @@ impl Problem<'_> {
 
     /// The state that meets the target rows closest to `x`. The rows of (8) are orthogonal, so that one
     /// projection after the other does it.
-    pub fn nearest_target(&self, x: &State) -> State {
+    fn nearest_target(&self, x: &State) -> State {
         self.target.iter().fold(*x, |x, row| {
             let c: &SVector<f64, NX> = &row.coefficients;
             x + c * ((row.value - c.dot(&x)) / c.norm_squared())

@@ -27,6 +27,9 @@ pub struct PlannerArgs {
 /// Pause between two looks for requests: small against a replan.
 const PAUSE: Duration = Duration::from_millis(1);
 
+/// Telemetry older than this says nothing about now.
+const FRESH: Duration = Duration::from_secs(5);
+
 /// How far a measured start may be outside its limits, rad: the noise of an arm that stands on its limit.
 const START_SLACK: f64 = 1e-3;
 
@@ -54,13 +57,13 @@ fn serve(planner: &Planner, domain: &Domain, stop: &Arc<AtomicBool>) -> Result<(
     manager.status(&format!("{} database entries", planner.entries().len()));
     while !stop.load(Ordering::Acquire) {
         if let Some(record) = drain(&telemetry)? {
-            desk.observe(record);
+            desk.observe(record, Instant::now());
         }
         let mut published = Vec::new();
         let answered = server.poll_while_wanted(|request, wanted| {
             // What was measured until now counts. An error comes again with the next look.
             if let Ok(Some(record)) = drain(&telemetry) {
-                desk.observe(record);
+                desk.observe(record, Instant::now());
             }
             let (response, plan) = desk.answer(request, wanted);
             if request.publish == 1 && wanted() {
@@ -111,17 +114,18 @@ impl<'a> Desk<'a> {
         Self { planner, solver: planner.solver(), newest: None, prepared: None }
     }
 
-    /// Takes note of the daemon's newest record.
-    pub fn observe(&mut self, record: Telemetry) {
-        self.newest = Some((record, Instant::now()));
+    /// Takes note of the daemon's newest record, which came at `seen`.
+    pub fn observe(&mut self, record: Telemetry, seen: Instant) {
+        self.newest = Some((record, seen));
     }
 
     /// While the arm holds and nothing moves, keeps a swing-up from here ready, so that a request is answered at once.
     pub fn prepare(&mut self) {
-        let Some((record, _)) = &self.newest else { return };
+        let Some((record, seen)) = &self.newest else { return };
         let start = measured(record);
         // In lockstep equal runs give equal plans, however long they take.
         if in_lockstep(record)
+            || stale(record, *seen)
             || record.mode() != Ok(Mode::Hold)
             || !at_rest(&start)
             || check_start(self.planner, &start).is_err()
@@ -222,6 +226,10 @@ impl<'a> Desk<'a> {
         let Some((record, seen)) = &self.newest else {
             return Err(not_ready("no telemetry from the daemon yet: is upswingd running?".into()));
         };
+        if stale(record, *seen) {
+            let reason = "no telemetry from the daemon for some seconds: is upswingd running?";
+            return Err(not_ready(reason.into()));
+        }
         let (name, needed, advice) = match manoeuvre {
             Manoeuvre::SwingUp => ("swing-up", Mode::Hold, "enable it first"),
             Manoeuvre::SwingDown => ("swing-down", Mode::Balance, "swing up first"),
@@ -255,6 +263,11 @@ fn measured(record: &Telemetry) -> State {
 /// while a plan is made.
 fn in_lockstep(record: &Telemetry) -> bool {
     [record.wake_ns, record.read_ns, record.compute_ns, record.write_ns] == [0; 4]
+}
+
+/// Whether the daemon that sent a record, seen at `seen`, may be gone.
+fn stale(record: &Telemetry, seen: Instant) -> bool {
+    !in_lockstep(record) && seen.elapsed() > FRESH
 }
 
 /// Whether nothing moves but the noise of the velocity filter.

@@ -3,8 +3,9 @@
 
 use upswing_config::{Config, PendulumStart};
 use upswing_model::{NQ, State, Workspace};
-use upswing_planner::interior_point::{LimitKind, Solution, Status};
+use upswing_planner::interior_point::{Solution, Status};
 use upswing_planner::offline::{Effort, optimize, options};
+use upswing_planner::problem::LimitKind;
 
 /// Enough to meet rare trouble, few enough for a test; 1000 were run while this was written.
 const STARTS: usize = 60;

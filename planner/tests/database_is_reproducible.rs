@@ -3,19 +3,20 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::Instant;
 use upswing_config::{Config, GridAxis};
 use upswing_planner::build::{BuildError, Shard, build, merge, read, verify};
 use upswing_planner::offline::problem_fingerprint;
 use upswing_planner::replan::{Planner, PlannerError};
 use upswing_trajectory::{DatabaseError, Outcome};
 
-/// Six poses in three lines; the second of each line has no rest position within the limits.
+/// Six poses in three lines; the first of each line has no rest position within the limits.
 fn small_grid() -> Config {
     let mut config = Config::embedded().expect("embedded settings");
     let deg = |d: f64| d.to_radians();
     config.grid.axes = vec![
         GridAxis { joint: 1, from: deg(-10.0), to: deg(10.0), points: 3 },
-        GridAxis { joint: 3, from: deg(-100.0), to: deg(-10.0), points: 2 },
+        GridAxis { joint: 3, from: deg(-10.0), to: deg(-100.0), points: 2 },
     ];
     config
 }
@@ -60,6 +61,40 @@ fn in_one_piece_in_shards_and_on_one_core() {
     }
     let missing = merge(&shards[1..], &merged).expect_err("shard 1 is missing");
     assert!(matches!(missing, BuildError::Missing { ref missing, of: 2 } if *missing == [1]), "{missing}");
+    let mut unfinished = read(&shards[0]).expect("it reads");
+    unfinished.records.pop();
+    std::fs::write(&shards[0], unfinished.encode()).expect("written");
+    let incomplete = merge(&shards, &merged).expect_err("a pose is missing");
+    assert!(matches!(incomplete, BuildError::Incomplete { poses: 6, got: 5 }), "{incomplete}");
+}
+
+#[test]
+fn interrupted_between_two_guesses_for_a_pose() {
+    /// Moments in the course of a solve at which it is interrupted.
+    const MOMENTS: u32 = 16;
+    let dir = tempfile::tempdir().expect("a folder");
+    let mut config = small_grid();
+    for axis in &mut config.grid.axes {
+        (axis.from, axis.points) = (axis.to, 1);
+    }
+    let whole = dir.path().join("whole.bin");
+    let begin = Instant::now();
+    let summary = build(&config, Shard::WHOLE, &whole, &go(), |_| ()).expect("it builds");
+    let time = begin.elapsed();
+    assert_eq!((summary.poses, summary.solved), (1, 1));
+    for moment in 1..MOMENTS {
+        let path = dir.path().join(format!("interrupted-{moment}.bin"));
+        let stop = go();
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                std::thread::sleep(time * moment / MOMENTS);
+                stop.store(true, Ordering::Release);
+            });
+            build(&config, Shard::WHOLE, &path, &stop, |_| ()).expect("an interruption is no error");
+        });
+        build(&config, Shard::WHOLE, &path, &go(), |_| ()).expect("it goes on");
+        assert!(bytes(&whole) == bytes(&path), "interrupted after {moment}/{MOMENTS} of the time");
+    }
 }
 
 #[test]
@@ -136,11 +171,11 @@ fn disagreeing_duplicates_are_refused() {
     let dir = tempfile::tempdir().expect("a folder");
     let mut database = read(&whole(dir.path())).expect("it reads");
     let other = dir.path().join("other.bin");
-    let Outcome::Solved(entry) = &mut database.records[0].outcome else { panic!("solved") };
+    let Outcome::Solved(entry) = &mut database.records[1].outcome else { panic!("solved") };
     entry.certificate.cost += 1e-12;
     std::fs::write(&other, database.encode()).expect("written");
     let refusal = merge(&[dir.path().join("whole.bin"), other], &dir.path().join("merged.bin"));
-    assert!(matches!(refusal, Err(BuildError::Disagree { pose: 0, .. })));
+    assert!(matches!(refusal, Err(BuildError::Disagree { pose: 1, .. })));
 }
 
 #[test]
@@ -148,10 +183,10 @@ fn certificates_are_recomputed() {
     let dir = tempfile::tempdir().expect("a folder");
     let mut database = read(&whole(dir.path())).expect("it reads");
     assert!(verify(&small_grid(), &database, || ()).is_empty());
-    let Outcome::Solved(entry) = &mut database.records[2].outcome else { panic!("solved") };
+    let Outcome::Solved(entry) = &mut database.records[3].outcome else { panic!("solved") };
     entry.trajectory.u[50][0] += 1e-3;
     let found = verify(&small_grid(), &database, || ());
-    assert_eq!(found.iter().map(|d| d.pose).collect::<Vec<_>>(), [2]);
+    assert_eq!(found.iter().map(|d| d.pose).collect::<Vec<_>>(), [3]);
 }
 
 #[test]

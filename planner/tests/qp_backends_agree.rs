@@ -5,7 +5,8 @@ use upswing_config::{Config, PendulumStart, QpBackend};
 use upswing_model::{NQ, NU, NX, NZ, State, Workspace};
 use upswing_planner::kkt::KnotVector;
 use upswing_planner::offline::problem;
-use upswing_planner::qp::{Limit, Options, Qp, Solver, Status};
+use upswing_planner::problem::LimitKind;
+use upswing_planner::qp::{Bound, Options, Qp, Solver, Status};
 use upswing_planner::replan::Planner;
 use upswing_trajectory::{N, Trajectory};
 
@@ -224,7 +225,7 @@ fn a_limit_that_jumps_away_is_named() {
         qp.x[knot].1[joint] = 0.0;
         let status = Solver::new(QpBackend::Structured, N).solve(&qp, &Options::new(1e-9));
         let Status::Infeasible(Some(conflict)) = status else { panic!("joint {joint}: {status:?}") };
-        assert_eq!(conflict.limit, Limit::Position(joint), "{conflict}");
+        assert_eq!(conflict.bound, Bound::Joint(LimitKind::Position, joint), "{conflict}");
         assert!(conflict.knot == knot || conflict.knot == knot + 1, "{conflict}");
     }
 }
@@ -286,7 +287,29 @@ fn a_deadline_in_the_past_leaves_the_first_iterate() {
     for backend in BACKENDS {
         let mut solver = Solver::new(backend, N);
         let options = Options { deadline: Some(std::time::Instant::now()), ..Options::new(1e-9) };
+        let solved = Options { deadline: None, ..options };
+        assert_eq!(solver.solve(&qp, &solved), Status::Solved, "{backend:?}");
         assert_eq!(solver.solve(&qp, &options), Status::Deadline, "{backend:?}");
-        assert!(solver.solution().iterations <= 1);
+        assert_eq!(solver.solution().iterations, 0);
+        assert!(solver.solution().z[1..].iter().all(|z| z.amax() == 0.0), "{backend:?}: no step yet");
+    }
+}
+
+#[test]
+fn the_last_iterate_of_a_stopped_solve_is_the_best() {
+    let planner = planner();
+    let fast = |joint: usize| planner.config().robot.planning.qd_max[joint];
+    let hopeless = [(3, 1), (3, 5), (40, 3), (99, 1), (99, 5)]
+        .map(|(entry, joint)| towards_its_stop(&planner, entry, joint, fast(joint)));
+    let solvable = qp_at(&planner, 40, &[0.05; NU]).expect("a start at rest");
+    for qp in hopeless.iter().chain([&solvable]) {
+        let mut solver = Solver::new(QpBackend::Structured, N);
+        let mut before = f64::INFINITY;
+        for max_iterations in 0..12 {
+            let status = solver.solve(qp, &Options { max_iterations, ..Options::new(1e-9) });
+            let violation = violation(qp, &solver);
+            assert!(violation <= before + 1e-9, "{status:?} after {max_iterations}: {violation} > {before}");
+            before = violation;
+        }
     }
 }

@@ -1,7 +1,7 @@
 //! What the planner process answers to requests, sensible and not, without any shared memory.
 
 use std::cell::Cell;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 use upswing_config::{Config, PendulumStart};
 use upswing_ipc::{Mode, PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus, Telemetry};
 use upswing_model::{NQ, State};
@@ -49,7 +49,7 @@ fn a_plan_is_ready_while_the_arm_holds() {
     let planner = planner();
     let mut desk = Desk::new(&planner);
     let x = rest(&planner);
-    desk.observe(record(&x, Mode::Hold, false));
+    desk.observe(record(&x, Mode::Hold, false), Instant::now());
     desk.prepare();
     let (answer, plan) = ask(&mut desk, &from_now(PlannerKind::SwingUp));
     assert_eq!(answer.reason.as_str(), Ok("ready before it was asked for"));
@@ -61,7 +61,7 @@ fn a_plan_is_ready_while_the_arm_holds() {
     for (shift, ready) in [(1e-4, true), (1e-2, false)] {
         let mut moved = x;
         moved[1] += shift;
-        desk.observe(record(&moved, Mode::Hold, false));
+        desk.observe(record(&moved, Mode::Hold, false), Instant::now());
         let (answer, plan) = ask(&mut desk, &from_now(PlannerKind::SwingUp));
         assert_eq!(answer.reason.as_str().expect("text").starts_with("ready"), ready, "moved by {shift}");
         assert!((plan.expect("a plan").trajectory.x[0] - moved).amax() < 2e-4);
@@ -78,7 +78,7 @@ fn in_lockstep_a_plan_begins_with_the_state_of_the_record() {
         if !moving {
             x[NQ + 7] = 0.0;
         }
-        desk.observe(record(&x, Mode::Hold, true));
+        desk.observe(record(&x, Mode::Hold, true), Instant::now());
         desk.prepare();
         let (answer, plan) = ask(&mut desk, &from_now(PlannerKind::SwingUp));
         assert_eq!(answer.reason.as_str(), Ok(""), "nothing is prepared in lockstep");
@@ -92,7 +92,7 @@ fn a_moving_start_is_predicted_and_handed_over_when_it_is_due() {
     let mut desk = Desk::new(&planner);
     let mut x = rest(&planner);
     x[NQ + 7] = 0.5;
-    desk.observe(record(&x, Mode::Hold, false));
+    desk.observe(record(&x, Mode::Hold, false), Instant::now());
     let begin = Instant::now();
     let (_, plan) = ask(&mut desk, &from_now(PlannerKind::SwingUp));
     let lead = planner.config().planner.replan.lead;
@@ -112,7 +112,7 @@ fn a_swing_down_begins_upright_and_ends_hanging_at_rest() {
     let mut upright = planner.entries()[17].trajectory.x[N];
     upright[1] += 0.02;
     upright[5] -= 0.01;
-    desk.observe(record(&upright, Mode::Balance, false));
+    desk.observe(record(&upright, Mode::Balance, false), Instant::now());
     let (answer, plan) = ask(&mut desk, &from_now(PlannerKind::SwingDown));
     assert_eq!(answer.status(), Ok(PlannerStatus::Solved), "{:?}", answer.reason.as_str());
     let trajectory = plan.expect("a plan").trajectory;
@@ -131,10 +131,36 @@ fn from_another_mode_or_without_a_daemon() {
     let planner = planner();
     let mut desk = Desk::new(&planner);
     refused(ask(&mut desk, &from_now(PlannerKind::SwingUp)), PlannerStatus::NotReady, "is upswingd running");
-    desk.observe(record(&rest(&planner), Mode::Idle, false));
+    desk.observe(record(&rest(&planner), Mode::Idle, false), Instant::now());
     refused(ask(&mut desk, &from_now(PlannerKind::SwingUp)), PlannerStatus::NotReady, "enable it first");
-    desk.observe(record(&rest(&planner), Mode::Hold, false));
+    desk.observe(record(&rest(&planner), Mode::Hold, false), Instant::now());
     refused(ask(&mut desk, &from_now(PlannerKind::SwingDown)), PlannerStatus::NotReady, "swing up first");
+}
+
+#[test]
+fn from_a_daemon_that_has_fallen_silent() {
+    let planner = planner();
+    let mut desk = Desk::new(&planner);
+    let mut moving = rest(&planner);
+    moving[NQ + 7] = 0.5;
+    let long_ago = Instant::now().checked_sub(Duration::from_secs(6)).expect("the clock runs for longer");
+    let reason = "no telemetry from the daemon for some seconds";
+    for (x, mode, kind) in [
+        (moving, Mode::Hold, PlannerKind::SwingUp),
+        (planner.entries()[17].trajectory.x[N], Mode::Balance, PlannerKind::SwingDown),
+    ] {
+        desk.observe(record(&x, mode, false), long_ago);
+        refused(ask(&mut desk, &from_now(kind)), PlannerStatus::NotReady, reason);
+    }
+    // Nothing is prepared for it, either.
+    desk.observe(record(&rest(&planner), Mode::Hold, false), long_ago);
+    desk.prepare();
+    desk.observe(record(&rest(&planner), Mode::Hold, false), Instant::now());
+    let (answer, _) = ask(&mut desk, &from_now(PlannerKind::SwingUp));
+    assert_eq!(answer.reason.as_str(), Ok(""));
+    // In lockstep time stands still while a plan is made.
+    desk.observe(record(&moving, Mode::Hold, true), long_ago);
+    assert!(ask(&mut desk, &from_now(PlannerKind::SwingUp)).1.is_some());
 }
 
 #[test]

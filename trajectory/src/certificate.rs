@@ -1,6 +1,6 @@
 //! What a database entry is worth: figures that anybody can compute again.
 
-use crate::{Margins, N, Spline, Trajectory};
+use crate::{Margins, N, Spline, Trajectory, largest};
 use upswing_model::{Limits, Model, State, Workspace};
 
 /// Figures of one trajectory, recomputable by [`Certificate::of`].
@@ -17,7 +17,7 @@ pub struct Certificate {
     /// Smallest margin of a motor torque, likewise.
     pub margin_tau: f64,
     /// Largest component (rad or rad/s) by which the state at t_F misses x_N if the nonlinear dynamics follow the
-    /// spline's u from x_0 without feedback; an adaptive integrator of high accuracy.
+    /// spline's u from x_0 without feedback; an adaptive integrator of high accuracy. Infinite if that has no end.
     pub end_error: f64,
 }
 
@@ -35,7 +35,7 @@ impl Certificate {
             margin_q: margins.q.share,
             margin_qd: margins.qd.share,
             margin_tau: margins.tau.share,
-            end_error: (follow(trajectory, model, &mut work) - trajectory.x[N]).amax(),
+            end_error: largest(&(follow(trajectory, model, &mut work) - trajectory.x[N])),
         }
     }
 
@@ -50,22 +50,23 @@ impl Certificate {
     }
 
     /// Largest difference to `other`, relative to the larger of 1 and the figure: two computations of the same
-    /// trajectory differ by rounding only.
+    /// trajectory differ by rounding only. Infinite if a figure is not finite.
     pub fn difference(&self, other: &Self) -> f64 {
         self.to_array()
             .iter()
             .zip(other.to_array())
-            .map(|(a, b)| if *a == b { 0.0 } else { (a - b).abs() / a.abs().max(1.0) })
+            .map(|(a, b)| (a - b).abs() / a.abs().max(1.0))
             .fold(0.0, |worst, d| if d.is_nan() { f64::INFINITY } else { worst.max(d) })
     }
 }
 
 /// x(t_F) of the dynamics (5) under the spline's u from x_0, by the method of Dormand and Prince (J. Comput. Appl.
-/// Math. 6, 1980) of order 5 with error control of order 4, restarted at each knot, where u has a kink.
+/// Math. 6, 1980) of order 5 with error control of order 4, restarted at each knot, where u has a kink. Not a number if
+/// the error cannot be kept small: then it is no trajectory.
 pub fn follow(trajectory: &Trajectory, model: &Model, work: &mut Workspace) -> State {
     /// Largest local error, rad or rad/s.
     const TOLERANCE: f64 = 1e-11;
-    /// A trajectory that needs a shorter step, s, is not one.
+    /// Shortest step that is tried, s.
     const SHORTEST: f64 = 1e-9;
     let f = trajectory.f(model, work);
     let spline = Spline { t_f: trajectory.t_f, x: &trajectory.x, u: &trajectory.u, f: &f };
@@ -77,12 +78,11 @@ pub fn follow(trajectory: &Trajectory, model: &Model, work: &mut Workspace) -> S
             let h = step.min(end - t);
             let last = h >= end - t;
             let (next, error) = dormand_prince(&x, t, h, |t, x| model.f(x, &spline.input(t), work));
-            let worst = error.amax();
-            if worst <= TOLERANCE || h <= SHORTEST {
+            let worst = largest(&error);
+            if worst <= TOLERANCE {
                 x = next;
                 t = if last { end } else { t + h };
-            }
-            if !worst.is_finite() {
+            } else if h <= SHORTEST {
                 return State::repeat(f64::NAN);
             }
             let growth = 0.9 * (TOLERANCE / worst.max(1e-300)).powf(0.2);

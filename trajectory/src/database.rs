@@ -126,7 +126,7 @@ pub enum DatabaseError {
         /// What it may be.
         expected: String,
         /// What it is.
-        got: u64,
+        got: String,
     },
     /// Made for another robot or other settings.
     #[error(
@@ -236,7 +236,7 @@ impl Heading {
         let heading = Self { model, problem, grid, poses, shard, shards };
         if shard == 0 || shard > shards {
             let expected = format!("1 to {shards}");
-            return Err(DatabaseError::Value { what: "shard".into(), expected, got: shard });
+            return Err(DatabaseError::Value { what: "shard".into(), expected, got: shard.to_string() });
         }
         Ok((heading, records))
     }
@@ -283,7 +283,7 @@ impl Record {
             2 => LONG_RECORD,
             got => {
                 let expected = "an outcome from 0 to 2".into();
-                return Err(DatabaseError::Value { what: what(), expected, got });
+                return Err(DatabaseError::Value { what: what(), expected, got: got.to_string() });
             }
         };
         let record = bytes.get(..length).ok_or_else(|| truncated(length))?;
@@ -291,13 +291,14 @@ impl Record {
         let outcome = match kind {
             0 => Outcome::Rejected,
             1 => Outcome::Failed,
-            _ => Outcome::Solved(Box::new(decode_entry(&record[16..]))),
+            _ => Outcome::Solved(Box::new(decode_entry(&record[16..], what)?)),
         };
         Ok((Self { pose, outcome }, length))
     }
 }
 
-fn decode_entry(bytes: &[u8]) -> Entry {
+/// An entry, whose certificate may be any.
+fn decode_entry(bytes: &[u8], what: impl Fn() -> String) -> Result<Entry, DatabaseError> {
     let mut values = bytes.chunks_exact(8).map(|c| f64::from_le_bytes(std::array::from_fn(|b| c[b])));
     let mut next = || values.next().unwrap_or(f64::NAN);
     let certificate = Certificate::from_array(std::array::from_fn(|_| next()));
@@ -314,7 +315,19 @@ fn decode_entry(bytes: &[u8]) -> Entry {
             x[k][NQ + N_ACTUATED + i] = next();
         }
     }
-    Entry { trajectory: integrate_arm(Trajectory { t_f, x, u }), certificate }
+    let refuse = |name: &str, expected: String, got: f64| {
+        Err(DatabaseError::Value { what: format!("{name} of {}", what()), expected, got: got.to_string() })
+    };
+    // A NaN is refused, too.
+    if !(t_f > 0.0 && t_f <= Trajectory::LONGEST) {
+        return refuse("t_F", format!("more than 0 and at most {} s", Trajectory::LONGEST), t_f);
+    }
+    let trajectory = integrate_arm(Trajectory { t_f, x, u });
+    let numbers = trajectory.x.iter().flatten().chain(trajectory.u.iter().flatten());
+    if let Some(got) = numbers.copied().find(|v| !v.is_finite()) {
+        return refuse("the trajectory", "finite numbers".into(), got);
+    }
+    Ok(Entry { trajectory, certificate })
 }
 
 impl Database {

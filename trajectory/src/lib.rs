@@ -17,3 +17,8 @@ pub use database::{Database, DatabaseError, Entry, Heading, Outcome, Record};
 pub use margins::{Margin, Margins};
 pub use plan::{Gain, Plan, Reference};
 pub use trajectory::{Spline, Trajectory};
+
+/// Largest absolute component; infinite if one is not a number.
+fn largest(v: &upswing_model::State) -> f64 {
+    v.iter().fold(0.0, |worst: f64, v| if v.is_nan() { f64::INFINITY } else { worst.max(v.abs()) })
+}

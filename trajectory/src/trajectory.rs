@@ -1,6 +1,7 @@
 //! A trajectory at its knots and between them.
 
 use crate::N;
+use crate::largest;
 use upswing_model::{ActuatedVector, Model, NQ, State, Workspace};
 
 /// xi = (t_F, x_0..x_N, u_0..u_N) (7).
@@ -25,11 +26,16 @@ impl Trajectory {
         self.x.iter().zip(&self.u).map(|(x, u)| model.f(x, u, work)).collect()
     }
 
-    /// Largest component of x_{k+1} - x_k - h/2 (f_k + f_{k+1}) (6b) over all intervals, rad or rad/s.
+    /// Longest duration of a trajectory, s.
+    pub const LONGEST: f64 = 60.0;
+
+    /// Largest component of x_{k+1} - x_k - h/2 (f_k + f_{k+1}) (6b) over all intervals, rad or rad/s; infinite if one is
+    /// not a number.
     pub fn defect(&self, model: &Model, work: &mut Workspace) -> f64 {
         let f = self.f(model, work);
         let half_h = 0.5 * self.h();
-        (0..N).map(|k| (self.x[k + 1] - self.x[k] - (f[k] + f[k + 1]) * half_h).amax()).fold(0.0, f64::max)
+        let defects = (0..N).map(|k| self.x[k + 1] - self.x[k] - (f[k] + f[k + 1]) * half_h);
+        defects.map(|d| largest(&d)).fold(0.0, f64::max)
     }
 
     /// The motion run backwards: the same angles in reverse order with opposite velocities and the same inputs. It meets

@@ -1,5 +1,5 @@
-//! The end error of a certificate comes from an integrator that shares no code with the trapezoidal rule: halving
-//! its tolerance budget changes nothing, and for motions with a known end it finds that end.
+//! The figures of a certificate are those of the trajectory; its end error comes from an integrator that shares no code
+//! with the trapezoidal rule and finds the end that another one finds. What no integrator can follow has none.
 
 use upswing_model::{ActuatedVector, JointVector, Model, State, Workspace, state};
 use upswing_trajectory::{Certificate, KNOTS, N, Spline, Trajectory, follow};
@@ -55,7 +55,10 @@ fn figures_are_those_of_the_trajectory() {
     let trajectory = motion(&model);
     let limits = model.rated_limits();
     let c = Certificate::of(&trajectory, &model, limits, 0.01);
-    assert!((c.cost - trajectory.cost(0.01)).abs() == 0.0);
+    // J of (6a): t_F and h/2 = 1/200 s times the squares of all inputs, of joint 1 and joint 4 by their formulas.
+    let u_1: f64 = (0..KNOTS).map(|k| (2.0 * std::f64::consts::PI * k as f64 / 100.0).cos().powi(2)).sum();
+    let u_4: f64 = (0..KNOTS).map(|k| (0.5 * k as f64 / 100.0).powi(2)).sum();
+    assert!((c.cost - (1.0 + 0.01 / 200.0 * (u_1 + u_4))).abs() < 1e-12, "cost {}", c.cost);
     assert!(c.end_error < 1e-9 && c.margin_q > 0.0 && c.margin_qd > 0.0 && c.margin_tau > 0.0);
     // The trapezoidal rule differs from the exact solution by O(h^3).
     assert!(c.defect > 1e-9 && c.defect < 1e-4, "defect {:e}", c.defect);
@@ -64,4 +67,22 @@ fn figures_are_those_of_the_trajectory() {
     let f = trajectory.f(&model, &mut Workspace::default());
     let spline = Spline { t_f: 1.0, x: &trajectory.x, u: &trajectory.u, f: &f };
     assert_eq!(spline.state(0.0), trajectory.x[0]);
+}
+
+#[test]
+fn what_cannot_be_followed_has_no_end() {
+    let model = robot();
+    let mut trajectory = motion(&model);
+    trajectory.u[50][0] = 1e15;
+    let c = Certificate::of(&trajectory, &model, model.rated_limits(), 0.01);
+    assert!(c.end_error.is_infinite(), "{c:?}");
+    assert!(c.difference(&c).is_infinite());
+}
+
+#[test]
+fn a_defect_that_is_not_a_number_is_infinite() {
+    let model = robot();
+    let mut trajectory = motion(&model);
+    trajectory.u[50][0] = f64::NAN;
+    assert!(trajectory.defect(&model, &mut Workspace::default()).is_infinite());
 }

@@ -70,6 +70,29 @@ fn another_version_is_named() {
     assert_eq!(refusal, DatabaseError::Layout { what: "format version", expected: 2, got: 1 });
 }
 
+#[test]
+fn numbers_that_no_trajectory_has_are_refused() {
+    let refused = |change: &dyn Fn(&mut Trajectory), part: &str| {
+        let mut database = example();
+        let Outcome::Solved(entry) = &mut database.records[3].outcome else { panic!("solved") };
+        change(&mut entry.trajectory);
+        let bytes = database.encode();
+        let refusal = Database::decode(&bytes).expect_err("refused");
+        assert!(matches!(refusal, DatabaseError::Value { .. }), "{refusal}");
+        assert!(refusal.to_string().contains("record 3") && refusal.to_string().contains(part), "{refusal}");
+        assert_eq!(Database::recover(&bytes).expect("the rest is good").0.records.len(), 3);
+    };
+    for t_f in [0.0, -1.0, 1e9, f64::NAN, f64::INFINITY] {
+        refused(
+            &|t| t.t_f = t_f,
+            &format!("t_F of record 3: expected more than 0 and at most 60 s, got {t_f}"),
+        );
+    }
+    refused(&|t| t.x[0][3] = f64::INFINITY, "expected finite numbers, got inf");
+    refused(&|t| t.x[KNOTS - 1][8] = f64::NAN, "expected finite numbers, got NaN");
+    refused(&|t| t.u[50][2] = f64::NAN, "expected finite numbers, got NaN");
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(500))]
 

@@ -1,6 +1,6 @@
 //! The robot and random states for the tests of the model.
 
-use upswing_model::{ActuatedVector, JointVector, Model, NQ, NU, State};
+use upswing_model::{ActuatedVector, JointVector, Model, NQ, State};
 
 pub fn robot() -> Model {
     Model::from_urdf(include_str!("../../../config/robot.urdf")).expect("the shipped robot loads")
@@ -29,7 +29,10 @@ pub struct Golden {
 #[allow(dead_code)]
 impl Golden {
     pub fn all() -> Vec<Self> {
-        serde_json::from_str(include_str!("../data/golden.json")).expect("golden data parses")
+        let all: Vec<Self> =
+            serde_json::from_str(include_str!("../data/golden.json")).expect("golden data parses");
+        assert_eq!(all.len(), 64);
+        all
     }
 
     pub fn q(&self) -> JointVector {
@@ -49,7 +52,7 @@ impl Golden {
     }
 }
 
-/// Fails unless `got` and `want` agree to `tolerance`, relative to the larger of 1 and |want|.
+/// Fails unless `got` and `want` are as many and agree to `tolerance`, relative to the larger of 1 and |want|.
 #[allow(dead_code)]
 pub fn assert_close(
     what: &str,
@@ -57,10 +60,9 @@ pub fn assert_close(
     want: impl IntoIterator<Item = f64>,
     tolerance: f64,
 ) {
+    let (got, want): (Vec<f64>, Vec<f64>) = (got.into_iter().collect(), want.into_iter().collect());
+    assert_eq!(got.len(), want.len(), "{what}");
     for (i, (g, w)) in got.into_iter().zip(want).enumerate() {
         assert!((g - w).abs() <= tolerance * w.abs().max(1.0), "{what}[{i}]: got {g}, expected {w}");
     }
 }
-
-#[allow(dead_code)]
-pub const UNIT_INPUT: [f64; NU] = [1.0; NU];

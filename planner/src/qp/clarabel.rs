@@ -1,7 +1,7 @@
 //! Clarabel as a back end: the QP as one sparse matrix.
 
 use super::{Options, Qp, Solution, Status};
-use crate::kkt::{KnotDynamics, KnotVector};
+use crate::kkt::KnotDynamics;
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::{
     DefaultSettings, DefaultSolver, IPSolver, SolverStatus,
@@ -57,6 +57,7 @@ pub(super) fn solve(qp: &Qp, options: &Options<'_>, solution: &mut Solution) -> 
     let t = (n + 1) * NZ;
     let soft = if qp.compliance > 0.0 { 2 * (n * NX + (n + 1) * NU + 1) } else { 0 };
     let variables = t + 1 + soft;
+    *solution = Solution::zeros(n);
     if let Some(status) = options.stop() {
         return status;
     }
@@ -149,8 +150,9 @@ pub(super) fn solve(qp: &Qp, options: &Options<'_>, solution: &mut Solution) -> 
     };
     solver.solve();
     let found = &solver.solution;
-    solution.z.clear();
-    solution.z.extend(found.x[..t].chunks_exact(NZ).map(KnotVector::from_column_slice));
+    for (z, found) in solution.z.iter_mut().zip(found.x[..t].chunks_exact(NZ)) {
+        z.copy_from_slice(found);
+    }
     solution.t = found.x[t];
     solution.iterations = found.iterations as usize;
     match found.status {

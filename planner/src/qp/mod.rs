@@ -13,6 +13,7 @@ mod clarabel;
 pub mod structured;
 
 use crate::kkt::{KnotDynamics, KnotVector, TargetRow};
+use crate::problem::LimitKind;
 use nalgebra::SMatrix;
 use std::time::Instant;
 use structured::Structured;
@@ -101,23 +102,19 @@ impl Qp {
 /// The limit that a solver could not keep together with everything else.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Conflict {
-    /// Which quantity.
-    pub limit: Limit,
+    /// What is bounded.
+    pub bound: Bound,
     /// Knot, 0 to N; of no meaning for the duration.
     pub knot: usize,
     /// Whether the upper one of the two bounds.
     pub upper: bool,
 }
 
-/// A quantity with bounds. Joints count from 0.
+/// A quantity with bounds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Limit {
-    /// Angle of a joint.
-    Position(usize),
-    /// Velocity of a joint.
-    Velocity(usize),
-    /// Torque of an actuated joint.
-    Torque(usize),
+pub enum Bound {
+    /// That of a joint, counted from 0.
+    Joint(LimitKind, usize),
     /// t_F
     Duration,
 }
@@ -125,20 +122,19 @@ pub enum Limit {
 impl std::fmt::Display for Conflict {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let side = if self.upper { "upper" } else { "lower" };
-        let (what, joint) = match self.limit {
-            Limit::Position(joint) => ("position", joint),
-            Limit::Velocity(joint) => ("velocity", joint),
-            Limit::Torque(joint) => ("torque", joint),
-            Limit::Duration => return write!(f, "the {side} bound of the duration"),
-        };
-        write!(f, "the {side} {what} limit of joint {} at knot {}", joint + 1, self.knot)
+        match self.bound {
+            Bound::Joint(kind, joint) => {
+                write!(f, "the {side} {kind} limit of joint {} at knot {}", joint + 1, self.knot)
+            }
+            Bound::Duration => write!(f, "the {side} bound of the duration"),
+        }
     }
 }
 
 /// How a solve ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Status {
-    /// All residuals are within the tolerance.
+    /// All residuals are within the tolerance; of Clarabel also where it comes no closer than its own reduced one.
     Solved,
     /// No point meets all constraints; names the limit that weighs most in the contradiction where the back end
     /// knows it.
@@ -164,7 +160,7 @@ pub struct Options<'a> {
     pub max_iterations: usize,
     /// No iteration is begun after this.
     pub deadline: Option<Instant>,
-    /// Asked before each iteration: whether to stop.
+    /// Asked before each iteration, or by Clarabel before the first one only: whether to stop.
     pub cancelled: Option<&'a dyn Fn() -> bool>,
 }
 
@@ -235,7 +231,8 @@ impl Solver {
         }
     }
 
-    /// What the last solve left: the solution, or the best iterate where there is none.
+    /// What the last solve left: the solution or, where there is none, the last iterate. No iterate of [`structured`] before
+    /// it violates the constraints less: each step takes the same share of all their residuals away.
     pub fn solution(&self) -> &Solution {
         match self {
             Self::Structured(s) => s.solution(),
@@ -243,5 +240,3 @@ impl Solver {
         }
     }
 }
-
-const _: () = assert!(NZ == NX + NU);

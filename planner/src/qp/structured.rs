@@ -9,10 +9,12 @@
 //!
 //! A softened bound yields: w >= l - c y with the compliance c, which is a quadratic penalty of weight 1 / c.
 
-use super::{Conflict, Limit, Options, Qp, Solution, Status};
+use super::{Bound, Conflict, Options, Qp, Solution, Status};
 use crate::kkt::{Factor, Kkt, KnotDynamics, KnotMatrix, KnotVector, Rhs, SolveWorkspace, Step, TargetRow};
+use crate::problem::LimitKind;
+use crate::rows::ROW;
 use nalgebra::SMatrix;
-use upswing_model::{N_UNACTUATED, NQ, NU, NX, NZ, State};
+use upswing_model::{NQ, NU, NX, NZ, State};
 
 /// Number of bounded quantities: torques of knot 0, then states and torques of each knot, then dt.
 const fn bounded_quantities(intervals: usize) -> usize {
@@ -39,7 +41,6 @@ const WARM: (f64, f64) = (1e-3, 1e-5);
 
 /// Jacobian of the torques of a knot, each scaled to half its range; rows padded to full vector registers.
 type TorqueJacobian = [[f64; ROW]; NU];
-const ROW: usize = NZ.next_multiple_of(4);
 
 /// Solver and its memory.
 #[derive(Clone, Debug)]
@@ -487,13 +488,13 @@ impl Structured {
                 (knot, most) = ((i + NX) / NZ, side.multiplier[i]);
             }
         }
-        let limit = match heaviest {
-            i if i < NQ => Limit::Position(i),
-            i if i < NX => Limit::Velocity(i - NQ),
-            i if i < NZ => Limit::Torque(i - NX),
-            _ => Limit::Duration,
+        let bound = match heaviest {
+            i if i < NQ => Bound::Joint(LimitKind::Position, i),
+            i if i < NX => Bound::Joint(LimitKind::Velocity, i - NQ),
+            i if i < NZ => Bound::Joint(LimitKind::Torque, i - NX),
+            _ => Bound::Duration,
         };
-        Conflict { limit, knot, upper }
+        Conflict { bound, knot, upper }
     }
 
     /// Solves `qp`, from the multipliers of the last one if `warm`.
@@ -561,5 +562,3 @@ impl Structured {
         Status::Stalled
     }
 }
-
-const _: () = assert!(N_UNACTUATED < NQ);

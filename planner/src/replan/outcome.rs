@@ -150,12 +150,14 @@ impl Replan {
         }
     }
 
-    /// A name that follows from the contents: equal plans have equal ids, different ones different ids.
+    /// A name that follows from the contents, the gains included: equal plans have equal ids, and different ones hardly
+    /// ever do.
     fn id(&self) -> u64 {
         let mut hash = xxhash_rust::xxh3::Xxh3::new();
         let t = &self.trajectory;
         let numbers = t.x.iter().flat_map(|x| x.iter()).chain(t.u.iter().flat_map(|u| u.iter()));
-        numbers.chain(std::iter::once(&t.t_f)).for_each(|v| hash.update(&v.to_le_bytes()));
+        let gains = self.gains.knots.iter().chain([&self.gains.end]).flat_map(|k| k.iter());
+        numbers.chain([&t.t_f]).chain(gains).for_each(|v| hash.update(&v.to_le_bytes()));
         hash.digest().max(1)
     }
 }
