@@ -55,14 +55,15 @@ impl Running {
         std::fs::read_to_string(&path).unwrap_or_else(|e| panic!("{path}: {e}"))
     }
 
-    /// Resident memory, KiB.
+    /// Its own memory, KiB, and how many regions it has mapped, those of shared memory included.
     ///
     /// # Panics
     /// If the process is gone.
-    pub fn resident(&self) -> u64 {
+    pub fn memory(&self) -> (u64, usize) {
         let status = self.proc("status");
-        let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).expect("VmRSS");
-        line.split_whitespace().next().and_then(|kb| kb.parse().ok()).expect("a number")
+        let line = status.lines().find_map(|line| line.strip_prefix("RssAnon:")).expect("RssAnon");
+        let own = line.split_whitespace().next().and_then(|kb| kb.parse().ok()).expect("a number");
+        (own, self.proc("maps").lines().count())
     }
 
     /// Number of the thread with this name.

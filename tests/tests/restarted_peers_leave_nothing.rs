@@ -84,7 +84,7 @@ fn a_hundred_times() {
     for round in 0..ROUNDS {
         if round == ROUNDS / 10 {
             settle();
-            before = Some((files(&domain), daemon.resident(), faults(&daemon, thread)));
+            before = Some((files(&domain), daemon.memory(), faults(&daemon, thread)));
         }
         drop((plant, planner));
         (plant, planner) = (start("upswing-plant"), start("upswing-planner"));
@@ -94,14 +94,12 @@ fn a_hundred_times() {
         drop(clients);
     }
     settle();
-    let (files_before, resident_before, faults_before) = before.expect("a first look");
+    let (files_before, (own_before, maps_before), faults_before) = before.expect("a first look");
     assert_eq!(files(&domain), files_before, "files of the domain");
-    let resident = daemon.resident();
-    // A leak of a reader (some pages) or of a segment (megabytes) per restart would be more.
-    assert!(
-        resident <= resident_before + 1024,
-        "resident memory grew from {resident_before} to {resident} KiB"
-    );
+    // A reader (some pages) or a segment that is left per restart would be more.
+    let (own, maps) = daemon.memory();
+    assert!(own <= own_before + 256, "its own memory grew from {own_before} to {own} KiB");
+    assert!(maps <= maps_before + 10, "instead of {maps_before} it has mapped {maps} regions");
     if status().degraded & upswing_ipc::Degradation::Memory.bit() == 0 {
         assert_eq!(faults(&daemon, thread), faults_before, "page faults of the real-time thread");
     }
