@@ -1,5 +1,6 @@
 //! What an operator asks of a running system, and what it answers.
 
+use crate::report::planning_text;
 use serde::Serialize;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -123,7 +124,7 @@ impl std::fmt::Display for Accepted {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "accepted; mode {}", self.mode)?;
         if let (Some(t_f), Some(planning)) = (self.t_f, self.planning_s) {
-            write!(f, "; plan of {t_f:.3} s made in {:.0} ms", 1e3 * planning)?;
+            write!(f, "; plan of {t_f:.3} s {}", planning_text(planning))?;
         }
         Ok(())
     }

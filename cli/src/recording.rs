@@ -19,12 +19,14 @@
 
 mod cdr;
 pub mod cycle;
+mod flight;
 mod messages;
 mod reader;
 mod tally;
 mod tap;
 mod writer;
 
+pub use flight::Source;
 pub use reader::{Message, Recording, Window, read, scan};
 pub use tally::{Elapsed, Tally};
 pub use tap::Tap;

@@ -246,6 +246,11 @@ impl Report {
     }
 }
 
+/// How long planning took, s: no replan takes less than a millisecond, so that one was there before it was asked for.
+pub(crate) fn planning_text(seconds: f64) -> String {
+    if seconds < 1e-3 { "kept ready".into() } else { format!("made in {:.0} ms", 1e3 * seconds) }
+}
+
 impl std::fmt::Display for Report {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         writeln!(f, "{}", if self.success { "Swing-up: balanced" } else { "Swing-up: FAILED" })?;
@@ -254,9 +259,9 @@ impl std::fmt::Display for Report {
         }
         writeln!(
             f,
-            "  plan      {:.3} s long, made in {:.0} ms from database entry {} ({:.2} rad away), defect {:.1e}",
+            "  plan      {:.3} s long, {} from database entry {} ({:.2} rad away), defect {:.1e}",
             self.t_f,
-            1e3 * self.planning_s,
+            planning_text(self.planning_s),
             self.nearest_entry,
             self.distance,
             self.defect

@@ -3,7 +3,7 @@
 use super::{CommonArgs, byte_bar, failed};
 use crate::parse::window;
 use crate::recording::cycle::FIELDS;
-use crate::recording::{Message, scan};
+use crate::recording::{Message, Source, scan};
 use serde::Serialize;
 use std::io::{BufWriter, Write};
 use std::path::PathBuf;
@@ -18,8 +18,8 @@ pub struct ExportArgs {
     /// Options of every command.
     #[command(flatten)]
     pub common: CommonArgs,
-    /// The recording
-    #[arg(value_name = "FILE.mcap")]
+    /// The recording, or a flight record of the daemon
+    #[arg(value_name = "FILE")]
     pub file: PathBuf,
     /// The table to write
     #[arg(long, value_name = "FILE.csv")]
@@ -68,7 +68,8 @@ pub fn run(args: &ExportArgs) -> Result<(), Failure> {
         bar.set_length(total);
         bar.set_position(done);
     };
-    let recording = scan(&args.file, window, progress, |_, message| -> Result<(), Failure> {
+    let source = Source::open(&args.file, &args.common.process)?;
+    let recording = scan(source.path(), window, progress, |_, message| -> Result<(), Failure> {
         let Message::Cycle(cycle) = message else { return Ok(()) };
         let mut write = || -> std::io::Result<()> {
             let file = match &mut table {

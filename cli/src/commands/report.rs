@@ -4,7 +4,7 @@ use super::{CommonArgs, byte_bar, failed};
 use crate::page::{self, Data, Digest};
 use crate::parse::window;
 use crate::picture::figures;
-use crate::recording::{Message, scan};
+use crate::recording::{Message, Source, scan};
 use serde::Serialize;
 use std::io::{BufWriter, Write};
 use std::path::PathBuf;
@@ -19,8 +19,8 @@ pub struct ReportArgs {
     /// Options of every command.
     #[command(flatten)]
     pub common: CommonArgs,
-    /// The recording
-    #[arg(value_name = "FILE.mcap")]
+    /// The recording, or a flight record of the daemon, which is shown with the settings of --config
+    #[arg(value_name = "FILE")]
     pub file: PathBuf,
     /// The page to write [default: the recording's name with .html]
     #[arg(long, value_name = "FILE.html")]
@@ -69,7 +69,8 @@ pub fn run(args: &ReportArgs) -> Result<(), Failure> {
         bar.set_position(done);
     };
     let window = window(args.from, args.to)?;
-    let recording = scan(&args.file, window, progress, |head, message| -> Result<(), Failure> {
+    let source = Source::open(&args.file, &args.common.process)?;
+    let recording = scan(source.path(), window, progress, |head, message| -> Result<(), Failure> {
         let Message::Cycle(cycle) = message else { return Ok(()) };
         let digest = match &mut digest {
             Some(digest) => digest,
