@@ -90,7 +90,8 @@ impl Node {
     /// Measurements out (plant).
     ///
     /// # Errors
-    /// As [`Writer::create`], and [`IpcError::Full`].
+    /// [`IpcError::Taken`] where there is no more place, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot be
+    /// used, [`IpcError::Full`] if there is no room.
     pub fn measurement_writer(&self) -> Result<Writer<Measurement>, IpcError> {
         self.domain().with_room(|| Writer::create(self))
     }
@@ -103,7 +104,8 @@ impl Node {
     /// Commands out (daemon).
     ///
     /// # Errors
-    /// As [`Writer::create`], and [`IpcError::Full`].
+    /// [`IpcError::Taken`] where there is no more place, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot be
+    /// used, [`IpcError::Full`] if there is no room.
     pub fn command_writer(&self) -> Result<Writer<Command>, IpcError> {
         self.domain().with_room(|| Writer::create(self))
     }
@@ -116,7 +118,8 @@ impl Node {
     /// Plans out (planner).
     ///
     /// # Errors
-    /// As [`Publisher::create`], and [`IpcError::Full`].
+    /// [`IpcError::Taken`] where there is no more place, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot be
+    /// used, [`IpcError::Full`] if there is no room.
     pub fn plan_publisher(&self) -> Result<Publisher<Plan>, IpcError> {
         self.domain().with_room(|| Publisher::create(self))
     }
@@ -124,7 +127,8 @@ impl Node {
     /// Plans in (daemon).
     ///
     /// # Errors
-    /// As [`Subscriber::create`], and [`IpcError::Full`].
+    /// [`IpcError::Taken`] where there is no more place, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot be
+    /// used, [`IpcError::Full`] if there is no room.
     pub fn plan_subscriber(&self) -> Result<Subscriber<Plan>, IpcError> {
         self.domain().with_room(|| Subscriber::create(self))
     }
@@ -132,7 +136,8 @@ impl Node {
     /// Telemetry out (daemon).
     ///
     /// # Errors
-    /// As [`Publisher::create`], and [`IpcError::Full`].
+    /// [`IpcError::Taken`] where there is no more place, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot be
+    /// used, [`IpcError::Full`] if there is no room.
     pub fn telemetry_publisher(&self) -> Result<Publisher<TelemetryBatch>, IpcError> {
         self.domain().with_room(|| Publisher::create(self))
     }
@@ -140,7 +145,8 @@ impl Node {
     /// Telemetry in (planner, command line).
     ///
     /// # Errors
-    /// As [`Subscriber::create`], and [`IpcError::Full`].
+    /// [`IpcError::Taken`] where there is no more place, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot be
+    /// used, [`IpcError::Full`] if there is no room.
     pub fn telemetry_subscriber(&self) -> Result<Subscriber<TelemetryBatch>, IpcError> {
         self.domain().with_room(|| Subscriber::create(self))
     }
@@ -148,7 +154,8 @@ impl Node {
     /// Steps of the controller out (daemon).
     ///
     /// # Errors
-    /// As [`Publisher::create`], and [`IpcError::Full`].
+    /// [`IpcError::Taken`] where there is no more place, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot be
+    /// used, [`IpcError::Full`] if there is no room.
     pub fn step_publisher(&self) -> Result<Publisher<StepBatch>, IpcError> {
         self.domain().with_room(|| Publisher::create(self))
     }
@@ -156,7 +163,8 @@ impl Node {
     /// Steps of the controller in (recordings).
     ///
     /// # Errors
-    /// As [`Subscriber::create`], and [`IpcError::Full`].
+    /// [`IpcError::Taken`] where there is no more place, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot be
+    /// used, [`IpcError::Full`] if there is no room.
     pub fn step_subscriber(&self) -> Result<Subscriber<StepBatch>, IpcError> {
         self.domain().with_room(|| Subscriber::create(self))
     }
@@ -164,7 +172,8 @@ impl Node {
     /// Operator requests out (command line).
     ///
     /// # Errors
-    /// As [`Client::create`], and [`IpcError::Full`].
+    /// [`IpcError::Taken`] where there is no more place, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot be
+    /// used, [`IpcError::Full`] if there is no room.
     pub fn control_client(&self) -> Result<Client<ControlRequest>, IpcError> {
         self.domain().with_room(|| Client::create(self))
     }
@@ -172,7 +181,8 @@ impl Node {
     /// Operator requests in (daemon).
     ///
     /// # Errors
-    /// As [`Server::create`], and [`IpcError::Full`].
+    /// [`IpcError::Taken`] where there is no more place, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot be
+    /// used, [`IpcError::Full`] if there is no room.
     pub fn control_server(&self) -> Result<Server<ControlRequest>, IpcError> {
         self.domain().with_room(|| Server::create(self))
     }
@@ -180,7 +190,8 @@ impl Node {
     /// Planner requests out (command line, harness).
     ///
     /// # Errors
-    /// As [`Client::create`], and [`IpcError::Full`].
+    /// [`IpcError::Taken`] where there is no more place, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot be
+    /// used, [`IpcError::Full`] if there is no room.
     pub fn planner_client(&self) -> Result<Client<PlannerRequest>, IpcError> {
         self.domain().with_room(|| Client::create(self))
     }
@@ -188,7 +199,8 @@ impl Node {
     /// Planner requests in (planner).
     ///
     /// # Errors
-    /// As [`Server::create`], and [`IpcError::Full`].
+    /// [`IpcError::Taken`] where there is no more place, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot be
+    /// used, [`IpcError::Full`] if there is no room.
     pub fn planner_server(&self) -> Result<Server<PlannerRequest>, IpcError> {
         self.domain().with_room(|| Server::create(self))
     }
@@ -196,7 +208,8 @@ impl Node {
     /// Plant requests out (harness).
     ///
     /// # Errors
-    /// As [`Client::create`], and [`IpcError::Full`].
+    /// [`IpcError::Taken`] where there is no more place, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot be
+    /// used, [`IpcError::Full`] if there is no room.
     pub fn plant_client(&self) -> Result<Client<PlantRequest>, IpcError> {
         self.domain().with_room(|| Client::create(self))
     }
@@ -204,7 +217,8 @@ impl Node {
     /// Plant requests in (plant).
     ///
     /// # Errors
-    /// As [`Server::create`], and [`IpcError::Full`].
+    /// [`IpcError::Taken`] where there is no more place, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot be
+    /// used, [`IpcError::Full`] if there is no room.
     pub fn plant_server(&self) -> Result<Server<PlantRequest>, IpcError> {
         self.domain().with_room(|| Server::create(self))
     }

@@ -25,8 +25,7 @@ impl Source {
         if !is_flight_record(path) {
             return Ok(Self { path: path.to_owned(), _folder: None });
         }
-        let cycles =
-            flight::read(path).map_err(|e| Failure::BadInput(format!("{}: {e}", path.display())))?;
+        let cycles = flight::read(path).map_err(|e| Failure::BadInput(format!("{}: {e}", path.display())))?;
         let failed = |e: std::io::Error| Failure::Failed(format!("cannot make a temporary folder: {e}"));
         let folder = tempfile::tempdir().map_err(failed)?;
         let recording = folder.path().join("flight.mcap");
