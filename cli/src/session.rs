@@ -302,7 +302,8 @@ impl Session {
                     })?;
                     seq
                 }
-                _ => self.last_measurement() + portion,
+                // What was recorded may be far behind.
+                _ => self.last_measurement().max(self.plant_status()?.seq) + portion,
             };
             let begin = Instant::now();
             self.wait_for(&format!("cycle {goal}"), ANSWER_PATIENCE, |s| {

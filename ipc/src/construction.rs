@@ -103,10 +103,16 @@ fn is_unfinished_description(state: &Metadata) -> bool {
 /// makes the context, one of them, readable last.
 fn clear_nodes(nodes: &Path) -> HashSet<String> {
     let entries = || std::fs::read_dir(nodes).into_iter().flatten().flatten().map(|entry| entry.path());
-    let finished: HashSet<_> = entries()
-        .filter(|path| path.extension().is_some_and(|suffix| suffix == "node_monitor_context"))
+    let kind =
+        |suffix: &'static str| entries().filter(move |path| path.extension().is_some_and(|s| s == suffix));
+    // Its monitor goes before its context: who is killed in between leaves a context that nobody looks at. Where nothing
+    // came or went lately, nobody is at it.
+    let calm = nodes.symlink_metadata().is_ok_and(|state| is_old(&state));
+    let monitored: HashSet<_> = kind("node_monitor").filter_map(|path| id(&path)).collect();
+    let finished: HashSet<_> = kind("node_monitor_context")
         .filter(|path| path.metadata().is_ok_and(|state| state.mode() & OWNER_READ != 0))
         .filter_map(|path| id(&path))
+        .filter(|id| monitored.contains(id) || !calm)
         .collect();
     let mut ports = HashSet::new();
     for path in entries() {

@@ -118,9 +118,12 @@ fn unfinished_nodes_and_connections_without_a_port_are_removed_when_they_are_old
         std::fs::File::create(file).unwrap();
     }
     std::fs::set_permissions(&context, Permissions::from_mode(0o200)).unwrap();
+    // What is left of a node whose removal was cut off.
+    let orphan = nodes.join(format!("{prefix}44.node_monitor_context"));
+    std::fs::write(&orphan, "0123456789abcdef").unwrap();
     let found = || (files(nodes.clone(), "").len(), connection.exists());
     node.clean_up();
-    assert_eq!(found(), (complete + 3, true), "somebody may be at it");
+    assert_eq!(found(), (complete + 4, true), "somebody may be at it");
 
     let long_ago = SystemTime::now() - Duration::from_secs(3);
     for path in files(nodes.clone(), "").iter().chain([&connection]) {
@@ -129,6 +132,7 @@ fn unfinished_nodes_and_connections_without_a_port_are_removed_when_they_are_old
         }
     }
     std::fs::OpenOptions::new().write(true).open(&context).unwrap().set_modified(long_ago).unwrap();
+    std::fs::File::open(&nodes).unwrap().set_modified(long_ago).unwrap();
     node.clean_up();
     assert_eq!(found(), (complete, false), "those of the living node stay");
     let _server = node.control_server().unwrap();

@@ -30,6 +30,9 @@ const PAUSE: Duration = Duration::from_millis(1);
 /// Telemetry older than this says nothing about now.
 const FRESH: Duration = Duration::from_secs(5);
 
+/// Longest time for news of the daemon to arrive.
+const HANDS_OVER: Duration = Duration::from_millis(200);
+
 /// How far a measured start may be outside its limits, rad: the noise of an arm that stands on its limit.
 const START_SLACK: f64 = 1e-3;
 
@@ -61,11 +64,25 @@ fn serve(planner: &Planner, domain: &Domain, stop: &Arc<AtomicBool>) -> Result<(
         }
         let mut published = Vec::new();
         let answered = server.poll_while_wanted(|request, wanted| {
-            // What was measured until now counts. An error comes again with the next look.
-            if let Ok(Some(record)) = drain(&telemetry) {
-                desk.observe(record, Instant::now());
+            let begin = Instant::now();
+            let (response, plan) = loop {
+                // What was measured until now counts. An error comes again with the next look.
+                if let Ok(Some(record)) = drain(&telemetry) {
+                    desk.observe(record, Instant::now());
+                }
+                let answer = desk.answer(request, wanted);
+                // Who enables the daemon and asks at once is here before the telemetry of that.
+                let early = answer.0.status() == Ok(PlannerStatus::NotReady);
+                if !(early && begin.elapsed() < HANDS_OVER && wanted()) {
+                    break answer;
+                }
+                std::thread::sleep(PAUSE);
+            };
+            if let Ok(status) = response.status()
+                && status != PlannerStatus::Solved
+            {
+                warn!(reason = %response.reason, "request refused: {status}");
             }
-            let (response, plan) = desk.answer(request, wanted);
             if request.publish == 1 && wanted() {
                 published.extend(plan);
             }
@@ -162,7 +179,6 @@ impl<'a> Desk<'a> {
             Ok(PlannerKind::SwingDown) => self.plan(Manoeuvre::SwingDown, request, begin, wanted),
         }
         .unwrap_or_else(|No(status, reason)| {
-            warn!(reason, "request refused: {status}");
             let reason = Text::new(&reason);
             (PlannerResponse { status: status.code(), reason, ..Default::default() }, None)
         });
