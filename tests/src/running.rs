@@ -55,15 +55,14 @@ impl Running {
         std::fs::read_to_string(&path).unwrap_or_else(|e| panic!("{path}: {e}"))
     }
 
-    /// Its own memory, KiB, and how many regions it has mapped, those of shared memory included.
+    /// Its own memory, KiB.
     ///
     /// # Panics
     /// If the process is gone.
-    pub fn memory(&self) -> (u64, usize) {
+    pub fn memory(&self) -> u64 {
         let status = self.proc("status");
         let line = status.lines().find_map(|line| line.strip_prefix("RssAnon:")).expect("RssAnon");
-        let own = line.split_whitespace().next().and_then(|kb| kb.parse().ok()).expect("a number");
-        (own, self.proc("maps").lines().count())
+        line.split_whitespace().next().and_then(|kb| kb.parse().ok()).expect("a number")
     }
 
     /// Number of the thread with this name.
