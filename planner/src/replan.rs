@@ -218,7 +218,11 @@ impl Planner {
             Manoeuvre::SwingDown => self.entries[entry].trajectory.reversed(),
         };
         if manoeuvre == Manoeuvre::SwingDown {
-            problem.target = exact_target(&reference.x[N]);
+            let end = &reference.x[N];
+            problem.target = exact_target(end);
+            // It hangs where the entry began, which may be on a limit.
+            problem.limits.q_min = problem.limits.q_min.inf(&position(end));
+            problem.limits.q_max = problem.limits.q_max.sup(&position(end));
         }
         let mut work = Workspace::default();
         let mut trajectory = reference.clone();

@@ -4,8 +4,8 @@
 use std::time::Instant;
 use upswing_config::{Config, PendulumStart, SUB_HORIZONS, TorqueConstraint};
 use upswing_model::State;
-use upswing_planner::replan::{Planner, Refusal};
-use upswing_trajectory::N;
+use upswing_planner::replan::{Effort, Manoeuvre, Planner, Refusal};
+use upswing_trajectory::{Entry, N};
 
 fn planner() -> Planner {
     Planner::new(Config::embedded().expect("embedded settings")).expect("the shipped database fits")
@@ -110,6 +110,24 @@ fn an_entry_of_the_database_is_found_and_kept() {
     let want = &planner.entries()[entry].trajectory;
     // The entry uses its limits to the full, the replan leaves a margin of 1.5 %.
     assert!((replan.trajectory.t_f / want.t_f - 1.0).abs() <= 0.04, "t_F {}", replan.trajectory.t_f);
+}
+
+#[test]
+fn a_swing_down_ends_where_an_entry_began_on_a_limit_too() {
+    let planner = planner();
+    let (mut solver, q_min) = (planner.solver(), planner.config().robot.planning.q_min);
+    let on_a_limit = |entry: &&Entry| (entry.trajectory.x[0][3] - q_min[3]).abs() < 1e-9;
+    let entries: Vec<_> = planner.entries().iter().filter(on_a_limit).step_by(8).collect();
+    assert!(entries.len() > 5, "only {} entries with joint 4 on its limit", entries.len());
+    for entry in entries {
+        let effort = Effort::iterations(planner.config().planner.replan.iterations);
+        let mut start = entry.trajectory.x[N];
+        // Not where a swing-up ends, as after a push.
+        start[0] += 0.01;
+        let replan = planner.replan_with(&mut solver, Manoeuvre::SwingDown, &start, &effort);
+        let replan = replan.unwrap_or_else(|e| panic!("{e}"));
+        assert!(replan.defect <= planner.config().planner.replan.defect, "{:e}", replan.defect);
+    }
 }
 
 #[test]

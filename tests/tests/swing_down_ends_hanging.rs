@@ -9,7 +9,16 @@ use upswing_tests::System;
 
 #[test]
 fn and_a_second_swing_up_follows() {
-    let mut system = System::start(Clock::Lockstep, [-15.0, -15.0, 0.0, -95.0, 0.0, 10.0, 0.0]);
+    up_down_and_up([-15.0, -15.0, 0.0, -95.0, 0.0, 10.0, 0.0]);
+}
+
+#[test]
+fn where_joint_4_is_on_its_limit_too() {
+    up_down_and_up([-60.0, -30.0, 0.0, -120.0, 0.0, -20.0, 0.0]);
+}
+
+fn up_down_and_up(start_deg: [f64; 7]) {
+    let mut system = System::start(Clock::Lockstep, start_deg);
     let report = system.swing_up(3.0);
     assert!(report.success, "{report}");
     let period = system.period();
