@@ -57,7 +57,7 @@ impl Site {
 pub(crate) fn fill_empty_connections(domain: &Domain) {
     let connections = domain.memory().filter(|path| is_connection(path));
     for path in connections.filter(|path| path.metadata().is_ok_and(|state| state.len() == 0)) {
-        // If it cannot be opened, this is not root.
+        // One that cannot be opened is gone, or complete by now.
         let _ = OpenOptions::new().write(true).open(path).and_then(|file| file.set_len(1));
     }
 }

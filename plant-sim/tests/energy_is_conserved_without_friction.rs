@@ -36,7 +36,9 @@ fn a_pendulum_on_a_braked_arm_keeps_its_energy_for_ten_seconds() {
 
 #[test]
 fn the_whole_robot_keeps_its_energy_in_ten_seconds_of_free_fall() {
-    let config = frictionless();
+    let mut config = frictionless();
+    // In a tumble light joints spin at twenty times their limits.
+    config.plant.substeps = 2;
     let mut q = level_pose();
     (q[1], q[5], q[7]) = (0.4, 0.3, 1.0);
     let mut plant = Plant::at(&config, &q, &JointVector::zeros()).unwrap();
@@ -51,6 +53,5 @@ fn the_whole_robot_keeps_its_energy_in_ten_seconds_of_free_fall() {
     }
     println!("largest drift {drift:e} J, largest kinetic energy {kinetic} J");
     assert!(kinetic > 10.0, "it falls: {kinetic} J");
-    // A tumble without torque is as fast as it gets: light joints spin at twenty times their limits.
-    assert!(drift < 1e-7 * kinetic, "drift {drift:e} J of {kinetic} J");
+    assert!(drift < 1e-8 * kinetic, "drift {drift:e} J of {kinetic} J");
 }

@@ -114,7 +114,7 @@ fn a_hundred_times() {
     // So would a segment: iceoryx2 keeps a few connections of the dead, a region or two each, until others take their place.
     let regions = |mapped: &BTreeMap<String, usize>| mapped.values().sum::<usize>();
     assert!(
-        regions(&mapped) <= regions(&mapped_before) + ROUNDS as usize / 2,
+        regions(&mapped) <= regions(&mapped_before) + ROUNDS as usize / 5,
         "mapped {mapped:?}, before {mapped_before:?}"
     );
     if status().degraded & upswing_ipc::Degradation::Memory.bit() == 0 {
