@@ -12,7 +12,7 @@ use common::{Arm, at_rest, config, rest_pose, swing};
 use std::hint::black_box;
 use std::time::Instant;
 use upswing_config::Config;
-use upswing_ipc::{Domain, Mode};
+use upswing_ipc::{Command, Domain, Measurement, Mode};
 use upswing_model::{ActuatedVector, NQ, State, Workspace};
 use upswingd::controller::{Controller, Order};
 use upswingd::supervisor::Request;
@@ -57,8 +57,8 @@ fn cycles(config: &Config) -> Vec<f64> {
     let domain = Domain::new(&format!("bench-{}", std::process::id())).expect("valid domain");
     let node = domain.connect("bench").expect("shared memory");
     let (measurements, commands) =
-        (node.measurement_writer().expect("writer"), node.command_writer().expect("writer"));
-    let reader = node.measurement_finder().poll().expect("shared memory").expect("the writer above");
+        (node.writer::<Measurement>().expect("writer"), node.writer::<Command>().expect("writer"));
+    let reader = node.finder::<Measurement>().poll().expect("shared memory").expect("the writer above");
     let q = rest_pose(config);
     let (plan, _) = swing(config, &q);
     let mut times = Vec::new();

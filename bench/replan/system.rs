@@ -64,7 +64,7 @@ fn requests(starts: &[State]) {
 /// Asks for a swing-up and waits until the daemon has accepted the plan.
 fn request(session: &mut Session, request: PlannerRequest) -> (PlannerResponse, Duration) {
     let request = PlannerRequest { kind: PlannerKind::SwingUp.code(), publish: 1, ..request };
-    let client = session.node().planner_client().unwrap_or_else(|e| panic!("{e}"));
+    let client = session.node().client::<PlannerRequest>().unwrap_or_else(|e| panic!("{e}"));
     let begin = Instant::now();
     let plan = client.call(&request, PATIENCE).unwrap_or_else(|e| panic!("{e}"));
     assert_ne!(plan.plan_id, 0, "the planner refused: {:?}", plan.reason.as_str());

@@ -41,8 +41,8 @@ impl Live {
         let node = common.connect()?;
         let open = || -> Result<Self, OperatorError> {
             Ok(Self {
-                telemetry: node.telemetry_subscriber()?,
-                plans: node.plan_subscriber()?,
+                telemetry: node.subscriber()?,
+                plans: node.subscriber()?,
                 desk: Desk::open(&node)?,
                 watch: Watch::new(config, node.domain().name()),
                 begin: Instant::now(),

@@ -142,7 +142,7 @@ impl Operator {
     /// # Errors
     /// [`OperatorError::Ipc`]
     pub fn new(node: &Node) -> Result<Self, OperatorError> {
-        Ok(Self { control: node.control_client()?, node: node.clone() })
+        Ok(Self { control: node.client()?, node: node.clone() })
     }
 
     /// Does what is asked. Raising `interrupted` withdraws a plan before it starts.
@@ -184,7 +184,7 @@ impl Operator {
     }
 
     fn plan_and_start(&self, kind: PlannerKind, interrupted: &AtomicBool) -> Result<Accepted, OperatorError> {
-        let planner = self.node.planner_client()?;
+        let planner = self.node.client::<PlannerRequest>()?;
         let request =
             PlannerRequest { kind: kind.code(), from_now: 1, publish: 1, ..PlannerRequest::default() };
         let plan = match planner.call_while(&request, PATIENCE, || !interrupted.load(Ordering::Acquire)) {

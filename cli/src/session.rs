@@ -108,8 +108,7 @@ impl Session {
         let domain = Domain::new(&options.domain)
             .map_err(|e| SessionError::Refused { role: "domain", reason: e.to_string() })?;
         let node = domain.connect("session")?;
-        let (control, planner, plant) =
-            (node.control_client()?, node.planner_client()?, node.plant_client()?);
+        let (control, planner, plant) = (node.client()?, node.client()?, node.client()?);
         let tap = Tap::new(&node)?;
         let start = |role| Process::start(role, &programs, options).map(Some);
         let processes = [start(Role::Daemon)?, start(Role::Planner)?, start(Role::Plant)?];

@@ -16,8 +16,8 @@ use upswing_config::notify::Notifier;
 use upswing_config::process::Failure;
 use upswing_config::{Config, RealtimeMode};
 use upswing_ipc::{
-    ControlCommand, ControlRequest, ControlResponse, Domain, Finder, IpcError, Measurement, Mode, Node, Plan,
-    PlannerKind, PlannerRequest, Text,
+    Command, ControlCommand, ControlRequest, ControlResponse, Domain, Finder, IpcError, Measurement, Mode,
+    Node, Plan, PlannerKind, PlannerRequest, Text,
 };
 
 /// Pause of the loop.
@@ -42,12 +42,12 @@ pub fn serve(config: &Config, domain: &Domain, shutdown: &AtomicBool) -> Result<
     let (_prepared, refused) = os::prepare_process();
     let node = domain.connect("daemon").map_err(failed)?;
     // The only server of its kind, so it also keeps a second daemon out.
-    let server = node.control_server().map_err(|e| match e {
+    let server = node.server::<ControlRequest>().map_err(|e| match e {
         IpcError::Taken { .. } => Failure::Failed(format!("domain `{domain}` has a daemon already ({e})")),
         e => failed(e),
     })?;
     // The ports outlive the entry in the real-time thread, which is joined below.
-    let (command, _ports) = node.command_writer().map_err(failed)?.split();
+    let (command, _ports) = node.writer::<Command>().map_err(failed)?.split();
     let (cycle, ends) = Cycle::new(config, command);
     let mut desk = Desk::new(config, &node, ends)?;
     let thread = start_thread(config, cycle, refused, &mut desk)?;
@@ -142,7 +142,7 @@ impl<'a> Desk<'a> {
             config,
             node: node.clone(),
             ends,
-            plants: node.measurement_finder(),
+            plants: node.finder::<Measurement>(),
             next_look: Instant::now(),
             journal: Journal::new(&config.daemon, node).map_err(failed)?,
             manager: Notifier::new(),
@@ -168,7 +168,7 @@ impl<'a> Desk<'a> {
         shutdown: &AtomicBool,
         thread: &JoinHandle<()>,
     ) -> Result<(), Failure> {
-        let plans = self.node.plan_subscriber().map_err(failed)?;
+        let plans = self.node.subscriber::<Plan>().map_err(failed)?;
         let mut shutdown_begin = None;
         while !thread.is_finished() {
             if self.next_look <= Instant::now() {
@@ -428,7 +428,7 @@ impl<'a> Desk<'a> {
                 publish: 1,
                 ..PlannerRequest::default()
             };
-            let client = node.planner_client().map_err(|e| e.to_string())?;
+            let client = node.client::<PlannerRequest>().map_err(|e| e.to_string())?;
             let answer = client.call(&request, patience).map_err(|e| e.to_string())?;
             if answer.plan_id == 0 { Err(answer.reason.to_string()) } else { Ok(answer.plan_id) }
         };

@@ -10,7 +10,7 @@ use std::thread::{JoinHandle, sleep, spawn};
 use std::time::{Duration, Instant};
 use upswing_config::Config;
 use upswing_config::process::Failure;
-use upswing_ipc::{Clock, ControlCommand, Domain, Mode, Telemetry};
+use upswing_ipc::{Clock, ControlCommand, ControlRequest, Domain, Mode, Plan, Telemetry, TelemetryBatch};
 use upswingd::service::serve;
 use upswingd::trip::TripCause;
 
@@ -40,9 +40,9 @@ impl Daemon {
 fn on_lockstep_every_measurement_gets_one_cycle_and_requests_wait_for_the_next() {
     let domain = new_domain();
     let node = domain.connect("plant").unwrap();
-    let telemetry = node.telemetry_subscriber().unwrap();
-    let plans = node.plan_publisher().unwrap();
-    let client = node.control_client().unwrap();
+    let telemetry = node.subscriber::<TelemetryBatch>().unwrap();
+    let plans = node.publisher::<Plan>().unwrap();
+    let client = node.client::<ControlRequest>().unwrap();
     let mut plant = Plant::new(&node, Clock::Lockstep);
     let daemon = Daemon::start(&domain);
     // As far as the daemon can know by now, time stands still before the first measurement.
@@ -104,7 +104,7 @@ fn a_plant_that_stops_or_restarts_is_a_fault() {
     for clock in [Clock::Paced, Clock::Wall] {
         let domain = new_domain();
         let node = domain.connect("operator").unwrap();
-        let client = node.control_client().unwrap();
+        let client = node.client::<ControlRequest>().unwrap();
         let daemon = Daemon::start(&domain);
         let stop = Arc::new(AtomicBool::new(false));
         let plant = running_plant(&domain, clock, &stop);
@@ -138,7 +138,7 @@ fn a_plant_that_stops_or_restarts_is_a_fault() {
 fn a_second_daemon_is_refused() {
     let domain = new_domain();
     let node = domain.connect("operator").unwrap();
-    let client = node.control_client().unwrap();
+    let client = node.client::<ControlRequest>().unwrap();
     let first = Daemon::start(&domain);
     ask_until(&client, ControlCommand::Status, |_| true);
     let refusal = Daemon::start(&domain).end().unwrap_err();
@@ -152,7 +152,7 @@ fn a_second_daemon_is_refused() {
 fn the_cycles_before_a_fault_are_kept() {
     let domain = new_domain();
     let node = domain.connect("plant").unwrap();
-    let client = node.control_client().unwrap();
+    let client = node.client::<ControlRequest>().unwrap();
     let mut plant = Plant::new(&node, Clock::Lockstep);
     let folder = tempfile::tempdir().unwrap();
     let mut config = config();

@@ -52,7 +52,8 @@ impl System {
     fn start(edits: &[(&str, &str)]) -> Self {
         let domain = new_domain();
         let node = domain.connect("operator").unwrap();
-        let (client, telemetry) = (node.control_client().unwrap(), node.telemetry_subscriber().unwrap());
+        let (client, telemetry) =
+            (node.client::<ControlRequest>().unwrap(), node.subscriber::<TelemetryBatch>().unwrap());
         let folder = settings(edits);
         let daemon = daemon(folder.path(), &domain).spawn().unwrap();
         let stop = Arc::new(AtomicBool::new(false));

@@ -20,7 +20,7 @@
 //! # let name = format!("doc-{}", std::process::id());
 //! let domain = Domain::new(&name)?;
 //! let node = domain.connect("daemon")?;
-//! let (command, _ports) = node.command_writer()?.split();
+//! let (command, _ports) = node.writer::<Command>()?.split();
 //! command.write(Command { seq: 1, ..Command::default() });
 //! # drop((command, _ports, node));
 //! # domain.remove_if_unused()?;

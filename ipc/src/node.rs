@@ -5,10 +5,8 @@ use crate::construction::{Site, fill_empty_connections};
 use crate::domain::Domain;
 use crate::error::IpcError;
 use crate::messages::{Publisher, Subscriber};
-use crate::payload::{
-    Command, ControlRequest, Measurement, Plan, PlannerRequest, PlantRequest, StepBatch, TelemetryBatch,
-};
 use crate::request::{Client, Server};
+use crate::services::{Latest, Request, Topic};
 use iceoryx2::identifiers::UniqueNodeId;
 use iceoryx2::prelude::{CallbackProgression, Node as IoxNode, NodeState, ipc};
 use std::fmt;
@@ -87,139 +85,49 @@ impl Node {
         }
     }
 
-    /// Measurements out (plant).
+    /// The end of a channel that writes the latest value: a new blackboard at each start.
     ///
     /// # Errors
     /// [`IpcError::Taken`] where there is no more place, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot be
-    /// used, [`IpcError::Full`] if there is no room.
-    pub fn measurement_writer(&self) -> Result<Writer<Measurement>, IpcError> {
+    /// used, [`IpcError::Full`] if there is no room; those of the other ends are the same.
+    pub fn writer<T: Latest>(&self) -> Result<Writer<T>, IpcError> {
         self.domain().with_room(|| Writer::create(self))
     }
 
-    /// Measurements in (daemon).
-    pub fn measurement_finder(&self) -> Finder<Measurement> {
+    /// Finds the newest blackboard of a channel, again whenever its writer has started anew.
+    pub fn finder<T: Latest>(&self) -> Finder<T> {
         Finder::new(self)
     }
 
-    /// Commands out (daemon).
+    /// The end of a topic that publishes: one process at a time has it.
     ///
     /// # Errors
-    /// [`IpcError::Taken`] where there is no more place, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot be
-    /// used, [`IpcError::Full`] if there is no room.
-    pub fn command_writer(&self) -> Result<Writer<Command>, IpcError> {
-        self.domain().with_room(|| Writer::create(self))
-    }
-
-    /// Commands in (plant).
-    pub fn command_finder(&self) -> Finder<Command> {
-        Finder::new(self)
-    }
-
-    /// Plans out (planner).
-    ///
-    /// # Errors
-    /// [`IpcError::Taken`] where there is no more place, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot be
-    /// used, [`IpcError::Full`] if there is no room.
-    pub fn plan_publisher(&self) -> Result<Publisher<Plan>, IpcError> {
+    /// As of [`Self::writer`].
+    pub fn publisher<T: Topic>(&self) -> Result<Publisher<T>, IpcError> {
         self.domain().with_room(|| Publisher::create(self))
     }
 
-    /// Plans in (daemon).
+    /// An end of a topic that receives.
     ///
     /// # Errors
-    /// [`IpcError::Taken`] where there is no more place, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot be
-    /// used, [`IpcError::Full`] if there is no room.
-    pub fn plan_subscriber(&self) -> Result<Subscriber<Plan>, IpcError> {
+    /// As of [`Self::writer`].
+    pub fn subscriber<T: Topic>(&self) -> Result<Subscriber<T>, IpcError> {
         self.domain().with_room(|| Subscriber::create(self))
     }
 
-    /// Telemetry out (daemon).
+    /// An end of a service that asks, whether or not there is a server.
     ///
     /// # Errors
-    /// [`IpcError::Taken`] where there is no more place, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot be
-    /// used, [`IpcError::Full`] if there is no room.
-    pub fn telemetry_publisher(&self) -> Result<Publisher<TelemetryBatch>, IpcError> {
-        self.domain().with_room(|| Publisher::create(self))
-    }
-
-    /// Telemetry in (planner, command line).
-    ///
-    /// # Errors
-    /// [`IpcError::Taken`] where there is no more place, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot be
-    /// used, [`IpcError::Full`] if there is no room.
-    pub fn telemetry_subscriber(&self) -> Result<Subscriber<TelemetryBatch>, IpcError> {
-        self.domain().with_room(|| Subscriber::create(self))
-    }
-
-    /// Steps of the controller out (daemon).
-    ///
-    /// # Errors
-    /// [`IpcError::Taken`] where there is no more place, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot be
-    /// used, [`IpcError::Full`] if there is no room.
-    pub fn step_publisher(&self) -> Result<Publisher<StepBatch>, IpcError> {
-        self.domain().with_room(|| Publisher::create(self))
-    }
-
-    /// Steps of the controller in (recordings).
-    ///
-    /// # Errors
-    /// [`IpcError::Taken`] where there is no more place, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot be
-    /// used, [`IpcError::Full`] if there is no room.
-    pub fn step_subscriber(&self) -> Result<Subscriber<StepBatch>, IpcError> {
-        self.domain().with_room(|| Subscriber::create(self))
-    }
-
-    /// Operator requests out (command line).
-    ///
-    /// # Errors
-    /// [`IpcError::Taken`] where there is no more place, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot be
-    /// used, [`IpcError::Full`] if there is no room.
-    pub fn control_client(&self) -> Result<Client<ControlRequest>, IpcError> {
+    /// As of [`Self::writer`].
+    pub fn client<R: Request>(&self) -> Result<Client<R>, IpcError> {
         self.domain().with_room(|| Client::create(self))
     }
 
-    /// Operator requests in (daemon).
+    /// The end of a service that answers: one process at a time has it.
     ///
     /// # Errors
-    /// [`IpcError::Taken`] where there is no more place, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot be
-    /// used, [`IpcError::Full`] if there is no room.
-    pub fn control_server(&self) -> Result<Server<ControlRequest>, IpcError> {
-        self.domain().with_room(|| Server::create(self))
-    }
-
-    /// Planner requests out (command line, harness).
-    ///
-    /// # Errors
-    /// [`IpcError::Taken`] where there is no more place, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot be
-    /// used, [`IpcError::Full`] if there is no room.
-    pub fn planner_client(&self) -> Result<Client<PlannerRequest>, IpcError> {
-        self.domain().with_room(|| Client::create(self))
-    }
-
-    /// Planner requests in (planner).
-    ///
-    /// # Errors
-    /// [`IpcError::Taken`] where there is no more place, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot be
-    /// used, [`IpcError::Full`] if there is no room.
-    pub fn planner_server(&self) -> Result<Server<PlannerRequest>, IpcError> {
-        self.domain().with_room(|| Server::create(self))
-    }
-
-    /// Plant requests out (harness).
-    ///
-    /// # Errors
-    /// [`IpcError::Taken`] where there is no more place, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot be
-    /// used, [`IpcError::Full`] if there is no room.
-    pub fn plant_client(&self) -> Result<Client<PlantRequest>, IpcError> {
-        self.domain().with_room(|| Client::create(self))
-    }
-
-    /// Plant requests in (plant).
-    ///
-    /// # Errors
-    /// [`IpcError::Taken`] where there is no more place, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot be
-    /// used, [`IpcError::Full`] if there is no room.
-    pub fn plant_server(&self) -> Result<Server<PlantRequest>, IpcError> {
+    /// As of [`Self::writer`].
+    pub fn server<R: Request>(&self) -> Result<Server<R>, IpcError> {
         self.domain().with_room(|| Server::create(self))
     }
 

@@ -23,11 +23,11 @@ fn the_counter_counts() {
 fn neither_writing_nor_reading_nor_dropping_entries_uses_the_heap() {
     let domain = TestDomain::new("heap");
     let node = domain.connect("both").unwrap();
-    let (measurement_in, _measurement_ports) = node.measurement_writer().unwrap().split();
-    let mut measurements = node.measurement_finder();
+    let (measurement_in, _measurement_ports) = node.writer::<Measurement>().unwrap().split();
+    let mut measurements = node.finder::<Measurement>();
     let measurement_out = measurements.poll().unwrap().unwrap();
-    let (command_in, _command_ports) = node.command_writer().unwrap().split();
-    let mut commands = node.command_finder();
+    let (command_in, _command_ports) = node.writer::<Command>().unwrap().split();
+    let mut commands = node.finder::<Command>();
     let command_out = commands.poll().unwrap().unwrap();
 
     assert!(uses_no_heap(|| {

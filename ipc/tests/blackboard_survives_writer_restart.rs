@@ -10,7 +10,7 @@ use upswing_ipc::{Command, Domain, Measurement, Node, Reader, Snapshot, WriterEn
 #[test]
 fn child_writes() {
     let Some(domain) = domain_of_child() else { return };
-    let writer = domain.connect("plant").unwrap().measurement_writer().unwrap();
+    let writer = domain.connect("plant").unwrap().writer::<Measurement>().unwrap();
     let mut seq = 0;
     until_killed(|| {
         seq += 1;
@@ -22,7 +22,7 @@ fn child_writes() {
 fn each_start_of_a_killed_writer_is_adopted() {
     let domain = TestDomain::new("restart");
     let node = domain.connect("daemon").unwrap();
-    let mut finder = node.measurement_finder();
+    let mut finder = node.finder::<Measurement>();
     assert!(finder.poll().unwrap().is_none());
 
     let mut previous = None;
@@ -50,13 +50,13 @@ fn each_start_of_a_killed_writer_is_adopted() {
 fn a_finder_that_comes_late_takes_the_newest_writer() {
     let domain = TestDomain::new("late");
     let node = domain.connect("daemon").unwrap();
-    let older = node.command_writer().unwrap();
-    let newer = node.command_writer().unwrap();
+    let older = node.writer::<Command>().unwrap();
+    let newer = node.writer::<Command>().unwrap();
     older.write(Command { seq: 1, ..Command::default() });
     newer.write(Command { seq: 2, ..Command::default() });
 
     let peer = domain.connect("plant").unwrap();
-    let mut finder = peer.command_finder();
+    let mut finder = peer.finder::<Command>();
     let reader = finder.poll().unwrap().unwrap();
     assert_eq!((reader.read().seq, reader.epoch()), (2, newer.epoch()));
     assert!(finder.poll().unwrap().is_none(), "the older one is not a newer one");
@@ -68,8 +68,8 @@ fn a_finder_that_comes_late_takes_the_newest_writer() {
 fn a_writer_that_leaves_in_order_is_not_found() {
     let domain = TestDomain::new("left");
     let node = domain.connect("plant").unwrap();
-    drop(node.measurement_writer().unwrap());
-    assert!(node.measurement_finder().poll().unwrap().is_none());
+    drop(node.writer::<Measurement>().unwrap());
+    assert!(node.finder::<Measurement>().poll().unwrap().is_none());
 }
 
 #[test]
@@ -77,8 +77,8 @@ fn entries_work_in_other_threads_and_values_are_never_torn() {
     let domain = TestDomain::new("torn");
     let plant = domain.connect("plant").unwrap();
     let daemon = domain.connect("daemon").unwrap();
-    let (entry, _ports) = plant.measurement_writer().unwrap().split();
-    let mut finder = daemon.measurement_finder();
+    let (entry, _ports) = plant.writer::<Measurement>().unwrap().split();
+    let mut finder = daemon.finder::<Measurement>();
     let reader = finder.poll().unwrap().unwrap();
     assert_eq!(reader.read(), Measurement::default());
 
@@ -122,8 +122,8 @@ fn what_is_meant_to_move_between_threads_can() {
 fn a_snapshot_is_new_until_something_is_written() {
     let domain = TestDomain::new("snapshot");
     let node = domain.connect("both").unwrap();
-    let writer = node.command_writer().unwrap();
-    let mut finder = node.command_finder();
+    let writer = node.writer::<Command>().unwrap();
+    let mut finder = node.finder::<Command>();
     let reader = finder.poll().unwrap().unwrap();
 
     let before = reader.snapshot();
@@ -139,8 +139,8 @@ fn a_snapshot_is_new_until_something_is_written() {
 fn entries_outlive_their_ports() {
     let domain = TestDomain::new("outlive");
     let node = domain.connect("both").unwrap();
-    let mut finder = node.command_finder();
-    let (entry, ports) = node.command_writer().unwrap().split();
+    let mut finder = node.finder::<Command>();
+    let (entry, ports) = node.writer::<Command>().unwrap().split();
     let reader = finder.poll().unwrap().unwrap();
     drop((ports, finder, node));
     std::thread::scope(|threads| {

@@ -3,7 +3,7 @@
 //! The parent runs itself with a /dev/shm of its own. Where the system does not allow that, the test says so.
 
 use std::process::Command;
-use upswing_ipc::{Domain, IpcError, Plan, TelemetryBatch};
+use upswing_ipc::{ControlRequest, Domain, IpcError, Plan, TelemetryBatch};
 
 const CHILD: &str = "UPSWING_TEST_SMALL_MEMORY";
 
@@ -60,7 +60,7 @@ fn too_small_for_anything() {
 fn too_small_for_telemetry() {
     if is_child() {
         let node = Domain::new("small").unwrap().connect("daemon").unwrap();
-        return expect_full(node.telemetry_publisher());
+        return expect_full(node.publisher::<TelemetryBatch>());
     }
     check("32m", "too_small_for_telemetry");
 }
@@ -69,9 +69,9 @@ fn too_small_for_telemetry() {
 fn full_later_does_no_harm() {
     if is_child() {
         let node = Domain::new("later").unwrap().connect("daemon").unwrap();
-        let telemetry = node.telemetry_publisher().unwrap();
-        let plans = node.plan_publisher().unwrap();
-        let subscribers: Vec<_> = (0..8).map(|_| node.telemetry_subscriber().unwrap()).collect();
+        let telemetry = node.publisher::<TelemetryBatch>().unwrap();
+        let plans = node.publisher::<Plan>().unwrap();
+        let subscribers: Vec<_> = (0..8).map(|_| node.subscriber::<TelemetryBatch>().unwrap()).collect();
         telemetry.publish(&TelemetryBatch::boxed_zeroed()).unwrap();
         // All but the room for connections, which are there already.
         let free = Domain::free_memory().unwrap();
@@ -84,7 +84,7 @@ fn full_later_does_no_harm() {
             plans.publish(&Plan::boxed_zeroed()).unwrap();
         }
         assert!(subscribers.iter().all(|s| s.receive().unwrap().is_some()));
-        return expect_full(node.control_server());
+        return expect_full(node.server::<ControlRequest>());
     }
     check("128m", "full_later_does_no_harm");
 }

@@ -4,18 +4,20 @@ mod common;
 
 use common::{TestDomain, Victim, domain_of_child, until_killed, wait_for};
 use std::os::unix::fs::{PermissionsExt, symlink};
-use upswing_ipc::{Command, Domain, IpcError, Measurement, TelemetryBatch};
+use upswing_ipc::{
+    Command, ControlRequest, Domain, IpcError, Measurement, Plan, PlantRequest, TelemetryBatch,
+};
 
 /// Entry of the child process: holds every kind of end until it is killed.
 #[test]
 fn child_holds_everything() {
     let Some(domain) = domain_of_child() else { return };
     let node = domain.connect("victim").unwrap();
-    let writer = node.measurement_writer().unwrap();
-    let publisher = node.telemetry_publisher().unwrap();
-    let _subscriber = node.plan_subscriber().unwrap();
-    let _server = node.plant_server().unwrap();
-    let _client = node.control_client().unwrap();
+    let writer = node.writer::<Measurement>().unwrap();
+    let publisher = node.publisher::<TelemetryBatch>().unwrap();
+    let _subscriber = node.subscriber::<Plan>().unwrap();
+    let _server = node.server::<PlantRequest>().unwrap();
+    let _client = node.client::<ControlRequest>().unwrap();
     let batch = TelemetryBatch::boxed_zeroed();
     until_killed(|| {
         writer.write(Measurement { seq: 1, ..Measurement::default() });
@@ -33,14 +35,14 @@ fn traces(domain: &Domain) -> Vec<String> {
 fn after_an_orderly_end() {
     let domain = TestDomain::new("orderly");
     let node = domain.connect("daemon").unwrap();
-    let writer = node.command_writer().unwrap();
+    let writer = node.writer::<Command>().unwrap();
     writer.write(Command::default());
-    let mut finder = node.command_finder();
+    let mut finder = node.finder::<Command>();
     let reader = finder.poll().unwrap();
     let ends = (
-        (node.plan_publisher().unwrap(), node.plan_subscriber().unwrap()),
-        (node.telemetry_publisher().unwrap(), node.telemetry_subscriber().unwrap()),
-        (node.control_server().unwrap(), node.control_client().unwrap()),
+        (node.publisher::<Plan>().unwrap(), node.subscriber::<Plan>().unwrap()),
+        (node.publisher::<TelemetryBatch>().unwrap(), node.subscriber::<TelemetryBatch>().unwrap()),
+        (node.server::<ControlRequest>().unwrap(), node.client::<ControlRequest>().unwrap()),
     );
     assert!(traces(&domain).len() > 1);
     assert!(!domain.remove_if_unused().unwrap(), "it is in use");
@@ -60,7 +62,7 @@ fn after_processes_were_killed() {
         let node = domain.connect("observer").unwrap();
         for _ in 0..3 {
             let victim = Victim::start("child_holds_everything", &domain);
-            let mut finder = node.measurement_finder();
+            let mut finder = node.finder::<Measurement>();
             let reader = wait_for("the victim", || finder.poll().unwrap());
             wait_for("its data", || (reader.read().seq == 1).then_some(()));
             assert!(!domain.remove_if_unused().unwrap());
@@ -85,10 +87,10 @@ fn after_processes_were_killed_while_they_started() {
     }
     // A domain full of stillbirths still works.
     let node = domain.connect("survivor").unwrap();
-    let writer = node.measurement_writer().unwrap();
-    assert_eq!(node.measurement_finder().poll().unwrap().unwrap().epoch(), writer.epoch());
-    node.plant_server().unwrap();
-    node.telemetry_publisher().unwrap();
+    let writer = node.writer::<Measurement>().unwrap();
+    assert_eq!(node.finder::<Measurement>().poll().unwrap().unwrap().epoch(), writer.epoch());
+    node.server::<PlantRequest>().unwrap();
+    node.publisher::<TelemetryBatch>().unwrap();
     drop((writer, node));
     assert!(domain.remove_if_unused().unwrap());
     assert_eq!(traces(&domain), [""; 0]);
@@ -99,9 +101,9 @@ fn a_removed_domain_can_be_used_again() {
     let domain = TestDomain::new("again");
     for seq in 1..=3 {
         let node = domain.connect("daemon").unwrap();
-        let writer = node.command_writer().unwrap();
+        let writer = node.writer::<Command>().unwrap();
         writer.write(Command { seq, ..Command::default() });
-        let reader = node.command_finder().poll().unwrap().unwrap();
+        let reader = node.finder::<Command>().poll().unwrap().unwrap();
         assert_eq!(reader.read().seq, seq);
         drop((reader, writer, node));
         assert!(domain.remove_if_unused().unwrap());
@@ -116,7 +118,7 @@ fn joining_and_removing_at_the_same_time_is_safe() {
             threads.spawn(|| {
                 for seq in 1..=10 {
                     let node = domain.connect("daemon").unwrap();
-                    let writer = node.command_writer().unwrap();
+                    let writer = node.writer::<Command>().unwrap();
                     writer.write(Command { seq, ..Command::default() });
                     assert!(domain.root().exists(), "a domain in use is not removed");
                 }

@@ -87,17 +87,17 @@ proptest! {
 fn plans_arrive_intact_also_late_and_from_a_restarted_planner() {
     let domain = TestDomain::new("plan");
     let daemon = domain.connect("daemon").unwrap();
-    let early = daemon.plan_subscriber().unwrap();
+    let early = daemon.subscriber::<Plan>().unwrap();
     for id in 1..=3 {
         let planner = domain.connect("planner").unwrap();
-        let publisher = planner.plan_publisher().unwrap();
+        let publisher = planner.publisher::<Plan>().unwrap();
         publisher.publish(&plan(id)).unwrap();
         let received = wait_for("the plan", || early.receive().unwrap());
         let copy = received.boxed_copy();
         assert!(copy.is_intact());
         assert_eq!(copy.id, id);
 
-        let late = daemon.plan_subscriber().unwrap();
+        let late = daemon.subscriber::<Plan>().unwrap();
         assert!(late.receive().unwrap().is_none());
         publisher.greet().unwrap();
         let received = wait_for("the history", || late.receive().unwrap());
@@ -110,8 +110,8 @@ fn plans_arrive_intact_also_late_and_from_a_restarted_planner() {
 fn a_slow_subscriber_keeps_the_newest_plans() {
     let domain = TestDomain::new("newest");
     let node = domain.connect("both").unwrap();
-    let subscriber = node.plan_subscriber().unwrap();
-    let publisher = node.plan_publisher().unwrap();
+    let subscriber = node.subscriber::<Plan>().unwrap();
+    let publisher = node.publisher::<Plan>().unwrap();
     for id in 1..=10 {
         publisher.publish(&plan(id)).unwrap();
     }

@@ -6,7 +6,7 @@ use common::{TestDomain, Victim, domain_of_child, until_killed, wait_for};
 use std::time::Duration;
 use upswing_ipc::{
     CallError, ControlCommand, ControlRequest, ControlResponse, IpcError, Mode, PlannerRequest, PlantRequest,
-    Text,
+    TelemetryBatch, Text,
 };
 
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -16,7 +16,7 @@ const BRIEF: Duration = Duration::from_millis(20);
 #[test]
 fn child_serves() {
     let Some(domain) = domain_of_child() else { return };
-    let server = domain.connect("daemon").unwrap().control_server().unwrap();
+    let server = domain.connect("daemon").unwrap().server::<ControlRequest>().unwrap();
     let mut seq = 0;
     until_killed(|| {
         server
@@ -32,7 +32,7 @@ fn child_serves() {
 #[test]
 fn child_is_deaf() {
     let Some(domain) = domain_of_child() else { return };
-    let _server = domain.connect("daemon").unwrap().control_server().unwrap();
+    let _server = domain.connect("daemon").unwrap().server::<ControlRequest>().unwrap();
     until_killed(|| {});
 }
 
@@ -40,16 +40,17 @@ fn child_is_deaf() {
 fn without_a_server_every_request_says_so() {
     let domain = TestDomain::new("absent");
     let node = domain.connect("cli").unwrap();
-    let control = node.control_client().unwrap();
+    let control = node.client::<ControlRequest>().unwrap();
     assert!(!control.has_server());
     let error = control.call(&ControlRequest::new(ControlCommand::Enable), PATIENCE).unwrap_err();
     assert!(
         matches!(&error, CallError::NoServer { service: "control", domain: d } if d == domain.name()),
         "{error}"
     );
-    let error = node.planner_client().unwrap().call(&PlannerRequest::default(), PATIENCE).unwrap_err();
+    let error =
+        node.client::<PlannerRequest>().unwrap().call(&PlannerRequest::default(), PATIENCE).unwrap_err();
     assert!(matches!(error, CallError::NoServer { service: "planner", .. }), "{error}");
-    let error = node.plant_client().unwrap().call(&PlantRequest::default(), PATIENCE).unwrap_err();
+    let error = node.client::<PlantRequest>().unwrap().call(&PlantRequest::default(), PATIENCE).unwrap_err();
     assert!(matches!(error, CallError::NoServer { service: "plant", .. }), "{error}");
 }
 
@@ -57,8 +58,8 @@ fn without_a_server_every_request_says_so() {
 fn a_server_that_does_not_poll_times_out_and_never_sees_the_withdrawn_request() {
     let domain = TestDomain::new("deaf");
     let node = domain.connect("cli").unwrap();
-    let server = node.control_server().unwrap();
-    let client = node.control_client().unwrap();
+    let server = node.server::<ControlRequest>().unwrap();
+    let client = node.client::<ControlRequest>().unwrap();
     // More often than a client may have requests under way: the withdrawn ones must not count.
     for _ in 0..50 {
         let error = client.call(&ControlRequest::new(ControlCommand::Enable), BRIEF).unwrap_err();
@@ -78,7 +79,7 @@ fn answers_carry_the_request_and_the_reason() {
     let node = domain.connect("cli").unwrap();
     std::thread::scope(|threads| {
         threads.spawn(|| {
-            let server = domain.connect("daemon").unwrap().control_server().unwrap();
+            let server = domain.connect("daemon").unwrap().server::<ControlRequest>().unwrap();
             let mut seq = 0;
             while serving.load(std::sync::atomic::Ordering::Relaxed) {
                 server
@@ -96,7 +97,7 @@ fn answers_carry_the_request_and_the_reason() {
                 std::thread::yield_now();
             }
         });
-        let client = node.control_client().unwrap();
+        let client = node.client::<ControlRequest>().unwrap();
         wait_for("the server", || client.has_server().then_some(()));
         for seq in 1..=1000 {
             let command = if seq % 2 == 0 { ControlCommand::Hold } else { ControlCommand::Stop };
@@ -113,7 +114,7 @@ fn answers_carry_the_request_and_the_reason() {
 fn a_killed_server_is_reported_and_its_successor_answers() {
     let domain = TestDomain::new("killed");
     let node = domain.connect("cli").unwrap();
-    let client = node.control_client().unwrap();
+    let client = node.client::<ControlRequest>().unwrap();
     let request = ControlRequest::new(ControlCommand::Status);
     for _ in 0..3 {
         let daemon = Victim::start("child_serves", &domain);
@@ -133,7 +134,7 @@ fn a_killed_server_is_reported_and_its_successor_answers() {
 fn a_server_killed_during_a_request_is_reported() {
     let domain = TestDomain::new("during");
     let node = domain.connect("cli").unwrap();
-    let client = node.control_client().unwrap();
+    let client = node.client::<ControlRequest>().unwrap();
     let daemon = Victim::start("child_is_deaf", &domain);
     wait_for("the server", || client.has_server().then_some(()));
     let killer = std::thread::spawn(move || {
@@ -152,18 +153,18 @@ fn a_second_server_and_a_second_publisher_are_refused() {
     let first = domain.connect("daemon").unwrap();
     let second = domain.connect("daemon").unwrap();
 
-    let server = first.control_server().unwrap();
-    let error = second.control_server().err().unwrap();
+    let server = first.server::<ControlRequest>().unwrap();
+    let error = second.server::<ControlRequest>().err().unwrap();
     assert!(matches!(&error, IpcError::Taken { port: "server", max: 1, .. }), "{error}");
     let holder =
         format!("control` already has its 1 server(s) in live processes (pid {})", std::process::id());
     assert!(error.to_string().contains(&holder), "{error}");
     drop(server);
-    second.control_server().unwrap();
+    second.server::<ControlRequest>().unwrap();
 
-    let publisher = first.telemetry_publisher().unwrap();
-    let error = second.telemetry_publisher().err().unwrap();
+    let publisher = first.publisher::<TelemetryBatch>().unwrap();
+    let error = second.publisher::<TelemetryBatch>().err().unwrap();
     assert!(matches!(&error, IpcError::Taken { port: "publisher", .. }), "{error}");
     drop(publisher);
-    second.telemetry_publisher().unwrap();
+    second.publisher::<TelemetryBatch>().unwrap();
 }

@@ -14,9 +14,9 @@ use upswing_ipc::{CallError, ControlCommand, ControlRequest, Domain, Measurement
 fn child_holds_ends() {
     let Some(domain) = domain_of_child() else { return };
     let node = domain.connect("victim").unwrap();
-    let _server = node.control_server().unwrap();
-    let _publisher = node.telemetry_publisher().unwrap();
-    let writer = node.measurement_writer().unwrap();
+    let _server = node.server::<ControlRequest>().unwrap();
+    let _publisher = node.publisher::<TelemetryBatch>().unwrap();
+    let writer = node.writer::<Measurement>().unwrap();
     writer.write(Measurement { seq: 1, ..Measurement::default() });
     until_killed(|| {});
 }
@@ -25,7 +25,7 @@ fn child_holds_ends() {
 #[test]
 fn child_publishes() {
     let Some(domain) = domain_of_child() else { return };
-    let publisher = domain.connect("victim").unwrap().telemetry_publisher().unwrap();
+    let publisher = domain.connect("victim").unwrap().publisher::<TelemetryBatch>().unwrap();
     until_killed(|| {
         publisher.publish(&TelemetryBatch::boxed_zeroed()).unwrap();
     });
@@ -53,7 +53,7 @@ fn deserted(tag: &str) -> TestDomain {
         (domain.root().join("services").exists() && descriptions(&domain).len() == 3).then_some(())
     });
     let node = domain.connect("observer").unwrap();
-    let mut finder = node.measurement_finder();
+    let mut finder = node.finder::<Measurement>();
     let reader = wait_for("its writer", || finder.poll().unwrap());
     wait_for("its data", || (reader.read().seq == 1).then_some(()));
     drop((reader, finder, node));
@@ -64,14 +64,14 @@ fn deserted(tag: &str) -> TestDomain {
 
 fn all_can_start(domain: &Domain) {
     let node = domain.connect("survivor").unwrap();
-    let client = node.control_client().unwrap();
+    let client = node.client::<ControlRequest>().unwrap();
     let error =
         client.call(&ControlRequest::new(ControlCommand::Status), Duration::from_secs(30)).unwrap_err();
     assert!(matches!(error, CallError::NoServer { .. }), "{error}");
-    let _server = node.control_server().unwrap();
-    let _publisher = node.telemetry_publisher().unwrap();
-    let writer = node.measurement_writer().unwrap();
-    let reader = node.measurement_finder().poll().unwrap().unwrap();
+    let _server = node.server::<ControlRequest>().unwrap();
+    let _publisher = node.publisher::<TelemetryBatch>().unwrap();
+    let writer = node.writer::<Measurement>().unwrap();
+    let reader = node.finder::<Measurement>().poll().unwrap().unwrap();
     assert_eq!(reader.epoch(), writer.epoch());
 }
 
@@ -135,7 +135,7 @@ fn unfinished_nodes_and_connections_without_a_port_are_removed_when_they_are_old
     std::fs::File::open(&nodes).unwrap().set_modified(long_ago).unwrap();
     node.clean_up();
     assert_eq!(found(), (complete, false), "those of the living node stay");
-    let _server = node.control_server().unwrap();
+    let _server = node.server::<ControlRequest>().unwrap();
 }
 
 #[test]
@@ -143,7 +143,7 @@ fn an_unfinished_connection_of_a_dead_port_does_not_stop_the_clean_up() {
     let domain = TestDomain::new("connection");
     let victim = Victim::start("child_publishes", &domain);
     let node = domain.connect("observer").unwrap();
-    let subscriber = node.telemetry_subscriber().unwrap();
+    let subscriber = node.subscriber::<TelemetryBatch>().unwrap();
     wait_for("telemetry", || subscriber.receive().unwrap());
     victim.kill();
     let connections = files("/dev/shm".into(), &format!("upswing_{}_", domain.name()));

@@ -27,8 +27,9 @@ fn every_subscriber_gets_every_cycle_in_order() {
     let domain = TestDomain::new("telemetry");
     let node = domain.connect("daemon").unwrap();
     let peer = domain.connect("monitor").unwrap();
-    let publisher = node.telemetry_publisher().unwrap();
-    let subscribers = [peer.telemetry_subscriber().unwrap(), node.telemetry_subscriber().unwrap()];
+    let publisher = node.publisher::<TelemetryBatch>().unwrap();
+    let subscribers =
+        [peer.subscriber::<TelemetryBatch>().unwrap(), node.subscriber::<TelemetryBatch>().unwrap()];
 
     let batches = 300;
     let mut expected = [0; 2];
@@ -57,8 +58,8 @@ fn every_subscriber_gets_every_cycle_in_order() {
 fn a_slow_subscriber_loses_the_oldest_and_never_stops_the_publisher() {
     let domain = TestDomain::new("slow");
     let node = domain.connect("daemon").unwrap();
-    let publisher = node.telemetry_publisher().unwrap();
-    let subscriber = node.telemetry_subscriber().unwrap();
+    let publisher = node.publisher::<TelemetryBatch>().unwrap();
+    let subscriber = node.subscriber::<TelemetryBatch>().unwrap();
     let mut batch = TelemetryBatch::boxed_zeroed();
     let published = 1000;
     for seq in 1..=published {
@@ -74,7 +75,7 @@ fn a_slow_subscriber_loses_the_oldest_and_never_stops_the_publisher() {
     assert!(seqs.is_sorted());
     assert_eq!(*seqs.last().unwrap(), published);
 
-    let late = node.telemetry_subscriber().unwrap();
+    let late = node.subscriber::<TelemetryBatch>().unwrap();
     publisher.greet().unwrap();
     assert!(late.receive().unwrap().is_none(), "telemetry has no history");
 }

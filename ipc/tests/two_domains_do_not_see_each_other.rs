@@ -11,21 +11,23 @@ fn writers_plans_and_servers_stay_in_their_domain() {
     let (here, there) = (TestDomain::new("here"), TestDomain::new("there"));
     let (near, far) = (here.connect("daemon").unwrap(), there.connect("daemon").unwrap());
 
-    let writer = near.command_writer().unwrap();
+    let writer = near.writer::<Command>().unwrap();
     writer.write(Command { seq: 1, ..Command::default() });
-    assert!(near.command_finder().poll().unwrap().is_some());
-    assert!(far.command_finder().poll().unwrap().is_none());
+    assert!(near.finder::<Command>().poll().unwrap().is_some());
+    assert!(far.finder::<Command>().poll().unwrap().is_none());
 
-    let (subscriber_near, subscriber_far) = (near.plan_subscriber().unwrap(), far.plan_subscriber().unwrap());
-    let (publisher_near, _publisher_far) = (near.plan_publisher().unwrap(), far.plan_publisher().unwrap());
+    let (subscriber_near, subscriber_far) =
+        (near.subscriber::<Plan>().unwrap(), far.subscriber::<Plan>().unwrap());
+    let (publisher_near, _publisher_far) =
+        (near.publisher::<Plan>().unwrap(), far.publisher::<Plan>().unwrap());
     publisher_near.publish(&Plan::boxed_zeroed()).unwrap();
     assert!(subscriber_near.receive().unwrap().is_some());
     assert!(subscriber_far.receive().unwrap().is_none());
 
-    let _server = near.control_server().unwrap();
-    assert!(near.control_client().unwrap().has_server());
+    let _server = near.server::<ControlRequest>().unwrap();
+    assert!(near.client::<ControlRequest>().unwrap().has_server());
     let request = ControlRequest::new(ControlCommand::Enable);
-    let error = far.control_client().unwrap().call(&request, Duration::from_secs(30)).unwrap_err();
+    let error = far.client::<ControlRequest>().unwrap().call(&request, Duration::from_secs(30)).unwrap_err();
     assert!(matches!(error, CallError::NoServer { .. }), "{error}");
 }
 
@@ -34,8 +36,8 @@ fn a_peer_in_the_same_domain_is_seen() {
     let domain = TestDomain::new("same");
     let twin = Domain::new(domain.name()).unwrap();
     assert_eq!(*domain, twin);
-    let _writer = domain.connect("daemon").unwrap().command_writer().unwrap();
-    assert!(twin.connect("plant").unwrap().command_finder().poll().unwrap().is_some());
+    let _writer = domain.connect("daemon").unwrap().writer::<Command>().unwrap();
+    assert!(twin.connect("plant").unwrap().finder::<Command>().poll().unwrap().is_some());
 }
 
 #[test]
@@ -56,12 +58,14 @@ fn removing_a_domain_leaves_those_whose_names_begin_alike() {
     let nodes: Vec<_> = longer.iter().map(|domain| domain.connect("daemon").unwrap()).collect();
     let ends: Vec<_> = nodes
         .iter()
-        .map(|n| (n.plan_subscriber().unwrap(), n.plan_publisher().unwrap(), n.command_writer().unwrap()))
+        .map(|n| {
+            (n.subscriber::<Plan>().unwrap(), n.publisher::<Plan>().unwrap(), n.writer::<Command>().unwrap())
+        })
         .collect();
     let before: Vec<_> = longer.iter().map(files).collect();
     assert!(before.iter().all(|names| names.iter().any(|n| n.ends_with(".connection"))), "{before:?}");
 
-    drop(short.connect("daemon").unwrap().plan_publisher().unwrap());
+    drop(short.connect("daemon").unwrap().publisher::<Plan>().unwrap());
     assert!(short.remove_if_unused().unwrap());
     let after: Vec<_> = longer.iter().map(files).collect();
     assert_eq!(before, after);

@@ -50,9 +50,9 @@ pub fn run(args: &PlannerArgs) -> Result<(), Failure> {
 
 fn serve(planner: &Planner, domain: &Domain, stop: &Arc<AtomicBool>) -> Result<(), upswing_ipc::IpcError> {
     let node = domain.connect("planner")?;
-    let server = node.planner_server()?;
-    let publisher = node.plan_publisher()?;
-    let telemetry = node.telemetry_subscriber()?;
+    let server = node.server()?;
+    let publisher = node.publisher::<upswing_ipc::Plan>()?;
+    let telemetry = node.subscriber()?;
     let mut desk = Desk::new(planner);
     info!(entries = planner.entries().len(), domain = domain.name(), "planner ready");
     let mut manager = Notifier::new();

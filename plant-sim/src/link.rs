@@ -13,7 +13,7 @@ const SEARCH_PERIOD: Duration = Duration::from_millis(20);
 ///
 /// It has a thread of its own because a look takes several control periods. Unpark the thread to end it soon.
 pub(crate) fn search(node: &Node, found: &Sender<Option<Reader<Command>>>, done: &AtomicBool) {
-    let mut finder = node.command_finder();
+    let mut finder = node.finder::<Command>();
     let mut first = true;
     let mut failing = false;
     while !done.load(Ordering::Acquire) {

@@ -53,7 +53,7 @@ pub(crate) fn serve(
 ) -> Result<(), ServiceError> {
     let node = domain.connect("plant")?;
     // First: it refuses a second plant before that disturbs the daemon.
-    let server = node.plant_server()?;
+    let server = node.server::<PlantRequest>()?;
     let done = AtomicBool::new(false);
     let (sender, found) = mpsc::channel();
     std::thread::scope(|threads| {
@@ -62,7 +62,7 @@ pub(crate) fn serve(
             move || search(&node, &sender, done)
         })?;
         let link = Link::new(found);
-        let outcome = node.measurement_writer().map(|writer| {
+        let outcome = node.writer::<Measurement>().map(|writer| {
             let manager = Notifier::new();
             let clock = settings.clock;
             let front = Front { plant, clock, granted: 0, measured: false, server, failing: false, manager };

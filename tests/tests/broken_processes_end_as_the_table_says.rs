@@ -148,7 +148,7 @@ fn kill_planner_at_work(system: &mut System) {
         };
         // Many QPs, so that it is still at work when it dies.
         let request = PlannerRequest { iterations: 50, ..request };
-        let client = node.planner_client().expect("a client");
+        let client = node.client::<PlannerRequest>().expect("a client");
         wait_for("the planner", || client.has_server().then_some(()));
         tell.send(()).expect("somebody listens");
         client.call(&request, Duration::from_secs(2)).is_ok()
@@ -188,7 +188,7 @@ fn damage_plans(system: &mut System) {
     ];
     let before = system.status().plan_id;
     system.kill(Role::Planner);
-    let publisher = system.session.node().plan_publisher().expect("the planner's place");
+    let publisher = system.session.node().publisher::<Plan>().expect("the planner's place");
     for (i, (word, damage)) in damages.into_iter().enumerate() {
         let mut plan = GOOD.boxed_copy();
         plan.id = 1000 + i as u64;

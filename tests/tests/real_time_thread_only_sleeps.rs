@@ -55,7 +55,7 @@ fn while_peers_come_and_go() {
     let mut plant = Running::start("upswing-plant", &name, wall);
     let daemon = Running::start("upswingd", &name, |_| {});
     let node = domain.connect("operator").expect("a node");
-    let client = node.control_client().expect("a client");
+    let client = node.client::<ControlRequest>().expect("a client");
     let seq = || {
         wait_for("the daemon", || client.has_server().then_some(()));
         client.call(&ControlRequest::new(ControlCommand::Status), LONG).expect("an answer").seq

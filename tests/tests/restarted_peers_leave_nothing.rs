@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 use upswing::session::CleanUp;
-use upswing_ipc::{ControlCommand, ControlRequest, ControlResponse, Domain};
+use upswing_ipc::{ControlCommand, ControlRequest, ControlResponse, Domain, PlannerRequest, PlantRequest};
 use upswing_tests::running::{LONG, Running, wait_for};
 use upswing_tests::{programs, unique_domain};
 
@@ -71,9 +71,9 @@ fn a_hundred_times() {
     let (mut plant, mut planner) = (start("upswing-plant"), start("upswing-planner"));
     let node = domain.connect("operator").expect("a node");
     let (client, plants, planners) = (
-        node.control_client().expect("a client"),
-        node.plant_client().expect("a client"),
-        node.planner_client().expect("a client"),
+        node.client::<ControlRequest>().expect("a client"),
+        node.client::<PlantRequest>().expect("a client"),
+        node.client::<PlannerRequest>().expect("a client"),
     );
     let status = || -> ControlResponse {
         client.call(&ControlRequest::new(ControlCommand::Status), LONG).expect("an answer")
@@ -133,7 +133,7 @@ fn a_second_daemon_names_the_first() {
     let _clean = CleanUp(domain.clone());
     let first = Running::start("upswingd", &name, |_| {});
     let node = domain.connect("operator").expect("a node");
-    let client = node.control_client().expect("a client");
+    let client = node.client::<ControlRequest>().expect("a client");
     wait_for("the first daemon", || client.has_server().then_some(()));
     let second = || {
         let mut command = Command::new(programs().join("upswingd"));

@@ -118,8 +118,8 @@ impl Work {
     fn new(node: Node, news: Sender<News>) -> Result<Self, OperatorError> {
         Ok(Self {
             operator: Operator::new(&node)?,
-            planner: node.planner_client()?,
-            plant: node.plant_client()?,
+            planner: node.client()?,
+            plant: node.client()?,
             node,
             news,
             planning: None,

@@ -16,11 +16,7 @@ impl Tap {
     /// # Errors
     /// If there are too many listeners, or shared memory cannot be used.
     pub fn new(node: &Node) -> Result<Self, IpcError> {
-        Ok(Self {
-            telemetry: node.telemetry_subscriber()?,
-            steps: node.step_subscriber()?,
-            plans: node.plan_subscriber()?,
-        })
+        Ok(Self { telemetry: node.subscriber()?, steps: node.subscriber()?, plans: node.subscriber()? })
     }
 
     /// Takes all that is waiting: into `recorder` where there is one, and the cycles to `see`, too.

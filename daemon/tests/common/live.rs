@@ -34,8 +34,8 @@ impl Plant {
     pub fn new(node: &Node, clock: Clock) -> Self {
         let q = rest_pose(&config());
         Self {
-            writer: node.measurement_writer().unwrap(),
-            finder: node.command_finder(),
+            writer: node.writer::<Measurement>().unwrap(),
+            finder: node.finder::<Command>(),
             commands: None,
             clock,
             q,

@@ -114,17 +114,17 @@ pub struct Peer {
 impl Peer {
     pub fn join(domain: &TestDomain) -> Self {
         let node = domain.0.connect("daemon").unwrap();
-        Self { client: node.plant_client().unwrap(), node }
+        Self { client: node.client::<PlantRequest>().unwrap(), node }
     }
 
     /// A reader of the measurements; as long as it is needed it keeps their memory.
     pub fn measurements(&self) -> Reader<Measurement> {
-        let mut finder = self.node.measurement_finder();
+        let mut finder = self.node.finder::<Measurement>();
         wait_for("a plant", || finder.poll().unwrap())
     }
 
     pub fn commands(&self) -> Writer<Command> {
-        self.node.command_writer().unwrap()
+        self.node.writer::<Command>().unwrap()
     }
 
     pub fn ask(&self, request: PlantRequest) -> PlantResponse {
