@@ -6,16 +6,18 @@
 //! linear system. Constants without a comment are those of the publication.
 
 mod bounded;
+mod conditions;
 mod filter;
+mod newton;
 
-use crate::kkt::{Factor, Kkt, KnotDynamics, KnotMatrix, KnotVector, Rhs, SolveWorkspace, Step, TargetRow};
-use crate::problem::{KnotDerivatives, LimitKind, Problem};
+use crate::problem::{LimitKind, Problem};
 use bounded::Bounded;
 use filter::Filter;
-use nalgebra::{SMatrix, SVector};
+use nalgebra::SVector;
+use newton::{Direction, Linear};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-use upswing_model::{ActuatedVector, N_UNACTUATED, NQ, NU, NX, NZ, State, UnactuatedVector, Workspace};
+use upswing_model::{ActuatedVector, NU, NX, State, Workspace};
 use upswing_trajectory::{KNOTS, N, Trajectory};
 
 /// When to stop.
@@ -100,9 +102,6 @@ pub struct Solution {
 
 type Scalar = SVector<f64, 1>;
 
-/// Gradients of the torques tau_k with respect to z_k in units of the slacks, one column for each motor.
-type TorqueGradients = SMatrix<f64, NZ, NU>;
-
 /// Primal variables.
 #[derive(Clone, Debug)]
 struct Point {
@@ -147,44 +146,6 @@ impl Residuals {
     }
 }
 
-/// Full primal-dual step.
-struct Direction {
-    step: Step,
-    s: Vec<ActuatedVector>,
-    y: Vec<ActuatedVector>,
-    bound_x: Vec<(State, State)>,
-    bound_s: Vec<(ActuatedVector, ActuatedVector)>,
-    bound_t: (Scalar, Scalar),
-    /// Largest fractions to the boundary.
-    alpha: (f64, f64),
-}
-
-/// The linear system of an iteration and the memory to solve it, made once.
-struct Linear {
-    kkt: Kkt,
-    torque: Vec<TorqueGradients>,
-    factor: Factor,
-    rhs: Rhs,
-    work: SolveWorkspace,
-}
-
-impl Linear {
-    fn new(target: &[TargetRow]) -> Self {
-        let none = KnotDynamics { qdd_u_x: SMatrix::zeros(), qdd_u_u: SMatrix::zeros(), f: State::zeros() };
-        let kkt = Kkt {
-            h: 0.0,
-            hessian: vec![KnotMatrix::zeros(); KNOTS],
-            with_t: vec![KnotVector::zeros(); KNOTS],
-            t_t: 0.0,
-            dynamics: vec![none; KNOTS],
-            target: target.to_vec(),
-        };
-        let rhs = kkt.zero_rhs();
-        let work = SolveWorkspace::new(N, target.len());
-        Self { kkt, torque: vec![TorqueGradients::zeros(); KNOTS], factor: Factor::new(N), rhs, work }
-    }
-}
-
 struct Solver<'a> {
     problem: &'a Problem<'a>,
     work: Workspace,
@@ -212,19 +173,6 @@ pub fn solve(problem: &Problem<'_>, guess: &Trajectory, options: &Options<'_>) -
 /// Barrier parameter to begin with: takes a third fewer iterations than the publication's 0.1 on the paper's grid, to
 /// equally good optima.
 const BARRIER: f64 = 1e-3;
-
-/// Multipliers up to this mean size leave the residuals unscaled.
-const S_MAX: f64 = 100.0;
-/// Number of bounds of states and slacks.
-const BOUNDS: f64 = (2 * (N * NX + KNOTS * NU)) as f64;
-
-/// Of the linear solves: each refinement gains several digits; more than this many means there is nothing left to
-/// gain, and so does a residual this small against the right-hand side.
-const REFINEMENTS: usize = 8;
-const ACCURACY: f64 = 1e-12;
-
-/// Inputs are ten times larger than angles and velocities: their damping is smaller by the square of it.
-const INPUT_DAMPING: f64 = 1e-2;
 
 impl<'a> Solver<'a> {
     fn new(problem: &'a Problem<'a>, guess: &Trajectory) -> Self {
@@ -293,145 +241,6 @@ impl<'a> Solver<'a> {
         phi
     }
 
-    /// Multiplier sum w_k = lambda_{k-1} + lambda_k of the defects at knot k.
-    fn defect_multiplier(&self, k: usize) -> State {
-        let mut w = State::zeros();
-        if k > 0 {
-            w += self.dynamics[k - 1];
-        }
-        if k < N {
-            w += self.dynamics[k];
-        }
-        w
-    }
-
-    /// Sets the matrix (without barrier and torque terms) and the torques' gradients to those of the current point.
-    fn linearise(&mut self, linear: &mut Linear) {
-        let h = self.point.t / N as f64;
-        let r = self.problem.input_weight;
-        let kkt = &mut linear.kkt;
-        kkt.h = h;
-        kkt.t_t = 0.0;
-        for k in 0..KNOTS {
-            let (x, u) = (self.point.x[k], self.point.u[k]);
-            let w = self.defect_multiplier(k);
-            let w_u: UnactuatedVector = w.fixed_rows::<N_UNACTUATED>(NX - N_UNACTUATED) * (-0.5 * h);
-            let mu = self.y[k].component_div(&self.torque_half);
-            let (knot, hessian) = self.problem.knot_derivatives(&x, &u, &w_u, &mu, &mut self.work);
-            kkt.hessian[k] = hessian;
-            kkt.dynamics[k] = KnotDynamics::new(&knot.dynamics, &x, &u);
-            let with_t = &mut kkt.with_t[k];
-            *with_t = kkt.dynamics[k].apply_transposed(&w) * (-0.5 / N as f64);
-            for i in 0..NU {
-                kkt.hessian[k][(NX + i, NX + i)] += h * r;
-                with_t[NX + i] += r * u[i] / N as f64;
-            }
-            linear.torque[k] = self.torque_gradients(&knot);
-        }
-    }
-
-    fn torque_gradients(&self, knot: &KnotDerivatives) -> TorqueGradients {
-        let d = knot.torque();
-        TorqueGradients::from_fn(|j, i| {
-            (if j < NX { d.tau_x[(i, j)] } else { d.tau_u[(i, j - NX)] }) / self.torque_half[i]
-        })
-    }
-
-    /// Gradient of the objective: with respect to z_k into `g`; that with respect to t_F is returned.
-    fn objective_gradient(&self, g: &mut [KnotVector]) -> f64 {
-        let (h, r) = (self.point.t / N as f64, self.problem.input_weight);
-        for (g, u) in g.iter_mut().zip(&self.point.u) {
-            g.fill(0.0);
-            g.fixed_rows_mut::<NU>(NX).copy_from(&(u * (h * r)));
-        }
-        self.objective_on_t()
-    }
-
-    /// Derivative of the objective with respect to t_F.
-    fn objective_on_t(&self) -> f64 {
-        let effort: f64 = self.point.u.iter().map(|u| u.norm_squared()).sum();
-        1.0 + 0.5 * self.problem.input_weight * effort / N as f64
-    }
-
-    /// Adds barrier and torque terms to the matrix.
-    fn condense(&self, linear: &mut Linear) {
-        linear.kkt.t_t += self.bound_t.sigma(&Scalar::new(self.point.t))[0];
-        for k in 0..KNOTS {
-            let hessian = &mut linear.kkt.hessian[k];
-            if k > 0 {
-                let sigma = self.bound_x[k - 1].sigma(&self.point.x[k]);
-                for i in 0..NX {
-                    hessian[(i, i)] += sigma[i];
-                }
-            }
-            let sigma = self.bound_s[k].sigma(&self.point.s[k]);
-            for (gradient, sigma) in linear.torque[k].column_iter().zip(&sigma) {
-                hessian.ger(*sigma, &gradient, &gradient, 1.0);
-            }
-        }
-    }
-
-    fn right_hand_side(&self, linear: &mut Linear, c: &Residuals) {
-        let rhs = &mut linear.rhs;
-        rhs.g_t = self.objective_gradient(&mut rhs.g)
-            + self.bound_t.gradient(&Scalar::new(self.point.t), self.mu)[0];
-        rhs.dynamics.copy_from_slice(&c.dynamics);
-        rhs.target.copy_from_slice(&c.target);
-        for k in 0..KNOTS {
-            if k > 0 {
-                let barrier = self.bound_x[k - 1].gradient(&self.point.x[k], self.mu);
-                for i in 0..NX {
-                    rhs.g[k][i] += barrier[i];
-                }
-            }
-            let sigma = self.bound_s[k].sigma(&self.point.s[k]);
-            let pull =
-                sigma.component_mul(&c.torque[k]) + self.bound_s[k].gradient(&self.point.s[k], self.mu);
-            rhs.g[k] += linear.torque[k] * pull;
-        }
-    }
-
-    /// The step for the constraint residuals `c`; needs the factorised matrix.
-    fn direction(&self, linear: &mut Linear, damping: f64, c: &Residuals) -> Direction {
-        self.right_hand_side(linear, c);
-        let Linear { kkt, torque, factor, rhs, work } = linear;
-        let mut step = Step::zeros(N, kkt.target.len());
-        kkt.solve_into(
-            factor,
-            rhs,
-            (damping, damping * INPUT_DAMPING),
-            (REFINEMENTS, ACCURACY),
-            work,
-            &mut step,
-        );
-        let share = (1.0 - self.mu).max(0.99);
-        let mut alpha = (1.0_f64, 1.0_f64);
-        let mut shorten = |a: (f64, f64)| alpha = (alpha.0.min(a.0), alpha.1.min(a.1));
-        let (mut s, mut y) = (Vec::with_capacity(KNOTS), Vec::with_capacity(KNOTS));
-        let (mut bound_x, mut bound_s) = (Vec::with_capacity(N), Vec::with_capacity(KNOTS));
-        for k in 0..KNOTS {
-            let (b, v) = (&self.bound_s[k], &self.point.s[k]);
-            let ds = torque[k].tr_mul(&step.z[k]) + c.torque[k];
-            let new_y = b.sigma(v).component_mul(&ds) + b.gradient(v, self.mu);
-            let dz = b.dual_step(v, &ds, self.mu);
-            shorten(b.to_boundary(v, &ds, &dz, share));
-            y.push(new_y - self.y[k]);
-            s.push(ds);
-            bound_s.push(dz);
-            if k > 0 {
-                let (b, v) = (&self.bound_x[k - 1], &self.point.x[k]);
-                let dx: State = step.z[k].fixed_rows::<NX>(0).into();
-                let dz = b.dual_step(v, &dx, self.mu);
-                shorten(b.to_boundary(v, &dx, &dz, share));
-                bound_x.push(dz);
-            }
-        }
-        let (t, dt) = (Scalar::new(self.point.t), Scalar::new(step.t));
-        let bound_t = self.bound_t.dual_step(&t, &dt, self.mu);
-        shorten(self.bound_t.to_boundary(&t, &dt, &bound_t, share));
-        Direction { step, s, y, bound_x, bound_s, bound_t, alpha }
-    }
-
     fn moved(&self, d: &Direction, alpha: f64) -> Point {
         let mut p = self.point.clone();
         p.t += alpha * d.step.t;
@@ -471,117 +280,6 @@ impl<'a> Solver<'a> {
             }
         }
         self.bound_t.advance(&Scalar::new(self.point.t), &d.bound_t, d.alpha.1, self.mu);
-    }
-
-    /// Largest residual of the stationarity conditions, scaled by the size of the multipliers.
-    fn stationarity(&self, linear: &mut Linear) -> f64 {
-        let Linear { kkt, torque, rhs, .. } = linear;
-        let g_t = self.objective_gradient(&mut rhs.g);
-        let mut worst = 0.0_f64;
-        let mut on_t = g_t - self.bound_t.z_lower[0] + self.bound_t.z_upper[0];
-        for k in 0..KNOTS {
-            let w = self.defect_multiplier(k);
-            let mut grad = rhs.g[k] - kkt.dynamics[k].apply_transposed(&w) * (0.5 * kkt.h);
-            on_t -= w.dot(&kkt.dynamics[k].f) * (0.5 / N as f64);
-            for i in 0..NX {
-                if k > 0 {
-                    grad[i] += self.dynamics[k - 1][i];
-                }
-                if k < N {
-                    grad[i] -= self.dynamics[k][i];
-                }
-            }
-            if k == N {
-                for (row, m) in kkt.target.iter().zip(&self.target) {
-                    for i in 0..NX {
-                        grad[i] += row.coefficients[i] * m;
-                    }
-                }
-            }
-            grad += torque[k] * self.y[k];
-            let b = &self.bound_s[k];
-            worst = worst.max((-self.y[k] - b.z_lower + b.z_upper).amax());
-            if k > 0 {
-                let b = &self.bound_x[k - 1];
-                for i in 0..NX {
-                    grad[i] += b.z_upper[i] - b.z_lower[i];
-                }
-                worst = worst.max(grad.amax());
-            } else {
-                // x_0 is given: only u_0 has a condition.
-                worst = worst.max(grad.fixed_rows::<NU>(NX).amax());
-            }
-        }
-        let equalities: f64 = self.y.iter().map(|y| y.lp_norm(1)).sum::<f64>()
-            + self.dynamics.iter().map(|l| l.lp_norm(1)).sum::<f64>();
-        let count = BOUNDS + (N * NX + KNOTS * NU) as f64;
-        worst.max(on_t.abs()) / ((self.multiplier_sum() + equalities) / count).max(S_MAX) * S_MAX
-    }
-
-    /// Largest |z gap - mu| of all bounds, scaled by the size of their multipliers.
-    fn complementarity(&self, mu: f64) -> f64 {
-        let t = self.bound_t.complementarity(&Scalar::new(self.point.t), mu);
-        let x = self.bound_x.iter().zip(&self.point.x[1..]).map(|(b, x)| b.complementarity(x, mu));
-        let s = self.bound_s.iter().zip(&self.point.s).map(|(b, s)| b.complementarity(s, mu));
-        x.chain(s).fold(t, f64::max) / (self.multiplier_sum() / BOUNDS).max(S_MAX) * S_MAX
-    }
-
-    /// Sum of the multipliers of the bounds of states and slacks.
-    fn multiplier_sum(&self) -> f64 {
-        let x: f64 = self.bound_x.iter().map(Bounded::multiplier_sum).sum();
-        x + self.bound_s.iter().map(Bounded::multiplier_sum).sum::<f64>()
-    }
-
-    /// The limit with the largest multiplier, as a share of its range: at a point where the constraints contradict
-    /// each other it is the one that yields most if it is moved.
-    fn blocking_limit(&self) -> Limit {
-        let h = self.point.t / N as f64;
-        let mut worst = (0.0, Limit { kind: LimitKind::Position, joint: 0, time: 0.0 });
-        let mut consider = |pull: f64, kind, joint, knot: usize| {
-            if pull > worst.0 {
-                worst = (pull, Limit { kind, joint, time: knot as f64 * h });
-            }
-        };
-        for (k, b) in self.bound_x.iter().enumerate() {
-            for i in 0..NX {
-                let pull = b.z_lower[i].max(b.z_upper[i]) * (b.upper[i] - b.lower[i]);
-                let (kind, joint) =
-                    if i < NQ { (LimitKind::Position, i) } else { (LimitKind::Velocity, i - NQ) };
-                consider(pull, kind, joint, k + 1);
-            }
-        }
-        for (k, b) in self.bound_s.iter().enumerate() {
-            for i in 0..NU {
-                let pull = b.z_lower[i].max(b.z_upper[i]) * (b.upper[i] - b.lower[i]);
-                consider(pull, LimitKind::Torque, i, k);
-            }
-        }
-        worst.1
-    }
-
-    /// Factorises with as little damping as gives the right inertia, at least `least`: that damping.
-    fn factor(&mut self, linear: &mut Linear, least: f64) -> Option<f64> {
-        const FIRST: f64 = 1e-4;
-        const MOST: f64 = 1e10;
-        let mut damping = least;
-        loop {
-            if linear.kkt.factor_into(damping, damping * INPUT_DAMPING, &mut linear.factor) {
-                if damping > 0.0 {
-                    self.last_damping = damping;
-                }
-                return Some(damping);
-            }
-            damping = if damping == 0.0 {
-                if self.last_damping == 0.0 { FIRST } else { (self.last_damping / 3.0).max(1e-12) }
-            } else if self.last_damping == 0.0 {
-                damping * 100.0
-            } else {
-                damping * 8.0
-            };
-            if damping > MOST {
-                return None;
-            }
-        }
     }
 
     fn run(mut self, options: &Options<'_>) -> Solution {

@@ -13,7 +13,6 @@ use super::{Bound, Conflict, Options, Qp, Solution, Status};
 use crate::kkt::{Factor, Kkt, KnotDynamics, KnotMatrix, KnotVector, Rhs, SolveWorkspace, Step, TargetRow};
 use crate::problem::LimitKind;
 use crate::rows::ROW;
-use nalgebra::SMatrix;
 use upswing_model::{NQ, NU, NX, NZ, State};
 
 /// Number of bounded quantities: torques of knot 0, then states and torques of each knot, then dt.
@@ -153,7 +152,7 @@ impl Side {
 impl Structured {
     /// Allocates everything for programs of `n` intervals.
     pub(super) fn new(n: usize) -> Self {
-        let knot = KnotDynamics { qdd_u_x: SMatrix::zeros(), qdd_u_u: SMatrix::zeros(), f: State::zeros() };
+        let knot = KnotDynamics::zeros();
         // More target rows than states would contradict each other.
         let row = TargetRow { coefficients: State::zeros(), value: 0.0 };
         let kkt = Kkt {

@@ -1,0 +1,100 @@
+//! How far an iterate is from the conditions of an optimum, and which limit is in its way.
+
+use super::newton::Linear;
+use super::{Bounded, Limit, Scalar, Solver};
+use crate::problem::LimitKind;
+use upswing_model::{NQ, NU, NX};
+use upswing_trajectory::{KNOTS, N};
+
+/// Multipliers up to this mean size leave the residuals unscaled.
+const S_MAX: f64 = 100.0;
+/// Number of bounds of states and slacks.
+const BOUNDS: f64 = (2 * (N * NX + KNOTS * NU)) as f64;
+
+impl Solver<'_> {
+    /// Largest residual of the stationarity conditions, scaled by the size of the multipliers.
+    pub(super) fn stationarity(&self, linear: &mut Linear) -> f64 {
+        let Linear { kkt, torque, rhs, .. } = linear;
+        let g_t = self.objective_gradient(&mut rhs.g);
+        let mut worst = 0.0_f64;
+        let mut on_t = g_t - self.bound_t.z_lower[0] + self.bound_t.z_upper[0];
+        for k in 0..KNOTS {
+            let w = self.defect_multiplier(k);
+            let mut grad = rhs.g[k] - kkt.dynamics[k].apply_transposed(&w) * (0.5 * kkt.h);
+            on_t -= w.dot(&kkt.dynamics[k].f) * (0.5 / N as f64);
+            for i in 0..NX {
+                if k > 0 {
+                    grad[i] += self.dynamics[k - 1][i];
+                }
+                if k < N {
+                    grad[i] -= self.dynamics[k][i];
+                }
+            }
+            if k == N {
+                for (row, m) in kkt.target.iter().zip(&self.target) {
+                    for i in 0..NX {
+                        grad[i] += row.coefficients[i] * m;
+                    }
+                }
+            }
+            grad += torque[k] * self.y[k];
+            let b = &self.bound_s[k];
+            worst = worst.max((-self.y[k] - b.z_lower + b.z_upper).amax());
+            if k > 0 {
+                let b = &self.bound_x[k - 1];
+                for i in 0..NX {
+                    grad[i] += b.z_upper[i] - b.z_lower[i];
+                }
+                worst = worst.max(grad.amax());
+            } else {
+                // x_0 is given: only u_0 has a condition.
+                worst = worst.max(grad.fixed_rows::<NU>(NX).amax());
+            }
+        }
+        let equalities: f64 = self.y.iter().map(|y| y.lp_norm(1)).sum::<f64>()
+            + self.dynamics.iter().map(|l| l.lp_norm(1)).sum::<f64>();
+        let count = BOUNDS + (N * NX + KNOTS * NU) as f64;
+        worst.max(on_t.abs()) / ((self.multiplier_sum() + equalities) / count).max(S_MAX) * S_MAX
+    }
+
+    /// Largest |z gap - mu| of all bounds, scaled by the size of their multipliers.
+    pub(super) fn complementarity(&self, mu: f64) -> f64 {
+        let t = self.bound_t.complementarity(&Scalar::new(self.point.t), mu);
+        let x = self.bound_x.iter().zip(&self.point.x[1..]).map(|(b, x)| b.complementarity(x, mu));
+        let s = self.bound_s.iter().zip(&self.point.s).map(|(b, s)| b.complementarity(s, mu));
+        x.chain(s).fold(t, f64::max) / (self.multiplier_sum() / BOUNDS).max(S_MAX) * S_MAX
+    }
+
+    /// Sum of the multipliers of the bounds of states and slacks.
+    fn multiplier_sum(&self) -> f64 {
+        let x: f64 = self.bound_x.iter().map(Bounded::multiplier_sum).sum();
+        x + self.bound_s.iter().map(Bounded::multiplier_sum).sum::<f64>()
+    }
+
+    /// The limit with the largest multiplier, as a share of its range: at a point where the constraints contradict
+    /// each other it is the one that yields most if it is moved.
+    pub(super) fn blocking_limit(&self) -> Limit {
+        let h = self.point.t / N as f64;
+        let mut worst = (0.0, Limit { kind: LimitKind::Position, joint: 0, time: 0.0 });
+        let mut consider = |pull: f64, kind, joint, knot: usize| {
+            if pull > worst.0 {
+                worst = (pull, Limit { kind, joint, time: knot as f64 * h });
+            }
+        };
+        for (k, b) in self.bound_x.iter().enumerate() {
+            for i in 0..NX {
+                let pull = b.z_lower[i].max(b.z_upper[i]) * (b.upper[i] - b.lower[i]);
+                let (kind, joint) =
+                    if i < NQ { (LimitKind::Position, i) } else { (LimitKind::Velocity, i - NQ) };
+                consider(pull, kind, joint, k + 1);
+            }
+        }
+        for (k, b) in self.bound_s.iter().enumerate() {
+            for i in 0..NU {
+                let pull = b.z_lower[i].max(b.z_upper[i]) * (b.upper[i] - b.lower[i]);
+                consider(pull, LimitKind::Torque, i, k);
+            }
+        }
+        worst.1
+    }
+}

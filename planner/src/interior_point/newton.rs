@@ -1,0 +1,222 @@
+//! The linear system of an iteration, its factorisation and the step that it gives.
+
+use super::{Residuals, Scalar, Solver};
+use crate::kkt::{Factor, Kkt, KnotDynamics, KnotMatrix, KnotVector, Rhs, SolveWorkspace, Step, TargetRow};
+use crate::problem::KnotDerivatives;
+use nalgebra::SMatrix;
+use upswing_model::{ActuatedVector, N_UNACTUATED, NU, NX, NZ, State, UnactuatedVector};
+use upswing_trajectory::{KNOTS, N};
+
+/// Of the linear solves: each refinement gains several digits; more than this many means there is nothing left to
+/// gain, and so does a residual this small against the right-hand side.
+const REFINEMENTS: usize = 8;
+const ACCURACY: f64 = 1e-12;
+
+/// Inputs are ten times larger than angles and velocities: their damping is smaller by the square of it.
+const INPUT_DAMPING: f64 = 1e-2;
+
+/// Gradients of the torques tau_k with respect to z_k in units of the slacks, one column for each motor.
+type TorqueGradients = SMatrix<f64, NZ, NU>;
+
+/// Full primal-dual step.
+pub(super) struct Direction {
+    pub(super) step: Step,
+    pub(super) s: Vec<ActuatedVector>,
+    pub(super) y: Vec<ActuatedVector>,
+    pub(super) bound_x: Vec<(State, State)>,
+    pub(super) bound_s: Vec<(ActuatedVector, ActuatedVector)>,
+    pub(super) bound_t: (Scalar, Scalar),
+    /// Largest fractions to the boundary.
+    pub(super) alpha: (f64, f64),
+}
+
+/// The linear system of an iteration and the memory to solve it, made once.
+pub(super) struct Linear {
+    pub(super) kkt: Kkt,
+    pub(super) torque: Vec<TorqueGradients>,
+    pub(super) factor: Factor,
+    pub(super) rhs: Rhs,
+    pub(super) work: SolveWorkspace,
+}
+
+impl Linear {
+    pub(super) fn new(target: &[TargetRow]) -> Self {
+        let kkt = Kkt {
+            h: 0.0,
+            hessian: vec![KnotMatrix::zeros(); KNOTS],
+            with_t: vec![KnotVector::zeros(); KNOTS],
+            t_t: 0.0,
+            dynamics: vec![KnotDynamics::zeros(); KNOTS],
+            target: target.to_vec(),
+        };
+        let rhs = kkt.zero_rhs();
+        let work = SolveWorkspace::new(N, target.len());
+        Self { kkt, torque: vec![TorqueGradients::zeros(); KNOTS], factor: Factor::new(N), rhs, work }
+    }
+}
+
+impl Solver<'_> {
+    /// Multiplier sum w_k = lambda_{k-1} + lambda_k of the defects at knot k.
+    pub(super) fn defect_multiplier(&self, k: usize) -> State {
+        let mut w = State::zeros();
+        if k > 0 {
+            w += self.dynamics[k - 1];
+        }
+        if k < N {
+            w += self.dynamics[k];
+        }
+        w
+    }
+
+    /// Sets the matrix (without barrier and torque terms) and the torques' gradients to those of the current point.
+    pub(super) fn linearise(&mut self, linear: &mut Linear) {
+        let h = self.point.t / N as f64;
+        let r = self.problem.input_weight;
+        let kkt = &mut linear.kkt;
+        kkt.h = h;
+        kkt.t_t = 0.0;
+        for k in 0..KNOTS {
+            let (x, u) = (self.point.x[k], self.point.u[k]);
+            let w = self.defect_multiplier(k);
+            let w_u: UnactuatedVector = w.fixed_rows::<N_UNACTUATED>(NX - N_UNACTUATED) * (-0.5 * h);
+            let mu = self.y[k].component_div(&self.torque_half);
+            let (knot, hessian) = self.problem.knot_derivatives(&x, &u, &w_u, &mu, &mut self.work);
+            kkt.hessian[k] = hessian;
+            kkt.dynamics[k] = KnotDynamics::new(&knot.dynamics, &x, &u);
+            let with_t = &mut kkt.with_t[k];
+            *with_t = kkt.dynamics[k].apply_transposed(&w) * (-0.5 / N as f64);
+            for i in 0..NU {
+                kkt.hessian[k][(NX + i, NX + i)] += h * r;
+                with_t[NX + i] += r * u[i] / N as f64;
+            }
+            linear.torque[k] = self.torque_gradients(&knot);
+        }
+    }
+
+    fn torque_gradients(&self, knot: &KnotDerivatives) -> TorqueGradients {
+        let d = knot.torque();
+        TorqueGradients::from_fn(|j, i| {
+            (if j < NX { d.tau_x[(i, j)] } else { d.tau_u[(i, j - NX)] }) / self.torque_half[i]
+        })
+    }
+
+    /// Gradient of the objective: with respect to z_k into `g`; that with respect to t_F is returned.
+    pub(super) fn objective_gradient(&self, g: &mut [KnotVector]) -> f64 {
+        let (h, r) = (self.point.t / N as f64, self.problem.input_weight);
+        for (g, u) in g.iter_mut().zip(&self.point.u) {
+            g.fill(0.0);
+            g.fixed_rows_mut::<NU>(NX).copy_from(&(u * (h * r)));
+        }
+        self.objective_on_t()
+    }
+
+    /// Derivative of the objective with respect to t_F.
+    pub(super) fn objective_on_t(&self) -> f64 {
+        let effort: f64 = self.point.u.iter().map(|u| u.norm_squared()).sum();
+        1.0 + 0.5 * self.problem.input_weight * effort / N as f64
+    }
+
+    /// Adds barrier and torque terms to the matrix.
+    pub(super) fn condense(&self, linear: &mut Linear) {
+        linear.kkt.t_t += self.bound_t.sigma(&Scalar::new(self.point.t))[0];
+        for k in 0..KNOTS {
+            let hessian = &mut linear.kkt.hessian[k];
+            if k > 0 {
+                let sigma = self.bound_x[k - 1].sigma(&self.point.x[k]);
+                for i in 0..NX {
+                    hessian[(i, i)] += sigma[i];
+                }
+            }
+            let sigma = self.bound_s[k].sigma(&self.point.s[k]);
+            for (gradient, sigma) in linear.torque[k].column_iter().zip(&sigma) {
+                hessian.ger(*sigma, &gradient, &gradient, 1.0);
+            }
+        }
+    }
+
+    fn right_hand_side(&self, linear: &mut Linear, c: &Residuals) {
+        let rhs = &mut linear.rhs;
+        rhs.g_t = self.objective_gradient(&mut rhs.g)
+            + self.bound_t.gradient(&Scalar::new(self.point.t), self.mu)[0];
+        rhs.dynamics.copy_from_slice(&c.dynamics);
+        rhs.target.copy_from_slice(&c.target);
+        for k in 0..KNOTS {
+            if k > 0 {
+                let barrier = self.bound_x[k - 1].gradient(&self.point.x[k], self.mu);
+                for i in 0..NX {
+                    rhs.g[k][i] += barrier[i];
+                }
+            }
+            let sigma = self.bound_s[k].sigma(&self.point.s[k]);
+            let pull =
+                sigma.component_mul(&c.torque[k]) + self.bound_s[k].gradient(&self.point.s[k], self.mu);
+            rhs.g[k] += linear.torque[k] * pull;
+        }
+    }
+
+    /// The step for the constraint residuals `c`; needs the factorised matrix.
+    pub(super) fn direction(&self, linear: &mut Linear, damping: f64, c: &Residuals) -> Direction {
+        self.right_hand_side(linear, c);
+        let Linear { kkt, torque, factor, rhs, work } = linear;
+        let mut step = Step::zeros(N, kkt.target.len());
+        kkt.solve_into(
+            factor,
+            rhs,
+            (damping, damping * INPUT_DAMPING),
+            (REFINEMENTS, ACCURACY),
+            work,
+            &mut step,
+        );
+        let share = (1.0 - self.mu).max(0.99);
+        let mut alpha = (1.0_f64, 1.0_f64);
+        let mut shorten = |a: (f64, f64)| alpha = (alpha.0.min(a.0), alpha.1.min(a.1));
+        let (mut s, mut y) = (Vec::with_capacity(KNOTS), Vec::with_capacity(KNOTS));
+        let (mut bound_x, mut bound_s) = (Vec::with_capacity(N), Vec::with_capacity(KNOTS));
+        for k in 0..KNOTS {
+            let (b, v) = (&self.bound_s[k], &self.point.s[k]);
+            let ds = torque[k].tr_mul(&step.z[k]) + c.torque[k];
+            let new_y = b.sigma(v).component_mul(&ds) + b.gradient(v, self.mu);
+            let dz = b.dual_step(v, &ds, self.mu);
+            shorten(b.to_boundary(v, &ds, &dz, share));
+            y.push(new_y - self.y[k]);
+            s.push(ds);
+            bound_s.push(dz);
+            if k > 0 {
+                let (b, v) = (&self.bound_x[k - 1], &self.point.x[k]);
+                let dx: State = step.z[k].fixed_rows::<NX>(0).into();
+                let dz = b.dual_step(v, &dx, self.mu);
+                shorten(b.to_boundary(v, &dx, &dz, share));
+                bound_x.push(dz);
+            }
+        }
+        let (t, dt) = (Scalar::new(self.point.t), Scalar::new(step.t));
+        let bound_t = self.bound_t.dual_step(&t, &dt, self.mu);
+        shorten(self.bound_t.to_boundary(&t, &dt, &bound_t, share));
+        Direction { step, s, y, bound_x, bound_s, bound_t, alpha }
+    }
+
+    /// Factorises with as little damping as gives the right inertia, at least `least`: that damping.
+    pub(super) fn factor(&mut self, linear: &mut Linear, least: f64) -> Option<f64> {
+        const FIRST: f64 = 1e-4;
+        const MOST: f64 = 1e10;
+        let mut damping = least;
+        loop {
+            if linear.kkt.factor_into(damping, damping * INPUT_DAMPING, &mut linear.factor) {
+                if damping > 0.0 {
+                    self.last_damping = damping;
+                }
+                return Some(damping);
+            }
+            damping = if damping == 0.0 {
+                if self.last_damping == 0.0 { FIRST } else { (self.last_damping / 3.0).max(1e-12) }
+            } else if self.last_damping == 0.0 {
+                damping * 100.0
+            } else {
+                damping * 8.0
+            };
+            if damping > MOST {
+                return None;
+            }
+        }
+    }
+}
