@@ -95,6 +95,24 @@ pub fn fault(text: &str) -> Result<FaultArgs, String> {
     Ok(line.fault)
 }
 
+/// One test for each mode, so that they run beside each other.
+#[macro_export]
+macro_rules! in_each_mode {
+    ($check:ident: $($test:ident $mode:ident),+) => {
+        $(
+            #[test]
+            fn $test() {
+                $check(upswing_ipc::Mode::$mode);
+            }
+        )+
+    };
+    ($check:ident) => {
+        $crate::in_each_mode!(
+            $check: in_idle Idle, in_hold Hold, in_track Track, in_balance Balance, in_stop Stop, in_fault Fault
+        );
+    };
+}
+
 /// Controller and plant in some mode, and what happened to them.
 #[derive(Clone)]
 pub struct Case {

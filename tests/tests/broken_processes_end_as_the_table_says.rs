@@ -226,32 +226,4 @@ fn load_cpus(time: Duration) {
     });
 }
 
-#[test]
-fn in_idle() {
-    check(Mode::Idle);
-}
-
-#[test]
-fn in_hold() {
-    check(Mode::Hold);
-}
-
-#[test]
-fn in_track() {
-    check(Mode::Track);
-}
-
-#[test]
-fn in_balance() {
-    check(Mode::Balance);
-}
-
-#[test]
-fn in_stop() {
-    check(Mode::Stop);
-}
-
-#[test]
-fn in_fault() {
-    check(Mode::Fault);
-}
+upswing_tests::in_each_mode!(check);

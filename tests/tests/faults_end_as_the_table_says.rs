@@ -31,35 +31,7 @@ fn check(column: Mode) {
     assert!(wrong.is_empty(), "outcomes in {column}:\n{}", wrong.join("\n"));
 }
 
-#[test]
-fn in_idle() {
-    check(Mode::Idle);
-}
-
-#[test]
-fn in_hold() {
-    check(Mode::Hold);
-}
-
-#[test]
-fn in_track() {
-    check(Mode::Track);
-}
-
-#[test]
-fn in_balance() {
-    check(Mode::Balance);
-}
-
-#[test]
-fn in_stop() {
-    check(Mode::Stop);
-}
-
-#[test]
-fn in_fault() {
-    check(Mode::Fault);
-}
+upswing_tests::in_each_mode!(check);
 
 #[test]
 fn the_table_is_complete_and_canonical() {
