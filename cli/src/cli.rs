@@ -2,7 +2,7 @@
 
 use crate::commands;
 use clap::{CommandFactory, Parser, Subcommand};
-use upswing_config::process::Failure;
+use upswing_config::process::{Failure, ProcessArgs};
 
 /// Swings up and balances a spherical pendulum on a 7-DoF robot.
 ///
@@ -43,11 +43,11 @@ enum Command {
     /// Run as the control daemon, like `upswingd`
     ///
     /// Example: upswing daemon --domain robot
-    Daemon(upswingd::DaemonArgs),
+    Daemon(ProcessArgs),
     /// Run as the planner, like `upswing-planner`
     ///
     /// Example: upswing planner --domain robot
-    Planner(upswing_planner::service::PlannerArgs),
+    Planner(ProcessArgs),
     /// Run as the plant simulator, like `upswing-plant`
     ///
     /// Example: upswing plant --domain robot --clock wall
@@ -80,7 +80,7 @@ pub fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Config(args) => commands::config::run(args),
         Command::Completions(args) => commands::completions::completions(args, &mut Cli::command()),
         Command::Man(args) => commands::completions::man(args, Cli::command()),
-        Command::Daemon(args) => upswingd::run(args.clone()),
+        Command::Daemon(args) => upswingd::run(args),
         Command::Planner(args) => upswing_planner::service::run(args),
         Command::Plant(args) => upswing_plant::run(args),
     }

@@ -6,7 +6,7 @@ use upswing_config::{Config, Push};
 use upswing_ipc::{Mode, PlannerResponse, Telemetry};
 use upswing_planner::qp::Solver;
 use upswing_planner::replan::{Effort, Manoeuvre, NoPlan, Planner};
-use upswing_planner::service::payload;
+use upswing_planner::service::{describe, payload};
 use upswing_plant::{Plant, SetEventError, StateError};
 use upswingd::controller::{Controller, Order, Output};
 use upswingd::plan::{PlanRefusal, accept};
@@ -210,14 +210,7 @@ pub fn swing_up(
         run.system.plant.push(&Push { from: now + push.from, ..push })?;
     }
     run.cycles_without(&missed, cycles(replan.trajectory.t_f + seconds))?;
-    let used = replan.attempts.last().map(|a| a.entry);
-    let response = PlannerResponse {
-        t_f: replan.trajectory.t_f,
-        nearest_entry: used.map_or(0, |e| e.index as u64),
-        distance: used.map_or(0.0, |e| e.distance),
-        defect: replan.defect,
-        time_total_us: replan.times.total.as_secs_f64() * 1e6,
-        ..PlannerResponse::default()
-    };
+    let response =
+        PlannerResponse { time_total_us: replan.times.total.as_secs_f64() * 1e6, ..describe(&replan) };
     Ok(Report::new(config, &response, run.records, 0, seconds))
 }

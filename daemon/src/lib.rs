@@ -39,25 +39,16 @@ pub mod trip;
 
 pub use trip::{fault_text, warning_texts};
 
-use upswing_config::process::{Failure, ProcessArgs, shutdown_flag, start_logging};
+use upswing_config::process::{Failure, ProcessArgs, shutdown_flag};
 use upswing_ipc::Domain;
-
-/// Command line of the daemon.
-#[derive(Clone, Debug, clap::Args)]
-pub struct DaemonArgs {
-    /// Options of every process.
-    #[command(flatten)]
-    pub process: ProcessArgs,
-}
 
 /// Runs the daemon until SIGINT, SIGTERM or SIGHUP; the main function of a process.
 ///
 /// # Errors
 /// [`Failure::BadInput`] for settings or a domain name that cannot be used, otherwise as [`service::serve`].
-pub fn run(args: DaemonArgs) -> Result<(), Failure> {
-    start_logging();
-    let config = args.process.load()?;
-    let domain = Domain::new(&args.process.domain).map_err(|e| Failure::BadInput(e.to_string()))?;
+pub fn run(args: &ProcessArgs) -> Result<(), Failure> {
+    let config = args.load()?;
+    let domain = Domain::new(&args.domain).map_err(|e| Failure::BadInput(e.to_string()))?;
     let shutdown = shutdown_flag()?;
     service::serve(&config, &domain, &shutdown)
 }

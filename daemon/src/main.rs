@@ -2,17 +2,18 @@
 
 use clap::Parser;
 use std::process::ExitCode;
-use upswing_config::process::finish;
-use upswingd::DaemonArgs;
+use upswing_config::process::{ProcessArgs, finish, start_logging};
 
 /// Runs the control daemon of upswing until SIGINT or SIGTERM
 #[derive(Parser)]
 #[command(version, after_help = "Example:\n  upswingd --config /etc/upswing --domain upswing")]
 struct Args {
     #[command(flatten)]
-    daemon: DaemonArgs,
+    process: ProcessArgs,
 }
 
 fn main() -> ExitCode {
-    finish(upswingd::run(Args::parse().daemon))
+    let args = Args::parse();
+    start_logging();
+    finish(upswingd::run(&args.process))
 }

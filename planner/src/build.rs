@@ -49,7 +49,7 @@ impl std::str::FromStr for Shard {
 #[derive(Debug, thiserror::Error)]
 pub enum BuildError {
     /// A file cannot be read or written.
-    #[error("cannot {action} {}: {cause}{}", path.display(), if *action == "read" { "" } else { KEPT })]
+    #[error("cannot {action} {}: {cause}", path.display())]
     File {
         /// read, write, ...
         action: &'static str,
@@ -113,9 +113,6 @@ pub enum BuildError {
     #[error("no shards given")]
     Nothing,
 }
-
-/// What an error while writing leaves.
-const KEPT: &str = "; what was finished is kept in the journal";
 
 /// Identifies a grid.
 fn grid_fingerprint(grid: &GridSettings) -> u64 {
@@ -374,7 +371,7 @@ fn same_origin(path: &Path, got: &Heading, expected: &Heading) -> Result<(), Bui
 ///
 /// # Errors
 /// [`BuildError`] for missing shards, files of different builds, and poses that differ between files.
-pub fn merge(inputs: &[PathBuf], output: &Path) -> Result<Database, BuildError> {
+pub fn merge(inputs: &[PathBuf], output: &Path) -> Result<Summary, BuildError> {
     let mut records: BTreeMap<u64, (Record, PathBuf)> = BTreeMap::new();
     let mut first: Option<Heading> = None;
     let mut present = BTreeSet::new();
@@ -413,7 +410,7 @@ pub fn merge(inputs: &[PathBuf], output: &Path) -> Result<Database, BuildError> 
     let heading = Heading { shard: 1, shards: 1, ..heading };
     let database = Database { heading, records: records.into_values().map(|(r, _)| r).collect() };
     write_whole(output, &database.encode())?;
-    Ok(database)
+    Ok(summary(&database, database.records.len(), 0))
 }
 
 /// Reads a database file.

@@ -88,6 +88,15 @@ pub struct TargetRow {
     pub value: f64,
 }
 
+impl TargetRow {
+    /// The i-th entry of x_N shall be `value`.
+    pub fn unit(i: usize, value: f64) -> Self {
+        let mut coefficients = State::zeros();
+        coefficients[i] = 1.0;
+        Self { coefficients, value }
+    }
+}
+
 /// Right-hand side of the system: gradients and residuals.
 #[derive(Clone, Debug)]
 pub struct Rhs {

@@ -2,8 +2,8 @@
 
 use clap::Parser;
 use std::process::ExitCode;
-use upswing_config::process::{finish, start_logging};
-use upswing_planner::service::{PlannerArgs, run};
+use upswing_config::process::{ProcessArgs, finish, start_logging};
+use upswing_planner::service::run;
 
 /// Plans swing-ups on request: nearest database entry, constrained QP, gains.
 ///
@@ -12,11 +12,11 @@ use upswing_planner::service::{PlannerArgs, run};
 #[command(version)]
 struct Cli {
     #[command(flatten)]
-    args: PlannerArgs,
+    process: ProcessArgs,
 }
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
     start_logging();
-    finish(run(&cli.args))
+    finish(run(&cli.process))
 }

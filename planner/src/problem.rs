@@ -77,16 +77,12 @@ pub struct Problem<'a> {
 pub fn upright_target(pitch: f64, q8: f64) -> Vec<TargetRow> {
     /// Joints that (8) fixes, and q8's own place among them.
     const FIXED: [usize; 6] = [0, 2, 4, 6, 7, 8];
-    let unit = |i: usize, value| {
-        let mut coefficients = State::zeros();
-        coefficients[i] = 1.0;
-        TargetRow { coefficients, value }
-    };
-    let mut rows: Vec<_> = FIXED.iter().map(|i| unit(*i, if *i == 7 { q8 } else { 0.0 })).collect();
+    let mut rows: Vec<_> =
+        FIXED.iter().map(|i| TargetRow::unit(*i, if *i == 7 { q8 } else { 0.0 })).collect();
     let mut coefficients = State::zeros();
     (coefficients[1], coefficients[3], coefficients[5]) = (1.0, -1.0, 1.0);
     rows.push(TargetRow { coefficients, value: pitch });
-    rows.extend((NQ..NX).map(|i| unit(i, 0.0)));
+    rows.extend((NQ..NX).map(|i| TargetRow::unit(i, 0.0)));
     rows
 }
 

@@ -16,14 +16,12 @@ use crate::qp::{Options, Qp, Solver, Status, TorqueRows};
 use std::time::Instant;
 use upswing_config::{Config, ConfigError, DatabaseFile};
 use upswing_model::{NU, NX, NZ, State, Workspace, position, state, velocity};
-use upswing_trajectory::{Database, DatabaseError, Entry, Margins, N, Trajectory};
+use upswing_trajectory::{Certificate, Database, DatabaseError, Entry, Margins, N, Trajectory};
 
 /// Accuracy of each QP. A tenth of the defect that four linearisations reach.
 const QP_TOLERANCE: f64 = 1e-9;
 /// Its complementarity: an entry, whose bounds are all touched without force, is found again to 1e-6 s.
 const QP_COMPLEMENTARITY: f64 = 1e-12;
-/// Points between two knots at which margins are checked.
-const BETWEEN: usize = 9;
 /// Share of half the range by which a trajectory may be beyond a limit of position: a start is measured a hair outside.
 const POSITION_SLACK: f64 = 1e-3;
 
@@ -113,14 +111,18 @@ impl Planner {
         let decoded = Database::decode(&bytes).and_then(|database| {
             database.entries_for(config.model.fingerprint(), problem_fingerprint(&config))
         });
-        let entries = match decoded {
-            Ok(entries) => entries,
-            Err(cause) => return Err(PlannerError::Database { origin, cause }),
-        };
+        match decoded {
+            Ok(entries) => Ok(Self::with_entries(config, origin, entries)),
+            Err(cause) => Err(PlannerError::Database { origin, cause }),
+        }
+    }
+
+    /// Plans with `entries` that were made for these settings; `origin` says where they come from.
+    pub fn with_entries(config: Config, origin: String, entries: Vec<Entry>) -> Self {
         let poses = |knot: usize| entries.iter().map(move |e| pose(&e.trajectory.x[knot]));
         let metric = &config.planner.replan.metric;
         let (starts, ends) = (NearestPose::new(poses(0), metric), NearestPose::new(poses(N), metric));
-        Ok(Self { config, origin, entries, starts, ends })
+        Self { config, origin, entries, starts, ends }
     }
 
     /// The settings.
@@ -181,24 +183,32 @@ impl Planner {
         let begin = Instant::now();
         let neighbours = self.nearest(manoeuvre, start);
         let mut times = Times { nearest: begin.elapsed(), ..Times::default() };
-        let mut attempts: Vec<Attempt> = Vec::new();
+        let mut refused = Vec::new();
         for entry in neighbours {
             match self.adapt(manoeuvre, start, entry.index, effort, solver, &mut times) {
                 Ok(Adapted { trajectory, gains, iterations, defect, margins }) => {
-                    attempts.push(Attempt { entry, refused: None });
                     times.total = begin.elapsed();
-                    return Ok(Replan { trajectory, gains, attempts, iterations, defect, margins, times });
+                    return Ok(Replan {
+                        trajectory,
+                        gains,
+                        entry,
+                        refused,
+                        iterations,
+                        defect,
+                        margins,
+                        times,
+                    });
                 }
                 Err(refusal) => {
                     let no_time = matches!(refusal, Refusal::Deadline { .. } | Refusal::Cancelled { .. });
-                    attempts.push(Attempt { entry, refused: Some(refusal) });
+                    refused.push(Attempt { entry, refusal });
                     if no_time {
                         break;
                     }
                 }
             }
         }
-        Err(NoPlan { attempts })
+        Err(NoPlan { refused })
     }
 
     fn adapt(
@@ -219,7 +229,7 @@ impl Planner {
         };
         if manoeuvre == Manoeuvre::SwingDown {
             let end = &reference.x[N];
-            problem.target = exact_target(end);
+            problem.target = (0..NX).map(|i| TargetRow::unit(i, end[i])).collect();
             // It hangs where the entry began, which may be on a limit.
             problem.limits.q_min = problem.limits.q_min.inf(&position(end));
             problem.limits.q_max = problem.limits.q_max.sup(&position(end));
@@ -236,7 +246,8 @@ impl Planner {
         }
         times.qp += begin.elapsed();
         let begin = Instant::now();
-        let margins = Margins::of(&trajectory, &self.config.model, &self.config.robot.planning, BETWEEN);
+        let limits = &self.config.robot.planning;
+        let margins = Margins::of(&trajectory, &self.config.model, limits, Certificate::BETWEEN);
         times.check += begin.elapsed();
         // A NaN fails, too. With a single QP, the paper's mode, the defect is what it is.
         if iterations > 1 && !(defect <= LARGEST_DEFECT) {
@@ -392,16 +403,6 @@ impl Planner {
             compliance: 0.0,
         }
     }
-}
-
-/// All of x_T given.
-fn exact_target(x: &State) -> Vec<TargetRow> {
-    let row = |i: usize| {
-        let mut coefficients = State::zeros();
-        coefficients[i] = 1.0;
-        TargetRow { coefficients, value: x[i] }
-    };
-    (0..NX).map(row).collect()
 }
 
 /// q_A of a state, rad.

@@ -16,14 +16,6 @@ use upswing_ipc::{
 use upswing_model::{ActuatedVector, NQ, NU, NX, State, Workspace};
 use upswing_trajectory::Plan;
 
-/// Options of the planner process.
-#[derive(Clone, Debug, clap::Args)]
-pub struct PlannerArgs {
-    /// Options that all processes have.
-    #[command(flatten)]
-    pub process: ProcessArgs,
-}
-
 /// Pause between two looks for requests: small against a replan.
 const PAUSE: Duration = Duration::from_millis(1);
 
@@ -40,11 +32,11 @@ const START_SLACK: f64 = 1e-3;
 ///
 /// # Errors
 /// [`Failure::BadInput`] for unusable settings or database, [`Failure::Failed`] if the domain cannot be used.
-pub fn run(args: &PlannerArgs) -> Result<(), Failure> {
+pub fn run(args: &ProcessArgs) -> Result<(), Failure> {
     let stop = shutdown_flag()?;
-    let config = args.process.load()?;
+    let config = args.load()?;
     let planner = Planner::new(config).map_err(|e| Failure::BadInput(e.to_string()))?;
-    let domain = Domain::new(&args.process.domain).map_err(|e| Failure::BadInput(e.to_string()))?;
+    let domain = Domain::new(&args.domain).map_err(|e| Failure::BadInput(e.to_string()))?;
     serve(&planner, &domain, &stop).map_err(|e| Failure::Failed(e.to_string()))
 }
 
@@ -330,14 +322,14 @@ fn check_start(planner: &Planner, start: &State) -> Result<(), No> {
     Ok(())
 }
 
-fn describe(replan: &Replan) -> PlannerResponse {
+/// What an answer says of a plan, but for its id and the time in all.
+pub fn describe(replan: &Replan) -> PlannerResponse {
     let micros = |d: Duration| d.as_secs_f64() * 1e6;
-    let used = replan.attempts.last().map(|a| a.entry);
     PlannerResponse {
         status: PlannerStatus::Solved.code(),
         t_f: replan.trajectory.t_f,
-        nearest_entry: used.map_or(0, |e| e.index as u64),
-        distance: used.map_or(0.0, |e| e.distance),
+        nearest_entry: replan.entry.index as u64,
+        distance: replan.entry.distance,
         iterations: replan.iterations as u64,
         defect: replan.defect,
         margin_q: replan.margins.q.share,

@@ -158,11 +158,22 @@ fn build(common: &CommonArgs, grid: Option<&Path>, shard: Shard, output: &Path) 
     let begin = Instant::now();
     let summary = build::build(&config, shard, output, &stop, |n| bar.inc(n as u64)).map_err(failure)?;
     bar.finish_and_clear();
-    let Summary { poses, resumed, solved, rejected, failed: unsolved, left } = summary;
-    for pose in &unsolved {
+    for pose in &summary.failed {
         let degrees = config.grid.pose(*pose as usize).map(|q| format!("{:.1}", q.to_degrees()));
         tracing::warn!("no solution from pose {pose}, [{}] deg", degrees.join(", "));
     }
+    conclude(common, output, summary, begin)
+}
+
+fn merge(common: &CommonArgs, output: &Path, shards: &[PathBuf]) -> Result<(), Failure> {
+    let begin = Instant::now();
+    let summary = build::merge(shards, output).map_err(failure)?;
+    conclude(common, output, summary, begin)
+}
+
+/// Says what has become of `output` since `begin`.
+fn conclude(common: &CommonArgs, output: &Path, summary: Summary, begin: Instant) -> Result<(), Failure> {
+    let Summary { poses, resumed, solved, rejected, failed: unsolved, left } = summary;
     let count = unsolved.len();
     common.print(&Built {
         success: count == 0 && left == 0,
@@ -180,23 +191,6 @@ fn build(common: &CommonArgs, grid: Option<&Path>, shard: Shard, output: &Path) 
         (0, n) => Err(failed(format!("{n} poses have no solution"))),
         (n, _) => Err(failed(format!("interrupted with {n} poses left; the same command goes on from here"))),
     }
-}
-
-fn merge(common: &CommonArgs, output: &Path, shards: &[PathBuf]) -> Result<(), Failure> {
-    let begin = Instant::now();
-    let database = build::merge(shards, output).map_err(failure)?;
-    let entries = database.entries().count();
-    common.print(&Built {
-        success: true,
-        file: output.to_owned(),
-        poses: database.records.len(),
-        entries,
-        rejected: database.records.iter().filter(|r| r.outcome == Outcome::Rejected).count(),
-        failed: database.records.iter().filter(|r| r.outcome == Outcome::Failed).map(|r| r.pose).collect(),
-        resumed: 0,
-        left: 0,
-        time_s: begin.elapsed().as_secs_f64(),
-    })
 }
 
 /// The database of a file or of the settings, and where it comes from.

@@ -34,17 +34,15 @@ pub struct PlanFigures {
 }
 
 impl PlanFigures {
-    /// Of a replan; its margins are those at the knots, or others that were found.
-    pub fn new(replan: &Replan, margins: &Margins) -> Self {
-        // A plan has at least the attempt that gave it.
-        let used = replan.attempts.last().map(|a| a.entry);
+    /// Of a replan.
+    pub fn new(replan: &Replan) -> Self {
         Self {
-            nearest_entry: used.map_or(0, |e| e.index),
-            distance: used.map_or(0.0, |e| e.distance),
-            attempts: replan.attempts.len(),
+            nearest_entry: replan.entry.index,
+            distance: replan.entry.distance,
+            attempts: replan.refused.len() + 1,
             iterations: replan.iterations,
             defect: replan.defect,
-            margins: margins.into(),
+            margins: (&replan.margins).into(),
         }
     }
 }

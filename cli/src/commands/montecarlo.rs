@@ -39,7 +39,7 @@ pub struct MonteCarloArgs {
 /// What to do from each start.
 #[derive(Clone, Debug, clap::Subcommand)]
 pub enum MonteCarloCommand {
-    /// Plan, and check the plans densely between their knots
+    /// Plan, and let the daemon check the plans
     ///
     /// Starts are uniform in the ranges of the grid (the paper's, Section VI), the pendulum hangs at rest within
     /// 40 deg. The same seed gives the same results on any number of threads; times apart.

@@ -6,13 +6,13 @@ use crate::picture;
 use serde::Serialize;
 use std::path::PathBuf;
 use upswing_config::process::Failure;
-use upswing_config::{Config, DatabaseFile, PendulumStart};
+use upswing_config::{Config, PendulumStart};
 use upswing_model::State;
-use upswing_planner::build::{Shard, certify, heading};
+use upswing_planner::build::certify;
 use upswing_planner::interior_point::Status;
 use upswing_planner::offline::{Effort, optimize, options};
 use upswing_planner::replan::Planner;
-use upswing_trajectory::{Database, Entry, Outcome, Record};
+use upswing_trajectory::Entry;
 
 /// Adapts the nearest database entry to a start at rest, as the planner process does.
 ///
@@ -66,18 +66,16 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
     let planner = match &args.reference {
         Some(reference) => {
             let x = start_state(&config, "--reference", reference, pendulum)?;
-            let database = single_entry(&config, x)?;
-            Planner::with_database(config, database)
+            let entry = optimal_entry(&config, x)?;
+            Planner::with_entries(config, "--reference".into(), vec![entry])
         }
-        None => Planner::new(config),
-    }
-    .map_err(|e| Failure::BadInput(e.to_string()))?;
+        None => Planner::new(config).map_err(|e| Failure::BadInput(e.to_string()))?,
+    };
     let settings = &planner.config().planner;
     let iterations = args.iterations.map_or(settings.replan.iterations, |n| n as usize);
     let replan = planner.replan(&start, iterations, None).map_err(failed)?;
-    // A plan has at least the attempt that gave it.
-    if let (Some(path), Some(used)) = (&args.svg, replan.attempts.last()) {
-        let reference = &planner.entries()[used.entry.index].trajectory;
+    if let Some(path) = &args.svg {
+        let reference = &planner.entries()[replan.entry.index].trajectory;
         let config = planner.config();
         picture::plan::draw(path, &config.model, &config.robot.planning, &replan.trajectory, reference)
             .map_err(failed)?;
@@ -86,7 +84,7 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
         trajectory: (&replan.trajectory).into(),
         status: "solved",
         cost: replan.trajectory.cost(settings.offline.input_weight),
-        figures: PlanFigures::new(&replan, &replan.margins),
+        figures: PlanFigures::new(&replan),
         time_nearest_s: replan.times.nearest.as_secs_f64(),
         time_qp_s: replan.times.qp.as_secs_f64(),
         time_lqr_s: replan.times.lqr.as_secs_f64(),
@@ -113,14 +111,11 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
     ))
 }
 
-/// A database of the optimal trajectory from `start` alone.
-fn single_entry(config: &Config, start: State) -> Result<DatabaseFile, Failure> {
+/// The optimal trajectory from `start`.
+fn optimal_entry(config: &Config, start: State) -> Result<Entry, Failure> {
     let solution = optimize(config, start, Effort::Best, None, &options(config));
     if solution.status != Status::Solved {
         return Err(failed(format!("--reference: no trajectory: {}", solution.status)));
     }
-    let entry = Entry::new(&solution.trajectory, |t| certify(config, t));
-    let records = vec![Record { pose: 0, outcome: Outcome::Solved(Box::new(entry)) }];
-    let database = Database { heading: heading(config, Shard::WHOLE), records };
-    Ok(DatabaseFile { bytes: database.encode().into(), origin: "--reference".into() })
+    Ok(Entry::new(&solution.trajectory, |t| certify(config, t)))
 }

@@ -9,13 +9,13 @@ use upswing_config::Config;
 use upswing_model::Workspace;
 use upswing_trajectory::{Margins, Plan, Trajectory};
 
-/// One neighbour that was tried.
+/// A neighbour that was tried in vain.
 #[derive(Clone, Debug)]
 pub struct Attempt {
     /// The entry and its distance.
     pub entry: Neighbour,
-    /// Why it was not used, `None` for the one that was.
-    pub refused: Option<Refusal>,
+    /// Why it gave no plan.
+    pub refusal: Refusal,
 }
 
 /// Why a neighbour gave no plan.
@@ -96,8 +96,10 @@ pub struct Replan {
     pub trajectory: Trajectory,
     /// Its gains.
     pub gains: Gains,
-    /// The entries tried, in order; the last one was used.
-    pub attempts: Vec<Attempt>,
+    /// The entry it was adapted from.
+    pub entry: Neighbour,
+    /// The entries tried in vain before, in order.
+    pub refused: Vec<Attempt>,
     /// Linearisations for the entry used.
     pub iterations: usize,
     /// Largest defect (6b) of the real dynamics.
@@ -111,19 +113,16 @@ pub struct Replan {
 /// No neighbour led to a plan.
 #[derive(Clone, Debug)]
 pub struct NoPlan {
-    /// The entries tried, with the reasons.
-    pub attempts: Vec<Attempt>,
+    /// The entries tried, in order.
+    pub refused: Vec<Attempt>,
 }
 
 impl std::fmt::Display for NoPlan {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "none of the {} nearest database entries could be adapted", self.attempts.len())?;
-        for a in &self.attempts {
-            if let Some(refusal) = &a.refused {
-                write!(f, "; entry {} ({:.3} rad away): {refusal}", a.entry.index, a.entry.distance)?;
-            }
-        }
-        Ok(())
+        write!(f, "none of the {} nearest database entries could be adapted", self.refused.len())?;
+        self.refused.iter().try_for_each(|Attempt { entry, refusal }| {
+            write!(f, "; entry {} ({:.3} rad away): {refusal}", entry.index, entry.distance)
+        })
     }
 }
 
@@ -132,7 +131,7 @@ impl std::error::Error for NoPlan {}
 impl NoPlan {
     /// Whether time, not feasibility, was the reason.
     pub fn out_of_time(&self) -> bool {
-        self.attempts.iter().any(|a| matches!(a.refused, Some(Refusal::Deadline { .. })))
+        self.refused.iter().any(|a| matches!(a.refusal, Refusal::Deadline { .. }))
     }
 }
 

@@ -12,7 +12,6 @@ use upswing_model::{NU, State};
 use upswing_planner::qp::Solver;
 use upswing_planner::replan::{Effort, Manoeuvre, Planner};
 use upswing_planner::service::payload;
-use upswing_trajectory::{Certificate, Margin, Margins};
 
 /// How to plan.
 #[derive(Clone, Debug, clap::Args)]
@@ -28,9 +27,6 @@ pub struct ReplanArgs {
     pub svg: Option<PathBuf>,
 }
 
-/// Share of half a limit's range by which the spline may be beyond a limit: what the planner itself allows, because a
-/// start is measured a hair outside, here at twice as many points.
-const LIMIT_TOLERANCE: f64 = 1e-3;
 /// Defect of the real dynamics that counts as closed, rad or rad/s per interval.
 const CLOSED_DEFECT: f64 = 1e-6;
 
@@ -69,28 +65,15 @@ fn sample(planner: &Planner, solver: &mut Solver, iterations: usize, index: u64,
     let (plan, failure, times) = match &result {
         Ok(replan) => {
             let config = planner.config();
-            let limits = &config.robot.planning;
-            let margins = Margins::of(&replan.trajectory, &config.model, limits, Certificate::BETWEEN);
             let refused = upswingd::plan::accept(&payload(&replan.plan(config)), config).err();
-            let failure =
-                refused.map(|e| format!("the daemon refused the plan: {e}")).or_else(|| beyond(&margins));
-            let plan = PlanFigures::new(replan, &margins);
-            let figures = Figures { t_f: replan.trajectory.t_f, plan };
+            let failure = refused.map(|e| format!("the daemon refused the plan: {e}"));
+            let figures = Figures { t_f: replan.trajectory.t_f, plan: PlanFigures::new(replan) };
             let (qp, lqr) = (replan.times.qp.as_secs_f64(), replan.times.lqr.as_secs_f64());
             (Some(figures), failure, Times { qp, lqr, total })
         }
         Err(e) => (None, Some(e.to_string()), Times { total, ..Times::default() }),
     };
     Sample { index, start_deg: arm_degrees(start), plan, failure, times }
-}
-
-/// The first kind of limit that a plan does not keep between its knots.
-fn beyond(margins: &Margins) -> Option<String> {
-    let kinds: [(&str, &Margin); 3] =
-        [("position", &margins.q), ("velocity", &margins.qd), ("torque", &margins.tau)];
-    let (limit, m) = kinds.into_iter().find(|(_, m)| !(m.share >= -LIMIT_TOLERANCE))?;
-    let (joint, percent) = (m.joint + 1, -100.0 * m.share);
-    Some(format!("{limit} limit of joint {joint} is exceeded by {percent:.2} % at {:.3} s", m.time))
 }
 
 #[derive(Serialize)]
