@@ -36,8 +36,8 @@ fn requests(starts: &[State]) {
     session.control(ControlCommand::Enable).unwrap_or_else(|e| panic!("{e}"));
     // Time to settle, and for the planner to make its plan.
     session.advance((1.0 / period) as u64).expect("time passes");
-    let fresh = |start: &State| PlannerRequest { start: (*start).into(), ..PlannerRequest::default() };
-    let from_now = PlannerRequest { from_now: 1, ..PlannerRequest::default() };
+    let from_now = PlannerRequest::from_now(PlannerKind::SwingUp);
+    let fresh = |start: &State| PlannerRequest { from_now: 0, start: (*start).into(), ..from_now };
     let (mut computed, mut ready, mut planning, mut status) = (vec![], vec![], vec![], vec![]);
     // In turns, so that the id of the loaded plan changes with each request.
     for start in starts {
@@ -63,7 +63,6 @@ fn requests(starts: &[State]) {
 
 /// Asks for a swing-up and waits until the daemon has accepted the plan.
 fn request(session: &mut Session, request: PlannerRequest) -> (PlannerResponse, Duration) {
-    let request = PlannerRequest { kind: PlannerKind::SwingUp.code(), publish: 1, ..request };
     let client = session.node().client::<PlannerRequest>().unwrap_or_else(|e| panic!("{e}"));
     let begin = Instant::now();
     let plan = client.call(&request, PATIENCE).unwrap_or_else(|e| panic!("{e}"));

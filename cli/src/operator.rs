@@ -185,8 +185,7 @@ impl Operator {
 
     fn plan_and_start(&self, kind: PlannerKind, interrupted: &AtomicBool) -> Result<Accepted, OperatorError> {
         let planner = self.node.client::<PlannerRequest>()?;
-        let request =
-            PlannerRequest { kind: kind.code(), from_now: 1, publish: 1, ..PlannerRequest::default() };
+        let request = PlannerRequest::from_now(kind);
         let plan = match planner.call_while(&request, PATIENCE, || !interrupted.load(Ordering::Acquire)) {
             Err(CallError::Interrupted { .. }) => return Err(OperatorError::Interrupted),
             answer => answer?,

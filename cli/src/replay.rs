@@ -158,7 +158,7 @@ fn run(run: &Run, config: &Config) -> Result<Replay, ReplayError> {
             controller.restart_measurement();
         }
         if step.lost != 0 {
-            controller.lose_measurement(u32::try_from(step.lost).unwrap_or(u32::MAX));
+            controller.lose_measurement(step.lost);
         }
         controller.report_late(step.late);
         let telemetry = controller.step(&step.measurement, step.now_ns, order).record.telemetry;

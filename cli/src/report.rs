@@ -29,7 +29,7 @@ pub struct Figures {
     pub cycles: u64,
     /// Records lost between daemon and here.
     pub dropped: u64,
-    /// Cycles that ended late (clock `wall`).
+    /// Cycles that ended late (clocks `wall` and `paced`).
     pub overruns: u64,
 }
 
@@ -67,7 +67,7 @@ const RESOLUTION: f64 = 1e-4;
 
 /// Angle of the rod from upright, rad: between the line from the last joint to the tip and the vertical.
 pub fn tilt(model: &Model, q: &JointVector) -> f64 {
-    let rod = model.tip(q) - model.poses(q)[NQ - 1].translation.vector;
+    let rod = model.rod(q);
     (rod.z / rod.norm()).clamp(-1.0, 1.0).acos()
 }
 

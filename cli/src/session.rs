@@ -184,8 +184,7 @@ impl Session {
                 // The daemon needs cycles to stop the arm in.
                 if let Ok(now) = self.plant_status() {
                     let seq = now.seq + 100;
-                    let request =
-                        PlantRequest { kind: PlantKind::AdvanceTo.code(), seq, ..Default::default() };
+                    let request = PlantRequest { seq, ..PlantRequest::new(PlantKind::AdvanceTo) };
                     self.plant(&request)?;
                 }
             }
@@ -240,8 +239,7 @@ impl Session {
     /// # Errors
     /// [`SessionError::Refused`] with the planner's reason.
     pub fn plan_from_now(&mut self, kind: PlannerKind) -> Result<PlannerResponse, SessionError> {
-        let request =
-            PlannerRequest { kind: kind.code(), from_now: 1, publish: 1, ..PlannerRequest::default() };
+        let request = PlannerRequest::from_now(kind);
         let Self { planner, tap, recorder, records, tally, .. } = self;
         // Telemetry waits a second for those who take it; a plan may take longer on a busy machine.
         let mut collected = Ok(());
@@ -275,7 +273,7 @@ impl Session {
     /// # Errors
     /// [`SessionError::Call`] if no answer comes.
     pub fn plant_status(&mut self) -> Result<PlantResponse, SessionError> {
-        self.plant(&PlantRequest { kind: PlantKind::Status.code(), ..PlantRequest::default() })
+        self.plant(&PlantRequest::new(PlantKind::Status))
     }
 
     /// In lockstep: lets the plant run `cycles` more and waits until the daemon's record of the last one is here, or,
@@ -294,11 +292,7 @@ impl Session {
             let goal = match self.options.clock {
                 Clock::Lockstep => {
                     let seq = self.plant_status()?.seq + portion;
-                    self.plant(&PlantRequest {
-                        kind: PlantKind::AdvanceTo.code(),
-                        seq,
-                        ..Default::default()
-                    })?;
+                    self.plant(&PlantRequest { seq, ..PlantRequest::new(PlantKind::AdvanceTo) })?;
                     seq
                 }
                 // What was recorded may be far behind.
@@ -395,7 +389,7 @@ fn collect(
     Ok(())
 }
 
-/// Ends like a session does, and removes what the domain left in shared memory.
+/// When dropped, removes what the domain left in shared memory, unless somebody still uses it.
 pub struct CleanUp(pub Domain);
 
 impl Drop for CleanUp {

@@ -183,7 +183,7 @@ impl<'a> Soak<'a> {
 
         self.phase = "settle";
         let q = upswing_model::position(start).into();
-        let reset = PlantRequest { kind: PlantKind::ResetState.code(), q, ..PlantRequest::default() };
+        let reset = PlantRequest { q, ..PlantRequest::new(PlantKind::ResetState) };
         self.session.plant(&reset)?;
         self.pass(SETTLE)?;
         self.session.control(ControlCommand::Enable)?;
@@ -197,8 +197,7 @@ impl<'a> Soak<'a> {
 
         self.phase = "balance";
         let impulse = [IMPULSE * angle.cos(), IMPULSE * angle.sin(), 0.0];
-        let push =
-            PlantRequest { kind: PlantKind::Push.code(), cycles: PUSH_CYCLES, impulse, ..Default::default() };
+        let push = PlantRequest { cycles: PUSH_CYCLES, impulse, ..PlantRequest::new(PlantKind::Push) };
         self.session.plant(&push)?;
         self.pass(BALANCE.1)?;
         self.expect(Mode::Balance)?;

@@ -1,3 +1,5 @@
+//! The one error of all settings.
+
 use upswing_model::UrdfError;
 
 /// Why settings cannot be used. Each message names the file, what was expected, what came, and what to do.

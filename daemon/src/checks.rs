@@ -89,8 +89,8 @@ impl Checks {
     }
 
     /// The trip for measurements that have not come for `cycles`.
-    pub fn lost(&self, cycles: u32) -> Trip {
-        let (value, limit) = (f64::from(cycles), self.levels.measurement_age.trip);
+    pub fn lost(&self, cycles: u64) -> Trip {
+        let (value, limit) = (cycles as f64, self.levels.measurement_age.trip);
         Trip { cause: TripCause::StaleMeasurement, joint: 0, value, limit }
     }
 

@@ -8,14 +8,14 @@ use crate::checks::Checks;
 use crate::disturbance::Disturbance;
 use crate::law;
 use crate::observer::Observer;
-use crate::plan::{Ending, rod};
+use crate::plan::Ending;
 use crate::supervisor::{Event, Refusal, Request, is_braked, transition};
 use crate::trip::{Trip, TripCause};
 use nalgebra::Vector3;
 use upswing_config::{Config, PlanWhileTracking};
 use upswing_ipc::{Clock, Command, Measurement, Mode, Step, Telemetry};
 use upswing_model::{ActuatedVector, JointVector, Model, NU, State, Workspace, position, velocity};
-use upswing_trajectory::Plan;
+use upswing_trajectory::{KNOTS, Plan, Trajectory};
 
 /// What the controller is told besides the measurement; at most one per cycle.
 #[derive(Debug)]
@@ -167,14 +167,14 @@ impl Controller {
         self.trip.as_ref()
     }
 
-    /// The state x = [q, qd] of the last cycle: measured angles (rad) and filtered velocities (rad/s).
+    /// The state x = [q, qd] of the last cycle: measured angles (rad) and estimated velocities (rad/s).
     pub fn state(&self) -> &State {
         &self.observer.x
     }
 
     /// To be called when measurements do not come any more, which on the paced clock only the caller can tell.
-    pub fn lose_measurement(&mut self, cycles: u32) {
-        self.told.lost = cycles.into();
+    pub fn lose_measurement(&mut self, cycles: u64) {
+        self.told.lost = cycles;
         let trip = self.checks.lost(cycles);
         self.observer.unfit = Some(trip);
         self.give_up(Event::Fault, trip);
@@ -366,7 +366,7 @@ impl Controller {
                 let (Some(x_0), Some(x_n)) = (first, last) else { return Err(Refusal::NoPlan) };
                 self.checks.start(&self.observer.x, x_0)?;
                 self.checks.plan_age(age(kept, self.now), &mut self.warnings)?;
-                self.rod_at_end = rod(&self.model, x_n);
+                self.rod_at_end = self.model.rod(&position(x_n));
                 self.start = self.now;
                 self.trip = None;
                 // From Balance another plan ran until now.
@@ -417,7 +417,7 @@ impl Controller {
             let reference = plan.reference(t_plan);
             (reference, self.checks.tracking(x, &reference.x, warnings))
         } else {
-            let rod = rod(&self.model, x);
+            let rod = self.model.rod(&position(x));
             let tilt = rod.cross(&self.rod_at_end).norm().atan2(rod.dot(&self.rod_at_end));
             (plan.end(), self.checks.balance(tilt, warnings))
         };
@@ -495,6 +495,6 @@ fn age(kept: &Kept, now: u64) -> f64 {
 
 /// Whether the plan has what its reference at any time is made of.
 fn is_complete(plan: &Plan) -> bool {
-    let knots = plan.trajectory.x.len();
-    knots > 1 && [plan.trajectory.u.len(), plan.f.len(), plan.gains.len()].iter().all(|len| *len == knots)
+    let Trajectory { x, u, .. } = &plan.trajectory;
+    [x.len(), u.len(), plan.f.len(), plan.gains.len()] == [KNOTS; 4]
 }

@@ -139,7 +139,7 @@ impl<'a> Journal<'a> {
     /// If telemetry cannot be published.
     pub fn flush(&mut self, dropped: u64) -> Result<(), IpcError> {
         // Steps first: who has a cycle can have the step that gave it.
-        let mut sent = Ok(0);
+        let mut sent = Ok(());
         if self.step_batch.count > 0 {
             sent = self.steps.publish(&self.step_batch);
             self.step_batch.clear();
@@ -150,7 +150,7 @@ impl<'a> Journal<'a> {
             sent = sent.and(self.telemetry.publish(&self.batch));
             self.batch.clear();
         }
-        sent.map(drop)
+        sent
     }
 
     /// Statistics and warnings.

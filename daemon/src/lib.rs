@@ -27,6 +27,7 @@ pub mod flight;
 pub mod histogram;
 mod journal;
 mod law;
+mod loads;
 mod observer;
 pub mod os;
 mod overrun;

@@ -4,7 +4,6 @@ use std::fs::File;
 use std::io::{Error, ErrorKind, Write};
 use upswing_config::RealtimeSettings;
 use upswing_ipc::Degradation;
-pub use upswing_ipc::monotonic_ns;
 
 /// What has to be there of locked memory if it is limited: the process with all its segments uses less.
 const ENOUGH_MEMORY: libc::rlim_t = 256 << 20;
@@ -13,19 +12,6 @@ const HEAP: usize = 18 << 20;
 /// Stack that is in memory before the first cycle; the cycle uses less.
 const STACK: usize = 256 << 10;
 const PAGE: usize = 4096;
-
-/// Sleeps until `t_ns` (CLOCK_MONOTONIC, ns); not at all if that is past.
-pub fn sleep_until(t_ns: u64) {
-    let seconds = libc::time_t::try_from(t_ns / 1_000_000_000).unwrap_or(libc::time_t::MAX);
-    let until = libc::timespec { tv_sec: seconds, tv_nsec: (t_ns % 1_000_000_000) as libc::c_long };
-    let sleep = || {
-        // SAFETY: `until` is a valid absolute time; no remaining time is asked for.
-        unsafe {
-            libc::clock_nanosleep(libc::CLOCK_MONOTONIC, libc::TIMER_ABSTIME, &until, std::ptr::null_mut())
-        }
-    };
-    while sleep() == libc::EINTR {}
-}
 
 /// Id of the calling thread.
 pub fn thread_id() -> u32 {

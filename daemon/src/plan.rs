@@ -1,14 +1,12 @@
 //! From a plan in shared memory to one that the controller may run.
 
-use nalgebra::{SMatrix, Schur, Vector3};
+use nalgebra::{Schur, Vector3};
 use thiserror::Error;
 use upswing_config::Config;
 use upswing_ipc::Plan as Payload;
 use upswing_model::{ActuatedVector, Model, NQ, NU, NX, State, Workspace, position, velocity};
-use upswing_trajectory::{Gain, Plan, Reference, Trajectory};
+use upswing_trajectory::{Certificate, Gain, Plan, Reference, Trajectory};
 
-/// Longest plan, s.
-const LONGEST: f64 = 60.0;
 /// How far knots may be past what `robot.toml` leaves to plans: rad, rad/s and a share of the torque. A solver meets
 /// its limits up to a tolerance, and one QP around a database trajectory (14)-(17) meets the torque's linearisation.
 const POSITION_TOLERANCE: f64 = 1e-3;
@@ -21,7 +19,7 @@ const END_SPEED: f64 = 1e-2;
 const END_TILT: f64 = 2e-2;
 
 /// Points of the grid per interval between knots on which limits are checked.
-const GRID: usize = 10;
+const GRID: usize = Certificate::BETWEEN + 1;
 
 /// What a plan ends in, and so what follows it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,12 +35,6 @@ impl Ending {
     pub fn of(rod: &Vector3<f64>) -> Self {
         if rod.z > 0.0 { Self::Upright } else { Self::Hanging }
     }
-}
-
-/// From the last joint to the tip of the rod at the state `x`, world frame (z up), m.
-pub fn rod(model: &Model, x: &State) -> Vector3<f64> {
-    let q = position(x);
-    model.tip(&q) - model.poses(&q)[NQ - 1].translation.vector
 }
 
 /// Why a plan was refused: the first check that failed.
@@ -78,7 +70,7 @@ pub enum PlanRefusal {
         got: f64,
     },
     /// t_F out of bounds.
-    #[error("t_F is {got} s, expected more than 0 and at most {LONGEST} s")]
+    #[error("t_F is {got} s, expected more than 0 and at most {longest} s", longest = Trajectory::LONGEST)]
     Duration {
         /// t_F, s.
         got: f64,
@@ -161,7 +153,7 @@ pub fn accept(payload: &Payload, config: &Config) -> Result<Box<Plan>, PlanRefus
     finite("K", payload.k.iter().map(|k| k.as_flattened()))?;
     finite("the final K", std::iter::once(payload.k_final.as_flattened()))?;
     // Written so that a NaN is refused.
-    if !(payload.t_f > 0.0 && payload.t_f <= LONGEST) {
+    if !(payload.t_f > 0.0 && payload.t_f <= Trajectory::LONGEST) {
         return Err(PlanRefusal::Duration { got: payload.t_f });
     }
     let plan = convert(payload);
@@ -239,7 +231,7 @@ fn check_limits(plan: &Plan, config: &Config) -> Result<(), PlanRefusal> {
 /// Rest with the rod standing or hanging; where it stands, the final gain has to keep it there.
 fn check_end(plan: &Plan, config: &Config) -> Result<(), PlanRefusal> {
     let Reference { x, gain, .. } = plan.end();
-    let rod = rod(&config.model, &x);
+    let rod = config.model.rod(&position(&x));
     let upright = rod.xy().norm().atan2(rod.z);
     let hanging = std::f64::consts::PI - upright;
     let speed = velocity(&x).amax();
@@ -261,13 +253,9 @@ fn closed_loop_radius(model: &Model, x: &State, gain: &Gain, ts: f64) -> f64 {
     /// Many times what the QR iteration takes.
     const ITERATIONS: usize = 100_000;
     let d = model.derivatives(x, &ActuatedVector::zeros(), &mut Workspace::default());
-    let mut a = SMatrix::<f64, NX, NX>::zeros();
-    for i in 0..NQ {
-        a[(i, NQ + i)] = 1.0;
-    }
-    a.fixed_rows_mut::<NU>(NQ).copy_from(gain);
-    a.fixed_rows_mut::<{ NQ - NU }>(NQ + NU).copy_from(&(d.qdd_u_x + d.qdd_u_u * gain));
-    let Some(schur) = Schur::try_new(a, f64::EPSILON, ITERATIONS) else { return f64::INFINITY };
+    let Some(schur) = Schur::try_new(d.a() + d.b() * gain, f64::EPSILON, ITERATIONS) else {
+        return f64::INFINITY;
+    };
     // A NaN must not get lost in a maximum.
     let radii = schur.complex_eigenvalues().map(|pole| (pole.re * ts + 1.0).hypot(pole.im * ts));
     radii.iter().fold(0.0, |largest, radius| if *radius <= largest { largest } else { *radius })

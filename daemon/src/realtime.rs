@@ -4,13 +4,12 @@
 //! Everything comes and goes through wait-free rings ([`Ends`] holds the other ends).
 
 use crate::controller::{Controller, Order, Record};
-use crate::os::{monotonic_ns, sleep_until};
 use crate::supervisor::Refusal;
 use rtrb::{Consumer, Producer, RingBuffer};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use upswing_config::Config;
-use upswing_ipc::{Clock, Command, Measurement, Reader, Telemetry, WriterEntry};
+use upswing_ipc::{Clock, Command, Measurement, Reader, Telemetry, WriterEntry, monotonic_ns, sleep_until};
 use upswing_trajectory::Plan;
 
 /// Cycles that the other thread may be late to fetch: one second.
@@ -175,8 +174,7 @@ impl Cycle {
             let newly_lost = !lost && self.measurement.seq > 0 && monotonic_ns() - last_new > PLANT_LOST_NS;
             if newly_lost {
                 lost = true;
-                let cycles = u32::try_from(PLANT_LOST_NS / self.period_ns).unwrap_or(u32::MAX);
-                self.controller.lose_measurement(cycles);
+                self.controller.lose_measurement(PLANT_LOST_NS / self.period_ns);
             }
             // Who gave the order may know of a plant that was handed over just before.
             if newly_lost || (!self.orders.is_empty() && self.readers.is_empty()) {

@@ -2,6 +2,7 @@
 
 use crate::controller::{Order, Record};
 use crate::journal::Journal;
+use crate::loads::Loads;
 use crate::os::{self, Refused};
 use crate::plan;
 use crate::realtime::{Cycle, Ends, Report, Ticket};
@@ -128,10 +129,7 @@ struct Desk<'a> {
     /// Number of the ticket that somebody waits for (0: nobody), and its answer.
     awaited: u64,
     answer: Option<Result<(), Refusal>>,
-    /// Id of the plan given to the controller last and not refused, 0: none.
-    loaded: u64,
-    /// Number of the ticket that loaded it, and the plan loaded before.
-    load: Option<(u64, u64)>,
+    loads: Loads,
     last_refusal: String,
     last_complaint: String,
 }
@@ -154,8 +152,7 @@ impl<'a> Desk<'a> {
             tickets: 0,
             awaited: 0,
             answer: None,
-            loaded: 0,
-            load: None,
+            loads: Loads::default(),
             last_refusal: String::new(),
             last_complaint: String::new(),
         })
@@ -336,7 +333,6 @@ impl<'a> Desk<'a> {
     }
 
     fn load(&mut self, payload: &Plan) {
-        let before = self.loaded;
         let result =
             plan::accept(payload, self.config).map_err(|refusal| refusal.to_string()).and_then(|plan| {
                 let number = self.order(Order::Load(plan));
@@ -345,8 +341,7 @@ impl<'a> Desk<'a> {
         match result {
             Ok(number) => {
                 info!("plan {} loaded, t_F = {:.3} s", payload.id, payload.t_f);
-                self.loaded = payload.id;
-                self.load = Some((number, before));
+                self.loads.ordered(number, payload.id);
                 self.last_refusal.clear();
             }
             Err(reason) => {
@@ -368,7 +363,7 @@ impl<'a> Desk<'a> {
     fn respond(&self, accepted: bool, reason: &str) -> ControlResponse {
         ControlResponse {
             accepted: u64::from(accepted),
-            plan_id: self.loaded,
+            plan_id: self.loads.newest(),
             degraded: self.degraded,
             reason: Text::new(reason),
             ..self.journal.respond()
@@ -385,23 +380,19 @@ impl<'a> Desk<'a> {
         while let Ok(report) = self.ends.reports.pop() {
             match report {
                 Report::Answer { number, result } if number == self.awaited => self.answer = Some(result),
-                Report::Answer { number, result: Err(refusal) } => {
-                    let order = match self.load.take_if(|(load, _)| *load == number) {
-                        Some((_, before)) => {
-                            let plan = std::mem::replace(&mut self.loaded, before);
-                            format!("plan {plan}")
-                        }
-                        None => "queued order".into(),
-                    };
-                    warn!("{order} refused: {refusal}");
-                    self.last_refusal = format!("{order}: {refusal}");
+                Report::Answer { number, result } => {
+                    let plan = self.loads.answered(number, result.is_ok());
+                    if let Err(refusal) = result {
+                        let order = plan.map_or("queued order".into(), |plan| format!("plan {plan}"));
+                        warn!("{order} refused: {refusal}");
+                        self.last_refusal = format!("{order}: {refusal}");
+                    }
                 }
-                Report::Answer { .. } => {}
                 Report::Garbage(plan) => drop(plan),
             }
         }
         while let Ok(record) = self.ends.records.pop() {
-            let action = self.recovery.note(&record, self.loaded);
+            let action = self.recovery.note(&record, self.loads.newest());
             let noted = self.journal.note(record, self.dropped());
             self.complain_of(noted);
             match action {
@@ -422,12 +413,7 @@ impl<'a> Desk<'a> {
         info!("recovery: the pendulum rests, asking for a plan");
         let (node, patience) = (self.node.clone(), self.config.daemon.recovery.patience);
         let ask = move || {
-            let request = PlannerRequest {
-                kind: PlannerKind::SwingUp.code(),
-                from_now: 1,
-                publish: 1,
-                ..PlannerRequest::default()
-            };
+            let request = PlannerRequest::from_now(PlannerKind::SwingUp);
             let client = node.client::<PlannerRequest>().map_err(|e| e.to_string())?;
             let answer = client.call(&request, patience).map_err(|e| e.to_string())?;
             if answer.plan_id == 0 { Err(answer.reason.to_string()) } else { Ok(answer.plan_id) }

@@ -2,78 +2,82 @@
 
 use std::fmt;
 
-/// What can be beyond its limit. Those up to [`TripCause::LawNotFinite`] lead to Fault, the next to Stop; the last only
-/// keeps a plan from being started.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u64)]
-pub enum TripCause {
-    /// Nothing was measured yet.
-    NoMeasurement = 1,
-    /// The newest measurement is too old.
-    StaleMeasurement = 2,
-    /// Too many measurements were missed between two that were seen.
-    MeasurementGap = 3,
-    /// The plant restarted: its measurements do not continue the earlier ones.
-    MeasurementRestarted = 4,
-    /// An angle is not finite, or none that an encoder can show.
-    NotFinite = 5,
-    /// An angle changed faster than the joint can move.
-    EncoderJump = 6,
-    /// An angle of the arm is too far past the range open to plans.
-    PositionLimit = 7,
-    /// A joint of the arm is too fast.
-    VelocityLimit = 8,
-    /// A measured torque is too high, or not finite.
-    TorqueLimit = 9,
-    /// The commanded torque changes too fast.
-    TorqueRate = 10,
-    /// A drive reports a fault.
-    DriveFault = 11,
-    /// The brakes are closed or the drives not ready, although the command opens the brakes.
-    DrivesStopped = 12,
-    /// The plant runs with another period.
-    PeriodMismatch = 13,
-    /// The plant names a clock that does not exist.
-    UnknownClock = 14,
-    /// The control law gave no finite torque.
-    LawNotFinite = 15,
-    /// An angle is too far from its reference.
-    TrackingError = 16,
-    /// The rod is too far from upright.
-    BalanceLost = 17,
-    /// An angle of the pendulum is too far past the range open to plans.
-    PendulumRange = 18,
-    /// Too many cycles in a row ended late.
-    LateCycles = 19,
-    /// The loaded plan is too old to be started.
-    PlanAge = 20,
+/// Defines the causes, each with its code and its words.
+macro_rules! causes {
+    ($($(#[$doc:meta])+ $name:ident = $code:literal, $text:literal;)+) => {
+        /// What can be beyond its limit. Those up to [`TripCause::LawNotFinite`] lead to Fault, the next to Stop; the last
+        /// only keeps a plan from being started.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        #[repr(u64)]
+        pub enum TripCause {
+            $($(#[$doc])+ $name = $code),+
+        }
+
+        impl TripCause {
+            /// Every cause; the index is the code less 1.
+            pub const ALL: [Self; [$($code),+].len()] = [$(Self::$name),+];
+
+            /// The cause in words, where the numbers of its [`Trip`] are not known.
+            pub const fn text(self) -> &'static str {
+                match self { $(Self::$name => $text),+ }
+            }
+        }
+    };
 }
 
-impl TripCause {
-    /// Every cause; the index is the code less 1.
-    pub const ALL: [Self; 20] = [
-        Self::NoMeasurement,
-        Self::StaleMeasurement,
-        Self::MeasurementGap,
-        Self::MeasurementRestarted,
-        Self::NotFinite,
-        Self::EncoderJump,
-        Self::PositionLimit,
-        Self::VelocityLimit,
-        Self::TorqueLimit,
-        Self::TorqueRate,
-        Self::DriveFault,
-        Self::DrivesStopped,
-        Self::PeriodMismatch,
-        Self::UnknownClock,
-        Self::LawNotFinite,
-        Self::TrackingError,
-        Self::BalanceLost,
-        Self::PendulumRange,
-        Self::LateCycles,
-        Self::PlanAge,
-    ];
+causes! {
+    /// Nothing was measured yet.
+    NoMeasurement = 1, "nothing was measured yet: is the plant running?";
+    /// The newest measurement is too old.
+    StaleMeasurement = 2, "no new measurement";
+    /// Too many measurements were missed between two that were seen.
+    MeasurementGap = 3, "measurements were missed";
+    /// The plant restarted: its measurements do not continue the earlier ones.
+    MeasurementRestarted = 4, "the plant restarted";
+    /// An angle is not finite, or none that an encoder can show.
+    NotFinite = 5, "an angle is not finite";
+    /// An angle changed faster than the joint can move.
+    EncoderJump = 6, "an angle jumped";
+    /// An angle of the arm is too far past the range open to plans.
+    PositionLimit = 7, "the arm is beyond a position limit";
+    /// A joint of the arm is too fast.
+    VelocityLimit = 8, "the arm is beyond a velocity limit";
+    /// A measured torque is too high, or not finite.
+    TorqueLimit = 9, "a measured torque is too high";
+    /// The commanded torque changes too fast.
+    TorqueRate = 10, "the commanded torque changes too fast";
+    /// A drive reports a fault.
+    DriveFault = 11, "a drive reports a fault";
+    /// The brakes are closed or the drives not ready, although the command opens the brakes.
+    DrivesStopped = 12, "the drives do not act";
+    /// The plant runs with another period.
+    PeriodMismatch = 13, "plant and daemon have different periods";
+    /// The plant names a clock that does not exist.
+    UnknownClock = 14, "the plant names an unknown clock";
+    /// The control law gave no finite torque.
+    LawNotFinite = 15, "the control law gave no finite torque";
+    /// An angle is too far from its reference.
+    TrackingError = 16, "too far from the reference";
+    /// The rod is too far from upright.
+    BalanceLost = 17, "the rod fell";
+    /// An angle of the pendulum is too far past the range open to plans.
+    PendulumRange = 18, "the pendulum is beyond the range open to plans";
+    /// Too many cycles in a row ended late.
+    LateCycles = 19, "cycles end late";
+    /// The loaded plan is too old to be started.
+    PlanAge = 20, "the loaded plan is old";
+}
 
+// Codes are found again by their index.
+const _: () = {
+    let mut i = 0;
+    while i < TripCause::ALL.len() {
+        assert!(TripCause::ALL[i].code() == i as u64 + 1);
+        i += 1;
+    }
+};
+
+impl TripCause {
     /// The number that stands for the cause in telemetry; above 0.
     pub const fn code(self) -> u64 {
         self as u64
@@ -82,32 +86,6 @@ impl TripCause {
     /// The bit that stands for the cause in a `warnings` word.
     pub const fn bit(self) -> u64 {
         1 << (self.code() - 1)
-    }
-
-    /// The cause in words, where the numbers of its [`Trip`] are not known.
-    pub const fn text(self) -> &'static str {
-        match self {
-            Self::NoMeasurement => "nothing was measured yet: is the plant running?",
-            Self::StaleMeasurement => "no new measurement",
-            Self::MeasurementGap => "measurements were missed",
-            Self::MeasurementRestarted => "the plant restarted",
-            Self::NotFinite => "an angle is not finite",
-            Self::EncoderJump => "an angle jumped",
-            Self::PositionLimit => "the arm is beyond a position limit",
-            Self::VelocityLimit => "the arm is beyond a velocity limit",
-            Self::TorqueLimit => "a measured torque is too high",
-            Self::TorqueRate => "the commanded torque changes too fast",
-            Self::DriveFault => "a drive reports a fault",
-            Self::DrivesStopped => "the drives do not act",
-            Self::PeriodMismatch => "plant and daemon have different periods",
-            Self::UnknownClock => "the plant names an unknown clock",
-            Self::LawNotFinite => "the control law gave no finite torque",
-            Self::TrackingError => "too far from the reference",
-            Self::BalanceLost => "the rod fell",
-            Self::PendulumRange => "the pendulum is beyond the range open to plans",
-            Self::LateCycles => "cycles end late",
-            Self::PlanAge => "the loaded plan is old",
-        }
     }
 }
 

@@ -41,14 +41,22 @@ fn disturbances() -> impl Strategy<Value = Disturbance> {
     ]
 }
 
-fn requests() -> impl Strategy<Value = Option<usize>> {
+#[derive(Clone, Copy, Debug)]
+enum Told {
+    Load,
+    Do(Request),
+}
+
+fn told() -> impl Strategy<Value = Option<Told>> {
+    use Request::{Enable, Hold, Reset, Shutdown, Start, Stop};
+    let any = [Enable, Hold, Stop, Reset, Start].map(Told::Do).into_iter().chain([Told::Load]);
     prop_oneof![
-        10 => Just(None),
-        4 => Just(Some(0)),
-        4 => Just(Some(2)),
-        // Shutdown last: rarely, because nothing happens after it.
-        6 => (0_usize..7).prop_map(Some),
-        1 => Just(Some(7)),
+        40 => Just(None),
+        16 => Just(Some(Told::Do(Enable))),
+        16 => Just(Some(Told::Do(Start))),
+        24 => prop::sample::select(any.collect::<Vec<_>>()).prop_map(Some),
+        // Rarely, because nothing happens after it.
+        1 => Just(Some(Told::Do(Shutdown))),
     ]
 }
 
@@ -56,7 +64,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
 
     #[test]
-    fn and_faults_stay(steps in prop::collection::vec((disturbances(), requests(), prop_oneof![4 => 1_u64..20, 1 => 20_u64..4000]), 1..60)) {
+    fn and_faults_stay(steps in prop::collection::vec((disturbances(), told(), prop_oneof![4 => 1_u64..20, 1 => 20_u64..4000]), 1..60)) {
         let config = config();
         let tau_max = config.robot.limits.tau_max;
         let mut controller = Controller::new(&config);
@@ -64,7 +72,7 @@ proptest! {
         let plan = rest_plan(&config, &at_rest(&q), 1.0);
         let mut last = Measurement::default();
         let mut seq = 0_u64;
-        for (disturbance, request, cycles) in steps {
+        for (disturbance, told, cycles) in steps {
             seq = seq.saturating_add(cycles);
             let mut next = measurement(seq, &q);
             match disturbance {
@@ -83,10 +91,9 @@ proptest! {
                 Disturbance::Torque(i, v) => next.tau_measured[i] = v,
             }
             last = next;
-            let order = request.map(|i| match i {
-                6 => Order::Load(plan.clone()),
-                7 => Order::Do(Request::Shutdown),
-                i => Order::Do(Request::ALL[i]),
+            let order = told.map(|told| match told {
+                Told::Load => Order::Load(plan.clone()),
+                Told::Do(request) => Order::Do(request),
             });
             let reset = matches!(order, Some(Order::Do(Request::Reset)));
             let before = controller.mode();

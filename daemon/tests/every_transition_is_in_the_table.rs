@@ -1,4 +1,4 @@
-//! Every pair of mode and event has the result that ARCHITECTURE.md names.
+//! Every pair of mode and event has the result that docs/daemon.md names.
 
 use upswing_ipc::Mode::{self, Balance, Fault, Hold, Idle, Stop, Track};
 use upswingd::plan::Ending;

@@ -14,14 +14,13 @@ use crate::error::IpcError;
 use crate::node::Node;
 use crate::services::{Latest, MAX_NODES, MAX_READERS};
 use crate::time::monotonic_ns;
-use iceoryx2::port::reader::{BlackboardValue, EntryHandle, Reader as IoxReader};
+use iceoryx2::port::reader::{EntryHandle, Reader as IoxReader};
 use iceoryx2::port::writer::{EntryHandleMut, Writer as IoxWriter};
 use iceoryx2::prelude::{CallbackProgression, Service as _, ServiceName, ipc};
 use iceoryx2::service::builder::blackboard::BlackboardOpenError;
 use iceoryx2::service::port_factory::blackboard::PortFactory;
 use std::cell::Cell;
 use std::marker::PhantomData;
-use std::ops::Deref;
 use std::sync::Arc;
 
 /// The only key of every blackboard.
@@ -120,33 +119,11 @@ pub struct Reader<T: Latest> {
     epoch: u64,
 }
 
-/// A value, and which write it was.
-pub struct Snapshot<T: Latest>(BlackboardValue<T>);
-
-impl<T: Latest> Deref for Snapshot<T> {
-    type Target = T;
-
-    fn deref(&self) -> &T {
-        &self.0
-    }
-}
-
 impl<T: Latest> Reader<T> {
     /// The latest value; `T::default()` if nothing was written yet. No heap, no system call, never waits for the
     /// writer; copies again if a write ends during the copy (two writes must end within some 20 ns for a third copy).
     pub fn read(&self) -> T {
         *self.handle.get()
-    }
-
-    /// As [`Reader::read`], remembering which write it was.
-    pub fn snapshot(&self) -> Snapshot<T> {
-        Snapshot(self.handle.get())
-    }
-
-    /// Whether something was written since `than` was taken; one atomic load. `than` must come from this reader.
-    /// A write that ends while `than` is taken may count as new although `than` shows it; none is ever missed.
-    pub fn is_new(&self, than: &Snapshot<T>) -> bool {
-        !self.handle.is_up_to_date(&than.0)
     }
 
     /// Start of the writer, CLOCK_MONOTONIC, ns; a larger one than before means that the writer restarted.

@@ -154,11 +154,9 @@ codes! {
         BadRequest = "bad request",
         /// The start state violates a limit of the robot.
         StartOutsideLimits = "start outside limits",
-        /// The start is not a pose of rest, or no pose of rest is near.
-        NoRestPose = "no rest pose",
         /// The solver found no plan that keeps the limits.
         Infeasible = "infeasible",
-        /// The planner has no database yet, or has not heard from the daemon.
+        /// The planner has no news of the daemon.
         NotReady = "not ready",
         /// The time budget was used up first.
         Deadline = "deadline",

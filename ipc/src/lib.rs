@@ -9,7 +9,7 @@
 //! | `steps` | pub/sub, no history | daemon -> cli | [`StepBatch`] |
 //! | `control` | request/response | cli -> daemon | [`ControlRequest`] -> [`ControlResponse`] |
 //! | `planner` | request/response | cli, harness -> planner | [`PlannerRequest`] -> [`PlannerResponse`] |
-//! | `plant` | request/response | harness -> plant | [`PlantRequest`] -> [`PlantResponse`] |
+//! | `plant` | request/response | cli, harness -> plant | [`PlantRequest`] -> [`PlantResponse`] |
 //!
 //! A process picks a [`Domain`], connects to it and asks its [`Node`] for the ends it needs:
 //!
@@ -29,7 +29,7 @@
 //! ```
 //!
 //! # Two kinds of threads
-//! Three objects may enter the real-time thread: [`WriterEntry`], [`Reader`] and [`Snapshot`]. Their methods
+//! Two objects may enter the real-time thread: [`WriterEntry`] and [`Reader`]. Their methods
 //! neither allocate nor enter the kernel. All the rest (nodes, finders, publishers, clients, servers) opens
 //! files, maps memory and cleans up after dead peers; it stays in one other thread.
 //!
@@ -55,7 +55,7 @@ mod space;
 mod text;
 mod time;
 
-pub use blackboard::{Finder, Reader, Snapshot, Writer, WriterEntry, WriterPorts};
+pub use blackboard::{Finder, Reader, Writer, WriterEntry, WriterPorts};
 pub use codes::{
     Clock, ControlCommand, Degradation, Mode, PlannerKind, PlannerStatus, PlantKind, UnknownClock,
     UnknownCode,
@@ -71,4 +71,4 @@ pub use payload::{
 pub use request::{Client, Server};
 pub use services::{Latest, MAX_NODES, MAX_READERS, Request, Topic};
 pub use text::{Text, TextError};
-pub use time::monotonic_ns;
+pub use time::{monotonic_ns, sleep_until};

@@ -48,19 +48,18 @@ impl<T: Topic> Publisher<T> {
         Ok(Self { port, _service: service, _node: node.clone() })
     }
 
-    /// Sends a copy of `value`, written directly into shared memory; returns the number of subscribers. A dead one
-    /// counts until somebody cleans up, so the number says nothing about who listens.
+    /// Sends a copy of `value`, written directly into shared memory, to all subscribers.
     ///
     /// # Errors
     /// [`IpcError::Send`].
-    pub fn publish(&self, value: &T) -> Result<usize, IpcError> {
+    pub fn publish(&self, value: &T) -> Result<(), IpcError> {
         let mut sample = self.port.loan_uninit().map_err(|e| send_error::<T>(e.into()))?;
         // SAFETY: the sample is memory for one `T` that nobody else uses yet; `T` is `Copy`.
         let sample = unsafe {
             std::ptr::copy_nonoverlapping(value, sample.payload_mut().as_mut_ptr(), 1);
             sample.assume_init()
         };
-        sample.send().map_err(|e| send_error::<T>(e.into()))
+        sample.send().map(drop).map_err(|e| send_error::<T>(e.into()))
     }
 
     /// Hands the history to subscribers that came after the last [`Publisher::publish`]. iceoryx2 does so only

@@ -4,7 +4,7 @@ mod common;
 
 use common::{TestDomain, Victim, domain_of_child, until_killed, wait_for};
 use std::sync::atomic::{AtomicBool, Ordering};
-use upswing_ipc::{Command, Domain, Measurement, Node, Reader, Snapshot, WriterEntry};
+use upswing_ipc::{Command, Domain, Measurement, Node, Reader, WriterEntry};
 
 /// Entry of the child process: writes measurements until it is killed.
 #[test]
@@ -113,26 +113,8 @@ fn what_is_meant_to_move_between_threads_can() {
     fn movable<T: Send>() {}
     movable::<WriterEntry<Command>>();
     movable::<Reader<Measurement>>();
-    movable::<Snapshot<Measurement>>();
     movable::<Node>();
     movable::<Domain>();
-}
-
-#[test]
-fn a_snapshot_is_new_until_something_is_written() {
-    let domain = TestDomain::new("snapshot");
-    let node = domain.connect("both").unwrap();
-    let writer = node.writer::<Command>().unwrap();
-    let mut finder = node.finder::<Command>();
-    let reader = finder.poll().unwrap().unwrap();
-
-    let before = reader.snapshot();
-    assert!(!reader.is_new(&before));
-    writer.write(Command { seq: 7, ..Command::default() });
-    assert!(reader.is_new(&before));
-    let after = reader.snapshot();
-    assert_eq!((before.seq, after.seq), (0, 7));
-    assert!(!reader.is_new(&after));
 }
 
 #[test]

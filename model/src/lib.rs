@@ -5,7 +5,7 @@
 //! feedback-linearised dynamics f(x, u) (4), (5), and the motor torque follows from u by (3b), (9).
 //!
 //! [`Model`] holds the constants of the robot; [`Workspace`] is the caller's scratch memory. Nothing
-//! here allocates (but for [`Model::from_urdf`]), does I/O or differentiates numerically. SI units; joints
+//! here allocates (but for making a [`Model`]), does I/O or differentiates numerically. SI units; joints
 //! are ordered from base to tip.
 
 mod derivatives;

@@ -127,6 +127,11 @@ impl Model {
         last.rotation * self.tip + last.origin
     }
 
+    /// From the last joint to the pendulum's tip, world frame (z up), m.
+    pub fn rod(&self, q: &JointVector) -> Vector3<f64> {
+        self.frames(q)[NQ - 1].rotation * self.tip
+    }
+
     /// Potential energy, J; zero at the world origin.
     pub fn potential_energy(&self, q: &JointVector) -> f64 {
         let frames = self.frames(q);

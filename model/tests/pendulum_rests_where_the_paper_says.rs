@@ -4,7 +4,7 @@
 mod common;
 
 use common::robot;
-use upswing_model::{JointVector, N_ACTUATED, NQ, Workspace};
+use upswing_model::{JointVector, N_ACTUATED, Workspace};
 
 fn pose(q2: f64, q4: f64, q6: f64) -> JointVector {
     let mut q = JointVector::zeros();
@@ -59,6 +59,6 @@ fn upright_is_an_equilibrium_with_the_tip_above() {
     q[7] = std::f64::consts::PI;
     let g = model.gravity_torque(&q, &mut work);
     assert!(g.fixed_rows::<2>(N_ACTUATED).amax() < 1e-12);
-    let rod = model.tip(&q) - model.poses(&q)[NQ - 1].translation.vector;
+    let rod = model.rod(&q);
     assert!((rod.z - 0.5).abs() < 1e-12, "the rod of 0.5 m points up, got {rod:?}");
 }

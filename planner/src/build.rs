@@ -7,7 +7,7 @@
 //! Every finished line is appended to a journal beside the output; a build that finds one goes on where it ends.
 
 use crate::interior_point::{Options, Status};
-use crate::offline::{Effort, optimize, options, problem_fingerprint};
+use crate::offline::{Search, optimize, options, problem_fingerprint};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::fs::{File, OpenOptions, TryLockError};
@@ -256,7 +256,7 @@ fn solve_line(
         let outcome = match accepted {
             None => Outcome::Rejected,
             Some(start) => {
-                let solution = optimize(config, start, Effort::Best, neighbour.as_ref(), &options);
+                let solution = optimize(config, start, Search::Best, neighbour.as_ref(), &options);
                 // The best of some guesses need not be the best of all.
                 if stop.load(Ordering::Acquire) {
                     return None;

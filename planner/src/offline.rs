@@ -64,9 +64,9 @@ pub fn problem_fingerprint(config: &Config) -> u64 {
 
 /// How hard to look for the best of several local optima.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Effort {
+pub enum Search {
     /// The first guess that converges.
-    Once,
+    First,
     /// All bent lines; the cheapest solution is kept.
     Best,
 }
@@ -76,7 +76,7 @@ pub enum Effort {
 pub fn optimize(
     config: &Config,
     start: State,
-    effort: Effort,
+    search: Search,
     neighbour: Option<&Trajectory>,
     options: &Options<'_>,
 ) -> Solution {
@@ -97,7 +97,7 @@ pub fn optimize(
     };
     let mut solved = false;
     for bends in BENDS {
-        if !solved || effort == Effort::Best {
+        if !solved || search == Search::Best {
             solved |= attempt(&problem.bent_line(BENT_DURATION, bends), options);
         }
     }

@@ -4,14 +4,14 @@
 use upswing_config::{Config, PendulumStart};
 use upswing_model::{NQ, State, Workspace};
 use upswing_planner::interior_point::{Solution, Status};
-use upswing_planner::offline::{Effort, optimize, options};
+use upswing_planner::offline::{Search, optimize, options};
 use upswing_planner::problem::LimitKind;
 
 /// Enough to meet rare trouble, few enough for a test; 1000 were run while this was written.
 const STARTS: usize = 60;
 
 fn solve(config: &Config, start: State) -> Solution {
-    optimize(config, start, Effort::Once, None, &options(config))
+    optimize(config, start, Search::First, None, &options(config))
 }
 
 fn assert_solved(config: &Config, start: State) {
@@ -90,14 +90,14 @@ fn budgets_end_a_solve_with_what_it_has() {
     let start = zero_start(&config, 90.0);
     let mut limited = options(&config);
     limited.max_iterations = 3;
-    let solution = optimize(&config, start, Effort::Once, None, &limited);
+    let solution = optimize(&config, start, Search::First, None, &limited);
     assert_eq!(solution.status, Status::MaxIterations);
     assert!(solution.trajectory.x.iter().all(|x| x.iter().all(|v| v.is_finite())));
     let stop = std::sync::atomic::AtomicBool::new(true);
     let mut stopped = options(&config);
     stopped.stop = Some(&stop);
-    assert_eq!(optimize(&config, start, Effort::Once, None, &stopped).status, Status::Interrupted);
+    assert_eq!(optimize(&config, start, Search::First, None, &stopped).status, Status::Interrupted);
     let mut brief = options(&config);
     brief.time_budget = Some(std::time::Duration::ZERO);
-    assert_eq!(optimize(&config, start, Effort::Once, None, &brief).status, Status::OutOfTime);
+    assert_eq!(optimize(&config, start, Search::First, None, &brief).status, Status::OutOfTime);
 }

@@ -5,7 +5,7 @@ use serde::Deserialize;
 use upswing_config::{Config, PendulumStart, TorqueConstraint};
 use upswing_model::{NQ, NU, Workspace};
 use upswing_planner::interior_point::Status;
-use upswing_planner::offline::{Effort, optimize, options, problem};
+use upswing_planner::offline::{Search, optimize, options, problem};
 use upswing_trajectory::Trajectory;
 
 #[derive(Deserialize)]
@@ -56,7 +56,7 @@ fn check(torque: TorqueConstraint) {
         let q: Vec<f64> = known.start_deg.iter().map(|d| d.to_radians()).collect();
         let start = config.start_state(&q, PendulumStart::Rest).expect("a start at rest");
         assert!((start[NQ - 1].to_degrees() - known.start_q9_deg).abs() < 1e-9);
-        let solution = optimize(&config, start, Effort::Once, None, &options(&config));
+        let solution = optimize(&config, start, Search::First, None, &options(&config));
         let name = format!("{:?} ({torque:?})", known.start_deg);
         assert_eq!(solution.status, Status::Solved, "{name}");
         let defect = solution.trajectory.defect(&config.model, &mut Workspace::default());

@@ -29,7 +29,7 @@ fn record(x: &State, mode: Mode, lockstep: bool) -> Telemetry {
 }
 
 fn from_now(kind: PlannerKind) -> PlannerRequest {
-    PlannerRequest { kind: kind.code(), from_now: 1, publish: 1, ..PlannerRequest::default() }
+    PlannerRequest::from_now(kind)
 }
 
 fn ask(desk: &mut Desk<'_>, request: &PlannerRequest) -> (PlannerResponse, Option<Plan>) {

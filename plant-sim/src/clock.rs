@@ -49,32 +49,6 @@ impl Patience {
     }
 }
 
-/// CLOCK_MONOTONIC, ns.
-pub(crate) fn now_ns() -> u64 {
-    let mut now = libc::timespec { tv_sec: 0, tv_nsec: 0 };
-    // SAFETY: `now` is a valid place to write to; this clock always exists.
-    unsafe { libc::clock_gettime(libc::CLOCK_MONOTONIC, &raw mut now) };
-    now.tv_sec.unsigned_abs() * 1_000_000_000 + now.tv_nsec.unsigned_abs()
-}
-
-/// Sleeps until `deadline` (CLOCK_MONOTONIC, ns) or until a signal comes.
-pub(crate) fn sleep_until(deadline: u64) {
-    // A nanosecond count of CLOCK_MONOTONIC fits: both parts are below 2^63 / 10^9.
-    let deadline = libc::timespec {
-        tv_sec: (deadline / 1_000_000_000).cast_signed(),
-        tv_nsec: (deadline % 1_000_000_000).cast_signed(),
-    };
-    // SAFETY: `deadline` is valid for the call; the remaining time is not asked for.
-    unsafe {
-        libc::clock_nanosleep(
-            libc::CLOCK_MONOTONIC,
-            libc::TIMER_ABSTIME,
-            &raw const deadline,
-            std::ptr::null_mut(),
-        )
-    };
-}
-
 /// Asks for wake-ups of this thread without the usual slack of 50 us, which is half a control period.
 pub(crate) fn wake_precisely() {
     const SLACK_NS: libc::c_ulong = 1;

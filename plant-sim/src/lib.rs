@@ -31,7 +31,6 @@ pub use faults::SetEventError;
 pub use plant::Plant;
 pub use start::StateError;
 
-use clap::builder::{PossibleValuesParser, TypedValueParser};
 use tracing::info;
 use upswing_config::process::{Failure, ProcessArgs, shutdown_flag};
 use upswing_config::{Config, PendulumStart};
@@ -45,7 +44,7 @@ pub struct PlantArgs {
     #[command(flatten)]
     pub process: ProcessArgs,
     /// Who advances time: wall (real time), paced (real time, waits for the daemon), lockstep (as granted)
-    #[arg(long, value_name = "CLOCK", default_value = "paced", value_parser = clock_parser())]
+    #[arg(long, value_name = "CLOCK", default_value = "paced")]
     pub clock: Clock,
     /// Start angles of joints 1 to 7, deg [default: start.q_deg of plant.toml]
     #[arg(long, value_name = "Q1,..,Q7", value_delimiter = ',', allow_hyphen_values = true)]
@@ -90,10 +89,7 @@ pub fn run(args: &PlantArgs) -> Result<(), Failure> {
     let plant = Plant::new(&config).map_err(|e| Failure::BadInput(format!("start pose: {e}")))?;
     let domain = Domain::new(&args.process.domain).map_err(|e| Failure::BadInput(e.to_string()))?;
     let shutdown = shutdown_flag()?;
-    let settings = service::Settings::new(args.clock, &config);
-    service::serve(settings, plant, &domain, &shutdown).map_err(|e| Failure::Failed(e.to_string()))
-}
-
-fn clock_parser() -> impl TypedValueParser<Value = Clock> {
-    PossibleValuesParser::new(["wall", "paced", "lockstep"]).try_map(|name| name.parse::<Clock>())
+    let watchdog_cycles = config.plant.drive.watchdog_cycles;
+    service::serve(args.clock, watchdog_cycles, plant, &domain, &shutdown)
+        .map_err(|e| Failure::Failed(e.to_string()))
 }

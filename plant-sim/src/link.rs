@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender};
 use std::time::Duration;
 use tracing::warn;
-use upswing_ipc::{Command, Node, Reader, Snapshot};
+use upswing_ipc::{Command, Node, Reader};
 
 /// How often a daemon is looked for; one look costs some 0.5 ms.
 const SEARCH_PERIOD: Duration = Duration::from_millis(20);
@@ -41,9 +41,7 @@ pub(crate) struct Link {
 
 struct Daemon {
     reader: Reader<Command>,
-    /// None: not looked at yet.
-    seen: Option<Snapshot<Command>>,
-    /// `seq` of the last command taken.
+    /// `seq` of the last command looked at.
     seq: u64,
 }
 
@@ -51,32 +49,24 @@ impl Link {
     /// Waits for the first look of [`search`]. Call it before the first measurement is published: a command that is
     /// there already answers another plant, and is never taken.
     pub(crate) fn new(found: Receiver<Option<Reader<Command>>>) -> Self {
-        let daemon = found.recv().ok().flatten().map(|reader| {
-            let stale = reader.snapshot();
-            Daemon { reader, seq: stale.seq, seen: Some(stale) }
-        });
+        let daemon = found.recv().ok().flatten().map(|reader| Daemon { seq: reader.read().seq, reader });
         Self { found, daemon }
     }
 
-    /// The newest command that was not taken before and answers one of the measurements 1..=`newest`. Commands
+    /// The newest command, if it was not looked at before and answers one of the measurements 1..=`newest`. Commands
     /// of older daemons and of older cycles are ignored. No system call unless a new daemon was found.
     pub(crate) fn take(&mut self, newest: u64) -> Option<Command> {
         while let Ok(reader) = self.found.try_recv() {
             if let Some(reader) = reader {
-                self.daemon = Some(Daemon { reader, seen: None, seq: 0 });
+                self.daemon = Some(Daemon { reader, seq: 0 });
             }
         }
         let daemon = self.daemon.as_mut()?;
-        if daemon.seen.as_ref().is_some_and(|seen| !daemon.reader.is_new(seen)) {
-            return None;
-        }
-        let snapshot = daemon.reader.snapshot();
-        let command = *snapshot;
-        daemon.seen = Some(snapshot);
-        if command.seq <= daemon.seq || !(1..=newest).contains(&command.measurement_seq) {
+        let command = daemon.reader.read();
+        if command.seq <= daemon.seq {
             return None;
         }
         daemon.seq = command.seq;
-        Some(command)
+        (1..=newest).contains(&command.measurement_seq).then_some(command)
     }
 }

@@ -1,6 +1,6 @@
 //! The process: the plant on its clock, its measurements, and the `plant` service.
 
-use crate::clock::{Patience, now_ns, sleep_until, wake_precisely};
+use crate::clock::{Patience, wake_precisely};
 use crate::link::{Link, search};
 use crate::{Plant, SetEventError};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -8,10 +8,10 @@ use std::sync::mpsc;
 use std::time::Duration;
 use tracing::{info, warn};
 use upswing_config::notify::Notifier;
-use upswing_config::{Config, Fault, FaultKind, Push};
+use upswing_config::{Fault, FaultKind, Push};
 use upswing_ipc::{
     Clock, Command, Domain, IpcError, Measurement, PlantKind, PlantRequest, PlantResponse, Server, Text,
-    Writer,
+    Writer, monotonic_ns, sleep_until,
 };
 use upswing_model::JointVector;
 
@@ -22,20 +22,6 @@ const REPORT_PERIOD_NS: u64 = 1_000_000_000;
 /// Longest time without a look at the requests, ns.
 const SERVE_PERIOD_NS: u64 = 1_000_000;
 
-/// What the process needs besides the plant.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Settings {
-    clock: Clock,
-    /// Cycles without a fresh command after which the daemon counts as lost (wall).
-    watchdog_cycles: u32,
-}
-
-impl Settings {
-    pub(crate) fn new(clock: Clock, config: &Config) -> Self {
-        Self { clock, watchdog_cycles: config.plant.drive.watchdog_cycles }
-    }
-}
-
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum ServiceError {
     #[error(transparent)]
@@ -44,9 +30,11 @@ pub(crate) enum ServiceError {
     Thread(#[from] std::io::Error),
 }
 
-/// Runs the plant until `shutdown`.
+/// Runs the plant until `shutdown`. On the clock `wall` the daemon counts as lost after `watchdog_cycles` without a fresh
+/// command.
 pub(crate) fn serve(
-    settings: Settings,
+    clock: Clock,
+    watchdog_cycles: u32,
     plant: Plant,
     domain: &Domain,
     shutdown: &AtomicBool,
@@ -64,9 +52,7 @@ pub(crate) fn serve(
         let link = Link::new(found);
         let outcome = node.writer::<Measurement>().map(|writer| {
             let manager = Notifier::new();
-            let clock = settings.clock;
             let front = Front { plant, clock, granted: 0, measured: false, server, failing: false, manager };
-            let watchdog_cycles = settings.watchdog_cycles;
             Service { front, writer, published: 0, link, watchdog_cycles, shutdown }.run();
         });
         done.store(true, Ordering::Release);
@@ -118,12 +104,12 @@ impl Service<'_> {
     fn run_on_wall_clock(&mut self) {
         let period = self.front.plant.period_ns();
         let tolerated = period.saturating_mul(self.watchdog_cycles.into());
-        let mut deadline = now_ns();
+        let mut deadline = monotonic_ns();
         let mut presence = Presence::Awaited;
         let mut age = 0_u32;
         let (mut moves, mut next_report) = (0_u64, 0);
         while !self.stopped() {
-            let now = now_ns();
+            let now = monotonic_ns();
             let behind = now.saturating_sub(deadline);
             if behind > tolerated {
                 deadline = now;
@@ -159,7 +145,7 @@ impl Service<'_> {
     fn run_with_daemon(&mut self) {
         let paced = self.front.clock == Clock::Paced;
         let period = self.front.plant.period_ns();
-        let mut deadline = now_ns();
+        let mut deadline = monotonic_ns();
         let mut presence = Presence::Awaited;
         while self.wait_for_grant() {
             // Of a daemon that was not there a cycle ago: this cycle waits for it.
@@ -178,7 +164,7 @@ impl Service<'_> {
                 break;
             }
             if paced {
-                deadline = now_ns().max(deadline.saturating_add(period));
+                deadline = monotonic_ns().max(deadline.saturating_add(period));
                 self.wait_until(deadline);
             }
             if presence != Presence::Present
@@ -273,7 +259,7 @@ impl Service<'_> {
     /// Serves requests until `deadline` (CLOCK_MONOTONIC, ns) or shutdown.
     fn wait_until(&mut self, deadline: u64) {
         loop {
-            let now = now_ns();
+            let now = monotonic_ns();
             if now >= deadline || self.stopped() {
                 return;
             }

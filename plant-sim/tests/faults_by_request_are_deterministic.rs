@@ -51,13 +51,12 @@ fn every_fault() {
     for &kind in FaultKind::all() {
         let fault = Fault { kind, from: 21, cycles: 50, joint: 4, amount: 5.0 };
         let request = PlantRequest {
-            kind: PlantKind::SetFault.code(),
             seq: fault.from,
             fault: kind.code(),
             joint: 5,
             amount: fault.amount,
             cycles: fault.cycles,
-            ..PlantRequest::default()
+            ..PlantRequest::new(PlantKind::SetFault)
         };
         conforms(
             &[],
@@ -75,12 +74,8 @@ fn a_push_under_a_scenario() {
     config.use_scenario("everyday").unwrap();
     // 0 in the request: the next cycle.
     let push = Push { from: 11, cycles: 8, impulse: [0.01, -0.02, 0.03] };
-    let request = PlantRequest {
-        kind: PlantKind::Push.code(),
-        cycles: push.cycles,
-        impulse: push.impulse,
-        ..PlantRequest::default()
-    };
+    let request =
+        PlantRequest { cycles: push.cycles, impulse: push.impulse, ..PlantRequest::new(PlantKind::Push) };
     let twin = twin(&config, |plant| plant.push(&push).unwrap());
     conforms(&["--scenario", "everyday"], &config, request, &twin, "push");
 }
@@ -93,7 +88,7 @@ fn a_request_in_the_middle_of_a_cycle_takes_effect_with_the_next() {
     let mut daemon = Answerer::join(&peer);
     daemon.answer_until("released brakes", || peer.status().brakes_closed == 0);
     let fault = FaultKind::DropMeasurement.code();
-    let drop = PlantRequest { kind: PlantKind::SetFault.code(), fault, cycles: 5, ..Default::default() };
+    let drop = PlantRequest { fault, cycles: 5, ..PlantRequest::new(PlantKind::SetFault) };
     for _ in 0..20 {
         // This measurement is out, and the plant waits for its answer while it serves the request.
         let out = wait_for("a measurement", || Some(daemon.measurements.read()).filter(|m| m.seq > 0));
@@ -117,7 +112,7 @@ fn faults_are_cleared() {
     let peer = Peer::join(&domain);
     let mut daemon = Answerer::join(&peer);
     let fault = FaultKind::DropMeasurement.code();
-    let set = PlantRequest { kind: PlantKind::SetFault.code(), fault, ..PlantRequest::default() };
+    let set = PlantRequest { fault, ..PlantRequest::new(PlantKind::SetFault) };
     peer.advance_to(5);
     daemon.answer_until("cycle 5", || peer.status().seq == 5);
     assert_eq!(peer.ask(set).accepted, 1);
@@ -125,7 +120,7 @@ fn faults_are_cleared() {
     peer.advance_to(5 + watchdog);
     daemon.answer_until("closed brakes", || peer.status().brakes_closed == 1);
     assert_eq!(daemon.measurements.read().seq, 5, "nothing has arrived since");
-    let clear = PlantRequest { kind: PlantKind::ClearFaults.code(), ..PlantRequest::default() };
+    let clear = PlantRequest::new(PlantKind::ClearFaults);
     assert_eq!(peer.ask(clear).accepted, 1);
     peer.advance_to(50);
     daemon.answer_until("cycle 50", || peer.status().seq == 50);

@@ -88,7 +88,7 @@ fn a_state_is_set_only_with_closed_brakes() {
     let domain = TestDomain::new("reset");
     let _plant = PlantProcess::start(&domain, LOCKSTEP);
     let peer = Peer::join(&domain);
-    let mut request = PlantRequest { kind: PlantKind::ResetState.code(), ..PlantRequest::default() };
+    let mut request = PlantRequest::new(PlantKind::ResetState);
     request.q[3] = -1.5;
     request.q[8] = 0.1;
     request.qd[7] = 0.5;

@@ -95,13 +95,12 @@ impl FaultArgs {
     pub fn request(&self) -> Result<PlantRequest, EventError> {
         let fault = self.fault()?;
         Ok(PlantRequest {
-            kind: PlantKind::SetFault.code(),
             seq: fault.from,
             fault: fault.kind.code(),
             joint: self.joint.unwrap_or_default(),
             amount: fault.amount,
             cycles: fault.cycles,
-            ..PlantRequest::default()
+            ..PlantRequest::new(PlantKind::SetFault)
         })
     }
 }
@@ -144,13 +143,12 @@ fn request(what: &What) -> Result<PlantRequest, Failure> {
             let push = Push { from: from.unwrap_or_default(), cycles: *cycles, impulse };
             push.check().map_err(|e| bad(&e))?;
             Ok(PlantRequest {
-                kind: PlantKind::Push.code(),
                 seq: push.from,
                 cycles: push.cycles,
                 impulse,
-                ..PlantRequest::default()
+                ..PlantRequest::new(PlantKind::Push)
             })
         }
-        What::Clear => Ok(PlantRequest { kind: PlantKind::ClearFaults.code(), ..PlantRequest::default() }),
+        What::Clear => Ok(PlantRequest::new(PlantKind::ClearFaults)),
     }
 }

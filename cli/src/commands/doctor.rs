@@ -12,7 +12,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 use upswing_config::RealtimeSettings;
 use upswing_config::process::Failure;
-use upswing_ipc::Domain;
+use upswing_ipc::{Domain, monotonic_ns, sleep_until};
 use upswingd::histogram::Histogram;
 use upswingd::os;
 
@@ -203,12 +203,12 @@ fn wake_up_latency(period: Duration, duration: Duration) -> (Histogram, u64) {
     let period = u64::try_from(period.as_nanos()).unwrap_or(u64::MAX).max(1);
     let mut histogram = Histogram::default();
     let mut overruns = 0;
-    let begin = os::monotonic_ns();
+    let begin = monotonic_ns();
     let end = begin.saturating_add(u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX));
     let mut deadline = begin + period;
     while deadline <= end {
-        os::sleep_until(deadline);
-        let late = os::monotonic_ns().saturating_sub(deadline);
+        sleep_until(deadline);
+        let late = monotonic_ns().saturating_sub(deadline);
         histogram.add(late);
         overruns += u64::from(late >= period);
         deadline += (late / period + 1) * period;

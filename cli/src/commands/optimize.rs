@@ -8,7 +8,7 @@ use upswing_config::PendulumStart;
 use upswing_config::process::{Failure, shutdown_flag};
 use upswing_planner::interior_point::Options;
 use upswing_planner::interior_point::Status;
-use upswing_planner::offline::{Effort, optimize, options};
+use upswing_planner::offline::{Search, optimize, options};
 use upswing_trajectory::Margins;
 
 /// Optimises the swing-up (6), (8) from a start at rest; Ctrl-C prints what it has got.
@@ -65,10 +65,10 @@ pub fn run(args: &OptimizeArgs) -> Result<(), Failure> {
     };
     // Ctrl-C ends the optimisation, and what it has is printed.
     let stop = shutdown_flag()?;
-    let effort = if args.best { Effort::Best } else { Effort::Once };
+    let search = if args.best { Search::Best } else { Search::First };
     let options = Options { time_budget, stop: Some(&stop), ..options(&config) };
     let waiting = spinner("optimising; Ctrl-C prints what there is");
-    let solution = optimize(&config, start, effort, None, &options);
+    let solution = optimize(&config, start, search, None, &options);
     waiting.finish_and_clear();
     let time_s = begin.elapsed().as_secs_f64();
     let status = solution.status.to_string();

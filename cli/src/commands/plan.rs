@@ -10,7 +10,7 @@ use upswing_config::{Config, PendulumStart};
 use upswing_model::State;
 use upswing_planner::build::certify;
 use upswing_planner::interior_point::Status;
-use upswing_planner::offline::{Effort, optimize, options};
+use upswing_planner::offline::{Search, optimize, options};
 use upswing_planner::replan::Planner;
 use upswing_trajectory::Entry;
 
@@ -113,7 +113,7 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
 
 /// The optimal trajectory from `start`.
 fn optimal_entry(config: &Config, start: State) -> Result<Entry, Failure> {
-    let solution = optimize(config, start, Effort::Best, None, &options(config));
+    let solution = optimize(config, start, Search::Best, None, &options(config));
     if solution.status != Status::Solved {
         return Err(failed(format!("--reference: no trajectory: {}", solution.status)));
     }

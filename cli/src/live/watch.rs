@@ -188,7 +188,7 @@ impl Watch {
 
     fn show(&self, r: &Telemetry) -> Cycle {
         let q = JointVector::from(r.q);
-        let rod = self.model.tip(&q) - self.model.poses(&q)[NQ - 1].translation.vector;
+        let rod = self.model.rod(&q);
         let error =
             |joints: std::ops::Range<usize>| joints.map(|i| (r.q[i] - r.q_d[i]).abs()).fold(0.0, f64::max);
         let follows = matches!(r.mode(), Ok(Mode::Track | Mode::Balance));

@@ -5,12 +5,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::thread::{JoinHandle, sleep, spawn};
 use std::time::{Duration, Instant};
+use upswing_ipc::monotonic_ns;
 use upswing_ipc::{
     Client, Clock, Command, ControlCommand, ControlRequest, ControlResponse, Domain, Finder, Measurement,
     Node, Reader, Writer,
 };
 use upswing_model::JointVector;
-use upswingd::os::monotonic_ns;
 
 /// Far beyond anything that is waited for here.
 pub const LONG: Duration = Duration::from_secs(30);

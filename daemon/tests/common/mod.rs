@@ -117,12 +117,7 @@ pub fn rest_payload(config: &Config, x: &State, t_f: f64) -> Box<Payload> {
 pub fn swing(config: &Config, q: &JointVector) -> (Box<Plan>, Box<Plan>) {
     let planner = Planner::new(config.clone()).unwrap();
     let up = planner.replan(&at_rest(q), config.planner.replan.iterations, None).unwrap().plan(config);
-    // Mechanics without friction runs backwards as well: x_k = [q, -qd] of the other end with the same u.
-    let trajectory = Trajectory {
-        t_f: up.trajectory.t_f,
-        x: up.trajectory.x.iter().rev().map(|x| state(&position(x), &-velocity(x))).collect(),
-        u: up.trajectory.u.iter().rev().copied().collect(),
-    };
+    let trajectory = up.trajectory.reversed();
     let mut work = Workspace::default();
     let gains = lqr::synthesize(&config.model, &trajectory, &config.planner.lqr, PERIOD, &mut work).unwrap();
     let down = Plan {

@@ -28,6 +28,11 @@ pub struct PlannerRequest {
 const _: () = assert!(size_of::<PlannerRequest>() == WORD * (5 + NX));
 
 impl PlannerRequest {
+    /// A request for a plan from the present state, to be published to the daemon.
+    pub fn from_now(kind: PlannerKind) -> Self {
+        Self { kind: kind.code(), from_now: 1, publish: 1, ..Self::default() }
+    }
+
     /// The kind of request.
     ///
     /// # Errors
@@ -40,7 +45,7 @@ impl PlannerRequest {
 /// What the planner answers; numbers that do not apply to the status are 0.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
-#[type_name("upswing.PlannerResponse.v1")]
+#[type_name("upswing.PlannerResponse.v2")]
 pub struct PlannerResponse {
     /// Code of the [`PlannerStatus`].
     pub status: u64,

@@ -1,4 +1,4 @@
-//! Harness -> simulated plant.
+//! Command line, harness -> simulated plant.
 
 use super::WORD;
 use crate::codes::{PlantKind, UnknownCode};
@@ -34,6 +34,11 @@ pub struct PlantRequest {
 const _: () = assert!(size_of::<PlantRequest>() == WORD * (9 + 2 * NQ));
 
 impl PlantRequest {
+    /// A request of `kind` whose other fields are 0.
+    pub fn new(kind: PlantKind) -> Self {
+        Self { kind: kind.code(), ..Self::default() }
+    }
+
     /// The kind of request.
     ///
     /// # Errors

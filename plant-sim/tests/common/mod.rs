@@ -132,11 +132,11 @@ impl Peer {
     }
 
     pub fn status(&self) -> PlantResponse {
-        self.ask(PlantRequest { kind: PlantKind::Status.code(), ..PlantRequest::default() })
+        self.ask(PlantRequest::new(PlantKind::Status))
     }
 
     pub fn advance_to(&self, seq: u64) -> PlantResponse {
-        self.ask(PlantRequest { kind: PlantKind::AdvanceTo.code(), seq, ..PlantRequest::default() })
+        self.ask(PlantRequest { seq, ..PlantRequest::new(PlantKind::AdvanceTo) })
     }
 }
 

@@ -1,0 +1,53 @@
+//! Which plan the controller has loaded, as far as its answers tell.
+
+use std::collections::VecDeque;
+
+/// Plans given to the controller, by the numbers of their tickets.
+#[derive(Debug, Default)]
+pub(crate) struct Loads {
+    /// Id of the plan taken last, 0: none.
+    taken: u64,
+    /// Tickets that wait for their answers, and the ids of their plans.
+    waiting: VecDeque<(u64, u64)>,
+}
+
+impl Loads {
+    /// A plan was given to the controller.
+    pub(crate) fn ordered(&mut self, ticket: u64, plan: u64) {
+        self.waiting.push_back((ticket, plan));
+    }
+
+    /// The answer to a ticket came: the id of its plan, if it was for one.
+    pub(crate) fn answered(&mut self, ticket: u64, taken: bool) -> Option<u64> {
+        let place = self.waiting.iter().position(|(waiting, _)| *waiting == ticket)?;
+        let (_, plan) = self.waiting.remove(place)?;
+        if taken {
+            self.taken = plan;
+        }
+        Some(plan)
+    }
+
+    /// Id of the plan given last and not refused, 0: none.
+    pub(crate) fn newest(&self) -> u64 {
+        self.waiting.back().map_or(self.taken, |(_, plan)| *plan)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Loads;
+
+    #[test]
+    fn a_refusal_leaves_the_plan_before() {
+        let mut loads = Loads::default();
+        loads.ordered(1, 10);
+        assert_eq!((loads.answered(1, true), loads.newest()), (Some(10), 10));
+        // Two more wait at the same time, and both are refused.
+        loads.ordered(2, 20);
+        loads.ordered(4, 30);
+        assert_eq!(loads.newest(), 30);
+        assert_eq!((loads.answered(2, false), loads.newest()), (Some(20), 30));
+        assert_eq!((loads.answered(3, false), loads.newest()), (None, 30));
+        assert_eq!((loads.answered(4, false), loads.newest()), (Some(30), 10));
+    }
+}
