@@ -316,7 +316,7 @@ class PlannerResponse(Structure):
 
     @staticmethod
     def type_name():
-        return "upswing.PlannerResponse.v1"
+        return "upswing.PlannerResponse.v2"
 
 
 class PlantRequest(Structure):
@@ -417,10 +417,9 @@ class PlannerStatus(IntEnum):
     Solved = 0
     BadRequest = 1
     StartOutsideLimits = 2
-    NoRestPose = 3
-    Infeasible = 4
-    NotReady = 5
-    Deadline = 6
+    Infeasible = 3
+    NotReady = 4
+    Deadline = 5
 
 
 class PlantKind(IntEnum):
