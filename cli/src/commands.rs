@@ -24,12 +24,12 @@ pub(crate) mod status;
 
 pub(crate) use json::{MarginsJson, PlanFigures, TrajectoryJson};
 
-use crate::session::{CleanUp, Options, SessionError};
+use crate::session::{Options, SessionError};
 use progress::{byte_bar, progress_bar, spinner, time_bar};
 use serde::Serialize;
 use std::path::Path;
 use upswing_config::process::{Failure, ProcessArgs};
-use upswing_ipc::{Clock, Domain, IpcError, Node};
+use upswing_ipc::{Clock, Domain, IpcError, Node, OwnDomain};
 
 /// Options of every command but the processes.
 #[derive(Clone, Debug, clap::Args)]
@@ -72,13 +72,14 @@ fn own_system(
     clock: Clock,
     start: String,
     scenario: Option<String>,
-) -> Result<(CleanUp, Options), Failure> {
-    let name = format!("{}-{what}-{}", common.process.domain, std::process::id());
-    let domain = Domain::new(&name).map_err(|e| Failure::BadInput(e.to_string()))?;
+) -> Result<(OwnDomain, Options), Failure> {
+    let domain = OwnDomain::new(&format!("{}-{what}", common.process.domain))
+        .map_err(|e| Failure::BadInput(e.to_string()))?;
+    let name = domain.name().to_owned();
     let logs = std::env::temp_dir().join(&name);
     std::fs::create_dir_all(&logs).map_err(|e| failed(format!("cannot create {}: {e}", logs.display())))?;
     let config = common.process.config.clone();
-    Ok((CleanUp(domain), Options { config, domain: name, clock, start: Some(start), scenario, logs }))
+    Ok((domain, Options { config, domain: name, clock, start: Some(start), scenario, logs }))
 }
 
 /// A refusal of an input is the user's to mend; of everything else the `logs` tell more.

@@ -388,12 +388,3 @@ fn collect(
     })?;
     Ok(())
 }
-
-/// When dropped, removes what the domain left in shared memory, unless somebody still uses it.
-pub struct CleanUp(pub Domain);
-
-impl Drop for CleanUp {
-    fn drop(&mut self) {
-        let _ = self.0.remove_if_unused();
-    }
-}

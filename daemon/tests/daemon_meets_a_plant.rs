@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::live::{LONG, Plant, ask, ask_until, new_domain, running_plant};
+use common::live::{LONG, Plant, ask, ask_until, running_plant};
 use common::{config, rest_payload};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -10,7 +10,9 @@ use std::thread::{JoinHandle, sleep, spawn};
 use std::time::{Duration, Instant};
 use upswing_config::Config;
 use upswing_config::process::Failure;
-use upswing_ipc::{Clock, ControlCommand, ControlRequest, Domain, Mode, Plan, Telemetry, TelemetryBatch};
+use upswing_ipc::{
+    Clock, ControlCommand, ControlRequest, Domain, Mode, OwnDomain, Plan, Telemetry, TelemetryBatch,
+};
 use upswingd::service::serve;
 use upswingd::trip::TripCause;
 
@@ -38,7 +40,7 @@ impl Daemon {
 
 #[test]
 fn on_lockstep_every_measurement_gets_one_cycle_and_requests_wait_for_the_next() {
-    let domain = new_domain();
+    let domain = OwnDomain::new("daemon").unwrap();
     let node = domain.connect("plant").unwrap();
     let telemetry = node.subscriber::<TelemetryBatch>().unwrap();
     let plans = node.publisher::<Plan>().unwrap();
@@ -95,14 +97,12 @@ fn on_lockstep_every_measurement_gets_one_cycle_and_requests_wait_for_the_next()
     }
     daemon.end().unwrap();
     assert_eq!(plant.command().brake, 1);
-    drop((plant, client, plans, telemetry, node));
-    domain.remove_if_unused().unwrap();
 }
 
 #[test]
 fn a_plant_that_stops_or_restarts_is_a_fault() {
     for clock in [Clock::Paced, Clock::Wall] {
-        let domain = new_domain();
+        let domain = OwnDomain::new("daemon").unwrap();
         let node = domain.connect("operator").unwrap();
         let client = node.client::<ControlRequest>().unwrap();
         let daemon = Daemon::start(&domain);
@@ -129,14 +129,12 @@ fn a_plant_that_stops_or_restarts_is_a_fault() {
         daemon.end().unwrap();
         plant.join().unwrap();
         third.join().unwrap();
-        drop((client, node));
-        domain.remove_if_unused().unwrap();
     }
 }
 
 #[test]
 fn a_second_daemon_is_refused() {
-    let domain = new_domain();
+    let domain = OwnDomain::new("daemon").unwrap();
     let node = domain.connect("operator").unwrap();
     let client = node.client::<ControlRequest>().unwrap();
     let first = Daemon::start(&domain);
@@ -144,13 +142,11 @@ fn a_second_daemon_is_refused() {
     let refusal = Daemon::start(&domain).end().unwrap_err();
     assert!(matches!(&refusal, Failure::Failed(text) if text.contains("has a daemon already")), "{refusal}");
     first.end().unwrap();
-    drop((client, node));
-    domain.remove_if_unused().unwrap();
 }
 
 #[test]
 fn the_cycles_before_a_fault_are_kept() {
-    let domain = new_domain();
+    let domain = OwnDomain::new("daemon").unwrap();
     let node = domain.connect("plant").unwrap();
     let client = node.client::<ControlRequest>().unwrap();
     let mut plant = Plant::new(&node, Clock::Lockstep);
@@ -179,6 +175,4 @@ fn the_cycles_before_a_fault_are_kept() {
     assert!(last.q[3].is_nan());
     assert_eq!(records[100].mode(), Ok(Mode::Hold));
     daemon.end().unwrap();
-    drop((plant, client, node));
-    domain.remove_if_unused().unwrap();
 }

@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::live::{LONG, ask, ask_until, new_domain, running_plant};
+use common::live::{LONG, ask, ask_until, running_plant};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
@@ -12,8 +12,8 @@ use std::thread::{JoinHandle, sleep};
 use std::time::{Duration, Instant};
 use upswing_config::Config;
 use upswing_ipc::{
-    Client, Clock, ControlCommand, ControlRequest, Degradation, Domain, Mode, Node, Subscriber, Telemetry,
-    TelemetryBatch,
+    Client, Clock, ControlCommand, ControlRequest, Degradation, Domain, Mode, Node, OwnDomain, Subscriber,
+    Telemetry, TelemetryBatch,
 };
 
 /// The daemon as a process of its own, on the wall clock.
@@ -24,7 +24,8 @@ struct System {
     client: Client<ControlRequest>,
     telemetry: Subscriber<TelemetryBatch>,
     _node: Node,
-    domain: Domain,
+    // Declared last: nobody may use it any more.
+    _domain: OwnDomain,
 }
 
 /// A full set of settings in which each `from` of daemon.toml is a `to`.
@@ -50,7 +51,7 @@ fn daemon(settings: &Path, domain: &Domain) -> Command {
 
 impl System {
     fn start(edits: &[(&str, &str)]) -> Self {
-        let domain = new_domain();
+        let domain = OwnDomain::new("daemon").unwrap();
         let node = domain.connect("operator").unwrap();
         let (client, telemetry) =
             (node.client::<ControlRequest>().unwrap(), node.subscriber::<TelemetryBatch>().unwrap());
@@ -60,7 +61,7 @@ impl System {
         let plant = Some(running_plant(&domain, Clock::Wall, &stop));
         // Settings are read before it answers.
         ask_until(&client, ControlCommand::Status, |answer| answer.seq > 100);
-        Self { daemon, plant, stop, client, telemetry, _node: node, domain }
+        Self { daemon, plant, stop, client, telemetry, _node: node, _domain: domain }
     }
 
     fn signal(&self, signal: i32) {
@@ -107,7 +108,6 @@ impl Drop for System {
         let plant = self.plant.take().map(JoinHandle::join);
         if !std::thread::panicking() {
             assert!(status.success() && plant.is_some_and(|plant| plant.is_ok()));
-            let _ = self.domain.remove_if_unused();
         }
     }
 }
@@ -155,13 +155,12 @@ fn a_refusal_is_named_or_ends_a_strict_start() {
     assert_ne!(answer.degraded & Degradation::Cpu.bit(), 0);
     assert_eq!(system.find(|_| true).degraded, answer.degraded);
 
-    let domain = new_domain();
+    let domain = OwnDomain::new("daemon").unwrap();
     let folder = settings(&[cpu, ("mode = \"warn\"", "mode = \"strict\"")]);
     let output = daemon(folder.path(), &domain).output().unwrap();
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(1), "{text}");
     assert!(text.contains("realtime.mode is strict") && text.contains("CPU 1023"), "{text}");
-    let _ = domain.remove_if_unused();
 }
 
 #[test]

@@ -14,16 +14,13 @@
 //! A process picks a [`Domain`], connects to it and asks its [`Node`] for the ends it needs:
 //!
 //! ```
-//! use upswing_ipc::{Command, Domain};
+//! use upswing_ipc::{Command, OwnDomain};
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
-//! # let name = format!("doc-{}", std::process::id());
-//! let domain = Domain::new(&name)?;
+//! let domain = OwnDomain::new("example")?;
 //! let node = domain.connect("daemon")?;
 //! let (command, _ports) = node.writer::<Command>()?.split();
 //! command.write(Command { seq: 1, ..Command::default() });
-//! # drop((command, _ports, node));
-//! # domain.remove_if_unused()?;
 //! # Ok(())
 //! # }
 //! ```
@@ -48,6 +45,7 @@ mod domain;
 mod error;
 mod messages;
 mod node;
+mod own;
 mod payload;
 mod request;
 mod services;
@@ -64,6 +62,7 @@ pub use domain::{Domain, DomainError};
 pub use error::{CallError, Cause, IpcError};
 pub use messages::{Publisher, Received, Subscriber};
 pub use node::Node;
+pub use own::OwnDomain;
 pub use payload::{
     Command, ControlRequest, ControlResponse, Measurement, Percentiles, Plan, PlannerRequest,
     PlannerResponse, PlantRequest, PlantResponse, Step, StepBatch, Telemetry, TelemetryBatch,

@@ -3,8 +3,7 @@
 mod common;
 
 use allocation_counter::{AllocationInfo, measure};
-use common::TestDomain;
-use upswing_ipc::{Command, Measurement};
+use upswing_ipc::{Command, Measurement, OwnDomain};
 
 /// Whether `work` neither allocates nor frees.
 fn uses_no_heap(work: impl FnOnce()) -> bool {
@@ -21,7 +20,7 @@ fn the_counter_counts() {
 
 #[test]
 fn neither_writing_nor_reading_nor_dropping_entries_uses_the_heap() {
-    let domain = TestDomain::new("heap");
+    let domain = OwnDomain::new("heap").unwrap();
     let node = domain.connect("both").unwrap();
     let (measurement_in, _measurement_ports) = node.writer::<Measurement>().unwrap().split();
     let mut measurements = node.finder::<Measurement>();

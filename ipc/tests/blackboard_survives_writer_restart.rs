@@ -2,9 +2,9 @@
 
 mod common;
 
-use common::{TestDomain, Victim, domain_of_child, until_killed, wait_for};
+use common::{Victim, domain_of_child, until_killed, wait_for};
 use std::sync::atomic::{AtomicBool, Ordering};
-use upswing_ipc::{Command, Domain, Measurement, Node, Reader, WriterEntry};
+use upswing_ipc::{Command, Domain, Measurement, Node, OwnDomain, Reader, WriterEntry};
 
 /// Entry of the child process: writes measurements until it is killed.
 #[test]
@@ -20,7 +20,7 @@ fn child_writes() {
 
 #[test]
 fn each_start_of_a_killed_writer_is_adopted() {
-    let domain = TestDomain::new("restart");
+    let domain = OwnDomain::new("restart").unwrap();
     let node = domain.connect("daemon").unwrap();
     let mut finder = node.finder::<Measurement>();
     assert!(finder.poll().unwrap().is_none());
@@ -48,7 +48,7 @@ fn each_start_of_a_killed_writer_is_adopted() {
 
 #[test]
 fn a_finder_that_comes_late_takes_the_newest_writer() {
-    let domain = TestDomain::new("late");
+    let domain = OwnDomain::new("late").unwrap();
     let node = domain.connect("daemon").unwrap();
     let older = node.writer::<Command>().unwrap();
     let newer = node.writer::<Command>().unwrap();
@@ -66,7 +66,7 @@ fn a_finder_that_comes_late_takes_the_newest_writer() {
 
 #[test]
 fn a_writer_that_leaves_in_order_is_not_found() {
-    let domain = TestDomain::new("left");
+    let domain = OwnDomain::new("left").unwrap();
     let node = domain.connect("plant").unwrap();
     drop(node.writer::<Measurement>().unwrap());
     assert!(node.finder::<Measurement>().poll().unwrap().is_none());
@@ -74,7 +74,7 @@ fn a_writer_that_leaves_in_order_is_not_found() {
 
 #[test]
 fn entries_work_in_other_threads_and_values_are_never_torn() {
-    let domain = TestDomain::new("torn");
+    let domain = OwnDomain::new("torn").unwrap();
     let plant = domain.connect("plant").unwrap();
     let daemon = domain.connect("daemon").unwrap();
     let (entry, _ports) = plant.writer::<Measurement>().unwrap().split();
@@ -119,7 +119,7 @@ fn what_is_meant_to_move_between_threads_can() {
 
 #[test]
 fn entries_outlive_their_ports() {
-    let domain = TestDomain::new("outlive");
+    let domain = OwnDomain::new("outlive").unwrap();
     let node = domain.connect("both").unwrap();
     let mut finder = node.finder::<Command>();
     let (entry, ports) = node.writer::<Command>().unwrap().split();

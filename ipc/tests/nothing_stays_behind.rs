@@ -2,10 +2,10 @@
 
 mod common;
 
-use common::{TestDomain, Victim, domain_of_child, until_killed, wait_for};
+use common::{Victim, domain_of_child, until_killed, wait_for};
 use std::os::unix::fs::{PermissionsExt, symlink};
 use upswing_ipc::{
-    Command, ControlRequest, Domain, IpcError, Measurement, Plan, PlantRequest, TelemetryBatch,
+    Command, ControlRequest, Domain, IpcError, Measurement, OwnDomain, Plan, PlantRequest, TelemetryBatch,
 };
 
 /// Entry of the child process: holds every kind of end until it is killed.
@@ -33,7 +33,7 @@ fn traces(domain: &Domain) -> Vec<String> {
 
 #[test]
 fn after_an_orderly_end() {
-    let domain = TestDomain::new("orderly");
+    let domain = OwnDomain::new("orderly").unwrap();
     let node = domain.connect("daemon").unwrap();
     let writer = node.writer::<Command>().unwrap();
     writer.write(Command::default());
@@ -57,7 +57,7 @@ fn after_an_orderly_end() {
 
 #[test]
 fn after_processes_were_killed() {
-    let domain = TestDomain::new("victims");
+    let domain = OwnDomain::new("victims").unwrap();
     {
         let node = domain.connect("observer").unwrap();
         for _ in 0..3 {
@@ -79,7 +79,7 @@ fn after_processes_were_killed() {
 
 #[test]
 fn after_processes_were_killed_while_they_started() {
-    let domain = TestDomain::new("births");
+    let domain = OwnDomain::new("births").unwrap();
     for delay_us in (0..20_000).step_by(1000) {
         let victim = Victim::start("child_holds_everything", &domain);
         std::thread::sleep(std::time::Duration::from_micros(delay_us));
@@ -98,7 +98,7 @@ fn after_processes_were_killed_while_they_started() {
 
 #[test]
 fn a_removed_domain_can_be_used_again() {
-    let domain = TestDomain::new("again");
+    let domain = OwnDomain::new("again").unwrap();
     for seq in 1..=3 {
         let node = domain.connect("daemon").unwrap();
         let writer = node.writer::<Command>().unwrap();
@@ -112,7 +112,7 @@ fn a_removed_domain_can_be_used_again() {
 
 #[test]
 fn joining_and_removing_at_the_same_time_is_safe() {
-    let domain = TestDomain::new("race");
+    let domain = OwnDomain::new("race").unwrap();
     std::thread::scope(|threads| {
         for _ in 0..2 {
             threads.spawn(|| {
@@ -137,7 +137,7 @@ fn joining_and_removing_at_the_same_time_is_safe() {
 
 #[test]
 fn only_this_user_can_enter_the_directory() {
-    let domain = TestDomain::new("private");
+    let domain = OwnDomain::new("private").unwrap();
     std::fs::create_dir(domain.root()).unwrap();
     std::fs::set_permissions(domain.root(), std::fs::Permissions::from_mode(0o777)).unwrap();
     let _node = domain.connect("daemon").unwrap();
@@ -146,7 +146,7 @@ fn only_this_user_can_enter_the_directory() {
 
 #[test]
 fn a_path_that_is_not_our_directory_is_refused() {
-    let domain = TestDomain::new("foreign");
+    let domain = OwnDomain::new("foreign").unwrap();
     let link = domain.root();
     let target = std::env::temp_dir();
     symlink(&target, &link).unwrap();
@@ -160,7 +160,7 @@ fn a_path_that_is_not_our_directory_is_refused() {
 
 #[test]
 fn no_configuration_of_somebody_else_is_in_force() {
-    let domain = TestDomain::new("config");
+    let domain = OwnDomain::new("config").unwrap();
     let _node = domain.connect("daemon").unwrap();
     // Where iceoryx2 falls back to the global configuration it must be that of a domain (the first one of this
     // process), not that of a file in the working directory.

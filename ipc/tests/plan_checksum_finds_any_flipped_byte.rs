@@ -2,9 +2,9 @@
 
 mod common;
 
-use common::{TestDomain, wait_for};
+use common::wait_for;
 use proptest::prelude::*;
-use upswing_ipc::Plan;
+use upswing_ipc::{OwnDomain, Plan};
 
 /// A sealed plan without a zero byte pattern that a truncation could reproduce.
 fn plan(id: u64) -> Box<Plan> {
@@ -85,7 +85,7 @@ proptest! {
 
 #[test]
 fn plans_arrive_intact_also_late_and_from_a_restarted_planner() {
-    let domain = TestDomain::new("plan");
+    let domain = OwnDomain::new("plan").unwrap();
     let daemon = domain.connect("daemon").unwrap();
     let early = daemon.subscriber::<Plan>().unwrap();
     for id in 1..=3 {
@@ -108,7 +108,7 @@ fn plans_arrive_intact_also_late_and_from_a_restarted_planner() {
 
 #[test]
 fn a_slow_subscriber_keeps_the_newest_plans() {
-    let domain = TestDomain::new("newest");
+    let domain = OwnDomain::new("newest").unwrap();
     let node = domain.connect("both").unwrap();
     let subscriber = node.subscriber::<Plan>().unwrap();
     let publisher = node.publisher::<Plan>().unwrap();

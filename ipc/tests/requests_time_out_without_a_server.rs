@@ -2,11 +2,11 @@
 
 mod common;
 
-use common::{TestDomain, Victim, domain_of_child, until_killed, wait_for};
+use common::{Victim, domain_of_child, until_killed, wait_for};
 use std::time::Duration;
 use upswing_ipc::{
-    CallError, ControlCommand, ControlRequest, ControlResponse, IpcError, Mode, PlannerRequest, PlantRequest,
-    TelemetryBatch, Text,
+    CallError, ControlCommand, ControlRequest, ControlResponse, IpcError, Mode, OwnDomain, PlannerRequest,
+    PlantRequest, TelemetryBatch, Text,
 };
 
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -38,7 +38,7 @@ fn child_is_deaf() {
 
 #[test]
 fn without_a_server_every_request_says_so() {
-    let domain = TestDomain::new("absent");
+    let domain = OwnDomain::new("absent").unwrap();
     let node = domain.connect("cli").unwrap();
     let control = node.client::<ControlRequest>().unwrap();
     assert!(!control.has_server());
@@ -56,7 +56,7 @@ fn without_a_server_every_request_says_so() {
 
 #[test]
 fn a_server_that_does_not_poll_times_out_and_never_sees_the_withdrawn_request() {
-    let domain = TestDomain::new("deaf");
+    let domain = OwnDomain::new("deaf").unwrap();
     let node = domain.connect("cli").unwrap();
     let server = node.server::<ControlRequest>().unwrap();
     let client = node.client::<ControlRequest>().unwrap();
@@ -74,7 +74,7 @@ fn a_server_that_does_not_poll_times_out_and_never_sees_the_withdrawn_request() 
 
 #[test]
 fn answers_carry_the_request_and_the_reason() {
-    let domain = TestDomain::new("answer");
+    let domain = OwnDomain::new("answer").unwrap();
     let serving = std::sync::atomic::AtomicBool::new(true);
     let node = domain.connect("cli").unwrap();
     std::thread::scope(|threads| {
@@ -112,7 +112,7 @@ fn answers_carry_the_request_and_the_reason() {
 
 #[test]
 fn a_killed_server_is_reported_and_its_successor_answers() {
-    let domain = TestDomain::new("killed");
+    let domain = OwnDomain::new("killed").unwrap();
     let node = domain.connect("cli").unwrap();
     let client = node.client::<ControlRequest>().unwrap();
     let request = ControlRequest::new(ControlCommand::Status);
@@ -132,7 +132,7 @@ fn a_killed_server_is_reported_and_its_successor_answers() {
 
 #[test]
 fn a_server_killed_during_a_request_is_reported() {
-    let domain = TestDomain::new("during");
+    let domain = OwnDomain::new("during").unwrap();
     let node = domain.connect("cli").unwrap();
     let client = node.client::<ControlRequest>().unwrap();
     let daemon = Victim::start("child_is_deaf", &domain);
@@ -149,7 +149,7 @@ fn a_server_killed_during_a_request_is_reported() {
 
 #[test]
 fn a_second_server_and_a_second_publisher_are_refused() {
-    let domain = TestDomain::new("second");
+    let domain = OwnDomain::new("second").unwrap();
     let first = domain.connect("daemon").unwrap();
     let second = domain.connect("daemon").unwrap();
 

@@ -2,12 +2,14 @@
 
 mod common;
 
-use common::{TestDomain, Victim, domain_of_child, until_killed, wait_for};
+use common::{Victim, domain_of_child, until_killed, wait_for};
 use std::fs::Permissions;
 use std::os::unix::fs::PermissionsExt;
 use std::path::PathBuf;
 use std::time::{Duration, SystemTime};
-use upswing_ipc::{CallError, ControlCommand, ControlRequest, Domain, Measurement, TelemetryBatch};
+use upswing_ipc::{
+    CallError, ControlCommand, ControlRequest, Domain, Measurement, OwnDomain, TelemetryBatch,
+};
 
 /// Entry of the child process: holds some ends until it is killed.
 #[test]
@@ -46,8 +48,8 @@ fn memory(domain: &Domain) -> Vec<PathBuf> {
 }
 
 /// A domain in which a process was killed after it had created its services.
-fn deserted(tag: &str) -> TestDomain {
-    let domain = TestDomain::new(tag);
+fn deserted(tag: &str) -> OwnDomain {
+    let domain = OwnDomain::new(tag).unwrap();
     let victim = Victim::start("child_holds_ends", &domain);
     wait_for("its services", || {
         (domain.root().join("services").exists() && descriptions(&domain).len() == 3).then_some(())
@@ -104,7 +106,7 @@ fn unfinished_descriptions_of_services_do_not() {
 
 #[test]
 fn unfinished_nodes_and_connections_without_a_port_are_removed_when_they_are_old() {
-    let domain = TestDomain::new("nodes");
+    let domain = OwnDomain::new("nodes").unwrap();
     let node = domain.connect("first").unwrap();
     let nodes = domain.root().join("nodes");
     let complete = files(nodes.clone(), "").len();
@@ -140,7 +142,7 @@ fn unfinished_nodes_and_connections_without_a_port_are_removed_when_they_are_old
 
 #[test]
 fn an_unfinished_connection_of_a_dead_port_does_not_stop_the_clean_up() {
-    let domain = TestDomain::new("connection");
+    let domain = OwnDomain::new("connection").unwrap();
     let victim = Victim::start("child_publishes", &domain);
     let node = domain.connect("observer").unwrap();
     let subscriber = node.subscriber::<TelemetryBatch>().unwrap();
@@ -184,7 +186,7 @@ fn an_unfinished_tag_does_not_keep_a_dead_node() {
 
 #[test]
 fn kills_at_any_moment_of_a_start_do_not() {
-    let domain = TestDomain::new("moments");
+    let domain = OwnDomain::new("moments").unwrap();
     for delay_us in (0..15_000).step_by(500) {
         let victim = Victim::start("child_holds_ends", &domain);
         std::thread::sleep(Duration::from_micros(delay_us));

@@ -2,8 +2,7 @@
 
 mod common;
 
-use common::TestDomain;
-use upswing_ipc::{Telemetry, TelemetryBatch};
+use upswing_ipc::{OwnDomain, Telemetry, TelemetryBatch};
 
 #[test]
 fn a_batch_holds_what_was_pushed_and_no_more() {
@@ -24,7 +23,7 @@ fn a_batch_holds_what_was_pushed_and_no_more() {
 
 #[test]
 fn every_subscriber_gets_every_cycle_in_order() {
-    let domain = TestDomain::new("telemetry");
+    let domain = OwnDomain::new("telemetry").unwrap();
     let node = domain.connect("daemon").unwrap();
     let peer = domain.connect("monitor").unwrap();
     let publisher = node.publisher::<TelemetryBatch>().unwrap();
@@ -56,7 +55,7 @@ fn every_subscriber_gets_every_cycle_in_order() {
 
 #[test]
 fn a_slow_subscriber_loses_the_oldest_and_never_stops_the_publisher() {
-    let domain = TestDomain::new("slow");
+    let domain = OwnDomain::new("slow").unwrap();
     let node = domain.connect("daemon").unwrap();
     let publisher = node.publisher::<TelemetryBatch>().unwrap();
     let subscriber = node.subscriber::<TelemetryBatch>().unwrap();

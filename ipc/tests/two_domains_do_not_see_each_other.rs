@@ -2,13 +2,12 @@
 
 mod common;
 
-use common::TestDomain;
 use std::time::Duration;
-use upswing_ipc::{CallError, Command, ControlCommand, ControlRequest, Domain, DomainError, Plan};
+use upswing_ipc::{CallError, Command, ControlCommand, ControlRequest, Domain, DomainError, OwnDomain, Plan};
 
 #[test]
 fn writers_plans_and_servers_stay_in_their_domain() {
-    let (here, there) = (TestDomain::new("here"), TestDomain::new("there"));
+    let (here, there) = (OwnDomain::new("here").unwrap(), OwnDomain::new("there").unwrap());
     let (near, far) = (here.connect("daemon").unwrap(), there.connect("daemon").unwrap());
 
     let writer = near.writer::<Command>().unwrap();
@@ -33,7 +32,7 @@ fn writers_plans_and_servers_stay_in_their_domain() {
 
 #[test]
 fn a_peer_in_the_same_domain_is_seen() {
-    let domain = TestDomain::new("same");
+    let domain = OwnDomain::new("same").unwrap();
     let twin = Domain::new(domain.name()).unwrap();
     assert_eq!(*domain, twin);
     let _writer = domain.connect("daemon").unwrap().writer::<Command>().unwrap();
@@ -42,7 +41,7 @@ fn a_peer_in_the_same_domain_is_seen() {
 
 #[test]
 fn removing_a_domain_leaves_those_whose_names_begin_alike() {
-    let short = TestDomain::new("alike");
+    let short = OwnDomain::new("alike").unwrap();
     // An ending like the hash in a file name is the worst case for telling the files apart.
     let longer: Vec<_> =
         ["_1", "_0123456789", "-c"].iter().map(|end| format!("{}{end}", short.name())).collect();

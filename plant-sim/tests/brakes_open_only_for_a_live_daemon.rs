@@ -2,15 +2,15 @@
 
 mod common;
 
-use common::{Answerer, Peer, PlantProcess, TestDomain, wait_for};
-use upswing_ipc::{Clock, Command, Measurement};
+use common::{Answerer, Peer, PlantProcess, wait_for};
+use upswing_ipc::{Clock, Command, Measurement, OwnDomain};
 
 fn brakes_closed(measurement: &Measurement) -> bool {
     measurement.status & Measurement::BRAKES_CLOSED != 0
 }
 
-fn start(clock: Clock) -> (TestDomain, PlantProcess, Peer) {
-    let domain = TestDomain::new("live");
+fn start(clock: Clock) -> (OwnDomain, PlantProcess, Peer) {
+    let domain = OwnDomain::new("live").unwrap();
     let plant = PlantProcess::start(&domain, &["--clock", &clock.to_string()]);
     let peer = Peer::join(&domain);
     if clock == Clock::Lockstep {
@@ -94,7 +94,7 @@ fn commands_that_answer_nothing_do_not_count() {
 fn a_second_plant_is_refused() {
     let (domain, mut first, _peer) = start(Clock::Paced);
     let output = std::process::Command::new(env!("CARGO_BIN_EXE_upswing-plant"))
-        .args(["--domain", domain.0.name()])
+        .args(["--domain", domain.name()])
         .output()
         .unwrap();
     let message = String::from_utf8(output.stderr).unwrap();

@@ -2,9 +2,10 @@
 
 mod common;
 
-use common::{TestDomain, settings};
+use common::settings;
 use std::process::{Command as Process, Output};
 use upswing_config::{PendulumStart, StartError};
+use upswing_ipc::OwnDomain;
 use upswing_plant::{Plant, StateError};
 
 #[test]
@@ -37,10 +38,10 @@ fn a_pose_whose_pendulum_rests_beyond_its_limit_is_refused() {
 }
 
 fn run(options: &[&str]) -> Output {
-    let domain = TestDomain::new("start");
+    let domain = OwnDomain::new("start").unwrap();
     Process::new(env!("CARGO_BIN_EXE_upswing-plant"))
         .args(options)
-        .args(if options.contains(&"--domain") { vec![] } else { vec!["--domain", domain.0.name()] })
+        .args(if options.contains(&"--domain") { vec![] } else { vec!["--domain", domain.name()] })
         .output()
         .unwrap()
 }

@@ -29,7 +29,6 @@ mod system;
 pub use system::{START, System};
 
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU32, Ordering};
 use upswing_ipc::Telemetry;
 
 /// Folder of the programs under test: that of the test programs' parent.
@@ -44,12 +43,6 @@ pub fn programs() -> PathBuf {
         assert!(path.exists(), "{} is not built: run `cargo test --release --workspace`", path.display());
     }
     folder
-}
-
-/// A domain name that no other test and no earlier run uses.
-pub fn unique_domain() -> String {
-    static COUNT: AtomicU32 = AtomicU32::new(0);
-    format!("test-{}-{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed))
 }
 
 /// Whether every number of two records is the same, bit for bit.

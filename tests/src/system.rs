@@ -1,16 +1,16 @@
 //! Three processes under test.
 
 use crate::matrix;
-use crate::{programs, unique_domain};
+use crate::programs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 use upswing::recording::Recorder;
 use upswing::report::Report;
-use upswing::session::{CleanUp, Options, Programs, Role, Session, SessionError};
+use upswing::session::{Options, Programs, Role, Session, SessionError};
 use upswing::swing_up::{plan_and_start, swing_up};
 use upswing_config::Config;
-use upswing_ipc::{Clock, ControlCommand, ControlResponse, Domain, Mode, PlannerKind, Telemetry};
+use upswing_ipc::{Clock, ControlCommand, ControlResponse, Mode, OwnDomain, PlannerKind, Telemetry};
 
 /// Start of the arm in the paper's experiment, deg.
 pub const START: [f64; 7] = [0.0, -15.0, 0.0, -95.0, 0.0, 10.0, 0.0];
@@ -30,7 +30,7 @@ pub struct System {
     pub config: Config,
     clock: Clock,
     folder: PathBuf,
-    _clean: CleanUp,
+    _own: OwnDomain,
 }
 
 impl Drop for System {
@@ -81,10 +81,10 @@ impl System {
         settings: Option<&Path>,
         file: Option<&Path>,
     ) -> Self {
-        let domain = unique_domain();
+        let own = OwnDomain::new("test").expect("a name");
+        let domain = own.name().to_owned();
         let folder = std::env::temp_dir().join(format!("upswing-{domain}"));
         std::fs::create_dir_all(&folder).expect("folder for logs");
-        let clean = CleanUp(Domain::new(&domain).expect("valid domain"));
         let config = Config::load(settings).unwrap_or_else(|e| panic!("{e}"));
         let details = [("clock", clock.to_string())];
         let recorder =
@@ -98,7 +98,7 @@ impl System {
             logs: folder.clone(),
         };
         let session = must(Session::start(Programs::dedicated(&programs()), &options, recorder));
-        Self { session, config, clock, folder, _clean: clean }
+        Self { session, config, clock, folder, _own: own }
     }
 
     /// Control period, s.

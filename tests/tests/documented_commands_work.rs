@@ -8,7 +8,8 @@ use std::fmt::Write;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use upswing_tests::{programs, repository, unique_domain};
+use upswing_ipc::OwnDomain;
+use upswing_tests::{programs, repository};
 
 /// Runs `upswing` in a domain of the test's own. Demos run as fast as they can. A request that comes too early for a machine
 /// under load is repeated.
@@ -95,10 +96,10 @@ fn every_block_that_runs() {
         let (bin, scratch) = (folder.path().join("bin"), folder.path().join("scratch"));
         std::fs::create_dir(&bin).expect("bin");
         std::fs::create_dir(&scratch).expect("scratch");
-        let domain = unique_domain();
+        let domain = OwnDomain::new("test").expect("a name");
         let program = programs().join("upswing");
         let wrapper =
-            UPSWING.replace("PROGRAM", program.to_str().expect("a path")).replace("DOMAIN", &domain);
+            UPSWING.replace("PROGRAM", program.to_str().expect("a path")).replace("DOMAIN", domain.name());
         install(&bin, "upswing", &wrapper);
         install(&bin, "cargo", CARGO);
         // What runs in the background ends with the page, and is waited for.
@@ -111,7 +112,6 @@ fn every_block_that_runs() {
             .env("REPOSITORY", repository())
             .output()
             .expect("bash");
-        let _ = upswing_ipc::Domain::new(&domain).expect("a domain").remove_if_unused();
         let said = String::from_utf8_lossy(&output.stderr);
         assert!(output.status.success(), "{}: {}\n{said}", page.display(), output.status);
     }

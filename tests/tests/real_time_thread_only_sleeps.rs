@@ -5,10 +5,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
-use upswing::session::CleanUp;
-use upswing_ipc::{ControlCommand, ControlRequest, Domain};
+use upswing_ipc::{ControlCommand, ControlRequest, OwnDomain};
 use upswing_tests::running::{LONG, Running, wait_for};
-use upswing_tests::unique_domain;
 
 const CYCLES: u64 = 100_000;
 /// Under strace a cycle takes several periods.
@@ -46,14 +44,13 @@ fn calls(text: &str) -> BTreeMap<&str, u64> {
 
 #[test]
 fn while_peers_come_and_go() {
-    let name = unique_domain();
-    let domain = Domain::new(&name).expect("a name");
-    let _clean = CleanUp(domain.clone());
+    let domain = OwnDomain::new("test").expect("a name");
+    let name = domain.name();
     let wall = |command: &mut Command| {
         command.args(["--clock", "wall"]);
     };
-    let mut plant = Running::start("upswing-plant", &name, wall);
-    let daemon = Running::start("upswingd", &name, |_| {});
+    let mut plant = Running::start("upswing-plant", name, wall);
+    let daemon = Running::start("upswingd", name, |_| {});
     let node = domain.connect("operator").expect("a node");
     let client = node.client::<ControlRequest>().expect("a client");
     let seq = || {
@@ -72,10 +69,10 @@ fn while_peers_come_and_go() {
         // One of them ends, in turn killed and in order, and another one begins.
         round += 1;
         match round % 4 {
-            0 => planner = Some(Running::start("upswing-planner", &name, |_| {})),
-            1 => plant = Running::start("upswing-plant", &name, wall),
+            0 => planner = Some(Running::start("upswing-planner", name, |_| {})),
+            1 => plant = Running::start("upswing-plant", name, wall),
             2 => {
-                let mut client = Running::start("upswing", &name, |command| {
+                let mut client = Running::start("upswing", name, |command| {
                     command.arg("status");
                 });
                 assert!(client.wait().success());

@@ -5,10 +5,11 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
-use upswing::session::CleanUp;
-use upswing_ipc::{ControlCommand, ControlRequest, ControlResponse, Domain, PlannerRequest, PlantRequest};
+use upswing_ipc::{
+    ControlCommand, ControlRequest, ControlResponse, Domain, OwnDomain, PlannerRequest, PlantRequest,
+};
+use upswing_tests::programs;
 use upswing_tests::running::{LONG, Running, wait_for};
-use upswing_tests::{programs, unique_domain};
 
 const ROUNDS: u64 = 100;
 
@@ -63,10 +64,9 @@ fn asks_for_status(client: &mut Command) {
 
 #[test]
 fn a_hundred_times() {
-    let name = unique_domain();
-    let domain = Domain::new(&name).expect("a name");
-    let _clean = CleanUp(domain.clone());
-    let start = |program: &str| Running::start(program, &name, |_| {});
+    let domain = OwnDomain::new("test").expect("a name");
+    let name = domain.name();
+    let start = |program: &str| Running::start(program, name, |_| {});
     let daemon = start("upswingd");
     let (mut plant, mut planner) = (start("upswing-plant"), start("upswing-planner"));
     let node = domain.connect("operator").expect("a node");
@@ -100,7 +100,7 @@ fn a_hundred_times() {
         }
         drop((plant, planner));
         (plant, planner) = (start("upswing-plant"), start("upswing-planner"));
-        let clients: Vec<_> = (0..2).map(|_| Running::start("upswing", &name, asks_for_status)).collect();
+        let clients: Vec<_> = (0..2).map(|_| Running::start("upswing", name, asks_for_status)).collect();
         // From the first instructions of a start to a process that serves.
         std::thread::sleep(Duration::from_millis(3 * (round % 40)));
         drop(clients);
@@ -128,16 +128,15 @@ fn a_hundred_times() {
 
 #[test]
 fn a_second_daemon_names_the_first() {
-    let name = unique_domain();
-    let domain = Domain::new(&name).expect("a name");
-    let _clean = CleanUp(domain.clone());
-    let first = Running::start("upswingd", &name, |_| {});
+    let domain = OwnDomain::new("test").expect("a name");
+    let name = domain.name();
+    let first = Running::start("upswingd", name, |_| {});
     let node = domain.connect("operator").expect("a node");
     let client = node.client::<ControlRequest>().expect("a client");
     wait_for("the first daemon", || client.has_server().then_some(()));
     let second = || {
         let mut command = Command::new(programs().join("upswingd"));
-        command.args(["--domain", &name]).stdin(Stdio::null());
+        command.args(["--domain", name]).stdin(Stdio::null());
         let output = command.output().expect("upswingd runs");
         (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
     };
@@ -146,6 +145,6 @@ fn a_second_daemon_names_the_first() {
     assert!(text.contains("has a daemon already") && text.contains(&format!("pid {}", first.id())), "{text}");
     // The place of a killed one is free.
     drop(first);
-    let _next = Running::start("upswingd", &name, |_| {});
+    let _next = Running::start("upswingd", name, |_| {});
     wait_for("the next daemon", || client.has_server().then_some(()));
 }

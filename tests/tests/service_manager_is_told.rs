@@ -3,10 +3,8 @@
 
 use std::os::unix::net::UnixDatagram;
 use std::time::{Duration, Instant};
-use upswing::session::CleanUp;
-use upswing_ipc::Domain;
+use upswing_ipc::OwnDomain;
 use upswing_tests::running::{LONG, Running};
-use upswing_tests::unique_domain;
 
 const WATCHDOG: Duration = Duration::from_millis(400);
 /// A process tells that it lives four times per watchdog time.
@@ -63,18 +61,12 @@ impl Manager {
     }
 }
 
-fn world() -> (String, CleanUp) {
-    let name = unique_domain();
-    let clean = CleanUp(Domain::new(&name).expect("a name"));
-    (name, clean)
-}
-
 #[test]
 fn by_planner_and_plant() {
     for (program, status) in [("upswing-planner", "STATUS="), ("upswing-plant", "STATUS=clock paced")] {
-        let (domain, _clean) = world();
+        let domain = OwnDomain::new("test").expect("a name");
         let manager = Manager::new();
-        let mut process = manager.start(program, &domain);
+        let mut process = manager.start(program, domain.name());
         assert_eq!(manager.wait_for("READY=1"), [""; 0], "{program}");
         assert_eq!(manager.wait_for(status), [""; 0], "{program}");
         manager.wait_for("WATCHDOG=1");
@@ -87,14 +79,14 @@ fn by_planner_and_plant() {
 
 #[test]
 fn by_the_daemon_once_a_plant_is_there() {
-    let (domain, _clean) = world();
+    let domain = OwnDomain::new("test").expect("a name");
     let manager = Manager::new();
-    let mut daemon = manager.start("upswingd", &domain);
+    let mut daemon = manager.start("upswingd", domain.name());
     manager.wait_for("STATUS=waits for a plant");
     let before = manager.wait_for("EXTEND_TIMEOUT_USEC=10000000");
     assert!(!before.contains(&"READY=1".into()), "ready without a plant: {before:?}");
 
-    let _plant = Running::start("upswing-plant", &domain, |_| {});
+    let _plant = Running::start("upswing-plant", domain.name(), |_| {});
     manager.wait_for("READY=1");
     manager.wait_for("STATUS=idle");
     manager.wait_for("WATCHDOG=1");
@@ -131,12 +123,12 @@ impl Drop for Frozen {
 
 #[test]
 fn nothing_while_the_real_time_thread_hangs() {
-    let (domain, _clean) = world();
+    let domain = OwnDomain::new("test").expect("a name");
     let manager = Manager::new();
-    let _plant = Running::start("upswing-plant", &domain, |command| {
+    let _plant = Running::start("upswing-plant", domain.name(), |command| {
         command.args(["--clock", "wall"]);
     });
-    let daemon = manager.start("upswingd", &domain);
+    let daemon = manager.start("upswingd", domain.name());
     manager.wait_for("WATCHDOG=1");
     let frozen = Frozen::new(daemon.thread("realtime"));
     // What the thread did before it stopped may still be told once.

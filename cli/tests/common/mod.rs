@@ -5,9 +5,7 @@ use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::OnceLock;
-use std::sync::atomic::{AtomicU32, Ordering};
-use upswing::session::CleanUp;
-use upswing_ipc::Domain;
+use upswing_ipc::OwnDomain;
 
 /// Runs `upswing` to its end.
 pub fn upswing(args: &[&str]) -> Output {
@@ -33,16 +31,14 @@ pub struct Place {
     pub domain: String,
     processes: Vec<Running>,
     // Declared last: the processes must be gone by then.
-    _clean: CleanUp,
+    _own: OwnDomain,
 }
 
 impl Place {
     /// Nothing runs there yet.
     pub fn new() -> Self {
-        static COUNT: AtomicU32 = AtomicU32::new(0);
-        let domain = format!("test-cli-{}-{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
-        let clean = CleanUp(Domain::new(&domain).expect("a valid name"));
-        Self { domain, processes: Vec::new(), _clean: clean }
+        let own = OwnDomain::new("test-cli").expect("a valid name");
+        Self { domain: own.name().to_owned(), processes: Vec::new(), _own: own }
     }
 
     /// Daemon, planner and plant run, and cycles arrive.

@@ -2,7 +2,7 @@
 
 use super::{config, measurement, rest_pose};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{JoinHandle, sleep, spawn};
 use std::time::{Duration, Instant};
 use upswing_ipc::monotonic_ns;
@@ -14,12 +14,6 @@ use upswing_model::JointVector;
 
 /// Far beyond anything that is waited for here.
 pub const LONG: Duration = Duration::from_secs(30);
-
-pub fn new_domain() -> Domain {
-    static COUNTER: AtomicU32 = AtomicU32::new(0);
-    let name = format!("daemon-{}-{}", std::process::id(), COUNTER.fetch_add(1, Ordering::Relaxed));
-    Domain::new(&name).unwrap()
-}
 
 pub struct Plant {
     pub writer: Writer<Measurement>,

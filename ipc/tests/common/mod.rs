@@ -1,41 +1,10 @@
 //! Domains and child processes for tests.
 #![allow(dead_code)] // each test file uses its own part
 
-use std::ops::Deref;
 use std::os::unix::process::parent_id;
 use std::process::{Child, Command, Stdio};
-use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 use upswing_ipc::Domain;
-
-/// A domain that no other test uses; removed when dropped.
-pub struct TestDomain(Domain);
-
-impl TestDomain {
-    /// A domain whose name begins with `tag` (at most 12 characters).
-    pub fn new(tag: &str) -> Self {
-        static COUNTER: AtomicU32 = AtomicU32::new(0);
-        let name = format!("{tag}-{}-{}", std::process::id(), COUNTER.fetch_add(1, Ordering::Relaxed));
-        let domain = Domain::new(&name).unwrap();
-        // A killed run with the same process id may have left files.
-        assert!(domain.remove_if_unused().unwrap());
-        Self(domain)
-    }
-}
-
-impl Deref for TestDomain {
-    type Target = Domain;
-
-    fn deref(&self) -> &Domain {
-        &self.0
-    }
-}
-
-impl Drop for TestDomain {
-    fn drop(&mut self) {
-        let _ = self.0.remove_if_unused();
-    }
-}
 
 const CHILD: &str = "UPSWING_IPC_TEST_CHILD";
 

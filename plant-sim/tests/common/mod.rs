@@ -2,11 +2,10 @@
 #![allow(dead_code)] // each test file uses its own part
 
 use std::process::{Child, Command as Process, Stdio};
-use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 use upswing_config::Config;
 use upswing_ipc::{
-    Client, Command, Domain, Measurement, Node, PlantKind, PlantRequest, PlantResponse, Reader, Writer,
+    Client, Command, Measurement, Node, OwnDomain, PlantKind, PlantRequest, PlantResponse, Reader, Writer,
 };
 use upswing_model::{ActuatedVector, JointVector, Model, NU, Workspace, state};
 use upswing_plant::Plant;
@@ -51,32 +50,13 @@ pub fn holding_torque(model: &Model, plant: &Plant) -> ActuatedVector {
     )
 }
 
-/// A domain that no other test uses; removed when dropped.
-pub struct TestDomain(pub Domain);
-
-impl TestDomain {
-    pub fn new(tag: &str) -> Self {
-        static COUNTER: AtomicU32 = AtomicU32::new(0);
-        let name = format!("{tag}-{}-{}", std::process::id(), COUNTER.fetch_add(1, Ordering::Relaxed));
-        let domain = Domain::new(&name).unwrap();
-        assert!(domain.remove_if_unused().unwrap(), "left by a killed run with the same process id");
-        Self(domain)
-    }
-}
-
-impl Drop for TestDomain {
-    fn drop(&mut self) {
-        let _ = self.0.remove_if_unused();
-    }
-}
-
 /// A plant process; killed when dropped.
 pub struct PlantProcess(Child);
 
 impl PlantProcess {
-    pub fn start(domain: &TestDomain, options: &[&str]) -> Self {
+    pub fn start(domain: &OwnDomain, options: &[&str]) -> Self {
         let child = Process::new(env!("CARGO_BIN_EXE_upswing-plant"))
-            .args(["--domain", domain.0.name()])
+            .args(["--domain", domain.name()])
             .args(options)
             .stdin(Stdio::null())
             .stdout(Stdio::null())
@@ -112,8 +92,8 @@ pub struct Peer {
 }
 
 impl Peer {
-    pub fn join(domain: &TestDomain) -> Self {
-        let node = domain.0.connect("daemon").unwrap();
+    pub fn join(domain: &OwnDomain) -> Self {
+        let node = domain.connect("daemon").unwrap();
         Self { client: node.client::<PlantRequest>().unwrap(), node }
     }
 
