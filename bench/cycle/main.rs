@@ -12,7 +12,7 @@ use common::{Arm, at_rest, config, rest_pose, swing};
 use std::hint::black_box;
 use std::time::Instant;
 use upswing_config::Config;
-use upswing_ipc::{Command, Domain, Measurement, Mode};
+use upswing_ipc::{Command, Measurement, Mode, OwnDomain};
 use upswing_model::{ActuatedVector, NQ, State, Workspace};
 use upswingd::controller::{Controller, Order};
 use upswingd::supervisor::Request;
@@ -54,7 +54,7 @@ fn print(name: &str, mut ns: Vec<f64>) {
 }
 
 fn cycles(config: &Config) -> Vec<f64> {
-    let domain = Domain::new(&format!("bench-{}", std::process::id())).expect("valid domain");
+    let domain = OwnDomain::new("bench").expect("valid domain");
     let node = domain.connect("bench").expect("shared memory");
     let (measurements, commands) =
         (node.writer::<Measurement>().expect("writer"), node.writer::<Command>().expect("writer"));
@@ -82,8 +82,6 @@ fn cycles(config: &Config) -> Vec<f64> {
             }
         }
     }
-    drop((reader, measurements, commands, node));
-    domain.remove_if_unused().expect("shared memory");
     times
 }
 

@@ -8,9 +8,9 @@
 //! | `arm`, `law` | the reference of Hold and Stop, the torque law (24) |
 //! | `disturbance` | the torque that acts besides the commanded one, to be taken off it |
 //! | [`supervisor`], `checks`, [`trip`] | the table of modes, the levels that are watched, what is beyond them |
-//! | [`plan`] | which plans it may run |
+//! | [`plan`], `loads` | which plans it may run, which one it has |
 //! | `realtime` | the thread that runs the cycle on time |
-//! | [`os`] | clock, scheduler and memory calls, and what the system refuses of them |
+//! | [`os`] | scheduler and memory calls, and what the system refuses of them |
 //! | [`service`] | the thread that does all the rest |
 //! | `journal`, [`histogram`], `overrun`, [`flight`] | what it keeps of the cycles: statistics, causes of overruns, the flight recorder |
 //! | [`recovery`] | what follows a lost balance |

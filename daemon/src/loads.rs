@@ -19,8 +19,9 @@ impl Loads {
 
     /// The answer to a ticket came: the id of its plan, if it was for one.
     pub(crate) fn answered(&mut self, ticket: u64, taken: bool) -> Option<u64> {
-        let place = self.waiting.iter().position(|(waiting, _)| *waiting == ticket)?;
-        let (_, plan) = self.waiting.remove(place)?;
+        // Answers come in the order of their tickets.
+        let (_, plan) = *self.waiting.front().filter(|(waiting, _)| *waiting == ticket)?;
+        self.waiting.pop_front();
         if taken {
             self.taken = plan;
         }

@@ -1,4 +1,4 @@
-//! Clock, scheduler and memory calls.
+//! Scheduler and memory calls.
 
 use std::fs::File;
 use std::io::{Error, ErrorKind, Write};

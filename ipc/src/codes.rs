@@ -156,7 +156,7 @@ codes! {
         StartOutsideLimits = "start outside limits",
         /// The solver found no plan that keeps the limits.
         Infeasible = "infeasible",
-        /// The planner has no news of the daemon.
+        /// No fresh telemetry of the daemon, or a mode in which there is no such plan.
         NotReady = "not ready",
         /// The time budget was used up first.
         Deadline = "deadline",

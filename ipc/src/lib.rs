@@ -8,7 +8,7 @@
 //! | `telemetry` | pub/sub, no history | daemon -> planner, cli | [`TelemetryBatch`] |
 //! | `steps` | pub/sub, no history | daemon -> cli | [`StepBatch`] |
 //! | `control` | request/response | cli -> daemon | [`ControlRequest`] -> [`ControlResponse`] |
-//! | `planner` | request/response | cli, harness -> planner | [`PlannerRequest`] -> [`PlannerResponse`] |
+//! | `planner` | request/response | cli, daemon, harness -> planner | [`PlannerRequest`] -> [`PlannerResponse`] |
 //! | `plant` | request/response | cli, harness -> plant | [`PlantRequest`] -> [`PlantResponse`] |
 //!
 //! A process picks a [`Domain`], connects to it and asks its [`Node`] for the ends it needs:

@@ -16,11 +16,17 @@ impl OwnDomain {
     /// [`DomainError`] if that cannot be a name, or leaves no room for the rest.
     pub fn new(what: &str) -> Result<Self, DomainError> {
         static COUNT: AtomicU32 = AtomicU32::new(0);
-        let number = COUNT.fetch_add(1, Ordering::Relaxed);
-        let domain = Domain::new(&format!("{what}-{}-{number}", std::process::id()))?;
-        // A process that was killed may have had the same number.
-        let _ = domain.remove_if_unused();
-        Ok(Self(domain))
+        loop {
+            let id = std::process::id();
+            let domain = Domain::new(&match COUNT.fetch_add(1, Ordering::Relaxed) {
+                0 => format!("{what}-{id}"),
+                number => format!("{what}-{id}-{number}"),
+            })?;
+            // A process that was killed may have had the same id, and a child of it may live on.
+            if !matches!(domain.remove_if_unused(), Ok(false)) {
+                return Ok(Self(domain));
+            }
+        }
     }
 }
 

@@ -1,7 +1,5 @@
 //! What the real-time thread calls uses no heap.
 
-mod common;
-
 use allocation_counter::{AllocationInfo, measure};
 use upswing_ipc::{Command, Measurement, OwnDomain};
 

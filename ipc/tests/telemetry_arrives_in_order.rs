@@ -1,7 +1,5 @@
 //! Batches of telemetry reach every subscriber, in order, and a slow one loses the oldest.
 
-mod common;
-
 use upswing_ipc::{OwnDomain, Telemetry, TelemetryBatch};
 
 #[test]

@@ -1,7 +1,5 @@
 //! Domains are separate worlds, also when the name of one begins with that of the other.
 
-mod common;
-
 use std::time::Duration;
 use upswing_ipc::{CallError, Command, ControlCommand, ControlRequest, Domain, DomainError, OwnDomain, Plan};
 

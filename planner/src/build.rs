@@ -367,7 +367,7 @@ fn same_origin(path: &Path, got: &Heading, expected: &Heading) -> Result<(), Bui
 }
 
 /// Joins the shards of one build into `output`; the order of the files does not matter, and the result has the bytes
-/// of a build in one piece.
+/// of a build in one piece. Says what it holds.
 ///
 /// # Errors
 /// [`BuildError`] for missing shards, files of different builds, and poses that differ between files.

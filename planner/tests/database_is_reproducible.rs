@@ -56,9 +56,17 @@ fn in_one_piece_in_shards_and_on_one_core() {
     let merged = dir.path().join("merged.bin");
     for order in [[0, 1, 0], [1, 0, 0]] {
         let order: Vec<_> = order.iter().map(|i| shards[*i].clone()).collect();
-        merge(&order, &merged).expect("it merges");
+        let summary = merge(&order, &merged).expect("it merges");
+        assert_eq!((summary.poses, summary.solved, summary.rejected, summary.left), (6, 3, 3, 0));
+        assert!(summary.failed.is_empty(), "{:?}", summary.failed);
         assert_eq!(bytes(&whole), bytes(&merged));
     }
+    let mut unsolved = read(&shards[1]).expect("it reads");
+    unsolved.records[0].outcome = Outcome::Failed;
+    let with_unsolved = dir.path().join("unsolved.bin");
+    std::fs::write(&with_unsolved, unsolved.encode()).expect("written");
+    let summary = merge(&[shards[0].clone(), with_unsolved], &merged).expect("it merges");
+    assert_eq!(summary.failed, [unsolved.records[0].pose]);
     let missing = merge(&shards[1..], &merged).expect_err("shard 1 is missing");
     assert!(matches!(missing, BuildError::Missing { ref missing, of: 2 } if *missing == [1]), "{missing}");
     let mut unfinished = read(&shards[0]).expect("it reads");

@@ -28,10 +28,6 @@ fn record(x: &State, mode: Mode, lockstep: bool) -> Telemetry {
     record
 }
 
-fn from_now(kind: PlannerKind) -> PlannerRequest {
-    PlannerRequest::from_now(kind)
-}
-
 fn ask(desk: &mut Desk<'_>, request: &PlannerRequest) -> (PlannerResponse, Option<Plan>) {
     desk.answer(request, &|| true)
 }
@@ -51,7 +47,7 @@ fn a_plan_is_ready_while_the_arm_holds() {
     let x = rest(&planner);
     desk.observe(record(&x, Mode::Hold, false), Instant::now());
     desk.prepare();
-    let (answer, plan) = ask(&mut desk, &from_now(PlannerKind::SwingUp));
+    let (answer, plan) = ask(&mut desk, &PlannerRequest::from_now(PlannerKind::SwingUp));
     assert_eq!(answer.reason.as_str(), Ok("ready before it was asked for"));
     let plan = plan.expect("a plan");
     assert_eq!(answer.plan_id, plan.id);
@@ -62,7 +58,7 @@ fn a_plan_is_ready_while_the_arm_holds() {
         let mut moved = x;
         moved[1] += shift;
         desk.observe(record(&moved, Mode::Hold, false), Instant::now());
-        let (answer, plan) = ask(&mut desk, &from_now(PlannerKind::SwingUp));
+        let (answer, plan) = ask(&mut desk, &PlannerRequest::from_now(PlannerKind::SwingUp));
         assert_eq!(answer.reason.as_str().expect("text").starts_with("ready"), ready, "moved by {shift}");
         assert!((plan.expect("a plan").trajectory.x[0] - moved).amax() < 2e-4);
     }
@@ -80,7 +76,7 @@ fn in_lockstep_a_plan_begins_with_the_state_of_the_record() {
         }
         desk.observe(record(&x, Mode::Hold, true), Instant::now());
         desk.prepare();
-        let (answer, plan) = ask(&mut desk, &from_now(PlannerKind::SwingUp));
+        let (answer, plan) = ask(&mut desk, &PlannerRequest::from_now(PlannerKind::SwingUp));
         assert_eq!(answer.reason.as_str(), Ok(""), "nothing is prepared in lockstep");
         assert!((plan.expect("a plan").trajectory.x[0] - x).amax() < 1e-6);
     }
@@ -94,7 +90,7 @@ fn a_moving_start_is_predicted_and_handed_over_when_it_is_due() {
     x[NQ + 7] = 0.5;
     desk.observe(record(&x, Mode::Hold, false), Instant::now());
     let begin = Instant::now();
-    let (_, plan) = ask(&mut desk, &from_now(PlannerKind::SwingUp));
+    let (_, plan) = ask(&mut desk, &PlannerRequest::from_now(PlannerKind::SwingUp));
     let lead = planner.config().planner.replan.lead;
     assert!(begin.elapsed() >= lead, "handed over before the predicted moment");
     let start = plan.expect("a plan").trajectory.x[0];
@@ -113,7 +109,7 @@ fn a_swing_down_begins_upright_and_ends_hanging_at_rest() {
     upright[1] += 0.02;
     upright[5] -= 0.01;
     desk.observe(record(&upright, Mode::Balance, false), Instant::now());
-    let (answer, plan) = ask(&mut desk, &from_now(PlannerKind::SwingDown));
+    let (answer, plan) = ask(&mut desk, &PlannerRequest::from_now(PlannerKind::SwingDown));
     assert_eq!(answer.status(), Ok(PlannerStatus::Solved), "{:?}", answer.reason.as_str());
     let trajectory = plan.expect("a plan").trajectory;
     assert!((trajectory.x[0] - upright).amax() < 1e-6);
@@ -130,11 +126,23 @@ fn a_swing_down_begins_upright_and_ends_hanging_at_rest() {
 fn from_another_mode_or_without_a_daemon() {
     let planner = planner();
     let mut desk = Desk::new(&planner);
-    refused(ask(&mut desk, &from_now(PlannerKind::SwingUp)), PlannerStatus::NotReady, "is upswingd running");
+    refused(
+        ask(&mut desk, &PlannerRequest::from_now(PlannerKind::SwingUp)),
+        PlannerStatus::NotReady,
+        "is upswingd running",
+    );
     desk.observe(record(&rest(&planner), Mode::Idle, false), Instant::now());
-    refused(ask(&mut desk, &from_now(PlannerKind::SwingUp)), PlannerStatus::NotReady, "enable it first");
+    refused(
+        ask(&mut desk, &PlannerRequest::from_now(PlannerKind::SwingUp)),
+        PlannerStatus::NotReady,
+        "enable it first",
+    );
     desk.observe(record(&rest(&planner), Mode::Hold, false), Instant::now());
-    refused(ask(&mut desk, &from_now(PlannerKind::SwingDown)), PlannerStatus::NotReady, "swing up first");
+    refused(
+        ask(&mut desk, &PlannerRequest::from_now(PlannerKind::SwingDown)),
+        PlannerStatus::NotReady,
+        "swing up first",
+    );
 }
 
 #[test]
@@ -150,17 +158,17 @@ fn from_a_daemon_that_has_fallen_silent() {
         (planner.entries()[17].trajectory.x[N], Mode::Balance, PlannerKind::SwingDown),
     ] {
         desk.observe(record(&x, mode, false), long_ago);
-        refused(ask(&mut desk, &from_now(kind)), PlannerStatus::NotReady, reason);
+        refused(ask(&mut desk, &PlannerRequest::from_now(kind)), PlannerStatus::NotReady, reason);
     }
     // Nothing is prepared for it, either.
     desk.observe(record(&rest(&planner), Mode::Hold, false), long_ago);
     desk.prepare();
     desk.observe(record(&rest(&planner), Mode::Hold, false), Instant::now());
-    let (answer, _) = ask(&mut desk, &from_now(PlannerKind::SwingUp));
+    let (answer, _) = ask(&mut desk, &PlannerRequest::from_now(PlannerKind::SwingUp));
     assert_eq!(answer.reason.as_str(), Ok(""));
     // In lockstep time stands still while a plan is made.
     desk.observe(record(&moving, Mode::Hold, true), long_ago);
-    assert!(ask(&mut desk, &from_now(PlannerKind::SwingUp)).1.is_some());
+    assert!(ask(&mut desk, &PlannerRequest::from_now(PlannerKind::SwingUp)).1.is_some());
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Waiting: for a deadline, and for another process.
+//! Waiting for another process, and wake-ups without slack.
 
 use std::time::{Duration, Instant};
 

@@ -156,7 +156,12 @@ fn build(common: &CommonArgs, grid: Option<&Path>, shard: Shard, output: &Path) 
     let stop = shutdown_flag()?;
     let bar = progress_bar((config.grid.poses() as u64).div_ceil(shard.of), "poses");
     let begin = Instant::now();
-    let summary = build::build(&config, shard, output, &stop, |n| bar.inc(n as u64)).map_err(failure)?;
+    let summary =
+        build::build(&config, shard, output, &stop, |n| bar.inc(n as u64)).map_err(|e| match e {
+            BuildError::File { action: "read", .. } => failure(e),
+            BuildError::File { .. } => failed(format!("{e}; what was finished is kept in the journal")),
+            e => failure(e),
+        })?;
     bar.finish_and_clear();
     for pose in &summary.failed {
         let degrees = config.grid.pose(*pose as usize).map(|q| format!("{:.1}", q.to_degrees()));

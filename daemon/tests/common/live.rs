@@ -5,10 +5,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{JoinHandle, sleep, spawn};
 use std::time::{Duration, Instant};
-use upswing_ipc::monotonic_ns;
 use upswing_ipc::{
     Client, Clock, Command, ControlCommand, ControlRequest, ControlResponse, Domain, Finder, Measurement,
-    Node, Reader, Writer,
+    Node, Reader, Writer, monotonic_ns,
 };
 use upswing_model::JointVector;
 

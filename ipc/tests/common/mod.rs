@@ -1,4 +1,4 @@
-//! Domains and child processes for tests.
+//! Child processes for tests.
 #![allow(dead_code)] // each test file uses its own part
 
 use std::os::unix::process::parent_id;
