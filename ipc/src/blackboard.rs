@@ -162,6 +162,11 @@ impl<T: Latest> Finder<T> {
     /// [`IpcError::List`] if the services cannot be listed, [`IpcError::Open`] or [`IpcError::Port`] if the newest
     /// cannot be opened, [`IpcError::Layout`] if it carries another payload than `T`.
     pub fn poll(&mut self) -> Result<Option<Reader<T>>, IpcError> {
+        T::poll(self)
+    }
+
+    /// As [`Self::poll`], to be compiled once for each payload: see `services`.
+    pub(crate) fn look(&mut self) -> Result<Option<Reader<T>>, IpcError> {
         let site = Site::enter(self.node.domain());
         self.node.clean_up_at(&site);
         self.close_unused();

@@ -53,6 +53,11 @@ impl<T: Topic> Publisher<T> {
     /// # Errors
     /// [`IpcError::Send`].
     pub fn publish(&self, value: &T) -> Result<(), IpcError> {
+        value.publish(self)
+    }
+
+    /// As [`Self::publish`], to be compiled once for each payload: see `services`.
+    pub(crate) fn send(&self, value: &T) -> Result<(), IpcError> {
         let mut sample = self.port.loan_uninit().map_err(|e| send_error::<T>(e.into()))?;
         // SAFETY: the sample is memory for one `T` that nobody else uses yet; `T` is `Copy`.
         let sample = unsafe {
@@ -68,6 +73,11 @@ impl<T: Topic> Publisher<T> {
     /// # Errors
     /// [`IpcError::Send`].
     pub fn greet(&self) -> Result<(), IpcError> {
+        T::greet(self)
+    }
+
+    /// As [`Self::greet`], to be compiled once for each payload: see `services`.
+    pub(crate) fn update(&self) -> Result<(), IpcError> {
         self.port.update_connections().map_err(|e| send_error::<T>(e.into()))
     }
 }
@@ -116,6 +126,11 @@ impl<T: Topic> Subscriber<T> {
     /// # Errors
     /// [`IpcError::Receive`], also if too many samples are held.
     pub fn receive(&self) -> Result<Option<Received<T>>, IpcError> {
+        T::receive(self)
+    }
+
+    /// As [`Self::receive`], to be compiled once for each payload: see `services`.
+    pub(crate) fn take(&self) -> Result<Option<Received<T>>, IpcError> {
         let sample = self.port.receive();
         let sample = sample.map_err(|e| IpcError::Receive { service: T::SERVICE, cause: e.into() })?;
         Ok(sample.map(Received))

@@ -91,7 +91,7 @@ impl Node {
     /// [`IpcError::Taken`] where there is no more place, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot be
     /// used, [`IpcError::Full`] if there is no room; those of the other ends are the same.
     pub fn writer<T: Latest>(&self) -> Result<Writer<T>, IpcError> {
-        self.domain().with_room(|| Writer::create(self))
+        T::writer(self)
     }
 
     /// Finds the newest blackboard of a channel, again whenever its writer has started anew.
@@ -104,7 +104,7 @@ impl Node {
     /// # Errors
     /// As of [`Self::writer`].
     pub fn publisher<T: Topic>(&self) -> Result<Publisher<T>, IpcError> {
-        self.domain().with_room(|| Publisher::create(self))
+        T::publisher(self)
     }
 
     /// An end of a topic that receives.
@@ -112,7 +112,7 @@ impl Node {
     /// # Errors
     /// As of [`Self::writer`].
     pub fn subscriber<T: Topic>(&self) -> Result<Subscriber<T>, IpcError> {
-        self.domain().with_room(|| Subscriber::create(self))
+        T::subscriber(self)
     }
 
     /// An end of a service that asks, whether or not there is a server.
@@ -120,7 +120,7 @@ impl Node {
     /// # Errors
     /// As of [`Self::writer`].
     pub fn client<R: Request>(&self) -> Result<Client<R>, IpcError> {
-        self.domain().with_room(|| Client::create(self))
+        R::client(self)
     }
 
     /// The end of a service that answers: one process at a time has it.
@@ -128,7 +128,7 @@ impl Node {
     /// # Errors
     /// As of [`Self::writer`].
     pub fn server<R: Request>(&self) -> Result<Server<R>, IpcError> {
-        self.domain().with_room(|| Server::create(self))
+        R::server(self)
     }
 
     /// Repeats `attempt`, on site and cleaning up after dead processes: what one process opens another may be

@@ -2,7 +2,7 @@
 
 use crate::error::{CallError, IpcError};
 use crate::node::{Node, note_pid};
-use crate::services::{MAX_CLIENTS, MAX_NODES, Request};
+use crate::services::{Handler, MAX_CLIENTS, MAX_NODES, Request};
 use iceoryx2::port::DegradationAction;
 use iceoryx2::port::client::Client as IoxClient;
 use iceoryx2::port::server::Server as IoxServer;
@@ -60,6 +60,11 @@ impl<Q: Request> Client<Q> {
 
     /// Whether a live server is there now.
     pub fn has_server(&self) -> bool {
+        Q::has_server(self)
+    }
+
+    /// As [`Self::has_server`], to be compiled once for each payload: see `services`.
+    pub(crate) fn look(&self) -> bool {
         // The dead ones count until somebody cleans up.
         self.node.clean_up();
         let found = self.service.dynamic_config().number_of_servers() > 0;
@@ -70,7 +75,7 @@ impl<Q: Request> Client<Q> {
     /// As [`Client::has_server`], but looks only if there was no sign of life lately: looking takes much longer
     /// than a request.
     fn had_server_lately(&self) -> bool {
-        self.alive.get().is_some_and(|seen| seen.elapsed() < ROLL_CALL) || self.has_server()
+        self.alive.get().is_some_and(|seen| seen.elapsed() < ROLL_CALL) || self.look()
     }
 
     /// Sends `request` and waits for the answer, at most `timeout`. A request that is not yet being handled when
@@ -92,6 +97,16 @@ impl<Q: Request> Client<Q> {
         request: &Q,
         timeout: Duration,
         mut wanted: impl FnMut() -> bool,
+    ) -> Result<Q::Response, CallError> {
+        request.call(self, timeout, &mut wanted)
+    }
+
+    /// As [`Self::call_while`], to be compiled once for each payload: see `services`.
+    pub(crate) fn ask(
+        &self,
+        request: &Q,
+        timeout: Duration,
+        wanted: &mut dyn FnMut() -> bool,
     ) -> Result<Q::Response, CallError> {
         if !self.had_server_lately() {
             return Err(self.no_server());
@@ -189,6 +204,11 @@ impl<Q: Request> Server<Q> {
         &self,
         mut handle: impl FnMut(&Q, &dyn Fn() -> bool) -> Q::Response,
     ) -> Result<usize, IpcError> {
+        Q::poll(self, &mut handle)
+    }
+
+    /// As [`Self::poll_while_wanted`], to be compiled once for each payload: see `services`.
+    pub(crate) fn answer(&self, handle: Handler<'_, Q>) -> Result<usize, IpcError> {
         let receive =
             || self.port.receive().map_err(|e| IpcError::Receive { service: Q::SERVICE, cause: e.into() });
         let mut answered = 0;
