@@ -1,6 +1,6 @@
 //! `daemon.toml`.
 
-use crate::check::{ACUTE, COUNT, Check, NON_NEGATIVE, POSITIVE, SHARE};
+use crate::check::{ACUTE, BELOW_ONE, COUNT, Check, NON_NEGATIVE, POSITIVE, SHARE};
 use crate::{ConfigError, RobotSettings};
 use serde::Deserialize;
 use std::path::PathBuf;
@@ -20,8 +20,8 @@ pub struct DaemonSettings {
     pub disturbance: DisturbanceSettings,
     /// When the daemon warns and when it gives up control.
     pub limits: Levels,
-    /// What happens to plans that arrive while one is being tracked.
-    pub plan_while_tracking: PlanWhileTracking,
+    /// Which plans are accepted.
+    pub plans: PlanSettings,
     /// What follows a lost balance.
     pub recovery: RecoverySettings,
     /// The flight recorder.
@@ -107,6 +107,19 @@ pub struct Levels {
     pub late_cycles: Level,
     /// Age of a loaded plan, s.
     pub plan_age: Level,
+}
+
+/// Which plans are accepted, see [`crate::Config::gate`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlanSettings {
+    /// What happens to plans that arrive while one is being tracked.
+    pub while_tracking: PlanWhileTracking,
+    /// Largest defect of (6b), rad and rad/s per interval.
+    pub defect: f64,
+    /// The same where a plan is made by one QP, [`crate::ReplanSettings::iterations`] = 1.
+    pub defect_of_one_qp: f64,
+    /// Periods from a measurement until its torque acts, as the closed loop is judged.
+    pub delay: usize,
 }
 
 /// What happens to plans that arrive while one is being tracked.
@@ -242,6 +255,9 @@ struct RawLevels {
 #[serde(deny_unknown_fields)]
 struct RawPlans {
     while_tracking: PlanWhileTracking,
+    defect: f64,
+    defect_of_one_qp: f64,
+    delay_cycles: i64,
 }
 
 #[derive(Deserialize)]
@@ -327,7 +343,16 @@ impl DaemonSettings {
                 most: check.number("disturbance.torque_fraction", raw.disturbance.torque_fraction, &SHARE)?,
             },
             limits,
-            plan_while_tracking: raw.plans.while_tracking,
+            plans: PlanSettings {
+                while_tracking: raw.plans.while_tracking,
+                defect: check.number("plans.defect", raw.plans.defect, &BELOW_ONE)?,
+                defect_of_one_qp: check.number(
+                    "plans.defect_of_one_qp",
+                    raw.plans.defect_of_one_qp,
+                    &BELOW_ONE,
+                )?,
+                delay: check.integer("plans.delay_cycles", raw.plans.delay_cycles, 0..=8)?,
+            },
             recovery: RecoverySettings {
                 attempts: check.integer("recovery.attempts", recovery.attempts, 0..=1000)?,
                 rest_speed: check.number(

@@ -19,8 +19,9 @@ mod scenario;
 mod start;
 
 pub use daemon::{
-    CycleSettings, DaemonSettings, DisturbanceSettings, HoldGains, Level, Levels, PlanWhileTracking,
-    RealtimeMode, RealtimeSettings, RecorderSettings, RecoverySettings, StartTolerance, VelocityEstimate,
+    CycleSettings, DaemonSettings, DisturbanceSettings, HoldGains, Level, Levels, PlanSettings,
+    PlanWhileTracking, RealtimeMode, RealtimeSettings, RecorderSettings, RecoverySettings, StartTolerance,
+    VelocityEstimate,
 };
 pub use error::ConfigError;
 pub use fault::{EventError, Fault, FaultKind, Push};
@@ -41,6 +42,7 @@ use std::borrow::Cow;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use upswing_model::{Limits, Model, NQ, NU};
+use upswing_trajectory::{Delays, Gate};
 
 /// One complete, checked set of settings.
 #[derive(Clone, Debug)]
@@ -143,6 +145,25 @@ impl Config {
     /// As [`Config::from_dir`].
     pub fn load(dir: Option<&Path>) -> Result<Self, ConfigError> {
         dir.map_or_else(Self::embedded, Self::from_dir)
+    }
+
+    /// What a plan has to fulfil under these settings.
+    pub fn gate(&self) -> Gate {
+        let DaemonSettings { cycle, plans, start, .. } = &self.daemon;
+        Gate {
+            limits: self.robot.planning,
+            tau_max: self.robot.limits.tau_max,
+            defect: if self.planner.replan.iterations == 1 { plans.defect_of_one_qp } else { plans.defect },
+            tolerance: (start.position, start.velocity),
+            delays: Delays {
+                period: cycle.period.as_secs_f64(),
+                velocity_filter: match cycle.velocity {
+                    VelocityEstimate::Filter => Some(cycle.velocity_filter),
+                    VelocityEstimate::Model => None,
+                },
+                cycles: plans.delay,
+            },
+        }
     }
 
     /// Writes the embedded files, with their comments, to a folder, which is created if need be.

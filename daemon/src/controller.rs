@@ -133,7 +133,7 @@ impl Controller {
             work: Workspace::default(),
             checks: Checks::new(config),
             tau_max: config.robot.limits.tau_max,
-            while_tracking: config.daemon.plan_while_tracking,
+            while_tracking: config.daemon.plans.while_tracking,
             mode: Mode::Idle,
             shutting_down: false,
             trip: None,

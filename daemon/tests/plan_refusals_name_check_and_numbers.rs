@@ -3,9 +3,12 @@
 mod common;
 
 use common::{at_rest, config, rest_payload, rest_plan, rest_pose, upright_pose};
-use upswing_config::{Config, PlanWhileTracking};
+use upswing_config::{Config, PendulumStart, PlanWhileTracking, VelocityEstimate};
 use upswing_ipc::{Measurement, Plan as Payload};
-use upswing_model::{NQ, State, Workspace};
+use upswing_model::{ActuatedVector, NQ, NU, NX, State, Workspace};
+use upswing_planner::replan::{Effort, Manoeuvre, Planner};
+use upswing_planner::service::payload;
+use upswing_trajectory::{KNOTS, N, Unfit};
 use upswingd::controller::{Controller, Order};
 use upswingd::plan::{PlanRefusal, accept};
 use upswingd::supervisor::{Refusal, Request};
@@ -28,16 +31,76 @@ fn refusal(spoil: impl Fn(&mut Payload)) -> PlanRefusal {
     refusal
 }
 
+/// f_k of the model at every knot.
+fn follow_the_model(plan: &mut Payload, config: &Config) {
+    for k in 0..KNOTS {
+        let (x, u) = (State::from(plan.x[k]), ActuatedVector::from(plan.u[k]));
+        plan.f[k] = config.model.f(&x, &u, &mut Workspace::default()).into();
+    }
+}
+
+/// What is said about a plan that rests at `x` for 1 s after `spoil`, with f_k of the model, sealed again.
+fn verdict(config: &Config, x: &State, spoil: impl Fn(&mut Payload)) -> Option<Unfit> {
+    let mut payload = rest_payload(config, x, 1.0);
+    spoil(&mut payload);
+    follow_the_model(&mut payload, config);
+    payload.seal();
+    match accept(&payload, config) {
+        Ok(_) => None,
+        Err(PlanRefusal::Unfit(unfit)) => Some(unfit),
+        Err(refusal) => panic!("{refusal}"),
+    }
+}
+
+/// A swing-up from rest with the arm at `degrees`, and a swing-down from its end, for the weight r of (20).
+fn planned(r: f64, degrees: [f64; 7]) -> (Config, [Box<Payload>; 2]) {
+    let mut config = config();
+    config.planner.lqr.r = r;
+    let planner = Planner::new(config.clone()).unwrap();
+    let start = config.start_state(&degrees.map(f64::to_radians), PendulumStart::Rest).unwrap();
+    let effort = Effort::iterations(config.planner.replan.iterations);
+    let mut solver = planner.solver();
+    let up = planner.replan_with(&mut solver, Manoeuvre::SwingUp, &start, &effort).unwrap();
+    let down = planner.replan_with(&mut solver, Manoeuvre::SwingDown, &up.trajectory.x[N], &effort).unwrap();
+    let plans = [up, down].map(|replan| payload(&replan.plan(&config)));
+    (config, plans)
+}
+
+const START: [f64; 7] = [-15.0, -15.0, 0.0, -95.0, 0.0, 10.0, 0.0];
+
 #[test]
 fn a_good_plan_keeps_its_numbers() {
-    let (config, x) = rest();
-    let mut payload = rest_payload(&config, &x, 1.5);
-    payload.k[3][1][4] = 2.5;
-    payload.seal();
+    let (config, [payload, _]) = planned(0.01, START);
     let plan = accept(&payload, &config).unwrap();
-    assert_eq!((plan.id, plan.trajectory.t_f, plan.trajectory.x[50]), (7, 1.5, x));
-    assert_eq!(plan.gains[3][(1, 4)], 2.5);
-    assert_eq!(plan.final_gain[(2, 2)], -100.0);
+    assert_eq!(
+        (plan.id, plan.fingerprint, plan.trajectory.t_f),
+        (payload.id, payload.fingerprint, payload.t_f)
+    );
+    for k in 0..KNOTS {
+        assert_eq!(plan.trajectory.x[k], State::from(payload.x[k]), "x at knot {k}");
+        assert_eq!(plan.trajectory.u[k], ActuatedVector::from(payload.u[k]), "u at knot {k}");
+        assert_eq!(plan.f[k], State::from(payload.f[k]), "f at knot {k}");
+        for i in 0..NU {
+            assert!((0..NX).all(|j| plan.gains[k][(i, j)] == payload.k[k][i][j]), "K at knot {k}, row {i}");
+            assert!(
+                (0..NX).all(|j| plan.final_gain[(i, j)] == payload.k_final[i][j]),
+                "the final K, row {i}"
+            );
+        }
+    }
+}
+
+#[test]
+fn stiff_gains_are_accepted() {
+    let starts = [START, [0.0, -15.0, 0.0, -95.0, 0.0, 10.0, 0.0], [20.0, 10.0, 0.0, -70.0, 0.0, 0.0, 0.0]];
+    for r in [1e-2, 1e-3, 1e-4] {
+        for start in starts {
+            let (config, plans) = planned(r, start);
+            for plan in plans {
+                accept(&plan, &config).unwrap_or_else(|e| panic!("r = {r}, {start:?}: {e}"));
+            }
+        }
+    }
 }
 
 #[test]
@@ -61,10 +124,13 @@ fn fingerprint() {
 #[test]
 fn id_and_duration() {
     assert_eq!(refusal(|p| p.id = 0), PlanRefusal::Id);
-    assert_eq!(refusal(|p| p.t_f = 0.0), PlanRefusal::Duration { got: 0.0 });
+    assert_eq!(refusal(|p| p.t_f = 0.0), Unfit::Duration { got: 0.0 }.into());
+    assert_eq!(refusal(|p| p.t_f = 60.1), Unfit::Duration { got: 60.1 }.into());
+    let (config, x) = rest();
+    accept(&rest_payload(&config, &x, 60.0), &config).unwrap();
     assert!(refusal(|p| p.t_f = -1.0).to_string().contains("-1 s"));
     assert!(refusal(|p| p.t_f = f64::INFINITY).to_string().contains("inf"));
-    assert!(matches!(refusal(|p| p.t_f = f64::NAN), PlanRefusal::Duration { .. }));
+    assert!(matches!(refusal(|p| p.t_f = f64::NAN), PlanRefusal::Unfit(Unfit::Duration { .. })));
 }
 
 #[test]
@@ -83,29 +149,235 @@ fn numbers_that_are_not_finite() {
 #[test]
 fn limits_at_a_knot() {
     let text = refusal(|p| p.x[4][1] = 2.5).to_string();
-    assert!(text.contains("position of joint 2 at knot 4 is 2.5000") && text.contains("2.0954"), "{text}");
+    assert!(text.contains("position of joint 2 at knot 4.00 is 2.5000") && text.contains("2.0954"), "{text}");
     let text = refusal(|p| p.x[5][NQ + 3] = -0.8).to_string();
-    assert!(text.contains("velocity of joint 4 at knot 5 is -0.8000"), "{text}");
+    assert!(text.contains("velocity of joint 4 at knot 5.00 is -0.8000"), "{text}");
     let text = refusal(|p| p.u[0][0] = 1000.0).to_string();
-    assert!(text.contains("torque of joint 1 at knot 0 is") && text.contains("168.0000"), "{text}");
+    assert!(text.contains("torque of joint 1 at knot 0.00 is") && text.contains("168.0000"), "{text}");
 }
 
 #[test]
-fn limits_between_knots() {
-    // Both knots are within the limits; between them the spline (12) leaves them by half an interval times f.
+fn every_limit_on_both_sides_up_to_its_slack() {
     let (config, x) = rest();
-    let mut payload = rest_payload(&config, &x, 60.0);
-    let fast = config.robot.planning.qd_max[1];
-    for (k, velocity) in [(4, 0.9 * fast), (5, -0.9 * fast)] {
-        payload.x[k][1] = config.robot.planning.q_max[1] - 0.01;
-        payload.x[k][NQ + 1] = velocity;
-        let state = State::from(payload.x[k]);
-        let f = config.model.f(&state, &nalgebra::SVector::zeros(), &mut Workspace::default());
-        payload.f[k] = f.into();
+    let limits = &config.robot.planning;
+    let limit_of = |joint: usize, number: usize, what: &str, unfit: Option<Unfit>| {
+        matches!(unfit, Some(Unfit::Limit { what: w, joint: j, knot, .. })
+            if (w, j, knot) == (what, joint, number as f64))
+    };
+    for i in 0..NQ {
+        for knot in [0, 57, N] {
+            for (bound, out) in [(limits.q_min[i], -1.0), (limits.q_max[i], 1.0)] {
+                let at = |by: f64| verdict(&config, &x, |p| p.x[knot][i] = bound + out * by);
+                assert!(limit_of(i, knot, "position", at(1.1e-3)), "joint {i}, knot {knot}, {out}");
+                assert!(!limit_of(i, knot, "position", at(0.9e-3)), "joint {i}, knot {knot}, {out}");
+            }
+            for out in [-1.0, 1.0] {
+                let at = |by| verdict(&config, &x, |p| p.x[knot][NQ + i] = out * (limits.qd_max[i] + by));
+                assert!(limit_of(i, knot, "velocity", at(1.1e-2)), "joint {i}, knot {knot}, {out}");
+                assert!(!limit_of(i, knot, "velocity", at(0.9e-2)), "joint {i}, knot {knot}, {out}");
+            }
+        }
     }
+}
+
+#[test]
+fn every_torque_limit_on_both_sides_up_to_its_slack() {
+    let (config, x) = rest();
+    let torque = |u: &ActuatedVector| config.model.torque(&x, u, &mut Workspace::default());
+    let still = torque(&ActuatedVector::zeros());
+    for i in 0..NU {
+        let mut unit = ActuatedVector::zeros();
+        unit[i] = 1.0;
+        let inertia = (torque(&unit) - still)[i];
+        // Little more than what holds the arm: more moves the pendulum out of its limits.
+        let most = still[i].abs() + 0.5 * inertia;
+        for (knot, out) in [(0, -1.0), (57, 1.0), (N, -1.0)] {
+            let u = unit * (out * most - still[i]) / inertia;
+            let at = |share: f64| {
+                let mut config = config.clone();
+                config.robot.planning.tau_max[i] = most / share;
+                verdict(&config, &x, |p| p.u[knot] = u.into())
+            };
+            let unfit = at(1.051);
+            let expected = matches!(unfit, Some(Unfit::Limit { what: "torque", joint, knot: k, .. })
+                if joint == i && (k - knot as f64).abs() < 1.0);
+            assert!(expected, "joint {i}, knot {knot}, {out}: {unfit:?}");
+            let unfit = at(1.048);
+            assert!(!matches!(unfit, Some(Unfit::Limit { .. })), "joint {i}, knot {knot}, {out}: {unfit:?}");
+        }
+    }
+}
+
+#[test]
+fn positions_between_knots() {
+    // Both knots are within the limits; between them the spline (12) leaves them by a quarter of an interval times qd.
+    let (config, x) = rest();
+    let limits = &config.robot.planning;
+    for out in [-1.0, 1.0] {
+        let unfit = verdict(&config, &x, |p| {
+            p.t_f = 60.0;
+            for (k, velocity) in [(4, 0.9 * limits.qd_max[1]), (5, -0.9 * limits.qd_max[1])] {
+                p.x[k][1] = if out > 0.0 { limits.q_max[1] - 0.01 } else { limits.q_min[1] + 0.01 };
+                p.x[k][NQ + 1] = out * velocity;
+            }
+        });
+        let Some(Unfit::Limit { what: "position", joint: 1, knot, .. }) = unfit else { panic!("{unfit:?}") };
+        assert_eq!(knot, 4.5);
+    }
+}
+
+#[test]
+fn velocities_between_knots_to_their_extremum() {
+    // qd is on its limit at both knots, and its slope changes the sign: in the middle it is h/8 (qdd_5 - qdd_4) beyond.
+    let (config, x) = rest();
+    let fastest = config.robot.planning.qd_max[6];
+    let h = 1.0 / N as f64;
+    for (beyond, share) in [(0.0101, 0.5), (0.0099, 0.5), (0.0101, 0.047), (0.0099, 0.047)] {
+        for out in [-1.0, 1.0] {
+            // qd(s) = qd_4 + h (s a - s^2 (a + b) / 2) for the slopes a and -b at the knots has its extremum at a / (a + b).
+            let a = 2.0 * beyond / (share * h);
+            let b = a * (1.0 - share) / share;
+            let unfit = verdict(&config, &x, |p| {
+                p.x[4][NQ + 6] = out * fastest;
+                p.u[4][6] = out * a;
+                p.x[5][NQ + 6] = out * (fastest - 0.1);
+                p.u[5][6] = -out * b;
+            });
+            let found = matches!(unfit, Some(Unfit::Limit { what: "velocity", joint: 6, knot, .. })
+                if (knot - 4.0 - share).abs() < 1e-9);
+            assert_eq!(found, beyond > 0.01, "{beyond} at {share}: {unfit:?}");
+        }
+    }
+}
+
+#[test]
+fn torques_between_knots() {
+    // On its way between two knots the arm passes a pose that needs more torque.
+    let (mut config, x) = rest();
+    let spoil = |p: &mut Payload| {
+        p.t_f = 60.0;
+        (p.x[4][NQ + 1], p.x[5][NQ + 1]) = (0.7, -0.7);
+        // The other way before and after.
+        (p.x[3][NQ + 1], p.x[6][NQ + 1]) = (-0.7, 0.7);
+    };
+    let torque = |by: f64| {
+        let mut x = x;
+        x[1] += by;
+        config.model.torque(&x, &ActuatedVector::zeros(), &mut Workspace::default())[1].abs()
+    };
+    let (at_knots, between) = (torque(0.0), torque(0.7 * 0.6 / 4.0));
+    assert!(between > at_knots + 1.0, "{at_knots} N m, {between} N m");
+    config.robot.planning.tau_max[1] = 0.5 * (at_knots + between) / 1.05;
+    let unfit = verdict(&config, &x, spoil);
+    assert!(
+        matches!(unfit, Some(Unfit::Limit { what: "torque", joint: 1, knot, .. }) if knot > 4.0 && knot < 5.0),
+        "{unfit:?}"
+    );
+}
+
+#[test]
+fn a_motion_that_jumps() {
+    let (config, x) = rest();
+    // The arm is 0.3 rad further on from knot 40 to knot 59, and rests wherever it is.
+    let unfit = verdict(&config, &x, |p| p.x[40..60].iter_mut().for_each(|x| x[0] += 0.3)).unwrap();
+    let text = unfit.to_string();
+    assert!(text.contains("position of joint 1 jumps by 3.00e-1 rad before knot 40"), "{text}");
+    assert!(text.contains("at most 1e-3"), "{text}");
+    // Every row, at every knot, in both directions.
+    for row in 0..NX {
+        for (knot, sign) in [(1, 1.0), (50, -1.0), (N - 1, 1.0)] {
+            let jumps = |by| verdict(&config, &x, |p| p.x[knot][row] += sign * by);
+            let unfit = jumps(1.5e-3);
+            let Some(Unfit::Defect { what, joint, knot: at, got, .. }) = unfit else {
+                panic!("row {row}: {unfit:?}")
+            };
+            let expected = if row < NQ { "position" } else { "velocity" };
+            assert_eq!((what, joint, at), (expected, row % NQ, knot));
+            assert!((1.0e-3..2e-3).contains(&got), "{got}");
+            assert_eq!(jumps(0.8e-3), None, "row {row}, knot {knot}");
+        }
+    }
+}
+
+#[test]
+fn the_papers_mode_has_a_larger_defect_of_its_own() {
+    let (mut config, x) = rest();
+    let jumps = |config: &Config, by| verdict(config, &x, |p| p.x[50][0] += by);
+    assert!(matches!(jumps(&config, 0.04), Some(Unfit::Defect { most: 1e-3, .. })));
+    config.planner.replan.iterations = 1;
+    assert_eq!(jumps(&config, 0.04), None);
+    assert!(matches!(jumps(&config, 0.06), Some(Unfit::Defect { most: 0.05, .. })));
+}
+
+#[test]
+fn half_the_duration() {
+    let (config, [mut payload, _]) = planned(0.01, START);
+    payload.t_f *= 0.5;
     payload.seal();
-    let text = accept(&payload, &config).unwrap_err().to_string();
-    assert!(text.contains("position of joint 2 at knot 4.") || text.contains("at knot 3."), "{text}");
+    let refusal = accept(&payload, &config).unwrap_err();
+    assert!(matches!(refusal, PlanRefusal::Unfit(Unfit::Defect { .. })), "{refusal}");
+}
+
+#[test]
+fn gains_that_drive_away_from_the_plan() {
+    let (config, [good, _]) = planned(0.01, START);
+    let verdict = |spoil: &dyn Fn(&mut Payload)| {
+        let mut payload = good.boxed_copy();
+        spoil(&mut payload);
+        payload.seal();
+        let refusal = accept(&payload, &config).unwrap_err();
+        assert!(refusal.to_string().len() < 200, "fits into an answer: {refusal}");
+        let PlanRefusal::Unfit(unfit) = refusal else { panic!("{refusal}") };
+        unfit
+    };
+    let scale = |gains: &mut [[[f64; NX]; NU]], factor: f64| {
+        gains.as_flattened_mut().as_flattened_mut().iter_mut().for_each(|v| *v *= factor);
+    };
+    let unfit = verdict(&|p| scale(&mut p.k, -1.0));
+    assert!(matches!(unfit, Unfit::Amplification { knot, got } if knot > 80 && got > 100.0), "{unfit}");
+    let unfit = verdict(&|p| scale(&mut p.k[40..60], -1.0));
+    assert!(matches!(unfit, Unfit::Amplification { knot: 40..60, .. }), "{unfit}");
+    // Their mean is right.
+    let unfit = verdict(&|p| {
+        p.k.iter_mut().enumerate().for_each(|(k, gain)| {
+            scale(std::slice::from_mut(gain), if k % 2 == 0 { 11.0 } else { -9.0 });
+        });
+    });
+    assert!(matches!(unfit, Unfit::Amplification { .. }), "{unfit}");
+    let unfit = verdict(&|p| scale(&mut p.k, 0.0));
+    assert!(matches!(unfit, Unfit::Amplification { .. }), "{unfit}");
+}
+
+#[test]
+fn gains_that_answer_a_tolerated_start_with_a_blow() {
+    let (config, [good, _]) = planned(0.01, START);
+    let verdict = |spoil: &dyn Fn(&mut Payload)| {
+        let mut payload = good.boxed_copy();
+        spoil(&mut payload);
+        payload.seal();
+        accept(&payload, &config).map(|_| ())
+    };
+    for knot in [0, 33, N] {
+        for row in [0, NX - 1] {
+            let tolerance = if row < NQ { 0.05 } else { 0.2 };
+            // The torque of joint 1 for 1 rad/s^2.
+            let mut work = Workspace::default();
+            let x = State::from(good.x[knot]);
+            config.model.accelerations(&x, &ActuatedVector::from(good.u[knot]), &mut work);
+            let unit = ActuatedVector::from_fn(|i, _| f64::from(u8::from(i == 0)));
+            let inertia = config.model.reduced_inertia_times(&unit, &work)[0];
+            let blow = |limits: f64| limits * 320.0 / inertia / tolerance;
+            let refusal = verdict(&|p| p.k[knot][0][row] += blow(6.0)).unwrap_err();
+            let expected = matches!(
+                refusal,
+                PlanRefusal::Unfit(Unfit::Step { knot: k, joint: 0, got, most: 1600.0 })
+                    if k == knot && (got - 6.0 * 320.0).abs() < 0.7 * 320.0
+            );
+            assert!(expected, "{refusal}");
+        }
+    }
+    let refusal = verdict(&|p| p.k_final[0][0] = 1e9).unwrap_err();
+    assert!(matches!(refusal, PlanRefusal::Unfit(Unfit::Step { knot: KNOTS, joint: 0, .. })), "{refusal}");
 }
 
 #[test]
@@ -122,7 +394,7 @@ fn a_final_gain_that_lets_the_rod_fall() {
     payload.seal();
     let refusal = accept(&payload, &config).unwrap_err();
     assert!(
-        matches!(refusal, PlanRefusal::Unstable { radius } if radius > 1.0 && radius < 1.01),
+        matches!(refusal, PlanRefusal::Unfit(Unfit::Unstable { radius }) if radius > 1.0 && radius < 1.01),
         "{refusal}"
     );
     // So strong that one period overshoots.
@@ -130,8 +402,31 @@ fn a_final_gain_that_lets_the_rod_fall() {
         payload.k_final[i][NQ + i] = -2.1 / common::PERIOD;
     }
     payload.seal();
-    let text = accept(&payload, &config).unwrap_err().to_string();
-    assert!(text.contains("unstable: spectral radius 1."), "{text}");
+    assert!(accept(&payload, &config).is_err());
+}
+
+#[test]
+fn a_final_gain_is_judged_with_filter_and_delay() {
+    // More damping of joint 5. With the filter it stands up to a delay of the inverse of the damping, without it to about
+    // pi / 2 of that; half a period is the hold's.
+    let stands = |damping: f64, delay: usize, velocity: VelocityEstimate| {
+        let mut config = config();
+        config.daemon.plans.delay = delay;
+        config.daemon.cycle.velocity = velocity;
+        let mut payload = rest_payload(&config, &at_rest(&upright_pose()), 1.0);
+        payload.k_final[4][NQ + 4] -= damping;
+        payload.seal();
+        match accept(&payload, &config) {
+            Ok(_) => true,
+            Err(PlanRefusal::Unfit(Unfit::Unstable { radius })) if radius > 1.0 => false,
+            Err(refusal) => panic!("{damping}, {delay}, {velocity:?}: {refusal}"),
+        }
+    };
+    assert!(stands(600.0, 8, VelocityEstimate::Filter));
+    assert!(!stands(1200.0, 8, VelocityEstimate::Filter));
+    assert!(stands(1200.0, 1, VelocityEstimate::Filter));
+    assert!(stands(1200.0, 8, VelocityEstimate::Model));
+    assert!(!stands(1800.0, 8, VelocityEstimate::Model));
 }
 
 #[test]
@@ -201,7 +496,7 @@ fn a_plan_that_arrives_while_one_is_tracked() {
     let (config, x) = rest();
     for (setting, refused) in [(PlanWhileTracking::Queue, false), (PlanWhileTracking::Refuse, true)] {
         let mut config = config.clone();
-        config.daemon.plan_while_tracking = setting;
+        config.daemon.plans.while_tracking = setting;
         let mut controller = Controller::new(&config);
         let mut arm = common::Arm::new(&config, x);
         let mut step = |order| controller.step(&arm.measure(), 0, Some(order));
@@ -221,6 +516,23 @@ fn a_plan_that_arrives_while_one_is_tracked() {
 fn derivatives_of_another_model() {
     let text = refusal(|p| p.f[9][12] += 0.01).to_string();
     assert!(text.contains("f at knot 9, row 12"), "{text}");
+    let (config, x) = rest();
+    for row in 0..NX {
+        for (knot, sign) in [(0, 1.0), (57, -1.0), (N, 1.0)] {
+            let differs = |by: f64| {
+                let mut payload = rest_payload(&config, &x, 1.0);
+                payload.f[knot][row] += sign * by;
+                payload.seal();
+                accept(&payload, &config)
+            };
+            let refusal = differs(2e-6).unwrap_err();
+            let expected = matches!(
+                refusal, PlanRefusal::Unfit(Unfit::Derivative { knot: k, row: r, .. }) if (k, r) == (knot, row)
+            );
+            assert!(expected, "{refusal}");
+            assert!(differs(5e-7).is_ok(), "row {row}, knot {knot}");
+        }
+    }
 }
 
 #[test]
@@ -228,15 +540,36 @@ fn an_end_that_neither_stands_nor_hangs() {
     let (config, x) = rest();
     let mut moving = x;
     moving[NQ] = 0.02;
-    let text = accept(&rest_payload(&config, &moving, 1.0), &config).unwrap_err().to_string();
+    // So short that nothing jumps.
+    let ends = |x: &State| accept(&rest_payload(&config, x, 0.01), &config).map(|_| ());
+    let text = ends(&moving).unwrap_err().to_string();
     assert!(text.contains("ends at 0.0200 rad/s") && text.contains("at most 0.01 rad/s"), "{text}");
     let mut leaning = x;
     leaning[8] += 0.3;
-    let text = accept(&rest_payload(&config, &leaning, 1.0), &config).unwrap_err().to_string();
+    let text = ends(&leaning).unwrap_err().to_string();
     assert!(text.contains("2.8416 rad from upright and 0.3000 rad from hanging"), "{text}");
-    // Both ways to end are accepted.
+    // Both ways to end are accepted, a hair from the vertical and from rest, too.
     for q in [rest_pose(&config), upright_pose()] {
-        accept(&rest_payload(&config, &at_rest(&q), 1.0), &config).unwrap();
+        for sign in [-1.0, 1.0] {
+            for joint in 0..NQ {
+                let at = |speed: f64| {
+                    let mut x = at_rest(&q);
+                    x[NQ + joint] = sign * speed;
+                    ends(&x)
+                };
+                assert_eq!(at(0.009), Ok(()));
+                let refusal = at(0.011).unwrap_err();
+                assert!(matches!(refusal, PlanRefusal::Unfit(Unfit::End { .. })), "{refusal}");
+            }
+            let at = |tilt: f64| {
+                let mut x = at_rest(&q);
+                x[8] += sign * tilt;
+                ends(&x)
+            };
+            assert_eq!(at(0.019), Ok(()));
+            let refusal = at(0.021).unwrap_err();
+            assert!(matches!(refusal, PlanRefusal::Unfit(Unfit::End { .. })), "{refusal}");
+        }
     }
 }
 

@@ -22,11 +22,6 @@ use upswing_trajectory::{Certificate, Database, DatabaseError, Entry, Margins, N
 const QP_TOLERANCE: f64 = 1e-9;
 /// Its complementarity: an entry, whose bounds are all touched without force, is found again to 1e-6 s.
 const QP_COMPLEMENTARITY: f64 = 1e-12;
-/// Share of half the range by which a trajectory may be beyond a limit of position: a start is measured a hair outside.
-const POSITION_SLACK: f64 = 1e-3;
-
-/// Largest defect (rad, rad/s per interval) of a replan that is accepted; the feedback absorbs it.
-const LARGEST_DEFECT: f64 = 1e-3;
 
 /// A trajectory from the start, made of one entry.
 struct Adapted {
@@ -246,27 +241,19 @@ impl Planner {
         }
         times.qp += begin.elapsed();
         let begin = Instant::now();
-        let limits = &self.config.robot.planning;
-        let margins = Margins::of(&trajectory, &self.config.model, limits, Certificate::BETWEEN);
+        let model = &self.config.model;
+        let gate = self.config.gate();
+        let unfit = |unfit| Refusal::Unfit { iterations: done, unfit };
+        gate.check_motion(model, &trajectory, &trajectory.f(model, &mut work)).map_err(unfit)?;
+        let margins = Margins::of(&trajectory, model, &self.config.robot.planning, Certificate::BETWEEN);
         times.check += begin.elapsed();
-        // A NaN fails, too. With a single QP, the paper's mode, the defect is what it is.
-        if iterations > 1 && !(defect <= LARGEST_DEFECT) {
-            return Err(Refusal::Defect { defect, iterations: done });
-        }
-        for (limit, m, slack) in [
-            ("position", &margins.q, POSITION_SLACK),
-            ("velocity", &margins.qd, 0.0),
-            ("torque", &margins.tau, 0.0),
-        ] {
-            if !(m.share >= -slack) {
-                return Err(Refusal::Limit { limit, joint: m.joint, share: m.share, time: m.time });
-            }
-        }
         let begin = Instant::now();
         let ts = self.config.daemon.cycle.period.as_secs_f64();
-        let gains =
-            lqr::synthesize(&self.config.model, &trajectory, &self.config.planner.lqr, ts, &mut work)?;
+        let gains = lqr::synthesize(model, &trajectory, &self.config.planner.lqr, ts, &mut work)?;
         times.lqr += begin.elapsed();
+        let begin = Instant::now();
+        gate.check_feedback(model, &trajectory, &gains.knots, &gains.end).map_err(unfit)?;
+        times.check += begin.elapsed();
         Ok(Adapted { trajectory, gains, iterations: done, defect, margins })
     }
 

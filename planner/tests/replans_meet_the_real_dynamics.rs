@@ -11,6 +11,13 @@ fn planner() -> Planner {
     Planner::new(Config::embedded().expect("embedded settings")).expect("the shipped database fits")
 }
 
+/// The paper's mode.
+fn planner_of_one_qp() -> Planner {
+    let mut config = Config::embedded().expect("embedded settings");
+    config.planner.replan.iterations = 1;
+    Planner::new(config).expect("the shipped database fits")
+}
+
 fn start(planner: &Planner, degrees: [f64; 7]) -> State {
     let q = degrees.map(f64::to_radians);
     planner.config().start_state(&q, PendulumStart::Rest).expect("a start at rest")
@@ -42,11 +49,23 @@ fn with_the_default_number_of_linearisations() {
 
 #[test]
 fn further_linearisations_close_the_defect() {
-    let planner = planner();
-    let x = start(&planner, STARTS[0]);
-    let defect = |n| planner.replan(&x, n, None).expect("a plan").defect;
-    let (one, four) = (defect(1), defect(4));
+    let x = start(&planner(), STARTS[0]);
+    let defect = |planner: Planner, n| planner.replan(&x, n, None).expect("a plan").defect;
+    let (one, four) = (defect(planner_of_one_qp(), 1), defect(planner(), 4));
     assert!(one > 1e-3 && four < 1e-3 * one, "one QP leaves {one:e}, four leave {four:e}");
+}
+
+#[test]
+fn one_qp_is_enough_only_where_the_settings_say_so() {
+    let x = start(&planner(), STARTS[0]);
+    let refusal = planner().replan(&x, 1, None).expect_err("a defect").to_string();
+    assert!(refusal.contains("after 1 QPs: ") && refusal.contains("defect (6b)"), "{refusal}");
+    planner_of_one_qp().replan(&x, 1, None).expect("the paper's mode");
+    // Its limit is larger, not none.
+    let mut config = planner_of_one_qp().config().clone();
+    config.daemon.plans.defect_of_one_qp = 1e-3;
+    let planner = Planner::new(config).expect("the shipped database fits");
+    assert!(planner.replan(&x, 1, None).is_err());
 }
 
 #[test]
@@ -98,7 +117,7 @@ fn a_pendulum_that_swings_at_the_start_is_caught() {
 
 #[test]
 fn an_entry_of_the_database_is_found_and_kept() {
-    let planner = planner();
+    let planner = planner_of_one_qp();
     let entry = 40;
     let x = planner.entries()[entry].trajectory.x[0];
     let replan = planner.replan(&x, 1, None).expect("a plan");

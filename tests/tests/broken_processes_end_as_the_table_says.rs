@@ -169,7 +169,8 @@ static GOOD: LazyLock<Box<Plan>> = LazyLock::new(|| {
     let config = Config::embedded().expect("settings");
     let planner = Planner::new(config.clone()).expect("the database fits");
     let x = config.start_state(&START.map(f64::to_radians), config.plant.start.pendulum).expect("a start");
-    payload(&planner.replan(&x, 1, None).expect("a plan").plan(&config))
+    let iterations = config.planner.replan.iterations;
+    payload(&planner.replan(&x, iterations, None).expect("a plan").plan(&config))
 });
 
 /// In place of the planner, sends a plan once for each of its fields that is damaged; the daemon names the field.

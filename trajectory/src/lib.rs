@@ -8,12 +8,14 @@ pub const KNOTS: usize = N + 1;
 
 mod certificate;
 mod database;
+mod gate;
 mod margins;
 mod plan;
 mod trajectory;
 
 pub use certificate::{Certificate, follow};
 pub use database::{Database, DatabaseError, Entry, Heading, Outcome, Record};
+pub use gate::{Delays, Ending, Gate, Unfit};
 pub use margins::{Margin, Margins};
 pub use plan::{Gain, Plan, Reference};
 pub use trajectory::{Spline, Trajectory};

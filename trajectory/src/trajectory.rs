@@ -87,6 +87,14 @@ impl Spline<'_> {
         (k, t - k as f64 * h)
     }
 
+    /// x and u (12) a `share` of the interval after knot k; k < N.
+    #[inline]
+    pub fn between(&self, k: usize, share: f64) -> (State, ActuatedVector) {
+        let h = self.t_f / (self.x.len() - 1) as f64;
+        let x = self.x[k] + (self.f[k] + (self.f[k + 1] - self.f[k]) * (0.5 * share)) * (share * h);
+        (x, self.u[k] + (self.u[k + 1] - self.u[k]) * share)
+    }
+
     /// x(t), rad and rad/s (12).
     #[inline]
     pub fn state(&self, t: f64) -> State {

@@ -149,9 +149,13 @@ impl From<NoStart> for Failure {
 }
 
 impl SamplingArgs {
-    /// The planner with the database that the options name. Raising `stop` ends the build of one.
-    fn planner(&self, stop: &AtomicBool) -> Result<Planner, Failure> {
+    /// The planner with the database that the options name, and another number of linearisations than that of the settings
+    /// where one is given. Raising `stop` ends the build of a database.
+    fn planner(&self, iterations: Option<u32>, stop: &AtomicBool) -> Result<Planner, Failure> {
         let mut config = self.common.process.load()?;
+        if let Some(iterations) = iterations {
+            config.planner.replan.iterations = iterations as usize;
+        }
         match (&self.database, self.grid) {
             (Some(path), _) => Planner::with_database(config, database_file(path)?),
             (None, Grid::Paper) => {

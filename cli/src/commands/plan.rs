@@ -60,7 +60,10 @@ struct Answer {
 /// # Errors
 /// [`Failure::BadInput`] for an impossible start or database, [`Failure::Failed`] if there is no plan.
 pub fn run(args: &PlanArgs) -> Result<(), Failure> {
-    let config = args.common.process.load()?;
+    let mut config = args.common.process.load()?;
+    if let Some(iterations) = args.iterations {
+        config.planner.replan.iterations = iterations as usize;
+    }
     let pendulum = if args.zero { PendulumStart::Zero } else { PendulumStart::Rest };
     let start = start_state(&config, "--start", &args.start, pendulum)?;
     let planner = match &args.reference {
@@ -72,8 +75,7 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
         None => Planner::new(config).map_err(|e| Failure::BadInput(e.to_string()))?,
     };
     let settings = &planner.config().planner;
-    let iterations = args.iterations.map_or(settings.replan.iterations, |n| n as usize);
-    let replan = planner.replan(&start, iterations, None).map_err(failed)?;
+    let replan = planner.replan(&start, settings.replan.iterations, None).map_err(failed)?;
     if let Some(path) = &args.svg {
         let reference = &planner.entries()[replan.entry.index].trajectory;
         let config = planner.config();

@@ -1,13 +1,12 @@
 //! What comes of a replan: the plan, or the reason for each entry tried.
 
-use super::LARGEST_DEFECT;
 use crate::lqr::{self, Gains};
 use crate::nearest::Neighbour;
 use crate::qp::Conflict;
 use std::time::Duration;
 use upswing_config::Config;
 use upswing_model::Workspace;
-use upswing_trajectory::{Margins, Plan, Trajectory};
+use upswing_trajectory::{Margins, Plan, Trajectory, Unfit};
 
 /// A neighbour that was tried in vain.
 #[derive(Clone, Debug)]
@@ -35,27 +34,13 @@ pub enum Refusal {
         /// Which linearisation, from 1.
         iteration: usize,
     },
-    /// The real dynamics are not met.
-    #[error(
-        "defect {defect:.1e} rad/s of the real dynamics after {iterations} QPs; expected at most {LARGEST_DEFECT:.0e}"
-    )]
-    Defect {
-        /// Largest component of (6b).
-        defect: f64,
+    /// The daemon would not accept the plan.
+    #[error("after {iterations} QPs: {unfit}")]
+    Unfit {
         /// QPs solved.
         iterations: usize,
-    },
-    /// A limit is exceeded between the knots.
-    #[error("{limit} limit of joint {} is exceeded by {:.2} % at {time:.3} s", joint + 1, -100.0 * share)]
-    Limit {
-        /// Position, velocity or torque.
-        limit: &'static str,
-        /// 0-based.
-        joint: usize,
-        /// Share of the range, negative.
-        share: f64,
-        /// s
-        time: f64,
+        /// What is wrong with it.
+        unfit: Unfit,
     },
     /// The time budget was used up.
     #[error("the time budget was used up before QP {iteration} was solved")]

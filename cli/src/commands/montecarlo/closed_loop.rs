@@ -218,7 +218,7 @@ impl std::fmt::Display for ConditionAnswer {
 /// [`Failure::BadInput`] for unusable options or files; [`Failure::Failed`] if not every start succeeded.
 pub fn run(args: &ClosedLoopArgs) -> Result<(), Failure> {
     let stop = shutdown_flag()?;
-    let planner = args.sampling.planner(&stop)?;
+    let planner = args.sampling.planner(None, &stop)?;
     let config = planner.config();
     let starts = Starts { config, seed: args.sampling.seed };
     let conditions: Vec<Condition> =

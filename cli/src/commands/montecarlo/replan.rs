@@ -158,9 +158,9 @@ impl std::fmt::Display for Answer {
 pub fn run(args: &ReplanArgs) -> Result<(), Failure> {
     let stop = shutdown_flag()?;
     let begin = Instant::now();
-    let planner = args.sampling.planner(&stop)?;
+    let planner = args.sampling.planner(args.iterations, &stop)?;
     let config = planner.config();
-    let iterations = args.iterations.map_or(config.planner.replan.iterations, |n| n as usize);
+    let iterations = config.planner.replan.iterations;
     let starts = Starts { config, seed: args.sampling.seed };
     let work = |solver: &mut Solver, index: u64| -> Result<Sample, NoStart> {
         Ok(sample(&planner, solver, iterations, index, &starts.start(index)?))

@@ -183,7 +183,7 @@ pub fn run(args: &RobustnessArgs) -> Result<(), Failure> {
         return Err(Failure::BadInput("--over jitter: expected a file by --missed, got none".into()));
     }
     let stop = shutdown_flag()?;
-    let planner = args.sampling.planner(&stop)?;
+    let planner = args.sampling.planner(None, &stop)?;
     let cases = cases(args, planner.config())?;
     let starts = Starts { config: planner.config(), seed: args.sampling.seed };
     let runs = Runs { planner: &planner, starts, misses, seconds: args.seconds };

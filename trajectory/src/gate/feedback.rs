@@ -1,0 +1,338 @@
+//! The gains of a plan: what they do to a deviation from it, with the delays of the loop that runs.
+
+use super::{Ending, Gate, MOST_AMPLIFIED, MOST_STEP, Unfit, complete, finite};
+use crate::{Gain, N, Trajectory};
+use nalgebra::{DMatrix, DVector, SMatrix};
+use upswing_model::{ActuatedVector, Model, NQ, NU, NX, State, Workspace, position};
+
+/// What delays the feedback.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Delays {
+    /// T_s, s.
+    pub period: f64,
+    /// T_1 of the differential filter, s; `None` where the model makes up for its lag.
+    pub velocity_filter: Option<f64>,
+    /// Periods from a measurement until its torque acts; 0: it acts in the period that the measurement begins.
+    pub cycles: usize,
+}
+
+impl Delays {
+    /// Dimension of the state of the closed loop.
+    fn dimension(&self) -> usize {
+        NX + NQ + self.cycles * NU
+    }
+
+    /// The closed loop over one period, for the deviation s = (x, z, u that is on its way, oldest first): x of (19) with
+    /// `a` and `b`, z of the differential filter, u = K [q, v] (22).
+    fn closed_loop(&self, a: &SMatrix<f64, NX, NX>, b: &SMatrix<f64, NX, NU>, gain: &Gain) -> DMatrix<f64> {
+        let ts = self.period;
+        // Two terms of the exponential: one alone drives an undamped pendulum.
+        let half = SMatrix::<f64, NX, NX>::identity() * ts + a * (0.5 * ts * ts);
+        let (phi, gamma) = (SMatrix::<f64, NX, NX>::identity() + half * a, half * b);
+        // u = K_s s
+        let mut k = DMatrix::zeros(NU, self.dimension());
+        k.view_mut((0, 0), (NU, NX)).copy_from(gain);
+        if let Some(t_1) = self.velocity_filter {
+            for j in 0..NQ {
+                for i in 0..NU {
+                    let share = gain[(i, NQ + j)] / t_1;
+                    k[(i, j)] += share;
+                    k[(i, NQ + j)] = 0.0;
+                    k[(i, NX + j)] = -share;
+                }
+            }
+        }
+        let mut m = DMatrix::zeros(self.dimension(), self.dimension());
+        m.view_mut((0, 0), (NX, NX)).copy_from(&phi);
+        let forgotten = self.velocity_filter.map_or(1.0, |t_1| -(-ts / t_1).exp_m1());
+        for i in 0..NQ {
+            (m[(NX + i, NX + i)], m[(NX + i, i)]) = (1.0 - forgotten, forgotten);
+        }
+        let queue = NX + NQ;
+        if self.cycles == 0 {
+            let fed_back = gamma * &k;
+            let mut x = m.rows_mut(0, NX);
+            x += fed_back;
+        } else {
+            m.view_mut((0, queue), (NX, NU)).copy_from(&gamma);
+            for i in 0..(self.cycles - 1) * NU {
+                m[(queue + i, queue + NU + i)] = 1.0;
+            }
+            m.rows_mut(queue + (self.cycles - 1) * NU, NU).copy_from(&k);
+        }
+        m
+    }
+}
+
+impl Gate {
+    /// The part of [`Gate::check`] about the gains, of a trajectory that has passed [`Gate::check_motion`].
+    ///
+    /// Each gain on its own: the torque by which it answers one deviation that the start tolerates. All together, and the
+    /// final one where the rod stands: the [amplification](Unfit::Amplification) of the closed loop from every knot on.
+    ///
+    /// # Errors
+    /// The first check that failed, with its numbers.
+    pub fn check_feedback(
+        &self,
+        model: &Model,
+        trajectory: &Trajectory,
+        gains: &[Gain],
+        final_gain: &Gain,
+    ) -> Result<(), Unfit> {
+        complete("K", gains.len())?;
+        finite("K", gains.iter().map(|k| k.as_slice()))?;
+        finite("the final K", std::iter::once(final_gain.as_slice()))?;
+        let mut work = Workspace::default();
+        let x_n = &trajectory.x[N];
+        let stands = Ending::of(&model.rod(&position(x_n))) == Ending::Upright;
+        let none = ActuatedVector::zeros();
+        let last = stands.then_some((x_n, &none, final_gain));
+        for (knot, (x, u, gain)) in loops(trajectory, gains).chain(last).enumerate() {
+            self.check_step(model, x, u, gain, knot, &mut work)?;
+        }
+        let mut closed_loop = |(x, u, gain): (&State, &ActuatedVector, &Gain)| {
+            let d = model.derivatives(x, u, &mut work);
+            self.delays.closed_loop(&d.a(), &d.b(), gain)
+        };
+        // From one knot to the middle between two.
+        let periods = (0.5 * trajectory.h() / self.delays.period).round().max(1.0) as u32;
+        let unit = self.square_of_state();
+        let mut p = unit.clone();
+        if let Some(last) = last {
+            let m = closed_loop(last);
+            p = lyapunov(&power(&m, 2 * periods), &unit)
+                .ok_or_else(|| Unfit::Unstable { radius: spectral_radius(m) })?;
+            self.check_amplification(&p, N)?;
+        }
+        let halves: Vec<_> =
+            loops(trajectory, gains).map(|knot| power(&closed_loop(knot), periods)).collect();
+        for k in (0..N).rev() {
+            let interval = &halves[k + 1] * &halves[k];
+            p = &unit + interval.tr_mul(&(&p * &interval));
+            self.check_amplification(&p, k)?;
+        }
+        Ok(())
+    }
+
+    /// The torque M~ K dx by which a gain answers dx = the tolerance of one row at the start.
+    fn check_step(
+        &self,
+        model: &Model,
+        x: &State,
+        u: &ActuatedVector,
+        gain: &Gain,
+        knot: usize,
+        work: &mut Workspace,
+    ) -> Result<(), Unfit> {
+        model.accelerations(x, u, work);
+        for (row, column) in gain.column_iter().enumerate() {
+            let tau = model.reduced_inertia_times(&column.into(), work) * self.tolerance(row);
+            for joint in 0..NU {
+                let (got, most) = (tau[joint].abs(), MOST_STEP * self.tau_max[joint]);
+                if !(got <= most) {
+                    return Err(Unfit::Step { knot, joint, got, most });
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// `p`: sum of the squares of the state, in units of the tolerance at the start, at a knot and all later ones.
+    fn check_amplification(&self, p: &DMatrix<f64>, knot: usize) -> Result<(), Unfit> {
+        for row in 0..NX {
+            let tolerance = self.tolerance(row);
+            // The deviation of one row by its tolerance, where the filter has settled on it.
+            let mut s = DVector::zeros(p.nrows());
+            s[row] = tolerance;
+            match row.checked_sub(NQ) {
+                None => s[NX + row] = tolerance,
+                Some(joint) => s[NX + joint] = -self.delays.velocity_filter.unwrap_or(0.0) * tolerance,
+            }
+            let got = s.dot(&(p * &s)).sqrt();
+            if !(got <= MOST_AMPLIFIED) {
+                return Err(Unfit::Amplification { knot, got });
+            }
+        }
+        Ok(())
+    }
+
+    /// How far a row of the state may be from the plan at its start, rad or rad/s.
+    fn tolerance(&self, row: usize) -> f64 {
+        if row < NQ { self.tolerance.0 } else { self.tolerance.1 }
+    }
+
+    /// The quadratic form |x|^2 in units of the tolerance at the start, of a state of the closed loop.
+    fn square_of_state(&self) -> DMatrix<f64> {
+        let mut unit = DMatrix::zeros(self.delays.dimension(), self.delays.dimension());
+        for row in 0..NX {
+            unit[(row, row)] = self.tolerance(row).powi(-2);
+        }
+        unit
+    }
+}
+
+/// x_k, u_k, K_k
+fn loops<'a>(
+    trajectory: &'a Trajectory,
+    gains: &'a [Gain],
+) -> impl Iterator<Item = (&'a State, &'a ActuatedVector, &'a Gain)> {
+    trajectory.x.iter().zip(&trajectory.u).zip(gains).map(|((x, u), gain)| (x, u, gain))
+}
+
+/// P = Q + M' P M, the sum of (M')^i Q M^i over all i, by doubling; `None` if it does not converge: M is not stable.
+fn lyapunov(m: &DMatrix<f64>, q: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+    /// 2^40 intervals of 20 ms are seven hundred years.
+    const DOUBLINGS: usize = 40;
+    let (mut m, mut p) = (m.clone(), q.clone());
+    for _ in 0..DOUBLINGS {
+        let step = m.tr_mul(&(&p * &m));
+        p += &step;
+        // A maximum would lose a NaN.
+        if !p.iter().all(|v| v.is_finite()) {
+            return None;
+        }
+        if step.amax() <= 1e-12 * p.amax() {
+            return Some(p);
+        }
+        m = &m * &m;
+    }
+    None
+}
+
+/// m to the power of `n`, at least 1.
+fn power(m: &DMatrix<f64>, n: u32) -> DMatrix<f64> {
+    let mut result = m.clone();
+    // The bits below the highest one, from the top.
+    for bit in (0..n.ilog2()).rev() {
+        result = &result * &result;
+        if n >> bit & 1 == 1 {
+            result = &result * m;
+        }
+    }
+    result
+}
+
+/// The largest magnitude of an eigenvalue: the limit of |M^n|^(1/n) for n = 2^k by repeated squaring, each time scaled to
+/// norm 1. Infinite if it is not finite.
+fn spectral_radius(mut m: DMatrix<f64>) -> f64 {
+    /// 2^40 periods of 125 us are four years.
+    const SQUARINGS: i32 = 40;
+    // log |M^n| / n
+    let mut rate = 0.0;
+    for k in 0..SQUARINGS {
+        let norm = m.amax();
+        if norm == 0.0 {
+            return 0.0;
+        }
+        rate += norm.ln() / f64::from(k).exp2();
+        m /= norm;
+        m = &m * &m;
+    }
+    if rate.is_finite() { rate.exp() } else { f64::INFINITY }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::SVector;
+    use std::collections::VecDeque;
+
+    type A = SMatrix<f64, NX, NX>;
+    type B = SMatrix<f64, NX, NU>;
+
+    /// Numbers without a pattern, from -1 to 1.
+    fn number(i: usize, j: usize) -> f64 {
+        ((i * 7919 + j * 104_729 + 17) % 1009) as f64 / 504.5 - 1.0
+    }
+
+    fn matrix(size: usize, radius: f64) -> DMatrix<f64> {
+        let m = DMatrix::from_fn(size, size, number);
+        let largest = m.complex_eigenvalues().iter().map(|e| e.norm()).fold(0.0, f64::max);
+        m * (radius / largest)
+    }
+
+    /// Some dynamics x'' = ..., and the input.
+    fn dynamics() -> (A, B) {
+        let a = A::from_fn(|i, j| match i {
+            i if i < NQ => f64::from(u8::from(j == NQ + i)),
+            _ => 3.0 * number(i, j),
+        });
+        (a, B::from_fn(|i, j| if i < NQ { 0.0 } else { number(i, j + 50) }))
+    }
+
+    #[test]
+    fn a_power_is_that_many_products() {
+        let m = matrix(5, 0.9);
+        let mut product = DMatrix::identity(5, 5);
+        for n in 1..40 {
+            product = &product * &m;
+            assert!((power(&m, n) - &product).amax() < 1e-14, "{n}");
+        }
+    }
+
+    #[test]
+    fn the_spectral_radius_is_that_of_the_eigenvalues() {
+        for size in [2, 7, 34] {
+            for radius in [1e-3, 0.5, 0.999_999, 1.000_001, 3.0] {
+                let got = spectral_radius(matrix(size, radius));
+                assert!((got / radius - 1.0).abs() < 1e-9, "{size}: {got}, expected {radius}");
+            }
+        }
+        // One that is not normal at all: far from its radius for a long time.
+        let jordan = DMatrix::from_row_slice(3, 3, &[0.9996, 1e3, 0.0, 0.0, 0.9996, 1e3, 0.0, 0.0, 0.9996]);
+        assert!((spectral_radius(jordan) - 0.9996).abs() < 1e-9);
+        assert_eq!(spectral_radius(DMatrix::zeros(3, 3)), 0.0);
+        assert_eq!(spectral_radius(DMatrix::from_element(3, 3, f64::NAN)), f64::INFINITY);
+        assert!((spectral_radius(DMatrix::from_element(3, 3, 1e300)) / 3e300 - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn the_sum_of_all_squares_solves_the_equation_of_lyapunov() {
+        let q = DMatrix::from_fn(9, 9, |i, j| f64::from(u8::from(i == j)) * (1.0 + i as f64));
+        for radius in [0.1, 0.9, 0.9999] {
+            let m = matrix(9, radius);
+            let p = lyapunov(&m, &q).expect("stable");
+            assert!((&q + m.tr_mul(&(&p * &m)) - &p).amax() < 1e-9 * p.amax(), "{radius}");
+        }
+        for radius in [1.0001, 2.0, 1e6] {
+            assert_eq!(lyapunov(&matrix(9, radius), &q), None, "{radius}");
+        }
+        assert_eq!(lyapunov(&DMatrix::from_element(9, 9, f64::NAN), &q), None);
+    }
+
+    #[test]
+    fn the_closed_loop_is_plant_filter_and_delay_one_after_the_other() {
+        let (a, b) = dynamics();
+        let gain = Gain::from_fn(|i, j| 40.0 * number(i, j + 99));
+        for velocity_filter in [Some(0.012), None] {
+            for cycles in [0, 1, 3] {
+                let delays = Delays { period: 1e-3, velocity_filter, cycles };
+                let m = delays.closed_loop(&a, &b, &gain);
+                let mut s = DVector::zeros(delays.dimension());
+                let mut x = State::from_fn(|i, _| number(i, 7));
+                let mut z: SVector<f64, NQ> = x.fixed_rows::<NQ>(0) * 0.9;
+                s.rows_mut(0, NX).copy_from(&x);
+                s.rows_mut(NX, NQ).copy_from(&z);
+                let mut on_its_way = VecDeque::from(vec![ActuatedVector::zeros(); cycles]);
+                for _ in 0..50 {
+                    let q: SVector<f64, NQ> = x.fixed_rows::<NQ>(0).into();
+                    let mut measured = x;
+                    if let Some(t_1) = velocity_filter {
+                        measured.fixed_rows_mut::<NQ>(NQ).copy_from(&((q - z) / t_1));
+                        // As `upswingd`'s filter: what the angles were for one period.
+                        z += (q - z) * (1.0 - (-delays.period / t_1).exp());
+                    }
+                    on_its_way.push_back(gain * measured);
+                    let u = on_its_way.pop_front().expect("one more than the delay");
+                    // The input is constant over a period: its exact solution in small steps.
+                    for _ in 0..1000 {
+                        x += (a * x + b * u) * (delays.period / 1000.0);
+                    }
+                    s = &m * s;
+                }
+                let error = (s.rows(0, NX) - x).amax() / x.amax();
+                assert!(error < 1e-3, "{velocity_filter:?}, {cycles} periods: {error:e}");
+            }
+        }
+    }
+}
