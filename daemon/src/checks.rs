@@ -155,6 +155,16 @@ impl Checks {
         beyond(TripCause::TorqueRate, ARM, |i| (tau[i] - last[i]) / self.period(), level, warnings)
     }
 
+    /// Largest change of the commanded torque in one cycle, N m, while a mode begins: that of the warning level.
+    pub fn torque_step(&self) -> ActuatedVector {
+        self.tau_max * (self.levels.torque_rate.warn * self.period())
+    }
+
+    /// How many cycles of such a change lead from any torque to any other.
+    pub fn torque_steps(&self) -> u64 {
+        (2.0 / (self.levels.torque_rate.warn * self.period())).ceil() as u64
+    }
+
     /// Age of the loaded plan, s.
     ///
     /// # Errors

@@ -119,8 +119,10 @@ pub struct Controller {
     running: Option<Kept>,
     /// The rod at x_N, m.
     rod_at_end: Vector3<f64>,
-    /// Mode and torque of the last cycle.
-    last: (Mode, ActuatedVector),
+    /// Torque of the last cycle, N m.
+    last: ActuatedVector,
+    /// For how many cycles the torque may still be on its way from the mode before to that of this mode.
+    begins: u64,
     /// qdd that the torque of the last cycle is meant for, unless the limiter cut it.
     expected: Option<JointVector>,
 }
@@ -152,7 +154,8 @@ impl Controller {
             loaded: None,
             running: None,
             rod_at_end: Vector3::zeros(),
-            last: (Mode::Idle, ActuatedVector::zeros()),
+            last: ActuatedVector::zeros(),
+            begins: 0,
             expected: None,
         }
     }
@@ -394,6 +397,7 @@ impl Controller {
             _ => {}
         }
         self.mode = to;
+        self.begins = self.checks.torque_steps();
     }
 
     /// Track and Balance: u = u_d + K (x - x_d). `None` if the plan ended in Hold or had to be given up.
@@ -462,18 +466,12 @@ impl Controller {
             let disturbance = self.disturbance.estimate();
             match law::torque(&self.model, x, &target.u, disturbance, &self.tau_max, &mut self.work) {
                 Some(torque) => {
-                    self.expected = (!torque.limited).then_some(torque.qdd);
-                    // A new mode may begin with a step: the brakes held, or another reference was followed.
-                    let rate = match self.last {
-                        (mode, last) if mode == self.mode => {
-                            self.checks.torque_rate(&last, &torque.tau, &mut self.warnings)
-                        }
-                        _ => None,
-                    };
+                    let (torque, rate) = self.begin(torque);
                     match rate {
                         Some(trip) => self.give_up(Event::Fault, trip),
                         None => {
-                            self.last = (self.mode, torque.tau);
+                            self.expected = (!torque.limited).then_some(torque.qdd);
+                            self.last = torque.tau;
                             return (target, torque);
                         }
                     }
@@ -482,9 +480,21 @@ impl Controller {
             }
         }
         let none = ActuatedVector::zeros();
-        self.last = (self.mode, none);
+        self.last = none;
         self.expected = None;
         (self.rest(), law::Torque { tau: none, limited: false, qdd: JointVector::zeros() })
+    }
+
+    /// A mode begins with the torque of the last one (none, where the brakes held) and approaches its own without a step;
+    /// from then on a step is a trip.
+    fn begin(&mut self, torque: law::Torque) -> (law::Torque, Option<Trip>) {
+        if self.begins > 0 {
+            let near = torque.near(&self.last, &self.checks.torque_step());
+            self.begins = if near.tau == torque.tau { 0 } else { self.begins - 1 };
+            return (near, None);
+        }
+        let rate = self.checks.torque_rate(&self.last, &torque.tau, &mut self.warnings);
+        (torque, rate)
     }
 }
 

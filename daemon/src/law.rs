@@ -15,6 +15,15 @@ pub struct Torque {
     pub qdd: JointVector,
 }
 
+impl Torque {
+    /// The nearest torque that changes no joint by more than `most` (N m) from `last`.
+    #[must_use]
+    pub fn near(self, last: &ActuatedVector, most: &ActuatedVector) -> Self {
+        let tau = ActuatedVector::from_fn(|i, _| self.tau[i].min(last[i] + most[i]).max(last[i] - most[i]));
+        Self { tau, limited: self.limited || tau != self.tau, ..self }
+    }
+}
+
 /// tau_A = M~ u + C~ qd + g~ (24) at the state `x` (rad, rad/s) for the input `u` (rad/s^2), less the torque that acts
 /// besides (`disturbance`, N m; the paper knows none), limited to +-`tau_max` (N m); `None` if it is not finite.
 pub fn torque(
@@ -84,6 +93,22 @@ mod tests {
         for i in 0..NU {
             assert_eq!(cut.tau[i], free[i].clamp(-5.0, 5.0), "joint {}", i + 1);
         }
+    }
+
+    #[test]
+    fn a_torque_near_the_last_one_is_as_near_as_it_may_be() {
+        let (x, u) = motion();
+        let free = law(&x, &u, 0.0, 1e3).expect("finite");
+        let step = ActuatedVector::from_fn(|i, _| 1.0 + i as f64);
+        for (by, limited) in [(0.9, false), (-0.9, false), (3.0, true), (-3.0, true)] {
+            let last = free.tau + step * by;
+            let near = free.near(&last, &step);
+            let expected = if limited { last - step * by.signum() } else { free.tau };
+            assert!((near.tau - expected).amax() < 1e-12, "{by}: {}", near.tau);
+            assert_eq!((near.limited, near.qdd), (limited, free.qdd), "{by}");
+        }
+        // What was cut before stays marked.
+        assert!(law(&x, &u, 0.0, 5.0).expect("finite").near(&free.tau, &(step * 1e3)).limited);
     }
 
     #[test]

@@ -376,9 +376,92 @@ fn the_limiter_cuts_and_says_so() {
     let mut plan = rest_plan(&config, &at_rest(&q), 1.0);
     plan.trajectory.u.iter_mut().for_each(|u| u[0] = 1e4);
     controller.step(&measurement(3, &q), 0, Some(Order::Load(plan)));
-    let output = controller.step(&measurement(4, &q), 0, Some(Order::Do(Request::Start)));
+    controller.step(&measurement(4, &q), 0, Some(Order::Do(Request::Start)));
+    // The way there takes a ms.
+    (5..13).for_each(|seq| drop(controller.step(&measurement(seq, &q), 0, None)));
+    let output = controller.step(&measurement(13, &q), 0, None);
     assert_eq!(output.command.tau[0], config.robot.limits.tau_max[0]);
     assert_ne!(output.record.telemetry.flags & Telemetry::LIMITED, 0);
+}
+
+/// The torque of a mode begins with that of the mode before, and changes at the warning level until it is its own.
+#[test]
+fn no_mode_begins_with_a_step() {
+    let config = config();
+    let q = rest_pose(&config);
+    // A gain that answers the start below with 25 % of the torque of joint 1.
+    let mut work = Workspace::default();
+    config.model.accelerations(&at_rest(&q), &ActuatedVector::zeros(), &mut work);
+    let unit = ActuatedVector::from_fn(|i, _| f64::from(u8::from(i == 0)));
+    let tau_max = config.robot.limits.tau_max;
+    let inertia = config.model.reduced_inertia_times(&unit, &work)[0];
+    let deviation = 0.04;
+    let mut plan = rest_plan(&config, &at_rest(&q), 1.0);
+    plan.gains.iter_mut().for_each(|k| k[(0, 0)] = -0.25 * tau_max[0] / inertia / deviation);
+    let mut away = q;
+    away[0] += deviation;
+
+    let mut controller = Controller::new(&config);
+    let (mut seq, mut last) = (0, ActuatedVector::zeros());
+    let mut cycles = |controller: &mut Controller, mut order: Option<Order>, n: usize| {
+        let mut outputs = Vec::new();
+        for _ in 0..n {
+            seq += 1;
+            let output = controller.step(&measurement(seq, &away), 0, order.take());
+            assert!(output.answer.as_ref().is_none_or(Result::is_ok), "{:?}", output.answer);
+            let tau = ActuatedVector::from(output.command.tau);
+            for i in 0..NU {
+                let share = (tau[i] - last[i]).abs() / tau_max[i];
+                assert!(share <= 0.125 + 1e-12, "cycle {seq}, joint {}: {share}", i + 1);
+            }
+            last = tau;
+            outputs.push(output);
+        }
+        let limited: Vec<_> =
+            outputs.iter().map(|o| o.record.telemetry.flags & Telemetry::LIMITED != 0).collect();
+        (last, limited)
+    };
+    // The brakes held.
+    let order = Some(Order::Do(Request::Enable));
+    let (held, _) = cycles(&mut controller, order, 20);
+    let gravity = config.model.torque(&at_rest(&away), &ActuatedVector::zeros(), &mut work);
+    assert!((held - gravity).amax() < 1e-6, "{held}");
+    cycles(&mut controller, Some(Order::Load(plan)), 1);
+    let (tracked, limited) = cycles(&mut controller, Some(Order::Do(Request::Start)), 20);
+    assert_eq!(controller.mode(), Mode::Track);
+    assert!((tracked - gravity)[0] / tau_max[0] < -0.2, "{tracked}");
+    // 12.5 % per cycle; what it takes is on its way in all of them but the last.
+    let steps = (tracked - gravity).component_div(&tau_max).amax() / 0.125;
+    assert!(steps > 2.0, "{steps}");
+    let on_the_way = |limited: Vec<bool>| limited.iter().filter(|limited| **limited).count();
+    assert_eq!(on_the_way(limited), steps.ceil() as usize - 1);
+    let (stopped, limited) = cycles(&mut controller, Some(Order::Do(Request::Stop)), 20);
+    assert_eq!(controller.mode(), Mode::Stop);
+    // But for what the estimate of disturbances makes of an arm that does not move.
+    assert!((stopped - gravity).amax() < 5.0, "{stopped}");
+    assert!((2..=8).contains(&on_the_way(limited)));
+}
+
+/// Noise through gains that no drive can follow is not taken for a mode that begins.
+#[test]
+fn a_mode_begins_for_two_milliseconds_at_most() {
+    let config = config();
+    let (mut controller, mut q) = enabled();
+    let mut plan = rest_plan(&config, &at_rest(&q), 1.0);
+    plan.gains.iter_mut().for_each(|k| k[(0, 0)] = -1e7);
+    controller.step(&measurement(3, &q), 0, Some(Order::Load(plan)));
+    q[0] += 1e-4;
+    controller.step(&measurement(4, &q), 0, Some(Order::Do(Request::Start)));
+    let mut seq = 4;
+    while controller.mode() == Mode::Track {
+        seq += 1;
+        q[0] += if seq % 2 == 0 { 2e-4 } else { -2e-4 };
+        controller.step(&measurement(seq, &q), 0, None);
+        assert!(seq < 30);
+    }
+    assert_eq!(trip(&controller), Some((Mode::Fault, TripCause::TorqueRate, 0)));
+    // 2 / (1 / ms) are 16 cycles.
+    assert_eq!(seq, 4 + 16);
 }
 
 #[test]

@@ -104,13 +104,14 @@ const MUTATIONS: [(&str, Mutation); 16] = [
     }),
 ];
 
-/// The robot follows the plan from near its start, another one for each `number`. The mode in which it ends.
+/// The robot follows the plan from near its start, another one for each `number`, where its drives are far from their limits
+/// with a good plan. The mode in which it ends.
 fn fly(config: &Config, plan: &Payload, number: usize) -> Mode {
     let mut random = Random(number as u64);
     let plan = accept(plan, config).expect("accepted before");
     let mut x = plan.trajectory.x[0];
     for i in 0..NQ {
-        x[i] += random.between(-1.0, 1.0) * 0.3 * config.daemon.start.position;
+        x[i] += random.between(-1.0, 1.0) * 0.1 * config.daemon.start.position;
     }
     let cycles = ((plan.trajectory.t_f + 0.5) / common::PERIOD) as usize;
     let (mut controller, mut arm) = (Controller::new(config), Arm::new(config, x));
