@@ -14,6 +14,8 @@ use upswingd::supervisor::Request;
 const STEP: usize = 200;
 /// Longest stop, cycles: 1.5 s.
 const LONGEST: usize = 12_000;
+/// In so many cycles at most the torque gets from that of the plan to that of the stop: 2 ms.
+const BEGINNING: usize = 16;
 
 fn start(config: &Config, plan: &Plan, q: State) -> (Controller, Arm) {
     let (mut controller, mut arm) = (Controller::new(config), Arm::new(config, q));
@@ -30,7 +32,7 @@ fn stop(config: &Config, mut controller: Controller, mut arm: Arm, at: usize) {
     let limits = &config.robot.limits;
     let fastest = controller.state().fixed_rows::<NU>(NQ).abs();
     let mut order = Some(Order::Do(Request::Stop));
-    for _ in 0..LONGEST {
+    for cycle in 0..LONGEST {
         let output = controller.step(&arm.measure(), 0, order.take());
         arm.advance(&output.command);
         let (mode, flags) = (controller.mode(), output.record.telemetry.flags);
@@ -39,7 +41,8 @@ fn stop(config: &Config, mut controller: Controller, mut arm: Arm, at: usize) {
             "stop at cycle {at}: {mode}, {:?}",
             controller.trip()
         );
-        assert_eq!(flags & Telemetry::LIMITED, 0, "stop at cycle {at}: {:?}", output.command.tau);
+        let limited = flags & Telemetry::LIMITED != 0;
+        assert!(cycle < BEGINNING || !limited, "stop at cycle {at}: {:?}", output.command.tau);
         for i in 0..NU {
             let (q, qd) = (arm.x[i], arm.x[NQ + i]);
             assert!((limits.q_min[i]..=limits.q_max[i]).contains(&q), "cycle {at}: joint {} at {q}", i + 1);
