@@ -317,4 +317,72 @@ mod tests {
         let (x, again) = (matrix(&x), matrix(&again));
         assert!((again - x).amax() < 1e-9 * x.amax(), "moves by {}", (again - x).amax() / x.amax());
     }
+
+    /// One step of (23) with dense matrices: the gain, and the weight one period before.
+    fn dense_step(
+        p: &StateMatrix,
+        (a, b): (&StateMatrix, &SMatrix<f64, NX, NU>),
+        q: &StateMatrix,
+        r: f64,
+        ts: f64,
+    ) -> (Gain, StateMatrix) {
+        let (phi, gamma) = (StateMatrix::identity() + a * ts, b * ts);
+        let pivot = SMatrix::<f64, NU, NU>::identity() * r + gamma.transpose() * p * gamma;
+        let k = -pivot.try_inverse().expect("invertible") * gamma.transpose() * p * phi;
+        let next = q + phi.transpose() * p * phi + (gamma.transpose() * p * phi).transpose() * k;
+        (k, (next + next.transpose()) * 0.5)
+    }
+
+    #[test]
+    fn the_gains_of_a_swing_are_those_of_the_dense_recursion() {
+        let config = upswing_config::Config::embedded().expect("settings");
+        let planner = crate::replan::Planner::new(config.clone()).expect("the database fits");
+        let trajectory = &planner.entries()[7].trajectory;
+        let (weights, ts) = (&config.planner.lqr, config.daemon.cycle.period.as_secs_f64());
+        let work = &mut Workspace::default();
+        let gains = synthesize(&config.model, trajectory, weights, ts, work).expect("stabilisable");
+
+        // (20), written out.
+        let mut q = StateMatrix::identity() * weights.q_angles;
+        for i in 9..16 {
+            q[(i, i)] = weights.q_velocities_actuated;
+        }
+        for i in 16..18 {
+            q[(i, i)] = weights.q_velocities_unactuated;
+        }
+        let mut ab = |x, u: &ActuatedVector| {
+            let d = config.model.derivatives(x, u, work);
+            (d.a(), d.b())
+        };
+        // (21) by going back from no weight at all until nothing changes any more.
+        let at_end = ab(&trajectory.x[N], &ActuatedVector::zeros());
+        let (mut p, mut end) = (StateMatrix::zeros(), Gain::zeros());
+        for _ in 0..60_000 {
+            (end, p) = dense_step(&p, (&at_end.0, &at_end.1), &q, weights.r, ts);
+        }
+        let scale = end.amax();
+        assert!((gains.end - end).amax() < 1e-6 * scale, "at the end: {}", (gains.end - end).amax() / scale);
+
+        let knots: Vec<_> = trajectory.x.iter().zip(&trajectory.u).map(|(x, u)| ab(x, u)).collect();
+        let periods = (trajectory.t_f / ts).floor() as usize;
+        let mut by_period = vec![Gain::zeros(); periods];
+        for i in (0..periods).rev() {
+            let place = i as f64 * ts / trajectory.t_f * N as f64;
+            let (k, share) = ((place as usize).min(N - 1), place.fract());
+            let a = knots[k].0 * (1.0 - share) + knots[k + 1].0 * share;
+            let b = knots[k].1 * (1.0 - share) + knots[k + 1].1 * share;
+            (by_period[i], p) = dense_step(&p, (&a, &b), &q, weights.r, ts);
+        }
+        // The period in which a knot lies; no period begins at or after t_F.
+        let at = |k: usize| ((k as f64 * trajectory.h() / ts) as usize).min(periods - 1);
+        for k in 0..=N {
+            let error = (gains.knots[k] - by_period[at(k)]).amax();
+            assert!(error < 1e-6 * scale, "knot {k}: {}", error / scale);
+            // The gains of the neighbours are others.
+            for neighbour in [k.saturating_sub(1), (k + 1).min(N)].into_iter().filter(|n| *n != k) {
+                let change = (gains.knots[k] - by_period[at(neighbour)]).amax();
+                assert!(change > 1e-4 * scale, "knots {k} and {neighbour}: {}", change / scale);
+            }
+        }
+    }
 }
