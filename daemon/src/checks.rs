@@ -246,3 +246,6 @@ fn count(cause: TripCause, value: f64, level: Level, warnings: &mut u64) -> Opti
 fn exceeds(value: f64, limit: f64) -> bool {
     value.is_nan() || value.abs() > limit
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,369 @@
+//! Each check, for each joint, on both sides of both of its levels.
+
+use super::*;
+use upswing_ipc::Clock;
+
+/// Settings in which every joint and every limit has a number of its own.
+fn config() -> Config {
+    let mut config = Config::embedded().expect("settings");
+    for i in 0..NQ {
+        let i_ = i as f64;
+        (config.robot.planning.q_min[i], config.robot.planning.q_max[i]) = (-1.0 - 0.1 * i_, 1.5 + 0.1 * i_);
+        (config.robot.planning.qd_max[i], config.robot.limits.qd_max[i]) = (0.5, 1.0 + 0.1 * i_);
+    }
+    for i in 0..NU {
+        (config.robot.planning.tau_max[i], config.robot.limits.tau_max[i]) = (1.0, 10.0 + i as f64);
+    }
+    config
+}
+
+/// A measurement of a healthy robot.
+fn healthy() -> Measurement {
+    Measurement {
+        seq: 1,
+        t_ns: 125_000,
+        q: [0.1; NQ],
+        tau_measured: [0.1; NU],
+        status: Measurement::DRIVES_READY,
+        clock: Clock::Paced.code(),
+        period_ns: 125_000,
+    }
+}
+
+/// Values of the nine joints that are all alike but one.
+fn but(joint: usize, value: f64, others: f64) -> JointVector {
+    JointVector::from_fn(|i, _| if i == joint { value } else { others })
+}
+
+/// The trip that `check` says values lead to, and whether it warns.
+fn result(
+    cause: TripCause,
+    check: &dyn Fn(&JointVector, &mut u64) -> Option<Trip>,
+    values: &JointVector,
+) -> (Option<Trip>, bool) {
+    let mut warnings = 1 << 63;
+    let trip = check(values, &mut warnings);
+    assert_eq!(
+        warnings & !cause.bit(),
+        1 << 63,
+        "{cause:?} keeps the warnings of others and sets its own only"
+    );
+    (trip, warnings & cause.bit() != 0)
+}
+
+/// Warns and trips beyond the levels of each of `joints` in both directions, and of no other; the first joint counts. What
+/// is not a number trips.
+fn is_a_level(
+    cause: TripCause,
+    joints: Range<usize>,
+    level: impl Fn(usize) -> Level,
+    check: impl Fn(&JointVector, &mut u64) -> Option<Trip>,
+) {
+    let result = |values: &JointVector| result(cause, &check, values);
+    for joint in 0..NQ {
+        if !joints.contains(&joint) {
+            for value in [1e9, -1e9, f64::NAN, f64::INFINITY] {
+                assert_eq!(result(&but(joint, value, 0.0)), (None, false), "{cause:?}, joint {joint}");
+            }
+            continue;
+        }
+        let Level { warn, trip } = level(joint);
+        for sign in [-1.0, 1.0] {
+            let at = |value: f64| result(&but(joint, sign * value, 0.0));
+            assert_eq!(at(warn - 1e-9), (None, false), "{cause:?}, joint {joint}");
+            assert_eq!(at(warn + 1e-9), (None, true), "{cause:?}, joint {joint}");
+            assert_eq!(at(trip - 1e-9), (None, true), "{cause:?}, joint {joint}");
+            for value in [trip + 1e-9, 1e300, f64::INFINITY] {
+                let (got, warns) = at(value);
+                let got = got.unwrap_or_else(|| panic!("{cause:?}, joint {joint}: no trip at {value}"));
+                assert_eq!((got.cause, got.joint, got.value), (cause, joint, sign * value));
+                assert!((got.limit - trip).abs() < 1e-12 && warns, "{cause:?}, joint {joint}: {}", got.limit);
+            }
+        }
+        let (got, warns) = result(&but(joint, f64::NAN, 0.0));
+        assert!(got.is_some_and(|trip| trip.joint == joint) && warns, "{cause:?}, joint {joint}: NaN");
+        // One number is not enough.
+        let (got, _) = result(&but(joint, 0.0, f64::NAN));
+        let first = joints.clone().find(|other| *other != joint);
+        assert_eq!(got.map(|trip| trip.joint), first, "{cause:?}, joint {joint}: NaN elsewhere");
+    }
+    let (got, _) = result(&JointVector::repeat(1e9));
+    assert_eq!(got.map(|trip| trip.joint), Some(joints.start), "{cause:?}");
+}
+
+/// Warns and trips beyond the levels of a count.
+fn is_a_count(cause: TripCause, level: Level, check: impl Fn(u64, &mut u64) -> Option<Trip>) {
+    let (warn, most) = (level.warn as u64, level.trip as u64);
+    for (n, trips, warns) in [
+        (0, false, false),
+        (warn, false, false),
+        (warn + 1, false, true),
+        (most, false, true),
+        (most + 1, true, true),
+        (u64::MAX, true, true),
+    ] {
+        let mut warnings = 0;
+        let trip = check(n, &mut warnings);
+        assert_eq!(warnings, if warns { cause.bit() } else { 0 }, "{cause:?}: {n}");
+        let expected = trips.then_some(Trip { cause, joint: 0, value: n as f64, limit: level.trip });
+        assert_eq!(trip, expected, "{cause:?}: {n}");
+    }
+}
+
+/// The position of a joint, with its own range.
+fn is_a_range(
+    cause: TripCause,
+    joints: Range<usize>,
+    config: &Config,
+    check: impl Fn(&State, &mut u64) -> Option<Trip>,
+) {
+    let Level { warn, trip } = config.daemon.limits.position_margin;
+    let planning = &config.robot.planning;
+    let check = |q: &JointVector, warnings: &mut u64| {
+        check(&upswing_model::state(q, &JointVector::zeros()), warnings)
+    };
+    for joint in 0..NQ {
+        let at = |value| result(cause, &check, &but(joint, value, 0.0));
+        if !joints.contains(&joint) {
+            for value in [1e9, -1e9, f64::NAN] {
+                assert_eq!(at(value), (None, false), "{cause:?}, joint {joint}");
+            }
+            continue;
+        }
+        for (bound, out) in [(planning.q_min[joint], -1.0), (planning.q_max[joint], 1.0)] {
+            assert_eq!(at(bound + out * (warn - 1e-9)), (None, false), "{cause:?}, joint {joint}, {out}");
+            assert_eq!(at(bound + out * (warn + 1e-9)), (None, true), "{cause:?}, joint {joint}, {out}");
+            assert_eq!(at(bound + out * (trip - 1e-9)), (None, true), "{cause:?}, joint {joint}, {out}");
+            for value in [bound + out * (trip + 1e-9), out * 1e300, out * f64::INFINITY] {
+                let (got, warns) = at(value);
+                let got = got.unwrap_or_else(|| panic!("{cause:?}, joint {joint}: no trip at {value}"));
+                assert_eq!((got.cause, got.joint, got.value), (cause, joint, value));
+                let limit = bound + out * trip;
+                assert!(
+                    (got.limit - limit).abs() < 1e-12 && warns,
+                    "{cause:?}, joint {joint}: {}",
+                    got.limit
+                );
+            }
+        }
+        let (got, warns) = at(f64::NAN);
+        assert!(got.is_some_and(|trip| trip.joint == joint) && warns, "{cause:?}, joint {joint}: NaN");
+    }
+    let (got, _) = result(cause, &check, &JointVector::repeat(-1e9));
+    assert_eq!(got.map(|trip| trip.joint), Some(joints.start), "{cause:?}");
+}
+
+#[test]
+fn counts() {
+    let config = config();
+    let (checks, levels) = (Checks::new(&config), config.daemon.limits);
+    is_a_count(TripCause::StaleMeasurement, levels.measurement_age, |n, w| checks.age(n, w));
+    is_a_count(TripCause::DrivesStopped, levels.drives_stopped, |n, w| checks.drives(n, w));
+    is_a_count(TripCause::MeasurementGap, levels.measurement_gap, |n, w| checks.gap(n, w));
+    is_a_count(TripCause::LateCycles, levels.late_cycles, |n, w| checks.late(n, w));
+    let lost = checks.lost(8000);
+    let limit = levels.measurement_age.trip;
+    assert_eq!(lost, Trip { cause: TripCause::StaleMeasurement, joint: 0, value: 8000.0, limit });
+}
+
+#[test]
+fn the_age_of_a_plan() {
+    let config = config();
+    let checks = Checks::new(&config);
+    let Level { warn, trip } = config.daemon.limits.plan_age;
+    for (age, refused, warns) in [
+        (0.0, false, false),
+        (warn, false, false),
+        (warn + 0.1, false, true),
+        (trip, false, true),
+        (trip + 0.1, true, true),
+    ] {
+        let mut warnings = 0;
+        let got = checks.plan_age(age, &mut warnings);
+        let expected = if refused { Err(Refusal::PlanExpired { age, limit: trip }) } else { Ok(()) };
+        assert_eq!((got, warnings == TripCause::PlanAge.bit()), (expected, warns), "{age} s");
+    }
+    assert!(checks.plan_age(f64::NAN, &mut 0).is_err());
+}
+
+#[test]
+fn levels_of_the_joints() {
+    let config = config();
+    let (checks, levels) = (Checks::new(&config), config.daemon.limits);
+    let (qd_max, tau_max) = (config.robot.limits.qd_max, config.robot.limits.tau_max);
+    let share = |level: Level, full: f64| Level { warn: level.warn * full, trip: level.trip * full };
+
+    is_a_level(
+        TripCause::VelocityLimit,
+        ARM,
+        |i| share(levels.velocity_fraction, qd_max[i]),
+        |qd, w| checks.arm(&upswing_model::state(&JointVector::zeros(), qd), w),
+    );
+    is_a_level(
+        TripCause::TorqueLimit,
+        ARM,
+        |i| share(levels.torque_fraction, tau_max[i]),
+        |tau, w| {
+            let mut measurement = healthy();
+            measurement.tau_measured.copy_from_slice(&tau.as_slice()[..NU]);
+            checks.measurement(&measurement, w)
+        },
+    );
+    // From a torque to another one in 125 us.
+    is_a_level(
+        TripCause::TorqueRate,
+        ARM,
+        |i| share(levels.torque_rate, tau_max[i]),
+        |rate, w| {
+            let change = ActuatedVector::from_fn(|i, _| rate[i] * 125e-6);
+            checks.torque_rate(&ActuatedVector::zeros(), &change, w).map(|trip| Trip {
+                // But for the rounding of the way back and forth.
+                value: if (trip.value / rate[trip.joint] - 1.0).abs() < 1e-12 {
+                    rate[trip.joint]
+                } else {
+                    trip.value
+                },
+                ..trip
+            })
+        },
+    );
+    let zero = State::zeros();
+    is_a_level(
+        TripCause::TrackingError,
+        0..NQ,
+        |_| levels.tracking_error,
+        |q, w| checks.tracking(&upswing_model::state(q, &JointVector::repeat(9.0)), &zero, w),
+    );
+    for cycles in [1, 3, 100] {
+        is_a_level(
+            TripCause::EncoderJump,
+            0..NQ,
+            |i| {
+                let fastest = if i < NU { 2.0 * qd_max[i] } else { 30.0 };
+                let moved = fastest * cycles as f64 * 125e-6;
+                let Level { warn, trip } = levels.encoder_jump;
+                Level { warn: moved + warn, trip: moved + trip }
+            },
+            |q, w| checks.jump(&JointVector::zeros(), q, cycles, w),
+        );
+    }
+}
+
+#[test]
+fn differences_are_taken_the_right_way_round() {
+    let checks = Checks::new(&config());
+    let (q, last) = (JointVector::repeat(2.0), JointVector::repeat(-1.0));
+    let trip = checks.jump(&last, &q, 1, &mut 0).expect("3 rad");
+    assert_eq!(trip.value, 3.0);
+    let [x, x_d] = [q, last].map(|q| upswing_model::state(&q, &JointVector::zeros()));
+    assert_eq!(checks.tracking(&x, &x_d, &mut 0).map(|trip| trip.value), Some(3.0));
+    let [tau, before] = [2.0, -1.0].map(ActuatedVector::repeat);
+    let rate = checks.torque_rate(&before, &(tau * 100.0), &mut 0).expect("a step").value;
+    assert!((rate * 125e-6 - 201.0).abs() < 1e-9, "{rate}");
+}
+
+#[test]
+fn positions() {
+    let config = config();
+    let checks = Checks::new(&config);
+    is_a_range(TripCause::PositionLimit, ARM, &config, |x, w| checks.arm(x, w));
+    is_a_range(TripCause::PendulumRange, PENDULUM, &config, |x, w| checks.pendulum(x, w));
+    // A position counts before a velocity.
+    let x = State::repeat(1e9);
+    assert_eq!(checks.arm(&x, &mut 0).map(|trip| trip.cause), Some(TripCause::PositionLimit));
+    let mut warnings = 0;
+    checks.arm(&x, &mut warnings);
+    assert_eq!(warnings, TripCause::PositionLimit.bit() | TripCause::VelocityLimit.bit());
+}
+
+#[test]
+fn the_tilt_of_the_rod() {
+    let config = config();
+    let checks = Checks::new(&config);
+    let Level { warn, trip } = config.daemon.limits.balance_tilt;
+    let at = |tilt: f64| {
+        let mut warnings = 0;
+        let lost = checks.balance(tilt, &mut warnings);
+        assert!(lost.is_none_or(|t| t.cause == TripCause::BalanceLost && t.limit == trip));
+        (lost.is_some(), warnings == TripCause::BalanceLost.bit())
+    };
+    assert_eq!(at(warn - 1e-9), (false, false));
+    assert_eq!(at(warn + 1e-9), (false, true));
+    assert_eq!(at(trip - 1e-9), (false, true));
+    assert_eq!(at(trip + 1e-9), (true, true));
+    assert_eq!(at(f64::NAN), (true, true));
+}
+
+#[test]
+fn measurements_that_cannot_be_used() {
+    let checks = Checks::new(&config());
+    let cause = |spoil: &dyn Fn(&mut Measurement)| {
+        let mut measurement = healthy();
+        spoil(&mut measurement);
+        checks.measurement(&measurement, &mut 0)
+    };
+    assert_eq!(cause(&|_| ()), None);
+    for clock in [Clock::Wall, Clock::Paced, Clock::Lockstep] {
+        assert_eq!(cause(&|m| m.clock = clock.code()), None);
+    }
+    let trip = cause(&|m| m.clock = 77).expect("no such clock");
+    assert_eq!((trip.cause, trip.joint, trip.value), (TripCause::UnknownClock, 0, 77.0));
+    for period in [124_999, 125_001, 0] {
+        let trip = cause(&|m| m.period_ns = period).expect("another period");
+        let expected =
+            Trip { cause: TripCause::PeriodMismatch, joint: 0, value: period as f64, limit: 125_000.0 };
+        assert_eq!(trip, expected);
+    }
+    let trip = cause(&|m| m.status |= Measurement::DRIVE_FAULT).expect("a fault");
+    assert_eq!(trip, Trip::plain(TripCause::DriveFault));
+    assert_eq!(cause(&|m| m.status = Measurement::BRAKES_CLOSED), None, "that is no fault by itself");
+    for joint in 0..NQ {
+        for value in [f64::NAN, f64::INFINITY, -f64::INFINITY, 100.1, -100.1] {
+            let trip = cause(&|m| m.q[joint] = value).expect("no angle");
+            assert_eq!((trip.cause, trip.joint, trip.limit), (TripCause::NotFinite, joint, 100.0));
+            assert!(trip.value == value || value.is_nan());
+            let mut measurement = healthy();
+            measurement.q[joint] = value;
+            assert_eq!(checks.finite(&measurement).map(|trip| trip.joint), Some(joint));
+        }
+        assert_eq!(cause(&|m| m.q[joint] = 99.9), None);
+        assert_eq!(cause(&|m| m.q[joint] = -99.9), None);
+    }
+}
+
+#[test]
+fn the_start_of_a_plan() {
+    let config = config();
+    let checks = Checks::new(&config);
+    let x_0 = State::from_fn(|i, _| 0.01 * i as f64);
+    assert_eq!(checks.start(&x_0, &x_0), Ok(()));
+    for row in 0..NX {
+        let tolerance = if row < NQ { config.daemon.start.position } else { config.daemon.start.velocity };
+        for sign in [-1.0, 1.0] {
+            let at = |by: f64| {
+                let mut x = x_0;
+                x[row] += sign * by;
+                (checks.start(&x, &x_0), x[row])
+            };
+            assert_eq!(at(tolerance - 1e-9).0, Ok(()), "row {row}");
+            let (refusal, measured) = at(tolerance + 1e-9);
+            let (joint, velocity, expected) = (row % NQ, row >= NQ, x_0[row]);
+            let want = Refusal::StartMismatch { joint, velocity, measured, expected, tolerance };
+            assert_eq!(refusal, Err(want), "row {row}");
+        }
+        let mut x = x_0;
+        x[row] = f64::NAN;
+        assert!(checks.start(&x, &x_0).is_err(), "row {row}");
+        assert!(checks.start(&x_0, &x).is_err(), "row {row}");
+    }
+}
+
+#[test]
+fn the_torque_of_a_mode_that_begins() {
+    let config = config();
+    let checks = Checks::new(&config);
+    // 1 per ms: an eighth of the limit in 125 us, and 16 of them from one end to the other.
+    let step = checks.torque_step();
+    assert!((step - config.robot.limits.tau_max * 0.125).amax() < 1e-12, "{step}");
+    assert_eq!(checks.torque_steps(), 16);
+}
