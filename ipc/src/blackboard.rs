@@ -1,7 +1,8 @@
 //! The latest value of one writer, wait-free for the writer and without heap or kernel for the reader.
 //!
 //! A writer that is killed leaves its blackboard locked for good as long as somebody has it open. Therefore every
-//! start of a writer creates a blackboard of its own, `<channel>/<epoch>`, and readers look for the newest.
+//! start of a writer creates a blackboard of its own, `<channel>/<epoch>`, and readers look for the newest whose writer
+//! lives.
 //!
 //! # Who owns what
 //! Service and port objects stay in the non-real-time thread: in [`WriterPorts`] and [`Finder`]. What may move to
@@ -78,6 +79,9 @@ impl<T: Latest> Writer<T> {
             .map_err(|e| unopened(e.into()))?;
         let port = service.writer_builder().create().map_err(|e| failed(e.into()))?;
         let handle = Arc::new(port.entry::<T>(&KEY).map_err(|e| failed(e.into()))?);
+        // Without the lock somebody may have taken it for a ruin while it was unfinished: then nobody else could open it,
+        // and this process would write for nobody.
+        open_service(node, &name).map_err(|e| unopened(e.into()))?;
         Ok(Self {
             entry: WriterEntry { handle: Arc::clone(&handle), _not_sync: PhantomData },
             ports: WriterPorts {
@@ -126,15 +130,15 @@ impl<T: Latest> Reader<T> {
         *self.handle.get()
     }
 
-    /// Start of the writer, CLOCK_MONOTONIC, ns; a larger one than before means that the writer restarted.
+    /// Start of the writer, CLOCK_MONOTONIC, ns; another one than before means another writer.
     pub fn epoch(&self) -> u64 {
         self.epoch
     }
 }
 
-/// Finds the newest writer of a channel; stays in the thread that created it.
+/// Finds the newest living writer of a channel; stays in the thread that created it.
 pub struct Finder<T: Latest> {
-    /// Opened blackboards, oldest first. All but the last wait for their readers to be dropped.
+    /// Opened blackboards, in the order in which they were found. All but the last wait for their readers to be dropped.
     open: Vec<Opened<T>>,
     node: Node,
 }
@@ -142,7 +146,7 @@ pub struct Finder<T: Latest> {
 struct Opened<T: Latest> {
     // Order of drop: port and service before the shared entry.
     _port: IoxReader<ipc::Service, u64>,
-    _service: PortFactory<ipc::Service, u64>,
+    service: PortFactory<ipc::Service, u64>,
     handle: Arc<EntryHandle<ipc::Service, u64, T>>,
     epoch: u64,
 }
@@ -153,35 +157,54 @@ impl<T: Latest> Finder<T> {
         Self { open: Vec::new(), node: node.clone() }
     }
 
-    /// Looks for a writer that started after the one found last; if there is one, hands out a reader of it.
+    /// Looks for the newest writer that lives; hands out a reader of it unless it is the one found last.
     ///
     /// Also cleans up after dead processes, and closes blackboards of earlier writers whose readers were dropped.
-    /// Some 0.5 ms: call it every 20 to 100 ms.
+    /// Some 0.5 ms: call it every 20 to 100 ms. Waits for others who create or clean up in the domain, unless they are
+    /// stopped: then it finds something only where nothing is under construction.
+    ///
+    /// An epoch that is still to come is nobody's start, and is not looked at.
     ///
     /// # Errors
-    /// [`IpcError::List`] if the services cannot be listed, [`IpcError::Open`] or [`IpcError::Port`] if the newest
-    /// cannot be opened, [`IpcError::Layout`] if it carries another payload than `T`.
+    /// [`IpcError::List`] if the services cannot be listed. If no other writer is found: [`IpcError::Open`] or
+    /// [`IpcError::Port`] if one that is newer than the last cannot be opened, [`IpcError::Layout`] if it carries another
+    /// payload than `T`.
     pub fn poll(&mut self) -> Result<Option<Reader<T>>, IpcError> {
-        T::poll(self)
+        self.poll_while(&|| true)
     }
 
-    /// As [`Self::poll`], to be compiled once for each payload: see `services`.
-    pub(crate) fn look(&mut self) -> Result<Option<Reader<T>>, IpcError> {
-        let site = Site::enter(self.node.domain());
+    /// As [`Self::poll`], but waits for others only as long as `wanted` says so.
+    pub(crate) fn poll_while(&mut self, wanted: &dyn Fn() -> bool) -> Result<Option<Reader<T>>, IpcError> {
+        T::poll(self, wanted)
+    }
+
+    /// As [`Self::poll_while`], to be compiled once for each payload: see `services`.
+    pub(crate) fn look(&mut self, wanted: &dyn Fn() -> bool) -> Result<Option<Reader<T>>, IpcError> {
+        let site = Site::enter_while(self.node.domain(), wanted);
+        if !site.is_clear() {
+            return Ok(None);
+        }
         self.node.clean_up_at(&site);
         self.close_unused();
-        let current = self.epoch();
-        let mut epochs: Vec<u64> =
-            self.list()?.into_iter().filter(|&e| current.is_none_or(|c| e > c)).collect();
+        let current = self.open.last().filter(|o| has_writer(&o.service)).map(|o| o.epoch);
+        let now = monotonic_ns();
+        let newer = |&e: &u64| e <= now && Some(e) != self.epoch() && current.is_none_or(|c| e > c);
+        let mut epochs: Vec<u64> = self.list()?.into_iter().filter(newer).collect();
         epochs.sort_unstable();
+        // One that cannot be opened does not hide the others.
+        let mut failure = None;
         for epoch in epochs.into_iter().rev() {
-            if let Some(opened) = self.open(epoch)? {
-                let reader = Reader { handle: Arc::clone(&opened.handle), epoch };
-                self.open.push(opened);
-                return Ok(Some(reader));
+            match self.open(epoch) {
+                Ok(Some(opened)) => {
+                    let reader = Reader { handle: Arc::clone(&opened.handle), epoch };
+                    self.open.push(opened);
+                    return Ok(Some(reader));
+                }
+                Ok(None) => {}
+                Err(e) => failure = failure.or(Some(e)),
             }
         }
-        Ok(None)
+        failure.map_or(Ok(None), Err)
     }
 
     /// Start of the writer found last, CLOCK_MONOTONIC, ns.
@@ -209,9 +232,7 @@ impl<T: Latest> Finder<T> {
     fn open(&self, epoch: u64) -> Result<Option<Opened<T>>, IpcError> {
         let name = service_name::<T>(epoch);
         let failed = |cause| IpcError::Open { service: name.clone(), cause };
-        let service_name = ServiceName::new(&name).map_err(|e| failed(e.into()))?;
-        let opened = self.node.iox().service_builder(&service_name).blackboard_opener::<u64>().open();
-        let service = match opened {
+        let service = match open_service(&self.node, &name) {
             Ok(service) => service,
             Err(
                 BlackboardOpenError::DoesNotExist
@@ -232,15 +253,21 @@ impl<T: Latest> Finder<T> {
         let entry = port.entry::<T>(&KEY);
         let entry =
             entry.map_err(|_| IpcError::Layout { service: name, expected: std::any::type_name::<T>() })?;
-        Ok(Some(Opened { _port: port, _service: service, handle: Arc::new(entry), epoch }))
+        Ok(Some(Opened { _port: port, service, handle: Arc::new(entry), epoch }))
     }
 
-    /// Closes all blackboards but the newest whose readers were dropped.
+    /// Closes all blackboards but the one found last whose readers were dropped.
     fn close_unused(&mut self) {
         let newest = self.epoch();
         // `get_mut`, not `strong_count`: it also synchronizes with the thread that dropped the reader.
         self.open.retain_mut(|o| Some(o.epoch) == newest || Arc::get_mut(&mut o.handle).is_none());
     }
+}
+
+fn open_service(node: &Node, name: &str) -> Result<PortFactory<ipc::Service, u64>, BlackboardOpenError> {
+    // A channel and a number: short and plain.
+    let name = ServiceName::new(name).map_err(|_| BlackboardOpenError::DoesNotExist)?;
+    node.iox().service_builder(&name).blackboard_opener::<u64>().open()
 }
 
 fn has_writer(service: &PortFactory<ipc::Service, u64>) -> bool {

@@ -5,18 +5,26 @@
 //! cleaning up waits without end. So every creation in a domain happens under one lock, and whoever gets the lock
 //! removes what is unfinished: nobody is building it. The same goes for nodes, which iceoryx2 takes for starting ones for
 //! good, and for connections of ports that are gone, which it forgets.
+//!
+//! A process that is stopped (by a debugger, by Ctrl-Z) keeps its lock. Nobody waits for one that is, and for a lock that
+//! is not given back otherwise each process waits once: see [`Site`].
 
 use crate::domain::Domain;
 use std::collections::HashSet;
 use std::fs::{File, Metadata, OpenOptions, TryLockError};
-use std::os::unix::fs::MetadataExt;
-use std::path::Path;
+use std::io::{Error, ErrorKind};
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-/// How long to wait for the lock. Its holders need milliseconds, unless they are stopped by a debugger.
+/// How long to wait for the lock. Its holders need milliseconds, on a loaded machine some hundred.
 const PATIENCE: Duration = Duration::from_secs(2);
-/// Pause between looks at the lock.
+/// Pause between looks at the lock, and how many of them pass between two looks at its holder.
 const PAUSE: Duration = Duration::from_micros(500);
+const LOOKS: u32 = 16;
+/// Inode of the lock that this process gave up waiting for; 0: none. It does not wait for it again before it has had it.
+static GIVEN_UP: AtomicU64 = AtomicU64::new(0);
 /// From this age on an unfinished connection or node is an orphan. iceoryx2 creates connections while it sends and
 /// receives, and programs in other languages create nodes: both without the lock, within milliseconds.
 const ORPHAN_AGE: Duration = Duration::from_secs(2);
@@ -26,27 +34,55 @@ const OWNER_WRITE: u32 = 0o200;
 
 /// The right to create, list and clean up in a domain, until dropped. Not reentrant.
 pub(crate) struct Site {
-    _lock: Option<File>,
+    lock: Option<File>,
+    /// Whether nothing is under construction: iceoryx2 does not hang when it lists services.
+    clear: bool,
 }
 
 impl Site {
-    /// Waits for the right and clears the site. If that takes too long (somebody is stopped while holding it), it
-    /// gives up and does without: then creation is no safer than iceoryx2 makes it.
+    /// Waits for the right and clears the site. If its holder is stopped, or that takes too long, it does without: then
+    /// creation is no safer than iceoryx2 makes it.
     pub(crate) fn enter(domain: &Domain) -> Self {
-        let lock = acquire(domain);
+        Self::enter_while(domain, &|| true)
+    }
+
+    /// As [`Self::enter`], but waits only as long as `wanted` says so.
+    pub(crate) fn enter_while(domain: &Domain, wanted: &dyn Fn() -> bool) -> Self {
+        let lock = acquire(domain, wanted);
         if lock.is_some() {
-            let descriptions =
-                std::fs::read_dir(domain.root().join("services")).into_iter().flatten().flatten();
             domain.memory().for_each(|path| remove_if(&path, is_unfinished_memory));
-            descriptions
-                .for_each(|entry| remove_if(&entry.path(), |_, state| is_unfinished_description(state)));
+            descriptions(domain)
+                .for_each(|path| remove_if(&path, |_, state| is_unfinished_description(state)));
             let ports = clear_nodes(&domain.root().join("nodes"));
             domain.memory().for_each(|path| {
                 remove_if(&path, |path, state| is_old(state) && is_without_port(path, &ports));
             });
         }
-        Self { _lock: lock }
+        let clear = lock.is_some() || is_clear(domain);
+        Self { lock, clear }
     }
+
+    /// Whether nobody else creates or cleans up.
+    pub(crate) fn is_own(&self) -> bool {
+        self.lock.is_some()
+    }
+
+    /// Whether services can be listed and opened.
+    pub(crate) fn is_clear(&self) -> bool {
+        self.clear
+    }
+}
+
+fn descriptions(domain: &Domain) -> impl Iterator<Item = PathBuf> {
+    let entries = std::fs::read_dir(domain.root().join("services")).into_iter().flatten().flatten();
+    entries.map(|entry| entry.path())
+}
+
+/// Whether nothing is unfinished, as far as can be seen without the lock.
+fn is_clear(domain: &Domain) -> bool {
+    let state = |path: &Path| path.symlink_metadata();
+    domain.memory().all(|path| state(&path).is_ok_and(|state| !is_unfinished_memory(&path, &state)))
+        && descriptions(domain).all(|path| state(&path).is_ok_and(|state| !is_unfinished_description(&state)))
 }
 
 /// Gives connections that are still without any memory a byte of it.
@@ -69,17 +105,67 @@ fn remove_if(path: &Path, condition: impl FnOnce(&Path, &Metadata) -> bool) {
     }
 }
 
-fn acquire(domain: &Domain) -> Option<File> {
-    let path = domain.root().join("construction.lock");
-    let file = OpenOptions::new().create(true).truncate(false).write(true).open(path).ok()?;
+/// Opens the file that is locked, at `path`.
+///
+/// # Errors
+/// Also if it is no regular file: a pipe without a reader would otherwise block for good.
+pub(crate) fn open_lock(path: &Path) -> std::io::Result<File> {
+    let odd = || Error::new(ErrorKind::InvalidInput, "it is not a regular file");
+    if path.symlink_metadata().is_ok_and(|state| !state.is_file()) {
+        return Err(odd());
+    }
+    // Whatever it may have become meanwhile.
+    let flags = libc::O_NONBLOCK | libc::O_NOFOLLOW;
+    let file = OpenOptions::new().create(true).truncate(false).write(true).custom_flags(flags).open(path)?;
+    if file.metadata()?.is_file() { Ok(file) } else { Err(odd()) }
+}
+
+/// Path of the lock of a domain.
+pub(crate) fn lock_path(domain: &Domain) -> PathBuf {
+    domain.root().join("construction.lock")
+}
+
+fn acquire(domain: &Domain, wanted: &dyn Fn() -> bool) -> Option<File> {
+    let file = open_lock(&lock_path(domain)).ok()?;
+    let state = file.metadata().ok()?;
+    let given_up = || GIVEN_UP.load(Ordering::Relaxed) == state.ino();
     let start = Instant::now();
+    let mut looks = 0_u32;
     loop {
         match file.try_lock() {
-            Ok(()) => return Some(file),
-            Err(TryLockError::WouldBlock) if start.elapsed() < PATIENCE => std::thread::sleep(PAUSE),
-            Err(_) => return None,
+            Ok(()) => {
+                if given_up() {
+                    GIVEN_UP.store(0, Ordering::Relaxed);
+                }
+                return Some(file);
+            }
+            Err(TryLockError::WouldBlock) => {}
+            Err(TryLockError::Error(_)) => return None,
         }
+        if given_up() || !wanted() || (looks.is_multiple_of(LOOKS) && holder_is_stopped(&state)) {
+            return None;
+        }
+        if start.elapsed() > PATIENCE {
+            GIVEN_UP.store(state.ino(), Ordering::Relaxed);
+            return None;
+        }
+        looks += 1;
+        std::thread::sleep(PAUSE);
     }
+}
+
+/// Whether the process that has the lock of a file is stopped: proc_locks(5), and the state in proc_pid_stat(5).
+fn holder_is_stopped(file: &Metadata) -> bool {
+    let (major, minor) = (libc::major(file.dev()), libc::minor(file.dev()));
+    let id = format!("{major:02x}:{minor:02x}:{}", file.ino());
+    let locks = std::fs::read_to_string("/proc/locks").unwrap_or_default();
+    let holder = locks.lines().find_map(|line| {
+        let fields: Vec<_> = line.split_whitespace().collect();
+        (fields.get(1) == Some(&"FLOCK") && fields.get(5) == Some(&id.as_str())).then(|| fields[4].to_owned())
+    });
+    let stat = holder.and_then(|pid| std::fs::read_to_string(format!("/proc/{pid}/stat")).ok());
+    let state = stat.as_ref().and_then(|stat| stat.rsplit_once(')')).map(|(_, rest)| rest.trim_start());
+    state.is_some_and(|rest| rest.starts_with(['T', 't']))
 }
 
 /// iceoryx2 lets the owner read shared memory only when it is complete.

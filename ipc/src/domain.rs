@@ -1,6 +1,6 @@
 //! A domain: one shared-memory world. Processes of different domains never meet.
 
-use crate::construction::Site;
+use crate::construction::{Site, lock_path, open_lock};
 use crate::error::{Cause, IpcError};
 use crate::node::Node;
 use iceoryx2::prelude::{
@@ -10,7 +10,7 @@ use iceoryx2::prelude::{
 use std::fmt;
 use std::fs::{DirBuilder, File, Permissions, TryLockError};
 use std::io::ErrorKind;
-use std::os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt};
+use std::os::unix::fs::{DirBuilderExt, FileExt, MetadataExt, PermissionsExt};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 use thiserror::Error;
@@ -54,6 +54,22 @@ pub enum DomainError {
 pub struct Domain {
     name: String,
     config: Config,
+}
+
+/// A shared lock on a domain's directory: as long as it is held nobody removes the domain. Who drops the last one does.
+pub(crate) struct Presence {
+    lock: File,
+    domain: Domain,
+}
+
+impl Drop for Presence {
+    fn drop(&mut self) {
+        // A shared lock becomes an exclusive one unless somebody else has one, too. What cannot be removed is left to
+        // whoever joins next.
+        if self.lock.try_lock().is_ok() {
+            let _ = self.domain.remove(&self.lock);
+        }
+    }
 }
 
 impl fmt::Debug for Domain {
@@ -115,12 +131,19 @@ impl Domain {
     /// The shared memory of this domain, as paths in the file system.
     pub(crate) fn memory(&self) -> impl Iterator<Item = PathBuf> {
         let entries = std::fs::read_dir(SHM).into_iter().flatten().flatten();
-        let owned = entries.filter(|entry| entry.file_name().to_str().is_some_and(|file| self.owns(file)));
+        // Nothing else is opened: a pipe would block.
+        let files = entries.filter(|entry| entry.file_type().is_ok_and(|kind| kind.is_file()));
+        let owned = files.filter(|entry| entry.file_name().to_str().is_some_and(|file| self.owns(file)));
         owned.map(|entry| entry.path())
     }
 
+    /// Whether there are traces of the domain: somebody has joined it and not yet left, or died in it.
+    pub fn exists(&self) -> bool {
+        self.root().symlink_metadata().is_ok()
+    }
+
     /// Joins the domain as `role` ("daemon", "planner", ...; for people and logs) and cleans up after processes
-    /// of the domain that died.
+    /// of the domain that died. Who leaves it last, in good order, removes all traces of it.
     ///
     /// Installs no signal handlers and reads no configuration file but the one it writes into the domain's own
     /// directory.
@@ -133,10 +156,12 @@ impl Domain {
     }
 
     fn join(&self, role: &str) -> Result<Node, IpcError> {
-        let presence = self.hold_root()?;
+        let presence = Presence { lock: self.hold_root()?, domain: self.clone() };
         let failed =
             |cause: Cause| IpcError::Connect { domain: self.name.clone(), role: role.to_owned(), cause };
         let name = NodeName::new(role).map_err(|e| failed(e.into()))?;
+        let lock = lock_path(self);
+        open_lock(&lock).map_err(|cause| IpcError::Root { action: "use", path: lock, cause })?;
         let site = Site::enter(self);
         self.set_process_defaults(&site)?;
         let node = NodeBuilder::new()
@@ -150,14 +175,16 @@ impl Domain {
         Ok(node)
     }
 
-    /// Removes all traces of the domain if no process uses it, and says whether it did.
-    ///
-    /// For tests and demos: a service leaves its directory, so that a restart finds what it expects.
+    /// Removes all traces of the domain if no process uses it, and says whether there are none now. Needed only where
+    /// the last one was killed.
     ///
     /// # Errors
     /// [`IpcError::Root`] or [`IpcError::Foreign`] if a file cannot be removed, [`IpcError::List`] if it cannot be
     /// found out who uses the domain.
     pub fn remove_if_unused(&self) -> Result<bool, IpcError> {
+        if !self.exists() && self.memory().next().is_none() {
+            return Ok(true);
+        }
         let presence = self.open_root()?;
         let start = Instant::now();
         loop {
@@ -171,7 +198,13 @@ impl Domain {
                 Err(TryLockError::Error(cause)) => return Err(self.root_error("lock", cause)),
             }
         }
-        if !self.is_current(&presence) || self.has_foreign_peers()? {
+        self.remove(&presence)
+    }
+
+    /// Removes all traces of the domain, whose directory is locked by `presence`, unless programs in other languages,
+    /// which do not lock it, use it; says whether it did.
+    fn remove(&self, presence: &File) -> Result<bool, IpcError> {
+        if !self.is_current(presence) || self.has_foreign_peers()? {
             return Ok(false);
         }
         for path in self.memory() {
@@ -192,7 +225,7 @@ impl Domain {
     /// [`IpcError::List`] if it cannot be found out.
     pub fn count_dead(&self) -> Result<usize, IpcError> {
         // Without the directory there is nobody; and to list creates nothing then.
-        if !self.root().exists() {
+        if !self.exists() {
             return Ok(0);
         }
         let mut dead = 0;
@@ -302,10 +335,13 @@ impl Domain {
             let path = file.clone();
             move |cause| IpcError::Root { action, path, cause }
         };
-        // In place, not by a draft that a killed process would leave: on site nobody else reads it.
-        if std::fs::read_to_string(&file).ok().as_ref() != Some(&settings) {
-            std::fs::write(&file, settings).map_err(failed("write"))?;
-        }
+        // In place, not by a draft that a killed process would leave: on site nobody else reads it. Opened like a lock:
+        // what is no regular file could block.
+        let written = open_lock(&file).and_then(|opened| {
+            opened.set_len(0)?;
+            opened.write_all_at(settings.as_bytes(), 0)
+        });
+        written.map_err(failed("write"))?;
         let path = FilePath::new(file.as_os_str().as_encoded_bytes())
             .map_err(|e| failed("name")(std::io::Error::other(format!("{e:?}"))))?;
         Config::setup_global_config_from_file(&path).map_err(|e| failed("load")(std::io::Error::other(e)))?;

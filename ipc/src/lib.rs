@@ -48,6 +48,7 @@ mod node;
 mod own;
 mod payload;
 mod request;
+mod search;
 mod services;
 mod space;
 mod text;
@@ -68,6 +69,7 @@ pub use payload::{
     PlannerResponse, PlantRequest, PlantResponse, Step, StepBatch, Telemetry, TelemetryBatch,
 };
 pub use request::{Client, Server};
+pub use search::Search;
 pub use services::{Latest, MAX_NODES, MAX_READERS, Request, Topic};
 pub use text::{Text, TextError};
 pub use time::{monotonic_ns, sleep_until};

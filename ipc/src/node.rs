@@ -2,7 +2,7 @@
 
 use crate::blackboard::{Finder, Writer};
 use crate::construction::{Site, fill_empty_connections};
-use crate::domain::Domain;
+use crate::domain::{Domain, Presence};
 use crate::error::IpcError;
 use crate::messages::{Publisher, Subscriber};
 use crate::request::{Client, Server};
@@ -10,7 +10,6 @@ use crate::services::{Latest, Request, Topic};
 use iceoryx2::identifiers::UniqueNodeId;
 use iceoryx2::prelude::{CallbackProgression, Node as IoxNode, NodeState, ipc};
 use std::fmt;
-use std::fs::File;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -32,24 +31,21 @@ pub struct Node {
 }
 
 struct Inner {
+    // Order of drop: the node goes before the look at who is left.
     iox: IoxNode<ipc::Service>,
+    _presence: Presence,
     domain: Domain,
-    /// A shared lock on the domain's directory: as long as it is held nobody removes the domain.
-    _presence: File,
 }
 
 impl fmt::Debug for Node {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Node")
-            .field("domain", &self.inner.domain)
-            .field("role", self.inner.iox.name())
-            .finish()
+        f.debug_struct("Node").field("domain", &self.inner.domain).field("role", self.iox().name()).finish()
     }
 }
 
 impl Node {
-    pub(crate) fn new(iox: IoxNode<ipc::Service>, domain: Domain, presence: File) -> Self {
-        Self { inner: Arc::new(Inner { iox, domain, _presence: presence }) }
+    pub(crate) fn new(iox: IoxNode<ipc::Service>, domain: Domain, presence: Presence) -> Self {
+        Self { inner: Arc::new(Inner { iox, _presence: presence, domain }) }
     }
 
     pub(crate) fn iox(&self) -> &IoxNode<ipc::Service> {
@@ -67,8 +63,11 @@ impl Node {
         self.clean_up_at(&Site::enter(self.domain()));
     }
 
-    /// As [`Node::clean_up`], for those who are on site already.
-    pub(crate) fn clean_up_at(&self, _site: &Site) {
+    /// As [`Node::clean_up`], for those who are on site already; does nothing beside somebody else's work.
+    pub(crate) fn clean_up_at(&self, site: &Site) {
+        if !site.is_own() {
+            return;
+        }
         let mut dead = Vec::new();
         // What cannot be listed, or is being cleaned up by somebody else, is left to the next time.
         let _ = self.domain().for_each_node(|node| {
@@ -94,7 +93,8 @@ impl Node {
         T::writer(self)
     }
 
-    /// Finds the newest blackboard of a channel, again whenever its writer has started anew.
+    /// Finds the newest blackboard of a channel, again whenever its writer has started anew. What must not wait for other
+    /// processes looks through [`crate::Search`].
     pub fn finder<T: Latest>(&self) -> Finder<T> {
         Finder::new(self)
     }

@@ -19,6 +19,9 @@ type Service<Q> = PortFactory<ipc::Service, Q, (), <Q as Request>::Response, ()>
 const EAGER: Duration = Duration::from_micros(50);
 /// Shortest and longest pause of a waiting client.
 const PAUSE: (Duration, Duration) = (Duration::from_micros(50), Duration::from_millis(1));
+/// What one turn of a server is bounded by: as many requests as there can be clients, and the time after which no further
+/// one is begun. Its process has other things to do.
+const TURN: (usize, Duration) = (MAX_CLIENTS, Duration::from_millis(50));
 /// How long a sign of life of the server counts.
 const ROLL_CALL: Duration = Duration::from_millis(100);
 
@@ -186,8 +189,9 @@ impl<Q: Request> Server<Q> {
         Ok(Self { port, _service: service, _node: node.clone() })
     }
 
-    /// Answers all waiting requests with `handle`; returns how many. Requests that nobody waits for any more are
-    /// not handled: a command must not take effect after its sender was told that it did not.
+    /// Answers waiting requests with `handle`; returns how many. One turn is bounded in number and time, so that clients
+    /// who always have another one cannot keep the server's process busy with nothing else. Requests that nobody waits for
+    /// any more are not handled: a command must not take effect after its sender was told that it did not.
     ///
     /// # Errors
     /// [`IpcError::Receive`] or [`IpcError::Send`].
@@ -211,8 +215,10 @@ impl<Q: Request> Server<Q> {
     pub(crate) fn answer(&self, handle: Handler<'_, Q>) -> Result<usize, IpcError> {
         let receive =
             || self.port.receive().map_err(|e| IpcError::Receive { service: Q::SERVICE, cause: e.into() });
+        let begin = Instant::now();
         let mut answered = 0;
-        while let Some(request) = receive()? {
+        while answered < TURN.0 && (answered == 0 || begin.elapsed() < TURN.1) {
+            let Some(request) = receive()? else { break };
             // A copy: the client could change the request while it is being checked.
             let question: Q = *request.payload();
             let answer = handle(&question, &|| request.is_connected());

@@ -24,7 +24,7 @@ pub trait Latest: ZeroCopySend + Copy + Debug + Default + Send + 'static {
     #[doc(hidden)]
     fn writer(node: &Node) -> Result<Writer<Self>, IpcError>;
     #[doc(hidden)]
-    fn poll(finder: &mut Finder<Self>) -> Result<Option<Reader<Self>>, IpcError>;
+    fn poll(finder: &mut Finder<Self>, wanted: &dyn Fn() -> bool) -> Result<Option<Reader<Self>>, IpcError>;
 }
 
 macro_rules! latest {
@@ -36,8 +36,11 @@ macro_rules! latest {
                 node.domain().with_room(|| Writer::create(node))
             }
 
-            fn poll(finder: &mut Finder<Self>) -> Result<Option<Reader<Self>>, IpcError> {
-                finder.look()
+            fn poll(
+                finder: &mut Finder<Self>,
+                wanted: &dyn Fn() -> bool,
+            ) -> Result<Option<Reader<Self>>, IpcError> {
+                finder.look(wanted)
             }
         }
     };

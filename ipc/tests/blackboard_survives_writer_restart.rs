@@ -61,7 +61,9 @@ fn a_finder_that_comes_late_takes_the_newest_writer() {
     assert_eq!((reader.read().seq, reader.epoch()), (2, newer.epoch()));
     assert!(finder.poll().unwrap().is_none(), "the older one is not a newer one");
     drop(newer);
-    assert!(finder.poll().unwrap().is_none(), "nor is it when the newer one has left");
+    let reader = finder.poll().unwrap().expect("the one that lives when the newer one has left");
+    assert_eq!((reader.read().seq, reader.epoch()), (1, older.epoch()));
+    assert!(finder.poll().unwrap().is_none());
 }
 
 #[test]

@@ -48,9 +48,11 @@ fn after_an_orderly_end() {
     assert!(!domain.remove_if_unused().unwrap(), "it is in use");
     drop(node);
     assert!(!domain.remove_if_unused().unwrap(), "ends of services count as well");
+    let other = domain.connect("cli").unwrap();
     drop((writer, finder, reader, ends));
-    assert!(domain.remove_if_unused().unwrap());
-    assert_eq!(traces(&domain), [""; 0]);
+    assert!(domain.exists(), "somebody is still there");
+    drop(other);
+    assert_eq!(traces(&domain), [""; 0], "the last one out removes them");
     assert!(domain.remove_if_unused().unwrap(), "nothing to do is no error");
     assert_eq!(traces(&domain), [""; 0]);
 }

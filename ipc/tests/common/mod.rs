@@ -32,6 +32,12 @@ impl Victim {
         self.0.try_wait().unwrap().is_none()
     }
 
+    /// Whether it is stopped: the state in proc_pid_stat(5).
+    pub fn is_stopped(&self) -> bool {
+        let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.0.id())).unwrap();
+        stat.rsplit_once(')').unwrap().1.trim_start().starts_with('T')
+    }
+
     fn end(&mut self) {
         let _ = self.0.kill();
         let _ = self.0.wait();
