@@ -251,6 +251,24 @@ fn velocities_between_knots_to_their_extremum() {
 }
 
 #[test]
+fn a_limit_just_before_a_knot() {
+    // Without an extremum: the spline rises to beyond the limit, and the knot, by a defect that one QP may leave, has it back.
+    let (mut config, x) = rest();
+    config.planner.replan.iterations = 1;
+    config.robot.planning.qd_max[6] = 0.002;
+    let before = |beyond: f64| {
+        verdict(&config, &x, |p| {
+            (p.x[4][NQ + 6], p.x[5][NQ + 6]) = (0.001, 0.001);
+            // h/2 (u_4 + u_5)
+            (p.u[4][6], p.u[5][6]) = (100.0 * (0.001 + beyond), 100.0 * (0.001 + beyond));
+        })
+    };
+    let unfit = before(0.0101);
+    assert!(matches!(unfit, Some(Unfit::Limit { what: "velocity", joint: 6, knot: 5.0, .. })), "{unfit:?}");
+    assert_eq!(before(0.0099), None);
+}
+
+#[test]
 fn torques_between_knots() {
     // On its way between two knots the arm passes a pose that needs more torque.
     let (mut config, x) = rest();

@@ -103,6 +103,8 @@ impl Gate {
                 let (got, most) = (defect[row].abs(), self.defect);
                 return Err(Unfit::Defect { what, unit, joint, knot: k + 1, got, most });
             }
+            // Where the spline ends, before it jumps to the knot.
+            self.check_state(&(x[1] - defect), k as f64 + 1.0)?;
         }
         Ok(())
     }
