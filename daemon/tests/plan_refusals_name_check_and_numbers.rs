@@ -8,7 +8,7 @@ use upswing_ipc::{Measurement, Plan as Payload};
 use upswing_model::{ActuatedVector, NQ, NU, NX, State, Workspace};
 use upswing_planner::replan::{Effort, Manoeuvre, Planner};
 use upswing_planner::service::payload;
-use upswing_trajectory::{KNOTS, N, Unfit};
+use upswing_trajectory::{Gain, KNOTS, N, Unfit};
 use upswingd::controller::{Controller, Order};
 use upswingd::plan::{PlanRefusal, accept};
 use upswingd::supervisor::{Refusal, Request};
@@ -364,6 +364,84 @@ fn gains_that_drive_away_from_the_plan() {
     assert!(matches!(unfit, Unfit::Amplification { .. }), "{unfit}");
     let unfit = verdict(&|p| scale(&mut p.k, 0.0));
     assert!(matches!(unfit, Unfit::Amplification { .. }), "{unfit}");
+}
+
+/// The amplification of the closed loop from `knot` on: plant (19), filter and delay simulated one after the other for the
+/// deviation of each row by its tolerance; half of an interval with A, B and K of one knot, half with those of the next.
+fn amplification(config: &Config, plan: &Payload, knot: usize, stands: bool) -> f64 {
+    let tolerance = |row: usize| {
+        if row < NQ { config.daemon.start.position } else { config.daemon.start.velocity }
+    };
+    let ts = common::PERIOD;
+    let half = (0.5 * plan.t_f / N as f64 / ts).round() as usize;
+    let t_1 = config.daemon.cycle.velocity_filter;
+    let at = |k: usize| {
+        let (x, u, gain) = if k <= N {
+            (State::from(plan.x[k]), ActuatedVector::from(plan.u[k]), &plan.k[k])
+        } else {
+            (State::from(plan.x[N]), ActuatedVector::zeros(), &plan.k_final)
+        };
+        let d = config.model.derivatives(&x, &u, &mut Workspace::default());
+        (d.a(), d.b(), Gain::from_fn(|i, j| gain[i][j]))
+    };
+    let loops: Vec<_> = (0..=KNOTS).map(at).collect();
+    // After its end the plan is held.
+    let last = if stands { N + 500 } else { N };
+    let from = |row: usize| {
+        let mut x = State::zeros();
+        x[row] = tolerance(row);
+        let mut z = upswing_model::position(&x) - upswing_model::velocity(&x) * t_1;
+        let mut on_its_way = ActuatedVector::zeros();
+        let mut sum = 0.0;
+        for k in knot..=last {
+            sum += (0..NX).map(|row| (x[row] / tolerance(row)).powi(2)).sum::<f64>();
+            let halves = if k < N { [k, k + 1] } else { [KNOTS, KNOTS] };
+            for (a, b, gain) in halves.map(|k| &loops[k]) {
+                for _ in 0..half {
+                    let q = upswing_model::position(&x);
+                    let u = gain * upswing_model::state(&q, &((q - z) / t_1));
+                    z += (q - z) * (1.0 - (-ts / t_1).exp());
+                    // Heun's method.
+                    let slope = a * x + b * on_its_way;
+                    let next = a * (x + slope * ts) + b * on_its_way;
+                    x += (slope + next) * (0.5 * ts);
+                    on_its_way = u;
+                }
+            }
+        }
+        sum.sqrt()
+    };
+    (0..NX).map(from).fold(0.0, f64::max)
+}
+
+#[test]
+fn the_amplification_is_that_of_a_simulation() {
+    let (config, [up, down]) = planned(0.01, START);
+    let check = |plan: &Payload, stands: bool, position: f64, velocity: f64, spoil: &dyn Fn(&mut Payload)| {
+        let mut config = config.clone();
+        (config.daemon.start.position, config.daemon.start.velocity) = (position, velocity);
+        let mut plan = plan.boxed_copy();
+        spoil(&mut plan);
+        plan.seal();
+        let refusal = accept(&plan, &config).unwrap_err();
+        let PlanRefusal::Unfit(Unfit::Amplification { knot, got }) = refusal else { panic!("{refusal}") };
+        let expected = amplification(&config, &plan, knot, stands);
+        assert!((got / expected - 1.0).abs() < 0.01, "at knot {knot} {got}, expected {expected}");
+        // It is the last knot with so much of it.
+        let later = if knot < N { amplification(&config, &plan, knot + 1, stands) } else { 0.0 };
+        assert!(expected > 100.0 && later < 101.0, "at knot {knot} {expected}, then {later}");
+        knot
+    };
+    let scale =
+        |gain: &mut [[f64; NX]; NU], by: f64| gain.as_flattened_mut().iter_mut().for_each(|v| *v *= by);
+    let opposite = |p: &mut Payload| p.k.iter_mut().for_each(|k| scale(k, -1.0));
+    assert!(check(&up, true, 0.05, 0.2, &opposite) < N);
+    assert!(check(&down, false, 0.05, 0.2, &opposite) < N);
+    // With so little tolerance for velocities the angles are what matters, and the other way round.
+    assert_eq!(check(&up, true, 0.05, 1e-3, &|_| ()), N);
+    assert_eq!(check(&up, true, 1e-3, 0.2, &|_| ()), N);
+    // Where nothing is held at the end, the gains of the last two knots are.
+    assert_eq!(check(&down, false, 0.05, 2e-4, &|p| scale(&mut p.k[N], -3.0)), N - 1);
 }
 
 #[test]
