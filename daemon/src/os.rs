@@ -138,8 +138,8 @@ fn forbid_deep_sleep() -> Result<Option<File>, String> {
     }
 }
 
-/// Gives the calling thread the priority, CPU, timer precision and arithmetic of real time, and touches its stack.
-/// Returns what was refused; the rest is done nevertheless.
+/// Gives the calling thread the CPU, timer precision and arithmetic of real time, touches its stack, and finds out whether it
+/// could have the priority, which [`set_priority`] gives. Returns what was refused; the rest is done nevertheless.
 pub fn prepare_thread(settings: &RealtimeSettings) -> Vec<Refused> {
     touch_stack();
     flush_to_zero();
@@ -149,14 +149,15 @@ pub fn prepare_thread(settings: &RealtimeSettings) -> Vec<Refused> {
     if unsafe { libc::prctl(libc::PR_SET_TIMERSLACK, 1_u64) } != 0 {
         refuse(Degradation::TimerSlack, format!("timer slack ({})", Error::last_os_error()));
     }
-    let priority = libc::sched_param { sched_priority: i32::from(settings.priority) };
-    // SAFETY: `priority` is valid for the duration of the call; 0 means this thread.
-    let (set, policy) = unsafe {
-        (libc::sched_setscheduler(0, libc::SCHED_FIFO, &raw const priority), libc::sched_getscheduler(0))
-    };
-    if set != 0 || policy != libc::SCHED_FIFO {
-        let cause = if set != 0 { Error::last_os_error().to_string() } else { format!("policy {policy}") };
-        let wanted = settings.priority;
+    let wanted = settings.priority;
+    let granted = set_priority(thread_id(), Some(wanted)).and_then(|()| {
+        // SAFETY: no pointers; 0 means this thread.
+        match unsafe { libc::sched_getscheduler(0) } & !libc::SCHED_RESET_ON_FORK {
+            libc::SCHED_FIFO => set_priority(thread_id(), None),
+            policy => Err(Error::other(format!("policy {policy}"))),
+        }
+    });
+    if let Err(cause) = granted {
         refuse(
             Degradation::Scheduler,
             format!(
@@ -181,6 +182,20 @@ pub fn prepare_thread(settings: &RealtimeSettings) -> Vec<Refused> {
         }
     }
     refused
+}
+
+/// Gives a thread of this process SCHED_FIFO with a priority, which the threads that it starts do not get, or takes it away.
+///
+/// # Errors
+/// Of the operating system.
+pub fn set_priority(thread: u32, priority: Option<u8>) -> std::io::Result<()> {
+    let policy = priority.map_or(libc::SCHED_OTHER, |_| libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK);
+    let parameters = libc::sched_param { sched_priority: priority.map_or(0, i32::from) };
+    // SAFETY: `parameters` is valid for the duration of the call.
+    match unsafe { libc::sched_setscheduler(thread.cast_signed(), policy, &raw const parameters) } {
+        0 => Ok(()),
+        _ => Err(Error::last_os_error()),
+    }
 }
 
 /// Results too small for a normal number count as 0 in the calling thread: arithmetic on them takes a hundred times as

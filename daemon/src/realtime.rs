@@ -19,17 +19,23 @@ const ORDERS: usize = 64;
 /// Readers of restarted plants.
 const READERS: usize = 8;
 
-/// How the thread waits for a measurement, by the time already waited, ns: up to these it spins, naps (ever longer)
-/// and finally stops waiting to see whether there is something else to do.
+/// How long one look for a measurement lasts, ns; then the thread sees whether there is something else to do.
+const LOOK_NS: u64 = 10_000_000;
+/// On lockstep, by the time already waited, ns: up to these it spins, then naps ever longer.
 const SPIN_NS: u64 = 10_000;
 const SHORTEST_NAPS_NS: u64 = 60_000;
 const SHORT_NAPS_NS: u64 = 5_000_000;
-const PATIENCE_NS: u64 = 10_000_000;
 const SHORTEST_NAP_NS: u64 = 5_000;
 const SHORT_NAP_NS: u64 = 25_000;
 const LONG_NAP_NS: u64 = 500_000;
+/// On paced it sleeps until this share of a period before the next measurement is due; a nap is then this share of a
+/// period, and of the time already waited.
+const EARLY_SHARE: u64 = 16;
+const NAP_SHARE: u64 = 8;
 /// After this time without a measurement the plant counts as lost on the paced clock, ns.
 const PLANT_LOST_NS: u64 = 1_000_000_000;
+/// Longest time that one nap counts for, ns: a machine that has no time for this thread has none for the plant either.
+const LONGEST_NAP_NS: u64 = 1_000_000;
 
 /// An order with the number under which it will be answered.
 pub struct Ticket {
@@ -59,6 +65,8 @@ pub struct Shared {
     pub exit: AtomicBool,
     /// Whether orders wait for a measurement that may be long in coming (lockstep).
     pub stands_still: AtomicBool,
+    /// Whether the plant is on clock `wall`: only then does the thread need real-time priority.
+    pub real_time: AtomicBool,
     /// Records that did not fit into the ring.
     pub dropped: AtomicU64,
     /// Heartbeat of the real-time thread: moves on at least every 20 ms, whether or not there is a plant.
@@ -92,6 +100,8 @@ pub struct Cycle {
     records: Producer<Record>,
     shared: Arc<Shared>,
     period_ns: u64,
+    /// How long the newest measurement has been waited for, not counting when this thread could not run, ns.
+    waited_ns: u64,
     overruns: u64,
     /// Cycles in a row that ended late.
     late: u64,
@@ -123,6 +133,7 @@ impl Cycle {
             records,
             shared: Arc::clone(&shared),
             period_ns: u64::try_from(config.daemon.cycle.period.as_nanos()).unwrap_or(u64::MAX),
+            waited_ns: 0,
             overruns: 0,
             late: 0,
             degraded: 0,
@@ -144,7 +155,6 @@ impl Cycle {
     pub fn run(mut self, degraded: u64) {
         self.degraded = degraded;
         let mut deadline = None;
-        let mut last_new = monotonic_ns();
         let mut lost = false;
         while !self.shared.exit.load(Ordering::Acquire) {
             self.shared.beats.fetch_add(1, Ordering::Relaxed);
@@ -155,23 +165,24 @@ impl Cycle {
             let stands_still =
                 clock == Some(Clock::Lockstep) || (self.reader.is_some() && self.measurement.seq == 0);
             self.shared.stands_still.store(stands_still, Ordering::Release);
+            self.shared.real_time.store(clock == Some(Clock::Wall), Ordering::Relaxed);
             if clock == Some(Clock::Wall) {
                 let planned = deadline.unwrap_or_else(monotonic_ns);
                 sleep_until(planned);
                 deadline = Some(self.wall_cycle(planned));
-                last_new = planned;
+                self.waited_ns = 0;
                 continue;
             }
             deadline = None;
-            if self.wait_for_measurement() {
-                (last_new, lost) = (monotonic_ns(), false);
+            if self.wait_for_measurement(clock) {
+                (self.waited_ns, lost) = (0, false);
                 self.answer_measurement();
                 continue;
             }
             if stands_still {
                 continue;
             }
-            let newly_lost = !lost && self.measurement.seq > 0 && monotonic_ns() - last_new > PLANT_LOST_NS;
+            let newly_lost = !lost && self.measurement.seq > 0 && self.waited_ns > PLANT_LOST_NS;
             if newly_lost {
                 lost = true;
                 self.controller.lose_measurement(PLANT_LOST_NS / self.period_ns);
@@ -207,6 +218,7 @@ impl Cycle {
             self.measurement.seq = 0;
             // The finder of the other thread has the old one open: this only counts down.
             self.reader = Some(reader);
+            self.waited_ns = 0;
         }
     }
 
@@ -281,7 +293,8 @@ impl Cycle {
             self.overruns += 1;
             record.telemetry.flags |= Telemetry::OVERRUN;
         }
-        self.late = if overrun { self.late + 1 } else { 0 };
+        // Where the plant waits for the answer a slow machine does no harm.
+        self.late = if overrun && self.clock() == Some(Clock::Wall) { self.late + 1 } else { 0 };
         self.controller.report_late(self.late);
         record.telemetry.degraded = self.degraded;
         record.overruns = self.overruns;
@@ -297,13 +310,18 @@ impl Cycle {
         }
     }
 
-    /// Waits until the plant shows a measurement with another number, at most [`PATIENCE_NS`]; whether it did.
-    fn wait_for_measurement(&mut self) -> bool {
+    /// Waits until the plant shows a measurement with another number, at most [`LOOK_NS`]; whether it did.
+    fn wait_for_measurement(&mut self, clock: Option<Clock>) -> bool {
         let begin = monotonic_ns();
         let Some(reader) = &self.reader else {
             sleep_until(begin + LONG_NAP_NS);
             return false;
         };
+        let mut last = begin;
+        // The plant keeps its period: until the next measurement is due there is nothing to look for.
+        if clock == Some(Clock::Paced) && self.waited_ns == 0 {
+            sleep_until(begin + self.period_ns - self.period_ns / EARLY_SHARE);
+        }
         loop {
             let measurement = reader.read();
             if measurement.seq != self.measurement.seq {
@@ -313,15 +331,24 @@ impl Cycle {
             // What is there before the first measurement tells the clock.
             self.measurement = measurement;
             let now = monotonic_ns();
-            match now - begin {
-                waited if waited < SPIN_NS => std::hint::spin_loop(),
-                waited if waited < SHORTEST_NAPS_NS => sleep_until(now + SHORTEST_NAP_NS),
-                waited if waited < SHORT_NAPS_NS => sleep_until(now + SHORT_NAP_NS),
-                waited if waited < PATIENCE_NS => sleep_until(now + LONG_NAP_NS),
-                _ => return false,
-            }
-            if self.shared.exit.load(Ordering::Relaxed) {
+            self.waited_ns += (now - last).min(LONGEST_NAP_NS);
+            last = now;
+            if now - begin > LOOK_NS || self.shared.exit.load(Ordering::Relaxed) {
                 return false;
+            }
+            let nap = match (clock, self.waited_ns) {
+                (Some(Clock::Paced), waited) => {
+                    (waited / NAP_SHARE).clamp(self.period_ns / NAP_SHARE, LONG_NAP_NS)
+                }
+                (_, ..SPIN_NS) => 0,
+                (_, ..SHORTEST_NAPS_NS) => SHORTEST_NAP_NS,
+                (_, ..SHORT_NAPS_NS) => SHORT_NAP_NS,
+                _ => LONG_NAP_NS,
+            };
+            if nap == 0 {
+                std::hint::spin_loop();
+            } else {
+                sleep_until(now + nap);
             }
         }
     }

@@ -1,4 +1,5 @@
-//! The other thread: finds the plant, answers requests, checks plans, publishes telemetry.
+//! The other thread: answers requests, checks plans, publishes telemetry, hands over plants. It never waits for other
+//! processes: those who stop the arm wait for it.
 
 use crate::controller::{Order, Record};
 use crate::journal::Journal;
@@ -8,6 +9,7 @@ use crate::plan;
 use crate::realtime::{Cycle, Ends, Report, Ticket};
 use crate::recovery::{Action, Recovery};
 use crate::supervisor::{Refusal, Request, is_braked};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
 use std::thread::{Builder, JoinHandle, sleep};
@@ -17,14 +19,12 @@ use upswing_config::notify::Notifier;
 use upswing_config::process::Failure;
 use upswing_config::{Config, RealtimeMode};
 use upswing_ipc::{
-    Command, ControlCommand, ControlRequest, ControlResponse, Domain, Finder, IpcError, Measurement, Mode,
-    Node, Plan, PlannerKind, PlannerRequest, Text,
+    Command, ControlCommand, ControlRequest, ControlResponse, Degradation, Domain, IpcError, Measurement,
+    Mode, Node, Plan, PlannerKind, PlannerRequest, Reader, Search, Text,
 };
 
 /// Pause of the loop.
 const PAUSE: Duration = Duration::from_millis(1);
-/// How often it looks for a new plant.
-const LOOK: Duration = Duration::from_millis(30);
 /// How long a request waits for the real-time thread; and where time stands still (lockstep), where the answer cannot
 /// come before the plant is told to advance.
 const ANSWER: Duration = Duration::from_millis(200);
@@ -58,6 +58,10 @@ pub fn serve(config: &Config, domain: &Domain, shutdown: &AtomicBool) -> Result<
     desk.manager.stopping();
     desk.ends.shared.exit.store(true, Ordering::Release);
     let joined = thread.join();
+    desk.closing.store(true, Ordering::Release);
+    if let Some(asker) = desk.asker.take() {
+        let _ = asker.join();
+    }
     desk.fetch();
     let flushed = desk.journal.flush(desk.dropped());
     desk.complain_of(flushed);
@@ -90,6 +94,7 @@ fn start_thread(
     let (tid, degraded, refused) =
         told.recv().map_err(|_| Failure::Failed("the real-time thread did not start".into()))?;
     desk.degraded = degraded;
+    desk.threads = [(tid, settings.priority), (os::thread_id(), settings.priority.saturating_sub(1).max(1))];
     if degraded != 0 {
         let reasons = refused.into_iter().map(|refused| refused.why).collect::<Vec<_>>().join(", ");
         if settings.mode == RealtimeMode::Strict {
@@ -112,8 +117,13 @@ struct Desk<'a> {
     config: &'a Config,
     node: Node,
     ends: Ends,
-    plants: Finder<Measurement>,
-    next_look: Instant,
+    plants: Search<Measurement>,
+    /// Whether a plant was found, and one that the real-time thread has no room for yet.
+    found: bool,
+    waiting: Option<Reader<Measurement>>,
+    /// The real-time thread and this one, with their priorities where time is real, and whether they have them.
+    threads: [(u32, u8); 2],
+    prioritised: bool,
     journal: Journal<'a>,
     manager: Notifier,
     /// The heartbeat of the real-time thread as the manager knows it.
@@ -123,6 +133,8 @@ struct Desk<'a> {
     recovery: Recovery,
     /// Asks the planner for a recovery.
     asker: Option<JoinHandle<Result<u64, String>>>,
+    /// Tells it that nobody waits any more.
+    closing: Arc<AtomicBool>,
     /// Bits of [`upswing_ipc::Degradation`].
     degraded: u64,
     tickets: u64,
@@ -140,14 +152,19 @@ impl<'a> Desk<'a> {
             config,
             node: node.clone(),
             ends,
-            plants: node.finder::<Measurement>(),
-            next_look: Instant::now(),
+            plants: Search::start(node)
+                .map_err(|e| Failure::Failed(format!("cannot start a thread: {e}")))?,
+            found: false,
+            waiting: None,
+            threads: [(0, 1); 2],
+            prioritised: false,
             journal: Journal::new(&config.daemon, node).map_err(failed)?,
             manager: Notifier::new(),
             beats: 0,
             mode_told: None,
             recovery: Recovery::new(config.daemon.recovery),
             asker: None,
+            closing: Arc::default(),
             degraded: 0,
             tickets: 0,
             awaited: 0,
@@ -168,9 +185,8 @@ impl<'a> Desk<'a> {
         let plans = self.node.subscriber::<Plan>().map_err(failed)?;
         let mut shutdown_begin = None;
         while !thread.is_finished() {
-            if self.next_look <= Instant::now() {
-                self.look();
-            }
+            self.look();
+            self.set_priorities();
             match plans.receive() {
                 // A copy: the planner could change the plan while it is being checked.
                 Ok(Some(sample)) => self.load(&sample.boxed_copy()),
@@ -193,22 +209,39 @@ impl<'a> Desk<'a> {
         Err(Failure::Failed("the real-time thread ended".into()))
     }
 
-    /// Looks for a plant that started after the one found last.
+    /// Hands over a plant that was found, until there is room for it.
     fn look(&mut self) {
-        self.next_look = Instant::now() + LOOK;
-        match self.plants.poll() {
+        match self.plants.take() {
             Ok(Some(reader)) => {
                 info!("found a plant, started at {} ns", reader.epoch());
                 // Its memory is mapped now, not in the real-time thread.
                 reader.read();
-                if self.ends.readers.push(reader).is_err() {
-                    self.complain(
-                        "the real-time thread does not take the measurements of a new plant".into(),
-                    );
-                }
+                (self.found, self.waiting) = (true, Some(reader));
             }
             Ok(None) => {}
             Err(e) => self.complain(e.to_string()),
+        }
+        if let Some(reader) = self.waiting.take()
+            && let Err(rtrb::PushError::Full(reader)) = self.ends.readers.push(reader)
+        {
+            self.waiting = Some(reader);
+            self.complain("the real-time thread does not take the measurements of a new plant".into());
+        }
+    }
+
+    /// Real-time priority where time is real, and only there: the plant of another clock waits, and so does the real-time
+    /// thread, beside which other programs want to run. This thread has it too, below: an operator's stop does not wait for
+    /// them.
+    fn set_priorities(&mut self) {
+        let wanted = self.ends.shared.real_time.load(Ordering::Relaxed);
+        if wanted == self.prioritised || self.degraded & Degradation::Scheduler.bit() != 0 {
+            return;
+        }
+        self.prioritised = wanted;
+        for (thread, priority) in self.threads {
+            if let Err(e) = os::set_priority(thread, wanted.then_some(priority)) {
+                self.complain(format!("cannot change the priority of thread {thread}: {e}"));
+            }
         }
     }
 
@@ -295,7 +328,7 @@ impl<'a> Desk<'a> {
     fn ask(&mut self, request: Request) -> Result<&'static str, String> {
         let begin = Instant::now();
         // Who starts a plant and enables at once means that plant.
-        while request == Request::Enable && self.plants.epoch().is_none() && begin.elapsed() < ANSWER {
+        while request == Request::Enable && !self.found && begin.elapsed() < ANSWER {
             self.look();
             sleep(PAUSE);
         }
@@ -412,10 +445,12 @@ impl<'a> Desk<'a> {
     fn ask_planner(&mut self) {
         info!("recovery: the pendulum rests, asking for a plan");
         let (node, patience) = (self.node.clone(), self.config.daemon.recovery.patience);
+        let closing = Arc::clone(&self.closing);
         let ask = move || {
             let request = PlannerRequest::from_now(PlannerKind::SwingUp);
             let client = node.client::<PlannerRequest>().map_err(|e| e.to_string())?;
-            let answer = client.call(&request, patience).map_err(|e| e.to_string())?;
+            let wanted = || !closing.load(Ordering::Acquire);
+            let answer = client.call_while(&request, patience, wanted).map_err(|e| e.to_string())?;
             if answer.plan_id == 0 { Err(answer.reason.to_string()) } else { Ok(answer.plan_id) }
         };
         match Builder::new().name("recovery".into()).spawn(ask) {

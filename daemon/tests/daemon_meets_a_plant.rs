@@ -132,6 +132,68 @@ fn a_plant_that_stops_or_restarts_is_a_fault() {
     }
 }
 
+/// The lock of all that create and clean up, held by somebody who does not give it back.
+fn hold_construction(domain: &Domain) -> std::fs::File {
+    let file = std::fs::File::options().write(true).open(domain.root().join("construction.lock")).unwrap();
+    file.lock().unwrap();
+    file
+}
+
+#[test]
+fn a_lock_that_is_not_given_back_delays_no_request_and_loses_no_cycle() {
+    let domain = OwnDomain::new("daemon").unwrap();
+    let node = domain.connect("operator").unwrap();
+    let client = node.client::<ControlRequest>().unwrap();
+    let daemon = Daemon::start(&domain);
+    let mut plant = Plant::new(&node, Clock::Lockstep);
+    plant.exchange();
+    ask_until(&client, ControlCommand::Status, |answer| answer.seq == 1);
+    let telemetry = node.subscriber::<TelemetryBatch>().unwrap();
+    let held = hold_construction(&domain);
+    // More than the ring from the real-time thread has room for; the plant waits for what is fetched every now and then.
+    for _ in 0..30 {
+        for _ in 0..1000 {
+            plant.exchange();
+        }
+        let seq = plant.seq;
+        ask_until(&client, ControlCommand::Status, |answer| answer.seq == seq);
+        while let Some(batch) = telemetry.receive().unwrap() {
+            assert_eq!(batch.dropped, 0);
+        }
+    }
+    // It ends although somebody looks for plants.
+    daemon.end().unwrap();
+    drop(held);
+}
+
+#[test]
+fn requests_without_end_do_not_keep_it_from_ending() {
+    let domain = OwnDomain::new("daemon").unwrap();
+    let node = domain.connect("operator").unwrap();
+    let client = node.client::<ControlRequest>().unwrap();
+    let daemon = Daemon::start(&domain);
+    ask_until(&client, ControlCommand::Status, |_| true);
+    // Without a plant each of these takes a while; two always wait.
+    let busy: Vec<_> = (0..3)
+        .map(|_| {
+            let domain = domain.clone();
+            spawn(move || {
+                let client = domain.connect("operator").unwrap().client::<ControlRequest>().unwrap();
+                while client.call(&ControlRequest::new(ControlCommand::Enable), LONG).is_ok() {}
+            })
+        })
+        .collect();
+    ask(&client, ControlCommand::Status);
+    daemon.shutdown.store(true, Ordering::Release);
+    let begin = Instant::now();
+    while !daemon.thread.is_finished() {
+        assert!(begin.elapsed() < LONG, "the daemon does not hear that it shall end");
+        sleep(Duration::from_millis(1));
+    }
+    daemon.end().unwrap();
+    busy.into_iter().for_each(|client| client.join().unwrap());
+}
+
 #[test]
 fn a_second_daemon_is_refused() {
     let domain = OwnDomain::new("daemon").unwrap();

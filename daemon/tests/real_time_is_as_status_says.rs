@@ -16,7 +16,7 @@ use upswing_ipc::{
     Telemetry, TelemetryBatch,
 };
 
-/// The daemon as a process of its own, on the wall clock.
+/// The daemon as a process of its own.
 struct System {
     daemon: Child,
     plant: Option<JoinHandle<()>>,
@@ -51,6 +51,10 @@ fn daemon(settings: &Path, domain: &Domain) -> Command {
 
 impl System {
     fn start(edits: &[(&str, &str)]) -> Self {
+        Self::start_on(Clock::Wall, edits)
+    }
+
+    fn start_on(clock: Clock, edits: &[(&str, &str)]) -> Self {
         let domain = OwnDomain::new("daemon").unwrap();
         let node = domain.connect("operator").unwrap();
         let (client, telemetry) =
@@ -58,7 +62,7 @@ impl System {
         let folder = settings(edits);
         let daemon = daemon(folder.path(), &domain).spawn().unwrap();
         let stop = Arc::new(AtomicBool::new(false));
-        let plant = Some(running_plant(&domain, Clock::Wall, &stop));
+        let plant = Some(running_plant(&domain, clock, &stop));
         // Settings are read before it answers.
         ask_until(&client, ControlCommand::Status, |answer| answer.seq > 100);
         Self { daemon, plant, stop, client, telemetry, _node: node, _domain: domain }
@@ -88,14 +92,34 @@ impl System {
 
     /// A line of a file about the real-time thread.
     fn thread(&self, file: &str) -> String {
+        self.thread_called("realtime", file)
+    }
+
+    /// A line of a file about the thread of this name.
+    fn thread_called(&self, name: &str, file: &str) -> String {
         let tasks = format!("/proc/{}/task", self.daemon.id());
         for task in std::fs::read_dir(tasks).unwrap() {
             let path = task.unwrap().path();
-            if std::fs::read_to_string(path.join("comm")).is_ok_and(|name| name.trim() == "realtime") {
+            if std::fs::read_to_string(path.join("comm")).is_ok_and(|found| found.trim() == name) {
                 return std::fs::read_to_string(path.join(file)).unwrap();
             }
         }
-        panic!("no real-time thread");
+        panic!("no thread {name}");
+    }
+
+    /// Waits until a thread has this policy and priority, proc_pid_stat(5).
+    fn wait_for_policy(&self, name: &str, policy: i32, priority: u64) {
+        let begin = Instant::now();
+        loop {
+            let line = self.thread_called(name, "stat");
+            // SCHED_RESET_ON_FORK is no part of it.
+            let found = (stat(&line, 41), stat(&line, 40));
+            if found == (policy as u64, priority) {
+                return;
+            }
+            assert!(begin.elapsed() < LONG, "{name} has policy and priority {found:?}");
+            sleep(Duration::from_millis(1));
+        }
     }
 }
 
@@ -130,9 +154,10 @@ fn what_is_not_refused_holds() {
     let degraded = ask(&system.client, ControlCommand::Status).degraded;
     let granted = |what: Degradation| degraded & what.bit() == 0;
     if granted(Degradation::Scheduler) {
-        // Policy and priority, proc(5).
-        let stat_line = system.thread("stat");
-        assert_eq!((stat(&stat_line, 41), stat(&stat_line, 40)), (libc::SCHED_FIFO as u64, 80));
+        system.wait_for_policy("realtime", libc::SCHED_FIFO, 80);
+        // Who serves an operator's stop comes next, who looks for plants has no hurry.
+        system.wait_for_policy("upswingd", libc::SCHED_FIFO, 79);
+        system.wait_for_policy("search", libc::SCHED_OTHER, 0);
     }
     if granted(Degradation::Memory) {
         let status = std::fs::read_to_string(format!("/proc/{}/status", system.daemon.id())).unwrap();
@@ -144,6 +169,18 @@ fn what_is_not_refused_holds() {
         assert_eq!(faults(), before, "page faults of the real-time thread in 4000 cycles");
     }
     assert_eq!(system.find(|_| true).degraded, degraded);
+}
+
+#[test]
+fn real_time_priority_belongs_to_the_wall_clock() {
+    let system = System::start_on(Clock::Paced, &[]);
+    ask_until(&system.client, ControlCommand::Enable, |answer| answer.accepted == 1);
+    let seq = ask(&system.client, ControlCommand::Status).seq;
+    system.find(|record| record.seq > seq + 1000);
+    for thread in ["realtime", "upswingd", "search"] {
+        let line = system.thread_called(thread, "stat");
+        assert_eq!((stat(&line, 41), stat(&line, 40)), (libc::SCHED_OTHER as u64, 0), "{thread}");
+    }
 }
 
 #[test]

@@ -11,7 +11,7 @@ use upswing_config::notify::Notifier;
 use upswing_config::process::{Failure, ProcessArgs, shutdown_flag};
 use upswing_ipc::{
     Domain, Mode, PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus, Subscriber, Telemetry,
-    TelemetryBatch, Text,
+    TelemetryBatch, Text, Topic as _,
 };
 use upswing_model::{ActuatedVector, NQ, NU, NX, State, Workspace};
 use upswing_trajectory::Plan;
@@ -55,7 +55,8 @@ fn serve(planner: &Planner, domain: &Domain, stop: &Arc<AtomicBool>) -> Result<(
             desk.observe(record, Instant::now());
         }
         let mut published = Vec::new();
-        let answered = server.poll_while_wanted(|request, wanted| {
+        let answered = server.poll_while_wanted(|request, connected| {
+            let wanted = &|| connected() && !stop.load(Ordering::Acquire);
             let begin = Instant::now();
             let (response, plan) = loop {
                 // What was measured until now counts. An error comes again with the next look.
@@ -86,7 +87,7 @@ fn serve(planner: &Planner, domain: &Domain, stop: &Arc<AtomicBool>) -> Result<(
         }
         publisher.greet()?;
         if answered == 0 {
-            desk.prepare();
+            desk.prepare(&|| !stop.load(Ordering::Acquire));
             std::thread::sleep(PAUSE);
         }
         manager.alive();
@@ -98,7 +99,9 @@ fn serve(planner: &Planner, domain: &Domain, stop: &Arc<AtomicBool>) -> Result<(
 /// The newest record waiting.
 fn drain(telemetry: &Subscriber<TelemetryBatch>) -> Result<Option<Telemetry>, upswing_ipc::IpcError> {
     let mut newest = None;
-    while let Some(batch) = telemetry.receive()? {
+    // Bounded: a publisher that never pauses must not keep the planner here.
+    for _ in 0..TelemetryBatch::BUFFER {
+        let Some(batch) = telemetry.receive()? else { break };
         newest = batch.used().last().copied().or(newest);
     }
     Ok(newest)
@@ -128,8 +131,9 @@ impl<'a> Desk<'a> {
         self.newest = Some((record, seen));
     }
 
-    /// While the arm holds and nothing moves, keeps a swing-up from here ready, so that a request is answered at once.
-    pub fn prepare(&mut self) {
+    /// While the arm holds and nothing moves, keeps a swing-up from here ready, so that a request is answered at once;
+    /// gives up when `wanted` says no.
+    pub fn prepare(&mut self, wanted: &dyn Fn() -> bool) {
         let Some((record, seen)) = &self.newest else { return };
         let start = measured(record);
         // In lockstep equal runs give equal plans, however long they take.
@@ -144,8 +148,13 @@ impl<'a> Desk<'a> {
         if self.prepared.as_ref().is_some_and(|(from, _)| near(from, &start)) {
             return;
         }
-        let effort = Effort::iterations(self.planner.config().planner.replan.iterations);
+        let iterations = self.planner.config().planner.replan.iterations;
+        let cancelled = || !wanted();
+        let effort = Effort { cancelled: Some(&cancelled), ..Effort::iterations(iterations) };
         let replan = self.planner.replan_with(&mut self.solver, Manoeuvre::SwingUp, &start, &effort);
+        if !wanted() {
+            return;
+        }
         if let Err(e) = &replan {
             warn!("no swing-up from the present pose: {e}");
         }

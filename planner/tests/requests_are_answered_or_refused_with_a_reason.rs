@@ -46,7 +46,7 @@ fn a_plan_is_ready_while_the_arm_holds() {
     let mut desk = Desk::new(&planner);
     let x = rest(&planner);
     desk.observe(record(&x, Mode::Hold, false), Instant::now());
-    desk.prepare();
+    desk.prepare(&|| true);
     let (answer, plan) = ask(&mut desk, &PlannerRequest::from_now(PlannerKind::SwingUp));
     assert_eq!(answer.reason.as_str(), Ok("ready before it was asked for"));
     let plan = plan.expect("a plan");
@@ -75,7 +75,7 @@ fn in_lockstep_a_plan_begins_with_the_state_of_the_record() {
             x[NQ + 7] = 0.0;
         }
         desk.observe(record(&x, Mode::Hold, true), Instant::now());
-        desk.prepare();
+        desk.prepare(&|| true);
         let (answer, plan) = ask(&mut desk, &PlannerRequest::from_now(PlannerKind::SwingUp));
         assert_eq!(answer.reason.as_str(), Ok(""), "nothing is prepared in lockstep");
         assert!((plan.expect("a plan").trajectory.x[0] - x).amax() < 1e-6);
@@ -162,7 +162,7 @@ fn from_a_daemon_that_has_fallen_silent() {
     }
     // Nothing is prepared for it, either.
     desk.observe(record(&rest(&planner), Mode::Hold, false), long_ago);
-    desk.prepare();
+    desk.prepare(&|| true);
     desk.observe(record(&rest(&planner), Mode::Hold, false), Instant::now());
     let (answer, _) = ask(&mut desk, &PlannerRequest::from_now(PlannerKind::SwingUp));
     assert_eq!(answer.reason.as_str(), Ok(""));

@@ -13,7 +13,7 @@ const LONG_PAUSE: Duration = Duration::from_micros(300);
 /// Longest time that one round counts for: an interruption of this process is not the other one's silence.
 const LONGEST_ROUND: Duration = Duration::from_millis(10);
 
-/// Waiting for another process, at first eagerly, then gently.
+/// Waiting for another process, at first eagerly where speed counts, then gently.
 pub(crate) struct Patience {
     rounds: u32,
     waited: Duration,
@@ -23,6 +23,11 @@ pub(crate) struct Patience {
 impl Patience {
     pub(crate) fn new() -> Self {
         Self { rounds: 0, waited: Duration::ZERO, last: Instant::now() }
+    }
+
+    /// Waits with short pauses from the beginning.
+    pub(crate) fn gentle() -> Self {
+        Self { rounds: SPINS + YIELDS, ..Self::new() }
     }
 
     /// One round. True if it was no mere spin: then, and at least once per ms, there is time for other work.

@@ -1,10 +1,9 @@
 //! The process: the plant on its clock, its measurements, and the `plant` service.
 
 use crate::clock::{Patience, wake_precisely};
-use crate::link::{Link, search};
+use crate::link::Link;
 use crate::{Plant, SetEventError};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc;
 use std::time::Duration;
 use tracing::{info, warn};
 use upswing_config::notify::Notifier;
@@ -42,23 +41,12 @@ pub(crate) fn serve(
     let node = domain.connect("plant")?;
     // First: it refuses a second plant before that disturbs the daemon.
     let server = node.server::<PlantRequest>()?;
-    let done = AtomicBool::new(false);
-    let (sender, found) = mpsc::channel();
-    std::thread::scope(|threads| {
-        let searcher = std::thread::Builder::new().name("search".into()).spawn_scoped(threads, {
-            let (node, done) = (node.clone(), &done);
-            move || search(&node, &sender, done)
-        })?;
-        let link = Link::new(found);
-        let outcome = node.writer::<Measurement>().map(|writer| {
-            let manager = Notifier::new();
-            let front = Front { plant, clock, granted: 0, measured: false, server, failing: false, manager };
-            Service { front, writer, published: 0, link, watchdog_cycles, shutdown }.run();
-        });
-        done.store(true, Ordering::Release);
-        searcher.thread().unpark();
-        Ok(outcome?)
-    })
+    let link = Link::new(&node)?;
+    let writer = node.writer::<Measurement>()?;
+    let front =
+        Front { plant, clock, granted: 0, measured: false, server, failing: false, manager: Notifier::new() };
+    Service { front, writer, published: 0, link, watchdog_cycles, shutdown }.run();
+    Ok(())
 }
 
 /// Whether a daemon answers.
@@ -153,6 +141,15 @@ impl Service<'_> {
                 presence = self.found();
             }
             let shown = self.publish(None);
+            let mut due = 0;
+            if paced {
+                // The answer comes meanwhile: to wait for it costs one sleep.
+                deadline = deadline.saturating_add(period);
+                self.wait_until(deadline);
+                due = monotonic_ns();
+                // This process does not make up for what it was late itself.
+                deadline = deadline.max(due.saturating_sub(period));
+            }
             let waits = presence == Presence::Present || (presence == Presence::Awaited && !paced);
             let mut answer = None;
             if let Some(shown) = shown
@@ -164,8 +161,8 @@ impl Service<'_> {
                 break;
             }
             if paced {
-                deadline = monotonic_ns().max(deadline.saturating_add(period));
-                self.wait_until(deadline);
+                // A late answer moves all later deadlines.
+                deadline = deadline.saturating_add(monotonic_ns().saturating_sub(due));
             }
             if presence != Presence::Present
                 && let Some(command) = self.link.take(self.front.plant.seq())
@@ -194,13 +191,14 @@ impl Service<'_> {
 
     /// Waits for the command that answers the measurement `seq`; None if the daemon is lost or on shutdown.
     fn wait_for_answer(&mut self, seq: u64, presence: &mut Presence) -> Option<Command> {
-        let mut patience = Patience::new();
+        let paced = self.front.clock == Clock::Paced;
+        let mut patience = if paced { Patience::gentle() } else { Patience::new() };
         let newest = self.front.plant.seq();
         loop {
             if let Some(command) = self.link.take(newest) {
                 if *presence != Presence::Present {
                     *presence = self.found();
-                    patience = Patience::new();
+                    patience = Patience::gentle();
                 }
                 if command.measurement_seq == seq {
                     return Some(command);
