@@ -29,7 +29,7 @@ use progress::{byte_bar, progress_bar, spinner, time_bar};
 use serde::Serialize;
 use std::path::Path;
 use upswing_config::process::{Failure, ProcessArgs};
-use upswing_ipc::{Clock, Domain, IpcError, Node, OwnDomain};
+use upswing_ipc::{CallError, Clock, ControlRequest, Domain, IpcError, Node, OwnDomain, Request as _};
 
 /// Options of every command but the processes.
 #[derive(Clone, Debug, clap::Args)]
@@ -51,13 +51,29 @@ impl CommonArgs {
         print(self.json, result)
     }
 
-    /// Joins the domain.
+    /// Joins the domain, where there is one: a client creates none.
+    ///
+    /// # Errors
+    /// [`Failure`] for a bad name, an unusable domain, or one that nobody has joined.
+    pub fn connect(&self) -> Result<Node, Failure> {
+        let domain = self.domain()?;
+        if !domain.exists() {
+            let domain = domain.name().to_owned();
+            return Err(failed(CallError::NoServer { service: ControlRequest::SERVICE, domain }));
+        }
+        domain.connect("cli").map_err(failed)
+    }
+
+    /// Joins the domain, to wait for others there.
     ///
     /// # Errors
     /// [`Failure`] for a bad name or an unusable domain.
-    pub fn connect(&self) -> Result<Node, Failure> {
-        let domain = Domain::new(&self.process.domain).map_err(|e| Failure::BadInput(e.to_string()))?;
-        domain.connect("cli").map_err(failed)
+    pub fn join(&self) -> Result<Node, Failure> {
+        self.domain()?.connect("cli").map_err(failed)
+    }
+
+    fn domain(&self) -> Result<Domain, Failure> {
+        Domain::new(&self.process.domain).map_err(|e| Failure::BadInput(e.to_string()))
     }
 }
 
@@ -85,6 +101,11 @@ fn own_system(
 /// A refusal of an input is the user's to mend; of everything else the `logs` tell more.
 fn session_failure(e: &SessionError, logs: &Path) -> Failure {
     match e {
+        SessionError::Interrupted => {
+            // What somebody ends needs no explanation.
+            let _ = std::fs::remove_dir_all(logs);
+            failed(e)
+        }
         SessionError::Ended { status, .. } if status.code() == Some(2) => Failure::BadInput(e.to_string()),
         SessionError::Ipc(IpcError::Taken { .. }) => {
             failed(format!("{e}; is another system using this domain?"))

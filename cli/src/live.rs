@@ -38,7 +38,7 @@ impl Live {
     /// # Errors
     /// [`Failure`] for unusable settings or an unusable domain.
     pub fn open(common: &CommonArgs, config: &Config) -> Result<Self, Failure> {
-        let node = common.connect()?;
+        let node = common.join()?;
         let open = || -> Result<Self, OperatorError> {
             Ok(Self {
                 telemetry: node.subscriber()?,

@@ -279,6 +279,29 @@ fn scenario_name(file: &EmbeddedFile) -> &'static str {
     file.name.trim_start_matches(SCENARIO_FOLDER).trim_start_matches('/').trim_end_matches(".toml")
 }
 
+/// The bytes of a regular file. Anything else in its place (a pipe, a device) is refused: it could block for good, or never
+/// end.
+///
+/// # Errors
+/// Of the operating system.
+pub fn read_file(path: &Path) -> std::io::Result<Vec<u8>> {
+    check_regular(path)?;
+    std::fs::read(path)
+}
+
+/// Whether what is at a path, if anything, may be opened as a file: a directory, pipe or device may not.
+///
+/// # Errors
+/// Of the operating system.
+pub fn check_regular(path: &Path) -> std::io::Result<()> {
+    match path.metadata() {
+        Ok(state) if state.is_dir() => Err(std::io::ErrorKind::IsADirectory.into()),
+        Ok(state) if !state.is_file() => Err(std::io::Error::other("it is not a regular file")),
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(e),
+        _ => Ok(()),
+    }
+}
+
 /// One file of a set: of the folder, or the embedded one.
 fn contents(dir: Option<&Path>, file: &EmbeddedFile) -> Result<Contents, ConfigError> {
     match dir {
@@ -286,7 +309,7 @@ fn contents(dir: Option<&Path>, file: &EmbeddedFile) -> Result<Contents, ConfigE
         Some(dir) => {
             let path = dir.join(file.name);
             let name = path.display().to_string();
-            match std::fs::read(path) {
+            match read_file(&path) {
                 Ok(bytes) => Ok((name, Cow::Owned(bytes))),
                 Err(cause) => Err(ConfigError::Unreadable { file: name, cause }),
             }
@@ -303,7 +326,7 @@ fn text_of(dir: Option<&Path>, file: &EmbeddedFile) -> Result<(String, String), 
 /// Name and text of a file that is of no set.
 fn text_of_path(path: &Path) -> Result<(String, String), ConfigError> {
     let name = path.display().to_string();
-    match std::fs::read(path) {
+    match read_file(path) {
         Ok(bytes) => as_text(name, bytes),
         Err(cause) => Err(ConfigError::NoFile { file: name, cause }),
     }

@@ -64,10 +64,16 @@ pub fn finish(result: Result<(), Failure>) -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
             let level = if stderr_is_journal() { "<3>" } else { "" };
-            eprintln!("{level}error: {failure}");
+            note(&format!("{level}error: {failure}"));
             ExitCode::from(failure.code())
         }
     }
+}
+
+/// Writes a line on stderr; where that is full or nobody reads it, nothing is lost that anybody would see.
+pub fn note(line: &str) {
+    use std::io::Write;
+    let _ = writeln!(std::io::stderr(), "{line}");
 }
 
 /// Whether to write colours to `stream`: a terminal, and NO_COLOR (<https://no-color.org>) is not set.
@@ -81,7 +87,11 @@ pub fn start_logging() {
     let filter = tracing_subscriber::EnvFilter::builder()
         .with_default_directive(tracing_subscriber::filter::LevelFilter::INFO.into())
         .from_env_lossy();
-    let logger = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    // Its own complaints about a stderr that cannot be written would go there, too, and panic.
+    let logger = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .log_internal_errors(false);
     // A second call (several roles in one test process) leaves the first logger in place.
     let _ = if stderr_is_journal() {
         logger.with_ansi(false).event_format(JournalFormat::default()).try_init()

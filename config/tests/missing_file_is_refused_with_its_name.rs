@@ -27,6 +27,30 @@ fn each_file() {
 }
 
 #[test]
+fn pipes_and_devices_in_place_of_files() {
+    for file in FILES {
+        let dir = exported();
+        let path = dir.path().join(file);
+        for replace in [["mkfifo"].as_slice(), &["ln", "-s", "/dev/zero"]] {
+            let _ = std::fs::remove_file(&path);
+            let made = std::process::Command::new(replace[0]).args(&replace[1..]).arg(&path).status();
+            assert!(made.expect("coreutils").success());
+            // A hang would be the end of the thread, too late for the test.
+            let (tell, told) = std::sync::mpsc::channel();
+            let folder = dir.path().to_owned();
+            std::thread::spawn(move || {
+                tell.send(Config::load(Some(&folder)).and_then(|config| config.database().map(drop)))
+            });
+            let outcome = told.recv_timeout(std::time::Duration::from_secs(60)).expect("no hang");
+            let message = outcome.expect_err("no file").to_string();
+            for part in [path.display().to_string().as_str(), "regular file"] {
+                assert!(message.contains(part), "no `{part}` in: {message}");
+            }
+        }
+    }
+}
+
+#[test]
 fn a_folder_that_does_not_exist() {
     let dir = exported();
     let message = Config::from_dir(&dir.path().join("none")).expect_err("no folder").to_string();

@@ -122,7 +122,7 @@ pub enum FlightError {
 /// # Errors
 /// [`FlightError`] for whatever is no such file.
 pub fn read(path: &Path) -> Result<Vec<Telemetry>, FlightError> {
-    let bytes = fs::read(path)?;
+    let bytes = upswing_config::read_file(path)?;
     let words: Vec<u64> = bytes.as_chunks::<WORD>().0.iter().map(|word| u64::from_le_bytes(*word)).collect();
     let word = |i: usize| words.get(i).copied().unwrap_or(0);
     if word(0) != MAGIC || word(1) != RECORD_WORDS as u64 {

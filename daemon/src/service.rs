@@ -39,6 +39,8 @@ const SIGN_OF_LIFE: Duration = Duration::from_millis(200);
 /// [`Failure::Failed`] if the domain cannot be used, if it has a daemon already, or if real-time scheduling is refused
 /// where the settings insist on it.
 pub fn serve(config: &Config, domain: &Domain, shutdown: &AtomicBool) -> Result<(), Failure> {
+    // Before any memory is claimed: too little of it ends a process without a word.
+    Domain::check_limits().map_err(failed)?;
     // Before anything is mapped, so that nothing of it faults later.
     let (_prepared, refused) = os::prepare_process();
     let node = domain.connect("daemon").map_err(failed)?;

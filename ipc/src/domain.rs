@@ -150,8 +150,10 @@ impl Domain {
     ///
     /// # Errors
     /// [`IpcError::Root`] or [`IpcError::Foreign`] if the directory cannot be used, [`IpcError::Connect`] if the
-    /// node cannot be created, [`IpcError::Full`] if there is no room for it.
+    /// node cannot be created, [`IpcError::Full`] if there is no room for it, [`IpcError::Limit`] if the system lets this
+    /// process have too little.
     pub fn connect(&self, role: &str) -> Result<Node, IpcError> {
+        Self::check_limits()?;
         self.with_room(|| self.join(role))
     }
 

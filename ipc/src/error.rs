@@ -46,6 +46,18 @@ pub enum IpcError {
         /// Bytes of a whole system.
         system: u64,
     },
+    /// The operating system lets this process have too little of something.
+    #[error("this process may have only {allowed} {what}, {needed} are needed; raise that limit ({setting})")]
+    Limit {
+        /// Of what.
+        what: &'static str,
+        /// How much it may have.
+        allowed: u64,
+        /// How much it needs.
+        needed: u64,
+        /// Where that is set.
+        setting: &'static str,
+    },
     /// The node could not be created.
     #[error(
         "cannot join domain `{domain}` as `{role}`: {cause}; roles have at most 128 ASCII characters; check the free \

@@ -43,6 +43,7 @@ mod codes;
 mod construction;
 mod domain;
 mod error;
+mod limits;
 mod messages;
 mod node;
 mod own;

@@ -303,7 +303,7 @@ fn summary(database: &Database, poses: usize, resumed: usize) -> Summary {
 
 /// The finished file of exactly this build, if it is there. One of other settings is replaced in the end.
 fn finished(output: &Path, heading: &Heading) -> Result<Option<Database>, BuildError> {
-    match std::fs::read(output) {
+    match upswing_config::read_file(output) {
         Ok(bytes) => Ok(Database::decode(&bytes).ok().filter(|d| d.heading == *heading)),
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(None),
         Err(cause) => Err(BuildError::File { action: "read", path: output.to_owned(), cause }),
@@ -314,6 +314,7 @@ fn finished(output: &Path, heading: &Heading) -> Result<Option<Database>, BuildE
 fn open_journal(path: &Path, heading: &Heading) -> Result<(File, Vec<Record>), BuildError> {
     let failed = |action| move |cause| BuildError::File { action, path: path.to_owned(), cause };
     let open = || {
+        upswing_config::check_regular(path).map_err(failed("write"))?;
         let file = OpenOptions::new().create(true).append(true).open(path).map_err(failed("write"))?;
         // Held until the build ends; the kernel releases it if the process dies.
         match file.try_lock() {
@@ -327,7 +328,7 @@ fn open_journal(path: &Path, heading: &Heading) -> Result<(File, Vec<Record>), B
         Ok((file, Vec::new()))
     };
     let file = open()?;
-    let bytes = std::fs::read(path).map_err(failed("read"))?;
+    let bytes = upswing_config::read_file(path).map_err(failed("read"))?;
     if bytes.is_empty() {
         return begin(file);
     }
@@ -418,7 +419,7 @@ pub fn merge(inputs: &[PathBuf], output: &Path) -> Result<Summary, BuildError> {
 /// # Errors
 /// [`BuildError::File`] or [`BuildError::Database`].
 pub fn read(path: &Path) -> Result<Database, BuildError> {
-    let bytes = std::fs::read(path).map_err(|cause| BuildError::File {
+    let bytes = upswing_config::read_file(path).map_err(|cause| BuildError::File {
         action: "read",
         path: path.to_owned(),
         cause,

@@ -10,7 +10,7 @@ use crate::swing_up::swing_up;
 use serde::Serialize;
 use std::path::PathBuf;
 use upswing_config::PendulumStart;
-use upswing_config::process::{Failure, shutdown_flag};
+use upswing_config::process::{Failure, note, shutdown_flag};
 use upswing_ipc::Clock;
 
 /// Starts daemon, planner and plant as three processes, swings the pendulum up and balances it.
@@ -74,7 +74,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
     if let Some(scenario) = &args.scenario {
         let purpose = config.use_scenario(scenario)?;
         if !args.common.json {
-            eprintln!("scenario {scenario}: {purpose}");
+            note(&format!("scenario {scenario}: {purpose}"));
         }
     }
     let start = match &args.start {
@@ -94,7 +94,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
     });
     let recorder = recorder.transpose()?;
     if !args.common.json {
-        eprintln!("starting daemon, planner and plant ({} clock) ...", args.clock);
+        note(&format!("starting daemon, planner and plant ({} clock) ...", args.clock));
     }
     let swing = || -> Result<_, SessionError> {
         let mut session = Session::start(Programs::own()?, &options, recorder)?;

@@ -229,7 +229,8 @@ fn list_failures<'a>(
 /// A database that is not that of the settings.
 fn database_file(path: &Path) -> Result<DatabaseFile, Failure> {
     let origin = path.display().to_string();
-    let bytes = std::fs::read(path).map_err(|e| Failure::BadInput(format!("cannot read {origin}: {e}")))?;
+    let bytes = upswing_config::read_file(path)
+        .map_err(|e| Failure::BadInput(format!("cannot read {origin}: {e}")))?;
     Ok(DatabaseFile { bytes: bytes.into(), origin })
 }
 

@@ -1,6 +1,7 @@
 //! The processes of a system: how they are started, and what they leave in their logs.
 
 use super::SessionError;
+use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use upswing_ipc::Clock;
@@ -105,6 +106,8 @@ impl Process {
         }
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(file);
         die_with_parent(&mut command);
+        // A Ctrl-C in the terminal is for this process: it ends its children in its own way.
+        command.process_group(0);
         let child = command.spawn().map_err(spawn)?;
         Ok(Self { role, child, log })
     }
@@ -145,7 +148,6 @@ impl Drop for Process {
 
 /// The kernel ends the child if this process dies without doing so.
 fn die_with_parent(command: &mut Command) {
-    use std::os::unix::process::CommandExt;
     // SAFETY: prctl is async-signal-safe; the closure allocates nothing and touches no lock.
     unsafe {
         command.pre_exec(|| {
