@@ -1,7 +1,7 @@
 //! The command line as a whole.
 
 use crate::commands;
-use clap::{CommandFactory, Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use upswing_config::process::{Failure, ProcessArgs};
 
 /// Swings up and balances a spherical pendulum on a 7-DoF robot.
@@ -54,6 +54,26 @@ enum Command {
     Plant(upswing_plant::PlantArgs),
 }
 
+impl Cli {
+    /// Reads the command line; ends the process where there is nothing to run.
+    pub fn read() -> Self {
+        let matches = whole_command().get_matches();
+        Self::from_arg_matches(&matches).unwrap_or_else(|e| e.exit())
+    }
+}
+
+/// The command line. A negative number is the value of the option before it, which then says what it expects.
+fn whole_command() -> clap::Command {
+    fn with_negative(command: clap::Command) -> clap::Command {
+        let numbers = |arg: clap::Arg| {
+            let takes_values = arg.get_action().takes_values();
+            arg.allow_negative_numbers(takes_values)
+        };
+        command.mut_args(numbers).mut_subcommands(with_negative)
+    }
+    with_negative(Cli::command())
+}
+
 /// Runs the command.
 ///
 /// # Errors
@@ -78,8 +98,8 @@ pub fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Model(args) => commands::model::run(args),
         Command::MonteCarlo(args) => commands::montecarlo::run(args),
         Command::Config(args) => commands::config::run(args),
-        Command::Completions(args) => commands::completions::completions(args, &mut Cli::command()),
-        Command::Man(args) => commands::completions::man(args, Cli::command()),
+        Command::Completions(args) => commands::completions::completions(args, &mut whole_command()),
+        Command::Man(args) => commands::completions::man(args, whole_command()),
         Command::Daemon(args) => upswingd::run(args),
         Command::Planner(args) => upswing_planner::service::run(args),
         Command::Plant(args) => upswing_plant::run(args),

@@ -1,12 +1,11 @@
 //! The operator's command line.
 
-use clap::Parser;
 use std::process::ExitCode;
 use upswing::cli::{Cli, run};
 use upswing_config::process::{finish, start_logging};
 
 fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let cli = Cli::read();
     start_logging();
     finish(run(&cli))
 }

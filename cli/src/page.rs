@@ -10,11 +10,12 @@ pub use data::{Data, Span};
 pub use digest::Digest;
 
 use crate::operator::Action;
-use crate::robot::{Robot, RobotError};
+use crate::robot::Robot;
 use data::Body;
 use serde::Serialize;
 use std::io::{self, Write};
 use upswing_config::Config;
+use upswing_model::UrdfError;
 
 const STYLE: &str = include_str!("page/page.css");
 /// What both pages draw with.
@@ -45,8 +46,8 @@ impl Setup {
     /// Of the robot of the settings.
     ///
     /// # Errors
-    /// [`RobotError`] if it cannot be drawn.
-    pub fn new(domain: &str, config: &Config, control: bool) -> Result<Self, RobotError> {
+    /// [`UrdfError`] if it cannot be drawn.
+    pub fn new(domain: &str, config: &Config, control: bool) -> Result<Self, UrdfError> {
         Ok(Self {
             domain: domain.to_owned(),
             control,

@@ -17,6 +17,17 @@ pub fn within(low: f64, high: f64) -> impl Fn(&str) -> Result<f64, String> + Clo
     }
 }
 
+/// Reads a whole number from `low` to `high`.
+pub fn whole<T>(low: T, high: T) -> impl Fn(&str) -> Result<T, String> + Clone + Send + Sync + 'static
+where
+    T: std::str::FromStr + PartialOrd + std::fmt::Display + Copy + Send + Sync + 'static,
+{
+    move |text| {
+        let number = text.parse().ok().filter(|v| (low..=high).contains(v));
+        number.ok_or_else(|| format!("expected a whole number from {low} to {high}"))
+    }
+}
+
 /// Joint angles in degrees, separated by commas, as typed by a user.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Degrees(pub Vec<f64>);
@@ -29,7 +40,9 @@ impl std::str::FromStr for Degrees {
             .split(',')
             .map(|part| {
                 let part = part.trim();
-                part.parse::<f64>().map_err(|_| format!("expected angles in degrees, got `{part}`"))
+                part.parse::<f64>().map_err(|_| {
+                    format!("expected joint angles in deg, separated by commas, as in 0,-15,0,-95,0,10,0; got `{part}`")
+                })
             })
             .collect::<Result<_, _>>()
             .map(Self)

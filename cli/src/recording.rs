@@ -98,7 +98,7 @@ pub enum RecordingError {
         /// The file.
         path: PathBuf,
         /// Why not.
-        cause: crate::robot::RobotError,
+        cause: upswing_model::UrdfError,
     },
     /// What is to be recorded does not come.
     #[error(transparent)]

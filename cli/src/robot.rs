@@ -1,20 +1,8 @@
 //! The robot's links as its URDF draws them: frames for recordings, shapes for pictures.
 
-use nalgebra::{Isometry3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Point3, Unit, UnitQuaternion, Vector3};
 use serde::Serialize;
-use upswing_model::{JointVector, Model};
-use urdf_rs::{Geometry, Pose};
-
-/// Why a URDF cannot be drawn.
-#[derive(Debug, thiserror::Error)]
-pub enum RobotError {
-    /// Not a URDF.
-    #[error("not a readable URDF: {0}")]
-    Parse(String),
-    /// A link that no chain of joints leads to.
-    #[error("expected every joint to hang on the root link, got joint `{0}` that does not")]
-    Loose(String),
-}
+use upswing_model::{JointVector, Model, Urdf, UrdfError, UrdfLink, UrdfShape, UrdfVisual};
 
 /// A capsule: all points within `radius` (m) of the line from `a` to `b` (m, frame of the link).
 #[derive(Clone, Debug, Serialize)]
@@ -57,42 +45,36 @@ impl Robot {
     /// Reads the links; `model` was read from the same text and says which joint is which.
     ///
     /// # Errors
-    /// [`RobotError`]
-    pub fn from_urdf(urdf: &str, model: &Model) -> Result<Self, RobotError> {
-        let robot = urdf_rs::read_from_string(urdf).map_err(|e| RobotError::Parse(e.to_string()))?;
+    /// [`UrdfError`]
+    pub fn from_urdf(urdf: &str, model: &Model) -> Result<Self, UrdfError> {
+        let robot = Urdf::read(urdf)?;
         let names = model.joint_names();
-        let is_child = |name: &str| robot.joints.iter().any(|j| j.child.link == name);
-        let mut links: Vec<Link> = Vec::new();
-        for root in robot.links.iter().filter(|l| !is_child(&l.name)) {
-            let origin = Isometry3::identity();
+        let root = &robot.links[robot.root];
+        let mut links = vec![Link {
+            name: root.name.clone(),
+            parent: None,
+            origin: Isometry3::identity(),
+            joint: None,
+            shapes: shapes(root),
+        }];
+        // Index of the parent in `links` and the joint, those of a link in the order of the file.
+        let on = |link: &UrdfLink, place: usize| {
+            let joints: Vec<_> = link.children.iter().rev().map(|joint| (place, *joint)).collect();
+            joints
+        };
+        let mut pending = on(root, 0);
+        while let Some((parent, joint)) = pending.pop() {
+            let joint = &robot.joints[joint];
+            let link = &robot.links[joint.child];
+            pending.extend(on(link, links.len()));
+            let index = names.iter().position(|name| *name == joint.name);
             links.push(Link {
-                name: root.name.clone(),
-                parent: None,
-                origin,
-                joint: None,
-                shapes: shapes(&robot, &root.name),
+                name: link.name.clone(),
+                parent: Some(parent),
+                origin: joint.origin,
+                joint: index.map(|i| (i, Unit::new_unchecked(joint.axis))),
+                shapes: shapes(link),
             });
-        }
-        let mut pending: Vec<_> = robot.joints.iter().collect();
-        while !pending.is_empty() {
-            let before = pending.len();
-            pending.retain(|joint| {
-                let Some(parent) = links.iter().position(|l| l.name == joint.parent.link) else {
-                    return true;
-                };
-                let index = names.iter().position(|name| *name == joint.name);
-                links.push(Link {
-                    name: joint.child.link.clone(),
-                    parent: Some(parent),
-                    origin: isometry(&joint.origin),
-                    joint: index.map(|i| (i, Unit::new_normalize(Vector3::from(joint.axis.xyz.0)))),
-                    shapes: shapes(&robot, &joint.child.link),
-                });
-                false
-            });
-            if pending.len() == before {
-                return Err(RobotError::Loose(pending[0].name.clone()));
-            }
         }
         Ok(Self { links, urdf: urdf.to_owned() })
     }
@@ -109,42 +91,23 @@ impl Robot {
     }
 }
 
-fn isometry(pose: &Pose) -> Isometry3<f64> {
-    let [r, p, y] = pose.rpy.0;
-    let turn = UnitQuaternion::from_euler_angles(r, p, y);
-    Isometry3::from_parts(Translation3::from(Vector3::from(pose.xyz.0)), turn)
-}
-
-/// The shapes of a link. Meshes are left out: nothing outside the URDF is read.
-fn shapes(robot: &urdf_rs::Robot, link: &str) -> Vec<Capsule> {
-    let Some(link) = robot.links.iter().find(|l| l.name == link) else { return Vec::new() };
-    let capsule = |visual: &urdf_rs::Visual| {
-        let (half, radius) = match &visual.geometry {
-            Geometry::Cylinder { radius, length } | Geometry::Capsule { radius, length } => {
-                (Vector3::z() * (*length / 2.0), *radius)
-            }
-            Geometry::Sphere { radius } => (Vector3::zeros(), *radius),
-            Geometry::Box { size } => {
-                let size = Vector3::from(size.0);
+/// The shapes of a link, each as the capsule that is closest to it.
+fn shapes(link: &UrdfLink) -> Vec<Capsule> {
+    /// Where the URDF names none.
+    const GREY: [f64; 4] = [0.6, 0.6, 0.6, 1.0];
+    let capsule = |visual: &UrdfVisual| {
+        let (half, radius) = match visual.shape {
+            UrdfShape::Cylinder { radius, length } => (Vector3::z() * (length / 2.0), radius),
+            UrdfShape::Sphere { radius } => (Vector3::zeros(), radius),
+            UrdfShape::Box { size } => {
                 let long = size.imax();
                 let radius = (size.sum() - size[long]) / 4.0;
                 (Vector3::ith(long, (size[long] / 2.0 - radius).max(0.0)), radius)
             }
-            Geometry::Mesh { .. } => return None,
         };
-        let pose = isometry(&visual.origin);
-        let end = |v: Vector3<f64>| (pose * Point3::from(v)).coords.into();
-        Some(Capsule { a: end(-half), b: end(half), radius, colour: colour(robot, visual) })
+        let end = |v: Vector3<f64>| (visual.origin * Point3::from(v)).coords.into();
+        let [red, green, blue, _] = visual.colour.unwrap_or(GREY).map(|v| (v.clamp(0.0, 1.0) * 255.0) as u8);
+        Capsule { a: end(-half), b: end(half), radius, colour: [red, green, blue] }
     };
-    link.visual.iter().filter_map(capsule).collect()
-}
-
-fn colour(robot: &urdf_rs::Robot, visual: &urdf_rs::Visual) -> [u8; 3] {
-    /// Where the URDF names none.
-    const GREY: [f64; 4] = [0.6, 0.6, 0.6, 1.0];
-    let own = visual.material.as_ref();
-    let named = own.and_then(|own| robot.materials.iter().find(|m| m.name == own.name));
-    let colour = own.and_then(|m| m.color.as_ref()).or_else(|| named.and_then(|m| m.color.as_ref()));
-    let rgba = colour.map_or(GREY, |c| c.rgba.0);
-    [rgba[0], rgba[1], rgba[2]].map(|v| (v.clamp(0.0, 1.0) * 255.0) as u8)
+    link.visuals.iter().map(capsule).collect()
 }

@@ -42,8 +42,11 @@ fn starts() {
     for command in ["demo", "plan", "optimize"] {
         refused(&[command, "--start", "0,-150,0,-95,0,10,0"], &["joint 2", "-120.0 to 120.0 deg", "-150.00"]);
         refused(&[command, "--start", "0,nan,0,-95,0,10,0"], &["joint 2", "NaN"]);
-        refused(&[command, "--start", "0,-15,0,-95,0,10"], &["expected 7", "got 6"]);
-        refused(&[command, "--start", "0,-15,x,-95,0,10,0"], &["`x`"]);
+        refused(
+            &[command, "--start", "0,-15,0,-95,0,10"],
+            &["expected 7", "deg", "0,-15,0,-95,0,10,0", "got 6"],
+        );
+        refused(&[command, "--start", "0,-15,x,-95,0,10,0"], &["deg", "0,-15,0,-95,0,10,0", "`x`"]);
         refused(
             &[command, "--start", "0,0,0,-10,0,0,0"],
             &["rests at -80.0 deg", "joint 9", "-45.0 to 45.0 deg"],
@@ -71,7 +74,7 @@ fn durations_and_clocks() {
             refused(&[command, &[&value]].concat(), &[option, range]);
         }
     }
-    refused(&["demo", "--clock", "sundial"], &["sundial"]);
+    refused(&["demo", "--clock", "sundial"], &["sundial", "wall, paced, lockstep"]);
     refused(&["plan", "--start", "0,-15,0,-95,0,10,0", "--iterations", "0"], &["--iterations"]);
 }
 
@@ -167,4 +170,34 @@ fn recordings() {
 fn commands() {
     refused(&["swing"], &["swing"]);
     refused(&["status", "--domain", "no spaces"], &["domain"]);
+}
+
+#[test]
+fn negative_numbers_after_an_option() {
+    let (from, whole) = ("expected a number from ", "expected a whole number from ");
+    for (command, option, expected) in [
+        (&["demo"][..], "--seconds", from),
+        (&["soak"], "--kills", from),
+        (&["soak"], "--seed", whole),
+        (&["doctor"], "--seconds", from),
+        (&["record", "run.mcap"], "--seconds", from),
+        (&["report", "run.mcap"], "--from", from),
+        (&["export", "run.mcap", "--csv", "a.csv"], "--every", whole),
+        (&["export", "run.mcap", "--csv", "a.csv"], "--to", from),
+        (&["metrics", "--file", "a.prom"], "--every", from),
+        (&["optimize", "--start", "0,-15,0,-95,0,10,0"], "--budget", from),
+        (&["plan", "--start", "0,-15,0,-95,0,10,0"], "--iterations", whole),
+        (&["model", "bound"], "--samples", whole),
+        (&["model", "bound"], "--seed", whole),
+        (&["db", "export"], "--entry", whole),
+        (&["disturb", "push", "--impulse", "0,0,1"], "--cycles", whole),
+        (&["disturb", "push", "--impulse", "0,0,1"], "--from", whole),
+        (&["disturb", "fault", "encoder-jump"], "--joint", whole),
+        (&["montecarlo", "closed-loop"], "--samples", whole),
+        (&["montecarlo", "closed-loop"], "--only", whole),
+        (&["montecarlo", "closed-loop"], "--threads", whole),
+        (&["montecarlo", "replan"], "--seed", whole),
+    ] {
+        refused(&[command, &[option, "-1"]].concat(), &["'-1'", option, expected]);
+    }
 }

@@ -25,6 +25,10 @@ fn completions() {
         for command in &commands {
             assert!(script.contains(command.as_str()), "{shell}: {command}");
         }
+        // These two complete no values of options.
+        for clock in ["paced", "lockstep"].iter().filter(|_| !matches!(shell, "elvish" | "powershell")) {
+            assert!(script.contains(clock), "{shell}: --clock {clock}");
+        }
     }
 }
 
@@ -41,4 +45,21 @@ fn man_pages() {
         assert!(text.contains(".SH"), "{command}");
     }
     assert!(dir.path().join("upswing.1").exists());
+}
+
+/// Every page is good mdoc or man, where there is a judge.
+#[test]
+fn man_pages_are_well_formed() {
+    let dir = tempfile::tempdir().expect("a folder");
+    upswing(&["man", dir.path().to_str().expect("a plain path")]);
+    let mut pages: Vec<_> =
+        std::fs::read_dir(dir.path()).expect("the folder").map(|e| e.expect("a page").path()).collect();
+    pages.sort();
+    let Ok(judged) =
+        std::process::Command::new("mandoc").args(["-T", "lint", "-W", "warning"]).args(&pages).output()
+    else {
+        eprintln!("mandoc is not installed");
+        return;
+    };
+    assert!(judged.status.success(), "{}", String::from_utf8_lossy(&judged.stdout));
 }

@@ -85,12 +85,27 @@ pub enum ConfigError {
         got: String,
     },
     /// The robot description cannot be used.
-    #[error("{file}: {cause}: compare with the original, `upswing config export DIR` writes it")]
+    #[error("{file}: {cause}")]
     Urdf {
         /// Path of the file.
         file: String,
         /// What is wrong with it.
         cause: UrdfError,
+    },
+    /// A joint's range is not symmetric about 0.
+    #[error(
+        "{file}: joint `{joint}`: expected a range that is symmetric about 0, got {low} to {high} deg: others are not supported \
+         yet; turn the joint's origin so that the middle of its range is 0, or use the smaller side in {file} and robot.toml"
+    )]
+    Asymmetric {
+        /// Name of the URDF.
+        file: String,
+        /// The joint.
+        joint: String,
+        /// Lower end, deg.
+        low: f64,
+        /// Upper end, deg.
+        high: f64,
     },
     /// An export would overwrite a file.
     #[error("{file}: expected no such file, got an existing one: name a new folder, nothing is overwritten")]

@@ -41,7 +41,7 @@ use check::{Check, degrees};
 use std::borrow::Cow;
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use upswing_model::{Limits, Model, NQ, NU};
+use upswing_model::{Limits, Model, NQ, NU, Urdf};
 use upswing_trajectory::{Delays, Gate};
 
 /// One complete, checked set of settings.
@@ -191,10 +191,10 @@ impl Config {
     fn assemble(dir: Option<&Path>) -> Result<Self, ConfigError> {
         let text = |file| text_of(dir, file);
         let (urdf_name, urdf) = text(&URDF)?;
-        let model = Model::from_urdf(&urdf).map_err(|cause| ConfigError::Urdf { file: urdf_name, cause })?;
+        let model = read_model(&urdf_name, &urdf)?;
         let (robot_name, robot) = text(&ROBOT)?;
         let robot = RobotSettings::read(&robot_name, &robot)?;
-        check_agreement(&robot_name, &robot.limits, model.rated_limits())?;
+        check_agreement(&robot_name, &robot.limits, &model)?;
         let model = model.with_rotors(robot.rotor_inertia);
         let (name, planner) = text(&PLANNER)?;
         let planner = PlannerSettings::read(&name, &planner)?;
@@ -355,14 +355,38 @@ fn read_plant_model(dir: Option<&Path>, file: &str, urdf: &str) -> Result<Model,
             ));
         }
     };
-    Model::from_urdf(&text).map_err(|cause| ConfigError::Urdf { file: name, cause })
+    read_model(&name, &text)
 }
 
-/// Table II stands in `robot.toml` and, for other programs, in the URDF: both must say the same.
-fn check_agreement(file: &str, toml: &Limits, urdf: &Limits) -> Result<(), ConfigError> {
+/// The robot of the URDF `file`; what was left out of it goes to the log.
+fn read_model(file: &str, text: &str) -> Result<Model, ConfigError> {
+    let robot = Urdf::read(text).and_then(|urdf| {
+        let model = Model::from_description(&urdf)?;
+        Ok((model, urdf.warnings))
+    });
+    let (model, warnings) = robot.map_err(|cause| ConfigError::Urdf { file: file.into(), cause })?;
+    for warning in warnings {
+        tracing::warn!("{file}: {warning}");
+    }
+    Ok(model)
+}
+
+/// Table II stands in `robot.toml` and, for other programs, in the URDF: both must say the same. A joint that turns without limit
+/// there has the limit of `robot.toml`.
+fn check_agreement(file: &str, toml: &Limits, model: &Model) -> Result<(), ConfigError> {
+    /// Lets a URDF round its angles; deg, deg/s, N m.
+    const ROUNDING: f64 = 1e-4;
+    let urdf = model.rated_limits();
+    for (i, name) in model.joint_names().iter().enumerate() {
+        let (low, high) = (degrees(urdf.q_min[i]), degrees(urdf.q_max[i]));
+        // Written so that two infinite ends are symmetric.
+        if (low + high).abs() > ROUNDING {
+            return Err(ConfigError::Asymmetric { file: URDF.name.into(), joint: (*name).into(), low, high });
+        }
+    }
     let agree = |key: &str, joint: usize, toml: f64, urdf: f64| {
-        // The tolerance lets a URDF round its angles. Written so that NaN disagrees.
-        if (toml - urdf).abs() <= 1e-4 {
+        // Written so that NaN disagrees.
+        if (toml - urdf).abs() <= ROUNDING || urdf.is_infinite() {
             return Ok(());
         }
         let expected = format!("the {urdf} of joint {} in {}", joint + 1, URDF.name);

@@ -7,7 +7,9 @@ use upswing_model::{ActuatedVector, JointVector, Model, N_ACTUATED, NQ, RestErro
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum StartError {
     /// The wrong number of angles.
-    #[error("expected {N_ACTUATED} joint angles, got {got}")]
+    #[error(
+        "expected {N_ACTUATED} joint angles in deg, separated by commas, as in 0,-15,0,-95,0,10,0; got {got}"
+    )]
     Length {
         /// Angles given.
         got: usize,

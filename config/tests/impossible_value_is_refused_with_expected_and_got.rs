@@ -2,6 +2,7 @@
 
 mod common;
 use common::refused;
+use upswing_config::Config;
 
 const POSITIVE: &str = "expected a finite number above 0";
 const NOT_NEGATIVE: &str = "expected a finite number, 0 or above";
@@ -215,11 +216,39 @@ fn plant() {
 
 #[test]
 fn robot_description() {
-    refused("robot.urdf", "<robot name", "<robots name", &["not a readable URDF", "upswing config export"]);
+    refused(
+        "robot.urdf",
+        "<robot name",
+        "<robots name",
+        &["not a readable URDF", "'robots'", "at or after link `rod`"],
+    );
     refused(
         "robot.urdf",
         "<mass value=\"3.94781\"/>",
         "<mass value=\"-1\"/>",
-        &["joint_1", "positive", "got -1 kg"],
+        &["link `link_1`", "mass of 0 or above", "got `-1` kg"],
     );
+    let limit = "lower=\"-2.9670597283903604\" upper=\"2.9670597283903604\" velocity=\"1.4835298641951802\"";
+    refused(
+        "robot.urdf",
+        limit,
+        &limit.replacen("-2.9670597283903604", "-1.5707963267948966", 1),
+        &["joint `joint_1`", "symmetric about 0", "got -90 to 170 deg", "not supported yet"],
+    );
+}
+
+#[test]
+fn a_pendulum_without_limits_has_those_of_its_settings() {
+    let dir = common::exported();
+    let path = dir.path().join("robot.urdf");
+    let text = std::fs::read_to_string(&path).expect("the robot");
+    let (arm, pendulum) = text.split_at(text.find("<joint name=\"pendulum_1\"").expect("the joint"));
+    let limit =
+        &pendulum[pendulum.find("<limit").expect("a limit")..pendulum.find("</joint>").expect("its end")];
+    let free = pendulum.replacen(limit, "", 1).replacen("revolute", "continuous", 1);
+    std::fs::write(&path, format!("{arm}{free}")).expect("written");
+    let config = Config::from_dir(dir.path()).unwrap_or_else(|e| panic!("{e}"));
+    let original = Config::embedded().expect("the settings");
+    assert_eq!(config.robot, original.robot);
+    assert_eq!(config.model.fingerprint(), original.model.fingerprint());
 }

@@ -112,7 +112,10 @@ fn a_plant_that_stops_or_restarts_is_a_fault() {
         ask_until(&client, ControlCommand::Status, |answer| answer.mode() != Ok(Mode::Idle));
         stop.store(true, Ordering::Release);
         let answer = ask_until(&client, ControlCommand::Status, |answer| answer.mode() == Ok(Mode::Fault));
-        assert!(answer.reason.as_str().unwrap().contains("no new measurement"), "{clock}: {}", answer.reason);
+        // A plant on the wall clock may be late before it stops.
+        let late = clock == Clock::Wall && answer.fault == TripCause::MeasurementGap.code();
+        let told = answer.reason.as_str().unwrap();
+        assert!(late || told.contains("no new measurement"), "{clock}: {told}");
         let answer = ask(&client, ControlCommand::Enable);
         assert_eq!(answer.accepted, 0);
         assert!(answer.reason.as_str().unwrap().contains("fault"), "{}", answer.reason);

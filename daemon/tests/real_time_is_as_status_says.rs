@@ -212,9 +212,11 @@ fn a_late_cycle_is_counted_and_attributed() {
         record.flags & Telemetry::OVERRUN != 0
             && record.wake_ns + record.read_ns + record.compute_ns + record.write_ns > 15_000_000
     });
-    let answer = ask_until(&system.client, ControlCommand::Status, |answer| answer.overruns > before);
+    // It is counted with the statistics of its batch; another one, shorter, may come first.
+    let answer = ask_until(&system.client, ControlCommand::Status, |answer| {
+        answer.overruns > before && answer.wake.max.max(answer.compute.max) > 15_000_000
+    });
     assert!(answer.compute.count > 0 && answer.wake.count > 0);
-    assert!(answer.wake.max.max(answer.compute.max) > 15_000_000, "{answer:?}");
     let told = answer.overrun.as_str().unwrap();
     assert!(told.contains("late, mostly in") && told.contains("page faults"), "{told}");
     // Deadlines move by whole periods: the next cycle is planned on the old grid.

@@ -9,6 +9,7 @@
 //! are ordered from base to tip.
 
 mod derivatives;
+mod description;
 mod dynamics;
 mod model;
 mod positive;
@@ -17,6 +18,7 @@ mod spatial;
 mod urdf;
 
 pub use derivatives::{Derivatives, Hessian};
+pub use description::{Urdf, UrdfJoint, UrdfJointKind, UrdfLink, UrdfShape, UrdfVisual};
 pub use dynamics::{Accelerations, Workspace};
 pub use model::{Limits, Model, Pose};
 pub use rest::RestError;

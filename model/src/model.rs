@@ -1,7 +1,7 @@
 //! The constants of a robot.
 
+use crate::description::Body;
 use crate::spatial::{Inertia, skew};
-use crate::urdf::Body;
 use crate::{ActuatedVector, JointVector, NQ, NU};
 use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion, Vector3};
 
@@ -91,6 +91,19 @@ pub struct Model {
     pub(crate) fingerprint: u64,
 }
 
+impl Limits {
+    /// These limits with half a turn (per second) where there is none: the scale of a drawing.
+    pub fn scale(&self) -> Self {
+        let finite = |v: f64| if v.is_finite() { v } else { std::f64::consts::PI.copysign(v) };
+        Self {
+            q_min: self.q_min.map(finite),
+            q_max: self.q_max.map(finite),
+            qd_max: self.qd_max.map(finite),
+            ..*self
+        }
+    }
+}
+
 impl Model {
     /// Identifies the dynamics: two models with the same fingerprint (xxh3 over all kinematic and inertial
     /// parameters) produce the same numbers. Limits are not part of it.
@@ -98,7 +111,7 @@ impl Model {
         self.fingerprint
     }
 
-    /// Limits printed in the URDF (100 %; the motor torque of unactuated joints does not exist).
+    /// Limits printed in the URDF (100 %; the motor torque of unactuated joints does not exist); infinite where it states none.
     pub fn rated_limits(&self) -> &Limits {
         &self.rated_limits
     }

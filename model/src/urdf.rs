@@ -1,110 +1,64 @@
-//! Reads a [`Model`] from a URDF: one unbranched chain of revolute joints; bodies on fixed joints are
-//! joined to the body that carries them.
+//! A [`Model`] from a URDF: one unbranched chain of revolute joints; bodies on fixed joints are joined to the body that carries
+//! them.
 
+use crate::description::{Urdf, UrdfJoint, UrdfJointKind};
 use crate::model::{Frame, Joint, Limits, Model};
 use crate::{ActuatedVector, JointVector, NQ, NU};
-use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion, Vector3};
-use urdf_rs::JointType;
+use nalgebra::{Isometry3, Matrix3, Vector3};
 
 /// Standard gravity as used by the paper, m/s^2, along -z of the URDF's root frame.
 const GRAVITY: f64 = 9.81;
 
 /// Why a URDF cannot be used.
-#[derive(Debug, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum UrdfError {
     /// Not a URDF at all.
     #[error("not a readable URDF: {0}")]
     Parse(String),
     /// The number of revolute joints is not that of this build.
-    #[error("expected {NQ} revolute joints in one chain (the last {} unactuated), got {got}", NQ - NU)]
+    #[error(
+        "expected {NQ} revolute joints in one chain ({NU} driven, then {} of the pendulum), got {}: {}; other numbers are not \
+         supported yet",
+        NQ - NU, .got.len(), .got.join(", ")
+    )]
     JointCount {
-        /// Revolute joints found.
-        got: usize,
+        /// Names of the joints found.
+        got: Vec<String>,
     },
     /// Two joints share a parent: not a serial chain.
-    #[error("link `{link}` carries {joints} revolute chains; expected one unbranched chain")]
+    #[error("link `{link}` carries the joints {}: expected one unbranched chain; fix what is no part of it", .joints.join(", "))]
     Branch {
         /// The link.
         link: String,
-        /// Movable children.
-        joints: usize,
+        /// Names of its movable joints.
+        joints: Vec<String>,
     },
-    /// A joint type without meaning here.
-    #[error("joint `{joint}` is {got}; expected revolute, continuous or fixed")]
-    JointType {
-        /// The joint.
-        joint: String,
-        /// Its type.
-        got: String,
-    },
-    /// A joint, or the body that it carries, that cannot be.
-    #[error("joint `{joint}`: {reason}")]
-    Impossible {
-        /// The joint.
-        joint: String,
+    /// A joint, a link or its body that cannot be, or cannot be used.
+    #[error("{element}: {reason}")]
+    Refused {
+        /// Which: `joint` or `link` with its name.
+        element: String,
         /// What is wrong.
         reason: String,
     },
     /// There is no root link.
     #[error("no root link: every link is the child of some joint")]
     NoRoot,
+    /// Links that no joint connects.
+    #[error(
+        "expected one root link, got `{first}` and `{second}`: a joint has to connect every other link to the root"
+    )]
+    Roots {
+        /// One of them.
+        first: String,
+        /// Another one.
+        second: String,
+    },
 }
 
-/// Mass, centre of mass and inertia about it, in some link's frame.
-#[derive(Clone, Copy)]
-pub(crate) struct Body {
-    pub mass: f64,
-    pub com: Vector3<f64>,
-    pub inertia: Matrix3<f64>,
-}
-
-impl Body {
-    const NONE: Self = Self { mass: 0.0, com: Vector3::new(0.0, 0.0, 0.0), inertia: ZERO3 };
-
-    fn of_link(link: &urdf_rs::Link) -> Self {
-        let i = &link.inertial.inertia;
-        let local = Matrix3::new(i.ixx, i.ixy, i.ixz, i.ixy, i.iyy, i.iyz, i.ixz, i.iyz, i.izz);
-        let origin = isometry(&link.inertial.origin);
-        let r = origin.rotation.to_rotation_matrix();
-        Self {
-            mass: link.inertial.mass.value,
-            com: origin.translation.vector,
-            inertia: r.matrix() * local * r.matrix().transpose(),
-        }
-    }
-
-    fn moved(self, by: &Isometry3<f64>) -> Self {
-        let r = by.rotation.to_rotation_matrix();
-        Self {
-            mass: self.mass,
-            com: by * self.com + by.translation.vector,
-            inertia: r.matrix() * self.inertia * r.matrix().transpose(),
-        }
-    }
-
-    /// Both as one rigid body.
-    pub(crate) fn joined(self, other: Self) -> Self {
-        let mass = self.mass + other.mass;
-        if mass == 0.0 {
-            return self;
-        }
-        let com = (self.com * self.mass + other.com * other.mass) / mass;
-        let about = |b: &Self| {
-            let d = b.com - com;
-            b.inertia + (Matrix3::identity() * d.dot(&d) - d * d.transpose()) * b.mass
-        };
-        Self { mass, com, inertia: about(&self) + about(&other) }
-    }
-}
-
-const ZERO3: Matrix3<f64> = Matrix3::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
-
-fn isometry(pose: &urdf_rs::Pose) -> Isometry3<f64> {
-    let [r, p, y] = pose.rpy.0;
-    Isometry3::from_parts(
-        Translation3::from(Vector3::from(pose.xyz.0)),
-        UnitQuaternion::from_euler_angles(r, p, y),
-    )
+/// A refusal of a joint.
+fn refuse(joint: &str, reason: impl Into<String>) -> UrdfError {
+    UrdfError::Refused { element: format!("joint `{joint}`"), reason: reason.into() }
 }
 
 impl Model {
@@ -114,77 +68,62 @@ impl Model {
     /// # Errors
     /// [`UrdfError`] if the text is no URDF, not one chain of `NQ` revolute joints, or physically impossible.
     pub fn from_urdf(text: &str) -> Result<Self, UrdfError> {
-        let robot = urdf_rs::read_from_string(text).map_err(|e| UrdfError::Parse(e.to_string()))?;
-        let link = |name: &str| robot.links.iter().find(|l| l.name == name);
-        let children = |name: &str| robot.joints.iter().filter(|j| j.parent.link == name).collect::<Vec<_>>();
-        let root = robot
-            .links
-            .iter()
-            .find(|l| robot.joints.iter().all(|j| j.child.link != l.name))
-            .ok_or(UrdfError::NoRoot)?;
-        check_joints(&robot)?;
+        Self::from_description(&Urdf::read(text)?)
+    }
 
+    /// As [`Model::from_urdf`], of a text that has been read.
+    ///
+    /// # Errors
+    /// [`UrdfError`] if the robot is not one chain of `NQ` revolute joints, or physically impossible.
+    pub fn from_description(robot: &Urdf) -> Result<Self, UrdfError> {
         // Walk from the root: `frame` is the current link's frame in the frame of the last movable body.
-        let (mut current, mut frame) = (root.name.clone(), Isometry3::identity());
+        let mut current = robot.root;
         let mut joints: Vec<Joint> = Vec::new();
-        let mut urdf_limits = Vec::new();
+        let mut chain: Vec<&UrdfJoint> = Vec::new();
         let mut tip = Vector3::zeros();
-        for _ in 0..=robot.joints.len() {
-            let mut body = link(&current).map_or(Body::NONE, Body::of_link).moved(&frame);
-            let mut next: Option<(&urdf_rs::Joint, Isometry3<f64>)> = None;
-            let mut found = 0;
+        loop {
+            let mut body = robot.links[current].body;
+            let mut next: Vec<(&UrdfJoint, Isometry3<f64>)> = Vec::new();
             // Fixed children belong to this body; one movable joint, here or on them, leads on.
-            let mut pending: Vec<_> = children(&current).into_iter().map(|j| (j, frame)).collect();
+            let on = |link: usize, frame: Isometry3<f64>| {
+                robot.links[link].children.iter().map(move |joint| (&robot.joints[*joint], frame))
+            };
+            let mut pending: Vec<_> = on(current, Isometry3::identity()).collect();
             while let Some((joint, parent)) = pending.pop() {
-                let placement = parent * isometry(&joint.origin);
-                match joint.joint_type {
-                    JointType::Fixed => {
-                        let child = link(&joint.child.link).map_or(Body::NONE, Body::of_link);
-                        body = body.joined(child.moved(&placement));
-                        pending.extend(children(&joint.child.link).into_iter().map(|j| (j, placement)));
+                let placement = parent * joint.origin;
+                match joint.kind {
+                    UrdfJointKind::Fixed => {
+                        body = body.joined(robot.links[joint.child].body.moved(&placement));
+                        pending.extend(on(joint.child, placement));
                     }
-                    JointType::Revolute | JointType::Continuous => {
-                        found += 1;
-                        next = Some((joint, placement));
-                    }
-                    ref other => {
-                        return Err(UrdfError::JointType {
-                            joint: joint.name.clone(),
-                            got: format!("{other:?}").to_lowercase(),
-                        });
-                    }
+                    UrdfJointKind::Revolute | UrdfJointKind::Continuous => next.push((joint, placement)),
                 }
             }
-            if found > 1 {
-                return Err(UrdfError::Branch { link: current, joints: found });
+            if next.len() > 1 {
+                let joints = next.iter().rev().map(|(joint, _)| joint.name.clone()).collect();
+                return Err(UrdfError::Branch { link: robot.links[current].name.clone(), joints });
             }
             if let Some(last) = joints.last_mut() {
                 (last.mass, last.com, last.inertia) = (body.mass, body.com, body.inertia);
                 check_body(last)?;
                 tip = rod_tip(body.com);
             }
-            let Some((joint, placement)) = next else { break };
+            let Some((joint, placement)) = next.pop() else { break };
             joints.push(Joint {
                 name: joint.name.clone(),
                 placement: Frame::new(&placement),
-                axis: Vector3::from(joint.axis.xyz.0).try_normalize(1e-9).ok_or_else(|| {
-                    UrdfError::Impossible { joint: joint.name.clone(), reason: "the axis is zero".into() }
-                })?,
+                axis: joint.axis,
                 mass: 0.0,
                 com: Vector3::zeros(),
-                inertia: ZERO3,
+                inertia: Matrix3::zeros(),
             });
-            urdf_limits.push(joint.limit.clone());
-            (current, frame) = (joint.child.link.clone(), Isometry3::identity());
+            chain.push(joint);
+            current = joint.child;
         }
-        let got = joints.len();
-        let joints: [Joint; NQ] = joints.try_into().map_err(|_| UrdfError::JointCount { got })?;
-        let rated_limits = Limits {
-            q_min: JointVector::from_fn(|i, _| urdf_limits[i].lower),
-            q_max: JointVector::from_fn(|i, _| urdf_limits[i].upper),
-            qd_max: JointVector::from_fn(|i, _| urdf_limits[i].velocity),
-            tau_max: ActuatedVector::from_fn(|i, _| urdf_limits[i].effort),
-        };
+        let joints: [Joint; NQ] = joints.try_into().map_err(|joints: Vec<Joint>| UrdfError::JointCount {
+            got: joints.into_iter().map(|joint| joint.name).collect(),
+        })?;
+        let rated_limits = rated_limits(&chain)?;
         let gravity = Vector3::new(0.0, 0.0, -GRAVITY);
         let mut model = Self {
             joints,
@@ -200,49 +139,73 @@ impl Model {
     }
 }
 
+/// The limits of `NQ` joints; infinite where a joint turns without one.
+fn rated_limits(chain: &[&UrdfJoint]) -> Result<Limits, UrdfError> {
+    let mut limits = Limits {
+        q_min: JointVector::repeat(f64::NEG_INFINITY),
+        q_max: JointVector::repeat(f64::INFINITY),
+        qd_max: JointVector::repeat(f64::INFINITY),
+        tau_max: ActuatedVector::zeros(),
+    };
+    for (i, joint) in chain.iter().enumerate() {
+        let fail = |reason: String| Err(refuse(&joint.name, reason));
+        if joint.kind == UrdfJointKind::Revolute {
+            let Some(limit) = joint.limit else {
+                return fail("expected a <limit> of a revolute joint, got none".into());
+            };
+            // As the format has it, what is not stated is 0.
+            let (lower, upper) = (limit.lower.unwrap_or(0.0), limit.upper.unwrap_or(0.0));
+            if lower >= upper {
+                return fail(format!(
+                    "expected a lower limit below the upper one, got {lower} and {upper} rad"
+                ));
+            }
+            (limits.q_min[i], limits.q_max[i]) = (lower, upper);
+        }
+        let (velocity, effort) = joint.limit.map_or((None, None), |limit| (limit.velocity, limit.effort));
+        if let Some(velocity) = velocity {
+            if velocity <= 0.0 {
+                return fail(format!("expected a velocity limit above 0, got {velocity} rad/s"));
+            }
+            limits.qd_max[i] = velocity;
+        }
+        if i < NU {
+            let (Some(_), Some(effort)) = (velocity, effort) else {
+                return fail(
+                    "expected velocity and effort in the <limit> of a driven joint, got one or none".into(),
+                );
+            };
+            if effort <= 0.0 {
+                return fail(format!("expected an effort above 0 of a driven joint, got {effort} N m"));
+            }
+            limits.tau_max[i] = effort;
+        } else if let Some(effort) = effort.filter(|effort| *effort != 0.0) {
+            return fail(format!(
+                "expected effort=\"0\" of a joint of the pendulum, which has no motor, got {effort} N m"
+            ));
+        }
+    }
+    Ok(limits)
+}
+
 /// A uniform rod ends at twice the distance of its centre of mass.
 fn rod_tip(com: Vector3<f64>) -> Vector3<f64> {
     com * 2.0
-}
-
-/// Each joint connects two links of the robot and is somewhere, and no link hangs on two joints: from the root, which is
-/// the child of none, no walk comes to a link twice.
-fn check_joints(robot: &urdf_rs::Robot) -> Result<(), UrdfError> {
-    for (i, joint) in robot.joints.iter().enumerate() {
-        let fail = |reason: String| Err(UrdfError::Impossible { joint: joint.name.clone(), reason });
-        for name in [&joint.parent.link, &joint.child.link] {
-            if robot.links.iter().all(|l| l.name != *name) {
-                return fail(format!("expected two links of the robot, there is no link `{name}`"));
-            }
-        }
-        let child = &joint.child.link;
-        if let Some(first) = robot.joints[..i].iter().find(|j| j.child.link == *child) {
-            return fail(format!("its link `{child}` is the child of joint `{}` already", first.name));
-        }
-        let numbers = [("xyz", joint.origin.xyz.0), ("rpy", joint.origin.rpy.0), ("axis", joint.axis.xyz.0)];
-        for (what, v) in numbers {
-            if !v.iter().all(|v| v.is_finite()) {
-                return fail(format!("expected finite numbers for {what}, got {v:?}"));
-            }
-        }
-    }
-    Ok(())
 }
 
 /// A body needs a positive mass and a positive definite inertia. The triangle inequality of its principal
 /// moments is not demanded: identified parameters miss it by rounding, and the joint-space mass matrix
 /// stays positive definite.
 fn check_body(joint: &Joint) -> Result<(), UrdfError> {
-    let fail = |reason: String| Err(UrdfError::Impossible { joint: joint.name.clone(), reason });
-    let all_finite = joint.inertia.iter().chain(joint.com.iter()).all(|v| v.is_finite());
-    if !all_finite || !joint.mass.is_finite() || joint.mass <= 0.0 {
-        let got = joint.mass;
-        return fail(format!(
-            "expected a body with a positive, finite mass and finite inertia, got {got} kg"
+    if joint.mass <= 0.0 {
+        return Err(refuse(
+            &joint.name,
+            format!("expected a body with a mass above 0 on it, got {} kg", joint.mass),
         ));
     }
     if nalgebra::Cholesky::new(joint.inertia).is_none() {
-        return fail("expected a positive definite inertia of its body about the centre of mass".into());
+        let reason = "expected a positive definite inertia of the body on it about the centre of mass";
+        return Err(refuse(&joint.name, reason));
     }
     Ok(())
 }

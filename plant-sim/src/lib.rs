@@ -31,11 +31,17 @@ pub use faults::SetEventError;
 pub use plant::Plant;
 pub use start::StateError;
 
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use tracing::info;
 use upswing_config::process::{Failure, ProcessArgs, shutdown_flag};
-use upswing_config::{Config, PendulumStart};
+use upswing_config::{Config, PendulumStart, StartError};
 use upswing_ipc::{Clock, Domain};
 use upswing_model::NU;
+
+/// Reads the name of a clock; completions of shells know the names.
+pub fn clock_parser() -> impl TypedValueParser<Value = Clock> {
+    PossibleValuesParser::new(["wall", "paced", "lockstep"]).try_map(|name| name.parse::<Clock>())
+}
 
 /// Options of the plant process.
 #[derive(Clone, Debug, clap::Args)]
@@ -44,7 +50,7 @@ pub struct PlantArgs {
     #[command(flatten)]
     pub process: ProcessArgs,
     /// Who advances time: wall (real time), paced (real time, waits for the daemon), lockstep (as granted)
-    #[arg(long, value_name = "CLOCK", default_value = "paced")]
+    #[arg(long, value_name = "CLOCK", default_value = "paced", value_parser = clock_parser())]
     pub clock: Clock,
     /// Start angles of joints 1 to 7, deg [default: start.q_deg of plant.toml]
     #[arg(long, value_name = "Q1,..,Q7", value_delimiter = ',', allow_hyphen_values = true)]
@@ -67,8 +73,7 @@ impl PlantArgs {
         }
         if let Some(degrees) = &self.start {
             let degrees: [f64; NU] = degrees.as_slice().try_into().map_err(|_| {
-                let got = degrees.len();
-                Failure::BadInput(format!("--start: expected {NU} angles, for joints 1 to {NU}, got {got}"))
+                Failure::BadInput(format!("--start: {}", StartError::Length { got: degrees.len() }))
             })?;
             config.plant.start.q = degrees.map(f64::to_radians);
         }

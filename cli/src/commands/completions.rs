@@ -8,6 +8,8 @@ use upswing_config::process::Failure;
 
 /// Name of the program.
 const NAME: &str = "upswing";
+/// Date of the version in Cargo.toml, which man pages state.
+const DATE: &str = "2026-11-28";
 
 /// Prints a script that completes commands and options in a shell.
 ///
@@ -75,7 +77,13 @@ fn pages(command: &clap::Command, dir: &Path) -> std::io::Result<usize> {
     for command in command.get_subcommands() {
         count += pages(command, dir)?;
     }
-    clap_mangen::Man::new(command.clone()).generate_to(dir)?;
+    let name = command.get_display_name().unwrap_or_else(|| command.get_name());
+    let page = clap_mangen::Man::new(command.clone()).title(name).date(DATE);
+    let mut text = Vec::new();
+    page.render(&mut text)?;
+    // A blank line between two breaks: mandoc complains about either break, and about the blank line.
+    let text = String::from_utf8_lossy(&text).replace("\n.br\n\n.br\n", "\n.sp\n");
+    std::fs::write(dir.join(page.get_filename()), text)?;
     Ok(count)
 }
 

@@ -1,6 +1,7 @@
 //! `upswing db`: the trajectory database.
 
 use super::{CommonArgs, TrajectoryJson, failed, print_json, progress_bar};
+use crate::parse::whole;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -83,7 +84,7 @@ pub enum DbCommand {
         /// A database file instead of that of the settings
         file: Option<PathBuf>,
         /// Only this entry, counted from 0
-        #[arg(long)]
+        #[arg(long, value_parser = whole(0, usize::MAX))]
         entry: Option<usize>,
     },
 }

@@ -26,7 +26,7 @@ pub struct DemoArgs {
     #[arg(long, value_name = "Q1,..,Q7", allow_hyphen_values = true)]
     pub start: Option<Degrees>,
     /// Clock: `paced` (real-time pace), `lockstep` (as fast as possible, deterministic) or `wall`
-    #[arg(long, default_value = "paced")]
+    #[arg(long, default_value = "paced", value_parser = upswing_plant::clock_parser())]
     pub clock: Clock,
     /// What is different about the plant: a scenario of the settings, or the path of a .toml file
     #[arg(long, value_name = "NAME|FILE")]

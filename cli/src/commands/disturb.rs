@@ -1,6 +1,7 @@
 //! `upswing disturb`: faults and pushes for the simulated plant of a running system.
 
 use super::{CommonArgs, failed};
+use crate::parse::whole;
 use serde::Serialize;
 use std::time::Duration;
 use upswing_config::process::Failure;
@@ -44,10 +45,10 @@ pub enum What {
         )]
         impulse: Vec<f64>,
         /// How many cycles it lasts
-        #[arg(long, default_value_t = 80)]
+        #[arg(long, default_value_t = 80, value_parser = whole(0, u64::MAX))]
         cycles: u64,
         /// First cycle of the plant [default: the next one]
-        #[arg(long, value_name = "CYCLE")]
+        #[arg(long, value_name = "CYCLE", value_parser = whole(0, u64::MAX))]
         from: Option<u64>,
     },
     /// Remove all faults
@@ -62,16 +63,16 @@ pub struct FaultArgs {
     /// What breaks
     pub kind: FaultKind,
     /// Joint of an encoder, 1 to 9
-    #[arg(long)]
+    #[arg(long, value_parser = whole(0, u64::MAX))]
     pub joint: Option<u64>,
     /// How far the encoder jumps, rad, or how late measurements are, cycles
     #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
     pub amount: f64,
     /// How many cycles it lasts; 0: until `clear`
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, default_value_t = 0, value_parser = whole(0, u64::MAX))]
     pub cycles: u64,
     /// First cycle of the plant [default: the next one]
-    #[arg(long, value_name = "CYCLE")]
+    #[arg(long, value_name = "CYCLE", value_parser = whole(0, u64::MAX))]
     pub from: Option<u64>,
 }
 

@@ -1,7 +1,7 @@
 //! `upswing export`: a recording as a table.
 
 use super::{CommonArgs, byte_bar, failed};
-use crate::parse::window;
+use crate::parse::{whole, window, within};
 use crate::recording::cycle::FIELDS;
 use crate::recording::{Message, Source, scan};
 use serde::Serialize;
@@ -25,13 +25,13 @@ pub struct ExportArgs {
     #[arg(long, value_name = "FILE.csv")]
     pub csv: PathBuf,
     /// Begin, s after the first cycle
-    #[arg(long, value_name = "S", default_value_t = 0.0)]
+    #[arg(long, value_name = "S", default_value_t = 0.0, value_parser = within(0.0, 1e9))]
     pub from: f64,
     /// End, s after the first cycle [default: the end of the recording]
-    #[arg(long, value_name = "S")]
+    #[arg(long, value_name = "S", value_parser = within(0.0, 1e9))]
     pub to: Option<f64>,
     /// Write only each n-th cycle
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = whole(1, u32::MAX))]
     pub every: u32,
 }
 

@@ -1,6 +1,7 @@
 //! `upswing model`: the dynamics on the command line.
 
 use super::{CommonArgs, failed, print_json, print_line, progress_bar};
+use crate::parse::whole;
 use nalgebra::SMatrix;
 use serde::{Deserialize, Serialize};
 use std::io::BufRead;
@@ -41,6 +42,9 @@ pub enum ModelCommand {
     Bound(BoundArgs),
 }
 
+/// A fortnight on one core; the extremes have long stopped moving by then.
+const MOST: u64 = 1_000_000_000_000;
+
 /// How to sample the Coriolis torques.
 #[derive(Clone, Debug, clap::Args)]
 pub struct BoundArgs {
@@ -48,10 +52,10 @@ pub struct BoundArgs {
     #[command(flatten)]
     pub common: CommonArgs,
     /// How many states [the paper: 100000000, half a minute on two cores]
-    #[arg(long, value_name = "N", default_value_t = 100_000_000)]
+    #[arg(long, value_name = "N", default_value_t = 100_000_000, value_parser = whole(1, MOST))]
     pub samples: u64,
     /// Seed of the random states
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = whole(0, u64::MAX))]
     pub seed: u64,
 }
 
@@ -148,12 +152,7 @@ impl std::fmt::Display for Bound {
 }
 
 fn sample_bound(args: &BoundArgs) -> Result<(), Failure> {
-    /// A fortnight on one core; the extremes have long stopped moving by then.
-    const MOST: u64 = 1_000_000_000_000;
     let samples = args.samples;
-    if !(1..=MOST).contains(&samples) {
-        return Err(Failure::BadInput(format!("--samples: expected 1 to {MOST}, got {samples}")));
-    }
     let config = args.common.process.load()?;
     let stop = shutdown_flag()?;
     let robot = &config.robot;

@@ -9,6 +9,7 @@ mod variation;
 use super::{CommonArgs, failed, progress_bar};
 use crate::closed_loop::{Aborted, Disturbances, swing_up};
 use crate::montecarlo::{NoStart, for_each};
+use crate::parse::whole;
 use crate::report::Report;
 use clap::ValueEnum;
 use std::path::{Path, PathBuf};
@@ -68,13 +69,13 @@ pub struct SamplingArgs {
     #[command(flatten)]
     pub common: CommonArgs,
     /// How many starts
-    #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = clap::value_parser!(u64).range(1..=MOST))]
+    #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = whole(1, MOST))]
     pub samples: u64,
     /// Seed of the random starts
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = whole(0, u64::MAX))]
     pub seed: u64,
     /// Only start number INDEX, counted from 0: repeats one result of a longer run
-    #[arg(long, value_name = "INDEX", conflicts_with = "samples")]
+    #[arg(long, value_name = "INDEX", conflicts_with = "samples", value_parser = whole(0, u64::MAX))]
     pub only: Option<u64>,
     /// Database to plan from; `paper` is built first, which takes up to a minute
     #[arg(long, default_value = "default")]
@@ -83,7 +84,7 @@ pub struct SamplingArgs {
     #[arg(long, value_name = "FILE", conflicts_with = "grid")]
     pub database: Option<PathBuf>,
     /// Threads, 1 to 1024 [default: one per core]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    #[arg(long, value_name = "N", value_parser = whole(1_u16, 1024))]
     pub threads: Option<u16>,
 }
 

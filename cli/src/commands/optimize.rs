@@ -1,7 +1,7 @@
 //! `upswing optimize`: one offline optimisation.
 
 use super::{CommonArgs, MarginsJson, TrajectoryJson, failed, print_json, print_line, spinner};
-use crate::parse::{Degrees, start_state};
+use crate::parse::{Degrees, WEEK, start_state, within};
 use serde::Serialize;
 use std::time::Instant;
 use upswing_config::PendulumStart;
@@ -29,7 +29,7 @@ pub struct OptimizeArgs {
     #[arg(long)]
     pub best: bool,
     /// Longest time for each attempt, s
-    #[arg(long, value_name = "S")]
+    #[arg(long, value_name = "S", value_parser = within(0.0, WEEK))]
     pub budget: Option<f64>,
 }
 
@@ -56,13 +56,7 @@ pub fn run(args: &OptimizeArgs) -> Result<(), Failure> {
     let pendulum = if args.zero { PendulumStart::Zero } else { PendulumStart::Rest };
     let start = start_state(&config, "--start", &args.start, pendulum)?;
     let begin = Instant::now();
-    let time_budget = match args.budget {
-        None => None,
-        Some(s) => Some(
-            std::time::Duration::try_from_secs_f64(s)
-                .map_err(|_| Failure::BadInput(format!("--budget: expected seconds, 0 or above, got {s}")))?,
-        ),
-    };
+    let time_budget = args.budget.map(std::time::Duration::from_secs_f64);
     // Ctrl-C ends the optimisation, and what it has is printed.
     let stop = shutdown_flag()?;
     let search = if args.best { Search::Best } else { Search::First };

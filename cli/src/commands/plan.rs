@@ -1,7 +1,7 @@
 //! `upswing plan`: one replan, without a running system.
 
 use super::{CommonArgs, PlanFigures, TrajectoryJson, failed, print_json, print_line};
-use crate::parse::{Degrees, start_state};
+use crate::parse::{Degrees, start_state, whole};
 use crate::picture;
 use serde::Serialize;
 use std::path::PathBuf;
@@ -31,7 +31,7 @@ pub struct PlanArgs {
     #[arg(long)]
     pub zero: bool,
     /// QPs, each linearised around the result before; 1 is the paper's mode [default: the setting]
-    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=100))]
+    #[arg(long, value_parser = whole(1_u32, 100))]
     pub iterations: Option<u32>,
     /// Adapt the optimal trajectory from these angles of joints 1-7, deg, instead of a database entry
     #[arg(long, value_name = "Q1,..,Q7", allow_hyphen_values = true)]

@@ -2,7 +2,7 @@
 
 use super::{CommonArgs, byte_bar, failed};
 use crate::page::{self, Data, Digest};
-use crate::parse::window;
+use crate::parse::{window, within};
 use crate::picture::figures;
 use crate::recording::{Message, Source, scan};
 use serde::Serialize;
@@ -26,10 +26,10 @@ pub struct ReportArgs {
     #[arg(long, value_name = "FILE.html")]
     pub output: Option<PathBuf>,
     /// Begin, s after the first cycle
-    #[arg(long, value_name = "S", default_value_t = 0.0)]
+    #[arg(long, value_name = "S", default_value_t = 0.0, value_parser = within(0.0, 1e9))]
     pub from: f64,
     /// End, s after the first cycle [default: the end of the recording]
-    #[arg(long, value_name = "S")]
+    #[arg(long, value_name = "S", value_parser = within(0.0, 1e9))]
     pub to: Option<f64>,
     /// Write each figure as SVG, too, beside the page
     #[arg(long)]

@@ -2,7 +2,7 @@
 
 use super::{CommonArgs, failed, own_system, session_failure, time_bar};
 use crate::montecarlo::Starts;
-use crate::parse::{WEEK, within};
+use crate::parse::{WEEK, whole, within};
 use crate::session::{Programs, Session, SessionError};
 use crate::soak::{Growth, Kill, Record, Soak};
 use serde::Serialize;
@@ -25,13 +25,13 @@ pub struct SoakArgs {
     #[arg(long, value_name = "S", default_value_t = 60.0, value_parser = within(1.0, WEEK))]
     pub seconds: f64,
     /// Clock: `paced` (real-time pace) or `wall`
-    #[arg(long, default_value = "paced")]
+    #[arg(long, default_value = "paced", value_parser = upswing_plant::clock_parser())]
     pub clock: Clock,
     /// Share of the rounds in which a process is killed, 0 to 1
     #[arg(long, value_name = "SHARE", default_value_t = 0.5, value_parser = within(0.0, 1.0))]
     pub kills: f64,
     /// Seed of starts, pushes and kills
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = whole(0, u64::MAX))]
     pub seed: u64,
 }
 

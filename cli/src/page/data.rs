@@ -126,7 +126,7 @@ impl Data {
             summary: summary(digest, recording),
             details: recording.details.clone(),
             settings: settings(recording),
-            body: Body::new(robot, digest.model.rated_limits()),
+            body: Body::new(robot, &digest.model.rated_limits().scale()),
             t: samples.iter().map(|t| digest.seconds(t.t_ns)).collect(),
             q: columns(NQ, |t, i| t.q[i]),
             qd: columns(NQ, |t, i| t.qd[i]),
@@ -150,10 +150,8 @@ fn urdf<'a>(path: &Path, recording: &'a Recording) -> Result<&'a str, RecordingE
 
 /// The robot of a recording, whose file is `path`.
 pub(super) fn model(path: &Path, recording: &Recording) -> Result<Model, RecordingError> {
-    Model::from_urdf(urdf(path, recording)?).map_err(|e| RecordingError::Robot {
-        path: path.to_owned(),
-        cause: crate::robot::RobotError::Parse(e.to_string()),
-    })
+    Model::from_urdf(urdf(path, recording)?)
+        .map_err(|cause| RecordingError::Robot { path: path.to_owned(), cause })
 }
 
 fn settings(recording: &Recording) -> Vec<(String, String, String)> {

@@ -37,7 +37,10 @@ pub fn draw(page: &Path, digest: &Digest, as_svg: bool, as_png: bool) -> Result<
         Ok(())
     };
     if digest.samples.iter().any(|t| matches!(t.mode(), Ok(Mode::Track | Mode::Balance))) {
-        finish("trajectories", &swing_up(&digest.samples, digest.model.rated_limits(), digest.step())?)?;
+        finish(
+            "trajectories",
+            &swing_up(&digest.samples, &digest.model.rated_limits().scale(), digest.step())?,
+        )?;
     }
     finish("modes", &modes(&digest.spans())?)?;
     let times = digest.times.times();

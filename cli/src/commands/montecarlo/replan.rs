@@ -3,6 +3,7 @@
 use super::{SamplingArgs, failed, list_failures};
 use crate::commands::PlanFigures;
 use crate::montecarlo::{NoStart, Spread, Starts, arm_degrees};
+use crate::parse::whole;
 use crate::picture::map;
 use serde::Serialize;
 use std::path::PathBuf;
@@ -20,7 +21,7 @@ pub struct ReplanArgs {
     #[command(flatten)]
     pub sampling: SamplingArgs,
     /// Most linearisations per entry; 1 is the paper's mode [default: the setting]
-    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=100))]
+    #[arg(long, value_parser = whole(1_u32, 100))]
     pub iterations: Option<u32>,
     /// Draw the smallest margins over the ranges of the starts (SVG)
     #[arg(long, value_name = "FILE")]

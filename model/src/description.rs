@@ -1,0 +1,596 @@
+//! The text of a URDF file (<http://wiki.ros.org/urdf/XML>) as a tree of links and joints, each number checked.
+//!
+//! Text and files of others are read in time and memory that their length bounds: elements may be nested in any depth, their
+//! number and that of attributes is limited. What a robot's motion does not depend on (meshes, textures, transmissions,
+//! elements of other programs) is left out.
+
+use nalgebra::{Isometry3, Matrix3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use roxmltree::{Document, Node, ParsingOptions};
+use std::collections::HashMap;
+
+use crate::UrdfError;
+
+/// Longest text, bytes: several times that of any humanoid.
+const LENGTH: usize = 4 << 20;
+/// Elements, comments and texts between them.
+const NODES: u32 = 100_000;
+/// Attributes of one element, each of which is compared with all others.
+const ATTRIBUTES: usize = 1_000;
+/// Declarations of name spaces, each of which all elements inside carry on.
+const NAME_SPACES: usize = 100;
+/// Warnings of one text.
+const WARNINGS: usize = 20;
+
+/// Largest offset or size, m.
+const FAR: f64 = 100.0;
+/// Largest angle of a frame, rad.
+const TURNED: f64 = 100.0;
+/// Largest mass, kg.
+const HEAVY: f64 = 1e5;
+/// Largest moment or product of inertia, kg m^2.
+const INERT: f64 = 1e6;
+/// Largest limit: rad, rad/s, N m.
+const LIMIT: f64 = 1e6;
+
+/// A robot as its URDF describes it: a tree of links.
+#[derive(Clone, Debug)]
+pub struct Urdf {
+    /// The links in the order of the file.
+    pub links: Vec<UrdfLink>,
+    /// The joints in the order of the file.
+    pub joints: Vec<UrdfJoint>,
+    /// Index of the one link that hangs on no joint.
+    pub root: usize,
+    /// What was left out of the text although it may change the robot, one sentence each.
+    pub warnings: Vec<String>,
+}
+
+/// A link.
+#[derive(Clone, Debug)]
+pub struct UrdfLink {
+    /// Its name, which no other link has.
+    pub name: String,
+    /// Indices of the joints that it carries.
+    pub children: Vec<usize>,
+    /// What it looks like.
+    pub visuals: Vec<UrdfVisual>,
+    /// Its body in its frame; massless if the URDF gives none.
+    pub(crate) body: Body,
+}
+
+/// The kinds of joints that are understood.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum UrdfJointKind {
+    /// Turns within limits.
+    Revolute,
+    /// Turns without limits.
+    Continuous,
+    /// Does not move.
+    Fixed,
+}
+
+/// A joint.
+#[derive(Clone, Debug)]
+pub struct UrdfJoint {
+    /// Its name, which no other joint has.
+    pub name: String,
+    /// How it moves.
+    pub kind: UrdfJointKind,
+    /// Index of the link that hangs on it.
+    pub child: usize,
+    /// Frame of the child in that of the parent at q = 0, m.
+    pub origin: Isometry3<f64>,
+    /// Its axis in the frame of the child, of length 1.
+    pub axis: Vector3<f64>,
+    /// Its limits, as far as the URDF states them.
+    pub(crate) limit: Option<UrdfLimit>,
+}
+
+/// What an element `<limit>` states.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct UrdfLimit {
+    /// rad
+    pub lower: Option<f64>,
+    /// rad
+    pub upper: Option<f64>,
+    /// rad/s
+    pub velocity: Option<f64>,
+    /// N m
+    pub effort: Option<f64>,
+}
+
+/// A shape around the origin of its frame, m; cylinders and capsules along z.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum UrdfShape {
+    /// A cylinder, or a capsule whose ends stand out of it.
+    Cylinder {
+        /// m
+        radius: f64,
+        /// m
+        length: f64,
+    },
+    /// A sphere.
+    Sphere {
+        /// m
+        radius: f64,
+    },
+    /// A box.
+    Box {
+        /// Its edges, m.
+        size: Vector3<f64>,
+    },
+}
+
+/// What is to be seen of a link. Meshes are left out: nothing outside the URDF is read.
+#[derive(Clone, Debug)]
+pub struct UrdfVisual {
+    /// Frame of the shape in that of the link, m.
+    pub origin: Isometry3<f64>,
+    /// The shape.
+    pub shape: UrdfShape,
+    /// Red, green, blue, opacity, 0 to 1.
+    pub colour: Option<[f64; 4]>,
+}
+
+/// Mass, centre of mass and inertia about it, in some link's frame.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Body {
+    pub mass: f64,
+    pub com: Vector3<f64>,
+    pub inertia: Matrix3<f64>,
+}
+
+impl Body {
+    const NONE: Self = Self { mass: 0.0, com: Vector3::new(0.0, 0.0, 0.0), inertia: ZERO3 };
+
+    pub(crate) fn moved(self, by: &Isometry3<f64>) -> Self {
+        let r = by.rotation.to_rotation_matrix();
+        Self {
+            mass: self.mass,
+            com: by * self.com + by.translation.vector,
+            inertia: r.matrix() * self.inertia * r.matrix().transpose(),
+        }
+    }
+
+    /// Both as one rigid body.
+    pub(crate) fn joined(self, other: Self) -> Self {
+        let mass = self.mass + other.mass;
+        if mass == 0.0 {
+            return self;
+        }
+        let com = (self.com * self.mass + other.com * other.mass) / mass;
+        let about = |b: &Self| {
+            let d = b.com - com;
+            b.inertia + (Matrix3::identity() * d.dot(&d) - d * d.transpose()) * b.mass
+        };
+        Self { mass, com, inertia: about(&self) + about(&other) }
+    }
+}
+
+const ZERO3: Matrix3<f64> = Matrix3::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
+
+impl Urdf {
+    /// Reads the text of a URDF file.
+    ///
+    /// # Errors
+    /// [`UrdfError`] if it is no URDF, no tree of links, or holds a number, joint or body that cannot be.
+    pub fn read(text: &str) -> Result<Self, UrdfError> {
+        let document = parse(text)?;
+        let robot = document.root_element();
+        let got = robot.tag_name().name();
+        if got != "robot" {
+            return Err(UrdfError::Parse(format!(
+                "expected <robot> as the outermost element, got <{got}>: convert the file to URDF first"
+            )));
+        }
+        let colours = children(robot, "material").filter_map(|m| Some((m.attribute("name")?, colour(m)?)));
+        // The first of a name counts.
+        let colours: HashMap<_, _> = colours.collect::<Vec<_>>().into_iter().rev().collect();
+
+        let mut warnings = Warnings::default();
+        warnings
+            .check(robot, &["link", "joint", "material", "gazebo", "transmission", "ros2_control", "sensor"]);
+        let (mut links, mut by_name) = (Vec::new(), HashMap::new());
+        for node in children(robot, "link") {
+            let link = read_link(node, &colours, &mut warnings)?;
+            if by_name.insert(link.name.clone(), links.len()).is_some() {
+                return Err(refuse(node, "expected a name of its own, got that of another link"));
+            }
+            links.push(link);
+        }
+        let (mut joints, mut names) = (Vec::<UrdfJoint>::new(), HashMap::new());
+        let mut above: Vec<Option<usize>> = vec![None; links.len()];
+        for node in children(robot, "joint") {
+            let (joint, parent) = read_joint(node, &by_name, &mut warnings)?;
+            if names.insert(joint.name.clone(), joints.len()).is_some() {
+                return Err(refuse(node, "expected a name of its own, got that of another joint"));
+            }
+            if let Some(first) = above[joint.child].replace(joints.len()) {
+                let (child, first) = (&links[joint.child].name, &joints[first].name);
+                return Err(refuse(
+                    node,
+                    format!("its link `{child}` is the child of joint `{first}` already"),
+                ));
+            }
+            links[parent].children.push(joints.len());
+            joints.push(joint);
+        }
+
+        let mut roots = (0..links.len()).filter(|i| above[*i].is_none());
+        let root = roots.next().ok_or(UrdfError::NoRoot)?;
+        if let Some(second) = roots.next() {
+            let [first, second] = [root, second].map(|i| links[i].name.clone());
+            return Err(UrdfError::Roots { first, second });
+        }
+        let (mut reached, mut pending) = (vec![false; links.len()], vec![root]);
+        while let Some(link) = pending.pop() {
+            reached[link] = true;
+            pending.extend(links[link].children.iter().map(|joint| joints[*joint].child));
+        }
+        if let Some(loose) = reached.iter().position(|reached| !reached) {
+            let reason = format!(
+                "expected joints that lead to it from the root link `{}`, got joints in a loop",
+                links[root].name
+            );
+            return Err(UrdfError::Refused { element: format!("link `{}`", links[loose].name), reason });
+        }
+        Ok(Self { links, joints, root, warnings: warnings.0 })
+    }
+}
+
+/// The elements of a text that can be read in bounded time and memory.
+fn parse(text: &str) -> Result<Document<'_>, UrdfError> {
+    let large = |what: &str, limit: usize, unit: &str| {
+        let reason = format!("expected {what} of at most {limit} {unit}, got more: is it a robot?");
+        Err(UrdfError::Parse(reason))
+    };
+    if text.len() > LENGTH {
+        return large("a text", LENGTH, "bytes");
+    }
+    if text.matches("xmlns").nth(NAME_SPACES).is_some() {
+        return large("declarations (xmlns)", NAME_SPACES, "name spaces");
+    }
+    let quotes = |tag: &str| tag.bytes().filter(|b| matches!(b, b'"' | b'\'')).count();
+    if text.split('<').any(|tag| quotes(tag) > 2 * ATTRIBUTES) {
+        return large("elements", ATTRIBUTES, "attributes");
+    }
+    let options = ParsingOptions { nodes_limit: NODES, ..ParsingOptions::default() };
+    match Document::parse_with_options(text, options) {
+        Ok(document) => Ok(document),
+        Err(roxmltree::Error::NodesLimitReached) => large("a text", NODES as usize, "elements"),
+        Err(e) => {
+            let lines = text.lines().count();
+            let place = match e {
+                roxmltree::Error::UnclosedRootNode | roxmltree::Error::UnexpectedEndOfStream => {
+                    format!(", the text ends in line {lines}: is the file complete?")
+                }
+                _ => String::new(),
+            };
+            let row = if place.is_empty() { e.pos().row as usize } else { lines };
+            let before: usize = text.split_inclusive('\n').take(row).map(str::len).sum();
+            let near = last_element(&text[..before]).map(|element| format!(", at or after {element}"));
+            Err(UrdfError::Parse(format!("{e}{place}{}", near.unwrap_or_default())))
+        }
+    }
+}
+
+/// The last link or joint that begins in a text.
+fn last_element(text: &str) -> Option<String> {
+    let (at, kind) =
+        ["link", "joint"].iter().filter_map(|k| Some((text.rfind(&format!("<{k} "))?, *k))).max()?;
+    let name = text[at..].split(['"', '\'']).nth(1)?;
+    Some(format!("{kind} `{name}`"))
+}
+
+/// Children of the name space of their parent.
+fn elements<'a, 'i>(node: Node<'a, 'i>) -> impl Iterator<Item = Node<'a, 'i>> {
+    let space = node.tag_name().namespace();
+    node.children().filter(move |child| child.is_element() && child.tag_name().namespace() == space)
+}
+
+fn children<'a, 'i>(node: Node<'a, 'i>, name: &'static str) -> impl Iterator<Item = Node<'a, 'i>> {
+    elements(node).filter(move |child| child.tag_name().name() == name)
+}
+
+/// The child of a name, if there is one.
+fn child<'a, 'i>(node: Node<'a, 'i>, name: &'static str) -> Result<Option<Node<'a, 'i>>, UrdfError> {
+    let mut all = children(node, name);
+    let first = all.next();
+    if all.next().is_some() {
+        return Err(refuse(node, format!("expected one <{name}>, got several")));
+    }
+    Ok(first)
+}
+
+/// A refusal that names the link or joint that `node` is or belongs to.
+fn refuse(node: Node<'_, '_>, reason: impl Into<String>) -> UrdfError {
+    let kind = |n: &Node<'_, '_>| n.is_element() && matches!(n.tag_name().name(), "link" | "joint");
+    let within =
+        node.ancestors().filter(|n| n.parent_element().is_some_and(|p| p.parent_element().is_none()));
+    let owner = within.into_iter().find(kind).unwrap_or(node);
+    let tag = owner.tag_name().name();
+    let element = match owner.attribute("name").filter(|name| !name.is_empty()) {
+        Some(name) => format!("{tag} `{name}`"),
+        None => format!("{tag} in line {}", line(owner)),
+    };
+    UrdfError::Refused { element, reason: reason.into() }
+}
+
+fn line(node: Node<'_, '_>) -> u32 {
+    node.document().text_pos_at(node.range().start).row
+}
+
+fn required<'a>(node: Node<'a, '_>, attribute: &str) -> Result<&'a str, UrdfError> {
+    node.attribute(attribute).ok_or_else(|| {
+        refuse(node, format!("expected {attribute}=\"...\" in its <{}>, got none", node.tag_name().name()))
+    })
+}
+
+fn name_of(node: Node<'_, '_>) -> Result<String, UrdfError> {
+    let name = node.attribute("name").filter(|name| !name.is_empty());
+    name.map(str::to_owned).ok_or_else(|| refuse(node, "expected a name, got none"))
+}
+
+/// `N` numbers in the `text` of an attribute, each of at most `bound` in magnitude.
+fn numbers<const N: usize>(
+    node: Node<'_, '_>,
+    attribute: &str,
+    text: &str,
+    bound: f64,
+    unit: &str,
+) -> Result<[f64; N], UrdfError> {
+    let all: Result<Vec<f64>, _> = text.split_whitespace().map(str::parse).collect();
+    let all = all.ok().and_then(|all| <[f64; N]>::try_from(all).ok());
+    all.filter(|all| all.iter().all(|v| v.abs() <= bound)).ok_or_else(|| {
+        let hint = if text.contains("${") || text.contains("$(") {
+            ": expand the file with xacro first"
+        } else if text.contains(',') {
+            ": a number is written with a point, and a blank stands between two"
+        } else {
+            ""
+        };
+        let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
+        let count = if N == 1 { "a number".to_owned() } else { format!("{N} numbers") };
+        let tag = node.tag_name().name();
+        let text: String = text.chars().take(80).collect();
+        refuse(
+            node,
+            format!("{tag} {attribute}: expected {count} of at most {bound}{unit}, got `{text}`{hint}"),
+        )
+    })
+}
+
+fn number(node: Node<'_, '_>, attribute: &str, bound: f64, unit: &str) -> Result<Option<f64>, UrdfError> {
+    let text = node.attribute(attribute);
+    text.map(|text| numbers::<1>(node, attribute, text, bound, unit).map(|[v]| v)).transpose()
+}
+
+fn triple(
+    node: Node<'_, '_>,
+    attribute: &str,
+    bound: f64,
+    unit: &str,
+) -> Result<Option<Vector3<f64>>, UrdfError> {
+    let text = node.attribute(attribute);
+    text.map(|text| numbers::<3>(node, attribute, text, bound, unit).map(Vector3::from)).transpose()
+}
+
+/// The frame that the element `<origin>` of a node states; without one, the node's own.
+fn origin(node: Node<'_, '_>) -> Result<Isometry3<f64>, UrdfError> {
+    let Some(origin) = child(node, "origin")? else { return Ok(Isometry3::identity()) };
+    let xyz = triple(origin, "xyz", FAR, "m")?.unwrap_or_default();
+    let rpy = triple(origin, "rpy", TURNED, "rad")?;
+    let rotation = match (rpy, origin.attribute("quat_xyzw")) {
+        (Some(_), Some(_)) => return Err(refuse(origin, "expected one of rpy and quat_xyzw, got both")),
+        (None, Some(text)) => {
+            let [x, y, z, w] = numbers(origin, "quat_xyzw", text, 1.1, "")?;
+            let quaternion = UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 0.5);
+            quaternion
+                .ok_or_else(|| refuse(origin, format!("expected a quaternion of length 1, got `{text}`")))?
+        }
+        (rpy, None) => {
+            let rpy = rpy.unwrap_or_default();
+            UnitQuaternion::from_euler_angles(rpy.x, rpy.y, rpy.z)
+        }
+    };
+    Ok(Isometry3::from_parts(Translation3::from(xyz), rotation))
+}
+
+fn read_link(
+    node: Node<'_, '_>,
+    colours: &HashMap<&str, [f64; 4]>,
+    warnings: &mut Warnings,
+) -> Result<UrdfLink, UrdfError> {
+    let name = name_of(node)?;
+    warnings.check(node, &["inertial", "visual", "collision", "self_collision_checking", "contact"]);
+    let body = child(node, "inertial")?.map_or(Ok(Body::NONE), read_body)?;
+    let mut visuals = Vec::new();
+    for visual in children(node, "visual") {
+        let geometry = children(visual, "geometry").flat_map(elements).next();
+        let Some(shape) = geometry.and_then(shape) else { continue };
+        let material = children(visual, "material").next();
+        let named = || colours.get(material?.attribute("name")?).copied();
+        let colour = material.and_then(colour).or_else(named);
+        visuals.push(UrdfVisual { origin: origin(visual)?, shape, colour });
+    }
+    Ok(UrdfLink { name, children: Vec::new(), visuals, body })
+}
+
+/// The body of an `<inertial>`, in the frame of its link.
+fn read_body(node: Node<'_, '_>) -> Result<Body, UrdfError> {
+    let element =
+        |name| child(node, name)?.ok_or_else(|| refuse(node, format!("its <inertial> has no <{name}>")));
+    let mass_node = element("mass")?;
+    let text = required(mass_node, "value")?;
+    let [mass] = numbers(mass_node, "value", text, HEAVY, "kg")?;
+    if mass < 0.0 {
+        return Err(refuse(node, format!("expected a mass of 0 or above, got `{text}` kg")));
+    }
+    let inertia_node = element("inertia")?;
+    let entry = |key| {
+        let text = required(inertia_node, key)?;
+        numbers(inertia_node, key, text, INERT, "kg m^2").map(|[v]| v)
+    };
+    let [ixx, ixy, ixz] = [entry("ixx")?, entry("ixy")?, entry("ixz")?];
+    let [iyy, iyz, izz] = [entry("iyy")?, entry("iyz")?, entry("izz")?];
+    let local = Matrix3::new(ixx, ixy, ixz, ixy, iyy, iyz, ixz, iyz, izz);
+    // A point mass has none; rounding may make a principal moment of a thin body negative.
+    let moments = local.symmetric_eigenvalues();
+    let largest = moments.amax();
+    let got = || {
+        let keys = ["ixx", "ixy", "ixz", "iyy", "iyz", "izz"].into_iter();
+        let texts = keys.map(|key| format!("{key}={}", inertia_node.attribute(key).unwrap_or_default()));
+        texts.collect::<Vec<_>>().join(" ")
+    };
+    if moments.iter().any(|moment| *moment < -1e-9 * largest) {
+        let reason = format!("expected an inertia whose principal moments are 0 or above, got `{}`", got());
+        return Err(refuse(node, reason));
+    }
+    if mass == 0.0 && largest > 0.0 {
+        return Err(refuse(node, format!("expected no inertia without a mass, got `{}`", got())));
+    }
+    let origin = origin(node)?;
+    let r = origin.rotation.to_rotation_matrix();
+    Ok(Body { mass, com: origin.translation.vector, inertia: r.matrix() * local * r.matrix().transpose() })
+}
+
+/// A joint and the index of its parent.
+fn read_joint(
+    node: Node<'_, '_>,
+    links: &HashMap<String, usize>,
+    warnings: &mut Warnings,
+) -> Result<(UrdfJoint, usize), UrdfError> {
+    let name = name_of(node)?;
+    let known = [
+        "origin",
+        "parent",
+        "child",
+        "axis",
+        "limit",
+        "mimic",
+        "calibration",
+        "dynamics",
+        "safety_controller",
+    ];
+    warnings.check(node, &known);
+    let link = |end: &'static str| {
+        let end = child(node, end)?.ok_or_else(|| refuse(node, format!("expected a <{end}>, got none")))?;
+        let link = required(end, "link")?;
+        let index = links.get(link).copied();
+        index.ok_or_else(|| {
+            refuse(node, format!("expected two links of the robot, there is no link `{link}`"))
+        })
+    };
+    let (parent, child_link) = (link("parent")?, link("child")?);
+    let kind = match required(node, "type")? {
+        "revolute" => UrdfJointKind::Revolute,
+        "continuous" => UrdfJointKind::Continuous,
+        "fixed" => UrdfJointKind::Fixed,
+        got => {
+            let reason = format!(
+                "expected a revolute, continuous or fixed joint, got `{got}`: others are not supported yet"
+            );
+            return Err(refuse(node, reason));
+        }
+    };
+    if let Some(mimic) = child(node, "mimic")? {
+        let other = mimic.attribute("joint").unwrap_or_default();
+        let reason = format!("it follows joint `{other}` (<mimic>): coupled joints are not supported yet");
+        return Err(refuse(node, reason));
+    }
+    if kind != UrdfJointKind::Fixed {
+        warn_of_motion(node, &name, warnings)?;
+    }
+    let axis = match child(node, "axis")? {
+        None => Vector3::x(),
+        Some(axis) => {
+            let xyz = triple(axis, "xyz", FAR, "")?.unwrap_or_else(Vector3::x);
+            let text = axis.attribute("xyz").unwrap_or_default();
+            let unit = xyz.try_normalize(1e-9);
+            unit.ok_or_else(|| refuse(node, format!("the axis is zero, got `{text}`")))?
+        }
+    };
+    let limit = child(node, "limit")?.filter(|_| kind != UrdfJointKind::Fixed);
+    let limit = limit.map(|limit| {
+        Ok(UrdfLimit {
+            lower: number(limit, "lower", LIMIT, "rad")?,
+            upper: number(limit, "upper", LIMIT, "rad")?,
+            velocity: number(limit, "velocity", LIMIT, "rad/s")?,
+            effort: number(limit, "effort", LIMIT, "N m")?,
+        })
+    });
+    let limit = limit.transpose()?;
+    Ok((UrdfJoint { name, kind, child: child_link, origin: origin(node)?, axis, limit }, parent))
+}
+
+/// Friction and soft limits are properties of the robot that stand elsewhere here.
+fn warn_of_motion(node: Node<'_, '_>, name: &str, warnings: &mut Warnings) -> Result<(), UrdfError> {
+    if let Some(dynamics) = child(node, "dynamics")? {
+        for key in ["damping", "friction"] {
+            let value = dynamics.attribute(key).unwrap_or("0");
+            if value.trim().parse() != Ok(0.0) {
+                warnings.add(format!(
+                    "joint `{name}`: its {key} `{value}` is not read: friction is part of plant.toml"
+                ));
+            }
+        }
+    }
+    if child(node, "safety_controller")?.is_some() {
+        warnings
+            .add(format!("joint `{name}`: its <safety_controller> is not read: limits are those of <limit>"));
+    }
+    Ok(())
+}
+
+/// What can be drawn of a geometry.
+fn shape(node: Node<'_, '_>) -> Option<UrdfShape> {
+    let size = |key| number(node, key, FAR, "m").ok()?.filter(|v| *v >= 0.0);
+    match node.tag_name().name() {
+        "cylinder" | "capsule" => {
+            Some(UrdfShape::Cylinder { radius: size("radius")?, length: size("length")? })
+        }
+        "sphere" => Some(UrdfShape::Sphere { radius: size("radius")? }),
+        "box" => {
+            let size = triple(node, "size", FAR, "m").ok()??;
+            size.iter().all(|v| *v >= 0.0).then_some(UrdfShape::Box { size })
+        }
+        _ => None,
+    }
+}
+
+/// The colour of a material.
+fn colour(material: Node<'_, '_>) -> Option<[f64; 4]> {
+    let colour = children(material, "color").next()?;
+    numbers(colour, "rgba", colour.attribute("rgba")?, 1.0, "").ok()
+}
+
+/// What was left out.
+#[derive(Default)]
+struct Warnings(Vec<String>);
+
+impl Warnings {
+    fn add(&mut self, warning: String) {
+        if self.0.len() < WARNINGS && !self.0.contains(&warning) {
+            self.0.push(warning);
+        }
+    }
+
+    /// Notes the elements of a node that are neither `known` nor another program's.
+    fn check(&mut self, node: Node<'_, '_>, known: &[&str]) {
+        let space = node.tag_name().namespace();
+        for child in node.children().filter(Node::is_element) {
+            let (tag, own) = (child.tag_name(), child.tag_name().namespace() == space);
+            let of_xacro = !own && tag.namespace().is_some_and(|uri| uri.contains("xacro"));
+            if self.0.len() == WARNINGS || (own && known.contains(&tag.name())) || !(own || of_xacro) {
+                continue;
+            }
+            // Only here: its search for the line begins at the top of the text.
+            let (name, line) = (tag.name(), line(child));
+            self.add(if of_xacro {
+                format!("<xacro:{name}> in line {line} is not read: expand the file with xacro first")
+            } else {
+                format!("<{name}> in line {line} is no element of a URDF and is not read")
+            });
+        }
+    }
+}
