@@ -95,7 +95,7 @@ pub enum ConfigError {
     /// A joint's range is not symmetric about 0.
     #[error(
         "{file}: joint `{joint}`: expected a range that is symmetric about 0, got {low} to {high} deg: others are not supported \
-         yet; turn the joint's origin so that the middle of its range is 0, or use the smaller side in {file} and robot.toml"
+         yet; turn the joint's origin so that the middle of its range is 0, or use the smaller side there and in robot.toml"
     )]
     Asymmetric {
         /// Name of the URDF.

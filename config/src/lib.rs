@@ -194,7 +194,7 @@ impl Config {
         let model = read_model(&urdf_name, &urdf)?;
         let (robot_name, robot) = text(&ROBOT)?;
         let robot = RobotSettings::read(&robot_name, &robot)?;
-        check_agreement(&robot_name, &robot.limits, &model)?;
+        check_agreement(&robot_name, &robot.limits, &urdf_name, &model)?;
         let model = model.with_rotors(robot.rotor_inertia);
         let (name, planner) = text(&PLANNER)?;
         let planner = PlannerSettings::read(&name, &planner)?;
@@ -373,7 +373,7 @@ fn read_model(file: &str, text: &str) -> Result<Model, ConfigError> {
 
 /// Table II stands in `robot.toml` and, for other programs, in the URDF: both must say the same. A joint that turns without limit
 /// there has the limit of `robot.toml`.
-fn check_agreement(file: &str, toml: &Limits, model: &Model) -> Result<(), ConfigError> {
+fn check_agreement(file: &str, toml: &Limits, urdf_file: &str, model: &Model) -> Result<(), ConfigError> {
     /// Lets a URDF round its angles; deg, deg/s, N m.
     const ROUNDING: f64 = 1e-4;
     let urdf = model.rated_limits();
@@ -381,7 +381,7 @@ fn check_agreement(file: &str, toml: &Limits, model: &Model) -> Result<(), Confi
         let (low, high) = (degrees(urdf.q_min[i]), degrees(urdf.q_max[i]));
         // Written so that two infinite ends are symmetric.
         if (low + high).abs() > ROUNDING {
-            return Err(ConfigError::Asymmetric { file: URDF.name.into(), joint: (*name).into(), low, high });
+            return Err(ConfigError::Asymmetric { file: urdf_file.into(), joint: (*name).into(), low, high });
         }
     }
     let agree = |key: &str, joint: usize, toml: f64, urdf: f64| {

@@ -42,12 +42,14 @@ struct Block {
     text: String,
 }
 
-/// README and every page of docs.
+/// README and every page of docs, and those of other folders with commands.
 fn pages() -> Vec<PathBuf> {
     let docs = std::fs::read_dir(repository().join("docs")).expect("docs");
     let mut pages: Vec<_> = docs.map(|entry| entry.expect("an entry").path()).collect();
     pages.retain(|path| path.extension().is_some_and(|e| e == "md"));
-    pages.extend(["README.md", "examples/python/README.md"].map(|page| repository().join(page)));
+    pages.extend(
+        ["README.md", "examples/python/README.md", "systemd/README.md"].map(|page| repository().join(page)),
+    );
     pages.sort();
     pages
 }
