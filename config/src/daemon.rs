@@ -18,6 +18,8 @@ pub struct DaemonSettings {
     pub stop_deceleration: [f64; NU],
     /// Estimate of the torque that acts besides the commanded one.
     pub disturbance: DisturbanceSettings,
+    /// Encoders that are stuck.
+    pub standstill: StandstillSettings,
     /// When the daemon warns and when it gives up control.
     pub limits: Levels,
     /// Which plans are accepted.
@@ -69,6 +71,17 @@ pub struct DisturbanceSettings {
     pub bandwidth: f64,
     /// Largest estimate, as a share of the 100 % torque limits.
     pub most: f64,
+}
+
+/// When an angle that does not change belongs to a stuck encoder.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StandstillSettings {
+    /// Motion that every encoder shows, rad.
+    pub angle: [f64; NQ],
+    /// Largest presliding friction, N m s/rad.
+    pub friction: [f64; NQ],
+    /// Torque that may act without being known, N m.
+    pub unknown: [f64; NQ],
 }
 
 /// Above `warn` the daemon warns, above `trip` it gives up control; warn < trip.
@@ -191,6 +204,7 @@ struct Raw {
     hold: RawHold,
     stop: RawStop,
     disturbance: RawDisturbance,
+    standstill: RawStandstill,
     limits: RawLevels,
     plans: RawPlans,
     recovery: RawRecovery,
@@ -225,6 +239,14 @@ struct RawStop {
 struct RawDisturbance {
     bandwidth_rad_s: f64,
     torque_fraction: f64,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawStandstill {
+    angle_rad: Vec<f64>,
+    friction_nms_rad: Vec<f64>,
+    unknown_torque_nm: Vec<f64>,
 }
 
 #[derive(Deserialize)]
@@ -341,6 +363,21 @@ impl DaemonSettings {
                     &NON_NEGATIVE,
                 )?,
                 most: check.number("disturbance.torque_fraction", raw.disturbance.torque_fraction, &SHARE)?,
+            },
+            standstill: StandstillSettings {
+                angle: check.list("standstill.angle_rad", &raw.standstill.angle_rad, 1, &POSITIVE)?,
+                friction: check.list(
+                    "standstill.friction_nms_rad",
+                    &raw.standstill.friction_nms_rad,
+                    1,
+                    &NON_NEGATIVE,
+                )?,
+                unknown: check.list(
+                    "standstill.unknown_torque_nm",
+                    &raw.standstill.unknown_torque_nm,
+                    1,
+                    &NON_NEGATIVE,
+                )?,
             },
             limits,
             plans: PlanSettings {

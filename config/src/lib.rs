@@ -20,8 +20,8 @@ mod start;
 
 pub use daemon::{
     CycleSettings, DaemonSettings, DisturbanceSettings, HoldGains, Level, Levels, PlanSettings,
-    PlanWhileTracking, RealtimeMode, RealtimeSettings, RecorderSettings, RecoverySettings, StartTolerance,
-    VelocityEstimate,
+    PlanWhileTracking, RealtimeMode, RealtimeSettings, RecorderSettings, RecoverySettings,
+    StandstillSettings, StartTolerance, VelocityEstimate,
 };
 pub use error::ConfigError;
 pub use fault::{EventError, Fault, FaultKind, Push};

@@ -53,7 +53,7 @@ impl Checks {
     }
 
     /// T_s, s.
-    fn period(&self) -> f64 {
+    pub fn period(&self) -> f64 {
         self.period_ns as f64 * 1e-9
     }
 

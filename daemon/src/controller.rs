@@ -9,6 +9,7 @@ use crate::disturbance::Disturbance;
 use crate::law;
 use crate::observer::Observer;
 use crate::plan::Ending;
+use crate::standstill::Standstill;
 use crate::supervisor::{Event, Refusal, Request, is_braked, transition};
 use crate::trip::{Trip, TripCause};
 use nalgebra::Vector3;
@@ -111,6 +112,7 @@ pub struct Controller {
 
     observer: Observer,
     disturbance: Disturbance,
+    standstill: Standstill,
     arm: ArmReference,
     /// Time of this cycle and, while a plan runs, of its start, ns.
     now: u64,
@@ -148,6 +150,7 @@ impl Controller {
                 config.robot.limits.tau_max * config.daemon.disturbance.most,
                 config.daemon.cycle.velocity_filter,
             ),
+            standstill: Standstill::new(&config.daemon.standstill, &config.robot.planning.q_max),
             arm: ArmReference::new(&config.daemon),
             now: 0,
             start: 0,
@@ -235,10 +238,23 @@ impl Controller {
             let u: Option<ActuatedVector> = expected.map(|qdd| qdd.fixed_rows::<NU>(0).into());
             self.disturbance.update(&self.model, &v, u.as_ref(), elapsed, &self.work);
         }
+        if self.warnings & TripCause::EncoderJump.bit() != 0 {
+            self.standstill.jumped();
+        }
+        // What the brakes hold stands for good, and what was not measured says nothing.
+        let stuck = if braked || !self.observer.drives_act() {
+            self.standstill.reset();
+            None
+        } else if fresh {
+            self.standstill
+                .observe(&position(&self.observer.x), self.observer.cycles() as f64 * self.checks.period())
+        } else {
+            None
+        };
         // Without a new measurement it is a cycle on the wall clock only, on the others an order between cycles.
         self.cycle += u64::from(fresh || wall);
 
-        if let Some(trip) = restarted.or(self.observer.unfit) {
+        if let Some(trip) = restarted.or(self.observer.unfit).or(stuck) {
             self.give_up(Event::Fault, trip);
         }
         if let Some(trip) = self.checks.late(told.late, &mut self.warnings) {
@@ -472,6 +488,7 @@ impl Controller {
                         None => {
                             self.expected = (!torque.limited).then_some(torque.qdd);
                             self.last = torque.tau;
+                            self.expect_motion(&target.u, &torque);
                             return (target, torque);
                         }
                     }
@@ -482,7 +499,19 @@ impl Controller {
         let none = ActuatedVector::zeros();
         self.last = none;
         self.expected = None;
-        (self.rest(), law::Torque { tau: none, limited: false, qdd: JointVector::zeros() })
+        (self.rest(), law::Torque { tau: none, cut: none, limited: false, qdd: JointVector::zeros() })
+    }
+
+    /// What the torque of this cycle must do to joints that seem to stand. While a mode begins it is not the one of `u`, and
+    /// the brakes may still be on their way.
+    fn expect_motion(&mut self, u: &ActuatedVector, torque: &law::Torque) {
+        if self.begins > 0 {
+            self.standstill.reset();
+            return;
+        }
+        let mass = self.model.last_mass_matrix(&self.work);
+        let qd = self.observer.filtered.fixed_rows::<NU>(0).into();
+        self.standstill.command(u, torque, self.disturbance.estimate(), &mass, &qd);
     }
 
     /// A mode begins with the torque of the last one (none, where the brakes held) and approaches its own without a step;

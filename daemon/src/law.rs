@@ -9,6 +9,8 @@ use upswing_model::{
 pub struct Torque {
     /// tau_A, N m; finite and within the limits.
     pub tau: ActuatedVector,
+    /// What the limiter took off, N m.
+    pub cut: ActuatedVector,
     /// Whether the limiter cut at least one joint.
     pub limited: bool,
     /// qdd = [u, qdd_U] (3a) that belongs to it if nothing was cut, rad/s^2.
@@ -43,7 +45,7 @@ pub fn torque(
     qdd.fixed_rows_mut::<N_ACTUATED>(0).copy_from(u);
     qdd.fixed_rows_mut::<N_UNACTUATED>(N_ACTUATED).copy_from(&qdd_u);
     let within = ActuatedVector::from_fn(|i, _| tau[i].min(tau_max[i]).max(-tau_max[i]));
-    Some(Torque { tau: within, limited: (0..NU).any(|i| within[i] != tau[i]), qdd })
+    Some(Torque { tau: within, cut: tau - within, limited: (0..NU).any(|i| within[i] != tau[i]), qdd })
 }
 
 #[cfg(test)]
@@ -73,7 +75,7 @@ mod tests {
         let (x, u) = motion();
         let model = Config::embedded().expect("settings").model;
         for disturbance in [0.0, 3.0] {
-            let Torque { tau, limited, qdd } = law(&x, &u, disturbance, 1e3).expect("finite");
+            let Torque { tau, limited, qdd, .. } = law(&x, &u, disturbance, 1e3).expect("finite");
             // What acts on the arm besides the drives, too.
             let load = JointVector::from_fn(|i, _| if i < N_ACTUATED { tau[i] + disturbance } else { 0.0 });
             let got = model.forward_dynamics(&position(&x), &velocity(&x), &load, &mut Workspace::default());

@@ -6,6 +6,7 @@
 //! | [`controller`] | one cycle: measurement in, command out; a pure function of measurement, time and its own state |
 //! | `observer`, [`filter`] | the state x from measurements, and whether it can be trusted |
 //! | `arm`, `law` | the reference of Hold and Stop, the torque law (24) |
+//! | `standstill` | encoders that are stuck |
 //! | `disturbance` | the torque that acts besides the commanded one, to be taken off it |
 //! | [`supervisor`], `checks`, [`trip`] | the table of modes, the levels that are watched, what is beyond them |
 //! | [`plan`], `loads` | which plans it may run, which one it has |
@@ -35,6 +36,7 @@ pub mod plan;
 mod realtime;
 pub mod recovery;
 pub mod service;
+mod standstill;
 pub mod supervisor;
 pub mod trip;
 

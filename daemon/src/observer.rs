@@ -35,6 +35,8 @@ pub struct Observer {
     t_ns: u64,
     /// Cycles without a new measurement: one with the next number and a later time stamp.
     age: u64,
+    /// Cycles from the last but one measurement in the filter to the last.
+    cycles: u64,
     /// Cycles in which the drives did not act although the brakes were commanded open.
     stopped: u64,
     /// Whole turns of q8 that do not count any more, rad.
@@ -57,9 +59,20 @@ impl Observer {
             clock: 0,
             t_ns: 0,
             age: 0,
+            cycles: 0,
             stopped: 0,
             turned: 0.0,
         }
+    }
+
+    /// Whether the brakes are open and the drives powered.
+    pub fn drives_act(&self) -> bool {
+        self.stopped == 0
+    }
+
+    /// Cycles from the last but one measurement to the last.
+    pub fn cycles(&self) -> u64 {
+        self.cycles
     }
 
     /// Whether no plant was measured yet, or the last one is gone.
@@ -123,7 +136,7 @@ impl Observer {
         let expected = expected.copied().unwrap_or_default();
         let lead = self.lead.as_mut().map_or_else(JointVector::zeros, |lead| lead.update(&expected, cycles));
         self.x = state(&q, &(self.filtered + lead));
-        self.filtered_seq = self.seq;
+        (self.filtered_seq, self.cycles) = (self.seq, cycles);
         // What the arm really does, not what the model expects.
         let arm = checks.arm(&state(&q, &self.filtered), warnings);
         self.unfit = self.unfit.or(arm);

@@ -5,8 +5,8 @@ use std::fmt;
 /// Defines the causes, each with its code and its words.
 macro_rules! causes {
     ($($(#[$doc:meta])+ $name:ident = $code:literal, $text:literal;)+) => {
-        /// What can be beyond its limit. Those up to [`TripCause::LawNotFinite`] lead to Fault, the next to Stop; the last
-        /// only keeps a plan from being started.
+        /// What can be beyond its limit. docs/daemon.md says which lead to Fault, which to Stop and which only keep a plan
+        /// from being started.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         #[repr(u64)]
         pub enum TripCause {
@@ -66,6 +66,8 @@ causes! {
     LateCycles = 19, "cycles end late";
     /// The loaded plan is too old to be started.
     PlanAge = 20, "the loaded plan is old";
+    /// An angle does not change although the torque must have moved its joint.
+    StuckEncoder = 21, "an encoder is stuck";
 }
 
 // Codes are found again by their index.
@@ -171,6 +173,13 @@ impl fmt::Display for Trip {
             }
             TripCause::BalanceLost => {
                 write!(f, "the rod is {value:.4} rad from where the plan ends, limit {limit:.4} rad")
+            }
+            TripCause::StuckEncoder => {
+                write!(
+                    f,
+                    "the angle of joint {joint} has not changed for {value:.4} s, although the torque must have moved it \
+                     by more than {limit} rad: its encoder is stuck, or something blocks it"
+                )
             }
             TripCause::LateCycles => write!(f, "{value:.0} cycles in a row ended late, limit {limit:.0}"),
             TripCause::NoMeasurement

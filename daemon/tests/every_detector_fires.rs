@@ -24,6 +24,12 @@ fn enabled_at(q: JointVector) -> (Controller, JointVector) {
     (controller, q)
 }
 
+/// A measurement whose angles flicker by a step of the encoders, as those of a robot do that moves against its torques: else
+/// they would count as stuck.
+fn flickering(seq: u64, q: &JointVector) -> Measurement {
+    measurement(seq, &q.add_scalar(if seq.is_multiple_of(2) { 2e-5 } else { 0.0 }))
+}
+
 /// One in Balance.
 fn balancing() -> (Controller, JointVector) {
     let (mut controller, q) = enabled_at(upright_pose());
@@ -191,7 +197,7 @@ fn position_limit() {
     while controller.mode() == Mode::Hold {
         q[2] += 1e-4;
         seq += 1;
-        let output = controller.step(&measurement(seq, &q), 0, None);
+        let output = controller.step(&flickering(seq, &q), 0, None);
         warned = warned.or(warns(&output, TripCause::PositionLimit).then_some(q[2].to_degrees()));
     }
     assert!(warned.is_some_and(|deg| (deg - 171.0).abs() < 0.01), "{warned:?}");
@@ -205,18 +211,18 @@ fn velocity_limit_of_the_arm_only() {
     // 1.1 times 75 deg/s is 1.44 rad/s; the pendulum may fall faster.
     for seq in 3..200 {
         q[7] += 20.0 * common::PERIOD;
-        controller.step(&measurement(seq, &q), 0, None);
+        controller.step(&flickering(seq, &q), 0, None);
     }
     assert_eq!(controller.mode(), Mode::Hold);
     for seq in 200..1000 {
         q[3] += 1.0 * common::PERIOD;
-        controller.step(&measurement(seq, &q), 0, None);
+        controller.step(&flickering(seq, &q), 0, None);
     }
     assert_eq!(controller.mode(), Mode::Hold);
     let mut warned = None;
     for seq in 1000..1500 {
         q[3] += 1.6 * common::PERIOD;
-        let output = controller.step(&measurement(seq, &q), 0, None);
+        let output = controller.step(&flickering(seq, &q), 0, None);
         warned = warned.or(warns(&output, TripCause::VelocityLimit).then_some(controller.mode()));
     }
     assert_eq!(warned, Some(Mode::Hold));
@@ -492,7 +498,7 @@ fn balance_lost() {
     while controller.mode() == Mode::Balance {
         seq += 1;
         q[8] += 1e-3;
-        let output = controller.step(&measurement(seq, &q), 0, None);
+        let output = controller.step(&flickering(seq, &q), 0, None);
         warned = warned.or(warns(&output, TripCause::BalanceLost).then_some((q[8] - before).to_degrees()));
     }
     assert!(warned.is_some_and(|deg| (deg - 10.0).abs() < 0.1), "{warned:?}");
@@ -515,12 +521,12 @@ fn pendulum_range() {
     let mut seq = 0;
     for order in orders {
         seq += 1;
-        controller.step(&measurement(seq, &q), 0, Some(order));
+        controller.step(&flickering(seq, &q), 0, Some(order));
     }
     while matches!(controller.mode(), Mode::Track | Mode::Balance) {
         seq += 1;
         q[7] += if controller.mode() == Mode::Balance { 1e-3 } else { 0.0 };
-        controller.step(&measurement(seq, &q), 0, None);
+        controller.step(&flickering(seq, &q), 0, None);
     }
     assert_eq!(trip(&controller), Some((Mode::Stop, TripCause::PendulumRange, 7)));
     assert!((q[7].to_degrees() - 205.0).abs() < 0.1, "{}", q[7].to_degrees());
@@ -540,4 +546,35 @@ fn no_measurement_and_unready_drives_refuse_enable() {
     unready.status = 0;
     assert_eq!(controller.step(&unready, 0, enable()).answer, Some(Err(Refusal::DrivesNotReady)));
     assert_eq!(controller.mode(), Mode::Idle);
+}
+
+#[test]
+fn stuck_encoder() {
+    let config = config();
+    for stuck in [true, false] {
+        let (mut controller, q) = enabled();
+        let mut plan = rest_plan(&config, &at_rest(&q), 1.0);
+        plan.trajectory.u.iter_mut().for_each(|u| u[0] = 10.0);
+        controller.step(&measurement(3, &q), 0, Some(Order::Load(plan)));
+        controller.step(&measurement(4, &q), 0, Some(Order::Do(Request::Start)));
+        for seq in 5..400 {
+            let next = if stuck { measurement(seq, &q) } else { flickering(seq, &q) };
+            controller.step(&next, 0, None);
+        }
+        let expected = stuck.then_some((Mode::Fault, TripCause::StuckEncoder, 0));
+        assert_eq!(trip(&controller), expected);
+        if stuck {
+            let text = controller.trip().map(ToString::to_string).unwrap_or_default();
+            assert!(text.contains("joint 1 has not changed for 0.0"), "{text}");
+        }
+    }
+}
+
+#[test]
+fn a_robot_that_stands_has_no_stuck_encoder() {
+    let (mut controller, q) = enabled();
+    for seq in 3..80_000 {
+        controller.step(&measurement(seq, &q), 0, None);
+    }
+    assert_eq!((controller.mode(), controller.trip()), (Mode::Hold, None));
 }

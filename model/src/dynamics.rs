@@ -117,6 +117,11 @@ impl Model {
         self.with_rotor_inertia(work.mass_matrix())
     }
 
+    /// M(q), kg m^2, at the q of the last evaluation with `work`.
+    pub fn last_mass_matrix(&self, work: &Workspace) -> JointMatrix {
+        self.with_rotor_inertia(work.mass_matrix())
+    }
+
     /// The mass matrix of bodies and rotors, given that of the bodies.
     fn with_rotor_inertia(&self, mut bodies: JointMatrix) -> JointMatrix {
         for i in 0..N_ACTUATED {
