@@ -5,23 +5,24 @@ mod guard;
 
 pub use guard::{Head, Refusal, Token, check};
 
-use crate::http::{self, Listener};
+use crate::http::{self, Listener, Request, Response, ServeError};
 use crate::live::{Asker, Live};
 use crate::operator::Action;
 use crate::page;
 use feed::{Feed, Sampler};
+use hyper::Method;
+use hyper::header::{AUTHORIZATION, HOST, ORIGIN};
 use serde::Serialize;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
-use tiny_http::{Method, Request};
 use upswing_ipc::IpcError;
 
 /// Time between two events.
 const FRAME: Duration = Duration::from_millis(40);
 /// Pause between two looks for telemetry.
 const PAUSE: Duration = Duration::from_millis(5);
-/// Pages that can be open at a time; each keeps a thread busy.
+/// Pages that can be open at a time.
 const PAGES: usize = 16;
 /// Longest wait for the answer to a request of an operator: those of planner and daemon, one after the other.
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -31,7 +32,7 @@ const JSON: &str = "application/json";
 
 struct Site {
     page: String,
-    feed: Feed,
+    feed: Arc<Feed>,
     token: Option<Token>,
     asker: Asker,
     open: AtomicUsize,
@@ -43,83 +44,131 @@ struct No {
     error: String,
 }
 
+impl No {
+    fn because(error: String) -> Self {
+        Self { success: false, error }
+    }
+}
+
+/// Why the page is served no more.
+#[derive(Debug, thiserror::Error)]
+pub enum WebError {
+    /// Connections cannot be accepted any more.
+    #[error(transparent)]
+    Serve(#[from] ServeError),
+    /// The system cannot be watched any more.
+    #[error(transparent)]
+    Ipc(#[from] IpcError),
+}
+
 /// Serves the page `setup` describes until `stop` is raised. Only who has the `token` can make requests.
 ///
 /// # Errors
-/// [`IpcError`] if the system cannot be watched any more.
+/// [`WebError`]
 pub fn run(
     live: &mut Live,
     listener: Listener,
     setup: &page::Setup,
     token: Option<Token>,
     stop: &Arc<AtomicBool>,
-) -> Result<(), IpcError> {
+) -> Result<(), WebError> {
     let site = Arc::new(Site {
         page: page::live(setup),
-        feed: Feed::default(),
+        feed: Feed::new(),
         token,
         asker: live.asker(),
         open: AtomicUsize::new(0),
     });
-    let (served, ends) = (Arc::clone(&site), Arc::clone(stop));
-    let server = std::thread::spawn(move || listener.serve(&ends, move |request| served.answer(request)));
+    let served = Arc::clone(&site);
+    let mut server = listener.serve(stop, move |request| Arc::clone(&served).answer(request));
     let mut sampler = Sampler::default();
     let mut next = Instant::now();
-    let mut result = Ok(());
-    while !stop.load(Ordering::Acquire) && result.is_ok() {
-        result = live.poll(|record| sampler.take(record));
-        if next <= Instant::now() {
-            site.feed.push(sampler.frame(live.view()));
-            next = Instant::now() + FRAME;
+    let mut watch = || -> Result<(), WebError> {
+        while !stop.load(Ordering::Acquire) {
+            server.check()?;
+            live.poll(|record| sampler.take(record))?;
+            if next <= Instant::now() {
+                site.feed.push(sampler.frame(live.view()));
+                next = Instant::now() + FRAME;
+            }
+            std::thread::sleep(PAUSE);
         }
-        std::thread::sleep(PAUSE);
-    }
+        Ok(())
+    };
+    let result = watch();
     stop.store(true, Ordering::Release);
-    site.feed.close();
-    let _ = server.join();
-    result
+    result.and(Ok(server.end()?))
 }
 
 impl Site {
-    fn answer(&self, request: Request) {
-        let url = request.url().to_owned();
+    async fn answer(self: Arc<Self>, request: Request) -> Response {
         let head = Head {
-            post: *request.method() == Method::Post,
-            get: *request.method() == Method::Get,
-            host: http::header(&request, "Host"),
-            origin: http::header(&request, "Origin"),
-            authorization: http::header(&request, "Authorization"),
+            post: *request.method() == Method::POST,
+            get: http::reads(&request),
+            host: http::header(&request, HOST),
+            origin: http::header(&request, ORIGIN),
+            authorization: http::header(&request, AUTHORIZATION),
         };
-        if let Err(refusal) = check(&head, self.token.as_ref()) {
-            return refuse(request, refusal.status, refusal.why.into());
+        match check(&head, self.token.as_ref()) {
+            Ok(()) => {}
+            Err(Refusal { status: 405, why }) => {
+                return http::refuse_method(JSON, json(&No::because(why.into())), "GET, HEAD, POST");
+            }
+            Err(refusal) => return refuse(refusal.status, refusal.why.into()),
         }
-        match (head.get, url.as_str()) {
-            (true, "/") => http::respond(request, 200, HTML, self.page.clone()),
-            (true, "/events") => self.stream(request),
+        match (head.get, http::path(&request)) {
+            (true, "") => http::respond(200, HTML, self.page.clone()),
+            // A stream that nobody gets would take the place of a page.
+            (true, "/events") if *request.method() == Method::HEAD => {
+                http::respond(200, http::EVENTS, String::new())
+            }
+            (true, "/events") => self.stream(),
             (false, path) => match path.strip_prefix("/request/").and_then(Action::from_name) {
-                Some(action) => self.ask(request, action),
-                None => refuse(request, 404, format!("expected /request/ and one of {}", names())),
+                Some(action) => self.ask(action).await,
+                None => refuse(404, format!("expected /request/ and one of {}", names())),
             },
-            _ => refuse(request, 404, "expected / or /events".into()),
+            _ => refuse(404, "expected / or /events".into()),
         }
     }
 
-    fn stream(&self, request: Request) {
-        if self.open.fetch_add(1, Ordering::AcqRel) < PAGES {
-            let mut reader = self.feed.reader();
-            http::stream(request, || reader.next());
-        } else {
-            refuse(request, 503, format!("{PAGES} pages are open already; close one"));
-        }
-        self.open.fetch_sub(1, Ordering::AcqRel);
+    fn stream(self: Arc<Self>) -> Response {
+        let Some(page) = Page::open(&self) else {
+            return refuse(503, format!("{PAGES} pages are open already; close one"));
+        };
+        let mut reader = self.feed.reader();
+        let (mut events, response) = http::stream();
+        tokio::spawn(async move {
+            let _open = page;
+            while let Some(frame) = reader.next().await
+                && events.send(&frame).await
+            {}
+        });
+        response
     }
 
-    fn ask(&self, request: Request, action: Action) {
-        match self.asker.ask(action).recv_timeout(PATIENCE) {
-            Ok(Ok(accepted)) => http::respond(request, 200, JSON, json(&accepted)),
-            Ok(Err(why)) => refuse(request, 409, why),
-            Err(_) => refuse(request, 504, "no answer; see the events on the page".into()),
+    async fn ask(&self, action: Action) -> Response {
+        let answer = self.asker.ask(action);
+        match tokio::task::spawn_blocking(move || answer.recv_timeout(PATIENCE)).await {
+            Ok(Ok(Ok(accepted))) => http::respond(200, JSON, json(&accepted)),
+            Ok(Ok(Err(why))) => refuse(409, why),
+            _ => refuse(504, "no answer; see the events on the page".into()),
         }
+    }
+}
+
+/// One of the pages that are open.
+struct Page(Arc<Site>);
+
+impl Page {
+    fn open(site: &Arc<Site>) -> Option<Self> {
+        let page = Self(Arc::clone(site));
+        (site.open.fetch_add(1, Ordering::AcqRel) < PAGES).then_some(page)
+    }
+}
+
+impl Drop for Page {
+    fn drop(&mut self) {
+        self.0.open.fetch_sub(1, Ordering::AcqRel);
     }
 }
 
@@ -127,8 +176,8 @@ fn names() -> String {
     Action::ALL.map(Action::name).join(", ")
 }
 
-fn refuse(request: Request, status: u16, error: String) {
-    http::respond(request, status, JSON, json(&No { success: false, error }));
+fn refuse(status: u16, error: String) -> Response {
+    http::respond(status, JSON, json(&No::because(error)))
 }
 
 fn json(value: &impl Serialize) -> String {

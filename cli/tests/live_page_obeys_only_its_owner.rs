@@ -38,6 +38,11 @@ fn over_http() {
     let (status, page) = ask(&begun, "GET /", &[]);
     assert!(status == 200 && page.contains("Content-Security-Policy: default-src 'none'"), "{page}");
     assert!(!page.contains(begun["token"].as_str().expect("a token")), "the page itself tells the token");
+    for line in ["GET /?from=bookmark", "HEAD /", "HEAD /events", "HEAD /events/?x"] {
+        let (status, answer) = ask(&begun, line, &[]);
+        let body = answer.split_once("\r\n\r\n").expect("a head").1;
+        assert!(status == 200 && body.is_empty() == line.starts_with("HEAD"), "{line}: {answer}");
+    }
     let post = "POST /request/enable";
     for (line, headers, expected) in [
         ("GET /", vec![("Host", "rebound.example")], 403),
@@ -52,9 +57,11 @@ fn over_http() {
         (post, vec![("Authorization", &token), ("Host", "rebound.example")], 403),
         (post, vec![("Authorization", &token), ("Authorization", &token)], 401),
         ("POST /request/fly", vec![("Authorization", &token)], 404),
+        (post, vec![("Authorization", &token), ("Content-Length", "99999999999999")], 413),
         // Heard, but nobody is there to obey.
         (post, vec![("Authorization", &token)], 409),
         (post, vec![("Authorization", &token), ("Origin", origin)], 409),
+        ("POST /request/enable/?x", vec![("Authorization", &token)], 409),
     ] {
         let (status, answer) = ask(&begun, line, &headers);
         assert_eq!(status, expected, "{line} {headers:?}: {answer}");

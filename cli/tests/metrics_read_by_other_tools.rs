@@ -102,13 +102,29 @@ fn over_http_and_as_a_file() {
     let (running, begun) = place.begin(&args);
     let url = begun["url"].as_str().expect("a url");
     let address = url.trim_start_matches("http://").trim_end_matches("/metrics");
-    let mut stream = TcpStream::connect(address).expect("it listens");
-    stream.write_all(b"GET /metrics HTTP/1.1\r\nHost: robot\r\nConnection: close\r\n\r\n").expect("sent");
-    let mut answer = String::new();
-    stream.read_to_string(&mut answer).expect("text");
-    let (head, body) = answer.split_once("\r\n\r\n").expect("head and body");
+    let ask = |line: &str| {
+        let mut stream = TcpStream::connect(address).expect("it listens");
+        let request = format!("{line} HTTP/1.1\r\nHost: robot\r\nConnection: close\r\n\r\n");
+        stream.write_all(request.as_bytes()).expect("sent");
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).expect("text");
+        let (head, body) = answer.split_once("\r\n\r\n").expect("head and body");
+        (head.to_owned(), body.to_owned())
+    };
+    for path in ["/metrics/", "/metrics?name[]=upswing_mode", "/metrics/?x"] {
+        check(&ask(&format!("GET {path}")).1);
+    }
+    let (head, body) = ask("HEAD /metrics");
+    let length = head.split("Content-Length: ").nth(1).and_then(|rest| rest.lines().next());
+    assert!(
+        head.starts_with("HTTP/1.1 200") && length.is_some_and(|n| n != "0") && body.is_empty(),
+        "{head}"
+    );
+    let (head, _) = ask("PUT /metrics");
+    assert!(head.starts_with("HTTP/1.1 405") && head.contains("Allow: GET, HEAD"), "{head}");
+    let (head, body) = ask("GET /metrics");
     assert!(head.contains("application/openmetrics-text; version=1.0.0; charset=utf-8"), "{head}");
-    check(body);
+    check(&body);
     assert!(body.contains("upswing_process_up{process=\"daemon\"} 0\n"), "{body}");
     // Renewed many times meanwhile, and never half of it.
     for _ in 0..200 {

@@ -1,7 +1,7 @@
 //! `upswing metrics`: a running system for Prometheus.
 
 use super::{CommonArgs, failed, print_json, print_line};
-use crate::http::{self, Listener};
+use crate::http::{self, Listener, Request, Response, Server};
 use crate::live::Live;
 use crate::metrics::{self, CONTENT_TYPE};
 use crate::parse::within;
@@ -17,6 +17,7 @@ use upswing_config::process::{Failure, shutdown_flag};
 
 /// Pause between two looks for telemetry; its buffer lasts for two seconds.
 const PAUSE: Duration = Duration::from_millis(20);
+const TEXT: &str = "text/plain; charset=utf-8";
 /// Age of what a scrape gets at most.
 const FRESH: Duration = Duration::from_millis(200);
 
@@ -95,14 +96,17 @@ pub fn run(args: &MetricsArgs) -> Result<(), Failure> {
         url: listener.as_ref().map(|l| format!("http://{}/metrics", l.address)),
         file: args.file.clone(),
     })?;
-    let server = listener.map(|listener| {
-        let (stop, newest) = (Arc::clone(&stop), Arc::clone(&newest));
-        std::thread::spawn(move || listener.serve(&stop, move |request| answer(request, &newest)))
+    let mut server = listener.map(|listener| {
+        let newest = Arc::clone(&newest);
+        listener.serve(&stop, move |request| std::future::ready(answer(&request, &newest)))
     });
     let every = Duration::from_secs_f64(args.every);
     let (mut shown, mut written) = (Instant::now(), Instant::now());
     let mut watch = || -> Result<(), Failure> {
         while !stop.load(Ordering::Acquire) {
+            if let Some(server) = &mut server {
+                server.check().map_err(failed)?;
+            }
             live.poll(|_| ()).map_err(failed)?;
             if shown.elapsed() >= FRESH {
                 *newest.lock().unwrap_or_else(PoisonError::into_inner) = text(&live);
@@ -118,26 +122,22 @@ pub fn run(args: &MetricsArgs) -> Result<(), Failure> {
     };
     let result = watch();
     stop.store(true, Ordering::Release);
-    if let Some(server) = server {
-        let _ = server.join();
-    }
+    let ended = server.as_mut().map_or(Ok(()), Server::end).map_err(failed);
     // What nobody renews would look like a system that stands still.
     if let Some(file) = &args.file {
         let _ = std::fs::remove_file(file);
     }
-    result
+    result.and(ended)
 }
 
-fn answer(request: tiny_http::Request, newest: &Mutex<String>) {
-    let get = *request.method() == tiny_http::Method::Get;
-    let (status, kind, body) = match (get, request.url()) {
+fn answer(request: &Request, newest: &Mutex<String>) -> Response {
+    match (http::reads(request), http::path(request)) {
         (true, "/metrics") => {
-            (200, CONTENT_TYPE, newest.lock().unwrap_or_else(PoisonError::into_inner).clone())
+            http::respond(200, CONTENT_TYPE, newest.lock().unwrap_or_else(PoisonError::into_inner).clone())
         }
-        (true, _) => (404, "text/plain", "expected /metrics\n".into()),
-        (false, _) => (405, "text/plain", "expected GET\n".into()),
-    };
-    http::respond(request, status, kind, body);
+        (true, _) => http::respond(404, TEXT, "expected /metrics\n".into()),
+        (false, _) => http::refuse_method(TEXT, "expected GET\n".into(), "GET, HEAD"),
+    }
 }
 
 /// Writes a file that is complete whenever somebody reads it.

@@ -5,7 +5,8 @@ use crate::page::round;
 use crate::page::times::{CycleTimes, Times};
 use serde::Serialize;
 use std::collections::VecDeque;
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use tokio::sync::watch;
 use upswing_ipc::Telemetry;
 use upswing_model::{NQ, NU};
 
@@ -101,9 +102,10 @@ impl Sampler {
 }
 
 /// The newest frames.
-#[derive(Default)]
 pub(super) struct Feed {
-    shared: Arc<(Mutex<Frames>, Condvar)>,
+    frames: Mutex<Frames>,
+    /// Number of the next frame.
+    next: watch::Sender<u64>,
 }
 
 #[derive(Default)]
@@ -111,58 +113,62 @@ struct Frames {
     /// Number of the first one kept.
     first: u64,
     kept: VecDeque<Arc<str>>,
-    closed: bool,
 }
 
 /// Follows the feed.
 pub(super) struct Reader {
-    shared: Arc<(Mutex<Frames>, Condvar)>,
+    feed: Arc<Feed>,
+    pushed: watch::Receiver<u64>,
     next: u64,
 }
 
 impl Feed {
-    pub fn push(&self, frame: String) {
-        let mut frames = lock(&self.shared.0);
-        if frames.kept.len() == KEPT {
-            frames.kept.pop_front();
-            frames.first += 1;
-        }
-        frames.kept.push_back(frame.into());
-        self.shared.1.notify_all();
+    pub fn new() -> Arc<Self> {
+        Arc::new(Self { frames: Mutex::default(), next: watch::Sender::default() })
     }
 
-    /// No frame follows.
-    pub fn close(&self) {
-        lock(&self.shared.0).closed = true;
-        self.shared.1.notify_all();
+    pub fn push(&self, frame: String) {
+        {
+            let mut frames = self.lock();
+            if frames.kept.len() == KEPT {
+                frames.kept.pop_front();
+                frames.first += 1;
+            }
+            frames.kept.push_back(frame.into());
+        }
+        self.next.send_modify(|next| *next += 1);
     }
 
     /// Begins with the oldest frame.
-    pub fn reader(&self) -> Reader {
-        Reader { shared: Arc::clone(&self.shared), next: 0 }
+    pub fn reader(self: &Arc<Self>) -> Reader {
+        Reader { feed: Arc::clone(self), pushed: self.next.subscribe(), next: 0 }
+    }
+
+    /// Nothing is left half done by a thread that panics.
+    fn lock(&self) -> MutexGuard<'_, Frames> {
+        self.frames.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The first frame kept from number `next` on, and the number after it.
+    fn get(&self, next: u64) -> Option<(Arc<str>, u64)> {
+        let frames = self.lock();
+        let next = next.max(frames.first);
+        let frame = frames.kept.get(usize::try_from(next - frames.first).ok()?)?;
+        Some((Arc::clone(frame), next + 1))
     }
 }
 
 impl Reader {
     /// Waits for the next frame; `None`: none follows.
-    pub fn next(&mut self) -> Option<String> {
-        let (mutex, changed) = &*self.shared;
-        let mut frames = lock(mutex);
+    pub async fn next(&mut self) -> Option<Arc<str>> {
         loop {
-            if frames.closed {
-                return None;
+            // Before the look: a frame that comes after it is a change.
+            self.pushed.mark_unchanged();
+            if let Some((frame, next)) = self.feed.get(self.next) {
+                self.next = next;
+                return Some(frame);
             }
-            let place = self.next.max(frames.first) - frames.first;
-            if let Some(frame) = frames.kept.get(usize::try_from(place).ok()?) {
-                self.next = frames.first + place + 1;
-                return Some(frame.to_string());
-            }
-            frames = changed.wait(frames).unwrap_or_else(PoisonError::into_inner);
+            self.pushed.changed().await.ok()?;
         }
     }
-}
-
-/// Nothing is left half done by a thread that panics.
-fn lock(mutex: &Mutex<Frames>) -> MutexGuard<'_, Frames> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
