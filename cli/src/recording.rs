@@ -21,6 +21,7 @@ mod cdr;
 pub mod cycle;
 mod flight;
 mod messages;
+mod parts;
 mod reader;
 mod tally;
 mod tap;

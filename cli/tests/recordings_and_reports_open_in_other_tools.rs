@@ -1,4 +1,5 @@
-//! The official Python reader reads recordings, also one that was cut off, and Chromium shows the report.
+//! The official Python reader reads recordings, also one that was cut off, what the official writer has written is read, and
+//! Chromium shows the report.
 //!
 //! Needs Python 3.10 or newer and the package index for the first, Chromium, too, for the second; a test whose tools are
 //! not there says so and does nothing.
@@ -58,6 +59,20 @@ fn the_official_python_reader() {
         run(&mut command).unwrap_or_else(|e| panic!("{e}"))
     };
     read(cycles, &[]);
+    // And back: what another tool has written.
+    let path = |name: &str| dir.path().join(name).to_str().expect("a plain path").to_owned();
+    let table = |file: &str| {
+        let answer = success(&["export", file, "--csv", &path("table.csv")]);
+        assert!(answer["cut"].is_null() && answer["damage"].is_null(), "{answer}");
+        std::fs::read(path("table.csv")).expect("the table")
+    };
+    let own = table(&file);
+    for compression in ["lz4", "zstd", "none"] {
+        let mut command = Command::new(python);
+        command.arg(script("rewrite_recording.py")).args([&file, &path("other.mcap"), compression]);
+        run(&mut command).unwrap_or_else(|e| panic!("{e}"));
+        assert!(table(&path("other.mcap")) == own, "{compression}");
+    }
     let bytes = std::fs::read(&file).expect("read");
     std::fs::write(&file, &bytes[..bytes.len() * 2 / 3]).expect("written");
     // Bytes per cycle differ: a rod at rest compresses better than one that moves.

@@ -115,6 +115,134 @@ fn a_file_cut_anywhere_is_readable_to_its_last_chunk() {
     assert!(most >= 2 * CHUNK, "{most} cycles");
 }
 
+/// A file rewritten part by part: what `change` makes of opcode and body of each record stands in its place.
+fn rewritten(bytes: &[u8], mut change: impl FnMut(u8, &[u8]) -> Vec<u8>) -> Vec<u8> {
+    let (mut rest, mut out) = (&bytes[8..bytes.len() - 8], bytes[..8].to_vec());
+    while let Some((head, more)) = rest.split_first_chunk::<9>() {
+        let length = u64::from_le_bytes(head[1..].try_into().expect("eight bytes")) as usize;
+        out.extend(change(head[0], &more[..length]));
+        rest = &more[length..];
+    }
+    out.extend(&bytes[bytes.len() - 8..]);
+    out
+}
+
+fn part(opcode: u8, body: &[u8]) -> Vec<u8> {
+    [&[opcode][..], &(body.len() as u64).to_le_bytes(), body].concat()
+}
+
+/// A chunk with a header of its own choice.
+fn chunk(size: u64, crc: u32, compression: &str, data: &[u8]) -> Vec<u8> {
+    let mut body = vec![0; 16];
+    body.extend(size.to_le_bytes());
+    body.extend(crc.to_le_bytes());
+    body.extend((compression.len() as u32).to_le_bytes());
+    body.extend(compression.as_bytes());
+    body.extend((data.len() as u64).to_le_bytes());
+    body.extend(data);
+    part(mcap::records::op::CHUNK, &body)
+}
+
+/// `bytes` with a chunk in front of the first one.
+fn with_chunk(bytes: &[u8], extra: &[u8]) -> Vec<u8> {
+    let mut first = true;
+    rewritten(bytes, |opcode, body| {
+        let before = opcode == mcap::records::op::CHUNK && std::mem::take(&mut first);
+        [if before { extra } else { &[] }, &part(opcode, body)].concat()
+    })
+}
+
+#[test]
+fn attachments_of_other_tools_are_skipped() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let cycles: Vec<_> = (1..=3).map(record).collect();
+    let path = recorded(dir.path(), &cycles);
+    let bytes = std::fs::read(&path).expect("read");
+    let own = read(&path, Window::ALL).expect("it reads").1.files;
+    for size in [100, 17 << 20] {
+        let mut body = vec![0; 16];
+        for text in ["camera.bin", "application/octet-stream"] {
+            body.extend((text.len() as u32).to_le_bytes());
+            body.extend(text.as_bytes());
+        }
+        body.extend((size as u64).to_le_bytes());
+        // No checksum.
+        body.resize(body.len() + size + 4, 0);
+        let attachment = part(mcap::records::op::ATTACHMENT, &body);
+        std::fs::write(&path, with_chunk(&bytes, &attachment)).expect("written");
+        let (read_back, recording) = read(&path, Window::ALL).expect("it reads");
+        assert_eq!((read_back, recording.damage, recording.cut), (cycles.clone(), None, None), "{size}");
+        assert_eq!(recording.files, own, "{size}");
+    }
+}
+
+#[test]
+fn bombs_are_left_out() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let cycles: Vec<_> = (1..=3).map(record).collect();
+    let path = recorded(dir.path(), &cycles);
+    let bytes = std::fs::read(&path).expect("read");
+    // A frame of 2 GiB of zeros in blocks of one repeated byte, RFC 8878: 4 bytes each.
+    let mut frame = vec![0x28, 0xb5, 0x2f, 0xfd, 0x00, 0x58];
+    for i in 0..16384_u32 {
+        let header = (131_072 << 3) | (1 << 1) | u32::from(i == 16383);
+        frame.extend(&header.to_le_bytes()[..3]);
+        frame.push(0);
+    }
+    for size in [1 << 20, 8 << 20, 1 << 31, u64::MAX] {
+        std::fs::write(&path, with_chunk(&bytes, &chunk(size, 1, "zstd", &frame))).expect("written");
+        let (read_back, recording) = read(&path, Window::ALL).expect("it reads");
+        assert_eq!((&read_back, recording.cut), (&cycles, None), "{size}");
+        assert!(
+            recording.damage.is_some_and(|why| why.starts_with("a part is left out, at byte ")),
+            "{size}"
+        );
+    }
+}
+
+#[test]
+fn behind_a_flipped_bit_all_chunks_are_read() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let cycles: Vec<_> = (1..=6 * CHUNK as u64).map(record).collect();
+    let path = recorded(dir.path(), &cycles);
+    let bytes = std::fs::read(&path).expect("read");
+    let mut chunks = Vec::new();
+    rewritten(&bytes, |opcode, body| {
+        let place = body.as_ptr() as usize - bytes.as_ptr() as usize;
+        chunks.extend((opcode == mcap::records::op::CHUNK).then_some((place, body.len())));
+        Vec::new()
+    });
+    assert!(chunks.len() >= 6, "{chunks:?}");
+    // Opcode, length (shorter, beyond the end), sizes and name in the header of the chunk, contents; of chunks in front, in
+    // the middle, and the last but one.
+    for chunk in [0, 1, 3, chunks.len() - 2] {
+        let (body, length) = chunks[chunk];
+        for place in [
+            body - 9,
+            body - 8,
+            body - 3,
+            body + 16,
+            body + 24,
+            body + 32,
+            body + 36,
+            body + 41,
+            body + length / 2,
+        ] {
+            let mut flipped = bytes.clone();
+            flipped[place] ^= 0x40;
+            std::fs::write(&path, flipped).expect("written");
+            let (read_back, recording) =
+                read(&path, Window::ALL).unwrap_or_else(|e| panic!("{chunk} {}: {e}", place - body));
+            let at = format!("chunk {chunk}, byte {} of its body: {recording:?}", place as i64 - body as i64);
+            assert!(recording.damage.is_some() && recording.cut.is_none(), "{at}");
+            let lost = cycles.len() - read_back.len();
+            assert!(lost <= CHUNK + 64, "{lost} cycles lost, {at}");
+            assert!(read_back.windows(2).all(|pair| pair[0].seq < pair[1].seq), "{at}");
+            assert_eq!(read_back.last(), cycles.last(), "{at}");
+        }
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 60, rng_seed: RngSeed::Fixed(1), failure_persistence: None, ..ProptestConfig::default() })]
 

@@ -41,15 +41,16 @@ struct Answer<'a> {
     lines: usize,
     columns: usize,
     cut: Option<String>,
+    damage: Option<String>,
 }
 
 impl std::fmt::Display for Answer<'_> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{}: {} cycles, {} columns", self.csv.display(), self.lines, self.columns)?;
-        match &self.cut {
-            Some(why) => write!(f, "; the recording ends early ({why})"),
-            None => Ok(()),
+        if let Some(why) = &self.cut {
+            write!(f, "; the recording ends early ({why})")?;
         }
+        self.damage.iter().try_for_each(|damage| write!(f, "; the recording is damaged: {damage}"))
     }
 }
 
@@ -92,7 +93,13 @@ pub fn run(args: &ExportArgs) -> Result<(), Failure> {
     bar.finish_and_clear();
     let recording = recording?;
     table.map_or(Ok(()), |mut file| file.flush()).map_err(unwritable)?;
-    args.common.print(&Answer { csv: &args.csv, lines, columns: columns().len(), cut: recording.cut })
+    args.common.print(&Answer {
+        csv: &args.csv,
+        lines,
+        columns: columns().len(),
+        cut: recording.cut,
+        damage: recording.damage,
+    })
 }
 
 /// `q1_rad`, `t_plan_s`, ...

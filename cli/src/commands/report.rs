@@ -44,16 +44,17 @@ struct Answer {
     page: PathBuf,
     figures: Vec<PathBuf>,
     cut: Option<String>,
+    damage: Option<String>,
 }
 
 impl std::fmt::Display for Answer {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{}", self.page.display())?;
         self.figures.iter().try_for_each(|figure| write!(f, "\n{}", figure.display()))?;
-        match &self.cut {
-            Some(why) => write!(f, "\nthe recording ends early ({why})"),
-            None => Ok(()),
+        if let Some(why) = &self.cut {
+            write!(f, "\nthe recording ends early ({why})")?;
         }
+        self.damage.iter().try_for_each(|damage| write!(f, "\nthe recording is damaged: {damage}"))
     }
 }
 
@@ -96,5 +97,5 @@ pub fn run(args: &ReportArgs) -> Result<(), Failure> {
     } else {
         Vec::new()
     };
-    args.common.print(&Answer { page, figures, cut: recording.cut })
+    args.common.print(&Answer { page, figures, cut: recording.cut, damage: recording.damage })
 }

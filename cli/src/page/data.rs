@@ -204,5 +204,6 @@ fn summary(digest: &Digest, recording: &Recording) -> Vec<(&'static str, String)
     texts("warnings", warnings.join(", "));
     texts("real time, degraded", degraded.join(", "));
     texts("recording ends early", recording.cut.clone().unwrap_or_default());
+    texts("recording damaged", recording.damage.clone().unwrap_or_default());
     rows
 }

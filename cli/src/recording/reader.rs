@@ -1,17 +1,17 @@
-//! Reads recordings, also those of a killed process.
+//! Reads recordings, also those of a killed process, rewritten by other tools, or damaged.
 
+use super::parts::{self, Part, Parts};
 use super::{CYCLE_TOPIC, DETAILS, Elapsed, RecordingError, cdr, cycle, messages};
-use mcap::parse_record;
-use mcap::records::Record;
-use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use mcap::records::{Record, op};
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::Read;
 use std::path::Path;
 use upswing_ipc::{Plan, Step, Telemetry};
 
-/// Longest record, bytes: ten times a chunk. A damaged length asks for no more memory than this.
-const LONGEST: usize = 16 << 20;
+/// Longest definition of a message type, and all settings together, bytes: more is none of this program.
+const DEFINITION: usize = 64 << 10;
+const SETTINGS: usize = 16 << 20;
+/// Media types of the settings; other tools attach pictures and more.
+const SETTINGS_TYPES: [&str; 2] = ["application/toml", "application/xml"];
 
 /// A stretch of a recording, s from its first cycle, as [`Elapsed`].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,6 +48,8 @@ pub struct Recording {
     pub files: Vec<(String, String)>,
     /// Why the file ends early: its process was killed, or it is damaged.
     pub cut: Option<String>,
+    /// What in it cannot be read, though more follows.
+    pub damage: Option<String>,
 }
 
 impl Recording {
@@ -78,7 +80,7 @@ pub fn read(path: &Path, window: Window) -> Result<(Vec<Telemetry>, Recording), 
 ///
 /// # Errors
 /// [`RecordingError`] if it is no recording of this version or holds no cycle in the window; what `each` says. A file that
-/// ends early is no error, see [`Recording::cut`].
+/// ends early or is damaged is no error, see [`Recording::cut`] and [`Recording::damage`].
 pub fn scan<E: From<RecordingError>>(
     path: &Path,
     window: Window,
@@ -86,59 +88,81 @@ pub fn scan<E: From<RecordingError>>(
     mut each: impl FnMut(&Recording, Message) -> Result<(), E>,
 ) -> Result<Recording, E> {
     let unreadable = |cause| RecordingError::Read { path: path.to_owned(), cause };
-    let mut file = File::open(path).map_err(unreadable)?;
-    let total = file.metadata().map_err(unreadable)?.len();
-    let (mut done, mut seen) = (0, 0_u64);
-    let options = LinearReaderOptions::default()
-        .with_skip_end_magic(true)
-        // A damaged chunk gives no cycles at all.
-        .with_prevalidate_chunk_crcs(true)
-        .with_record_length_limit(LONGEST);
-    let mut events = LinearReader::new_with_options(options);
+    let mut file = Parts::open(path).map_err(unreadable)?.ok_or_else(|| RecordingError::NotMcap {
+        path: path.to_owned(),
+        cause: Box::new(mcap::McapError::BadMagic),
+    })?;
     let (schemas, channels) = (BTreeMap::new(), BTreeMap::new());
-    let mut reader = Reader { path, window, schemas, channels, elapsed: Elapsed::default() };
+    let mut reader = Reader { path, window, schemas, channels, settings: 0, elapsed: Elapsed::default() };
     let mut recording = Recording::default();
-    let (mut begun, mut finished) = (false, false);
-    while let Some(event) = events.next_event() {
-        let record = match event {
-            Ok(LinearReadEvent::ReadRequest(need)) => {
-                let space = events.insert(need.min(LONGEST));
-                let got = file.read(space).map_err(unreadable)?;
-                events.notify_read(got);
-                done += got as u64;
-                progress(done, total);
-                continue;
-            }
-            Ok(LinearReadEvent::Record { data, opcode }) => parse_record(opcode, data),
-            Err(e) => Err(e),
-        };
-        match record {
-            Ok(Record::Footer(_)) => finished = true,
-            Ok(record) => {
+    let (mut finished, mut seen) = (false, 0_u64);
+    let mut damage = Damage::default();
+    while !finished {
+        let part = file.next().map_err(unreadable)?;
+        let cut = matches!(part, Part::Cut(_));
+        // Where something else than a chunk cannot be read, its place is in doubt, too.
+        let lost = cut || matches!(part, Part::Record { opcode, .. } if opcode != op::CHUNK);
+        let read = match part {
+            Part::End => break,
+            Part::Foreign => Ok(()),
+            Part::TooLong(why) | Part::Cut(why) => Err(why),
+            Part::Record { opcode, body } => parts::each_record(opcode, body, |record| -> Result<(), E> {
+                finished |= matches!(record, Record::Footer(_));
                 if let Some(message) = reader.take(record, &mut recording)? {
                     seen += u64::from(matches!(message, Message::Cycle(_)));
                     each(&recording, message)?;
                 }
-            }
-            Err(cause) if !begun => {
-                return Err(RecordingError::NotMcap { path: path.to_owned(), cause: cause.into() }.into());
-            }
-            Err(e) => {
-                recording.cut = Some(e.to_string());
-                break;
-            }
+                Ok(())
+            })?,
+        };
+        let (place, length) = file.place();
+        progress(place, length);
+        let Err(why) = read else { continue };
+        let resumed = lost && file.resume().map_err(unreadable)?;
+        for (opcode, body) in file.definitions().map_err(unreadable)? {
+            // Those of another version have been found before, or are found where they stand.
+            let _ = mcap::parse_record(*opcode, body).map(|record| reader.take(record, &mut recording));
         }
-        begun = true;
+        if cut && !resumed {
+            recording.cut = Some(why);
+            break;
+        }
+        damage.note(place, why);
     }
+    recording.damage = damage.text();
     if !finished && recording.cut.is_none() {
         recording.cut = Some("the end is missing".into());
     }
     if seen == 0 {
-        let cut = recording.cut.map_or_else(String::new, |why| format!(" before the file ends ({why})"));
-        let expected = format!("cycles on {CYCLE_TOPIC} from {} s to {} s{cut}", window.from, window.to);
+        let why = recording.cut.map(|why| format!(" before the file ends ({why})"));
+        let damage = recording.damage.map(|damage| format!("; {damage}"));
+        let why = [why, damage].into_iter().flatten().collect::<String>();
+        let expected = format!("cycles on {CYCLE_TOPIC} from {} s to {} s{why}", window.from, window.to);
         return Err(RecordingError::Missing { path: path.to_owned(), expected }.into());
     }
     Ok(recording)
+}
+
+/// What cannot be read.
+#[derive(Default)]
+struct Damage {
+    parts: u64,
+    first: Option<(u64, String)>,
+}
+
+impl Damage {
+    fn note(&mut self, place: u64, why: String) {
+        self.parts += 1;
+        self.first.get_or_insert((place, why));
+    }
+
+    fn text(&self) -> Option<String> {
+        let (place, why) = self.first.as_ref()?;
+        Some(match self.parts {
+            1 => format!("a part is left out, at byte {place}: {why}"),
+            n => format!("{n} parts are left out, the first at byte {place}: {why}"),
+        })
+    }
 }
 
 /// What a message holds, of what is read here.
@@ -157,6 +181,8 @@ struct Reader<'a> {
     schemas: BTreeMap<u16, (String, String)>,
     /// What the messages of a channel are.
     channels: BTreeMap<u16, Kind>,
+    /// Bytes of the settings so far.
+    settings: usize,
     elapsed: Elapsed,
 }
 
@@ -166,8 +192,14 @@ impl Reader<'_> {
         let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
         match record {
             Record::Metadata(m) if m.name == DETAILS => into.details = m.metadata,
-            Record::Attachment { header, data, .. } => into.files.push((header.name, text(&data))),
-            Record::Schema { header, data } => {
+            Record::Attachment { header, data, .. }
+                if SETTINGS_TYPES.contains(&header.media_type.as_str())
+                    && data.len() <= SETTINGS - self.settings =>
+            {
+                self.settings += data.len();
+                into.files.push((header.name, text(&data)));
+            }
+            Record::Schema { header, data } if data.len() <= DEFINITION => {
                 self.schemas.insert(header.id, (header.name, text(&data)));
             }
             Record::Channel(c) => {
