@@ -136,6 +136,7 @@ addEventListener("DOMContentLoaded", () => {
   const source = new EventSource("/events");
   source.onmessage = e => { connected = true; take(JSON.parse(e.data)); };
   source.onerror = () => { connected = false; dirty = true; };
-  addEventListener("resize", () => { dirty = true; });
+  // Also where the page gets its first width, which is no resize of the window.
+  new ResizeObserver(() => { dirty = true; }).observe(document.querySelector("main"));
   draw();
 });

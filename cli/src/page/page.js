@@ -104,12 +104,20 @@ addEventListener("DOMContentLoaded", () => {
   $("play").addEventListener("click", () => play(!playing));
   scrub.addEventListener("input", () => { play(false); seek(Number(scrub.value)); });
   $("timeline").addEventListener("pointerdown", e => seek(begin + e.offsetX / $("timeline").clientWidth * (end - begin)));
+  // A control that was reached by Tab keeps its own keys; one that was clicked leaves them to the page.
+  let tabbed = false;
+  addEventListener("pointerdown", () => { tabbed = false; }, true);
   addEventListener("keydown", e => {
-    if (["INPUT", "SELECT", "BUTTON"].includes(e.target.tagName)) return;
-    if (e.key === " ") { e.preventDefault(); play(!playing); }
-    if (e.key === "ArrowRight") seek(now + 0.02);
-    if (e.key === "ArrowLeft") seek(now - 0.02);
+    if (e.key === "Tab") tabbed = true;
+    if (e.ctrlKey || e.altKey || e.metaKey) return;
+    if (tabbed && e.target.closest("input, select, button, summary")) return;
+    const act = { " ": () => play(!playing), ArrowRight: () => seek(now + 0.02), ArrowLeft: () => seek(now - 0.02) }[e.key];
+    // The button itself takes the space bar as a click.
+    if (!act || (e.key === " " && e.target === $("play"))) return;
+    e.preventDefault();
+    act();
   });
-  addEventListener("resize", resize);
+  // Called once at the beginning, too; and where the page gets its first width, which is no resize of the window.
+  new ResizeObserver(resize).observe(document.querySelector("main"));
   resize();
 });

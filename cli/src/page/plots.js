@@ -8,10 +8,12 @@ const FONT = "12px system-ui, Arial, sans-serif";
 // Values of which those that are no finite numbers came as null, which would count as 0.
 const numbers = values => values.map(v => v === null ? NaN : v);
 
-// Sizes a canvas to its place on the page; returns its context in CSS pixels, width and height.
+// Sizes a canvas to its place on the page; returns its context in CSS pixels, width and height, or null where there is no
+// place: in a tab that was never shown, or a window without width.
 function prepare(canvas) {
   const ratio = window.devicePixelRatio || 1, { clientWidth: w, clientHeight: h } = canvas;
   const [pw, ph] = [Math.round(w * ratio), Math.round(h * ratio)];
+  if (!pw || !ph) return null;
   if (canvas.width !== pw || canvas.height !== ph) { canvas.width = pw; canvas.height = ph; }
   const g = canvas.getContext("2d");
   g.setTransform(ratio, 0, 0, ratio, 0, 0);
@@ -49,7 +51,9 @@ class Panel {
   render() {
     const largest = (most, column) => column.reduce((m, v) => Math.max(m, Math.abs(v) || 0), most);
     this.top = this.curves.reduce((most, c) => largest(largest(most, c.values), c.desired || []), 1) * 1.08;
-    const [, w, h] = prepare(this.canvas);
+    const place = prepare(this.canvas);
+    if (!place) return;
+    const [, w, h] = place;
     [this.width, this.height] = [w, h];
     const ratio = this.canvas.width / w;
     this.picture.width = this.canvas.width; this.picture.height = this.canvas.height;
@@ -88,7 +92,11 @@ class Panel {
   }
 
   draw(t, sample) {
-    const [g, w, h] = prepare(this.canvas);
+    const place = prepare(this.canvas);
+    if (!place) return;
+    const [g, w, h] = place;
+    // It got its place after the curves were drawn.
+    if (this.picture.width !== this.canvas.width || this.picture.height !== this.canvas.height) this.render();
     g.drawImage(this.picture, 0, 0, w, h);
     g.strokeStyle = "#c1272d"; g.lineWidth = 1.2;
     this.stroke(g, [[this.x(t), 22], [this.x(t), h - 22]]);
@@ -106,7 +114,9 @@ class Panel {
 
 // Modes over time, with late cycles as ticks.
 function drawTimeline(canvas, modes, late, from, to, t) {
-  const [g, w, h] = prepare(canvas);
+  const place = prepare(canvas);
+  if (!place) return;
+  const [g, w, h] = place;
   const x = s => (s - from) / ((to - from) || 1) * w;
   g.textBaseline = "middle";
   for (const mode of modes) {
@@ -123,7 +133,9 @@ function drawTimeline(canvas, modes, late, from, to, t) {
 
 // Durations on a logarithmic axis; cycles too, so that the few late ones show.
 function drawTimes(canvas, all, period) {
-  const [g, w, h] = prepare(canvas);
+  const place = prepare(canvas);
+  if (!place) return;
+  const [g, w, h] = place;
   const [left, right, top, bottom] = [44, w - 8, 20, h - 34];
   if (!all.length) {
     g.fillStyle = "#6b7685"; g.fillText("Not measured: the clock was lockstep.", left, h / 2);
@@ -132,13 +144,15 @@ function drawTimes(canvas, all, period) {
   const ends = all.flatMap(a => [a.first, a.first * a.ratio ** a.counts.length]).concat(period * 1.3);
   const [lo, hi] = [Math.log10(Math.min(...ends)), Math.log10(Math.max(...ends))];
   const most = Math.log10(Math.max(...all.flatMap(a => a.counts)));
+  // 100, 1k, 10k, 100k, 1M: none is wider than the room for it.
+  const short = e => e < 3 ? `${+(10 ** e).toPrecision(3)}` : `${10 ** (e % 3)}${["", "k", "M", "G", "T"][Math.floor(e / 3)] || `e${e}`}`;
   const x = us => left + (Math.log10(us) - lo) / (hi - lo) * (right - left);
   const y = count => count ? bottom - (Math.log10(count) + 0.3) / (most + 0.4) * (bottom - top) : bottom;
   g.fillStyle = "#6b7685"; g.textAlign = "center"; g.textBaseline = "top";
-  for (let e = Math.ceil(lo); e <= hi; e++) { g.fillText(10 ** e, x(10 ** e), bottom + 4); g.fillRect(x(10 ** e), bottom, 1, 4); }
+  for (let e = Math.ceil(lo); e <= hi; e++) { g.fillText(short(e), x(10 ** e), bottom + 4); g.fillRect(x(10 ** e), bottom, 1, 4); }
   g.fillText("us", (left + right) / 2, bottom + 18);
   g.textAlign = "right"; g.textBaseline = "middle";
-  for (let e = 0; e <= most; e++) { g.fillText(10 ** e, left - 6, y(10 ** e)); g.fillRect(left - 3, y(10 ** e), 3, 1); }
+  for (let e = 0; e <= most; e++) { g.fillText(short(e), left - 6, y(10 ** e)); g.fillRect(left - 3, y(10 ** e), 3, 1); }
   all.forEach((a, k) => {
     g.fillStyle = COLOURS[k] + "99";
     a.counts.forEach((count, i) => {

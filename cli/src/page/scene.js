@@ -85,7 +85,9 @@ class Scene {
 
   // `desired`: angles or null; `trail`: points that the tip went through, oldest first.
   draw(q, desired, trail) {
-    [this.g, this.width, this.height] = prepare(this.canvas);
+    const place = prepare(this.canvas);
+    if (!place) return;
+    [this.g, this.width, this.height] = place;
     const g = this.g;
     const sky = g.createLinearGradient(0, 0, 0, this.height);
     sky.addColorStop(0, "#eef2f7"); sky.addColorStop(1, "#fbfcfd");

@@ -38,6 +38,11 @@ def look(browser, url, token, folder, blind):
     picture = lambda selector: page.evaluate("s => document.querySelector(s).toDataURL()", selector)
     still = picture("#scene")
     expect("expected nine panels", page.locator("#panels canvas").count() == 9)
+    # Frames that come while there is no place to draw are none of the script's failures, see pageerror.
+    for style in ["display", "none"], ["width", "0"]:
+        page.evaluate("([name, value]) => { document.querySelector('main').style[name] = value; }", style)
+        page.evaluate("() => new Promise(done => { let n = 10; (function next() { n-- ? requestAnimationFrame(next) : done(); })(); })")
+        page.evaluate("name => { document.querySelector('main').style[name] = ''; }", style[0])
     page.click("#swing-up")
     watch(page, "modetrack")
     watch(page, "modebalance")
@@ -64,7 +69,7 @@ def look(browser, url, token, folder, blind):
 
     reader = browser.new_page()
     reader.goto(url)
-    reader.wait_for_function("document.getElementById('summary').rows.length > 3", timeout=LONG)
+    reader.wait_for_function("() => document.getElementById('summary').rows.length > 3", timeout=LONG)
     expect("buttons without a token", not reader.locator("#requests").is_visible())
     # A new page has the last seconds at once: the mode before the stop is still in its events.
     expect("no history", "mode balance" in reader.locator("#events").text_content())

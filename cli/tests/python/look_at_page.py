@@ -61,6 +61,40 @@ def look(browser, report, folder):
     page.wait_for_timeout(200)
     expect("time passes in spite of the pause", time() == played)
 
+    # The keys work after any click.
+    page.keyboard.press("ArrowRight")
+    expect("no step by a key after a click on the button", time() > played)
+    page.keyboard.press(" ")
+    expect("the space bar does not play", page.locator("#play").text_content() == "Pause")
+    page.keyboard.press(" ")
+    for selector in ["#speed", "#scrub", "#settings summary", "#panels canvas:nth-child(1)", "#scene"]:
+        page.locator(selector).first.click()
+        page.keyboard.press("Escape")
+        page.locator(selector).first.evaluate("e => e.focus()")
+        before = time()
+        page.keyboard.press("ArrowLeft")
+        expect(f"no step of 0.02 s after a click on {selector}", abs(before - 0.02 - time()) < 0.002)
+        page.keyboard.press(" ")
+        expect(f"the space bar does not play after a click on {selector}", page.locator("#play").text_content() == "Pause")
+        page.keyboard.press(" ")
+    expect("a key changed the speed", page.locator("#speed").input_value() == "1")
+    # What is reached by Tab keeps its own keys.
+    page.locator("#play").focus()
+    page.keyboard.press("Tab")
+    page.keyboard.press("ArrowDown")
+    expect("the speed cannot be chosen by keys", page.locator("#speed").input_value() != "1")
+    page.locator("#speed").select_option("1")
+
+    # A page without a place to draw, and back.
+    drawn = picture(page, "#panels canvas:nth-child(1)")
+    for name, value in [("display", "none"), ("width", "0")]:
+        page.evaluate("([name, value]) => { document.querySelector('main').style[name] = value; }", [name, value])
+        page.evaluate("() => dispatchEvent(new Event('resize'))")
+        page.locator("#scrub").evaluate("e => { e.value = 0.5; e.dispatchEvent(new Event('input')); }")
+        page.evaluate("name => { document.querySelector('main').style[name] = ''; }", name)
+    page.wait_for_function("drawn => document.querySelector('#panels canvas').toDataURL() !== drawn", arg=drawn)
+    expect("nothing is drawn after it was hidden", painted(page, "#panels canvas:nth-child(1)") > 10)
+
     middle = 1.0
     page.locator("#scrub").fill(str(middle))
     expect(f"scrubbed to {middle}, shown {page.locator('#clock').text_content()}",
