@@ -6,8 +6,9 @@ use ratatui::backend::TestBackend;
 use ratatui::crossterm::event::{KeyCode, KeyEvent};
 use std::sync::LazyLock;
 use upswing::closed_loop::{Disturbances, swing_up};
-use upswing::live::{View, Watch};
-use upswing::monitor::{Keys, Look, draw};
+use upswing::live::{Status, Times, View, Watch};
+use upswing::monitor::{Keys, Look, Wish, draw};
+use upswing::operator::Action;
 use upswing_config::Config;
 use upswing_ipc::{Mode, Telemetry};
 use upswing_planner::replan::Planner;
@@ -71,6 +72,51 @@ fn a_fault_with_its_cause_and_nothing_without_a_daemon() {
     assert!(text.contains("FAULT") && text.contains("fault: an angle jumped"), "{text}");
     let text = picture(&view(&[]), &Keys::default(), 120, 34);
     assert!(text.contains("NO DAEMON") && text.contains("no cycles arrive"), "{text}");
+}
+
+#[test]
+fn on_80x24_nothing_is_cut() {
+    let times = |max| Times { count: 9, p50: 1.2, p99: 3.4, p99_9: 5.6, p99_99: 7.8, max };
+    let status = Status {
+        mode: "balance".into(),
+        fault: None,
+        loaded_plan: None,
+        running_plan: None,
+        cycles: 123_456_789,
+        overruns: 0,
+        last_overrun: None,
+        warnings: Vec::new(),
+        degraded: Vec::new(),
+        wake_us: times(54_321.9),
+        compute_us: times(98_765.4),
+        remark: String::new(),
+    };
+    let view = View { status: Some(status), ..view(upto(Mode::Balance)) };
+    let text = picture(&view, &Keys::default(), 80, 24);
+    for shown in
+        ["54321.9", "98765.4", "max", "p99.9", "123456789 cycles, none late, 0 lost", "q quit", "? help"]
+    {
+        assert!(text.contains(shown), "no {shown} in\n{text}");
+    }
+    assert!(picture(&view, &Keys::default(), 120, 34).contains("p99.99"));
+}
+
+#[test]
+fn a_question_mark_explains_the_keys() {
+    let view = view(upto(Mode::Balance));
+    let mut keys = Keys::default();
+    let mut press = |key| keys.press(&KeyEvent::from(KeyCode::Char(key)));
+    assert_eq!(press('?'), Wish::Nothing);
+    // Nothing but a stop is asked for while it is shown.
+    assert_eq!(press('y'), Wish::Nothing);
+    assert_eq!((press('?'), press('s')), (Wish::Nothing, Wish::Ask(Action::Stop)));
+    assert_eq!(press('?'), Wish::Nothing);
+    let text = picture(&view, &keys, 80, 24);
+    for shown in ["swing-down", "The brakes open", "any other key no", "s still stops"] {
+        assert!(text.contains(shown), "no {shown} in\n{text}");
+    }
+    keys.press(&KeyEvent::from(KeyCode::Esc));
+    assert!(!picture(&view, &keys, 80, 24).contains("The brakes open"));
 }
 
 #[test]

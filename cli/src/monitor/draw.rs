@@ -18,6 +18,22 @@ pub struct Look {
     pub colours: bool,
 }
 
+/// Name and value of a column of the cycle times.
+type Quantile = (&'static str, fn(&Times) -> f64);
+
+const QUANTILES: [Quantile; 5] = [
+    ("p50", |t| t.p50),
+    ("p99", |t| t.p99),
+    ("p99.9", |t| t.p99_9),
+    (LEAST, |t| t.p99_99),
+    ("max", |t| t.max),
+];
+/// It gives way where not all have room.
+const LEAST: &str = "p99.99";
+/// Columns of the names of the cycle times, and of a number.
+const NAME: usize = 8;
+const NUMBER: usize = 7;
+
 /// Share of a limit from which on a bar warns.
 const HIGH: f64 = 0.8;
 
@@ -70,6 +86,8 @@ pub fn draw(frame: &mut Frame, view: &View, keys: &Keys, look: Look) {
     frame.render_widget(footer(look), foot);
     if let Some(action) = keys.waiting() {
         confirm(frame, action, look);
+    } else if keys.help() {
+        help(frame, look);
     }
 }
 
@@ -94,7 +112,7 @@ fn heading(view: &View, look: Look) -> Line<'_> {
 }
 
 fn draw_joints(frame: &mut Frame, area: Rect, cycle: Option<&Cycle>, look: Look) {
-    let block = Block::bordered().title(" Joints: position between limits, velocity, torque ");
+    let block = Block::bordered().title(" Joints: position, velocity, torque ");
     let inner = block.inner(area);
     frame.render_widget(block, area);
     let Some(cycle) = cycle else {
@@ -166,10 +184,16 @@ fn draw_times(frame: &mut Frame, area: Rect, view: &View, look: Look) {
     let Some(status) = &view.status else {
         return frame.render_widget(nothing("the daemon does not answer").block(block), area);
     };
-    let heading = ["p50", "p99", "p99.9", "p99.99", "max"].map(|name| format!("{name:>8}")).concat();
+    let all = usize::from(block.inner(area).width) >= NAME + QUANTILES.len() * NUMBER;
+    let quantiles = || QUANTILES.into_iter().filter(move |(name, _)| all || *name != LEAST);
+    let heading: String = quantiles().map(|(name, _)| format!("{name:>NUMBER$}")).collect();
     let row = |name: &str, t: &Times| {
-        let numbers = [t.p50, t.p99, t.p99_9, t.p99_99, t.max].map(|v| format!("{v:>8.1}")).concat();
-        Line::raw(if t.count > 0 { format!("{name:<8}{numbers}") } else { format!("{name:<8} not measured") })
+        let numbers: String = quantiles().map(|(_, of)| format!("{:>NUMBER$.1}", of(t))).collect();
+        Line::raw(if t.count > 0 {
+            format!("{name:<NAME$}{numbers}")
+        } else {
+            format!("{name:<NAME$} not measured")
+        })
     };
     let late = match status.overruns {
         0 => Span::raw(format!("{} cycles, none late, {} lost", status.cycles, view.lost)),
@@ -184,7 +208,7 @@ fn draw_times(frame: &mut Frame, area: Rect, view: &View, look: Look) {
         ),
     };
     let lines = vec![
-        Line::styled(format!("{:8}{heading}", ""), look.ink(Color::DarkGray)),
+        Line::styled(format!("{:NAME$}{heading}", ""), look.ink(Color::DarkGray)),
         row("wake-up", &status.wake_us),
         row("compute", &status.compute_us),
         Line::from(late),
@@ -197,9 +221,9 @@ fn draw_plan(frame: &mut Frame, area: Rect, view: &View, look: Look) {
         None => "none seen yet".into(),
         Some(plan) => {
             let running = view.cycle.as_ref().filter(|c| c.plan.as_ref() == Some(&plan.id));
-            let state = running.map_or_else(String::new, |c| format!(", at {:.2} s", c.t_plan));
-            let end = if plan.stands { "standing" } else { "hanging" };
-            format!("{:.3} s, ends {end}{state}", plan.t_f)
+            let time = running.map_or_else(String::new, |c| format!("{:.2} of ", c.t_plan));
+            let end = if plan.stands { "up" } else { "down" };
+            format!("{time}{:.3} s, ends {end}", plan.t_f)
         }
     };
     let fault = view.cycle.as_ref().and_then(|c| c.fault);
@@ -238,31 +262,60 @@ fn draw_events(frame: &mut Frame, area: Rect, view: &View, look: Look) {
 }
 
 fn footer(look: Look) -> Line<'static> {
-    let keys = ACTIONS.into_iter().map(|(key, action)| (key, action.name())).chain([('q', "quit")]);
+    // Of 80 columns it takes 77.
+    let keys =
+        ACTIONS.into_iter().map(|(key, action)| (key, action.name())).chain([('q', "quit"), ('?', "help")]);
     let key = Style::new().add_modifier(Modifier::REVERSED);
     Line::from_iter(keys.flat_map(|(c, name)| {
-        [Span::styled(format!(" {c} "), key), Span::styled(format!(" {name}  "), look.ink(Color::Gray))]
+        [Span::styled(format!(" {c} "), key), Span::styled(format!("{name} "), look.ink(Color::Gray))]
     }))
 }
 
-fn confirm(frame: &mut Frame, action: Action, look: Look) {
-    let effect = match action {
+fn help(frame: &mut Frame, look: Look) {
+    let lines: Vec<_> = ACTIONS
+        .into_iter()
+        .map(|(key, action)| format!(" {key}  {:<11}{}", action.name(), effect(action)))
+        .chain([
+            " q  quit       The monitor ends, the system goes on.".into(),
+            String::new(),
+            " All but stop ask first: y is yes, any other key no.".into(),
+            " Bars: shares of the 100 % limits; angles in deg.".into(),
+            " Any key closes this help; s still stops.".into(),
+        ])
+        .map(Line::raw)
+        .collect();
+    popup(frame, 66, " Keys ", lines, false, look);
+}
+
+/// What a request does to the robot.
+fn effect(action: Action) -> &'static str {
+    match action {
         Action::Enable => "The brakes open and the arm holds its pose.",
         Action::SwingUp | Action::SwingDown => "The arm moves fast.",
         Action::Hold => "The arm holds its pose; a rod that stands falls.",
         Action::Stop => "The arm decelerates.",
         Action::Reset => "The fault is forgotten; brakes stay closed.",
-    };
-    let [row] = Layout::vertical([Constraint::Length(5)]).flex(Flex::Center).areas(frame.area());
-    let [area] = Layout::horizontal([Constraint::Length(56)]).flex(Flex::Center).areas(row);
+    }
+}
+
+/// A box in the middle.
+fn popup(frame: &mut Frame, width: u16, title: &str, lines: Vec<Line<'_>>, centered: bool, look: Look) {
+    let height = u16::try_from(lines.len() + 2).unwrap_or(u16::MAX);
+    let [row] = Layout::vertical([Constraint::Length(height)]).flex(Flex::Center).areas(frame.area());
+    let [area] = Layout::horizontal([Constraint::Length(width)]).flex(Flex::Center).areas(row);
+    let block = Block::bordered().title(title).style(look.ink(Color::Yellow));
+    let text = Paragraph::new(lines).block(block);
+    frame.render_widget(Clear, area);
+    frame.render_widget(if centered { text.centered() } else { text }, area);
+}
+
+fn confirm(frame: &mut Frame, action: Action, look: Look) {
     let lines = vec![
-        Line::raw(effect),
+        Line::raw(effect(action)),
         Line::raw(""),
         Line::styled("y: yes   any other key: no", Style::new().add_modifier(Modifier::BOLD)),
     ];
-    let block = Block::bordered().title(format!(" {}? ", action.name())).style(look.ink(Color::Yellow));
-    frame.render_widget(Clear, area);
-    frame.render_widget(Paragraph::new(lines).centered().block(block), area);
+    popup(frame, 56, &format!(" {}? ", action.name()), lines, true, look);
 }
 
 fn nothing(text: &str) -> Paragraph<'_> {

@@ -24,10 +24,11 @@ pub enum Wish {
     Ask(Action),
 }
 
-/// All but a stop has to be confirmed: it waits here for `y`, and any other key forgets it.
+/// All but a stop has to be confirmed: it waits here for `y`, and any other key forgets it. Likewise any key ends the help.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Keys {
     waiting: Option<Action>,
+    help: bool,
 }
 
 impl Keys {
@@ -36,18 +37,29 @@ impl Keys {
         self.waiting
     }
 
+    /// Whether what the keys do is explained.
+    pub fn help(&self) -> bool {
+        self.help
+    }
+
     /// A key was pressed.
     pub fn press(&mut self, key: &KeyEvent) -> Wish {
         if key.kind != KeyEventKind::Press {
             return Wish::Nothing;
         }
         let waiting = self.waiting.take();
+        let helped = std::mem::take(&mut self.help);
         match (key.code, waiting) {
             (KeyCode::Char('c'), _) if key.modifiers.contains(KeyModifiers::CONTROL) => Wish::Quit,
             (KeyCode::Char('s'), _) => Wish::Ask(Action::Stop),
             (KeyCode::Char('y'), Some(action)) => Wish::Ask(action),
             // Any other key forgets what waits, and does nothing else.
             (_, Some(_)) => Wish::Nothing,
+            _ if helped => Wish::Nothing,
+            (KeyCode::Char('?') | KeyCode::F(1), None) => {
+                self.help = true;
+                Wish::Nothing
+            }
             (KeyCode::Char('q') | KeyCode::Esc, None) => Wish::Quit,
             (KeyCode::Char(c), None) => {
                 self.waiting = ACTIONS.into_iter().find(|(key, _)| *key == c).map(|(_, action)| action);
