@@ -143,6 +143,12 @@ pub(crate) fn print_line(line: &impl std::fmt::Display) -> Result<(), Failure> {
 }
 
 /// "Ran, but the answer is no."
+/// Whether the file of an option can be written, before the work whose result it gets.
+fn check_writable(option: &str, path: Option<&Path>) -> Result<(), Failure> {
+    let check = path.map_or(Ok(()), crate::picture::check_writable);
+    check.map_err(|e| Failure::BadInput(format!("{option}: {e}; choose a place that can be written")))
+}
+
 pub(crate) fn failed(e: impl std::fmt::Display) -> Failure {
     Failure::Failed(e.to_string())
 }

@@ -1,4 +1,5 @@
-//! Pictures like the paper's Fig. 4 and 5: positions, velocities and torques over time, each scaled by its limit.
+//! Pictures like the paper's Fig. 4 and 5: positions, velocities and torques over time, each scaled by its 100 % limit, so
+//! that plans and flights can be compared.
 
 pub mod curves;
 pub mod figures;
@@ -18,7 +19,7 @@ const POINTS: usize = 500;
 /// Joints of each row, 0-based, as in Fig. 4 and 5 (joint 7 is shown with the pendulum).
 const ROWS: [&[usize]; 3] = [&[0, 1, 2], &[3, 4, 5], &[6, 7, 8]];
 /// What each column shows.
-const COLUMNS: [&str; 3] = ["position / limit", "velocity / limit", "torque / limit"];
+const COLUMNS: [&str; 3] = ["position / 100 % limit", "velocity / 100 % limit", "torque / 100 % limit"];
 /// Colours that differ in print and for the colour-blind (Okabe, Ito 2008).
 const COLOURS: [RGBColor; 3] = [RGBColor(0, 114, 178), RGBColor(213, 94, 0), RGBColor(0, 158, 115)];
 
@@ -54,6 +55,19 @@ fn svg(size: (u32, u32), draw: impl FnOnce(&Area<'_>) -> Drawn) -> Result<String
 /// Writes a drawing. That of plotters into a file would not tell that the disk is full.
 fn write(path: &Path, drawing: &[u8]) -> Result<(), String> {
     std::fs::write(path, drawing).map_err(|e| format!("cannot write {}: {e}", path.display()))
+}
+
+/// Whether a file can be written at `path`, without changing what is there: to know it before a long run, not after it.
+///
+/// # Errors
+/// A text that says why not.
+pub fn check_writable(path: &Path) -> Result<(), String> {
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let check = match std::fs::OpenOptions::new().append(true).open(path) {
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => tempfile::tempfile_in(folder).map(drop),
+        opened => opened.map(drop),
+    };
+    check.map_err(|e| format!("cannot write {}: {e}", path.display()))
 }
 
 /// Draws the records from 0.2 s before the plan starts to the end of the balance as an SVG: measured values in colour,

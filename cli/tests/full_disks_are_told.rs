@@ -1,4 +1,5 @@
-//! A picture that does not fit on its disk is an error, and costs nothing but the picture.
+//! A picture that does not fit on its disk is an error, and costs nothing but the picture; one that cannot be written at all is
+//! refused before the work.
 
 mod common;
 
@@ -13,6 +14,33 @@ fn of_a_plan() {
     let text = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{text}");
     assert!(text.contains("cannot write /dev/full"), "{text}");
+}
+
+#[test]
+fn that_there_is_no_such_folder_is_told_before_the_work() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| dir.path().join(name).to_str().expect("a plain path").to_owned();
+    let (missing, record) = (path("missing/a.svg"), path("run.mcap"));
+    for args in [
+        &["demo", "--clock", "lockstep", "--seconds", "2", "--record", &record, "--picture", &missing][..],
+        &[
+            "demo",
+            "--clock",
+            "lockstep",
+            "--seconds",
+            "2",
+            "--picture",
+            dir.path().to_str().expect("a plain path"),
+        ],
+        &["montecarlo", "replan", "--samples", "1", "--svg", &missing],
+        &["montecarlo", "robustness", "--over", "friction", "--samples", "1", "--svg", &missing],
+    ] {
+        let output = upswing(args);
+        let text = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{args:?}: {text}");
+        assert!(text.contains("cannot write") && output.stdout.is_empty(), "{args:?}: {text}");
+    }
+    assert_eq!(std::fs::read_dir(dir.path()).expect("the folder").count(), 0, "something was left behind");
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! `upswing demo`: the whole system on this machine.
 
-use super::{CommonArgs, failed, own_system, session_failure, time_bar};
+use super::{CommonArgs, check_writable, failed, own_system, session_failure, time_bar};
 use crate::parse::{Degrees, start_state, within};
 use crate::picture;
 use crate::recording::Recorder;
@@ -82,6 +82,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
         None => Degrees(config.plant.start.q.iter().map(|q| (q.to_degrees() * 1e9).round() / 1e9).collect()),
     };
     start_state(&config, "--start", &start, PendulumStart::Rest)?;
+    check_writable("--picture", Some(&args.picture))?;
     let stop = shutdown_flag()?;
 
     let (_clean, options) =
@@ -122,8 +123,8 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
         picture: args.picture.clone(),
         recording: args.record.clone(),
     };
-    args.common.print(&answer)?;
     let drawn = picture::draw(&args.picture, &records, &config.robot.limits, period);
+    args.common.print(&answer)?;
     if !success {
         let logs = options.logs.display();
         return Err(failed(format!("the pendulum was not swung up and balanced; logs in {logs}")));

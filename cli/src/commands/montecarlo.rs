@@ -6,7 +6,7 @@ mod replan;
 mod robustness;
 mod variation;
 
-use super::{CommonArgs, failed, progress_bar};
+use super::{CommonArgs, check_writable, failed, progress_bar};
 use crate::closed_loop::{Aborted, Disturbances, swing_up};
 use crate::montecarlo::{NoStart, for_each};
 use crate::parse::whole;

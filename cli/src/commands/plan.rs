@@ -36,7 +36,7 @@ pub struct PlanArgs {
     /// Adapt the optimal trajectory from these angles of joints 1-7, deg, instead of a database entry
     #[arg(long, value_name = "Q1,..,Q7", allow_hyphen_values = true)]
     pub reference: Option<Degrees>,
-    /// Draw the plan solid and the trajectory it was adapted from dashed, each scaled by the limits of plans (SVG)
+    /// Draw the plan solid and the trajectory it was adapted from dashed, each scaled by the 100 % limits (SVG)
     #[arg(long, value_name = "FILE")]
     pub svg: Option<PathBuf>,
 }
@@ -79,7 +79,7 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
     if let Some(path) = &args.svg {
         let reference = &planner.entries()[replan.entry.index].trajectory;
         let config = planner.config();
-        picture::plan::draw(path, &config.model, &config.robot.planning, &replan.trajectory, reference)
+        picture::plan::draw(path, &config.model, &config.robot.limits, &replan.trajectory, reference)
             .map_err(failed)?;
     }
     let answer = Answer {

@@ -221,9 +221,9 @@ fn draw_plan(frame: &mut Frame, area: Rect, view: &View, look: Look) {
         None => "none seen yet".into(),
         Some(plan) => {
             let running = view.cycle.as_ref().filter(|c| c.plan.as_ref() == Some(&plan.id));
-            let time = running.map_or_else(String::new, |c| format!("{:.2} of ", c.t_plan));
+            let state = running.map_or_else(String::new, |c| format!(", at {:.2} s", c.t_plan));
             let end = if plan.stands { "up" } else { "down" };
-            format!("{time}{:.3} s, ends {end}", plan.t_f)
+            format!("{:.3} s, ends {end}{state}", plan.t_f)
         }
     };
     let fault = view.cycle.as_ref().and_then(|c| c.fault);

@@ -117,6 +117,17 @@ fn cycle_times(all: &[Times], period_us: f64) -> Result<String, String> {
     svg(TIMES_SIZE, |root| draw_times(root, all, period_us))
 }
 
+/// 100, 1k, 10k, 100k, 1M: none is wider than the room for it.
+fn short(value: f64) -> String {
+    let (scale, letter) = match value {
+        v if v >= 1e9 => (1e9, "G"),
+        v if v >= 1e6 => (1e6, "M"),
+        v if v >= 1e3 => (1e3, "k"),
+        _ => (1.0, ""),
+    };
+    format!("{}{letter}", (value / scale * 1e3).round() / 1e3)
+}
+
 fn draw_times(root: &Area<'_>, all: &[Times], period_us: f64) -> Drawn {
     let ends = |t: &Times| (t.first, t.first * t.ratio.powi(t.counts.len() as i32));
     let from = all.iter().map(|t| ends(t).0).fold(period_us, f64::min);
@@ -132,6 +143,8 @@ fn draw_times(root: &Area<'_>, all: &[Times], period_us: f64) -> Drawn {
         .light_line_style(TRANSPARENT)
         .bold_line_style(BLACK.mix(0.08))
         .label_style(("sans-serif", 14))
+        .x_label_formatter(&|v| short(*v))
+        .y_label_formatter(&|v| short(*v))
         .x_desc("us")
         .y_desc("cycles")
         .draw()?;

@@ -1,7 +1,7 @@
 //! `upswing montecarlo closed-loop`.
 
 use super::condition::Condition;
-use super::{SamplingArgs, Scratch, failed, list_failures};
+use super::{SamplingArgs, Scratch, check_writable, failed, list_failures};
 use crate::closed_loop::{Aborted, Disturbances};
 use crate::montecarlo::{NoStart, Spread, Starts, arm_degrees};
 use crate::parse::within;
@@ -217,6 +217,7 @@ impl std::fmt::Display for ConditionAnswer {
 /// # Errors
 /// [`Failure::BadInput`] for unusable options or files; [`Failure::Failed`] if not every start succeeded.
 pub fn run(args: &ClosedLoopArgs) -> Result<(), Failure> {
+    check_writable("--picture", args.picture.as_deref())?;
     let stop = shutdown_flag()?;
     let planner = args.sampling.planner(None, &stop)?;
     let config = planner.config();

@@ -1,6 +1,6 @@
 //! `upswing montecarlo replan`.
 
-use super::{SamplingArgs, failed, list_failures};
+use super::{SamplingArgs, check_writable, failed, list_failures};
 use crate::commands::PlanFigures;
 use crate::montecarlo::{NoStart, Spread, Starts, arm_degrees};
 use crate::parse::whole;
@@ -157,6 +157,7 @@ impl std::fmt::Display for Answer {
 /// # Errors
 /// [`Failure::BadInput`] for unusable options or files; [`Failure::Failed`] if not every start succeeded.
 pub fn run(args: &ReplanArgs) -> Result<(), Failure> {
+    check_writable("--svg", args.svg.as_deref())?;
     let stop = shutdown_flag()?;
     let begin = Instant::now();
     let planner = args.sampling.planner(args.iterations, &stop)?;

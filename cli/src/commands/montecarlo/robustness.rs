@@ -1,7 +1,7 @@
 //! `upswing montecarlo robustness`.
 
 use super::variation::{Misses, Variation};
-use super::{SamplingArgs, Scratch, failed};
+use super::{SamplingArgs, Scratch, check_writable, failed};
 use crate::closed_loop::Aborted;
 use crate::montecarlo::{NoStart, Starts, arm_degrees, wilson};
 use crate::parse::within;
@@ -182,6 +182,8 @@ pub fn run(args: &RobustnessArgs) -> Result<(), Failure> {
     if args.over.contains(&Variation::Jitter) && args.missed.is_none() {
         return Err(Failure::BadInput("--over jitter: expected a file by --missed, got none".into()));
     }
+    check_writable("--svg", args.svg.as_deref())?;
+    check_writable("--picture", args.picture.as_deref())?;
     let stop = shutdown_flag()?;
     let planner = args.sampling.planner(None, &stop)?;
     let cases = cases(args, planner.config())?;
