@@ -8,7 +8,7 @@ use upswing_ipc::{Measurement, Plan as Payload};
 use upswing_model::{ActuatedVector, NQ, NU, NX, State, Workspace};
 use upswing_planner::replan::{Effort, Manoeuvre, Planner};
 use upswing_planner::service::payload;
-use upswing_trajectory::{Gain, KNOTS, N, Unfit};
+use upswing_trajectory::{Gain, KNOTS, N, Plan, Unfit};
 use upswingd::controller::{Controller, Order};
 use upswingd::plan::{PlanRefusal, accept};
 use upswingd::supervisor::{Refusal, Request};
@@ -703,6 +703,19 @@ fn start_elsewhere() {
 #[test]
 fn a_plan_with_missing_knots_is_not_loaded() {
     let (config, x) = rest();
+    let whole = rest_plan(&config, &x, 1.0);
+    let parts: [(&str, fn(&mut Plan)); 4] = [
+        ("x", |p| drop(p.trajectory.x.pop())),
+        ("u", |p| drop(p.trajectory.u.pop())),
+        ("f", |p| drop(p.f.pop())),
+        ("K", |p| drop(p.gains.pop())),
+    ];
+    for (what, pop) in parts {
+        let mut plan = whole.clone();
+        pop(&mut plan);
+        let refusal = config.gate().check(&config.model, &plan);
+        assert_eq!(refusal, Err(Unfit::Incomplete { what, got: KNOTS - 1 }));
+    }
     let mut plan = rest_plan(&config, &x, 1.0);
     plan.gains.pop();
     let mut controller = Controller::new(&config);
