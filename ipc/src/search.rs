@@ -10,8 +10,8 @@ use std::sync::mpsc::{self, Receiver, TryRecvError};
 use std::thread::{Builder, JoinHandle};
 use std::time::{Duration, Instant};
 
-/// Pause between two looks; one costs some 0.5 ms.
-const PERIOD: Duration = Duration::from_millis(20);
+/// Pause between two looks; one costs some 0.5 to 1 ms.
+const PERIOD: Duration = Duration::from_millis(50);
 /// How long to wait for the thread to end. It may hang in iceoryx2 if another process is stopped in the middle of its work.
 const PATIENCE: Duration = Duration::from_millis(500);
 
