@@ -162,3 +162,54 @@ fn key_at(table: &DeTable<'_>, at: usize) -> Option<String> {
         }
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rules_hold_up_to_their_ends() {
+        let (nan, inf) = (f64::NAN, f64::INFINITY);
+        let (above_0, below_1) = (f64::MIN_POSITIVE, 1.0_f64.next_down());
+        let above_1 = 1.0_f64.next_up();
+        for (rule, good, bad) in [
+            (FINITE, &[0.0, f64::MAX, f64::MIN][..], &[nan, inf, -inf][..]),
+            (POSITIVE, &[above_0, f64::MAX], &[0.0, -above_0, nan, inf]),
+            (NON_NEGATIVE, &[0.0, f64::MAX], &[-above_0, nan, inf]),
+            (NEGATIVE, &[-above_0, f64::MIN], &[0.0, above_0, nan, -inf]),
+            (COUNT, &[1.0, 2.0, 1e6], &[0.0, 0.5, 1.5, 1e6 + 1.0, nan, inf]),
+            (FRACTION, &[above_0, 1.0], &[0.0, above_1, nan]),
+            (SHARE, &[0.0, 1.0], &[-above_0, above_1, nan]),
+            (PART, &[0.0, below_1], &[-above_0, 1.0, nan]),
+            (BELOW_ONE, &[above_0, below_1], &[0.0, 1.0, nan]),
+            (DURATION, &[above_0, 60.0], &[0.0, 60.0_f64.next_up(), nan]),
+            (FULL_TURN, &[-360.0, 360.0], &[-360.1, 360.1, nan]),
+            (ACUTE, &[above_0, 90.0_f64.next_down()], &[0.0, 90.0, nan]),
+        ] {
+            let expected = rule.expected;
+            good.iter().for_each(|v| assert!((rule.holds)(*v), "{expected}: {v}"));
+            bad.iter().for_each(|v| assert!(!(rule.holds)(*v), "{expected}: {v}"));
+        }
+    }
+
+    #[test]
+    fn ranges_hold_up_to_their_ends() {
+        let check = Check { file: "f" };
+        let seconds = |v| check.seconds("k", v).is_ok();
+        assert!(seconds(1e-9) && seconds(86_400.0));
+        assert!(!seconds(0.0) && !seconds(86_400.1) && !seconds(f64::NAN));
+        let whole = |v| check.integer::<u8>("k", v, 1..=300).is_ok();
+        assert!(whole(1) && whole(255) && !whole(0) && !whole(256) && !whole(301));
+        let above = |v| check.above("k", v, 1.0, "l").is_ok();
+        assert!(above(1.1) && !above(1.0) && !above(f64::NAN));
+        let mut limits = Limits {
+            q_min: [-1.0; upswing_model::NQ].into(),
+            q_max: [1.0; upswing_model::NQ].into(),
+            qd_max: [1.0; upswing_model::NQ].into(),
+            tau_max: [1.0; upswing_model::NU].into(),
+        };
+        (limits.q_min[8], limits.q_max[8]) = (-0.5, 0.25);
+        let angle = |deg: f64| check.angle("k", deg, 8, &limits).is_ok();
+        assert!(angle(14.0) && angle(-28.0) && !angle(15.0) && !angle(-29.0) && !angle(f64::NAN));
+    }
+}

@@ -355,20 +355,21 @@ fn read_plant_model(dir: Option<&Path>, file: &str, urdf: &str) -> Result<Model,
             ));
         }
     };
+    if urdf == URDF.name {
+        // What is left out of it has been told.
+        return Model::from_urdf(&text).map_err(|cause| ConfigError::Urdf { file: name, cause });
+    }
     read_model(&name, &text)
 }
 
 /// The robot of the URDF `file`; what was left out of it goes to the log.
 fn read_model(file: &str, text: &str) -> Result<Model, ConfigError> {
-    let robot = Urdf::read(text).and_then(|urdf| {
-        let model = Model::from_description(&urdf)?;
-        Ok((model, urdf.warnings))
-    });
-    let (model, warnings) = robot.map_err(|cause| ConfigError::Urdf { file: file.into(), cause })?;
-    for warning in warnings {
+    let refuse = |cause| ConfigError::Urdf { file: file.into(), cause };
+    let urdf = Urdf::read(text).map_err(refuse)?;
+    for warning in &urdf.warnings {
         tracing::warn!("{file}: {warning}");
     }
-    Ok(model)
+    Model::from_description(&urdf).map_err(refuse)
 }
 
 /// Table II stands in `robot.toml` and, for other programs, in the URDF: both must say the same. A joint that turns without limit

@@ -46,9 +46,14 @@ fn robot() {
             "lower_nm = [-160",
             &["coriolis_bound.lower_nm", "less than the 160", "got -160 for joint 1"],
         ),
+        (
+            "upper_nm = [6",
+            "upper_nm = [160",
+            &["coriolis_bound.upper_nm", "less than the 160", "got 160 for joint 1"],
+        ),
         ("pitch_deg = 90", "pitch_deg = inf", &["target.pitch_deg", "from -360 to 360 deg", "got inf"]),
         ("q8_deg = 180", "q8_deg = 201", &["target.q8_deg", "from -200 to 200 deg", "got 201"]),
-    ] as [(&str, &str, &[&str]); 13]
+    ] as [(&str, &str, &[&str]); 14]
     {
         refused("robot.toml", from, to, parts);
     }
