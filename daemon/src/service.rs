@@ -368,11 +368,11 @@ impl<'a> Desk<'a> {
     }
 
     fn load(&mut self, payload: &Plan) {
-        let result =
-            plan::accept(payload, self.config).map_err(|refusal| refusal.to_string()).and_then(|plan| {
-                let number = self.order(Order::Load(plan));
-                number.ok_or_else(|| "too many orders wait for the next cycle".into())
-            });
+        let accepted = self.at_normal_priority(|| plan::accept(payload, self.config));
+        let result = accepted.map_err(|refusal| refusal.to_string()).and_then(|plan| {
+            let number = self.order(Order::Load(plan));
+            number.ok_or_else(|| "too many orders wait for the next cycle".into())
+        });
         match result {
             Ok(number) => {
                 info!("plan {} loaded, t_F = {:.3} s", payload.id, payload.t_f);
@@ -384,6 +384,17 @@ impl<'a> Desk<'a> {
                 self.last_refusal = format!("plan {}: {reason}", payload.id);
             }
         }
+    }
+
+    /// Does work of some milliseconds, in which others of this CPU (the plant's process may be one) get their turn.
+    fn at_normal_priority<T>(&self, work: impl FnOnce() -> T) -> T {
+        let [_, (thread, priority)] = self.threads;
+        // It had the priority, so it may have it again.
+        let set = |priority| self.prioritised && os::set_priority(thread, priority).is_ok();
+        set(None);
+        let done = work();
+        set(Some(priority));
+        done
     }
 
     /// What there is to say about the state: the cause of a fault or stop, the last refusal.
