@@ -210,7 +210,9 @@ pub fn swing_up(
         run.system.plant.push(&Push { from: now + push.from, ..push })?;
     }
     run.cycles_without(&missed, cycles(replan.trajectory.t_f + seconds))?;
-    let response =
-        PlannerResponse { time_total_us: replan.times.total.as_secs_f64() * 1e6, ..describe(&replan) };
+    let response = PlannerResponse {
+        time_total_us: replan.times.total.as_secs_f64() * 1e6,
+        ..describe(&replan, &config.planner.replan)
+    };
     Ok(Report::new(config, &response, run.records, 0, seconds))
 }

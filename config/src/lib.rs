@@ -41,7 +41,7 @@ use check::{Check, degrees};
 use std::borrow::Cow;
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use upswing_model::{Limits, Model, NQ, NU, Urdf};
+use upswing_model::{ActuatedVector, Limits, Model, N_ACTUATED, NQ, NU, State, Urdf, Workspace};
 use upswing_trajectory::{Delays, Gate};
 
 /// One complete, checked set of settings.
@@ -196,6 +196,7 @@ impl Config {
         let robot = RobotSettings::read(&robot_name, &robot)?;
         check_agreement(&robot_name, &robot.limits, &urdf_name, &model)?;
         let model = model.with_rotors(robot.rotor_inertia);
+        check_target(&robot_name, &robot.target, &model)?;
         let (name, planner) = text(&PLANNER)?;
         let planner = PlannerSettings::read(&name, &planner)?;
         let (name, daemon) = text(&DAEMON)?;
@@ -360,6 +361,34 @@ fn read_plant_model(dir: Option<&Path>, file: &str, urdf: &str) -> Result<Model,
         return Model::from_urdf(&text).map_err(|cause| ConfigError::Urdf { file: name, cause });
     }
     read_model(&name, &text)
+}
+
+/// Refuses a target (8) in which the pendulum would not stay: no trajectory can end there at rest.
+fn check_target(file: &str, target: &Target, model: &Model) -> Result<(), ConfigError> {
+    /// Acceleration that counts as none, rad/s^2: far below what bearings hold, far above rounding.
+    const NONE: f64 = 1e-3;
+    let mut work = Workspace::default();
+    // (8) fixes q2 - q4 + q6 only: whichever joint turns the flange, the pendulum has to stay.
+    for (joint, sign) in [(1, 1.0), (3, -1.0), (5, 1.0)] {
+        let mut x = State::zeros();
+        (x[joint], x[N_ACTUATED]) = (sign * target.pitch, target.q8);
+        let f = model.f(&x, &ActuatedVector::zeros(), &mut work);
+        let falling = (N_ACTUATED..NQ).find(|i| !(f[NQ + i].abs() <= NONE));
+        if let Some(i) = falling {
+            let (pitch, q8) = (target.pitch.to_degrees(), target.q8.to_degrees());
+            return Err(Check { file }.refuse(
+                "target.pitch_deg",
+                "with target.q8_deg an equilibrium of the pendulum",
+                format!(
+                    "{pitch:.2} with q8_deg {q8:.2}, where joint {} at rest accelerates with {:.3} rad/s^2",
+                    i + 1,
+                    f[NQ + i]
+                ),
+                "make axis 8 horizontal and the rod vertical; the shipped robot has 90 and 180",
+            ));
+        }
+    }
+    Ok(())
 }
 
 /// The robot of the URDF `file`; what was left out of it goes to the log.

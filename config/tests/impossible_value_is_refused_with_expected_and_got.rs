@@ -53,7 +53,13 @@ fn robot() {
         ),
         ("pitch_deg = 90", "pitch_deg = inf", &["target.pitch_deg", "from -360 to 360 deg", "got inf"]),
         ("q8_deg = 180", "q8_deg = 201", &["target.q8_deg", "from -200 to 200 deg", "got 201"]),
-    ] as [(&str, &str, &[&str]); 14]
+        (
+            "pitch_deg = 90",
+            "pitch_deg = 60",
+            &["target.pitch_deg", "an equilibrium", "got 60.00 with q8_deg 180.00", "joint 9 at rest"],
+        ),
+        ("q8_deg = 180", "q8_deg = 170", &["an equilibrium", "q8_deg 170.00", "joint 8 at rest"]),
+    ] as [(&str, &str, &[&str]); 16]
     {
         refused("robot.toml", from, to, parts);
     }

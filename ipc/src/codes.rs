@@ -148,7 +148,7 @@ codes! {
 codes! {
     /// How a request to the planner ended.
     PlannerStatus is a "planner status" {
-        /// A plan that keeps every limit was found.
+        /// A plan that keeps every limit was found, and its defect is within the setting.
         Solved = "solved",
         /// The request itself makes no sense (unknown kind, a number that is not finite).
         BadRequest = "bad request",
@@ -160,6 +160,8 @@ codes! {
         NotReady = "not ready",
         /// The time budget was used up first.
         Deadline = "deadline",
+        /// A plan that keeps every limit was found, but its defect is above the setting, as one QP leaves it.
+        OpenDefect = "solved with an open defect",
     }
 }
 

@@ -75,7 +75,7 @@ fn only_known_codes_become_variants() {
         ControlCommand: 6 "control command",
         Degradation: 5 "degradation",
         PlannerKind: 3 "planner request",
-        PlannerStatus: 6 "planner status",
+        PlannerStatus: 7 "planner status",
         PlantKind: 6 "plant request",
     }
     let error = ControlRequest { command: 99 }.command().unwrap_err();

@@ -7,7 +7,7 @@
 //! Every finished line is appended to a journal beside the output; a build that finds one goes on where it ends.
 
 use crate::interior_point::{Options, Status};
-use crate::offline::{Search, optimize, options, problem_fingerprint};
+use crate::offline::{Search, optimize, options, problem, problem_fingerprint};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::fs::{File, OpenOptions, TryLockError};
@@ -16,8 +16,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 use upswing_config::{Config, GridSettings};
-use upswing_model::{N_ACTUATED, N_UNACTUATED};
-use upswing_trajectory::{Certificate, Database, DatabaseError, Entry, Heading, Outcome, Record, Trajectory};
+use upswing_model::{N_ACTUATED, N_UNACTUATED, State};
+use upswing_trajectory::{
+    Certificate, Database, DatabaseError, Entry, Heading, Margins, N, Outcome, Record, Trajectory,
+};
 use xxhash_rust::xxh3::Xxh3;
 
 /// A part of the lines of a grid: those whose number, counted from 0, is `number - 1` modulo `of`.
@@ -236,6 +238,13 @@ pub fn build(
     Ok(summary)
 }
 
+/// The state from which a pose starts, unless the grid's rules leave it out.
+fn start_of(config: &Config, pose: usize) -> Option<State> {
+    let grid = &config.grid;
+    let start = config.start_state(&grid.pose(pose), grid.start).ok();
+    start.filter(|x| x.rows(N_ACTUATED, N_UNACTUATED).amax() <= grid.max_rest_angle)
+}
+
 /// Solves a line; `None` if it was halted.
 fn solve_line(
     config: &Config,
@@ -243,22 +252,20 @@ fn solve_line(
     halted: &impl Fn() -> bool,
     stop: &AtomicBool,
 ) -> Option<Vec<Record>> {
-    let grid = &config.grid;
-    let options = Options { stop: Some(stop), ..options(config) };
+    let stopped = || stop.load(Ordering::Acquire);
+    let options = Options { cancelled: Some(&stopped), ..options(config) };
     let mut neighbour: Option<Trajectory> = None;
     let mut records = Vec::with_capacity(line.len());
     for pose in line {
         if halted() {
             return None;
         }
-        let start = config.start_state(&grid.pose(*pose), grid.start).ok();
-        let accepted = start.filter(|x| x.rows(N_ACTUATED, N_UNACTUATED).amax() <= grid.max_rest_angle);
-        let outcome = match accepted {
+        let outcome = match start_of(config, *pose) {
             None => Outcome::Rejected,
             Some(start) => {
                 let solution = optimize(config, start, Search::Best, neighbour.as_ref(), &options);
                 // The best of some guesses need not be the best of all.
-                if stop.load(Ordering::Acquire) {
+                if stopped() {
                     return None;
                 }
                 match solution.status {
@@ -427,32 +434,178 @@ pub fn read(path: &Path) -> Result<Database, BuildError> {
     Database::decode(&bytes).map_err(|cause| BuildError::Database { path: path.to_owned(), cause })
 }
 
-/// One entry whose certificate does not hold.
+/// A pose whose record is not what a build of these settings would have written.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Discrepancy {
-    /// Its pose.
+    /// Its number.
     pub pose: u64,
-    /// In the file.
-    pub recorded: Certificate,
-    /// Computed from the trajectory.
-    pub computed: Certificate,
+    /// What is wrong.
+    pub finding: Finding,
 }
 
-/// Recomputes the certificates of all entries in parallel; those that differ by more than rounding.
+/// What is wrong with a record.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum Finding {
+    /// The figures are not those of the trajectory.
+    #[error("recorded {recorded:?}, computed {computed:?}")]
+    Certificate {
+        /// In the file.
+        recorded: Certificate,
+        /// Computed from the trajectory.
+        computed: Certificate,
+    },
+    /// The grid's rules make something else of the pose: no trajectory where one starts, or the other way round.
+    #[error("the grid {} this pose, the file does not", if *leaves_out { "leaves out" } else { "has" })]
+    Rule {
+        /// Whether the rules leave the pose out.
+        leaves_out: bool,
+    },
+    /// The trajectory starts elsewhere.
+    #[error("starts {by:.2e} (rad or rad/s) from the grid's pose, in entry {row} of the state")]
+    Start {
+        /// Entry of x_0.
+        row: usize,
+        /// Distance.
+        by: f64,
+    },
+    /// The trajectory does not end in the target (8).
+    #[error("misses row {row} of the target (8) by {by:.2e} rad or rad/s")]
+    End {
+        /// Row of (8).
+        row: usize,
+        /// By how much.
+        by: f64,
+    },
+    /// The trajectory jumps.
+    #[error("defect (6b) of {got:.2e} rad or rad/s, expected at most {most:.0e}")]
+    Defect {
+        /// Largest one.
+        got: f64,
+        /// `replan.defect`.
+        most: f64,
+    },
+    /// A limit is exceeded.
+    #[error("exceeds a limit of {what} {at} by {by:.4} of half its range, expected at most {most}")]
+    Limit {
+        /// Position, velocity or torque.
+        what: &'static str,
+        /// At or between the knots.
+        at: &'static str,
+        /// Share of half the range.
+        by: f64,
+        /// The largest that is accepted.
+        most: f64,
+    },
+    /// Followed without feedback, the end is missed by too much.
+    #[error(
+        "followed without feedback, misses its end by {got:.2} rad or rad/s, expected at most {FARTHEST_END}"
+    )]
+    EndError {
+        /// By how much.
+        got: f64,
+    },
+    /// A pose said to have no trajectory has one.
+    #[error("recorded as without solution, but a trajectory of cost {cost:.5} is found")]
+    Solvable {
+        /// Its cost.
+        cost: f64,
+    },
+}
+
+/// Largest difference of two computations, rad or rad/s or relative: the libraries of two machines differ in the last digits
+/// of sines, which an unstable pendulum amplifies.
+const ROUNDING: f64 = 1e-6;
+/// Largest end error, rad or rad/s. The trapezoidal rule is exact to h^2; the falling rod, which is left to itself for this
+/// figure, amplifies that by some hundreds. A trajectory of other dynamics misses by several rad.
+const FARTHEST_END: f64 = 1.0;
+
+/// Whether a database was built from the grid of the settings, so that [`verify`] can compare poses.
+pub fn has_grid_of(config: &Config, database: &Database) -> bool {
+    database.heading.grid == grid_fingerprint(&config.grid)
+}
+
+/// Computes everything again, in parallel, that the records claim: figures, start, target, limits, and that poses without
+/// a trajectory have none. Starts are compared where the database [has the settings' grid](has_grid_of). Between knots a
+/// limit may be exceeded by `replan.knot_margin`, which a replan leaves free for that.
 pub fn verify(config: &Config, database: &Database, progress: impl Fn() + Sync) -> Vec<Discrepancy> {
-    /// The libraries of two machines differ in the last digits of sines, which an unstable pendulum amplifies.
-    const ROUNDING: f64 = 1e-6;
-    database
-        .records
-        .par_iter()
-        .filter_map(|record| {
-            let Outcome::Solved(entry) = &record.outcome else { return None };
-            let computed = certify(config, &entry.trajectory);
-            progress();
-            let differs = entry.certificate.difference(&computed) > ROUNDING;
-            differs.then_some(Discrepancy { pose: record.pose, recorded: entry.certificate, computed })
-        })
-        .collect()
+    let compare_poses = has_grid_of(config, database);
+    let judge = |record: &Record| {
+        if compare_poses {
+            let start = start_of(config, record.pose as usize);
+            let leaves_out = start.is_none();
+            if leaves_out != matches!(record.outcome, Outcome::Rejected) {
+                return Err(Finding::Rule { leaves_out });
+            }
+            if let Some(start) = start {
+                has_start(config, record, &start)?;
+            }
+        }
+        match &record.outcome {
+            Outcome::Solved(entry) => {
+                let verdict = verify_entry(config, entry);
+                progress();
+                verdict
+            }
+            _ => Ok(()),
+        }
+    };
+    let judged = database.records.par_iter().map(|record| (record.pose, judge(record)));
+    judged.filter_map(|(pose, verdict)| verdict.err().map(|finding| Discrepancy { pose, finding })).collect()
+}
+
+/// Whether a record of a pose that starts in `start` does so, or rightly has no trajectory.
+fn has_start(config: &Config, record: &Record, start: &State) -> Result<(), Finding> {
+    match &record.outcome {
+        Outcome::Solved(entry) => {
+            let away = (entry.trajectory.x[0] - start).abs();
+            let row = away.imax();
+            if away[row] <= ROUNDING { Ok(()) } else { Err(Finding::Start { row, by: away[row] }) }
+        }
+        _ => {
+            let solution = optimize(config, *start, Search::Best, None, &options(config));
+            match solution.status {
+                Status::Solved => Err(Finding::Solvable { cost: solution.cost }),
+                _ => Ok(()),
+            }
+        }
+    }
+}
+
+fn verify_entry(config: &Config, entry: &Entry) -> Result<(), Finding> {
+    let (trajectory, recorded) = (&entry.trajectory, entry.certificate);
+    let computed = certify(config, trajectory);
+    if recorded.difference(&computed) > ROUNDING {
+        return Err(Finding::Certificate { recorded, computed });
+    }
+    for (row, target) in problem(config, trajectory.x[0]).target.iter().enumerate() {
+        let by = (target.coefficients.dot(&trajectory.x[N]) - target.value).abs();
+        // A NaN fails, here and below.
+        if !(by <= ROUNDING) {
+            return Err(Finding::End { row, by });
+        }
+    }
+    let most = config.planner.replan.defect;
+    if !(computed.defect <= most) {
+        return Err(Finding::Defect { got: computed.defect, most });
+    }
+    let knots = Margins::of(trajectory, &config.model, &config.robot.planning, 0);
+    let between = config.planner.replan.knot_margin;
+    for (what, at_knots, everywhere) in [
+        ("position", knots.q.share, computed.margin_q),
+        ("velocity", knots.qd.share, computed.margin_qd),
+        ("torque", knots.tau.share, computed.margin_tau),
+    ] {
+        for (at, margin, most) in [("at a knot", at_knots, ROUNDING), ("between knots", everywhere, between)]
+        {
+            if !(margin >= -most) {
+                return Err(Finding::Limit { what, at, by: -margin, most });
+            }
+        }
+    }
+    if !(computed.end_error <= FARTHEST_END) {
+        return Err(Finding::EndError { got: computed.end_error });
+    }
+    Ok(())
 }
 
 /// Writes a file beside its place and renames it: a reader sees the old one or the new one, never a part.

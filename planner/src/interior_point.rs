@@ -15,13 +15,12 @@ use bounded::Bounded;
 use filter::Filter;
 use nalgebra::SVector;
 use newton::{Direction, Linear};
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use upswing_model::{ActuatedVector, NU, NX, State, Workspace};
 use upswing_trajectory::{KNOTS, N, Trajectory};
 
 /// When to stop.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy)]
 pub struct Options<'a> {
     /// Largest residual of a solution: defects (rad, rad/s), scaled stationarity and complementarity.
     pub tolerance: f64,
@@ -29,8 +28,8 @@ pub struct Options<'a> {
     pub max_iterations: usize,
     /// Longest time; the last iterate is returned then.
     pub time_budget: Option<Duration>,
-    /// Raised from outside: the last iterate is returned.
-    pub stop: Option<&'a AtomicBool>,
+    /// Asked before each iteration: whether to stop; the last iterate is returned then.
+    pub cancelled: Option<&'a dyn Fn() -> bool>,
 }
 
 /// How a solve ended.
@@ -310,7 +309,7 @@ impl<'a> Solver<'a> {
             if options.time_budget.is_some_and(|budget| begin.elapsed() >= budget) {
                 break (Status::OutOfTime, stationarity);
             }
-            if options.stop.is_some_and(|stop| stop.load(Ordering::Acquire)) {
+            if options.cancelled.is_some_and(|cancelled| cancelled()) {
                 break (Status::Interrupted, stationarity);
             }
             // A barrier problem solved well enough gives way to the next.

@@ -95,6 +95,11 @@ impl TargetRow {
         coefficients[i] = 1.0;
         Self { coefficients, value }
     }
+
+    /// The joint, counted from 0, whose angle the row fixes at `value`, if it is such a row.
+    pub fn joint(&self) -> Option<usize> {
+        (0..NQ).find(|i| self.coefficients == Self::unit(*i, 0.0).coefficients)
+    }
 }
 
 /// Right-hand side of the system: gradients and residuals.

@@ -81,9 +81,25 @@ pub fn optimize(
     options: &Options<'_>,
 ) -> Solution {
     let problem = problem(config, start);
+    let mut best = search_optimum(&problem, search, neighbour, options);
+    if matches!(best.status, Status::Infeasible(_))
+        && let Some(limit) = limit_in_the_way(&problem, options)
+    {
+        best.status = Status::Infeasible(limit);
+    }
+    best
+}
+
+/// Solves `problem` from the guesses of [`optimize`], whose target and limits need not be those of the settings.
+pub fn search_optimum(
+    problem: &Problem<'_>,
+    search: Search,
+    neighbour: Option<&Trajectory>,
+    options: &Options<'_>,
+) -> Solution {
     let mut best: Option<Solution> = None;
     let mut attempt = |guess: &Trajectory, options: &Options<'_>| {
-        let solution = solve(&problem, guess, options);
+        let solution = solve(problem, guess, options);
         let solved = solution.status == Status::Solved;
         let better = best.as_ref().is_none_or(|b| match (solved, b.status == Status::Solved) {
             (true, true) => solution.cost < b.cost,
@@ -110,14 +126,7 @@ pub fn optimize(
         }
     }
     // At least one attempt was made.
-    let mut best =
-        best.unwrap_or_else(|| solve(&problem, &problem.straight_line(STRAIGHT_DURATIONS[0]), options));
-    if matches!(best.status, Status::Infeasible(_))
-        && let Some(limit) = limit_in_the_way(&problem, options)
-    {
-        best.status = Status::Infeasible(limit);
-    }
-    best
+    best.unwrap_or_else(|| solve(problem, &problem.straight_line(STRAIGHT_DURATIONS[0]), options))
 }
 
 /// The limit without which a start that has no trajectory would have one: each kind of limit is lifted in turn, those
@@ -185,6 +194,6 @@ pub fn options(config: &Config) -> Options<'static> {
         tolerance: offline.tolerance,
         max_iterations: offline.max_iterations,
         time_budget: None,
-        stop: None,
+        cancelled: None,
     }
 }

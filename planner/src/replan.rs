@@ -1,32 +1,46 @@
 //! Replanning from a start near a database entry: (14)-(17), linearised again around each result.
 //!
+//! QPs only reach as far as the linearisation of an entry. Farther away, and where they end with a needlessly long
+//! motion, the full optimisation (6) takes over, with the same limits: it takes some tenths of a second.
+//!
 //! A swing-down adapts an entry run backwards: with the velocities reversed it meets the same dynamics (without
 //! friction), limits and torques, from upright to hanging at rest.
 
 mod outcome;
 
-pub use outcome::{Attempt, NoPlan, Refusal, Replan, Times};
+pub use outcome::{Attempt, Method, NoPlan, Refusal, Replan, Times};
 
+use crate::interior_point;
 use crate::kkt::{KnotDynamics, KnotVector, TargetRow};
 use crate::lqr::{self, Gains};
 use crate::nearest::{NearestPose, Neighbour};
-use crate::offline::{problem, problem_fingerprint, torque_constraint};
+use crate::offline::{self, Search, problem, problem_fingerprint, search_optimum, torque_constraint};
 use crate::problem::{KnotDerivatives, Problem, TorqueConstraint};
 use crate::qp::{Options, Qp, Solver, Status, TorqueRows};
 use std::time::Instant;
 use upswing_config::{Config, ConfigError, DatabaseFile};
 use upswing_model::{NU, NX, NZ, State, Workspace, position, state, velocity};
-use upswing_trajectory::{Certificate, Database, DatabaseError, Entry, Margins, N, Trajectory};
+use upswing_trajectory::{Certificate, Database, DatabaseError, Entry, Margins, N, Trajectory, Unfit};
 
 /// Accuracy of each QP. A tenth of the defect that four linearisations reach.
 const QP_TOLERANCE: f64 = 1e-9;
 /// Its complementarity: an entry, whose bounds are all touched without force, is found again to 1e-6 s.
 const QP_COMPLEMENTARITY: f64 = 1e-12;
 
-/// A trajectory from the start, made of one entry.
-struct Adapted {
+/// Distance to the nearest entry, rad, beyond which QPs are not tried where the full optimisation may be: half a diagonal of
+/// a cell is 0.40 for the shipped grid and 0.53 for the paper's.
+const REACH: f64 = 0.6;
+/// How much longer a plan of QPs may take than the shortest of the nearest entries, whose duration is about that of the optimum.
+/// The knot margin alone takes 1.5 %.
+const LONGER: f64 = 1.035;
+/// How often limits are tightened for what a trajectory exceeds between its knots.
+const TIGHTENED: usize = 8;
+
+/// A trajectory from the start that the daemon would accept.
+struct Accepted {
     trajectory: Trajectory,
     gains: Gains,
+    method: Method,
     iterations: usize,
     defect: f64,
     margins: Margins,
@@ -46,16 +60,28 @@ pub enum Manoeuvre {
 pub struct Effort<'a> {
     /// Most linearisations per entry, at least one; fewer where the defect closes before.
     pub iterations: usize,
-    /// No iteration of a QP is begun after this.
+    /// Whether to optimise in full where QPs do not lead to a plan with a closed defect and about the shortest duration.
+    pub optimise: bool,
+    /// No iteration of a solver is begun after this.
     pub deadline: Option<Instant>,
-    /// Asked before each iteration of a QP: whether nobody waits for the plan any more.
+    /// Asked before each iteration of a solver: whether nobody waits for the plan any more.
     pub cancelled: Option<&'a dyn Fn() -> bool>,
 }
 
 impl Effort<'_> {
-    /// Without limits of time.
+    /// Without limits of time; with the full optimisation, but for one QP, the paper's mode.
     pub fn iterations(iterations: usize) -> Self {
-        Self { iterations, deadline: None, cancelled: None }
+        Self { iterations, optimise: iterations > 1, deadline: None, cancelled: None }
+    }
+
+    /// Whether the deadline has passed.
+    fn out_of_time(&self) -> bool {
+        self.deadline.is_some_and(|d| Instant::now() >= d)
+    }
+
+    /// Whether nobody waits any more.
+    fn is_cancelled(&self) -> bool {
+        self.cancelled.is_some_and(|cancelled| cancelled())
     }
 }
 
@@ -179,33 +205,73 @@ impl Planner {
         let neighbours = self.nearest(manoeuvre, start);
         let mut times = Times { nearest: begin.elapsed(), ..Times::default() };
         let mut refused = Vec::new();
-        for entry in neighbours {
+        let mut adapted = None;
+        for entry in &neighbours {
+            if effort.optimise && entry.distance > REACH {
+                break;
+            }
             match self.adapt(manoeuvre, start, entry.index, effort, solver, &mut times) {
-                Ok(Adapted { trajectory, gains, iterations, defect, margins }) => {
-                    times.total = begin.elapsed();
-                    return Ok(Replan {
-                        trajectory,
-                        gains,
-                        entry,
-                        refused,
-                        iterations,
-                        defect,
-                        margins,
-                        times,
-                    });
+                Ok(accepted) => {
+                    adapted = Some((*entry, accepted));
+                    break;
                 }
                 Err(refusal) => {
                     let no_time = matches!(refusal, Refusal::Deadline { .. } | Refusal::Cancelled { .. });
-                    refused.push(Attempt { entry, refusal });
+                    refused.push(Attempt { entry: *entry, refusal });
                     if no_time {
-                        break;
+                        return Err(NoPlan { refused, optimisation: None });
                     }
                 }
             }
         }
-        Err(NoPlan { refused })
+        let mut optimisation = None;
+        let entries = neighbours.iter().map(|n| &self.entries[n.index].trajectory);
+        let shortest = entries.map(|t| t.t_f).fold(f64::INFINITY, f64::min);
+        let good = |(_, accepted): &(Neighbour, Accepted)| {
+            accepted.defect <= self.config.planner.replan.defect
+                && accepted.trajectory.t_f <= LONGER * shortest
+        };
+        if effort.optimise
+            && !adapted.as_ref().is_some_and(good)
+            && let Some(nearest) = neighbours.first()
+        {
+            match self.optimise(manoeuvre, start, nearest.index, effort, &mut times) {
+                Ok(optimised) => adapted = Some((*nearest, optimised)),
+                Err(refusal) => optimisation = Some(refusal),
+            }
+        }
+        let Some((entry, accepted)) = adapted else { return Err(NoPlan { refused, optimisation }) };
+        times.total = begin.elapsed();
+        let Accepted { trajectory, gains, method, iterations, defect, margins } = accepted;
+        Ok(Replan { trajectory, gains, method, entry, refused, iterations, defect, margins, times })
     }
 
+    /// The trajectory of an entry, backwards for a swing-down.
+    fn reference(&self, manoeuvre: Manoeuvre, entry: usize) -> Trajectory {
+        match manoeuvre {
+            Manoeuvre::SwingUp => self.entries[entry].trajectory.clone(),
+            Manoeuvre::SwingDown => self.entries[entry].trajectory.reversed(),
+        }
+    }
+
+    /// The problem of a replan from `start`; a swing-down ends where `reference` ends.
+    fn problem_of(
+        &self,
+        manoeuvre: Manoeuvre,
+        start: &State,
+        reference: &Trajectory,
+        knot_margin: f64,
+    ) -> Problem<'_> {
+        let mut problem = self.problem_with_margin(start, knot_margin);
+        if manoeuvre == Manoeuvre::SwingDown {
+            let end = &reference.x[N];
+            problem.target = (0..NX).map(|i| TargetRow::unit(i, end[i])).collect();
+            keep_target_within(&mut problem);
+        }
+        problem
+    }
+
+    /// Adapts an entry by QPs, (14)-(17).
     fn adapt(
         &self,
         manoeuvre: Manoeuvre,
@@ -214,37 +280,94 @@ impl Planner {
         effort: &Effort<'_>,
         solver: &mut Solver,
         times: &mut Times,
-    ) -> Result<Adapted, Refusal> {
-        let settings = &self.config.planner.replan;
+    ) -> Result<Accepted, Refusal> {
         let iterations = effort.iterations.max(1);
-        let mut problem = self.problem(start);
-        let reference = match manoeuvre {
-            Manoeuvre::SwingUp => self.entries[entry].trajectory.clone(),
-            Manoeuvre::SwingDown => self.entries[entry].trajectory.reversed(),
-        };
-        if manoeuvre == Manoeuvre::SwingDown {
-            let end = &reference.x[N];
-            problem.target = (0..NX).map(|i| TargetRow::unit(i, end[i])).collect();
-            // It hangs where the entry began, which may be on a limit.
-            problem.limits.q_min = problem.limits.q_min.inf(&position(end));
-            problem.limits.q_max = problem.limits.q_max.sup(&position(end));
-        }
+        let reference = self.reference(manoeuvre, entry);
+        let problem = self.problem_of(manoeuvre, start, &reference, self.config.planner.replan.knot_margin);
         let mut work = Workspace::default();
         let mut trajectory = reference.clone();
         let begin = Instant::now();
         let (mut done, mut defect) = (0, f64::INFINITY);
-        while done < iterations && !(defect <= settings.defect) {
+        while done < iterations && !(defect <= self.config.planner.replan.defect) {
             done += 1;
             let qp = self.qp(&problem, &reference, &trajectory, &mut work);
             self.step(&qp, solver, done, effort, &mut trajectory)?;
             defect = trajectory.defect(&self.config.model, &mut work);
         }
         times.qp += begin.elapsed();
+        self.accept(trajectory, Method::Quadratic, done, times)
+    }
+
+    /// Finds the optimum (6) as for a database entry, or from the nearest `entry`, and from there the one with the margin
+    /// between knots: both are close, whereas the guesses may lead to another, longer local optimum.
+    fn optimise(
+        &self,
+        manoeuvre: Manoeuvre,
+        start: &State,
+        entry: usize,
+        effort: &Effort<'_>,
+        times: &mut Times,
+    ) -> Result<Accepted, Refusal> {
+        use interior_point::Status as Ending;
+        let begin = Instant::now();
+        let reference = self.reference(manoeuvre, entry);
+        let halted = || effort.is_cancelled() || effort.out_of_time();
+        let options = interior_point::Options { cancelled: Some(&halted), ..offline::options(&self.config) };
+        let unmargined = self.problem_of(manoeuvre, start, &reference, 0.0);
+        let mut optimum = search_optimum(&unmargined, Search::Best, None, &options);
+        if optimum.status != Ending::Solved {
+            optimum = interior_point::solve(&unmargined, &unmargined.shifted(&reference), &options);
+        }
+        times.optimisation += begin.elapsed();
+        let mut problem =
+            self.problem_of(manoeuvre, start, &reference, self.config.planner.replan.knot_margin);
+        let mut iterations = optimum.iterations;
+        let mut guess = optimum.trajectory;
+        // A slow motion has long intervals, between which it may exceed a limit by more than the margin.
+        for round in 0.. {
+            let begin = Instant::now();
+            let mut solution = interior_point::solve(&problem, &guess, &options);
+            if !matches!(solution.status, Ending::Solved | Ending::Stalled) && !halted() {
+                solution = search_optimum(&problem, Search::Best, Some(&reference), &options);
+            }
+            times.optimisation += begin.elapsed();
+            iterations += solution.iterations;
+            match solution.status {
+                // Of a stalled one all constraints are kept, too.
+                Ending::Solved | Ending::Stalled => {}
+                _ if effort.is_cancelled() => return Err(Refusal::Optimisation(Ending::Interrupted)),
+                _ if effort.out_of_time() => return Err(Refusal::Optimisation(Ending::OutOfTime)),
+                status => return Err(Refusal::Optimisation(status)),
+            }
+            guess = solution.trajectory.clone();
+            match self.accept(solution.trajectory, Method::Optimisation, iterations, times) {
+                Err(Refusal::Unfit {
+                    unfit: Unfit::Limit { what, joint, got, lowest, highest, .. }, ..
+                }) if round < TIGHTENED => {
+                    let excess = (got - highest).max(lowest - got);
+                    tighten(&mut problem, what, joint, excess);
+                }
+                verdict => return verdict,
+            }
+        }
+        unreachable!("the last round returns")
+    }
+
+    /// Gives a trajectory its gains, if the daemon will accept both.
+    fn accept(
+        &self,
+        trajectory: Trajectory,
+        method: Method,
+        iterations: usize,
+        times: &mut Times,
+    ) -> Result<Accepted, Refusal> {
+        let mut work = Workspace::default();
         let begin = Instant::now();
         let model = &self.config.model;
         let gate = self.config.gate();
-        let unfit = |unfit| Refusal::Unfit { iterations: done, unfit };
+        let unfit = |unfit| Refusal::Unfit { iterations, unfit };
         gate.check_motion(model, &trajectory, &trajectory.f(model, &mut work)).map_err(unfit)?;
+        let defect = trajectory.defect(model, &mut work);
         let margins = Margins::of(&trajectory, model, &self.config.robot.planning, Certificate::BETWEEN);
         times.check += begin.elapsed();
         let begin = Instant::now();
@@ -254,22 +377,27 @@ impl Planner {
         let begin = Instant::now();
         gate.check_feedback(model, &trajectory, &gains.knots, &gains.end).map_err(unfit)?;
         times.check += begin.elapsed();
-        Ok(Adapted { trajectory, gains, iterations: done, defect, margins })
+        Ok(Accepted { trajectory, gains, method, iterations, defect, margins })
     }
 
     /// The problem of a replan: the limits with the margin that the trapezoidal rule needs between the knots.
     pub fn problem(&self, start: &State) -> Problem<'_> {
+        self.problem_with_margin(start, self.config.planner.replan.knot_margin)
+    }
+
+    fn problem_with_margin(&self, start: &State, knot_margin: f64) -> Problem<'_> {
         let settings = &self.config.planner.replan;
         let mut problem = problem(&self.config, *start);
         problem.torque = torque_constraint(&self.config, settings.torque);
         let l = &mut problem.limits;
         let (middle, half) = ((l.q_max + l.q_min) * 0.5, (l.q_max - l.q_min) * 0.5);
-        let share = 1.0 - settings.knot_margin;
+        let share = 1.0 - knot_margin;
         l.tau_max *= share;
         // A start beyond these limits, or measured a hair outside, must not make the first step infeasible.
         l.q_min = (middle - half * share).inf(&position(start));
         l.q_max = (middle + half * share).sup(&position(start));
         l.qd_max = (l.qd_max * share).sup(&velocity(start).abs());
+        keep_target_within(&mut problem);
         problem
     }
 
@@ -295,7 +423,7 @@ impl Planner {
                 Status::Infeasible(conflict) => Err(Refusal::Infeasible { iteration, conflict }),
                 Status::Deadline => Err(Refusal::Deadline { iteration }),
                 Status::Cancelled => Err(Refusal::Cancelled { iteration }),
-                Status::Stalled => Err(Refusal::Stalled { iteration }),
+                Status::Stalled(stall) => Err(Refusal::Stalled { iteration, stall }),
             }
         };
         let parts = self.config.planner.replan.sub_horizons;
@@ -390,6 +518,33 @@ impl Planner {
             compliance: 0.0,
         }
     }
+}
+
+/// Widens the limits of position to what the target asks for: it may lie on a limit, which the knot margin would put out
+/// of reach.
+fn keep_target_within(problem: &mut Problem<'_>) {
+    for row in &problem.target {
+        if let Some(i) = row.joint() {
+            let l = &mut problem.limits;
+            l.q_min[i] = l.q_min[i].min(row.value);
+            l.q_max[i] = l.q_max[i].max(row.value);
+        }
+    }
+}
+
+/// Tightens a limit at all knots by somewhat more than the `excess` beyond it between two of them.
+fn tighten(problem: &mut Problem<'_>, what: &str, joint: usize, excess: f64) {
+    let (by, l) = (1.5 * excess, &mut problem.limits);
+    match what {
+        "position" => (l.q_min[joint], l.q_max[joint]) = (l.q_min[joint] + by, l.q_max[joint] - by),
+        "velocity" => l.qd_max[joint] -= by,
+        _ => l.tau_max[joint] -= by,
+    }
+    // Neither start nor target may fall outside.
+    l.q_min = l.q_min.inf(&position(&problem.start));
+    l.q_max = l.q_max.sup(&position(&problem.start));
+    l.qd_max = l.qd_max.sup(&velocity(&problem.start).abs());
+    keep_target_within(problem);
 }
 
 /// q_A of a state, rad.

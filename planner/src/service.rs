@@ -2,11 +2,12 @@
 
 use crate::predict;
 use crate::qp::Solver;
-use crate::replan::{Effort, Manoeuvre, Planner, Replan};
+use crate::replan::{Effort, Manoeuvre, Method, Planner, Replan};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use tracing::{info, warn};
+use upswing_config::ReplanSettings;
 use upswing_config::notify::Notifier;
 use upswing_config::process::{Failure, ProcessArgs, shutdown_flag};
 use upswing_ipc::{
@@ -72,7 +73,7 @@ fn serve(planner: &Planner, domain: &Domain, stop: &Arc<AtomicBool>) -> Result<(
                 std::thread::sleep(PAUSE);
             };
             if let Ok(status) = response.status()
-                && status != PlannerStatus::Solved
+                && !matches!(status, PlannerStatus::Solved | PlannerStatus::OpenDefect)
             {
                 warn!(reason = %response.reason, "request refused: {status}");
             }
@@ -196,8 +197,9 @@ impl<'a> Desk<'a> {
     ) -> Result<(PlannerResponse, Option<Plan>), No> {
         /// More linearisations than this change nothing any more.
         const MOST_ITERATIONS: u64 = 100;
+        let settings = &self.planner.config().planner.replan;
         let iterations = match request.iterations {
-            0 => self.planner.config().planner.replan.iterations,
+            0 => settings.iterations,
             n if n <= MOST_ITERATIONS => n as usize,
             n => {
                 let reason = format!("iterations: expected 0 (the setting) to {MOST_ITERATIONS}, got {n}");
@@ -222,18 +224,28 @@ impl<'a> Desk<'a> {
         if let Some((_, Some(replan))) = prepared {
             let plan = replan.plan(self.planner.config());
             let reason = Text::new("ready before it was asked for");
-            return Ok((PlannerResponse { plan_id: plan.id, reason, ..describe(replan) }, Some(plan)));
+            return Ok((
+                PlannerResponse { plan_id: plan.id, reason, ..describe(replan, settings) },
+                Some(plan),
+            ));
         }
         let cancelled = || !wanted();
-        let effort = Effort { iterations, deadline, cancelled: Some(&cancelled) };
-        let replan = self.planner.replan_with(&mut self.solver, manoeuvre, &start, &effort).map_err(|e| {
+        let effort = Effort { deadline, cancelled: Some(&cancelled), ..Effort::iterations(iterations) };
+        let mut replan = |effort| self.planner.replan_with(&mut self.solver, manoeuvre, &start, effort);
+        // For a moving start, which is due soon, a somewhat longer motion is better than one that comes late.
+        let replan = if due.is_some() {
+            replan(&Effort { optimise: false, ..effort }).or_else(|_| replan(&effort))
+        } else {
+            replan(&effort)
+        };
+        let replan = replan.map_err(|e| {
             let status = if e.out_of_time() { PlannerStatus::Deadline } else { PlannerStatus::Infeasible };
             No(status, e.to_string())
         })?;
         let plan = replan.plan(self.planner.config());
         // The state the plan begins with is still to come.
         std::thread::sleep(due.map_or(Duration::ZERO, |due| due.saturating_duration_since(Instant::now())));
-        Ok((PlannerResponse { plan_id: plan.id, ..describe(&replan) }, Some(plan)))
+        Ok((PlannerResponse { plan_id: plan.id, ..describe(&replan, settings) }, Some(plan)))
     }
 
     /// The measured state or, while something moves, the one that will be measured when a plan made now begins, and when
@@ -332,10 +344,21 @@ fn check_start(planner: &Planner, start: &State) -> Result<(), No> {
 }
 
 /// What an answer says of a plan, but for its id and the time in all.
-pub fn describe(replan: &Replan) -> PlannerResponse {
+pub fn describe(replan: &Replan, settings: &ReplanSettings) -> PlannerResponse {
     let micros = |d: Duration| d.as_secs_f64() * 1e6;
+    // Written so that NaN is open.
+    let closed = replan.defect <= settings.defect;
+    let status = if closed { PlannerStatus::Solved } else { PlannerStatus::OpenDefect };
+    let reason = match replan.method {
+        _ if !closed => {
+            Text::new(&format!("defect {:.1e}, the setting is {:.0e}", replan.defect, settings.defect))
+        }
+        Method::Quadratic => Text::default(),
+        Method::Optimisation => Text::new("optimised in full: no database entry is near enough"),
+    };
     PlannerResponse {
-        status: PlannerStatus::Solved.code(),
+        status: status.code(),
+        reason,
         t_f: replan.trajectory.t_f,
         nearest_entry: replan.entry.index as u64,
         distance: replan.entry.distance,
@@ -345,7 +368,7 @@ pub fn describe(replan: &Replan) -> PlannerResponse {
         margin_qd: replan.margins.qd.share,
         margin_tau: replan.margins.tau.share,
         time_nearest_us: micros(replan.times.nearest),
-        time_qp_us: micros(replan.times.qp),
+        time_qp_us: micros(replan.times.qp + replan.times.optimisation),
         time_lqr_us: micros(replan.times.lqr),
         ..Default::default()
     }

@@ -93,9 +93,8 @@ fn budgets_end_a_solve_with_what_it_has() {
     let solution = optimize(&config, start, Search::First, None, &limited);
     assert_eq!(solution.status, Status::MaxIterations);
     assert!(solution.trajectory.x.iter().all(|x| x.iter().all(|v| v.is_finite())));
-    let stop = std::sync::atomic::AtomicBool::new(true);
     let mut stopped = options(&config);
-    stopped.stop = Some(&stop);
+    stopped.cancelled = Some(&|| true);
     assert_eq!(optimize(&config, start, Search::First, None, &stopped).status, Status::Interrupted);
     let mut brief = options(&config);
     brief.time_budget = Some(std::time::Duration::ZERO);

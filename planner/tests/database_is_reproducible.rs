@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Instant;
 use upswing_config::{Config, GridAxis};
-use upswing_planner::build::{BuildError, Shard, build, merge, read, verify};
+use upswing_planner::build::{BuildError, Finding, Shard, build, certify, merge, read, verify};
 use upswing_planner::offline::problem_fingerprint;
 use upswing_planner::replan::{Planner, PlannerError};
-use upswing_trajectory::{DatabaseError, Outcome};
+use upswing_trajectory::{Database, DatabaseError, Entry, Outcome, Record, Trajectory};
 
 /// Six poses in three lines; the first of each line has no rest position within the limits.
 fn small_grid() -> Config {
@@ -195,6 +195,69 @@ fn certificates_are_recomputed() {
     entry.trajectory.u[50][0] += 1e-3;
     let found = verify(&small_grid(), &database, || ());
     assert_eq!(found.iter().map(|d| d.pose).collect::<Vec<_>>(), [3]);
+    assert!(matches!(found[0].finding, Finding::Certificate { .. }), "{found:?}");
+}
+
+#[test]
+fn consistent_records_of_something_else_are_found() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let config = small_grid();
+    let whole = read(&whole(dir.path())).expect("it reads");
+    let solved = |d: &Database| d.records.iter().position(|r| matches!(r.outcome, Outcome::Solved(_)));
+    let found = |change: &dyn Fn(&mut Record)| {
+        let mut database = whole.clone();
+        let record = solved(&database).expect("an entry");
+        change(&mut database.records[record]);
+        let found = verify(&config, &database, || ());
+        assert_eq!(found.len(), 1, "{found:?}");
+        found[0].finding
+    };
+    // Each with the certificate of its own trajectory.
+    let entry = |change: &dyn Fn(&mut Trajectory)| {
+        found(&|record: &mut Record| {
+            let Outcome::Solved(entry) = &record.outcome else { panic!("solved") };
+            let mut trajectory = entry.trajectory.clone();
+            change(&mut trajectory);
+            record.outcome = Outcome::Solved(Box::new(Entry::new(&trajectory, |t| certify(&config, t))));
+        })
+    };
+    let hanging = entry(&|t| {
+        let start = t.x[0];
+        t.x.fill(start);
+        t.u.fill(upswing_model::ActuatedVector::zeros());
+    });
+    assert!(matches!(hanging, Finding::End { row: 4.., .. }), "{hanging}");
+    let elsewhere = entry(&|t| t.x.iter_mut().for_each(|x| x[0] += 0.1));
+    assert!(matches!(elsewhere, Finding::Start { row: 0, .. }), "{elsewhere}");
+    let jumping = entry(&|t| t.x[50][0] += 0.01);
+    assert!(matches!(jumping, Finding::Defect { .. }), "{jumping}");
+    let hurried = entry(&|t| t.t_f *= 0.99);
+    assert!(matches!(hurried, Finding::Defect { .. }), "{hurried}");
+    let failed = found(&|record| record.outcome = Outcome::Failed);
+    assert!(matches!(failed, Finding::Solvable { .. }), "{failed}");
+    let rejected = found(&|record| record.outcome = Outcome::Rejected);
+    assert_eq!(rejected, Finding::Rule { leaves_out: false });
+    // Limits that the trajectories were not made for.
+    let mut narrower = config.clone();
+    narrower.robot.planning.tau_max *= 0.5;
+    let mut database = whole.clone();
+    for record in &mut database.records {
+        if let Outcome::Solved(entry) = &record.outcome {
+            record.outcome =
+                Outcome::Solved(Box::new(Entry::new(&entry.trajectory, |t| certify(&narrower, t))));
+        }
+    }
+    let found = verify(&narrower, &database, || ());
+    assert_eq!(found.len(), 3, "{found:?}");
+    assert!(found.iter().all(|d| matches!(d.finding, Finding::Limit { what: "torque", .. })), "{found:?}");
+}
+
+#[test]
+fn the_shipped_database_holds() {
+    let config = Config::embedded().expect("embedded settings");
+    let database = Database::decode(&config.database().expect("embedded").bytes).expect("it decodes");
+    let found = verify(&config, &database, || ());
+    assert!(found.is_empty(), "{}: {}", found[0].pose, found[0].finding);
 }
 
 #[test]

@@ -296,6 +296,17 @@ fn a_deadline_in_the_past_leaves_the_first_iterate() {
 }
 
 #[test]
+fn what_is_less_accurate_than_asked_for_is_not_solved() {
+    let planner = planner();
+    let entries = 0..planner.entries().len();
+    let qp = entries.filter_map(|entry| qp_at(&planner, entry, &[0.02; NU])).next().expect("a start at rest");
+    // No solver meets this tolerance: Clarabel then says that it is almost there.
+    let mut solver = Solver::new(QpBackend::Clarabel, N);
+    let status = solver.solve(&qp, &Options::new(1e-20));
+    assert!(matches!(status, Status::Stalled(_)), "{status:?}");
+}
+
+#[test]
 fn the_last_iterate_of_a_stopped_solve_is_the_best() {
     let planner = planner();
     let fast = |joint: usize| planner.config().robot.planning.qd_max[joint];

@@ -198,6 +198,25 @@ fn nonsense() {
 }
 
 #[test]
+fn a_plan_is_called_solved_only_where_its_defect_is_within_the_setting() {
+    let mut config = Config::embedded().expect("embedded settings");
+    config.planner.replan.iterations = 1;
+    let planner = Planner::new(config).expect("the shipped database fits");
+    let mut desk = Desk::new(&planner);
+    let request = PlannerRequest {
+        kind: PlannerKind::SwingUp.code(),
+        start: rest(&planner).into(),
+        ..PlannerRequest::default()
+    };
+    let (answer, plan) = ask(&mut desk, &request);
+    assert_eq!(answer.status(), Ok(PlannerStatus::OpenDefect));
+    assert!(plan.is_some() && answer.defect > planner.config().planner.replan.defect);
+    assert!(answer.reason.as_str().expect("text").starts_with("defect"), "{:?}", answer.reason.as_str());
+    let (answer, _) = ask(&mut desk, &PlannerRequest { iterations: 10, ..request });
+    assert_eq!(answer.status(), Ok(PlannerStatus::Solved));
+}
+
+#[test]
 fn a_plan_that_nobody_waits_for_any_more_is_given_up() {
     let planner = planner();
     let mut desk = Desk::new(&planner);

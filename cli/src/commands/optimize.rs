@@ -3,6 +3,7 @@
 use super::{CommonArgs, MarginsJson, TrajectoryJson, failed, print_json, print_line, spinner};
 use crate::parse::{Degrees, WEEK, start_state, within};
 use serde::Serialize;
+use std::sync::atomic::Ordering;
 use std::time::Instant;
 use upswing_config::PendulumStart;
 use upswing_config::process::{Failure, shutdown_flag};
@@ -60,7 +61,8 @@ pub fn run(args: &OptimizeArgs) -> Result<(), Failure> {
     // Ctrl-C ends the optimisation, and what it has is printed.
     let stop = shutdown_flag()?;
     let search = if args.best { Search::Best } else { Search::First };
-    let options = Options { time_budget, stop: Some(&stop), ..options(&config) };
+    let stopped = || stop.load(Ordering::Acquire);
+    let options = Options { time_budget, cancelled: Some(&stopped), ..options(&config) };
     let waiting = spinner("optimising; Ctrl-C prints what there is");
     let solution = optimize(&config, start, search, None, &options);
     waiting.finish_and_clear();

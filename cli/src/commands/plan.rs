@@ -7,14 +7,16 @@ use serde::Serialize;
 use std::path::PathBuf;
 use upswing_config::process::Failure;
 use upswing_config::{Config, PendulumStart};
+use upswing_ipc::PlannerStatus;
 use upswing_model::State;
 use upswing_planner::build::certify;
 use upswing_planner::interior_point::Status;
 use upswing_planner::offline::{Search, optimize, options};
-use upswing_planner::replan::Planner;
+use upswing_planner::replan::{Effort, Manoeuvre, Method, Planner};
 use upswing_trajectory::Entry;
 
-/// Adapts the nearest database entry to a start at rest, as the planner process does.
+/// Plans a swing-up from a start at rest as the planner process does: adapts the nearest database entry, or optimises in full
+/// where none is near enough.
 ///
 /// Prints t_F in s, distances in rad, margins as shares; --json has the trajectory in s, rad, rad/s, rad/s^2.
 ///
@@ -45,12 +47,13 @@ pub struct PlanArgs {
 struct Answer {
     #[serde(flatten)]
     trajectory: TrajectoryJson,
-    status: &'static str,
+    status: String,
     cost: f64,
     #[serde(flatten)]
     figures: PlanFigures,
     time_nearest_s: f64,
     time_qp_s: f64,
+    time_optimisation_s: f64,
     time_lqr_s: f64,
     time_s: f64,
 }
@@ -75,7 +78,13 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
         None => Planner::new(config).map_err(|e| Failure::BadInput(e.to_string()))?,
     };
     let settings = &planner.config().planner;
-    let replan = planner.replan(&start, settings.replan.iterations, None).map_err(failed)?;
+    let effort = Effort::iterations(settings.replan.iterations);
+    // To adapt just that trajectory is what was asked for.
+    let effort = Effort { optimise: effort.optimise && args.reference.is_none(), ..effort };
+    let replan =
+        planner.replan_with(&mut planner.solver(), Manoeuvre::SwingUp, &start, &effort).map_err(failed)?;
+    let open = replan.defect > settings.replan.defect;
+    let status = if open { PlannerStatus::OpenDefect } else { PlannerStatus::Solved };
     if let Some(path) = &args.svg {
         let reference = &planner.entries()[replan.entry.index].trajectory;
         let config = planner.config();
@@ -84,11 +93,12 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
     }
     let answer = Answer {
         trajectory: (&replan.trajectory).into(),
-        status: "solved",
+        status: status.to_string(),
         cost: replan.trajectory.cost(settings.offline.input_weight),
         figures: PlanFigures::new(&replan),
         time_nearest_s: replan.times.nearest.as_secs_f64(),
         time_qp_s: replan.times.qp.as_secs_f64(),
+        time_optimisation_s: replan.times.optimisation.as_secs_f64(),
         time_lqr_s: replan.times.lqr.as_secs_f64(),
         time_s: replan.times.total.as_secs_f64(),
     };
@@ -96,19 +106,27 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
         return print_json(&answer);
     }
     let f = &answer.figures;
+    let way = match replan.method {
+        Method::Quadratic => {
+            format!("from entry {} ({:.3} rad away), {} QPs", f.nearest_entry, f.distance, f.iterations)
+        }
+        Method::Optimisation => format!(
+            "optimised in full in {} iterations (nearest entry: {}, {:.3} rad away)",
+            f.iterations, f.nearest_entry, f.distance
+        ),
+    };
     print_line(&format!(
-        "solved: t_F {:.4} s, cost {:.5}, from entry {} ({:.3} rad away), {} QPs\n\
+        "{}: t_F {:.4} s, cost {:.5}, {way}\n\
          defect of the real dynamics {:.1e}; smallest margin (share of half the range): {}\n\
-         {:.0} ms: QPs {:.0} ms, gains {:.0} ms",
+         {:.0} ms: QPs {:.0} ms, full optimisation {:.0} ms, gains {:.0} ms",
+        answer.status,
         answer.trajectory.t_f,
         answer.cost,
-        f.nearest_entry,
-        f.distance,
-        f.iterations,
         f.defect,
         f.margins,
         1e3 * answer.time_s,
         1e3 * answer.time_qp_s,
+        1e3 * answer.time_optimisation_s,
         1e3 * answer.time_lqr_s
     ))
 }

@@ -57,7 +57,7 @@ pub struct PlannerResponse {
     pub nearest_entry: u64,
     /// Distance from the start to that entry in the metric of the settings, rad.
     pub distance: f64,
-    /// Iterations of the replanning QP.
+    /// QPs of the replan, each linearised around the result before; of a full optimisation its iterations.
     pub iterations: u64,
     /// Largest collocation defect of the plan, rad or rad/s.
     pub defect: f64,
@@ -69,7 +69,7 @@ pub struct PlannerResponse {
     pub margin_tau: f64,
     /// Search of the nearest entry, us.
     pub time_nearest_us: f64,
-    /// All iterations of the QP, us.
+    /// All QPs and, where no entry is near enough, the full optimisation, us.
     pub time_qp_us: f64,
     /// Gain synthesis, us.
     pub time_lqr_us: f64,

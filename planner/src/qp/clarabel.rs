@@ -1,6 +1,6 @@
 //! Clarabel as a back end: the QP as one sparse matrix.
 
-use super::{Options, Qp, Solution, Status};
+use super::{Options, Qp, Solution, Stall, Status};
 use crate::kkt::KnotDynamics;
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::{
@@ -146,7 +146,7 @@ pub(super) fn solve(qp: &Qp, options: &Options<'_>, solution: &mut Solution) -> 
     };
     let Ok(mut solver) = DefaultSolver::new(&hessian, &gradient, &matrix, &rows.bound, &cones, settings)
     else {
-        return Status::Stalled;
+        return Status::Stalled(Stall::Numerical);
     };
     solver.solve();
     let found = &solver.solution;
@@ -156,9 +156,12 @@ pub(super) fn solve(qp: &Qp, options: &Options<'_>, solution: &mut Solution) -> 
     solution.t = found.x[t];
     solution.iterations = found.iterations as usize;
     match found.status {
-        SolverStatus::Solved | SolverStatus::AlmostSolved => Status::Solved,
+        SolverStatus::Solved => Status::Solved,
+        SolverStatus::AlmostSolved => Status::Stalled(Stall::Inaccurate),
         SolverStatus::PrimalInfeasible | SolverStatus::AlmostPrimalInfeasible => Status::Infeasible(None),
         SolverStatus::MaxTime => Status::Deadline,
-        _ => Status::Stalled,
+        SolverStatus::MaxIterations => Status::Stalled(Stall::Iterations),
+        SolverStatus::InsufficientProgress => Status::Stalled(Stall::ShortStep),
+        _ => Status::Stalled(Stall::Numerical),
     }
 }

@@ -134,7 +134,7 @@ impl std::fmt::Display for Conflict {
 /// How a solve ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Status {
-    /// All residuals are within the tolerance; of Clarabel also where it comes no closer than its own reduced one.
+    /// All residuals are within the tolerance.
     Solved,
     /// No point meets all constraints; names the limit that weighs most in the contradiction where the back end
     /// knows it.
@@ -143,8 +143,35 @@ pub enum Status {
     Deadline,
     /// Stopped from outside.
     Cancelled,
-    /// No progress, or out of iterations.
-    Stalled,
+    /// Neither solved nor found infeasible.
+    Stalled(Stall),
+}
+
+/// Why a solver stopped before it knew the answer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stall {
+    /// The linear system of a step could not be factorised.
+    Factorisation,
+    /// No step of noticeable length keeps slacks and multipliers above zero.
+    ShortStep,
+    /// Out of iterations.
+    Iterations,
+    /// Clarabel met its own, much larger, reduced tolerances and came no closer.
+    Inaccurate,
+    /// Clarabel could not set the program up, or met trouble with its numbers.
+    Numerical,
+}
+
+impl std::fmt::Display for Stall {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Factorisation => "its linear system could not be factorised",
+            Self::ShortStep => "no step led on within the bounds",
+            Self::Iterations => "not solved within the most iterations",
+            Self::Inaccurate => "solved less accurately than asked for",
+            Self::Numerical => "the solver met numbers that it could not work with",
+        })
+    }
 }
 
 /// When a solver stops.

@@ -9,7 +9,7 @@
 //!
 //! A softened bound yields: w >= l - c y with the compliance c, which is a quadratic penalty of weight 1 / c.
 
-use super::{Bound, Conflict, Options, Qp, Solution, Status};
+use super::{Bound, Conflict, Options, Qp, Solution, Stall, Status};
 use crate::kkt::{Factor, Kkt, KnotDynamics, KnotMatrix, KnotVector, Rhs, SolveWorkspace, Step, TargetRow};
 use crate::problem::LimitKind;
 use crate::rows::ROW;
@@ -501,7 +501,7 @@ impl Structured {
         self.load(qp);
         self.start(qp, warm);
         let mut status = self.run(qp, options);
-        if warm && status == Status::Stalled {
+        if warm && matches!(status, Status::Stalled(_)) {
             self.start(qp, false);
             status = self.run(qp, options);
         }
@@ -530,7 +530,7 @@ impl Structured {
             }
             self.condense(qp);
             if !self.factor() {
-                return Status::Stalled;
+                return Status::Stalled(Stall::Factorisation);
             }
             for side in [&mut self.below, &mut self.above] {
                 for i in 0..rows {
@@ -554,10 +554,10 @@ impl Structured {
             self.direction((1, 1e-6));
             let alpha = (TO_BOUNDARY * self.below.longest().min(self.above.longest())).min(1.0);
             if !(alpha > SHORTEST) {
-                return Status::Stalled;
+                return Status::Stalled(Stall::ShortStep);
             }
             self.advance(alpha);
         }
-        Status::Stalled
+        Status::Stalled(Stall::Iterations)
     }
 }

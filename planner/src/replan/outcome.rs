@@ -1,8 +1,9 @@
 //! What comes of a replan: the plan, or the reason for each entry tried.
 
+use crate::interior_point;
 use crate::lqr::{self, Gains};
 use crate::nearest::Neighbour;
-use crate::qp::Conflict;
+use crate::qp::{Conflict, Stall};
 use std::time::Duration;
 use upswing_config::Config;
 use upswing_model::Workspace;
@@ -29,15 +30,17 @@ pub enum Refusal {
         conflict: Option<Conflict>,
     },
     /// A QP was neither solved nor found infeasible.
-    #[error("QP {iteration}: the solver made no progress")]
+    #[error("QP {iteration}: {stall}")]
     Stalled {
         /// Which linearisation, from 1.
         iteration: usize,
+        /// How the solver ended.
+        stall: Stall,
     },
     /// The daemon would not accept the plan.
-    #[error("after {iterations} QPs: {unfit}")]
+    #[error("after {iterations} iterations: {unfit}")]
     Unfit {
-        /// QPs solved.
+        /// QPs, or iterations of the full optimisation.
         iterations: usize,
         /// What is wrong with it.
         unfit: Unfit,
@@ -54,6 +57,9 @@ pub enum Refusal {
         /// The QP that was not begun or not finished, from 1.
         iteration: usize,
     },
+    /// The full optimisation found no trajectory.
+    #[error("{0}")]
+    Optimisation(interior_point::Status),
     /// No stabilising gain at the end.
     #[error(transparent)]
     Gain(#[from] lqr::NotStabilisable),
@@ -66,12 +72,23 @@ pub struct Times {
     pub nearest: Duration,
     /// All QPs, with their linearisations.
     pub qp: Duration,
+    /// The full optimisation.
+    pub optimisation: Duration,
     /// Checks of the result on the real dynamics.
     pub check: Duration,
     /// Gains.
     pub lqr: Duration,
     /// Everything.
     pub total: Duration,
+}
+
+/// How a trajectory was found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Method {
+    /// QPs (16) around a database entry.
+    Quadratic,
+    /// The full optimisation (6).
+    Optimisation,
 }
 
 /// A replanned trajectory with its gains.
@@ -81,11 +98,13 @@ pub struct Replan {
     pub trajectory: Trajectory,
     /// Its gains.
     pub gains: Gains,
-    /// The entry it was adapted from.
+    /// How it was found.
+    pub method: Method,
+    /// The entry it was adapted from; of the full optimisation the nearest one.
     pub entry: Neighbour,
     /// The entries tried in vain before, in order.
     pub refused: Vec<Attempt>,
-    /// Linearisations for the entry used.
+    /// QPs for the entry used, each linearised around the result before, or iterations of the full optimisation.
     pub iterations: usize,
     /// Largest defect (6b) of the real dynamics.
     pub defect: f64,
@@ -95,16 +114,24 @@ pub struct Replan {
     pub times: Times,
 }
 
-/// No neighbour led to a plan.
+/// Nothing led to a plan.
 #[derive(Clone, Debug)]
 pub struct NoPlan {
     /// The entries tried, in order.
     pub refused: Vec<Attempt>,
+    /// Why the full optimisation gave no plan, where it was tried.
+    pub optimisation: Option<Refusal>,
 }
 
 impl std::fmt::Display for NoPlan {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "none of the {} nearest database entries could be adapted", self.refused.len())?;
+        // First what matters most: a reason sent to others may be cut.
+        match (&self.optimisation, self.refused.len()) {
+            (Some(refusal), 0) => return write!(f, "full optimisation: {refusal}"),
+            (Some(refusal), n) => write!(f, "full optimisation: {refusal}; none of the {n}")?,
+            (None, n) => write!(f, "none of the {n}")?,
+        }
+        f.write_str(" nearest database entries could be adapted")?;
         self.refused.iter().try_for_each(|Attempt { entry, refusal }| {
             write!(f, "; entry {} ({:.3} rad away): {refusal}", entry.index, entry.distance)
         })
@@ -116,7 +143,9 @@ impl std::error::Error for NoPlan {}
 impl NoPlan {
     /// Whether time, not feasibility, was the reason.
     pub fn out_of_time(&self) -> bool {
-        self.refused.iter().any(|a| matches!(a.refusal, Refusal::Deadline { .. }))
+        use interior_point::Status::OutOfTime;
+        matches!(self.optimisation, Some(Refusal::Optimisation(OutOfTime)))
+            || self.refused.iter().any(|a| matches!(a.refusal, Refusal::Deadline { .. }))
     }
 }
 
