@@ -96,7 +96,7 @@ fn planner() {
         ("max_iterations = 3000", "max_iterations = 0", &["offline.max_iterations", "from 1 to", "got 0"]),
         ("\niterations = 10", "\niterations = -4", &["replan.iterations", "from 1 to", "got -4"]),
         ("sub_horizons = 1", "sub_horizons = 3", &["replan.sub_horizons", "one of", "got 3"]),
-        ("weight_t_f = 1.0", "weight_t_f = -1.0", &["replan.weight_t_f", POSITIVE, "got -1"]),
+        ("weight_t_f = 300", "weight_t_f = -1.0", &["replan.weight_t_f", POSITIVE, "got -1"]),
         ("weight_u = [0.01", "weight_u = [0", &["replan.weight_u", POSITIVE, "got 0 for joint 1"]),
         ("neighbours = 3", "neighbours = 0", &["replan.neighbours", "from 1 to", "got 0"]),
         ("metric = [1", "metric = [-1", &["replan.metric", POSITIVE, "got -1 for joint 1"]),

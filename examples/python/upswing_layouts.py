@@ -420,6 +420,7 @@ class PlannerStatus(IntEnum):
     Infeasible = 3
     NotReady = 4
     Deadline = 5
+    OpenDefect = 6
 
 
 class PlantKind(IntEnum):

@@ -365,7 +365,7 @@ impl Planner {
         let begin = Instant::now();
         let model = &self.config.model;
         let gate = self.config.gate();
-        let unfit = |unfit| Refusal::Unfit { iterations, unfit };
+        let unfit = |unfit| Refusal::Unfit { method, iterations, unfit };
         gate.check_motion(model, &trajectory, &trajectory.f(model, &mut work)).map_err(unfit)?;
         let defect = trajectory.defect(model, &mut work);
         let margins = Margins::of(&trajectory, model, &self.config.robot.planning, Certificate::BETWEEN);

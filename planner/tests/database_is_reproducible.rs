@@ -229,7 +229,7 @@ fn consistent_records_of_something_else_are_found() {
     assert!(matches!(hanging, Finding::End { row: 4.., .. }), "{hanging}");
     let elsewhere = entry(&|t| t.x.iter_mut().for_each(|x| x[0] += 0.1));
     assert!(matches!(elsewhere, Finding::Start { row: 0, .. }), "{elsewhere}");
-    let jumping = entry(&|t| t.x[50][0] += 0.01);
+    let jumping = entry(&|t| t.x[50][8] += 0.01);
     assert!(matches!(jumping, Finding::Defect { .. }), "{jumping}");
     let hurried = entry(&|t| t.t_f *= 0.99);
     assert!(matches!(hurried, Finding::Defect { .. }), "{hurried}");

@@ -4,6 +4,7 @@
 use std::time::Instant;
 use upswing_config::{Config, PendulumStart, SUB_HORIZONS, TorqueConstraint};
 use upswing_model::State;
+use upswing_planner::interior_point::Status as Ending;
 use upswing_planner::replan::{Effort, Manoeuvre, Planner, Refusal};
 use upswing_trajectory::{Entry, N};
 
@@ -152,12 +153,17 @@ fn an_impossible_start_is_refused_with_the_reason_of_each_entry() {
     // At full speed towards its stop the arm cannot stay within it.
     x[1] = planner.config().robot.planning.q_max[1];
     x[10] = planner.config().robot.planning.qd_max[1];
-    let refusal = planner.replan(&x, 2, None).expect_err("no plan");
+    let quadratic = Effort { optimise: false, ..Effort::iterations(2) };
+    let refusal = planner.replan_with(&mut planner.solver(), Manoeuvre::SwingUp, &x, &quadratic);
+    let refusal = refusal.expect_err("no plan");
     assert_eq!(refusal.refused.len(), planner.config().planner.replan.neighbours);
     assert!(
         refusal.refused.iter().all(|a| matches!(a.refusal, Refusal::Infeasible { conflict: Some(_), .. })),
         "{refusal}"
     );
+    // Nor does the full optimisation find one.
+    let refusal = planner.replan(&x, 2, None).expect_err("no plan");
+    assert!(matches!(refusal.optimisation, Some(Refusal::Optimisation(Ending::Infeasible(_)))), "{refusal}");
 }
 
 #[test]

@@ -38,8 +38,10 @@ pub enum Refusal {
         stall: Stall,
     },
     /// The daemon would not accept the plan.
-    #[error("after {iterations} iterations: {unfit}")]
+    #[error("after {iterations} {}: {unfit}", if *method == Method::Quadratic { "QPs" } else { "iterations" })]
     Unfit {
+        /// How it was found.
+        method: Method,
         /// QPs, or iterations of the full optimisation.
         iterations: usize,
         /// What is wrong with it.
