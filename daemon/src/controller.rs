@@ -15,7 +15,7 @@ use crate::trip::{Trip, TripCause};
 use nalgebra::Vector3;
 use upswing_config::{Config, PlanWhileTracking};
 use upswing_ipc::{Clock, Command, Measurement, Mode, Step, Telemetry};
-use upswing_model::{ActuatedVector, JointVector, Model, NU, State, Workspace, position, velocity};
+use upswing_model::{ActuatedVector, JointVector, Model, NQ, NU, State, Workspace, position, velocity};
 use upswing_trajectory::{KNOTS, Plan, Trajectory};
 
 /// What the controller is told besides the measurement; at most one per cycle.
@@ -232,7 +232,7 @@ impl Controller {
             self.observer.drop_turns();
         }
         if braked {
-            self.disturbance.reset();
+            self.weigh(measurement, fresh);
         } else {
             let v: ActuatedVector = self.observer.filtered.fixed_rows::<NU>(0).into();
             let u: Option<ActuatedVector> = expected.map(|qdd| qdd.fixed_rows::<NU>(0).into());
@@ -303,6 +303,22 @@ impl Controller {
             },
             answer,
             garbage,
+        }
+    }
+
+    /// Closed brakes: where the robot measures the load that they hold, what gravity does not explain of it is the
+    /// disturbance that Hold begins with. `fresh`: the measurement is new.
+    fn weigh(&mut self, measurement: &Measurement, fresh: bool) {
+        const HELD: u64 = Measurement::BRAKES_CLOSED | Measurement::LOAD_SENSED;
+        if measurement.status & HELD != HELD || self.observer.unfit.is_some() {
+            self.disturbance.reset();
+        } else if fresh {
+            // The arm is at rest, whatever the encoders' noise is; the pendulum may swing.
+            let mut x = self.observer.x;
+            x.fixed_rows_mut::<NU>(NQ).fill(0.0);
+            let explained = self.model.torque(&x, &ActuatedVector::zeros(), &mut self.work);
+            let elapsed = self.observer.cycles() as f64 * self.checks.period();
+            self.disturbance.weigh(&(explained - ActuatedVector::from(measurement.tau_measured)), elapsed);
         }
     }
 

@@ -6,8 +6,11 @@
 //! tau^' = L (M~ (v' - u_f) + tau^_f - tau^) is tau^ = L / (s + L) 1 / (T_1 s + 1) tau_d: it knows a constant tau_d after
 //! a few 1 / L, and an exact model gives tau^ = 0. It is a torque that is kept, not an acceleration: where M~ is nearly
 //! singular (q2 near 0, axes 1 and 3 parallel) the acceleration that belongs to it changes quickly. The paper does without.
+//!
+//! There half a newton metre accelerates so much that L is too slow when the brakes open. Torque sensors on the side of the
+//! links see the load that the brakes hold: what gravity does not explain of it is tau_d before anything moves.
 
-use upswing_model::{ActuatedVector, Model, Workspace};
+use upswing_model::{ActuatedVector, Model, NU, Workspace};
 
 /// The estimate and its memory.
 #[derive(Clone, Debug)]
@@ -25,6 +28,8 @@ pub struct Disturbance {
     lagging_input: ActuatedVector,
     /// The last v, rad/s; none before the first.
     last: Option<ActuatedVector>,
+    /// Since when loads have been taken in, s.
+    weighed: f64,
 }
 
 impl Disturbance {
@@ -40,6 +45,7 @@ impl Disturbance {
             lagging_estimate: none,
             lagging_input: none,
             last: None,
+            weighed: 0.0,
         }
     }
 
@@ -51,6 +57,24 @@ impl Disturbance {
     /// Forgets everything: the brakes hold.
     pub fn reset(&mut self) {
         *self = Self::new(self.bandwidth, self.most, self.time_constant);
+    }
+
+    /// Takes in the torque `d` that acts on an arm at rest behind closed brakes, N m, `elapsed` (s) after the last one: the
+    /// mean of what there is, later with the bandwidth L. More than the largest estimate on any joint is no offset of a
+    /// sensor (a wrong model, a robot that leans on something), and not used.
+    pub fn weigh(&mut self, d: &ActuatedVector, elapsed: f64) {
+        if self.bandwidth == 0.0 || !(elapsed > 0.0) {
+            return;
+        }
+        if !(0..NU).all(|i| d[i].abs() <= self.most[i]) {
+            self.reset();
+            return;
+        }
+        self.weighed += elapsed;
+        let share = (elapsed / self.weighed).max(-(-elapsed * self.bandwidth).exp_m1());
+        let estimate = self.estimate + (d - self.estimate) * share;
+        *self = Self { weighed: self.weighed, ..Self::new(self.bandwidth, self.most, self.time_constant) };
+        (self.estimate, self.lagging_estimate) = (estimate, estimate);
     }
 
     /// Takes in the filtered velocity `v` (rad/s), `elapsed` (s) after the last one. `u` (rad/s^2) was the input to
@@ -174,6 +198,29 @@ mod tests {
     }
 
     #[test]
+    fn a_load_behind_closed_brakes_is_known_at_once_and_averaged() {
+        let most = ActuatedVector::repeat(2.0);
+        let mut estimate = Disturbance::new(L, most, T_1);
+        let d = ActuatedVector::from_column_slice(&[0.5, -0.2, 0.1, 0.0, 0.3, -0.4, 0.05]);
+        estimate.weigh(&d, T_S);
+        assert_eq!(*estimate.estimate(), d);
+        estimate.weigh(&(d * 3.0), T_S);
+        assert!((estimate.estimate() - d * 2.0).amax() < 1e-12, "the mean of two");
+        for _ in 0..8000 {
+            estimate.weigh(&d, T_S);
+        }
+        assert!((estimate.estimate() - d).amax() < 1e-12, "what was long ago is forgotten");
+        for bad in [2.1, f64::NAN, f64::INFINITY] {
+            let mut wrong = d;
+            wrong[4] = bad;
+            estimate.weigh(&wrong, T_S);
+            assert_eq!(*estimate.estimate(), ActuatedVector::zeros(), "{bad} N m");
+            estimate.weigh(&d, T_S);
+            assert_eq!(*estimate.estimate(), d, "begins anew after {bad} N m");
+        }
+    }
+
+    #[test]
     fn without_bandwidth_there_is_no_estimate() {
         let config = Config::embedded().expect("embedded settings");
         let (model, mut work) = (&config.model, Workspace::default());
@@ -184,6 +231,7 @@ mod tests {
             let v = ActuatedVector::repeat(f64::from(i));
             estimate.update(model, &v, Some(&ActuatedVector::zeros()), T_S, &work);
         }
+        estimate.weigh(&ActuatedVector::repeat(0.1), T_S);
         assert_eq!(*estimate.estimate(), ActuatedVector::zeros());
     }
 }

@@ -2,7 +2,9 @@
 
 use crate::drives::Action;
 use upswing_config::{Config, FrictionSettings, StopSettings};
-use upswing_model::{JointVector, Model, N_ACTUATED, N_UNACTUATED, NU, UnactuatedVector, Workspace};
+use upswing_model::{
+    ActuatedVector, JointVector, Model, N_ACTUATED, N_UNACTUATED, NU, UnactuatedVector, Workspace,
+};
 
 /// A force at the tip of the rod, world frame, N.
 pub(crate) type Force = [f64; 3];
@@ -87,6 +89,16 @@ impl Body {
         action: &Action,
         push: Option<&Force>,
     ) -> Option<JointVector> {
+        let mut load = self.passive_load(q, qd, push);
+        let Action::Torque(torque) = action else { return self.braked_acceleration(q, qd, &load) };
+        for i in 0..N_ACTUATED {
+            load[i] += torque[i];
+        }
+        self.model.forward_dynamics(q, qd, &load, &mut self.work)
+    }
+
+    /// Torque of friction, stops and a push, N m.
+    fn passive_load(&self, q: &JointVector, qd: &JointVector, push: Option<&Force>) -> JointVector {
         let mut load = -self.friction.torque(qd);
         for i in 0..load.len() {
             load[i] += stop_torque(&self.stops, i, q[i], qd[i]);
@@ -94,11 +106,19 @@ impl Body {
         if let Some(force) = push {
             load += self.model.torque_of_tip_force(q, &(*force).into());
         }
-        let Action::Torque(torque) = action else { return self.braked_acceleration(q, qd, &load) };
-        for i in 0..N_ACTUATED {
-            load[i] += torque[i];
+        load
+    }
+
+    /// Torque with which closed brakes hold an arm at rest, N m; `None` while it moves.
+    pub(crate) fn held_load(&mut self, push: Option<&Force>) -> Option<ActuatedVector> {
+        let (q, qd) = (self.q, self.qd);
+        if qd.fixed_rows::<N_ACTUATED>(0).amax() != 0.0 {
+            return None;
         }
-        self.model.forward_dynamics(q, qd, &load, &mut self.work)
+        let load = self.passive_load(&q, &qd, push);
+        let qdd = self.braked_acceleration(&q, &qd, &load)?;
+        let force = self.model.inverse_dynamics(&q, &qd, &qdd, &mut self.work) - load;
+        Some(force.fixed_rows::<N_ACTUATED>(0).into())
     }
 
     /// qdd = [u, qdd_U] with u = -qd_A / time constant: (3a) with the load of the pendulum (N m),

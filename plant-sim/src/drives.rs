@@ -98,7 +98,12 @@ impl Drives {
         self.engaging = 0;
     }
 
-    /// Torque that the sensors show, N m.
+    /// What the sensors show of a load that the brakes hold, N m: less their offset, as of the drives' own torque.
+    pub(crate) fn show_load(&self, load: &ActuatedVector) -> ActuatedVector {
+        (load - self.offset).inf(&self.tau_max).sup(&-self.tau_max)
+    }
+
+    /// Torque that the sensors show of the drives, N m.
     pub(crate) fn tau(&self) -> &ActuatedVector {
         &self.tau
     }

@@ -82,7 +82,8 @@ impl Plant {
     }
 
     /// What the daemon finds in this cycle: angles with bias and noise, rounded to the encoders' resolution; torques of
-    /// the drives in the last period (none while the brakes are closed); simulated time, `seq` * period; clock
+    /// the drives in the last period, with brakes that hold the arm at rest those of the load, as sensors on the side of the
+    /// links show them (none while it still moves, and under a drive fault); simulated time, `seq` * period; clock
     /// `lockstep`. Under a fault on the way it may be another measurement or the one of the last cycle again, which its
     /// `seq` tells.
     pub fn measure(&self) -> Measurement {
@@ -173,7 +174,14 @@ impl Plant {
     /// Takes the measurement of this cycle.
     fn sense(&mut self) {
         let bit = |set: bool, bit: u64| if set { bit } else { 0 };
-        let tau: [f64; NU] = (*self.drives.tau()).into();
+        let push = self.force();
+        let load = if self.brakes_closed() && !self.drive_fault() {
+            self.body.held_load(push.as_ref())
+        } else {
+            None
+        };
+        let tau: [f64; NU] =
+            load.as_ref().map_or(*self.drives.tau(), |load| self.drives.show_load(load)).into();
         self.faults.measured(Measurement {
             seq: self.seq,
             t_ns: self.seq.saturating_mul(self.period_ns),
@@ -182,7 +190,8 @@ impl Plant {
             status: bit(self.brakes_closed(), Measurement::BRAKES_CLOSED)
                 | bit(!self.drive_fault(), Measurement::DRIVES_READY)
                 | bit(self.drives.saturated(), Measurement::SATURATED)
-                | bit(self.drive_fault(), Measurement::DRIVE_FAULT),
+                | bit(self.drive_fault(), Measurement::DRIVE_FAULT)
+                | bit(load.is_some(), Measurement::LOAD_SENSED),
             clock: Clock::Lockstep.code(),
             period_ns: self.period_ns,
         });

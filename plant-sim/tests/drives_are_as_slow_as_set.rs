@@ -25,8 +25,10 @@ fn a_command_acts_after_its_delay() {
             plant.step(Some(&torque([f64::from(k); NU])));
             let measured = plant.measure();
             assert_eq!(plant.brakes_closed(), k < delay, "delay {delay}, cycle {k}");
-            let expected = f64::from(k.saturating_sub(delay)).min(config.robot.limits.tau_max[0]);
-            assert_eq!(measured.tau_measured[0], expected, "delay {delay}, cycle {k}");
+            if k >= delay {
+                let expected = f64::from(k - delay).min(config.robot.limits.tau_max[0]);
+                assert_eq!(measured.tau_measured[0], expected, "delay {delay}, cycle {k}");
+            }
         }
     }
 }
@@ -45,6 +47,33 @@ fn the_torque_approaches_its_command_exponentially() {
         let got = plant.measure().tau_measured[3];
         assert!((got - expected).abs() < 1e-12, "cycle {k}: {got} N m, expected {expected}");
     }
+}
+
+#[test]
+fn closed_brakes_show_their_load_less_the_offset_while_the_arm_stands() {
+    let mut config = settings();
+    let offset = [0.5, -0.25, 0.125, 1.0, -0.5, 0.25, -0.125];
+    config.plant.drive.torque_offset = offset;
+    let mut plant = plant(&config);
+    let load = common::holding_torque(&config.plant_model, &plant);
+    let sensed = |plant: &Plant| plant.measure().status & Measurement::LOAD_SENSED != 0;
+    for _ in 0..10 {
+        let shown = plant.measure().tau_measured;
+        for i in 0..NU {
+            let error = shown[i] - (load[i] - offset[i]);
+            assert!(sensed(&plant) && error.abs() < 1e-3, "joint {}: {error} N m", i + 1);
+        }
+        plant.step(Some(&BRAKE));
+    }
+    plant.step(Some(&torque([1.0; NU])));
+    assert!(!sensed(&plant), "brakes are open");
+    plant.step(Some(&BRAKE));
+    assert!(plant.brakes_closed() && !sensed(&plant), "the arm still moves");
+    assert_eq!(plant.measure().tau_measured, [0.0; NU]);
+    for _ in 0..8000 {
+        plant.step(Some(&BRAKE));
+    }
+    assert!(sensed(&plant), "it stands");
 }
 
 #[test]

@@ -182,6 +182,7 @@ pub fn module() -> String {
         ("DRIVES_READY", Measurement::DRIVES_READY),
         ("SATURATED", Measurement::SATURATED),
         ("DRIVE_FAULT", Measurement::DRIVE_FAULT),
+        ("LOAD_SENSED", Measurement::LOAD_SENSED),
     ];
     constants(out, &status);
     out.push_str("\n# Bits of Telemetry.flags.\n");

@@ -18,7 +18,7 @@ pub struct Measurement {
     pub q: [f64; NQ],
     /// tau, torques measured at the actuated joints, joint frames, N m.
     pub tau_measured: [f64; NU],
-    /// Bits [`Measurement::BRAKES_CLOSED`] .. [`Measurement::DRIVE_FAULT`]; all others 0.
+    /// Bits [`Measurement::BRAKES_CLOSED`] .. [`Measurement::LOAD_SENSED`]; all others 0.
     pub status: u64,
     /// Code of the plant's [`Clock`].
     pub clock: u64,
@@ -37,6 +37,9 @@ impl Measurement {
     pub const SATURATED: u64 = 1 << 2;
     /// Status bit: at least one drive reports a fault.
     pub const DRIVE_FAULT: u64 = 1 << 3;
+    /// Status bit: the brakes hold the arm at rest, and `tau_measured` is the load that sensors on the side of the links
+    /// show meanwhile. Never set by a robot that measures the torque of its motors, which is none then.
+    pub const LOAD_SENSED: u64 = 1 << 4;
 
     /// The plant's clock.
     ///
