@@ -4,6 +4,7 @@ use crate::report::Report;
 use crate::swing_up::SETTLE;
 use upswing_config::{Config, Push};
 use upswing_ipc::{Mode, PlannerResponse, Telemetry};
+use upswing_model::JointVector;
 use upswing_planner::qp::Solver;
 use upswing_planner::replan::{Effort, Manoeuvre, NoPlan, Planner};
 use upswing_planner::service::{describe, payload};
@@ -127,6 +128,8 @@ impl ClosedLoop {
 struct Run<'a> {
     system: ClosedLoop,
     records: &'a mut Vec<Telemetry>,
+    /// Largest true speeds so far while a plan runs, rad/s.
+    fastest: JointVector,
 }
 
 impl Run<'_> {
@@ -136,6 +139,9 @@ impl Run<'_> {
         let output = (0..MOST_SILENT).find_map(|_| self.system.cycle(&mut order)).ok_or(Aborted::Silent)?;
         let record = output.record.telemetry;
         self.records.push(record);
+        if matches!(record.mode(), Ok(Mode::Track | Mode::Balance)) {
+            self.fastest = self.fastest.sup(&self.system.plant.velocity().abs());
+        }
         if let (Some(request), Some(Err(refusal))) = (request, output.answer) {
             return Err(Aborted::Refused { request, refusal });
         }
@@ -189,7 +195,7 @@ pub fn swing_up(
     let period = config.daemon.cycle.period.as_secs_f64();
     let cycles = |s: f64| (s / period).ceil() as u64;
     records.clear();
-    let mut run = Run { system: ClosedLoop::new(config, plant), records };
+    let mut run = Run { system: ClosedLoop::new(config, plant), records, fastest: JointVector::zeros() };
     // As in a system of processes, where nothing is measured before the first cycle.
     run.cycle(None)?;
     run.cycle(Some(("enable", Order::Do(Request::Enable))))?;
@@ -214,5 +220,5 @@ pub fn swing_up(
         time_total_us: replan.times.total.as_secs_f64() * 1e6,
         ..describe(&replan, &config.planner.replan)
     };
-    Ok(Report::new(config, &response, run.records, 0, seconds))
+    Ok(Report::new(config, &response, run.records, 0, seconds, Some(&run.fastest)))
 }

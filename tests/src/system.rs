@@ -113,7 +113,7 @@ impl System {
     pub fn swing_up(&mut self, seconds: f64) -> Report {
         let period = self.period();
         let plan = must(swing_up(&mut self.session, period, seconds, &AtomicBool::new(false), &|_, _| ()));
-        Report::new(&self.config, &plan, &self.session.records, self.session.dropped(), seconds)
+        Report::new(&self.config, &plan, &self.session.records, self.session.dropped(), seconds, None)
     }
 
     /// Lets time pass until so many more cycles are recorded.

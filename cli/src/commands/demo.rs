@@ -113,7 +113,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
         Ok((plan, records, dropped))
     };
     let (plan, records, dropped) = swing().map_err(|e| session_failure(&e, &options.logs))?;
-    let report = Report::new(&config, &plan, &records, dropped, args.seconds);
+    let report = Report::new(&config, &plan, &records, dropped, args.seconds, None);
     let success = report.success;
     let answer = Answer {
         report,
