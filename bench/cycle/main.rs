@@ -65,7 +65,8 @@ fn cycles(config: &Config) -> Vec<f64> {
     for _ in 0..SWINGS {
         let (mut controller, mut arm) = (Controller::new(config), Arm::new(config, at_rest(&q)));
         let mut orders =
-            [Order::Do(Request::Enable), Order::Load(plan.clone()), Order::Do(Request::Start)].into_iter();
+            [Order::Do(Request::Enable), Order::Load(plan.clone()), Order::Do(Request::Start(plan.id))]
+                .into_iter();
         loop {
             measurements.write(arm.measure());
             let order = orders.next();

@@ -208,8 +208,9 @@ pub fn swing_up(
         &Effort::iterations(config.planner.replan.iterations),
     )?;
     let plan = accept(&payload(&replan.plan(config)), config)?;
+    let id = plan.id;
     run.cycle(Some(("load", Order::Load(plan))))?;
-    run.cycle(Some(("start", Order::Do(Request::Start))))?;
+    run.cycle(Some(("start", Order::Do(Request::Start(id)))))?;
     let Disturbances { pushes, missed } = disturbances(replan.trajectory.t_f);
     let now = run.system.plant.seq();
     for push in pushes {

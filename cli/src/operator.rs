@@ -174,7 +174,15 @@ impl Operator {
     }
 
     fn control(&self, command: ControlCommand) -> Result<ControlResponse, OperatorError> {
-        let answer = self.control.call(&ControlRequest::new(command), PATIENCE)?;
+        self.ask(command, &ControlRequest::new(command))
+    }
+
+    fn ask(
+        &self,
+        command: ControlCommand,
+        request: &ControlRequest,
+    ) -> Result<ControlResponse, OperatorError> {
+        let answer = self.control.call(request, PATIENCE)?;
         if answer.accepted == 1 {
             Ok(answer)
         } else {
@@ -199,7 +207,8 @@ impl Operator {
             if interrupted.load(Ordering::Acquire) {
                 return Err(OperatorError::Interrupted);
             }
-            if status.plan_id == plan.plan_id {
+            // It may begin when the moment that its first state was predicted for has come.
+            if status.plan_id == plan.plan_id && status.t_ns >= plan.activation_ns {
                 break;
             }
             if begin.elapsed() > PATIENCE {
@@ -207,7 +216,7 @@ impl Operator {
             }
             std::thread::sleep(Duration::from_millis(1));
         }
-        let answer = self.control(ControlCommand::Start)?;
+        let answer = self.ask(ControlCommand::Start, &ControlRequest::start(plan.plan_id))?;
         // Whoever interrupts a moment too late wants the arm to stand, too.
         if interrupted.load(Ordering::Acquire) {
             self.control(ControlCommand::Stop)?;

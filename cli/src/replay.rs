@@ -66,7 +66,7 @@ pub enum ReplayError {
         number: u64,
         /// Of the order.
         code: u64,
-        /// Plan to be loaded.
+        /// Plan to be loaded or started.
         plan_id: u64,
         /// What is wrong.
         reason: String,
@@ -182,7 +182,7 @@ fn order(step: &Step, plans: &BTreeMap<u64, &Plan>, config: &Config) -> Result<O
     }
     let bad = |reason: String| ReplayError::Order { number, code, plan_id, reason };
     let mut refused: Option<PlanRefusal> = None;
-    let order = Order::of(code, || {
+    let order = Order::of(code, plan_id, || {
         accept(plans.get(&plan_id)?, config).map_err(|refusal| refused = Some(refusal)).ok()
     });
     let missing = || refused.map_or("no such order, or no such plan before it".into(), |r| r.to_string());

@@ -218,12 +218,15 @@ impl Session {
     /// # Errors
     /// [`SessionError::Refused`] with the daemon's reason.
     pub fn control(&mut self, command: ControlCommand) -> Result<ControlResponse, SessionError> {
-        let response = self.ask_control(command)?;
-        if response.accepted == 1 {
-            Ok(response)
-        } else {
-            Err(SessionError::Refused { role: "daemon", reason: response.reason.to_string() })
-        }
+        expect_accepted(self.ask_control(command)?)
+    }
+
+    /// Starts a plan that the daemon has loaded, and expects that to be accepted.
+    ///
+    /// # Errors
+    /// [`SessionError::Refused`] with the daemon's reason.
+    pub fn start_plan(&mut self, plan_id: u64) -> Result<ControlResponse, SessionError> {
+        expect_accepted(self.control.call(&ControlRequest::start(plan_id), ANSWER_PATIENCE)?)
     }
 
     /// Sends a command to the daemon; the answer may be a refusal.
@@ -373,6 +376,14 @@ impl Session {
             recorder.finish()?;
         }
         Ok(())
+    }
+}
+
+fn expect_accepted(response: ControlResponse) -> Result<ControlResponse, SessionError> {
+    if response.accepted == 1 {
+        Ok(response)
+    } else {
+        Err(SessionError::Refused { role: "daemon", reason: response.reason.to_string() })
     }
 }
 

@@ -68,11 +68,11 @@ pub fn execute(
 /// [`SessionError`] if planner or daemon refuse.
 pub fn plan_and_start(session: &mut Session, kind: PlannerKind) -> Result<PlannerResponse, SessionError> {
     let plan = session.plan_from_now(kind)?;
-    session.wait_for("the daemon to load the plan", PATIENCE, |s| {
+    session.wait_for("the daemon to load the plan and its time to come", PATIENCE, |s| {
         let status = s.ask_control(ControlCommand::Status)?;
-        Ok(status.plan_id == plan.plan_id)
+        Ok(status.plan_id == plan.plan_id && status.t_ns >= plan.activation_ns)
     })?;
-    session.control(ControlCommand::Start)?;
+    session.start_plan(plan.plan_id)?;
     Ok(plan)
 }
 

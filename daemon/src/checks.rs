@@ -177,17 +177,24 @@ impl Checks {
         }
     }
 
-    /// Whether the state `x` is the start `x_0` of a plan.
+    /// Whether the state `x` is the one `x_d` of a plan at `t_plan` (s), at which it shall start.
     ///
     /// # Errors
     /// [`Refusal::StartMismatch`] with the first joint that is too far away.
-    pub fn start(&self, x: &State, x_0: &State) -> Result<(), Refusal> {
+    pub fn start(&self, x: &State, x_d: &State, t_plan: f64) -> Result<(), Refusal> {
         for i in 0..NX {
             let velocity = i >= NQ;
             let tolerance = if velocity { self.start.velocity } else { self.start.position };
-            if exceeds(x[i] - x_0[i], tolerance) {
-                let (joint, measured, expected) = (i % NQ, x[i], x_0[i]);
-                return Err(Refusal::StartMismatch { joint, velocity, measured, expected, tolerance });
+            if exceeds(x[i] - x_d[i], tolerance) {
+                let (joint, measured, expected) = (i % NQ, x[i], x_d[i]);
+                return Err(Refusal::StartMismatch {
+                    joint,
+                    velocity,
+                    measured,
+                    expected,
+                    t_plan,
+                    tolerance,
+                });
             }
         }
         Ok(())

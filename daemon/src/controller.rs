@@ -32,19 +32,31 @@ impl Order {
     pub fn code(&self) -> u64 {
         match self {
             Self::Load(_) => 1,
-            // The index in `Request::ALL` is the one of the variant.
-            Self::Do(request) => 2 + *request as u64,
+            Self::Do(request) => 2 + request.index(),
         }
     }
 
-    /// The order of a code; `plan` is for the one that loads a plan. `None` if there is no such order, or no plan for it.
-    pub fn of(code: u64, plan: impl FnOnce() -> Option<Box<Plan>>) -> Option<Self> {
+    /// Id of the plan that the order loads or starts, 0: none.
+    pub fn plan_id(&self) -> u64 {
+        match self {
+            Self::Load(plan) => plan.id,
+            Self::Do(Request::Start(id)) => *id,
+            Self::Do(_) => 0,
+        }
+    }
+
+    /// The order of a code and a plan's id; `plan` is for the one that loads a plan. `None` if there is no such order, or
+    /// no plan for it.
+    pub fn of(code: u64, plan_id: u64, plan: impl FnOnce() -> Option<Box<Plan>>) -> Option<Self> {
         match code.checked_sub(2) {
             None if code == 1 => plan().map(Self::Load),
             None => None,
             Some(index) => {
                 let request = usize::try_from(index).ok().and_then(|index| Request::ALL.get(index));
-                request.map(|request| Self::Do(*request))
+                request.map(|request| match request {
+                    Request::Start(_) => Self::Do(Request::Start(plan_id)),
+                    request => Self::Do(*request),
+                })
             }
         }
     }
@@ -206,7 +218,7 @@ impl Controller {
             number: self.told.number + 1,
             now_ns,
             order: order.as_ref().map_or(0, Order::code),
-            plan_id: if let Some(Order::Load(plan)) = &order { plan.id } else { 0 },
+            plan_id: order.as_ref().map_or(0, Order::plan_id),
             measurement: *measurement,
             ..self.told
         };
@@ -260,8 +272,11 @@ impl Controller {
         if let Some(trip) = self.checks.late(told.late, &mut self.warnings) {
             self.give_up(Event::Lost, trip);
         }
-        if let Some(kept) = &self.loaded {
-            // What is too old is refused at the start.
+        // The age of a plan matters where it could be started; what is too old is refused there.
+        if let Some(kept) = &self.loaded
+            && transition(self.mode, Event::Asked(Request::Start(kept.plan.id))).is_ok()
+            && self.start_time(kept).is_ok()
+        {
             let _ = self.checks.plan_age(age(kept, self.now), &mut self.warnings);
         }
         let mut garbage = None;
@@ -395,14 +410,15 @@ impl Controller {
                 }
                 self.trip = None;
             }
-            Request::Start => {
+            Request::Start(id) => {
                 let kept = self.loaded.as_ref().ok_or(Refusal::NoPlan)?;
-                let (first, last) = (kept.plan.trajectory.x.first(), kept.plan.trajectory.x.last());
-                let (Some(x_0), Some(x_n)) = (first, last) else { return Err(Refusal::NoPlan) };
-                self.checks.start(&self.observer.x, x_0)?;
+                if kept.plan.id != id {
+                    return Err(Refusal::OtherPlan { asked: id, loaded: kept.plan.id });
+                }
+                let begin = self.start_time(kept)?;
                 self.checks.plan_age(age(kept, self.now), &mut self.warnings)?;
-                self.rod_at_end = self.model.rod(&position(x_n));
-                self.start = self.now;
+                self.rod_at_end = self.model.rod(&position(&kept.plan.end().x));
+                self.start = begin;
                 self.trip = None;
                 // From Balance another plan ran until now.
                 *garbage = self.running.take().map(|kept| kept.plan);
@@ -414,6 +430,17 @@ impl Controller {
         }
         self.enter(to);
         Ok(())
+    }
+
+    /// The time of a loaded plan's t = 0 (ns) if it is started now: its activation, otherwise this moment.
+    fn start_time(&self, kept: &Kept) -> Result<u64, Refusal> {
+        let begin = kept.plan.activation_ns.unwrap_or(self.now);
+        if begin > self.now {
+            return Err(Refusal::BeforeActivation { wait: (begin - self.now) as f64 * 1e-9 });
+        }
+        let t_plan = (self.now - begin) as f64 * 1e-9;
+        self.checks.start(&self.observer.x, &kept.plan.reference(t_plan).x, t_plan)?;
+        Ok(begin)
     }
 
     fn enter(&mut self, to: Mode) {

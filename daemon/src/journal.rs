@@ -229,6 +229,7 @@ impl<'a> Journal<'a> {
             warnings: self.warnings,
             running_plan: self.running_plan(),
             seq: telemetry.seq,
+            t_ns: telemetry.t_ns,
             overruns: record.map_or(0, |record| record.overruns),
             wake: self.wake.percentiles(),
             compute: self.compute.percentiles(),

@@ -68,5 +68,6 @@ fn convert(payload: &Payload) -> Box<Plan> {
         f: payload.f.iter().map(|f| State::from(*f)).collect(),
         gains: payload.k.iter().map(gain).collect(),
         final_gain: gain(&payload.k_final),
+        activation_ns: Some(payload.activation_ns).filter(|ns| *ns != 0),
     })
 }

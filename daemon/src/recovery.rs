@@ -12,8 +12,17 @@ use upswing_model::{NQ, NU};
 pub enum Action {
     /// Ask the planner for a swing-up from now.
     AskPlanner,
-    /// Start the loaded plan.
-    Start,
+    /// Start the loaded plan, which has this id.
+    Start(u64),
+}
+
+/// The plan that the planner published.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Planned {
+    /// Its id.
+    pub id: u64,
+    /// When it may be started, ns on the daemon's clock.
+    pub activation_ns: u64,
 }
 
 /// How far the recovery is; times in ns.
@@ -26,7 +35,7 @@ enum Stage {
     /// Asked the planner.
     Planning { asked: u64 },
     /// Got a plan.
-    Planned { plan_id: u64, asked: u64 },
+    Planned { plan: Planned, asked: u64 },
 }
 
 /// Limited attempts to swing up again.
@@ -57,10 +66,10 @@ impl Recovery {
         (self.stage, self.attempts) = (Stage::Off, 0);
     }
 
-    /// The planner answered: the id of the plan that it published, or nothing.
-    pub fn planned(&mut self, plan_id: Option<u64>) {
+    /// The planner answered: with the plan that it published, or without one.
+    pub fn planned(&mut self, plan: Option<Planned>) {
         if let Stage::Planning { asked } = self.stage {
-            self.stage = plan_id.map_or(Stage::Off, |plan_id| Stage::Planned { plan_id, asked });
+            self.stage = plan.map_or(Stage::Off, |plan| Stage::Planned { plan, asked });
         }
     }
 
@@ -91,9 +100,9 @@ impl Recovery {
                 self.give_up_after(asked);
                 None
             }
-            Stage::Planned { plan_id, .. } if plan_id == loaded => {
+            Stage::Planned { plan, .. } if plan.id == loaded && plan.activation_ns <= self.now => {
                 self.stage = Stage::Off;
-                Some(Action::Start)
+                Some(Action::Start(plan.id))
             }
             Stage::Planned { asked, .. } => {
                 self.give_up_after(asked);

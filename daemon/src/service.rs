@@ -7,7 +7,7 @@ use crate::loads::Loads;
 use crate::os::{self, Refused};
 use crate::plan;
 use crate::realtime::{Cycle, Ends, Report, Ticket};
-use crate::recovery::{Action, Recovery};
+use crate::recovery::{Action, Planned, Recovery};
 use crate::supervisor::{Refusal, Request, is_braked};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -134,7 +134,7 @@ struct Desk<'a> {
     mode_told: Option<Mode>,
     recovery: Recovery,
     /// Asks the planner for a recovery.
-    asker: Option<JoinHandle<Result<u64, String>>>,
+    asker: Option<JoinHandle<Result<Planned, String>>>,
     /// Tells it that nobody waits any more.
     closing: Arc<AtomicBool>,
     /// Bits of [`upswing_ipc::Degradation`].
@@ -302,7 +302,7 @@ impl<'a> Desk<'a> {
             }
             Ok(ControlCommand::Enable) => Request::Enable,
             Ok(ControlCommand::Hold) => Request::Hold,
-            Ok(ControlCommand::Start) => Request::Start,
+            Ok(ControlCommand::Start) => Request::Start(request.plan_id),
             Ok(ControlCommand::Stop) => Request::Stop,
             Ok(ControlCommand::Reset) => Request::Reset,
             Err(unknown) => return self.respond(false, &unknown.to_string()),
@@ -313,7 +313,7 @@ impl<'a> Desk<'a> {
         self.recovery.yield_to_operator();
         match asked {
             Ok(remark) => {
-                if matches!(request, Request::Enable | Request::Start | Request::Reset) {
+                if matches!(request, Request::Enable | Request::Start(_) | Request::Reset) {
                     self.journal.forget_warnings();
                 }
                 self.respond(true, remark)
@@ -443,9 +443,9 @@ impl<'a> Desk<'a> {
             self.complain_of(noted);
             match action {
                 Some(Action::AskPlanner) => self.ask_planner(),
-                Some(Action::Start) => {
+                Some(Action::Start(plan_id)) => {
                     info!("recovery: swinging up again");
-                    if self.order(Order::Do(Request::Start)).is_none() {
+                    if self.order(Order::Do(Request::Start(plan_id))).is_none() {
                         self.complain("too many orders wait for the next cycle".into());
                     }
                 }
@@ -464,7 +464,8 @@ impl<'a> Desk<'a> {
             let client = node.client::<PlannerRequest>().map_err(|e| e.to_string())?;
             let wanted = || !closing.load(Ordering::Acquire);
             let answer = client.call_while(&request, patience, wanted).map_err(|e| e.to_string())?;
-            if answer.plan_id == 0 { Err(answer.reason.to_string()) } else { Ok(answer.plan_id) }
+            let plan = Planned { id: answer.plan_id, activation_ns: answer.activation_ns };
+            if plan.id == 0 { Err(answer.reason.to_string()) } else { Ok(plan) }
         };
         match Builder::new().name("recovery".into()).spawn(ask) {
             Ok(thread) => self.asker = Some(thread),
@@ -480,7 +481,7 @@ impl<'a> Desk<'a> {
         let Some(asker) = self.asker.take_if(|asker| asker.is_finished()) else { return };
         let answer = asker.join().unwrap_or_else(|_| Err("the asking thread panicked".into()));
         match answer {
-            Ok(plan_id) => self.recovery.planned(Some(plan_id)),
+            Ok(plan) => self.recovery.planned(Some(plan)),
             Err(reason) => {
                 self.recovery.planned(None);
                 self.last_refusal = format!("a plan for the recovery: {reason}");

@@ -16,8 +16,8 @@ pub enum Request {
     Enable,
     /// Hold the pose of this moment.
     Hold,
-    /// Follow the loaded plan.
-    Start,
+    /// Follow the loaded plan if it is the one of this id.
+    Start(u64),
     /// Decelerate, then hold.
     Stop,
     /// Leave a latched fault.
@@ -27,9 +27,21 @@ pub enum Request {
 }
 
 impl Request {
-    /// Every request.
+    /// Every request; the start is one of no plan.
     pub const ALL: [Self; 6] =
-        [Self::Enable, Self::Hold, Self::Start, Self::Stop, Self::Reset, Self::Shutdown];
+        [Self::Enable, Self::Hold, Self::Start(0), Self::Stop, Self::Reset, Self::Shutdown];
+
+    /// Where it is in [`Self::ALL`].
+    pub const fn index(self) -> u64 {
+        match self {
+            Self::Enable => 0,
+            Self::Hold => 1,
+            Self::Start(_) => 2,
+            Self::Stop => 3,
+            Self::Reset => 4,
+            Self::Shutdown => 5,
+        }
+    }
 }
 
 impl fmt::Display for Request {
@@ -37,7 +49,7 @@ impl fmt::Display for Request {
         f.pad(match self {
             Self::Enable => "enable",
             Self::Hold => "hold",
-            Self::Start => "start",
+            Self::Start(_) => "start",
             Self::Stop => "stop",
             Self::Reset => "reset",
             Self::Shutdown => "shutdown",
@@ -76,7 +88,7 @@ pub fn transition(mode: Mode, event: Event) -> Result<Mode, Refusal> {
     use Mode::{Balance, Fault, Hold, Idle, Stop, Track};
     match (mode, event) {
         (Idle, Event::Asked(Request::Enable)) => Ok(Hold),
-        (Hold | Balance, Event::Asked(Request::Start)) => Ok(Track),
+        (Hold | Balance, Event::Asked(Request::Start(_))) => Ok(Track),
         (Hold | Balance, Event::Asked(Request::Hold)) => Ok(Hold),
         (Hold | Track | Balance, Event::Asked(Request::Stop)) => Ok(Stop),
         (Fault, Event::Asked(Request::Reset)) => Ok(Idle),
@@ -117,10 +129,26 @@ pub enum Refusal {
     /// No plan is loaded.
     #[error("no plan is loaded: ask the planner for one")]
     NoPlan,
-    /// The measured state is not the plan's start.
+    /// Another plan is loaded than the one that shall start.
     #[error(
-        "the plan starts elsewhere: joint {} is at {measured:.4} {unit}, the plan starts at {expected:.4} {unit} \
-         (tolerance {tolerance} {unit}): ask for a plan from now",
+        "plan {asked:016x} is not loaded, but plan {loaded:016x} of another request: ask for a plan again"
+    )]
+    OtherPlan {
+        /// Id that was asked for.
+        asked: u64,
+        /// Id of the loaded plan.
+        loaded: u64,
+    },
+    /// The moment for which the plan's first state was predicted is still to come.
+    #[error("the plan begins in {wait:.3} s: start it then")]
+    BeforeActivation {
+        /// Time until then, s.
+        wait: f64,
+    },
+    /// The measured state is not the plan's.
+    #[error(
+        "the plan starts elsewhere: joint {} is at {measured:.4} {unit}, the plan at t = {t_plan:.3} s at \
+         {expected:.4} {unit} (tolerance {tolerance} {unit}): ask for a plan from now",
         .joint + 1, unit = if *.velocity { "rad/s" } else { "rad" }
     )]
     StartMismatch {
@@ -130,8 +158,10 @@ pub enum Refusal {
         velocity: bool,
         /// Measured.
         measured: f64,
-        /// Of the plan's x_0.
+        /// Of the plan.
         expected: f64,
+        /// Time since the plan's activation, s.
+        t_plan: f64,
         /// Allowed difference.
         tolerance: f64,
     },

@@ -49,11 +49,11 @@ enum Told {
 
 fn told() -> impl Strategy<Value = Option<Told>> {
     use Request::{Enable, Hold, Reset, Shutdown, Start, Stop};
-    let any = [Enable, Hold, Stop, Reset, Start].map(Told::Do).into_iter().chain([Told::Load]);
+    let any = [Enable, Hold, Stop, Reset, Start(7)].map(Told::Do).into_iter().chain([Told::Load]);
     prop_oneof![
         40 => Just(None),
         16 => Just(Some(Told::Do(Enable))),
-        16 => Just(Some(Told::Do(Start))),
+        16 => Just(Some(Told::Do(Start(7)))),
         24 => prop::sample::select(any.collect::<Vec<_>>()).prop_map(Some),
         // Rarely, because nothing happens after it.
         1 => Just(Some(Told::Do(Shutdown))),

@@ -68,7 +68,7 @@ fn on_lockstep_every_measurement_gets_one_cycle_and_requests_wait_for_the_next()
     ask_until(&client, ControlCommand::Status, |answer| {
         answer.reason.as_str().unwrap().contains("fingerprint")
     });
-    ask(&client, ControlCommand::Start);
+    client.call(&ControlRequest::start(7), LONG).unwrap();
 
     let modes: Vec<u64> = (2..=40).map(|_| plant.exchange().brake).collect();
     assert!(modes.iter().all(|brake| *brake == 0), "enable took effect at measurement 2");

@@ -36,7 +36,7 @@ fn balancing() -> (Controller, JointVector) {
     let config = config();
     let plan = rest_plan(&config, &at_rest(&q), 0.0005);
     controller.step(&measurement(3, &q), 0, Some(Order::Load(plan)));
-    controller.step(&measurement(4, &q), 0, Some(Order::Do(Request::Start)));
+    controller.step(&measurement(4, &q), 0, Some(Order::Do(Request::Start(7))));
     assert_eq!(controller.mode(), Mode::Track);
     (5..=10).for_each(|seq| {
         controller.step(&measurement(seq, &q), 0, None);
@@ -134,7 +134,7 @@ fn torque_rate() {
         // u_d is linear between knots 10 ms apart.
         plan.trajectory.u[1] = mass.lu().solve(&change).unwrap() * (0.01 / common::PERIOD);
         controller.step(&measurement(3, &q), 0, Some(Order::Load(plan)));
-        controller.step(&measurement(4, &q), 0, Some(Order::Do(Request::Start)));
+        controller.step(&measurement(4, &q), 0, Some(Order::Do(Request::Start(7))));
         let output = controller.step(&measurement(5, &q), 0, None);
         assert_eq!((controller.mode(), warns(&output, TripCause::TorqueRate)), expected, "{jump}");
         if expected.0 == Mode::Fault {
@@ -154,7 +154,7 @@ fn late_cycles() {
     assert!(warns(&output, TripCause::LateCycles));
     controller.report_late(0);
     controller.step(&measurement(4, &q), 0, Some(Order::Load(rest_plan(&config, &at_rest(&q), 1.0))));
-    controller.step(&measurement(5, &q), 0, Some(Order::Do(Request::Start)));
+    controller.step(&measurement(5, &q), 0, Some(Order::Do(Request::Start(7))));
     for (seq, late, expected) in
         [(6, 1, (Mode::Track, false)), (7, 20, (Mode::Track, true)), (8, 21, (Mode::Stop, true))]
     {
@@ -370,7 +370,7 @@ fn law_not_finite() {
     let mut plan = rest_plan(&config, &at_rest(&q), 1.0);
     plan.gains.iter_mut().for_each(|gain| gain.fill(f64::NAN));
     controller.step(&measurement(3, &q), 0, Some(Order::Load(plan)));
-    let output = controller.step(&measurement(4, &q), 0, Some(Order::Do(Request::Start)));
+    let output = controller.step(&measurement(4, &q), 0, Some(Order::Do(Request::Start(7))));
     assert_eq!(trip(&controller), Some((Mode::Fault, TripCause::LawNotFinite, 0)));
     assert_eq!((output.command.brake, output.command.tau), (1, [0.0; 7]));
 }
@@ -382,7 +382,7 @@ fn the_limiter_cuts_and_says_so() {
     let mut plan = rest_plan(&config, &at_rest(&q), 1.0);
     plan.trajectory.u.iter_mut().for_each(|u| u[0] = 1e4);
     controller.step(&measurement(3, &q), 0, Some(Order::Load(plan)));
-    controller.step(&measurement(4, &q), 0, Some(Order::Do(Request::Start)));
+    controller.step(&measurement(4, &q), 0, Some(Order::Do(Request::Start(7))));
     // The way there takes a ms.
     (5..13).for_each(|seq| drop(controller.step(&measurement(seq, &q), 0, None)));
     let output = controller.step(&measurement(13, &q), 0, None);
@@ -433,7 +433,7 @@ fn no_mode_begins_with_a_step() {
     let gravity = config.model.torque(&at_rest(&away), &ActuatedVector::zeros(), &mut work);
     assert!((held - gravity).amax() < 1e-6, "{held}");
     cycles(&mut controller, Some(Order::Load(plan)), 1);
-    let (tracked, limited) = cycles(&mut controller, Some(Order::Do(Request::Start)), 20);
+    let (tracked, limited) = cycles(&mut controller, Some(Order::Do(Request::Start(7))), 20);
     assert_eq!(controller.mode(), Mode::Track);
     assert!((tracked - gravity)[0] / tau_max[0] < -0.2, "{tracked}");
     // 12.5 % per cycle; what it takes is on its way in all of them but the last.
@@ -457,7 +457,7 @@ fn a_mode_begins_for_two_milliseconds_at_most() {
     plan.gains.iter_mut().for_each(|k| k[(0, 0)] = -1e7);
     controller.step(&measurement(3, &q), 0, Some(Order::Load(plan)));
     q[0] += 1e-4;
-    controller.step(&measurement(4, &q), 0, Some(Order::Do(Request::Start)));
+    controller.step(&measurement(4, &q), 0, Some(Order::Do(Request::Start(7))));
     let mut seq = 4;
     while controller.mode() == Mode::Track {
         seq += 1;
@@ -476,7 +476,7 @@ fn tracking_error() {
     let (mut controller, mut q) = enabled();
     let plan = rest_plan(&config, &at_rest(&q), 10.0);
     controller.step(&measurement(3, &q), 0, Some(Order::Load(plan)));
-    controller.step(&measurement(4, &q), 0, Some(Order::Do(Request::Start)));
+    controller.step(&measurement(4, &q), 0, Some(Order::Do(Request::Start(7))));
     let mut seq = 4;
     let mut warned = None;
     while controller.mode() == Mode::Track {
@@ -517,7 +517,7 @@ fn pendulum_range() {
     let mut q = upright_pose();
     let mut controller = Controller::new(&config);
     let plan = rest_plan(&config, &at_rest(&q), 0.0005);
-    let orders = [Order::Do(Request::Enable), Order::Load(plan), Order::Do(Request::Start)];
+    let orders = [Order::Do(Request::Enable), Order::Load(plan), Order::Do(Request::Start(7))];
     let mut seq = 0;
     for order in orders {
         seq += 1;
@@ -556,7 +556,7 @@ fn stuck_encoder() {
         let mut plan = rest_plan(&config, &at_rest(&q), 1.0);
         plan.trajectory.u.iter_mut().for_each(|u| u[0] = 10.0);
         controller.step(&measurement(3, &q), 0, Some(Order::Load(plan)));
-        controller.step(&measurement(4, &q), 0, Some(Order::Do(Request::Start)));
+        controller.step(&measurement(4, &q), 0, Some(Order::Do(Request::Start(7))));
         for seq in 5..400 {
             let next = if stuck { measurement(seq, &q) } else { flickering(seq, &q) };
             controller.step(&next, 0, None);

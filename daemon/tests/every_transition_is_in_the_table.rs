@@ -8,7 +8,7 @@ use upswingd::supervisor::{Event, Refusal, Request, transition};
 const EVENTS: [Event; 12] = [
     Event::Asked(Request::Enable),
     Event::Asked(Request::Hold),
-    Event::Asked(Request::Start),
+    Event::Asked(Request::Start(0)),
     Event::Asked(Request::Stop),
     Event::Asked(Request::Reset),
     Event::Asked(Request::Shutdown),
@@ -52,6 +52,6 @@ fn every_request_is_in_the_table() {
 
 #[test]
 fn a_refusal_names_mode_and_request() {
-    let refusal = transition(Idle, Event::Asked(Request::Start)).unwrap_err().to_string();
+    let refusal = transition(Idle, Event::Asked(Request::Start(7))).unwrap_err().to_string();
     assert!(refusal.contains("start") && refusal.contains("idle"), "{refusal}");
 }

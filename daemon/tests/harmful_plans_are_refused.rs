@@ -115,7 +115,7 @@ fn fly(config: &Config, plan: &Payload, number: usize) -> Mode {
     }
     let cycles = ((plan.trajectory.t_f + 0.5) / common::PERIOD) as usize;
     let (mut controller, mut arm) = (Controller::new(config), Arm::new(config, x));
-    let mut orders = vec![Order::Do(Request::Start), Order::Load(plan), Order::Do(Request::Enable)];
+    let mut orders = vec![Order::Do(Request::Start(plan.id)), Order::Load(plan), Order::Do(Request::Enable)];
     for _ in 0..cycles {
         let output = controller.step(&arm.measure(), 0, orders.pop());
         if let Some(answer) = output.answer {

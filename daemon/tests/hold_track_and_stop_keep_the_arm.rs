@@ -73,7 +73,7 @@ fn a_plan_that_stands_is_tracked_and_then_balanced() {
     let (mut system, x) = enabled_at(&upright_pose());
     let config = config();
     system.cycle(Some(Order::Load(rest_plan(&config, &x, 0.05))));
-    let first = system.ask(Request::Start);
+    let first = system.ask(Request::Start(7));
     assert_eq!((first.mode, first.plan_id, first.t_plan), (Mode::Track.code(), 7, 0.0));
     for k in 1..800 {
         let record = system.cycle(None);
@@ -85,7 +85,7 @@ fn a_plan_that_stands_is_tracked_and_then_balanced() {
     }
     let held = system.ask(Request::Hold);
     assert_eq!((held.mode, held.plan_id), (Mode::Hold.code(), 0));
-    assert_eq!(system.ask(Request::Start).plan_id, 7, "the plan is still loaded");
+    assert_eq!(system.ask(Request::Start(7)).plan_id, 7, "the plan is still loaded");
 }
 
 #[test]
@@ -173,6 +173,6 @@ fn a_pendulum_that_turned_over_hangs_at_zero_again() {
         let _ = controller.step(&common::measurement(seq, &turning), 0, Some(order)).answer;
     }
     seq += 1;
-    let output = controller.step(&common::measurement(seq, &turning), 0, Some(Order::Do(Request::Start)));
+    let output = controller.step(&common::measurement(seq, &turning), 0, Some(Order::Do(Request::Start(7))));
     assert_eq!((output.answer, controller.mode()), (Some(Ok(())), Mode::Track));
 }

@@ -536,7 +536,7 @@ fn an_old_plan() {
         let m = common::measurement(seconds(s), &q);
         controller.step(&m, 0, Some(Order::Do(Request::Enable)));
         let m = common::measurement(seconds(s) + 1, &q);
-        let output = controller.step(&m, 0, Some(Order::Do(Request::Start)));
+        let output = controller.step(&m, 0, Some(Order::Do(Request::Start(7))));
         let warned = output.record.telemetry.warnings & TripCause::PlanAge.bit() != 0;
         controller.step(&m, 0, Some(Order::Do(Request::Stop)));
         (output.answer.unwrap(), warned)
@@ -567,7 +567,8 @@ fn a_plan_ages_by_the_clock_of_the_plant_that_is_there() {
         controller.step(&common::measurement(1, &q), 0, None);
         let now = seconds(s);
         controller.step(&common::measurement(now, &q), 0, Some(Order::Do(Request::Enable)));
-        let output = controller.step(&common::measurement(now + 1, &q), 0, Some(Order::Do(Request::Start)));
+        let output =
+            controller.step(&common::measurement(now + 1, &q), 0, Some(Order::Do(Request::Start(7))));
         output.answer.unwrap()
     };
     for (loaded_at, restarts) in [(0, false), (seconds(5000.0), true), (seconds(5000.0), false)] {
@@ -596,9 +597,11 @@ fn a_plan_that_arrives_while_one_is_tracked() {
         let mut controller = Controller::new(&config);
         let mut arm = common::Arm::new(&config, x);
         let mut step = |order| controller.step(&arm.measure(), 0, Some(order));
-        for order in
-            [Order::Do(Request::Enable), Order::Load(rest_plan(&config, &x, 1.0)), Order::Do(Request::Start)]
-        {
+        for order in [
+            Order::Do(Request::Enable),
+            Order::Load(rest_plan(&config, &x, 1.0)),
+            Order::Do(Request::Start(7)),
+        ] {
             assert_eq!(step(order).answer, Some(Ok(())));
         }
         let output = step(Order::Load(rest_plan(&config, &x, 1.0)));
@@ -676,27 +679,28 @@ fn start_elsewhere() {
     let mut arm = common::Arm::new(&config, x);
     let mut step = |order| controller.step(&arm.measure(), 0, Some(order)).answer.unwrap();
     step(Order::Do(Request::Enable)).unwrap();
-    assert_eq!(step(Order::Do(Request::Start)), Err(Refusal::NoPlan));
+    assert_eq!(step(Order::Do(Request::Start(7))), Err(Refusal::NoPlan));
     let mut elsewhere = x;
     elsewhere[2] += 0.1;
     step(Order::Load(rest_plan(&config, &elsewhere, 1.0))).unwrap();
-    let refusal = step(Order::Do(Request::Start)).unwrap_err();
+    let refusal = step(Order::Do(Request::Start(7))).unwrap_err();
     let expected = Refusal::StartMismatch {
         joint: 2,
         velocity: false,
         measured: x[2],
         expected: elsewhere[2],
+        t_plan: 0.0,
         tolerance: config.daemon.start.position,
     };
     assert_eq!(refusal, expected);
     assert!(
-        refusal.to_string().contains("joint 3 is at 0.0000 rad, the plan starts at 0.1000 rad"),
+        refusal.to_string().contains("joint 3 is at 0.0000 rad, the plan at t = 0.000 s at 0.1000 rad"),
         "{refusal}"
     );
     let mut moving = rest_plan(&config, &x, 1.0);
     moving.trajectory.x[0][NQ] = 0.3;
     step(Order::Load(moving)).unwrap();
-    let text = step(Order::Do(Request::Start)).unwrap_err().to_string();
+    let text = step(Order::Do(Request::Start(7))).unwrap_err().to_string();
     assert!(text.contains("joint 1") && text.contains("0.3000 rad/s"), "{text}");
 }
 

@@ -43,18 +43,18 @@ fn up_down_and_up_again() {
     system.ask(Order::Do(Request::Enable));
 
     system.ask(Order::Load(up.clone()));
-    system.ask(Order::Do(Request::Start));
+    system.ask(Order::Do(Request::Start(up.id)));
     system.run(up.trajectory.t_f + 1.0);
     assert_eq!(system.controller.mode(), Mode::Balance);
 
     // The same plan again starts elsewhere, and is refused without a change.
     system.ask(Order::Load(up.clone()));
-    let (record, answer) = system.cycle(Some(Order::Do(Request::Start)));
+    let (record, answer) = system.cycle(Some(Order::Do(Request::Start(up.id))));
     assert!(matches!(answer, Some(Err(Refusal::StartMismatch { .. }))), "{answer:?}");
     assert_eq!((record.mode, record.plan_id), (Mode::Balance.code(), up.id));
 
     system.ask(Order::Load(down.clone()));
-    system.ask(Order::Do(Request::Start));
+    system.ask(Order::Do(Request::Start(down.id)));
     assert_eq!(system.controller.mode(), Mode::Track);
     system.run(down.trajectory.t_f + 0.2);
     assert_eq!(system.controller.mode(), Mode::Hold);
@@ -67,7 +67,7 @@ fn up_down_and_up_again() {
 
     system.run(1.0);
     system.ask(Order::Load(up.clone()));
-    system.ask(Order::Do(Request::Start));
+    system.ask(Order::Do(Request::Start(up.id)));
     system.run(up.trajectory.t_f + 0.5);
     assert_eq!(system.controller.mode(), Mode::Balance);
 }

@@ -5,7 +5,7 @@ use std::time::Duration;
 use upswing_config::RecoverySettings;
 use upswing_ipc::{Mode, Step, Telemetry};
 use upswingd::controller::Record;
-use upswingd::recovery::{Action, Recovery};
+use upswingd::recovery::{Action, Planned, Recovery};
 use upswingd::trip::{Trip, TripCause};
 
 const SECOND: u64 = 1_000_000_000;
@@ -42,9 +42,10 @@ fn it_waits_plans_and_starts() {
     }
     assert_eq!(hold(&mut recovery, 7, 0.0, 1), Some(Action::AskPlanner), "two seconds at rest");
     assert_eq!(hold(&mut recovery, 8, 0.0, 1), None, "asked once");
-    recovery.planned(Some(5));
-    assert_eq!(hold(&mut recovery, 9, 0.0, 1), None, "the old plan is not started");
-    assert_eq!(hold(&mut recovery, 10, 0.0, 5), Some(Action::Start));
+    recovery.planned(Some(Planned { id: 5, activation_ns: 10 * SECOND }));
+    assert_eq!(hold(&mut recovery, 8, 0.0, 1), None, "the old plan is not started");
+    assert_eq!(hold(&mut recovery, 9, 0.0, 5), None, "the moment of its start is still to come");
+    assert_eq!(hold(&mut recovery, 10, 0.0, 5), Some(Action::Start(5)));
     assert_eq!(hold(&mut recovery, 11, 0.0, 5), None, "started once");
     // The only attempt is used up.
     recovery.note(&record(Mode::Track, 12 * SECOND, 0.0, None), 5);
@@ -66,7 +67,7 @@ fn it_gives_up() {
         });
         assert!(slow.is_active());
         if answered {
-            slow.planned(Some(5));
+            slow.planned(Some(Planned { id: 5, activation_ns: 0 }));
         }
         hold(&mut slow, 70, 0.0, 1);
         assert!(!slow.is_active(), "no plan in time");
@@ -132,13 +133,13 @@ proptest! {
                     recovery.yield_to_operator();
                     (asked, started) = (0, 0);
                 }
-                Input::Planned(plan_id) => recovery.planned(plan_id),
+                Input::Planned(id) => recovery.planned(id.map(|id| Planned { id, activation_ns: 0 })),
                 Input::Cycle(mode, dt, speed, cause, loaded) => {
                     now += dt;
                     let cause = cause.map(|i| TripCause::ALL[i]);
                     let action = recovery.note(&record(Mode::ALL[mode], now, speed, cause), loaded);
                     asked += u32::from(action == Some(Action::AskPlanner));
-                    started += u32::from(action == Some(Action::Start));
+                    started += u32::from(matches!(action, Some(Action::Start(_))));
                     prop_assert!(action.is_none() || matches!(Mode::ALL[mode], Mode::Hold | Mode::Stop));
                     prop_assert!(action != Some(Action::AskPlanner) || Mode::ALL[mode] == Mode::Hold);
                 }

@@ -20,10 +20,10 @@ fn in_any_mode() {
     for k in 0..4000_u64 {
         let mut measurement = arm.measure();
         let order = match k {
-            1 => Some(Order::Do(Request::Start)),
+            1 => Some(Order::Do(Request::Start(7))),
             2 => Some(Order::Do(Request::Enable)),
             100 | 101 => plans.next().map(Order::Load),
-            102 => Some(Order::Do(Request::Start)),
+            102 => Some(Order::Do(Request::Start(7))),
             400 => Some(Order::Do(Request::Stop)),
             _ => None,
         };

@@ -19,7 +19,8 @@ const BEGINNING: usize = 16;
 
 fn start(config: &Config, plan: &Plan, q: State) -> (Controller, Arm) {
     let (mut controller, mut arm) = (Controller::new(config), Arm::new(config, q));
-    for order in [Order::Do(Request::Enable), Order::Load(Box::new(plan.clone())), Order::Do(Request::Start)]
+    for order in
+        [Order::Do(Request::Enable), Order::Load(Box::new(plan.clone())), Order::Do(Request::Start(plan.id))]
     {
         let output = controller.step(&arm.measure(), 0, Some(order));
         assert_eq!(output.answer, Some(Ok(())));

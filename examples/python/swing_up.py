@@ -47,8 +47,8 @@ def swing_up(node, seconds):
     control, planner = node.client(layouts.CONTROL), node.client(layouts.PLANNER)
     telemetry = Telemetry(node)
 
-    def ask(command):
-        answer = control.call(layouts.ControlRequest(command=command))
+    def ask(command, plan_id=0):
+        answer = control.call(layouts.ControlRequest(command=command, plan_id=plan_id))
         if not answer.accepted:
             raise Refused(f"the daemon refused {command.name}: {text(answer.reason)}")
         return answer
@@ -70,12 +70,13 @@ def swing_up(node, seconds):
     if plan.plan_id == 0:
         raise Refused(f"the planner refused: {text(plan.reason)}")
     end = time.monotonic() + PATIENCE_S
-    while (answer := ask(ControlCommand.Status)).plan_id != plan.plan_id:
+    # The plan has arrived, and the moment that its first state was predicted for has come.
+    while (answer := ask(ControlCommand.Status)).plan_id != plan.plan_id or answer.t_ns < plan.activation_ns:
         if time.monotonic() > end:
             raise Refused(f"the daemon did not load the plan: {text(answer.reason)}")
         telemetry.collect()
         time.sleep(0.001)
-    ask(ControlCommand.Start)
+    ask(ControlCommand.Start, plan.plan_id)
     while (mode := Mode(ask(ControlCommand.Status).mode)) is Mode.Track:
         wait(0.1)
     if mode is not Mode.Balance:

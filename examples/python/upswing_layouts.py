@@ -172,21 +172,23 @@ class TelemetryBatch(Structure):
 
 
 class Plan(Structure):
-    SIZE = 137592
+    SIZE = 137600
     OFFSETS = {
         "id": 0,
         "fingerprint": 8,
-        "t_f": 16,
-        "x": 24,
-        "u": 14568,
-        "f": 20224,
-        "k": 34768,
-        "k_final": 136576,
-        "checksum": 137584,
+        "activation_ns": 16,
+        "t_f": 24,
+        "x": 32,
+        "u": 14576,
+        "f": 20232,
+        "k": 34776,
+        "k_final": 136584,
+        "checksum": 137592,
     }
     _fields_ = [
         ("id", c_uint64),
         ("fingerprint", c_uint64),
+        ("activation_ns", c_uint64),
         ("t_f", c_double),
         ("x", ((c_double * 18) * 101)),
         ("u", ((c_double * 7) * 101)),
@@ -198,25 +200,27 @@ class Plan(Structure):
 
     @staticmethod
     def type_name():
-        return "upswing.Plan.v1"
+        return "upswing.Plan.v2"
 
 
 class ControlRequest(Structure):
-    SIZE = 8
+    SIZE = 16
     OFFSETS = {
         "command": 0,
+        "plan_id": 8,
     }
     _fields_ = [
         ("command", c_uint64),
+        ("plan_id", c_uint64),
     ]
 
     @staticmethod
     def type_name():
-        return "upswing.ControlRequest.v1"
+        return "upswing.ControlRequest.v2"
 
 
 class ControlResponse(Structure):
-    SIZE = 680
+    SIZE = 688
     OFFSETS = {
         "accepted": 0,
         "mode": 8,
@@ -225,12 +229,13 @@ class ControlResponse(Structure):
         "plan_id": 32,
         "running_plan": 40,
         "seq": 48,
-        "degraded": 56,
-        "overruns": 64,
-        "wake": 72,
-        "compute": 120,
-        "overrun": 168,
-        "reason": 424,
+        "t_ns": 56,
+        "degraded": 64,
+        "overruns": 72,
+        "wake": 80,
+        "compute": 128,
+        "overrun": 176,
+        "reason": 432,
     }
     _fields_ = [
         ("accepted", c_uint64),
@@ -240,6 +245,7 @@ class ControlResponse(Structure):
         ("plan_id", c_uint64),
         ("running_plan", c_uint64),
         ("seq", c_uint64),
+        ("t_ns", c_uint64),
         ("degraded", c_uint64),
         ("overruns", c_uint64),
         ("wake", Percentiles),
@@ -250,7 +256,7 @@ class ControlResponse(Structure):
 
     @staticmethod
     def type_name():
-        return "upswing.ControlResponse.v2"
+        return "upswing.ControlResponse.v3"
 
 
 class PlannerRequest(Structure):
@@ -278,27 +284,29 @@ class PlannerRequest(Structure):
 
 
 class PlannerResponse(Structure):
-    SIZE = 368
+    SIZE = 376
     OFFSETS = {
         "status": 0,
         "plan_id": 8,
-        "t_f": 16,
-        "nearest_entry": 24,
-        "distance": 32,
-        "iterations": 40,
-        "defect": 48,
-        "margin_q": 56,
-        "margin_qd": 64,
-        "margin_tau": 72,
-        "time_nearest_us": 80,
-        "time_qp_us": 88,
-        "time_lqr_us": 96,
-        "time_total_us": 104,
-        "reason": 112,
+        "activation_ns": 16,
+        "t_f": 24,
+        "nearest_entry": 32,
+        "distance": 40,
+        "iterations": 48,
+        "defect": 56,
+        "margin_q": 64,
+        "margin_qd": 72,
+        "margin_tau": 80,
+        "time_nearest_us": 88,
+        "time_qp_us": 96,
+        "time_lqr_us": 104,
+        "time_total_us": 112,
+        "reason": 120,
     }
     _fields_ = [
         ("status", c_uint64),
         ("plan_id", c_uint64),
+        ("activation_ns", c_uint64),
         ("t_f", c_double),
         ("nearest_entry", c_uint64),
         ("distance", c_double),
@@ -316,7 +324,7 @@ class PlannerResponse(Structure):
 
     @staticmethod
     def type_name():
-        return "upswing.PlannerResponse.v2"
+        return "upswing.PlannerResponse.v3"
 
 
 class PlantRequest(Structure):

@@ -23,6 +23,15 @@ const PAUSE: Duration = Duration::from_millis(1);
 /// Telemetry older than this says nothing about now.
 const FRESH: Duration = Duration::from_secs(5);
 
+/// A moving state is predicted from telemetry that is at most this old.
+const EXTRAPOLATED: Duration = Duration::from_millis(200);
+
+/// A plan from a moving state that was late is made so many times again, each time further ahead.
+const LATE: usize = 3;
+
+/// How far ahead a plan may begin.
+const LONGEST_LEAD: Duration = Duration::from_secs(1);
+
 /// Longest time for news of the daemon to arrive.
 const HANDS_OVER: Duration = Duration::from_millis(200);
 
@@ -59,15 +68,18 @@ fn serve(planner: &Planner, domain: &Domain, stop: &Arc<AtomicBool>) -> Result<(
         let answered = server.poll_while_wanted(|request, connected| {
             let wanted = &|| connected() && !stop.load(Ordering::Acquire);
             let begin = Instant::now();
+            let mut attempts = 0;
             let (response, plan) = loop {
                 // What was measured until now counts. An error comes again with the next look.
                 if let Ok(Some(record)) = drain(&telemetry) {
                     desk.observe(record, Instant::now());
                 }
                 let answer = desk.answer(request, wanted);
+                attempts += usize::from(desk.late);
+                let again = desk.late && attempts <= LATE;
                 // Who enables the daemon and asks at once is here before the telemetry of that.
                 let early = answer.0.status() == Ok(PlannerStatus::NotReady);
-                if !(early && begin.elapsed() < HANDS_OVER && wanted()) {
+                if !((again || early && begin.elapsed() < HANDS_OVER) && wanted()) {
                     break answer;
                 }
                 std::thread::sleep(PAUSE);
@@ -116,6 +128,20 @@ pub struct Desk<'a> {
     newest: Option<(Telemetry, Instant)>,
     /// A state at rest with the swing-up from it, or none if that failed.
     prepared: Option<(State, Option<Replan>)>,
+    /// From a request to the start of its plan, while something moves: at least the setting, and more on a machine that
+    /// needs more.
+    lead: Duration,
+    /// The last plan was made, but too late for its start; the next one will begin later.
+    late: bool,
+}
+
+/// With which state a plan begins, and when.
+struct Start {
+    x: State,
+    /// The moment of `x` on the daemon's clock, ns; `None`: the daemon keeps the robot there.
+    activation_ns: Option<u64>,
+    /// The same moment here, where it is still to come.
+    due: Option<Instant>,
 }
 
 /// Why a request is refused.
@@ -124,7 +150,8 @@ struct No(PlannerStatus, String);
 impl<'a> Desk<'a> {
     /// Nothing observed, nothing prepared.
     pub fn new(planner: &'a Planner) -> Self {
-        Self { planner, solver: planner.solver(), newest: None, prepared: None }
+        let lead = planner.config().planner.replan.lead;
+        Self { planner, solver: planner.solver(), newest: None, prepared: None, lead, late: false }
     }
 
     /// Takes note of the daemon's newest record, which came at `seen`.
@@ -169,6 +196,7 @@ impl<'a> Desk<'a> {
         wanted: &dyn Fn() -> bool,
     ) -> (PlannerResponse, Option<Plan>) {
         let begin = Instant::now();
+        self.late = false;
         let mut answer = match request.kind() {
             Err(e) => Err(No(PlannerStatus::BadRequest, e.to_string())),
             Ok(PlannerKind::Status) => {
@@ -206,10 +234,10 @@ impl<'a> Desk<'a> {
                 return Err(No(PlannerStatus::BadRequest, reason));
             }
         };
-        let (start, due) = if request.from_now == 1 {
+        let Start { x: start, activation_ns, due } = if request.from_now == 1 {
             self.start_from_now(manoeuvre, begin)?
         } else {
-            (State::from(request.start), None)
+            Start { x: State::from(request.start), activation_ns: None, due: None }
         };
         check_start(self.planner, &start)?;
         let deadline = (request.budget_ms > 0)
@@ -242,15 +270,28 @@ impl<'a> Desk<'a> {
             let status = if e.out_of_time() { PlannerStatus::Deadline } else { PlannerStatus::Infeasible };
             No(status, e.to_string())
         })?;
-        let plan = replan.plan(self.planner.config());
-        // The state the plan begins with is still to come.
-        std::thread::sleep(due.map_or(Duration::ZERO, |due| due.saturating_duration_since(Instant::now())));
-        Ok((PlannerResponse { plan_id: plan.id, ..describe(&replan, settings) }, Some(plan)))
+        if let Some(due) = due {
+            let (lead, took) = (self.lead, begin.elapsed());
+            self.lead = (took * 2).clamp(self.planner.config().planner.replan.lead, LONGEST_LEAD);
+            if Instant::now() > due {
+                self.late = true;
+                let reason = format!(
+                    "the pendulum moves, and planning took {:.0} ms, longer than the {:.0} ms to the predicted start: \
+                     ask again, or once the pendulum rests",
+                    took.as_secs_f64() * 1e3,
+                    lead.as_secs_f64() * 1e3
+                );
+                return Err(No(PlannerStatus::NotReady, reason));
+            }
+        }
+        let plan = Plan { activation_ns, ..replan.plan(self.planner.config()) };
+        let activation_ns = activation_ns.unwrap_or(0);
+        Ok((PlannerResponse { plan_id: plan.id, activation_ns, ..describe(&replan, settings) }, Some(plan)))
     }
 
-    /// The measured state or, while something moves, the one that will be measured when a plan made now begins, and when
-    /// that is.
-    fn start_from_now(&self, manoeuvre: Manoeuvre, begin: Instant) -> Result<(State, Option<Instant>), No> {
+    /// The measured state, if the daemon keeps it: at rest in Hold, or balanced. While something moves it is a state of one
+    /// moment: in lockstep, where no time passes, the measured one, otherwise the one predicted for when the plan begins.
+    fn start_from_now(&self, manoeuvre: Manoeuvre, begin: Instant) -> Result<Start, No> {
         let not_ready = |reason: String| No(PlannerStatus::NotReady, reason);
         let Some((record, seen)) = &self.newest else {
             return Err(not_ready("no telemetry from the daemon yet: is upswingd running?".into()));
@@ -270,16 +311,29 @@ impl<'a> Desk<'a> {
             return Err(not_ready(reason));
         }
         let x = measured(record);
-        let lead = self.planner.config().planner.replan.lead;
-        if manoeuvre == Manoeuvre::SwingDown || at_rest(&x) || in_lockstep(record) || lead.is_zero() {
-            return Ok((x, None));
+        if manoeuvre == Manoeuvre::SwingDown || at_rest(&x) {
+            return Ok(Start { x, activation_ns: None, due: None });
         }
         let config = self.planner.config();
+        if in_lockstep(record) || config.planner.replan.lead.is_zero() {
+            return Ok(Start { x, activation_ns: Some(record.t_ns), due: None });
+        }
+        let age = begin.saturating_duration_since(*seen);
+        if age > EXTRAPOLATED {
+            return Err(not_ready(format!(
+                "the pendulum moves, and the newest telemetry is {:.0} ms old, expected at most {:.0} ms: is the machine \
+                 overloaded?",
+                age.as_secs_f64() * 1e3,
+                EXTRAPOLATED.as_secs_f64() * 1e3
+            )));
+        }
         let q_hold = ActuatedVector::from_fn(|i, _| record.q_d[i]);
-        let ahead = (begin + lead).duration_since(*seen).as_secs_f64();
-        let hold = &config.daemon.hold;
-        let x = predict::held(&config.model, hold, &x, &q_hold, ahead, &mut Workspace::default());
-        Ok((x, Some(begin + lead)))
+        let due = begin + self.lead;
+        let ahead = due.saturating_duration_since(*seen);
+        let (hold, seconds) = (&config.daemon.hold, ahead.as_secs_f64());
+        let x = predict::held(&config.model, hold, &x, &q_hold, seconds, &mut Workspace::default());
+        let activation_ns = record.t_ns.saturating_add(u64::try_from(ahead.as_nanos()).unwrap_or(u64::MAX));
+        Ok(Start { x, activation_ns: Some(activation_ns), due: Some(due) })
     }
 }
 
@@ -378,6 +432,7 @@ pub fn describe(replan: &Replan, settings: &ReplanSettings) -> PlannerResponse {
 pub fn payload(plan: &Plan) -> Box<upswing_ipc::Plan> {
     let mut p = upswing_ipc::Plan::boxed_zeroed();
     (p.id, p.fingerprint, p.t_f) = (plan.id, plan.fingerprint, plan.trajectory.t_f);
+    p.activation_ns = plan.activation_ns.unwrap_or(0);
     let gain = |g: &upswing_trajectory::Gain| -> [[f64; NX]; NU] {
         std::array::from_fn(|i| std::array::from_fn(|j| g[(i, j)]))
     };

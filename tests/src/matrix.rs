@@ -201,9 +201,10 @@ impl Case {
         self.plan_cycles = (replan.trajectory.t_f / period).ceil() as u64;
         let plan = payload(&replan.plan(&self.config));
         let Ok(accepted) = accept(&plan, &self.config) else { return false };
+        let id = accepted.id;
         self.plan = Some(plan);
         self.order(Order::Load(accepted));
-        self.order(Order::Do(Request::Start));
+        self.order(Order::Do(Request::Start(id)));
         self.system.controller.mode() == Mode::Track
     }
 

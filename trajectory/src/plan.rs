@@ -24,6 +24,9 @@ pub struct Plan {
     pub id: u64,
     /// Fingerprint of the model it was made for.
     pub fingerprint: u64,
+    /// Moment of t = 0, for which x_0 was predicted, ns on the daemon's clock. `None`: the plan begins whenever it is
+    /// started, because the robot stays at x_0.
+    pub activation_ns: Option<u64>,
     /// x_k, u_k, t_F
     pub trajectory: Trajectory,
     /// f_k at the knots.

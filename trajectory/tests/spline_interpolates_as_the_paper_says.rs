@@ -19,6 +19,7 @@ fn plan() -> Plan {
         },
         f: (0..KNOTS).map(|k| f0 + c * time(k)).collect(),
         gains: (0..KNOTS).map(|k| Gain::repeat(k as f64)).collect(),
+        activation_ns: None,
         final_gain: Gain::repeat(-1.0),
     }
 }

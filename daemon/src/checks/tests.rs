@@ -336,25 +336,26 @@ fn the_start_of_a_plan() {
     let config = config();
     let checks = Checks::new(&config);
     let x_0 = State::from_fn(|i, _| 0.01 * i as f64);
-    assert_eq!(checks.start(&x_0, &x_0), Ok(()));
+    assert_eq!(checks.start(&x_0, &x_0, 0.25), Ok(()));
     for row in 0..NX {
         let tolerance = if row < NQ { config.daemon.start.position } else { config.daemon.start.velocity };
         for sign in [-1.0, 1.0] {
             let at = |by: f64| {
                 let mut x = x_0;
                 x[row] += sign * by;
-                (checks.start(&x, &x_0), x[row])
+                (checks.start(&x, &x_0, 0.25), x[row])
             };
             assert_eq!(at(tolerance - 1e-9).0, Ok(()), "row {row}");
             let (refusal, measured) = at(tolerance + 1e-9);
             let (joint, velocity, expected) = (row % NQ, row >= NQ, x_0[row]);
-            let want = Refusal::StartMismatch { joint, velocity, measured, expected, tolerance };
+            let want =
+                Refusal::StartMismatch { joint, velocity, measured, expected, t_plan: 0.25, tolerance };
             assert_eq!(refusal, Err(want), "row {row}");
         }
         let mut x = x_0;
         x[row] = f64::NAN;
-        assert!(checks.start(&x, &x_0).is_err(), "row {row}");
-        assert!(checks.start(&x_0, &x).is_err(), "row {row}");
+        assert!(checks.start(&x, &x_0, 0.25).is_err(), "row {row}");
+        assert!(checks.start(&x_0, &x, 0.25).is_err(), "row {row}");
     }
 }
 

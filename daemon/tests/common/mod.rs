@@ -127,6 +127,7 @@ pub fn swing(config: &Config, q: &JointVector) -> (Box<Plan>, Box<Plan>) {
         trajectory,
         gains: gains.knots,
         final_gain: gains.end,
+        activation_ns: None,
     };
     // Through shared memory and the checks, as in life.
     let [up, down] = [up, down].map(|plan| upswingd::plan::accept(&payload(&plan), config).unwrap());

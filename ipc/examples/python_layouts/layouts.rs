@@ -126,8 +126,8 @@ pub fn module() -> String {
         }
     );
     class!(out, TelemetryBatch { count, dropped, records });
-    class!(out, Plan { id, fingerprint, t_f, x, u, f, k, k_final, checksum });
-    class!(out, ControlRequest { command });
+    class!(out, Plan { id, fingerprint, activation_ns, t_f, x, u, f, k, k_final, checksum });
+    class!(out, ControlRequest { command, plan_id });
     class!(
         out,
         ControlResponse {
@@ -138,6 +138,7 @@ pub fn module() -> String {
             plan_id,
             running_plan,
             seq,
+            t_ns,
             degraded,
             overruns,
             wake,
@@ -152,6 +153,7 @@ pub fn module() -> String {
         PlannerResponse {
             status,
             plan_id,
+            activation_ns,
             t_f,
             nearest_entry,
             distance,

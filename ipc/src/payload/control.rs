@@ -8,18 +8,25 @@ use iceoryx2::prelude::ZeroCopySend;
 /// What the operator asks.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
-#[type_name("upswing.ControlRequest.v1")]
+#[type_name("upswing.ControlRequest.v2")]
 pub struct ControlRequest {
     /// Code of the [`ControlCommand`].
     pub command: u64,
+    /// Id of the plan to start; without meaning for the other commands.
+    pub plan_id: u64,
 }
 
-const _: () = assert!(size_of::<ControlRequest>() == WORD);
+const _: () = assert!(size_of::<ControlRequest>() == WORD * 2);
 
 impl ControlRequest {
-    /// A request for `command`.
+    /// A request for `command`, which is not a start.
     pub fn new(command: ControlCommand) -> Self {
-        Self { command: command.code() }
+        Self { command: command.code(), plan_id: 0 }
+    }
+
+    /// A request to start the plan `plan_id`.
+    pub fn start(plan_id: u64) -> Self {
+        Self { command: ControlCommand::Start.code(), plan_id }
     }
 
     /// The command.
@@ -54,7 +61,7 @@ pub struct Percentiles {
 /// What the daemon answers: whether it did it, and its state afterwards.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
-#[type_name("upswing.ControlResponse.v2")]
+#[type_name("upswing.ControlResponse.v3")]
 pub struct ControlResponse {
     /// 1: accepted, 0: refused (see `reason`).
     pub accepted: u64,
@@ -70,6 +77,8 @@ pub struct ControlResponse {
     pub running_plan: u64,
     /// Number of the last cycle.
     pub seq: u64,
+    /// Time of the last cycle, ns on the daemon's clock, as `t_ns` of its telemetry.
+    pub t_ns: u64,
     /// What the system refused of the real-time set-up: bits of [`crate::Degradation`]; 0: nothing.
     pub degraded: u64,
     /// Overrun cycles since the start of the daemon.
@@ -86,7 +95,7 @@ pub struct ControlResponse {
 
 const _: () = assert!(size_of::<Percentiles>() == WORD * 6);
 const _: () =
-    assert!(size_of::<ControlResponse>() == WORD * 9 + 2 * size_of::<Percentiles>() + 2 * size_of::<Text>());
+    assert!(size_of::<ControlResponse>() == WORD * 10 + 2 * size_of::<Percentiles>() + 2 * size_of::<Text>());
 
 impl ControlResponse {
     /// The daemon's mode.

@@ -12,12 +12,15 @@ use xxhash_rust::xxh3::xxh3_64;
 /// the receiver copies it out of shared memory first and asks [`Plan::is_intact`] of the copy.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, ZeroCopySend)]
-#[type_name("upswing.Plan.v1")]
+#[type_name("upswing.Plan.v2")]
 pub struct Plan {
     /// Identity of the plan, unique per planner, above 0.
     pub id: u64,
     /// Fingerprint of the model that the plan was made for.
     pub fingerprint: u64,
+    /// Moment of t = 0, for which x_0 was predicted: ns on the daemon's clock, as `t_ns` of its telemetry. 0: the plan
+    /// begins whenever it is started, because the robot stays at x_0.
+    pub activation_ns: u64,
     /// t_F, duration, s, above 0.
     pub t_f: f64,
     /// x_k, states at the knots, joint frames, rad and rad/s.
@@ -34,7 +37,7 @@ pub struct Plan {
     pub checksum: u64,
 }
 
-const _: () = assert!(size_of::<Plan>() == WORD * (4 + KNOTS * (2 * NX + NU + NU * NX) + NU * NX));
+const _: () = assert!(size_of::<Plan>() == WORD * (5 + KNOTS * (2 * NX + NU + NU * NX) + NU * NX));
 // The checksum covers all that lies before it, so it must be last.
 const _: () = assert!(std::mem::offset_of!(Plan, checksum) == size_of::<Plan>() - WORD);
 

@@ -45,12 +45,14 @@ impl PlannerRequest {
 /// What the planner answers; numbers that do not apply to the status are 0.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
-#[type_name("upswing.PlannerResponse.v2")]
+#[type_name("upswing.PlannerResponse.v3")]
 pub struct PlannerResponse {
     /// Code of the [`PlannerStatus`].
     pub status: u64,
     /// Id of the new plan, 0: none.
     pub plan_id: u64,
+    /// Moment of the plan's t = 0, ns on the daemon's clock; 0: whenever it is started.
+    pub activation_ns: u64,
     /// t_F, duration of the plan, s.
     pub t_f: f64,
     /// Index of the nearest entry of the trajectory database.
@@ -79,7 +81,7 @@ pub struct PlannerResponse {
     pub reason: Text,
 }
 
-const _: () = assert!(size_of::<PlannerResponse>() == WORD * 14 + size_of::<Text>());
+const _: () = assert!(size_of::<PlannerResponse>() == WORD * 15 + size_of::<Text>());
 
 impl PlannerResponse {
     /// How the request ended.

@@ -23,7 +23,7 @@ pub struct Step {
     pub restarted: u64,
     /// Code of the order, as the daemon numbers them; 0: none.
     pub order: u64,
-    /// Id of the plan that the order loads, 0: none.
+    /// Id of the plan that the order loads or starts, 0: none.
     pub plan_id: u64,
     /// The newest measurement.
     pub measurement: Measurement,

@@ -162,6 +162,7 @@ impl Replan {
             trajectory: self.trajectory.clone(),
             gains: self.gains.knots.clone(),
             final_gain: self.gains.end,
+            activation_ns: None,
         }
     }
 
