@@ -147,8 +147,8 @@ impl Session {
     }
 
     /// Sends a signal to a process, where it runs.
-    pub fn signal(&self, role: Role, signal: i32) {
-        if let Some(process) = &self.processes[role as usize] {
+    pub fn signal(&mut self, role: Role, signal: i32) {
+        if let Some(process) = &mut self.processes[role as usize] {
             process.signal(signal);
         }
     }
@@ -175,7 +175,7 @@ impl Session {
     /// [`SessionError::Ended`] if it ends with an error, [`SessionError::Timeout`] if it does not end.
     pub fn end_process(&mut self, role: Role) -> Result<(), SessionError> {
         let i = role as usize;
-        let Some(process) = &self.processes[i] else { return Ok(()) };
+        let Some(process) = &mut self.processes[i] else { return Ok(()) };
         process.signal(libc::SIGTERM);
         let begin = Instant::now();
         loop {
@@ -286,21 +286,33 @@ impl Session {
     /// # Errors
     /// [`SessionError::Timeout`] if time does not pass.
     pub fn advance(&mut self, cycles: u64) -> Result<(), SessionError> {
+        let goal = self.now()? + cycles;
+        self.advance_to(goal)
+    }
+
+    /// Cycles that the plant has completed.
+    ///
+    /// # Errors
+    /// [`SessionError::Call`] if it does not answer.
+    pub fn now(&mut self) -> Result<u64, SessionError> {
+        let plant = self.plant_status()?.seq;
+        // What was recorded may be far behind.
+        Ok(if self.options.clock == Clock::Lockstep { plant } else { self.last_measurement().max(plant) })
+    }
+
+    /// As [`Self::advance`], until the plant has completed cycle `end`; returns at once if it has.
+    ///
+    /// # Errors
+    /// As [`Self::advance`].
+    pub fn advance_to(&mut self, end: u64) -> Result<(), SessionError> {
         /// Records fit into the daemon's ring with room to spare.
         const PORTION: u64 = 4000;
-        let mut left = cycles;
-        while left > 0 {
-            let portion = left.min(PORTION);
-            left -= portion;
-            let goal = match self.options.clock {
-                Clock::Lockstep => {
-                    let seq = self.plant_status()?.seq + portion;
-                    self.plant(&PlantRequest { seq, ..PlantRequest::new(PlantKind::AdvanceTo) })?;
-                    seq
-                }
-                // What was recorded may be far behind.
-                _ => self.last_measurement().max(self.plant_status()?.seq) + portion,
-            };
+        let mut goal = self.now()?;
+        while goal < end {
+            goal = end.min(goal + PORTION);
+            if self.options.clock == Clock::Lockstep {
+                self.plant(&PlantRequest { seq: goal, ..PlantRequest::new(PlantKind::AdvanceTo) })?;
+            }
             let begin = Instant::now();
             self.wait_for(&format!("cycle {goal}"), ANSWER_PATIENCE, |s| {
                 let here = s.last_measurement() >= goal;

@@ -46,18 +46,17 @@ pub fn execute(
 ) -> Result<PlannerResponse, SessionError> {
     let cycles = |s: f64| (s / period).ceil() as u64;
     let plan = plan_and_start(session, kind)?;
-    // In portions, so that an interrupt or a fault ends the wait.
-    let total = cycles(plan.t_f + seconds);
-    let mut left = total;
-    while left > 0 {
+    // In portions, so that an interrupt or a fault ends the wait; a plant that runs by itself does not wait for them.
+    let (begin, total) = (session.now()?, cycles(plan.t_f + seconds));
+    let mut passed = 0;
+    while passed < total {
         if interrupted.load(Ordering::Acquire) {
             return Err(SessionError::Interrupted);
         }
-        let portion = left.min(cycles(0.1));
-        session.advance(portion)?;
+        session.advance_to(begin + total.min(passed + cycles(0.1)))?;
         expect_mode(session, &[Mode::Hold, Mode::Track, Mode::Balance])?;
-        left -= portion;
-        progress((total - left) as f64 * period, total as f64 * period);
+        passed = total.min(session.now()?.saturating_sub(begin));
+        progress(passed as f64 * period, total as f64 * period);
     }
     Ok(plan)
 }

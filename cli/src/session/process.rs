@@ -131,9 +131,13 @@ impl Process {
         if tail.is_empty() { String::new() } else { format!("; its log ends with:\n  {}", tail.join("\n  ")) }
     }
 
-    pub(super) fn signal(&self, signal: i32) {
-        // SAFETY: plain system call; the child has not been waited for, so that the id is still its own.
-        unsafe { libc::kill(self.child.id() as libc::pid_t, signal) };
+    /// Sends a signal to the process, unless it has ended.
+    pub(super) fn signal(&mut self, signal: i32) {
+        if let Ok(None) = self.child.try_wait() {
+            // SAFETY: plain system call. The child had not been waited for a moment ago, and only this exclusively
+            // borrowed handle can do so: even if it has ended since, its id is still its own.
+            unsafe { libc::kill(self.child.id() as libc::pid_t, signal) };
+        }
     }
 }
 
