@@ -708,11 +708,12 @@ fn start_elsewhere() {
 fn a_plan_with_missing_knots_is_not_loaded() {
     let (config, x) = rest();
     let whole = rest_plan(&config, &x, 1.0);
-    let parts: [(&str, fn(&mut Plan)); 4] = [
-        ("x", |p| drop(p.trajectory.x.pop())),
-        ("u", |p| drop(p.trajectory.u.pop())),
-        ("f", |p| drop(p.f.pop())),
-        ("K", |p| drop(p.gains.pop())),
+    type Pop = fn(&mut Plan);
+    let parts: [(&str, Pop); 4] = [
+        ("x", |p| _ = p.trajectory.x.pop()),
+        ("u", |p| _ = p.trajectory.u.pop()),
+        ("f", |p| _ = p.f.pop()),
+        ("K", |p| _ = p.gains.pop()),
     ];
     for (what, pop) in parts {
         let mut plan = whole.clone();

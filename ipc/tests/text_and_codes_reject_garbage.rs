@@ -78,7 +78,7 @@ fn only_known_codes_become_variants() {
         PlannerStatus: 7 "planner status",
         PlantKind: 6 "plant request",
     }
-    let error = ControlRequest { command: 99 }.command().unwrap_err();
+    let error = ControlRequest { command: 99, plan_id: 0 }.command().unwrap_err();
     assert!(error.to_string().starts_with("unknown control command code 99: expected 0..=5"), "{error}");
 }
 

@@ -52,8 +52,14 @@ fn the_process_says_what_is_wrong_and_exits_with_2() {
         (&["--start", "0,0,0,-130,0,0,0"][..], "joint 4: expected -120.0 to 120.0 deg, got -130.00 deg"),
         (&["--start", "NaN,0,0,-90,0,0,0"], "joint 1: expected a number, got NaN"),
         (&["--start", "-10,0,0,-90,0,0,inf"], "joint 7: expected a number, got inf"),
-        (&["--start", "0,-15,0"], "--start: expected 7 angles, for joints 1 to 7, got 3"),
-        (&["--start=0,0,0,0,0,0,0,0"], "--start: expected 7 angles, for joints 1 to 7, got 8"),
+        (
+            &["--start", "0,-15,0"],
+            "--start: expected 7 joint angles in deg, separated by commas, as in 0,-15,0,-95,0,10,0; got 3",
+        ),
+        (
+            &["--start=0,0,0,0,0,0,0,0"],
+            "--start: expected 7 joint angles in deg, separated by commas, as in 0,-15,0,-95,0,10,0; got 8",
+        ),
         (&["--start", "0,0,0,0,0,0,0"], "rests at -90.0 deg on joint 9, outside its -45.0 to 45.0 deg"),
         (&["--domain", "No Domain"], "domain name `No Domain`"),
         (&["--config", "/does/not/exist"], "/does/not/exist"),
