@@ -31,7 +31,7 @@ fn start(config: &Config, plan: &Plan, q: State) -> (Controller, Arm) {
 
 fn stop(config: &Config, mut controller: Controller, mut arm: Arm, at: usize) {
     let limits = &config.robot.limits;
-    let fastest = controller.state().fixed_rows::<NU>(NQ).abs();
+    let fastest = arm.x.fixed_rows::<NU>(NQ).abs();
     let mut order = Some(Order::Do(Request::Stop));
     for cycle in 0..LONGEST {
         let output = controller.step(&arm.measure(), 0, order.take());
@@ -47,7 +47,7 @@ fn stop(config: &Config, mut controller: Controller, mut arm: Arm, at: usize) {
         for i in 0..NU {
             let (q, qd) = (arm.x[i], arm.x[NQ + i]);
             assert!((limits.q_min[i]..=limits.q_max[i]).contains(&q), "cycle {at}: joint {} at {q}", i + 1);
-            // No faster than when it began, but for what the filter did not see yet.
+            // No faster than when it began, but for the two milliseconds in which the torque of the plan fades.
             assert!(qd.abs() <= fastest[i] + 0.1, "cycle {at}: joint {} at {qd} rad/s", i + 1);
         }
         if mode == Mode::Hold {

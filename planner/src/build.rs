@@ -516,8 +516,9 @@ pub enum Finding {
 /// of sines, which an unstable pendulum amplifies.
 const ROUNDING: f64 = 1e-6;
 /// Largest end error, rad or rad/s. The trapezoidal rule is exact to h^2; the falling rod, which is left to itself for this
-/// figure, amplifies that by some hundreds. A trajectory of other dynamics misses by several rad.
-const FARTHEST_END: f64 = 1.0;
+/// figure, amplifies that by some hundreds: 0.65 in the shipped database, 1.1 in that of the other arm in `examples/`. A
+/// rod that ends hanging misses by pi.
+const FARTHEST_END: f64 = 2.0;
 
 /// Whether a database was built from the grid of the settings, so that [`verify`] can compare poses.
 pub fn has_grid_of(config: &Config, database: &Database) -> bool {

@@ -22,10 +22,10 @@ const TABLE: [(&str, &str); 16] = [
     ("lost-packets", BALANCED),
     ("payload", BALANCED),
     ("push", BALANCED),
-    ("rotor-inertia", "?"),
+    ("rotor-inertia", "Fault: VelocityLimit"),
     ("second-arm", BALANCED),
     ("slow-drives", BALANCED),
-    ("torque-offset", "?"),
+    ("torque-offset", BALANCED),
     ("worn-bearings", BALANCED),
 ];
 
