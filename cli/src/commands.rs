@@ -58,8 +58,7 @@ impl CommonArgs {
     pub fn connect(&self) -> Result<Node, Failure> {
         let domain = self.domain()?;
         if !domain.exists() {
-            let domain = domain.name().to_owned();
-            return Err(failed(CallError::NoServer { service: ControlRequest::SERVICE, domain }));
+            return Err(failed(CallError::no_server(ControlRequest::SERVICE, &domain)));
         }
         domain.connect("cli").map_err(failed)
     }

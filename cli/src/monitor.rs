@@ -9,11 +9,14 @@ pub use keys::{Keys, Wish};
 
 use crate::live::Live;
 use ratatui::crossterm::event::{self, Event};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 /// Time between two pictures.
 const FRAME: Duration = Duration::from_millis(40);
+/// How long the monitor has to end in good order once it shall.
+const GRACE: Duration = Duration::from_millis(900);
 
 /// Why the monitor ended.
 #[derive(Debug, thiserror::Error)]
@@ -26,15 +29,35 @@ pub enum MonitorError {
     Ipc(#[from] upswing_ipc::IpcError),
 }
 
-/// Shows the system until a key or `stop` ends it. The terminal is as before then, also after a panic.
+/// Shows the system until a key, `stop` or the end of the terminal ends it. The terminal is as before then, also after a
+/// panic. Where nobody reads what the terminal shall show, drawing does not return: then the process ends without.
 ///
 /// # Errors
 /// [`MonitorError`]
-pub fn run(live: &mut Live, look: Look, stop: &AtomicBool) -> Result<(), MonitorError> {
+pub fn run(live: &mut Live, look: Look, stop: &Arc<AtomicBool>) -> Result<(), MonitorError> {
     let mut terminal = ratatui::try_init()?;
+    let stopped = Arc::clone(stop);
+    std::thread::spawn(move || {
+        while !stopped.load(Ordering::Acquire) && !is_hung_up() {
+            std::thread::sleep(FRAME);
+        }
+        std::thread::sleep(GRACE);
+        std::process::exit(1);
+    });
     let result = watch(live, look, stop, &mut terminal);
     let restored = ratatui::try_restore();
+    if is_hung_up() {
+        return Ok(());
+    }
     result.and(Ok(restored?))
+}
+
+/// Whether the terminal on stdin is gone: a closed window, a dropped connection.
+fn is_hung_up() -> bool {
+    let mut stdin = libc::pollfd { fd: libc::STDIN_FILENO, events: libc::POLLIN, revents: 0 };
+    // SAFETY: one valid pollfd, which the call alone writes to; it returns at once.
+    let ready = unsafe { libc::poll(&raw mut stdin, 1, 0) };
+    ready > 0 && stdin.revents & (libc::POLLHUP | libc::POLLERR | libc::POLLNVAL) != 0
 }
 
 fn watch(
@@ -45,7 +68,8 @@ fn watch(
 ) -> Result<(), MonitorError> {
     let asker = live.asker();
     let mut keys = Keys::default();
-    while !stop.load(Ordering::Acquire) {
+    // Asked before each look for keys: crossterm spins on a terminal that is gone.
+    while !stop.load(Ordering::Acquire) && !is_hung_up() {
         live.poll(|_| ())?;
         let view = live.view();
         terminal.draw(|frame| draw(frame, &view, &keys, look))?;

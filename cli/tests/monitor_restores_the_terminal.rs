@@ -94,6 +94,40 @@ fn by_signals() {
     }
 }
 
+/// A monitor whose terminal has shown something, and our end of that terminal. It is not the one that controls the process,
+/// so that no SIGHUP comes.
+fn shown() -> (Place, Running, File) {
+    let place = Place::new();
+    let (mut ours, theirs) = terminal();
+    let end = || Stdio::from(theirs.try_clone().expect("a copy"));
+    let child = place.command(&["monitor"]).stdin(end()).stdout(end()).stderr(end()).spawn();
+    let running = Running(child.expect("it starts"));
+    let (mut seen, mut bytes) = (String::new(), vec![0; 4096]);
+    while !seen.contains("quit") {
+        let n = ours.read(&mut bytes).expect("it is shown");
+        seen.push_str(&String::from_utf8_lossy(&bytes[..n]));
+    }
+    (place, running, ours)
+}
+
+#[test]
+fn a_terminal_that_goes_away_ends_it() {
+    let (_place, mut running, ours) = shown();
+    drop(ours);
+    running.0.wait().expect("it ends");
+}
+
+#[test]
+fn a_terminal_that_nobody_reads_does_not_keep_it_from_ending() {
+    let (_place, mut running, _ours) = shown();
+    // By then the buffer of the terminal is full and drawing blocks; on a machine too slow for that it ends all the same.
+    std::thread::sleep(Duration::from_secs(5));
+    let pid = libc::pid_t::try_from(running.0.id()).expect("an id");
+    // SAFETY: plain system call; the child has not been waited for, so that the id is still its own.
+    assert_eq!(unsafe { libc::kill(pid, libc::SIGTERM) }, 0);
+    running.0.wait().expect("it ends");
+}
+
 #[test]
 fn without_one_it_says_so() {
     let place = Place::new();

@@ -18,11 +18,16 @@ pub struct Torque {
 }
 
 impl Torque {
-    /// The nearest torque that changes no joint by more than `most` (N m) from `last`.
+    /// The torque on the straight way from `last` to this one that changes no joint by more than `most` (N m). On that way the
+    /// accelerations lie between those of both ends; joint by joint they would not, where M~ is nearly singular.
     #[must_use]
     pub fn near(self, last: &ActuatedVector, most: &ActuatedVector) -> Self {
-        let tau = ActuatedVector::from_fn(|i, _| self.tau[i].min(last[i] + most[i]).max(last[i] - most[i]));
-        Self { tau, limited: self.limited || tau != self.tau, ..self }
+        let way = self.tau - last;
+        let share = (0..NU).fold(1.0, |share: f64, i| share.min(most[i] / way[i].abs()));
+        if share >= 1.0 {
+            return self;
+        }
+        Self { tau: last + way * share, limited: true, ..self }
     }
 }
 
@@ -109,6 +114,10 @@ mod tests {
             assert!((near.tau - expected).amax() < 1e-12, "{by}: {}", near.tau);
             assert_eq!((near.limited, near.qdd), (limited, free.qdd), "{by}");
         }
+        // One joint that is far away holds the others back: the accelerations stay between those of both torques.
+        let last = free.tau - ActuatedVector::from_fn(|i, _| if i == 0 { 4.0 } else { 0.4 });
+        let way = free.near(&last, &ActuatedVector::repeat(1.0)).tau - last;
+        assert!((way - (free.tau - last) * 0.25).amax() < 1e-12, "{way}");
         // What was cut before stays marked.
         assert!(law(&x, &u, 0.0, 5.0).expect("finite").near(&free.tau, &(step * 1e3)).limited);
     }

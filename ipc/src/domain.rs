@@ -206,7 +206,7 @@ impl Domain {
     /// Removes all traces of the domain, whose directory is locked by `presence`, unless programs in other languages,
     /// which do not lock it, use it; says whether it did.
     fn remove(&self, presence: &File) -> Result<bool, IpcError> {
-        if !self.is_current(presence) || self.has_foreign_peers()? {
+        if !self.is_current(presence) || self.is_inhabited()? {
             return Ok(false);
         }
         for path in self.memory() {
@@ -219,6 +219,21 @@ impl Domain {
         ignore_missing(std::fs::remove_dir_all(self.root()))
             .map_err(|cause| self.root_error("remove", cause))?;
         Ok(true)
+    }
+
+    /// Names of all other domains in which a process runs, in alphabetical order; those that cannot be looked into are left out.
+    pub fn others(&self) -> Vec<String> {
+        let Ok(files) = std::fs::read_dir(SHM) else { return Vec::new() };
+        let names = files.filter_map(|file| {
+            let file = file.ok()?.file_name().into_string().ok()?;
+            Some(file.strip_prefix("upswing.")?.strip_suffix(".iox")?.to_owned())
+        });
+        let mut others: Vec<String> = names
+            .filter(|name| *name != self.name)
+            .filter(|name| Self::new(name).is_ok_and(|domain| domain.is_inhabited().unwrap_or(false)))
+            .collect();
+        others.sort();
+        others
     }
 
     /// How many processes of the domain died and left something that nobody cleaned up yet. Touches nothing.
@@ -235,8 +250,9 @@ impl Domain {
         Ok(dead)
     }
 
-    /// Whether processes that do not take part in the lock of the directory (other languages) are alive.
-    fn has_foreign_peers(&self) -> Result<bool, IpcError> {
+    /// Whether processes are alive in the domain, also those that do not take part in the lock of its directory (other
+    /// languages).
+    fn is_inhabited(&self) -> Result<bool, IpcError> {
         let mut alive = false;
         self.for_each_node(|node| alive |= matches!(node, NodeState::Alive(_) | NodeState::Inaccessible(_)))?;
         Ok(alive)

@@ -1,5 +1,6 @@
 //! What can go wrong with a service, and what to do about it.
 
+use crate::domain::Domain;
 use std::path::PathBuf;
 use std::time::Duration;
 use thiserror::Error;
@@ -146,13 +147,19 @@ pub enum IpcError {
 /// A request got no answer.
 #[derive(Debug, Error)]
 pub enum CallError {
-    /// Nobody serves.
-    #[error("nobody serves `{service}` in domain `{domain}`; start that process, or check the domain")]
+    /// The process that serves does not run.
+    #[error(
+        "no {} in domain `{domain}`: start it with `upswing {} --domain {domain}`, or name another domain; running: {}",
+        server(.service), server(.service),
+        if .others.is_empty() { "none".to_owned() } else { .others.join(", ") }
+    )]
     NoServer {
         /// Name of the service.
         service: &'static str,
         /// Name of the domain.
         domain: String,
+        /// Other domains in which processes run.
+        others: Vec<String>,
     },
     /// The server went away, or dropped the request, before it answered.
     #[error("the server of `{service}` went away without an answer; see its log, then ask again")]
@@ -177,4 +184,19 @@ pub enum CallError {
     /// The request could not be sent or the answer not received.
     #[error(transparent)]
     Ipc(#[from] IpcError),
+}
+
+impl CallError {
+    /// Nobody serves `service` in `domain`.
+    pub fn no_server(service: &'static str, domain: &Domain) -> Self {
+        Self::NoServer { service, domain: domain.name().to_owned(), others: domain.others() }
+    }
+}
+
+/// The process that serves `service`.
+fn server(service: &'static str) -> &'static str {
+    match service {
+        "control" => "daemon",
+        other => other,
+    }
 }

@@ -151,7 +151,7 @@ impl<Q: Request> Client<Q> {
     }
 
     fn no_server(&self) -> CallError {
-        CallError::NoServer { service: Q::SERVICE, domain: self.node.domain().name().to_owned() }
+        CallError::no_server(Q::SERVICE, self.node.domain())
     }
 }
 

@@ -44,7 +44,7 @@ fn without_a_server_every_request_says_so() {
     assert!(!control.has_server());
     let error = control.call(&ControlRequest::new(ControlCommand::Enable), PATIENCE).unwrap_err();
     assert!(
-        matches!(&error, CallError::NoServer { service: "control", domain: d } if d == domain.name()),
+        matches!(&error, CallError::NoServer { service: "control", domain: d, .. } if d == domain.name()),
         "{error}"
     );
     let error =

@@ -289,8 +289,8 @@ impl<'a> Desk<'a> {
         Ok((PlannerResponse { plan_id: plan.id, activation_ns, ..describe(&replan, settings) }, Some(plan)))
     }
 
-    /// The measured state, if the daemon keeps it: at rest in Hold, or balanced. While something moves it is a state of one
-    /// moment: in lockstep, where no time passes, the measured one, otherwise the one predicted for when the plan begins.
+    /// The measured state, if the daemon keeps it: at rest in Hold, or balanced. While something moves it is the one predicted for
+    /// the activation of the plan; but in lockstep, where the operator decides how much time passes meanwhile, the measured one.
     fn start_from_now(&self, manoeuvre: Manoeuvre, begin: Instant) -> Result<Start, No> {
         let not_ready = |reason: String| No(PlannerStatus::NotReady, reason);
         let Some((record, seen)) = &self.newest else {
@@ -316,7 +316,7 @@ impl<'a> Desk<'a> {
         }
         let config = self.planner.config();
         if in_lockstep(record) || config.planner.replan.lead.is_zero() {
-            return Ok(Start { x, activation_ns: Some(record.t_ns), due: None });
+            return Ok(Start { x, activation_ns: None, due: None });
         }
         let age = begin.saturating_duration_since(*seen);
         if age > EXTRAPOLATED {

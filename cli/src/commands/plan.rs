@@ -107,6 +107,9 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
     }
     let f = &answer.figures;
     let way = match replan.method {
+        Method::Quadratic if args.reference.is_some() => {
+            format!("from the reference ({:.3} rad away), {} QPs", f.distance, f.iterations)
+        }
         Method::Quadratic => {
             format!("from entry {} ({:.3} rad away), {} QPs", f.nearest_entry, f.distance, f.iterations)
         }
