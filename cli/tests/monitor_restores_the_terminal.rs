@@ -19,6 +19,9 @@ fn terminal() -> (File, File) {
     let made =
         unsafe { libc::openpty(&raw mut ours, &raw mut theirs, no_name, std::ptr::null(), &raw const size) };
     assert_eq!(made, 0);
+    // Our end is ours alone: a child that held it would keep the terminal from going away.
+    // SAFETY: plain system call on a descriptor that is open.
+    assert_eq!(unsafe { libc::fcntl(ours, libc::F_SETFD, libc::FD_CLOEXEC) }, 0);
     // SAFETY: both are new and belong to nobody else.
     unsafe { (File::from_raw_fd(ours), File::from_raw_fd(theirs)) }
 }
