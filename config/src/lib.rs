@@ -290,6 +290,15 @@ pub fn read_file(path: &Path) -> std::io::Result<Vec<u8>> {
     std::fs::read(path)
 }
 
+/// A regular file, open for reading; anything else is refused as by [`read_file`].
+///
+/// # Errors
+/// Of the operating system.
+pub fn open_file(path: &Path) -> std::io::Result<std::fs::File> {
+    check_regular(path)?;
+    std::fs::File::open(path)
+}
+
 /// Whether what is at a path, if anything, may be opened as a file: a directory, pipe or device may not.
 ///
 /// # Errors

@@ -1,7 +1,6 @@
 //! Flight records of the daemon, read as recordings.
 
 use super::Recorder;
-use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
@@ -44,6 +43,6 @@ impl Source {
 
 fn is_flight_record(path: &Path) -> bool {
     let mut word = [0; 8];
-    File::open(path).and_then(|mut file| file.read_exact(&mut word)).is_ok()
+    upswing_config::open_file(path).and_then(|mut file| file.read_exact(&mut word)).is_ok()
         && u64::from_le_bytes(word) == flight::MAGIC
 }

@@ -60,7 +60,7 @@ struct Index {
 impl Parts {
     /// `None`: the file is no MCAP.
     pub fn open(path: &Path) -> io::Result<Option<Self>> {
-        let file = File::open(path)?;
+        let file = upswing_config::open_file(path)?;
         let length = file.metadata()?.len();
         let mut file = BufReader::new(file);
         let mut magic = [0; MAGIC.len()];

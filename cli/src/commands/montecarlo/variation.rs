@@ -59,8 +59,8 @@ impl Misses {
     /// [`Failure::BadInput`] if it cannot be read or counts nothing.
     pub fn read(path: &Path) -> Result<Self, Failure> {
         let refuse = |text: String| Failure::BadInput(format!("--missed {}: {text}", path.display()));
-        let text = std::fs::read_to_string(path).map_err(|e| refuse(e.to_string()))?;
-        let misses: Self = serde_json::from_str(&text).map_err(|e| {
+        let text = upswing_config::read_file(path).map_err(|e| refuse(e.to_string()))?;
+        let misses: Self = serde_json::from_slice(&text).map_err(|e| {
             refuse(format!("expected {{\"cycles\": N, \"missed\": {{\"LENGTH\": COUNT, ..}}}}: {e}"))
         })?;
         if misses.cycles == 0 || misses.missed.values().all(|n| *n == 0) || misses.missed.contains_key(&0) {
