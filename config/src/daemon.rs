@@ -116,6 +116,8 @@ pub struct Levels {
     pub tracking_error: Level,
     /// Tilt of the rod from upright in balance, rad.
     pub balance_tilt: Level,
+    /// Speed that balancing is about to ask of the arm, share of the 100 % limits.
+    pub balance_speed: Level,
     /// Cycles in a row that ended late.
     pub late_cycles: Level,
     /// Age of a loaded plan, s.
@@ -269,6 +271,7 @@ struct RawLevels {
     torque_rate_per_ms: RawLevel,
     tracking_error_rad: RawLevel,
     balance_tilt_deg: RawLevel,
+    balance_speed_fraction: RawLevel,
     late_cycles: RawLevel,
     plan_age_s: RawLevel,
 }
@@ -446,6 +449,7 @@ impl RawLevels {
             torque_rate: scaled(level("torque_rate_per_ms", &self.torque_rate_per_ms, &POSITIVE)?, 1e3),
             tracking_error: level("tracking_error_rad", &self.tracking_error_rad, &POSITIVE)?,
             balance_tilt: scaled(level("balance_tilt_deg", &self.balance_tilt_deg, &ACUTE)?, to_rad),
+            balance_speed: level("balance_speed_fraction", &self.balance_speed_fraction, &POSITIVE)?,
             late_cycles: level("late_cycles", &self.late_cycles, &COUNT)?,
             plan_age: level("plan_age_s", &self.plan_age_s, &POSITIVE)?,
         })

@@ -16,6 +16,8 @@ const PENDULUM: Range<usize> = NU..NQ;
 const PENDULUM_SPEED: f64 = 30.0;
 /// How many times the 100 % speed an encoder of the arm may report.
 const SPEED_FACTOR: f64 = 2.0;
+/// Time that a stop takes to get hold of an arm that accelerates, s.
+const STOP_DELAY: f64 = 8e-3;
 /// Angle that no encoder shows, rad: 16 turns.
 const ENCODER_RANGE: f64 = 100.0;
 
@@ -32,6 +34,8 @@ pub struct Checks {
     encoder_speed: JointVector,
     start: StartTolerance,
     period_ns: u64,
+    /// T_1, s: how far measured speeds lag behind.
+    velocity_filter: f64,
 }
 
 impl Checks {
@@ -49,6 +53,7 @@ impl Checks {
             }),
             start: config.daemon.start,
             period_ns: u64::try_from(config.daemon.cycle.period.as_nanos()).unwrap_or(u64::MAX),
+            velocity_filter: config.daemon.cycle.velocity_filter,
         }
     }
 
@@ -142,6 +147,13 @@ impl Checks {
     pub fn balance(&self, tilt: f64, warnings: &mut u64) -> Option<Trip> {
         let level = |_| self.levels.balance_tilt;
         beyond(TripCause::BalanceLost, PENDULUM.start..NQ, |_| tilt, level, warnings)
+    }
+
+    /// Speeds of the arm that follow from the filtered speeds `v` (rad/s) under the input `u` (rad/s^2) of a balance.
+    pub fn balance_speed(&self, v: &ActuatedVector, u: &ActuatedVector, warnings: &mut u64) -> Option<Trip> {
+        let level = scaled(self.levels.balance_speed, |i| self.qd_max[i]);
+        let ahead = self.velocity_filter + STOP_DELAY;
+        beyond(TripCause::BalanceSpeed, ARM, |i| v[i] + ahead * u[i], level, warnings)
     }
 
     /// Change of the commanded torque from `last` to `tau` (N m) in one cycle.

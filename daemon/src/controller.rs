@@ -476,7 +476,7 @@ impl Controller {
             return None;
         };
         let (x, warnings) = (&self.observer.x, &mut self.warnings);
-        let (reference, lost) = if self.mode == Mode::Track {
+        let (reference, mut lost) = if self.mode == Mode::Track {
             let reference = plan.reference(t_plan);
             (reference, self.checks.tracking(x, &reference.x, warnings))
         } else {
@@ -485,6 +485,10 @@ impl Controller {
             (plan.end(), self.checks.balance(tilt, warnings))
         };
         let u = reference.u + reference.gain * (x - reference.x);
+        if self.mode == Mode::Balance {
+            let v = self.observer.filtered.fixed_rows::<NU>(0).into();
+            lost = lost.or(self.checks.balance_speed(&v, &u, warnings));
+        }
         if let Some(trip) = self.checks.pendulum(x, warnings).or(lost) {
             self.give_up(Event::Lost, trip);
             return None;

@@ -80,7 +80,7 @@ impl Recovery {
         (self.mode, self.now) = (telemetry.mode().unwrap_or(Mode::Fault), telemetry.t_ns);
         // A loss while tracking is one to recover from only if the recovery itself had begun to swing up.
         let fell = match record.trip.map(|trip| trip.cause) {
-            Some(TripCause::BalanceLost) => true,
+            Some(TripCause::BalanceLost | TripCause::BalanceSpeed) => true,
             Some(TripCause::PendulumRange) => before == Mode::Balance || self.attempts > 0,
             Some(TripCause::TrackingError) => self.attempts > 0,
             _ => false,

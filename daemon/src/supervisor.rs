@@ -64,7 +64,7 @@ pub enum Event {
     Asked(Request),
     /// t >= t_F, and what the plan ends in.
     PlanEnded(Ending),
-    /// Tracking error, tilt of the rod, range of the pendulum or late cycles beyond the trip level.
+    /// Tracking error, tilt of the rod, speed to keep it upright, range of the pendulum or late cycles beyond the trip level.
     Lost,
     /// All of q_A at rest.
     AtRest,

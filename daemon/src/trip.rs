@@ -68,6 +68,8 @@ causes! {
     PlanAge = 20, "the loaded plan is old";
     /// An angle does not change although the torque must have moved its joint.
     StuckEncoder = 21, "an encoder is stuck";
+    /// To keep the rod upright the arm would have to move too fast.
+    BalanceSpeed = 22, "the rod is faster than the arm can follow";
 }
 
 // Codes are found again by their index.
@@ -173,6 +175,12 @@ impl fmt::Display for Trip {
             }
             TripCause::BalanceLost => {
                 write!(f, "the rod is {value:.4} rad from where the plan ends, limit {limit:.4} rad")
+            }
+            TripCause::BalanceSpeed => {
+                write!(
+                    f,
+                    "joint {joint} would have to move at {value:.4} rad/s to keep the rod upright, limit {limit:.4} rad/s"
+                )
             }
             TripCause::StuckEncoder => {
                 write!(

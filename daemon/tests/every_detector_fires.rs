@@ -4,11 +4,12 @@ mod common;
 
 use common::{PERIOD_NS, at_rest, config, measurement, rest_plan, rest_pose, upright_pose};
 use nalgebra::SMatrix;
+use upswing_config::{Config, Level};
 use upswing_ipc::{Clock, Measurement, Mode, Telemetry};
 use upswing_model::{ActuatedVector, JointVector, NU, Workspace};
 use upswingd::controller::{Controller, Order, Output};
 use upswingd::supervisor::{Refusal, Request};
-use upswingd::trip::TripCause;
+use upswingd::trip::{Trip, TripCause};
 
 /// An enabled controller after its second measurement, and the pose it holds.
 fn enabled() -> (Controller, JointVector) {
@@ -16,8 +17,11 @@ fn enabled() -> (Controller, JointVector) {
 }
 
 fn enabled_at(q: JointVector) -> (Controller, JointVector) {
-    let config = config();
-    let mut controller = Controller::new(&config);
+    enabled_with(&config(), q)
+}
+
+fn enabled_with(config: &Config, q: JointVector) -> (Controller, JointVector) {
+    let mut controller = Controller::new(config);
     controller.step(&measurement(1, &q), 0, Some(Order::Do(Request::Enable)));
     controller.step(&measurement(2, &q), 0, None);
     assert_eq!(controller.mode(), Mode::Hold);
@@ -31,10 +35,9 @@ fn flickering(seq: u64, q: &JointVector) -> Measurement {
 }
 
 /// One in Balance.
-fn balancing() -> (Controller, JointVector) {
-    let (mut controller, q) = enabled_at(upright_pose());
-    let config = config();
-    let plan = rest_plan(&config, &at_rest(&q), 0.0005);
+fn balancing(config: &Config) -> (Controller, JointVector) {
+    let (mut controller, q) = enabled_with(config, upright_pose());
+    let plan = rest_plan(config, &at_rest(&q), 0.0005);
     controller.step(&measurement(3, &q), 0, Some(Order::Load(plan)));
     controller.step(&measurement(4, &q), 0, Some(Order::Do(Request::Start(7))));
     assert_eq!(controller.mode(), Mode::Track);
@@ -492,7 +495,10 @@ fn tracking_error() {
 
 #[test]
 fn balance_lost() {
-    let (mut controller, mut q) = balancing();
+    // The arm would have to move too fast before that.
+    let mut config = config();
+    config.daemon.limits.balance_speed = Level { warn: 1e3, trip: 1e4 };
+    let (mut controller, mut q) = balancing(&config);
     let (mut seq, before) = (10, q[8]);
     let mut warned = None;
     while controller.mode() == Mode::Balance {
@@ -510,10 +516,33 @@ fn balance_lost() {
 }
 
 #[test]
+fn balance_speed() {
+    let (mut controller, mut q) = balancing(&config());
+    let (mut seq, before) = (10, q[8]);
+    let mut warned = None;
+    while controller.mode() == Mode::Balance {
+        seq += 1;
+        // 1 rad/s.
+        q[8] += common::PERIOD;
+        let output = controller.step(&flickering(seq, &q), 0, None);
+        warned = warned.or(warns(&output, TripCause::BalanceSpeed).then_some(controller.mode()));
+    }
+    assert_eq!(warned, Some(Mode::Balance));
+    let Some((Mode::Stop, TripCause::BalanceSpeed, joint)) = trip(&controller) else {
+        panic!("{:?}", controller.trip());
+    };
+    let Trip { value, limit, .. } = *controller.trip().unwrap();
+    assert_eq!(limit, config().robot.limits.qd_max[joint]);
+    assert!(value.abs() > limit && value.abs() < 1.02 * limit, "{value} rad/s, limit {limit}");
+    assert!((q[8] - before).to_degrees() < 5.0, "long before the rod has fallen");
+}
+
+#[test]
 fn pendulum_range() {
-    // A tilt that is never lost, so that joint 8 comes to 180 + 20 + 5 deg.
+    // A balance that is never lost, so that joint 8 comes to 180 + 20 + 5 deg.
     let mut config = config();
     config.daemon.limits.balance_tilt.trip = 4.0;
+    config.daemon.limits.balance_speed.trip = 1e4;
     let mut q = upright_pose();
     let mut controller = Controller::new(&config);
     let plan = rest_plan(&config, &at_rest(&q), 0.0005);

@@ -55,6 +55,14 @@ fn it_waits_plans_and_starts() {
 }
 
 #[test]
+fn a_rod_that_the_arm_cannot_follow_is_a_loss() {
+    let mut recovery = Recovery::new(settings(1));
+    recovery.note(&record(Mode::Balance, 0, 0.0, None), 1);
+    recovery.note(&record(Mode::Stop, SECOND, 3.0, Some(TripCause::BalanceSpeed)), 1);
+    assert!(recovery.is_active());
+}
+
+#[test]
 fn it_gives_up() {
     assert!(!fallen(0).is_active(), "not set");
     let mut restless = fallen(1);

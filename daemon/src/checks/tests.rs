@@ -295,6 +295,24 @@ fn the_tilt_of_the_rod() {
 }
 
 #[test]
+fn the_speed_that_a_balance_asks_for() {
+    let config = config();
+    let checks = Checks::new(&config);
+    let Level { warn, trip } = config.daemon.limits.balance_speed;
+    let level = |i: usize| Level { warn: warn * (1.0 + 0.1 * i as f64), trip: trip * (1.0 + 0.1 * i as f64) };
+    let none = ActuatedVector::zeros();
+    let arm = |q: &JointVector| q.fixed_rows::<NU>(0).into();
+    is_a_level(TripCause::BalanceSpeed, ARM, level, |v, w| checks.balance_speed(&arm(v), &none, w));
+    // T_1 of 12 ms, and 8 ms.
+    for (u, trips) in [(49.9, false), (50.1, true), (f64::NAN, true)] {
+        let input = ActuatedVector::from_fn(|i, _| if i == 0 { trip * u } else { 0.0 });
+        assert_eq!(checks.balance_speed(&none, &input, &mut 0).is_some(), trips, "{u} rad/s^2");
+    }
+    let (v, u) = (ActuatedVector::repeat(3.0), ActuatedVector::repeat(-150.0));
+    assert_eq!(checks.balance_speed(&v, &u, &mut 0), None, "one against the other");
+}
+
+#[test]
 fn measurements_that_cannot_be_used() {
     let checks = Checks::new(&config());
     let cause = |spoil: &dyn Fn(&mut Measurement)| {

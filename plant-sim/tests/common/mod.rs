@@ -14,13 +14,14 @@ pub fn settings() -> Config {
     Config::embedded().unwrap()
 }
 
-/// The settings without any friction.
+/// The settings without any friction, and without stops.
 pub fn frictionless() -> Config {
     let mut config = settings();
     let friction = &mut config.plant.friction;
     friction.pendulum_viscous = [0.0; _];
     friction.pendulum_coulomb = [0.0; _];
     friction.arm_compensation = 1.0;
+    config.plant.stops.stiffness = [0.0; _];
     config
 }
 
