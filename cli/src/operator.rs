@@ -76,7 +76,7 @@ pub(crate) enum Kind {
 #[derive(Debug, thiserror::Error)]
 pub enum OperatorError {
     /// The daemon says no.
-    #[error("the daemon refused `{command}`: {reason}; mode {mode}, see `upswing status`")]
+    #[error("the daemon refused `{command}` in mode {mode}: {reason}")]
     Daemon {
         /// What was asked.
         command: ControlCommand,

@@ -6,7 +6,7 @@ use ratatui::backend::TestBackend;
 use ratatui::crossterm::event::{KeyCode, KeyEvent};
 use std::sync::LazyLock;
 use upswing::closed_loop::{Disturbances, swing_up};
-use upswing::live::{Status, Times, View, Watch};
+use upswing::live::{Event, Kind, Status, Times, View, Watch};
 use upswing::monitor::{Keys, Look, Wish, draw};
 use upswing::operator::Action;
 use upswing_config::Config;
@@ -90,8 +90,10 @@ fn on_80x24_nothing_is_cut() {
         wake_us: times(54_321.9),
         compute_us: times(98_765.4),
         remark: String::new(),
+        next: "upswing request swing-down".into(),
     };
-    let view = View { status: Some(status), ..view(upto(Mode::Balance)) };
+    let balanced = view(upto(Mode::Balance));
+    let view = View { status: Some(status.clone()), ..balanced.clone() };
     let text = picture(&view, &Keys::default(), 80, 24);
     for shown in
         ["54321.9", "98765.4", "max", "p99.9", "123456789 cycles, none late, 0 lost", "q quit", "? help"]
@@ -99,6 +101,41 @@ fn on_80x24_nothing_is_cut() {
         assert!(text.contains(shown), "no {shown} in\n{text}");
     }
     assert!(picture(&view, &Keys::default(), 120, 34).contains("p99.99"));
+
+    // With late cycles: how many and the last one, with its cause among the events.
+    let cause = "cycle 123456789 late in compute: wake 12.3 read 1.2 compute 312.3 write 0.4 us; 2 preemptions, \
+                 212.3 us ready without a CPU, 0 page faults in the last 50 ms";
+    let status = Status { overruns: 98_765, last_overrun: Some(cause.into()), ..status };
+    let late = Event { t: 12.3, kind: Kind::Warning, text: format!("late: {cause}") };
+    let events = [balanced.events.clone(), vec![late]].concat();
+    assert!(status.to_string().ends_with("\nnext       upswing request swing-down"), "{status}");
+    let view = View { status: Some(status), lost: 12_345, events, ..balanced };
+    // Events go on in the next line.
+    let text = picture(&view, &Keys::default(), 80, 24).replace("\"\n\"", "");
+    for shown in [
+        "98765 of 123456789 late, 12345 lost",
+        "last: cycle 123456789 late in compute",
+        "preemptions, 212.3 us ready without a CPU, 0 page faults in the last 50 ms",
+    ] {
+        assert!(text.contains(shown), "no {shown} in\n{text}");
+    }
+}
+
+#[test]
+fn what_to_do_next_in_every_mode() {
+    let last = upto(Mode::Balance).last().expect("a record");
+    for mode in Mode::ALL {
+        let record = Telemetry { mode: mode.code(), ..*last };
+        for view in [view(&[record]), View { status: None, ..view(&[record]) }] {
+            let text = picture(&view, &Keys::default(), 80, 24);
+            let next = mode.next_step().to_string();
+            assert_eq!(view.next.as_ref(), Some(&next));
+            assert!(text.contains(&next), "{mode}: no `{next}` in\n{text}");
+        }
+    }
+    let nobody = view(&[]);
+    assert_eq!(nobody.next, None);
+    assert!(picture(&nobody, &Keys::default(), 80, 24).contains("start a daemon"));
 }
 
 #[test]

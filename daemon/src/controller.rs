@@ -84,6 +84,8 @@ pub struct Record {
     pub step: Step,
     /// Why the last mode was given up; kept until the next enable, start or reset.
     pub trip: Option<Trip>,
+    /// Why an enable would be refused; `None` where it would not, and outside Idle.
+    pub unready: Option<Refusal>,
     /// Cycles that ended too late since the start of the daemon; 0 from the controller, which knows no clock.
     pub overruns: u64,
 }
@@ -314,6 +316,7 @@ impl Controller {
                 telemetry,
                 step: Step { cycle: self.cycle, ..told },
                 trip: self.trip,
+                unready: self.unready(),
                 overruns: 0,
             },
             answer,
@@ -380,6 +383,15 @@ impl Controller {
         }
     }
 
+    /// Why the robot cannot be enabled now.
+    fn unready(&self) -> Option<Refusal> {
+        if self.mode != Mode::Idle {
+            return None;
+        }
+        let unfit = self.observer.unfit.map(Refusal::Unfit);
+        unfit.or((!self.observer.drives_ready).then_some(Refusal::DrivesNotReady))
+    }
+
     fn load(&mut self, plan: Box<Plan>, garbage: &mut Option<Box<Plan>>) -> Result<(), Refusal> {
         let refusal = match &self.running {
             _ if !is_complete(&plan) => Refusal::IncompletePlan,
@@ -402,11 +414,8 @@ impl Controller {
         let to = transition(self.mode, Event::Asked(request))?;
         match request {
             Request::Enable => {
-                if let Some(trip) = self.observer.unfit {
-                    return Err(Refusal::Unfit(trip));
-                }
-                if !self.observer.drives_ready {
-                    return Err(Refusal::DrivesNotReady);
+                if let Some(refusal) = self.unready() {
+                    return Err(refusal);
                 }
                 self.trip = None;
             }

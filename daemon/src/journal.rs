@@ -4,7 +4,8 @@ use crate::controller::Record;
 use crate::flight::Recorder;
 use crate::histogram::Histogram;
 use crate::overrun::{Overrun, Watch};
-use crate::trip::warning_texts;
+use crate::supervisor::Refusal;
+use crate::trip::{TripCause, warning_texts};
 use std::time::{Duration, Instant};
 use tracing::{error, info, warn};
 use upswing_config::DaemonSettings;
@@ -218,6 +219,15 @@ impl<'a> Journal<'a> {
         told.into_iter().chain(flight.cloned()).collect::<Vec<_>>().join("; ")
     }
 
+    /// What the operator can do next.
+    pub fn next_step(&self) -> String {
+        let remedy = match &self.newest {
+            None => Some(TripCause::NoMeasurement.remedy()),
+            Some(record) => record.unready.as_ref().and_then(Refusal::remedy),
+        };
+        remedy.map_or_else(|| self.mode().next_step().to_string(), str::to_owned)
+    }
+
     /// The answer to a request, as far as it follows from the cycles.
     pub fn respond(&self) -> ControlResponse {
         let record = self.newest;
@@ -234,6 +244,7 @@ impl<'a> Journal<'a> {
             wake: self.wake.percentiles(),
             compute: self.compute.percentiles(),
             overrun: Text::new(&overrun.unwrap_or_default()),
+            next: Text::new(&self.next_step()),
             ..ControlResponse::default()
         }
     }

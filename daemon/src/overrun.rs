@@ -113,7 +113,7 @@ impl fmt::Display for Overrun {
         let phases =
             [("wake", t.wake_ns), ("read", t.read_ns), ("compute", t.compute_ns), ("write", t.write_ns)];
         let longest = phases.iter().max_by_key(|(_, ns)| ns).map_or("", |(name, _)| name);
-        write!(f, "cycle {} late, mostly in {longest}:", t.seq)?;
+        write!(f, "cycle {} late in {longest}:", t.seq)?;
         for (name, ns) in phases {
             write!(f, " {name} {:.1}", ns as f64 * 1e-3)?;
         }

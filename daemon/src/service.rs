@@ -407,12 +407,17 @@ impl<'a> Desk<'a> {
     }
 
     fn respond(&self, accepted: bool, reason: &str) -> ControlResponse {
+        let response = self.journal.respond();
+        // The daemon takes the next step by itself.
+        let recovers = self.recovery.is_active() && !is_braked(self.journal.mode());
+        let next = if recovers { Text::new("wait for the recovery") } else { response.next };
         ControlResponse {
             accepted: u64::from(accepted),
             plan_id: self.loads.newest(),
             degraded: self.degraded,
             reason: Text::new(reason),
-            ..self.journal.respond()
+            next,
+            ..response
         }
     }
 

@@ -113,7 +113,7 @@ pub fn is_braked(mode: Mode) -> bool {
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum Refusal {
     /// The mode does not allow it.
-    #[error("{} is not possible in mode {mode}", event_name(.event))]
+    #[error("{} is not possible in mode {mode}; next: {}", event_name(.event), .mode.next_step())]
     Mode {
         /// The mode.
         mode: Mode,
@@ -121,10 +121,10 @@ pub enum Refusal {
         event: Event,
     },
     /// The measurement cannot be trusted.
-    #[error("the robot is not fit to be enabled: {0}")]
+    #[error("the robot is not fit to be enabled: {0}; next: {remedy}, then {enable}", remedy = .0.cause.remedy(), enable = Mode::Idle.next_step())]
     Unfit(Trip),
     /// A drive is not powered.
-    #[error("the drives are not ready")]
+    #[error("the drives are not ready; next: {DRIVES_ON}, then {}", Mode::Idle.next_step())]
     DrivesNotReady,
     /// No plan is loaded.
     #[error("no plan is loaded: ask the planner for one")]
@@ -187,8 +187,22 @@ pub enum Refusal {
     )]
     IncompletePlan,
     /// The process shuts down.
-    #[error("the daemon is shutting down")]
+    #[error("the daemon is shutting down; next: start it again")]
     ShuttingDown,
+}
+
+/// What helps drives that are not ready.
+const DRIVES_ON: &str = "switch the drives on";
+
+impl Refusal {
+    /// What to do first where an enable would be refused with this; short.
+    pub fn remedy(&self) -> Option<&'static str> {
+        match self {
+            Self::Unfit(trip) => Some(trip.cause.remedy()),
+            Self::DrivesNotReady => Some(DRIVES_ON),
+            _ => None,
+        }
+    }
 }
 
 fn event_name(event: &Event) -> String {

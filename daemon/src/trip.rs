@@ -87,6 +87,30 @@ impl TripCause {
         self as u64
     }
 
+    /// What has to be done about it before the robot can be enabled; short.
+    pub const fn remedy(self) -> &'static str {
+        match self {
+            Self::NoMeasurement => "start a plant",
+            Self::StaleMeasurement | Self::MeasurementGap | Self::MeasurementRestarted => {
+                "let the plant run steadily"
+            }
+            Self::PositionLimit | Self::PendulumRange => "move the joint into its range",
+            Self::PeriodMismatch | Self::UnknownClock => "start both with one version",
+            Self::DriveFault | Self::DrivesStopped => "clear the drives' fault",
+            Self::NotFinite
+            | Self::EncoderJump
+            | Self::StuckEncoder
+            | Self::VelocityLimit
+            | Self::TorqueLimit => "check the joint's sensors",
+            Self::TorqueRate
+            | Self::LawNotFinite
+            | Self::TrackingError
+            | Self::BalanceLost
+            | Self::LateCycles
+            | Self::PlanAge => "wait a moment",
+        }
+    }
+
     /// The bit that stands for the cause in a `warnings` word.
     pub const fn bit(self) -> u64 {
         1 << (self.code() - 1)

@@ -566,15 +566,28 @@ fn no_measurement_and_unready_drives_refuse_enable() {
     let config = config();
     let mut controller = Controller::new(&config);
     let enable = || Some(Order::Do(Request::Enable));
-    let answer = controller.step(&Measurement::default(), 0, enable()).answer;
+    let output = controller.step(&Measurement::default(), 0, enable());
+    let answer = output.answer;
     assert!(
         matches!(answer, Some(Err(Refusal::Unfit(trip))) if trip.cause == TripCause::NoMeasurement),
         "{answer:?}"
     );
+    // Refusal and status name what has to be done first, and then the request.
+    let told = |refusal: Refusal, remedy: &str| {
+        assert_eq!(refusal.remedy(), Some(remedy));
+        let text = refusal.to_string();
+        assert!(text.ends_with(&format!("next: {remedy}, then upswing request enable")), "{text}");
+    };
+    told(output.record.unready.expect("a reason"), "start a plant");
     let mut unready = measurement(1, &rest_pose(&config));
     unready.status = 0;
-    assert_eq!(controller.step(&unready, 0, enable()).answer, Some(Err(Refusal::DrivesNotReady)));
+    let output = controller.step(&unready, 0, enable());
+    assert_eq!(output.answer, Some(Err(Refusal::DrivesNotReady)));
     assert_eq!(controller.mode(), Mode::Idle);
+    told(output.record.unready.expect("a reason"), "switch the drives on");
+    let ready = controller.step(&measurement(2, &rest_pose(&config)), 0, None);
+    assert_eq!(ready.record.unready, None);
+    assert_eq!(controller.step(&measurement(3, &rest_pose(&config)), 0, enable()).answer, Some(Ok(())));
 }
 
 #[test]

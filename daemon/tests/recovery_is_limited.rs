@@ -18,7 +18,7 @@ fn settings(attempts: u32) -> RecoverySettings {
 fn record(mode: Mode, t_ns: u64, speed: f64, cause: Option<TripCause>) -> Record {
     let mut telemetry = Telemetry { mode: mode.code(), t_ns, ..Telemetry::default() };
     telemetry.qd[8] = speed;
-    Record { telemetry, step: Step::default(), trip: cause.map(Trip::plain), overruns: 0 }
+    Record { telemetry, step: Step::default(), trip: cause.map(Trip::plain), unready: None, overruns: 0 }
 }
 
 /// Balances at 0 s and loses the rod at 1 s.

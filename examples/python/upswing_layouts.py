@@ -220,7 +220,7 @@ class ControlRequest(Structure):
 
 
 class ControlResponse(Structure):
-    SIZE = 688
+    SIZE = 944
     OFFSETS = {
         "accepted": 0,
         "mode": 8,
@@ -236,6 +236,7 @@ class ControlResponse(Structure):
         "compute": 128,
         "overrun": 176,
         "reason": 432,
+        "next": 688,
     }
     _fields_ = [
         ("accepted", c_uint64),
@@ -252,11 +253,12 @@ class ControlResponse(Structure):
         ("compute", Percentiles),
         ("overrun", Text),
         ("reason", Text),
+        ("next", Text),
     ]
 
     @staticmethod
     def type_name():
-        return "upswing.ControlResponse.v3"
+        return "upswing.ControlResponse.v4"
 
 
 class PlannerRequest(Structure):

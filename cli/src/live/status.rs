@@ -30,6 +30,8 @@ pub struct Status {
     pub compute_us: Times,
     /// Cause of a fault or stop, the last refusal.
     pub remark: String,
+    /// What the operator can do next.
+    pub next: String,
 }
 
 /// Percentiles of all cycles since the start of the daemon, us.
@@ -84,6 +86,7 @@ impl Status {
             wake_us: Times::new(&s.wake),
             compute_us: Times::new(&s.compute),
             remark: s.reason.to_string(),
+            next: s.next.to_string(),
         }
     }
 }
@@ -118,6 +121,6 @@ impl std::fmt::Display for Status {
         if !self.remark.is_empty() {
             write!(f, "\nremark     {}", self.remark)?;
         }
-        Ok(())
+        write!(f, "\nnext       {}", self.next)
     }
 }

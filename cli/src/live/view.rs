@@ -19,6 +19,8 @@ pub struct View {
     pub plant: bool,
     /// Mode of the newest cycle, or else of the status.
     pub mode: Option<String>,
+    /// What the operator can do next; `None` where the mode is unknown.
+    pub next: Option<String>,
     /// The daemon's last answer.
     pub status: Option<Status>,
     /// The newest cycle.

@@ -168,7 +168,12 @@ impl Watch {
         let [daemon, planner, plant] = self.present.unwrap_or_default();
         let cycle = self.newest.as_ref();
         let mode = cycle.map(Telemetry::mode_text);
+        // The status knows more than the mode, but is older than the newest cycle.
+        let status = self.status.as_ref().filter(|s| mode.as_ref().is_none_or(|mode| *mode == s.mode));
+        let of_mode = || cycle.and_then(|record| Some(record.mode().ok()?.next_step().to_string()));
+        let next = status.map(|s| s.next.clone()).or_else(of_mode);
         View {
+            next,
             domain: self.domain.clone(),
             t: self.t,
             daemon,

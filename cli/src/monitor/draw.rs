@@ -9,7 +9,8 @@ use ratatui::layout::{Constraint, Flex, Layout, Rect};
 use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::{Line, Span};
 use ratatui::widgets::canvas::{Canvas, Circle, Line as Stroke};
-use ratatui::widgets::{Block, Clear, Paragraph};
+use ratatui::widgets::{Block, Borders, Clear, Paragraph};
+use std::collections::VecDeque;
 
 /// Whether to use colours; without them what matters is reversed or bold.
 #[derive(Clone, Copy, Debug)]
@@ -70,7 +71,7 @@ pub fn draw(frame: &mut Frame, view: &View, keys: &Keys, look: Look) {
     let [head, upper, lower, events, foot] = Layout::vertical([
         Constraint::Length(1),
         Constraint::Length(12),
-        Constraint::Length(6),
+        Constraint::Length(7),
         Constraint::Min(3),
         Constraint::Length(1),
     ])
@@ -195,24 +196,21 @@ fn draw_times(frame: &mut Frame, area: Rect, view: &View, look: Look) {
             format!("{name:<NAME$} not measured")
         })
     };
-    let late = match status.overruns {
-        0 => Span::raw(format!("{} cycles, none late, {} lost", status.cycles, view.lost)),
-        n => Span::styled(
-            format!(
-                "{n} of {} late, {} lost; last: {}",
-                status.cycles,
-                view.lost,
-                status.last_overrun.as_deref().unwrap_or("no cause known")
-            ),
-            look.ink(Color::Yellow),
-        ),
-    };
-    let lines = vec![
+    let mut lines = vec![
         Line::styled(format!("{:NAME$}{heading}", ""), look.ink(Color::DarkGray)),
         row("wake-up", &status.wake_us),
         row("compute", &status.compute_us),
-        Line::from(late),
     ];
+    if status.overruns == 0 {
+        lines.push(Line::raw(format!("{} cycles, none late, {} lost", status.cycles, view.lost)));
+    } else {
+        let late = look.ink(Color::Yellow);
+        let counts = format!("{} of {} late, {} lost", status.overruns, status.cycles, view.lost);
+        // In front of the colon: which cycle, and in which phase. The rest is an event.
+        let last = status.last_overrun.as_deref().and_then(|text| text.split(':').next());
+        let last = format!("last: {}", last.unwrap_or("no cause known"));
+        lines.extend([Line::styled(counts, late), Line::styled(last, late)]);
+    }
     frame.render_widget(Paragraph::new(lines).block(block), area);
 }
 
@@ -238,27 +236,33 @@ fn draw_plan(frame: &mut Frame, area: Rect, view: &View, look: Look) {
         },
         Line::raw(format!("{:<9}{}", "warnings", warnings.unwrap_or_else(none))),
         Line::raw(format!("{:<9}{}", "remark", remark.unwrap_or_else(none))),
+        Line::raw(format!("{:<9}{}", "next", view.next.as_deref().unwrap_or("start a daemon"))),
     ];
     frame.render_widget(Paragraph::new(lines).block(Block::bordered().title(" Plan and limits ")), area);
 }
 
 fn draw_events(frame: &mut Frame, area: Rect, view: &View, look: Look) {
-    let block = Block::bordered().title(" Events, s since the monitor began ");
-    let shown = usize::from(block.inner(area).height);
-    let lines: Vec<_> = view
-        .events
-        .iter()
-        .skip(view.events.len().saturating_sub(shown))
-        .map(|event| {
-            let style = match event.kind {
-                Kind::Note => Style::new(),
-                Kind::Warning => look.ink(Color::Yellow),
-                Kind::Fault => look.alarm(),
-            };
-            Line::styled(format!("{:>8.1}  {}", event.t, event.text), style)
-        })
-        .collect();
-    frame.render_widget(Paragraph::new(lines).block(block), area);
+    let block = Block::new().borders(Borders::TOP).title(" Events, s since the monitor began ");
+    let inner = block.inner(area);
+    frame.render_widget(block, area);
+    let width = usize::from(inner.width).max(1);
+    let mut lines = VecDeque::new();
+    // The newest stands at the bottom; of what does not fit the begin is cut.
+    for event in view.events.iter().rev() {
+        let style = match event.kind {
+            Kind::Note => Style::new(),
+            Kind::Warning => look.ink(Color::Yellow),
+            Kind::Fault => look.alarm(),
+        };
+        let text: Vec<char> = format!("{:>8.1}  {}", event.t, event.text).chars().collect();
+        for part in text.chunks(width).rev() {
+            if lines.len() == usize::from(inner.height) {
+                break;
+            }
+            lines.push_front(Line::styled(part.iter().collect::<String>(), style));
+        }
+    }
+    frame.render_widget(Paragraph::new(Vec::from(lines)), inner);
 }
 
 fn footer(look: Look) -> Line<'static> {

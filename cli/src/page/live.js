@@ -70,7 +70,7 @@ addEventListener("DOMContentLoaded", () => {
     const { cycle, status, plan } = view;
     const fixed = (v, digits) => v === null ? "unknown" : v.toFixed(digits);
     const tilt = cycle && cycle.tilt !== null ? `${(cycle.tilt * 180 / Math.PI).toFixed(1)} deg from upright` : "unknown";
-    const rows = [["mode", view.mode || "no daemon"]];
+    const rows = [["mode", view.mode || "no daemon"], ["next", view.next || "start a daemon"]];
     if (cycle) {
       rows.push(["fault", cycle.fault || "none"], ["rod", tilt]);
       rows.push(["distance from reference", `${fixed(cycle.error_arm, 4)} rad (joints 1-7), ${fixed(cycle.error_pendulum, 4)} rad (pendulum)`]);

@@ -144,7 +144,8 @@ pub fn module() -> String {
             wake,
             compute,
             overrun,
-            reason
+            reason,
+            next
         }
     );
     class!(out, PlannerRequest { kind, from_now, start, iterations, budget_ms, publish });
@@ -166,7 +167,7 @@ pub fn module() -> String {
             time_qp_us,
             time_lqr_us,
             time_total_us,
-            reason
+            reason,
         }
     );
     class!(out, PlantRequest { kind, q, qd, seq, fault, joint, amount, cycles, impulse });

@@ -61,7 +61,7 @@ pub struct Percentiles {
 /// What the daemon answers: whether it did it, and its state afterwards.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
-#[type_name("upswing.ControlResponse.v3")]
+#[type_name("upswing.ControlResponse.v4")]
 pub struct ControlResponse {
     /// 1: accepted, 0: refused (see `reason`).
     pub accepted: u64,
@@ -91,11 +91,13 @@ pub struct ControlResponse {
     pub overrun: Text,
     /// Why it was refused, or a remark; for people.
     pub reason: Text,
+    /// What the operator can do next; for people.
+    pub next: Text,
 }
 
 const _: () = assert!(size_of::<Percentiles>() == WORD * 6);
 const _: () =
-    assert!(size_of::<ControlResponse>() == WORD * 10 + 2 * size_of::<Percentiles>() + 2 * size_of::<Text>());
+    assert!(size_of::<ControlResponse>() == WORD * 10 + 2 * size_of::<Percentiles>() + 3 * size_of::<Text>());
 
 impl ControlResponse {
     /// The daemon's mode.
