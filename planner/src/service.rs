@@ -14,7 +14,7 @@ use upswing_ipc::{
     Domain, Mode, PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus, Subscriber, Telemetry,
     TelemetryBatch, Text, Topic as _,
 };
-use upswing_model::{ActuatedVector, NQ, NU, NX, State, Workspace};
+use upswing_model::{ActuatedVector, Model, NQ, NU, NX, State, Workspace};
 use upswing_trajectory::Plan;
 
 /// Pause between two looks for requests: small against a replan.
@@ -168,7 +168,7 @@ impl<'a> Desk<'a> {
         if in_lockstep(record)
             || stale(record, *seen)
             || record.mode() != Ok(Mode::Hold)
-            || !at_rest(&start)
+            || !hangs(&self.planner.config().model, &start)
             || check_start(self.planner, &start).is_err()
         {
             return;
@@ -300,21 +300,25 @@ impl<'a> Desk<'a> {
             let reason = "no telemetry from the daemon for some seconds: is upswingd running?";
             return Err(not_ready(reason.into()));
         }
-        let (name, needed, advice) = match manoeuvre {
-            Manoeuvre::SwingUp => ("swing-up", Mode::Hold, "enable it first"),
-            Manoeuvre::SwingDown => ("swing-down", Mode::Balance, "swing up first"),
+        let (name, needed) = match manoeuvre {
+            Manoeuvre::SwingUp => ("swing-up", Mode::Hold),
+            Manoeuvre::SwingDown => ("swing-down", Mode::Balance),
         };
-        if record.mode() != Ok(needed) {
-            let mode = record.mode_text();
-            let reason =
-                format!("a {name} from now needs the daemon in mode {needed}, it is in {mode}: {advice}");
-            return Err(not_ready(reason));
+        match record.mode() {
+            Ok(mode) if mode == needed => {}
+            Ok(mode) => {
+                let next = mode.next_step();
+                return Err(not_ready(format!(
+                    "a {name} from now needs the daemon in mode {needed}, it is in {mode}; next: {next}"
+                )));
+            }
+            Err(unknown) => return Err(not_ready(unknown.to_string())),
         }
         let x = measured(record);
-        if manoeuvre == Manoeuvre::SwingDown || at_rest(&x) {
+        let config = self.planner.config();
+        if manoeuvre == Manoeuvre::SwingDown || hangs(&config.model, &x) {
             return Ok(Start { x, activation_ns: None, due: None });
         }
-        let config = self.planner.config();
         if in_lockstep(record) || config.planner.replan.lead.is_zero() {
             return Ok(Start { x, activation_ns: None, due: None });
         }
@@ -358,6 +362,14 @@ fn at_rest(x: &State) -> bool {
     /// rad/s
     const REST: f64 = 0.02;
     x.iter().skip(NQ).all(|v| v.abs() <= REST)
+}
+
+/// Whether the pendulum of an arm at rest stays where it is: it does not turn round at the end of a swing.
+fn hangs(model: &Model, x: &State) -> bool {
+    /// rad/s^2; bearings hold a rod that is 2 deg from where it would hang.
+    const HELD: f64 = 1.0;
+    let f = model.f(x, &ActuatedVector::zeros(), &mut Workspace::default());
+    at_rest(x) && (NQ + NU..NX).all(|i| f[i].abs() <= HELD)
 }
 
 /// Whether a plan from one state is as good from the other, for states at rest.

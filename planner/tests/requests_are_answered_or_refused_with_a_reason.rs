@@ -3,7 +3,7 @@
 use std::cell::Cell;
 use std::time::{Duration, Instant};
 use upswing_config::{Config, PendulumStart};
-use upswing_ipc::{Mode, PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus, Telemetry};
+use upswing_ipc::{Mode, NextStep, PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus, Telemetry};
 use upswing_model::{NQ, State};
 use upswing_planner::replan::Planner;
 use upswing_planner::service::Desk;
@@ -110,6 +110,29 @@ fn a_moving_start_is_predicted_for_the_activation_of_its_plan() {
 }
 
 #[test]
+fn a_pendulum_that_turns_round_is_not_at_rest() {
+    let planner = planner();
+    let mut desk = Desk::new(&planner);
+    let mut x = rest(&planner);
+    x[7] += 10_f64.to_radians();
+    desk.observe(record(&x, Mode::Hold, false), Instant::now());
+    // Nothing is kept ready for a moment that does not come again.
+    desk.prepare(&|| true);
+    let mut reason = String::new();
+    let plan = (0..100).find_map(|_| {
+        desk.observe(record(&x, Mode::Hold, false), Instant::now());
+        let (answer, plan) = ask(&mut desk, &PlannerRequest::from_now(PlannerKind::SwingUp));
+        reason = answer.reason.to_string();
+        plan
+    });
+    let plan = plan.expect(&reason);
+    assert!(plan.activation_ns.is_some());
+    let start = plan.trajectory.x[0];
+    // It falls back meanwhile.
+    assert!(start[7] < x[7] - 1e-3, "{start}");
+}
+
+#[test]
 fn a_swing_down_begins_upright_and_ends_hanging_at_rest() {
     let planner = planner();
     let mut desk = Desk::new(&planner);
@@ -139,18 +162,20 @@ fn from_another_mode_or_without_a_daemon() {
         PlannerStatus::NotReady,
         "is upswingd running",
     );
-    desk.observe(record(&rest(&planner), Mode::Idle, false), Instant::now());
-    refused(
-        ask(&mut desk, &PlannerRequest::from_now(PlannerKind::SwingUp)),
-        PlannerStatus::NotReady,
-        "enable it first",
-    );
-    desk.observe(record(&rest(&planner), Mode::Hold, false), Instant::now());
-    refused(
-        ask(&mut desk, &PlannerRequest::from_now(PlannerKind::SwingDown)),
-        PlannerStatus::NotReady,
-        "swing up first",
-    );
+    for mode in Mode::ALL.iter().copied() {
+        for (kind, needed) in [(PlannerKind::SwingUp, Mode::Hold), (PlannerKind::SwingDown, Mode::Balance)] {
+            let x =
+                if mode == Mode::Balance { planner.entries()[17].trajectory.x[N] } else { rest(&planner) };
+            desk.observe(record(&x, mode, false), Instant::now());
+            let answer = ask(&mut desk, &PlannerRequest::from_now(kind));
+            if mode == needed {
+                assert!(answer.1.is_some(), "{kind} in {mode}: {:?}", answer.0.reason);
+                assert_eq!(mode.next_step(), NextStep::Plan(kind));
+            } else {
+                refused(answer, PlannerStatus::NotReady, &format!("next: {}", mode.next_step()));
+            }
+        }
+    }
 }
 
 #[test]

@@ -1,0 +1,82 @@
+//! While the pendulum swings a plan begins with the state that the planner predicted for its activation: on a running clock,
+//! across three processes, the robot is there at that moment, and the swing-up ends balanced.
+
+use std::time::{Duration, Instant};
+use upswing::swing_up::plan_and_start;
+use upswing_ipc::{Clock, ControlCommand, Mode, Plan, PlannerKind, PlantKind, PlantRequest, Telemetry};
+use upswing_model::{NQ, NU};
+use upswing_tests::{START, System};
+
+/// How far the pendulum swings, deg: joints 8 and 9.
+const SWING: [f64; 2] = [22.0, -10.0];
+/// Share of the tolerance of a start that the prediction may take.
+const SHARE: f64 = 0.5;
+/// Where planning takes long, the planner looks further ahead each time; somebody who is in no hurry asks again.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Largest distances from a state, in units of the tolerances: angles, velocities.
+fn distance(record: &Telemetry, x: &[f64], (position, velocity): (f64, f64)) -> f64 {
+    let q = (0..NQ).map(|i| (record.q[i] - x[i]).abs() / position);
+    let qd = (0..NQ).map(|i| (record.qd[i] - x[NQ + i]).abs() / velocity);
+    q.chain(qd).fold(0.0, f64::max)
+}
+
+#[test]
+fn on_a_clock_that_runs() {
+    let mut system = System::start(Clock::Paced, START);
+    let plans = system.session.node().subscriber::<Plan>().expect("a subscriber");
+    system.advance(1);
+    let rest = system.session.plant_status().expect("a state");
+    let mut swung = PlantRequest { q: rest.q, ..PlantRequest::new(PlantKind::ResetState) };
+    for (q, by) in swung.q[NU..].iter_mut().zip(SWING) {
+        *q += by.to_radians();
+    }
+    system.session.plant(&swung).expect("it is put there");
+    // What was measured before the pendulum was moved by hand is of no use.
+    let begin = Instant::now();
+    while system.session.ask_control(ControlCommand::Enable).expect("an answer").accepted == 0 {
+        assert!(begin.elapsed() < PATIENCE, "{}", system.status().reason);
+        system.advance(8);
+    }
+    system.advance(2000);
+
+    let begin = Instant::now();
+    let response = loop {
+        match plan_and_start(&mut system.session, PlannerKind::SwingUp) {
+            Ok(response) => break response,
+            Err(e) => assert!(begin.elapsed() < PATIENCE, "{e}"),
+        }
+    };
+    assert!(response.activation_ns > 0, "the pendulum swings");
+    let mut plan = None;
+    while let Some(sample) = plans.receive().expect("plans") {
+        plan = Some(sample.boxed_copy()).filter(|plan| plan.id == response.plan_id).or(plan);
+    }
+    let plan = plan.filter(|plan| plan.id == response.plan_id).expect("the plan that was started");
+    assert_eq!(plan.activation_ns, response.activation_ns);
+
+    // Time is a multiple of the period: within one of them there is the cycle of the activation.
+    let balanced = system.wait_until("balance", |record| record.mode() == Ok(Mode::Balance));
+    let records = &system.session.records;
+    let at =
+        records.iter().find(|record| record.t_ns >= plan.activation_ns).expect("the cycle of the activation");
+    assert!(at.t_ns - plan.activation_ns < 1_000_000, "{} records were lost", system.session.dropped());
+    let tolerances = (system.config.daemon.start.position, system.config.daemon.start.velocity);
+    let moved = (NU..NQ).map(|i| at.qd[i].abs()).fold(0.0, f64::max);
+    let predicted = distance(at, &plan.x[0], tolerances);
+    println!("moves at {moved:.3} rad/s, prediction off by {predicted:.4} of the tolerance of a start");
+    assert!(predicted < SHARE, "the prediction is off by {predicted:.3} of the tolerance");
+
+    // The plan runs from its activation, not from its start.
+    let first = records.iter().find(|record| record.plan_id == plan.id).expect("it was tracked");
+    let since = (first.t_ns - plan.activation_ns) as f64 * 1e-9;
+    assert!((first.t_plan - since).abs() < 1e-6, "{} s instead of {since} s", first.t_plan);
+    let q_d: Vec<f64> = first.q_d.iter().chain(&first.qd_d).copied().collect();
+    assert!(distance(first, &q_d, tolerances) <= 1.0);
+
+    system.advance(16_000);
+    let last = system.session.records.last().expect("a record");
+    assert_eq!(last.mode(), Ok(Mode::Balance), "since cycle {}", balanced.seq);
+    assert!(distance(last, &plan.x[plan.x.len() - 1], tolerances) < 1.0, "{last:?}");
+    system.end();
+}
