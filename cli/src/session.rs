@@ -9,7 +9,7 @@ use process::Process;
 use std::time::{Duration, Instant};
 use upswing_ipc::{
     CallError, Client, Clock, ControlCommand, ControlRequest, ControlResponse, Domain, IpcError, Node,
-    PlannerKind, PlannerRequest, PlannerResponse, PlantKind, PlantRequest, PlantResponse, Telemetry,
+    PlannerKind, PlannerRequest, PlannerResponse, PlantKind, PlantRequest, PlantResponse, Request, Telemetry,
 };
 
 /// How long a process may take to appear: starting takes well below a second, but machines are shared.
@@ -226,7 +226,7 @@ impl Session {
     /// # Errors
     /// [`SessionError::Refused`] with the daemon's reason.
     pub fn start_plan(&mut self, plan_id: u64) -> Result<ControlResponse, SessionError> {
-        expect_accepted(self.control.call(&ControlRequest::start(plan_id), ANSWER_PATIENCE)?)
+        expect_accepted(self.ask_daemon(&ControlRequest::start(plan_id))?)
     }
 
     /// Sends a command to the daemon; the answer may be a refusal.
@@ -234,7 +234,12 @@ impl Session {
     /// # Errors
     /// [`SessionError::Call`] if no answer comes.
     pub fn ask_control(&mut self, command: ControlCommand) -> Result<ControlResponse, SessionError> {
-        Ok(self.control.call(&ControlRequest::new(command), ANSWER_PATIENCE)?)
+        self.ask_daemon(&ControlRequest::new(command))
+    }
+
+    fn ask_daemon(&mut self, request: &ControlRequest) -> Result<ControlResponse, SessionError> {
+        let Self { control, tap, recorder, records, tally, .. } = self;
+        call(control, request, || collect(tap, recorder.as_mut(), records, tally))
     }
 
     /// Asks for a swing-up or swing-down from the present state and publishes it to the daemon.
@@ -244,14 +249,7 @@ impl Session {
     pub fn plan_from_now(&mut self, kind: PlannerKind) -> Result<PlannerResponse, SessionError> {
         let request = PlannerRequest::from_now(kind);
         let Self { planner, tap, recorder, records, tally, .. } = self;
-        // Telemetry waits a second for those who take it; a plan may take longer on a busy machine.
-        let mut collected = Ok(());
-        let response = planner.call_while(&request, ANSWER_PATIENCE, || {
-            collected = collect(tap, recorder.as_mut(), records, tally);
-            collected.is_ok()
-        });
-        collected?;
-        let response = response?;
+        let response = call(planner, &request, || collect(tap, recorder.as_mut(), records, tally))?;
         if response.plan_id == 0 {
             return Err(SessionError::Refused { role: "planner", reason: response.reason.to_string() });
         }
@@ -263,7 +261,8 @@ impl Session {
     /// # Errors
     /// [`SessionError::Refused`] with the plant's reason.
     pub fn plant(&mut self, request: &PlantRequest) -> Result<PlantResponse, SessionError> {
-        let response = self.plant.call(request, ANSWER_PATIENCE)?;
+        let Self { plant, tap, recorder, records, tally, .. } = self;
+        let response = call(plant, request, || collect(tap, recorder.as_mut(), records, tally))?;
         if response.accepted == 1 {
             Ok(response)
         } else {
@@ -397,6 +396,22 @@ fn expect_accepted(response: ControlResponse) -> Result<ControlResponse, Session
     } else {
         Err(SessionError::Refused { role: "daemon", reason: response.reason.to_string() })
     }
+}
+
+/// Asks, and collects meanwhile: telemetry waits a second for those who take it, and an answer may take longer on a busy
+/// machine.
+fn call<Q: Request>(
+    client: &Client<Q>,
+    request: &Q,
+    mut collect: impl FnMut() -> Result<(), SessionError>,
+) -> Result<Q::Response, SessionError> {
+    let mut collected = Ok(());
+    let response = client.call_while(request, ANSWER_PATIENCE, || {
+        collected = collect();
+        collected.is_ok()
+    });
+    collected?;
+    Ok(response?)
 }
 
 fn collect(

@@ -8,8 +8,11 @@ use crate::supervisor::Refusal;
 use rtrb::{Consumer, Producer, RingBuffer};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::Duration;
 use upswing_config::Config;
-use upswing_ipc::{Clock, Command, Measurement, Reader, Telemetry, WriterEntry, monotonic_ns, sleep_until};
+use upswing_ipc::{
+    Clock, Command, Measurement, Reader, Telemetry, WriterEntry, is_lost, monotonic_ns, sleep_until,
+};
 use upswing_trajectory::Plan;
 
 /// Cycles that the other thread may be late to fetch: one second.
@@ -32,8 +35,6 @@ const LONG_NAP_NS: u64 = 500_000;
 /// period, and of the time already waited.
 const EARLY_SHARE: u64 = 16;
 const NAP_SHARE: u64 = 8;
-/// After this time without a measurement the plant counts as lost on the paced clock, ns.
-const PLANT_LOST_NS: u64 = 1_000_000_000;
 /// Longest time that one nap counts for, ns: a machine that has no time for this thread has none for the plant either.
 const LONGEST_NAP_NS: u64 = 1_000_000;
 
@@ -67,6 +68,8 @@ pub struct Shared {
     pub stands_still: AtomicBool,
     /// Whether the plant is on clock `wall`: only then does the thread need real-time priority.
     pub real_time: AtomicBool,
+    /// Whether the plant found last lives.
+    pub plant_lives: AtomicBool,
     /// Records that did not fit into the ring.
     pub dropped: AtomicU64,
     /// Heartbeat of the real-time thread: moves on at least every 20 ms, whether or not there is a plant.
@@ -182,10 +185,12 @@ impl Cycle {
             if stands_still {
                 continue;
             }
-            let newly_lost = !lost && self.measurement.seq > 0 && self.waited_ns > PLANT_LOST_NS;
+            let lives = self.shared.plant_lives.load(Ordering::Relaxed);
+            let newly_lost =
+                !lost && self.measurement.seq > 0 && is_lost(lives, Duration::from_nanos(self.waited_ns));
             if newly_lost {
                 lost = true;
-                self.controller.lose_measurement(PLANT_LOST_NS / self.period_ns);
+                self.controller.lose_measurement(self.waited_ns / self.period_ns);
             }
             // Who gave the order may know of a plant that was handed over just before.
             if newly_lost || (!self.orders.is_empty() && self.readers.is_empty()) {

@@ -213,6 +213,7 @@ impl<'a> Desk<'a> {
 
     /// Hands over a plant that was found, until there is room for it.
     fn look(&mut self) {
+        self.ends.shared.plant_lives.store(self.plants.lives(), Ordering::Relaxed);
         match self.plants.take() {
             Ok(Some(reader)) => {
                 info!("found a plant, started at {} ns", reader.epoch());

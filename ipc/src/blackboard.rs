@@ -207,6 +207,11 @@ impl<T: Latest> Finder<T> {
         failure.map_or(Ok(None), Err)
     }
 
+    /// Whether the writer found last lives, as far as the last look tells: the dead count until somebody cleans up.
+    pub fn lives(&self) -> bool {
+        self.open.last().is_some_and(|o| has_writer(&o.service))
+    }
+
     /// Start of the writer found last, CLOCK_MONOTONIC, ns.
     pub fn epoch(&self) -> Option<u64> {
         self.open.last().map(|o| o.epoch)

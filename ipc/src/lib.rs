@@ -70,7 +70,7 @@ pub use payload::{
     PlannerResponse, PlantRequest, PlantResponse, Step, StepBatch, Telemetry, TelemetryBatch,
 };
 pub use request::{Client, Server};
-pub use search::Search;
+pub use search::{Search, is_lost};
 pub use services::{Latest, MAX_NODES, MAX_READERS, Request, Topic};
 pub use text::{Text, TextError};
 pub use time::{monotonic_ns, sleep_until};

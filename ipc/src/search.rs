@@ -15,10 +15,21 @@ const PERIOD: Duration = Duration::from_millis(50);
 /// How long to wait for the thread to end. It may hang in iceoryx2 if another process is stopped in the middle of its work.
 const PATIENCE: Duration = Duration::from_millis(500);
 
+/// How long to wait for the next value of a writer that is gone, and of one that lives: its machine may have no time for it, or
+/// fetch its program from a disk that is busy.
+const LOST_AFTER: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(20));
+
+/// Whether a writer for which others wait is lost: `waited` is how long they have, not counting when they could not run
+/// themselves, `lives` what [`Search::lives`] says of it.
+pub fn is_lost(lives: bool, waited: Duration) -> bool {
+    waited > if lives { LOST_AFTER.1 } else { LOST_AFTER.0 }
+}
+
 /// Looks for the newest living writer of a channel, again and again, until dropped. Outlives the readers that it hands out:
 /// then dropping one only counts down.
 pub struct Search<T: Latest> {
     found: Receiver<Result<Option<Reader<T>>, IpcError>>,
+    lives: Arc<AtomicBool>,
     done: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
@@ -32,6 +43,8 @@ impl<T: Latest> Search<T> {
         let (sender, found) = mpsc::channel();
         let done = Arc::new(AtomicBool::new(false));
         let ended = Arc::clone(&done);
+        let lives = Arc::new(AtomicBool::new(false));
+        let life = Arc::clone(&lives);
         let node = node.clone();
         let search = move || {
             let wanted = || !ended.load(Ordering::Acquire);
@@ -46,6 +59,7 @@ impl<T: Latest> Search<T> {
                     Err(_) => first || !failing,
                 };
                 failing = look.is_err();
+                life.store(finder.lives(), Ordering::Relaxed);
                 first = false;
                 if news && sender.send(look).is_err() {
                     break;
@@ -54,7 +68,7 @@ impl<T: Latest> Search<T> {
             }
         };
         let thread = Builder::new().name("search".into()).spawn(search)?;
-        Ok(Self { found, done, thread: Some(thread) })
+        Ok(Self { found, lives, done, thread: Some(thread) })
     }
 
     /// Waits for the first look, and returns what it found.
@@ -63,6 +77,11 @@ impl<T: Latest> Search<T> {
     /// As [`crate::Finder::poll`].
     pub fn first(&self) -> Result<Option<Reader<T>>, IpcError> {
         self.found.recv().unwrap_or(Ok(None))
+    }
+
+    /// Whether the writer found last lives; never waits. Some 50 ms late, or more where others hold up the cleaning up.
+    pub fn lives(&self) -> bool {
+        self.lives.load(Ordering::Relaxed)
     }
 
     /// What was found, or went wrong, since the last call; never waits, no system call if that is nothing.
@@ -93,6 +112,21 @@ impl<T: Latest> Drop for Search<T> {
         if thread.is_finished() {
             // A panic in it was reported by the panic hook.
             let _ = thread.join();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::is_lost;
+    use std::time::Duration;
+
+    #[test]
+    fn who_lives_is_waited_for_longer_than_who_is_gone() {
+        for (lives, ms, lost) in
+            [(false, 999, false), (false, 1001, true), (true, 19_999, false), (true, 20_001, true)]
+        {
+            assert_eq!(is_lost(lives, Duration::from_millis(ms)), lost, "{lives}, {ms} ms");
         }
     }
 }

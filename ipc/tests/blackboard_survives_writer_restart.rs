@@ -4,7 +4,7 @@ mod common;
 
 use common::{Victim, domain_of_child, until_killed, wait_for};
 use std::sync::atomic::{AtomicBool, Ordering};
-use upswing_ipc::{Command, Domain, Measurement, Node, OwnDomain, Reader, WriterEntry};
+use upswing_ipc::{Command, Domain, Measurement, Node, OwnDomain, Reader, Search, WriterEntry};
 
 /// Entry of the child process: writes measurements until it is killed.
 #[test]
@@ -43,6 +43,21 @@ fn each_start_of_a_killed_writer_is_adopted() {
             let old_last = old.read();
             assert_eq!(old_last.t_ns, old.epoch(), "readers of earlier starts stay valid");
         }
+    }
+}
+
+#[test]
+fn a_search_tells_whether_the_writer_lives() {
+    let domain = OwnDomain::new("lives").unwrap();
+    let search = Search::<Measurement>::start(&domain.connect("daemon").unwrap()).unwrap();
+    assert!(search.first().unwrap().is_none() && !search.lives());
+    for _ in 0..2 {
+        let plant = Victim::start("child_writes", &domain);
+        let reader = wait_for("a new writer", || search.take().unwrap());
+        assert!(search.lives());
+        plant.kill();
+        wait_for("its death", || (!search.lives()).then_some(()));
+        drop(reader);
     }
 }
 

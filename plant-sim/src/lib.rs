@@ -10,8 +10,8 @@
 //!   command arrives, cycle 1 waits: so every run begins with an answered cycle.
 //!
 //! On every clock the drives close the brakes when they get no fresh command for `drive.watchdog_cycles` cycles. A daemon
-//! that answers nothing for one second in `paced` or `lockstep` counts as lost, until a command arrives. A cycle in
-//! which a fault shows the daemon nothing new does not wait for it.
+//! that answers nothing in `paced` or `lockstep` counts as lost after one second if its process is gone, and after 20 s
+//! if it lives, until a command arrives. A cycle in which a fault shows the daemon nothing new does not wait for it.
 //!
 //! A cycle is complete when its measurement is answered and the state has moved on. The `plant` service states
 //! the last complete cycle and the true state that the next measurement will show. A plant that pauses has therefore

@@ -28,6 +28,11 @@ impl Link {
         Ok(Self { daemon, search })
     }
 
+    /// Whether the newest daemon lives.
+    pub(crate) fn daemon_lives(&self) -> bool {
+        self.search.lives()
+    }
+
     /// The newest command, if it was not looked at before and answers one of the measurements 1..=`newest`. Commands
     /// of older daemons and of older cycles are ignored. No system call unless a new daemon was found.
     pub(crate) fn take(&mut self, newest: u64) -> Option<Command> {

@@ -4,18 +4,15 @@ use crate::clock::{Patience, wake_precisely};
 use crate::link::Link;
 use crate::{Plant, SetEventError};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
 use tracing::{info, warn};
 use upswing_config::notify::Notifier;
 use upswing_config::{Fault, FaultKind, Push};
 use upswing_ipc::{
     Clock, Command, Domain, IpcError, Measurement, PlantKind, PlantRequest, PlantResponse, Server, Text,
-    Writer, monotonic_ns, sleep_until,
+    Writer, is_lost, monotonic_ns, sleep_until,
 };
 use upswing_model::JointVector;
 
-/// Silence after which a daemon counts as lost (paced, lockstep).
-const LOST_AFTER: Duration = Duration::from_secs(1);
 /// Shortest time between two reports of the same trouble, ns.
 const REPORT_PERIOD_NS: u64 = 1_000_000_000;
 /// Longest time without a look at the requests, ns.
@@ -211,8 +208,8 @@ impl Service<'_> {
             if self.stopped() {
                 return None;
             }
-            if *presence == Presence::Present && patience.waited() >= LOST_AFTER {
-                warn!(cycle = seq, "daemon lost: no answer for {} s", LOST_AFTER.as_secs());
+            if *presence == Presence::Present && is_lost(self.link.daemon_lives(), patience.waited()) {
+                warn!(cycle = seq, "daemon lost: no answer for {:.0} s", patience.waited().as_secs_f64());
                 *presence = Presence::Lost;
                 return None;
             }

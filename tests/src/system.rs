@@ -4,7 +4,7 @@ use crate::matrix;
 use crate::programs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use upswing::recording::Recorder;
 use upswing::report::Report;
 use upswing::session::{Options, Programs, Role, Session, SessionError};
@@ -47,11 +47,6 @@ impl Drop for System {
         let kept = kept.map_or_else(|e| e.to_string(), |_| "logs and a recording".to_owned());
         eprintln!("in {}: {kept}", self.folder.display());
     }
-}
-
-/// The value, or the end of the test.
-fn must<T>(result: Result<T, SessionError>) -> T {
-    result.unwrap_or_else(|e| panic!("{e}"))
 }
 
 impl System {
@@ -97,7 +92,8 @@ impl System {
             scenario: None,
             logs: folder.clone(),
         };
-        let session = must(Session::start(Programs::dedicated(&programs()), &options, recorder));
+        let session = Session::start(Programs::dedicated(&programs()), &options, recorder);
+        let session = session.unwrap_or_else(|e| panic!("{e}"));
         Self { session, config, clock, folder, _own: own }
     }
 
@@ -112,7 +108,8 @@ impl System {
     /// If the system refuses or leaves the modes of a swing-up.
     pub fn swing_up(&mut self, seconds: f64) -> Report {
         let period = self.period();
-        let plan = must(swing_up(&mut self.session, period, seconds, &AtomicBool::new(false), &|_, _| ()));
+        let plan = swing_up(&mut self.session, period, seconds, &AtomicBool::new(false), &|_, _| ());
+        let plan = self.must(plan);
         Report::new(&self.config, &plan, &self.session.records, self.session.dropped(), seconds, None)
     }
 
@@ -121,7 +118,8 @@ impl System {
     /// # Panics
     /// If it does not pass.
     pub fn advance(&mut self, cycles: u64) {
-        must(self.session.advance(cycles));
+        let passed = self.session.advance(cycles);
+        self.must(passed);
     }
 
     /// Asks the daemon for something that it must accept.
@@ -129,7 +127,8 @@ impl System {
     /// # Panics
     /// If it refuses.
     pub fn request(&mut self, command: ControlCommand) -> ControlResponse {
-        must(self.session.control(command))
+        let response = self.session.control(command);
+        self.must(response)
     }
 
     /// The daemon's state, with what it has to say about it.
@@ -137,7 +136,8 @@ impl System {
     /// # Panics
     /// If it does not answer.
     pub fn status(&mut self) -> ControlResponse {
-        must(self.session.ask_control(ControlCommand::Status))
+        let response = self.session.ask_control(ControlCommand::Status);
+        self.must(response)
     }
 
     /// Whether the brakes of the plant hold.
@@ -145,7 +145,8 @@ impl System {
     /// # Panics
     /// If it does not answer.
     pub fn brakes_closed(&mut self) -> bool {
-        must(self.session.plant_status()).brakes_closed == 1
+        let response = self.session.plant_status();
+        self.must(response).brakes_closed == 1
     }
 
     /// From the start into a mode: settled in Hold, in full swing in Track, or where the way leads from there.
@@ -159,7 +160,8 @@ impl System {
             self.advance(SETTLE);
         }
         if matches!(goal, Mode::Track | Mode::Balance | Mode::Stop) {
-            let plan = must(plan_and_start(&mut self.session, PlannerKind::SwingUp));
+            let plan = plan_and_start(&mut self.session, PlannerKind::SwingUp);
+            let plan = self.must(plan);
             self.wait_until("track", |record| record.mode() == Ok(Mode::Track));
             if goal != Mode::Balance {
                 self.advance((plan.t_f / self.period() / 2.0) as u64);
@@ -184,7 +186,8 @@ impl System {
     pub fn inject(&mut self, fault: &str) {
         let request = matrix::fault(fault).and_then(|args| args.request().map_err(|e| e.to_string()));
         let request = request.unwrap_or_else(|e| panic!("{fault}: {e}"));
-        must(self.session.plant(&request));
+        let response = self.session.plant(&request);
+        self.must(response);
     }
 
     /// Lets time pass until a cycle is as wanted, the newest one or one that is still to come, and returns it.
@@ -208,10 +211,11 @@ impl System {
             panic!("waited {LONGEST} cycles for {what}; the last one: {:?}", self.session.records.last());
         }
         let mut found = None;
-        must(self.session.wait_for(what, PATIENCE, |session| {
+        let waited = self.session.wait_for(what, PATIENCE, |session| {
             found = find(session);
             Ok(found.is_some())
-        }));
+        });
+        self.must(waited);
         found.unwrap_or_default()
     }
 
@@ -225,14 +229,28 @@ impl System {
     /// # Panics
     /// If it does not start.
     pub fn restart(&mut self, role: Role) {
-        must(self.session.restart(role));
+        let restarted = self.session.restart(role);
+        self.must(restarted);
     }
 
     /// Stops a process for a time of the wall clock, as if its machine had no time for it.
     pub fn stall(&mut self, role: Role, time: Duration) {
         self.session.signal(role, libc::SIGSTOP);
-        std::thread::sleep(time);
+        self.pass(time);
         self.session.signal(role, libc::SIGCONT);
+    }
+
+    /// Lets a time of the wall clock pass. Telemetry waits a second only for those who take it.
+    ///
+    /// # Panics
+    /// If a recording cannot be written.
+    pub fn pass(&mut self, time: Duration) {
+        let begin = Instant::now();
+        while begin.elapsed() < time {
+            let collected = self.session.collect();
+            self.must(collected);
+            std::thread::sleep(Duration::from_millis(2));
+        }
     }
 
     /// Ends all processes in order.
@@ -240,6 +258,22 @@ impl System {
     /// # Panics
     /// If one of them does not end well.
     pub fn end(mut self) {
-        must(self.session.end());
+        let ended = self.session.end();
+        self.must(ended);
+    }
+
+    /// The value; or the end of the test, with what the daemon says of itself.
+    fn must<T>(&mut self, result: Result<T, SessionError>) -> T {
+        result.unwrap_or_else(|e| {
+            let status = match self.session.ask_control(ControlCommand::Status) {
+                Ok(status) => {
+                    let fault = upswingd::fault_text(status.fault).unwrap_or("no fault");
+                    let mode = status.mode().map_or_else(|e| e.to_string(), |mode| mode.to_string());
+                    format!("in {mode} at cycle {}, {fault}; {}", status.seq, status.reason)
+                }
+                Err(e) => e.to_string(),
+            };
+            panic!("{e}\nthe daemon: {status}")
+        })
     }
 }

@@ -66,7 +66,7 @@ fn check(column: Mode) {
                 break;
             }
             assert!(begin.elapsed() < LONG, "{} in {column}: {seen}, expected {expected}", row.fault);
-            std::thread::sleep(Duration::from_millis(20));
+            system.pass(Duration::from_millis(20));
         }
         if expected.starts_with("Fault") {
             let answer = system.session.ask_control(ControlCommand::Enable).expect("an answer");
@@ -94,7 +94,7 @@ fn act(system: &mut System, fault: &str) {
         ["kill", "planner", "while", "it", "plans"] => kill_planner_at_work(system),
         ["damage", "a", "plan", "in", "each", "field"] => damage_plans(system),
         ["load", "the", "CPUs", "for", seconds, "s"] => {
-            load_cpus(Duration::from_secs_f64(seconds.parse().expect("a number")));
+            load_cpus(system, Duration::from_secs_f64(seconds.parse().expect("a number")));
         }
         _ => panic!("no fault `{fault}`"),
     }
@@ -153,10 +153,17 @@ fn kill_planner_at_work(system: &mut System) {
         tell.send(()).expect("somebody listens");
         client.call(&request, Duration::from_secs(2)).is_ok()
     });
-    told.recv_timeout(LONG).expect("the planner serves");
-    std::thread::sleep(Duration::from_millis(20));
+    wait_for("the planner", || {
+        system.session.collect().expect("telemetry");
+        told.try_recv().ok()
+    });
+    system.pass(Duration::from_millis(20));
     system.kill(Role::Planner);
     system.advance(AFTER);
+    wait_for("the end of the request", || {
+        system.session.collect().expect("telemetry");
+        asker.is_finished().then_some(())
+    });
     // Whether or not it was faster.
     let _ = asker.join().expect("the asking thread");
     system.restart(Role::Planner);
@@ -212,7 +219,7 @@ fn damage_plans(system: &mut System) {
 }
 
 /// More threads than CPUs that do nothing but count.
-fn load_cpus(time: Duration) {
+fn load_cpus(system: &mut System, time: Duration) {
     let end = Instant::now() + time;
     let hogs = std::thread::available_parallelism().map_or(4, |n| 2 * n.get());
     std::thread::scope(|threads| {
@@ -224,6 +231,7 @@ fn load_cpus(time: Duration) {
                 }
             });
         }
+        system.pass(time);
     });
 }
 
