@@ -106,6 +106,7 @@ impl TripCause {
             | Self::LawNotFinite
             | Self::TrackingError
             | Self::BalanceLost
+            | Self::BalanceSpeed
             | Self::LateCycles
             | Self::PlanAge => "wait a moment",
         }
