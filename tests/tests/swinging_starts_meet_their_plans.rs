@@ -9,16 +9,16 @@ use upswing_tests::{START, System};
 
 /// How far the pendulum swings, deg: joints 8 and 9.
 const SWING: [f64; 2] = [22.0, -10.0];
-/// Share of the tolerance of a start that the prediction may take.
-const SHARE: f64 = 0.5;
+/// Shares of the tolerances of a start that the prediction may take: angles, and velocities, which the filter shows late.
+const SHARES: [f64; 2] = [0.25, 0.75];
 /// Where planning takes long, the planner looks further ahead each time; somebody who is in no hurry asks again.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Largest distances from a state, in units of the tolerances: angles, velocities.
-fn distance(record: &Telemetry, x: &[f64], (position, velocity): (f64, f64)) -> f64 {
-    let q = (0..NQ).map(|i| (record.q[i] - x[i]).abs() / position);
-    let qd = (0..NQ).map(|i| (record.qd[i] - x[NQ + i]).abs() / velocity);
-    q.chain(qd).fold(0.0, f64::max)
+fn distances(record: &Telemetry, x: &[f64], (position, velocity): (f64, f64)) -> [f64; 2] {
+    let q = (0..NQ).map(|i| (record.q[i] - x[i]).abs() / position).fold(0.0, f64::max);
+    let qd = (0..NQ).map(|i| (record.qd[i] - x[NQ + i]).abs() / velocity).fold(0.0, f64::max);
+    [q, qd]
 }
 
 #[test]
@@ -62,21 +62,20 @@ fn on_a_clock_that_runs() {
         records.iter().find(|record| record.t_ns >= plan.activation_ns).expect("the cycle of the activation");
     assert!(at.t_ns - plan.activation_ns < 1_000_000, "{} records were lost", system.session.dropped());
     let tolerances = (system.config.daemon.start.position, system.config.daemon.start.velocity);
-    let moved = (NU..NQ).map(|i| at.qd[i].abs()).fold(0.0, f64::max);
-    let predicted = distance(at, &plan.x[0], tolerances);
-    println!("moves at {moved:.3} rad/s, prediction off by {predicted:.4} of the tolerance of a start");
-    assert!(predicted < SHARE, "the prediction is off by {predicted:.3} of the tolerance");
+    let predicted = distances(at, &plan.x[0], tolerances);
+    println!("prediction off by {predicted:.4?} of the tolerances of a start");
+    assert!(predicted[0] < SHARES[0] && predicted[1] < SHARES[1], "off by {predicted:.3?} of the tolerances");
 
     // The plan runs from its activation, not from its start.
     let first = records.iter().find(|record| record.plan_id == plan.id).expect("it was tracked");
     let since = (first.t_ns - plan.activation_ns) as f64 * 1e-9;
     assert!((first.t_plan - since).abs() < 1e-6, "{} s instead of {since} s", first.t_plan);
     let q_d: Vec<f64> = first.q_d.iter().chain(&first.qd_d).copied().collect();
-    assert!(distance(first, &q_d, tolerances) <= 1.0);
+    assert!(distances(first, &q_d, tolerances).iter().all(|d| *d <= 1.0));
 
     system.advance(16_000);
     let last = system.session.records.last().expect("a record");
     assert_eq!(last.mode(), Ok(Mode::Balance), "since cycle {}", balanced.seq);
-    assert!(distance(last, &plan.x[plan.x.len() - 1], tolerances) < 1.0, "{last:?}");
+    assert!(distances(last, &plan.x[plan.x.len() - 1], tolerances).iter().all(|d| *d < 1.0), "{last:?}");
     system.end();
 }
