@@ -216,7 +216,7 @@ impl Case {
     }
 
     /// Gives an order; it waits for the next measurement, which a fault may keep back.
-    fn order(&mut self, order: Order) {
+    pub fn order(&mut self, order: Order) {
         let mut order = Some(order);
         for _ in 0..WATCHED {
             self.cycle(&mut order);
