@@ -179,14 +179,16 @@ impl<'a> Solver<'a> {
         let mu = BARRIER;
         let (low, high) = problem.torque.bounds(&problem.limits.tau_max);
         let (torque_centre, torque_half) = ((low + high) * 0.5, (high - low) * 0.5);
-        let limits = &problem.limits;
-        let x_min = upswing_model::state(&limits.q_min, &-limits.qd_max);
-        let x_max = upswing_model::state(&limits.q_max, &limits.qd_max);
         let mut t = Scalar::new(guess.t_f);
         let bound_t = Bounded::new(Scalar::new(problem.t_f.0), Scalar::new(problem.t_f.1), &mut t, mu);
         let mut point = Point { t: t[0], x: guess.x.clone(), u: guess.u.clone(), s: Vec::new() };
         point.x[0] = problem.start;
-        let bound_x = point.x[1..].iter_mut().map(|x| Bounded::new(x_min, x_max, x, mu)).collect();
+        let bound_x = (1..KNOTS)
+            .map(|k| {
+                let (lowest, highest) = problem.bounds(k);
+                Bounded::new(lowest, highest, &mut point.x[k], mu)
+            })
+            .collect();
         let one = ActuatedVector::repeat(1.0);
         let mut bound_s = Vec::with_capacity(KNOTS);
         for k in 0..KNOTS {

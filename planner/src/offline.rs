@@ -23,6 +23,7 @@ pub fn problem(config: &Config, start: State) -> Problem<'_> {
     Problem {
         model: &config.model,
         limits: config.robot.planning,
+        narrower: Vec::new(),
         torque: torque_constraint(config, offline.torque),
         input_weight: offline.input_weight,
         t_f: (offline.t_f_min, offline.t_f_max),

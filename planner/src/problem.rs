@@ -3,9 +3,9 @@
 use crate::kkt::TargetRow;
 use nalgebra::SVector;
 use upswing_model::{
-    ActuatedVector, Derivatives, Hessian, Limits, Model, NQ, NX, State, UnactuatedVector, Workspace,
+    ActuatedVector, Derivatives, Hessian, Limits, Model, NQ, NX, State, UnactuatedVector, Workspace, state,
 };
-use upswing_trajectory::{KNOTS, N, Trajectory};
+use upswing_trajectory::{KNOTS, N, Spline, Trajectory};
 
 /// Which form of the motor torque is kept within its limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -60,6 +60,8 @@ pub struct Problem<'a> {
     pub model: &'a Model,
     /// Limits to keep (with the fractions of the settings applied).
     pub limits: Limits,
+    /// By how much the bounds of x_k are narrower than `limits` on both sides, rad and rad/s; empty: nowhere.
+    pub narrower: Vec<State>,
     /// Torque constraint.
     pub torque: TorqueConstraint,
     /// r of R = r I in (6a), s^4/rad^2.
@@ -102,6 +104,35 @@ impl KnotDerivatives {
 }
 
 impl Problem<'_> {
+    /// The bounds of x_k, rad and rad/s.
+    pub fn bounds(&self, k: usize) -> (State, State) {
+        let l = &self.limits;
+        let by = self.narrower.get(k).copied().unwrap_or_else(State::zeros);
+        (state(&l.q_min, &-l.qd_max) + by, state(&l.q_max, &l.qd_max) - by)
+    }
+
+    /// Narrows the bounds at the knots between which `trajectory` exceeds a limit: the trapezoidal rule knows the knots only.
+    pub fn narrow(&mut self, trajectory: &Trajectory) {
+        /// By how much, in units of the excess: the motion changes with its bounds, and a part of the excess comes back.
+        const EXTRA: f64 = 1.5;
+        let f = trajectory.f(self.model, &mut Workspace::default());
+        let Trajectory { t_f, x, u } = trajectory;
+        let spline = Spline { t_f: *t_f, x, u, f: &f };
+        let (lowest, highest) =
+            (state(&self.limits.q_min, &-self.limits.qd_max), state(&self.limits.q_max, &self.limits.qd_max));
+        self.narrower.resize(KNOTS, State::zeros());
+        for k in 0..N {
+            for (row, _, x) in spline.extrema(k) {
+                let excess = (x - highest[row]).max(lowest[row] - x).max(0.0);
+                // Neither start nor target move.
+                for knot in [k, k + 1].into_iter().filter(|knot| (1..N).contains(knot)) {
+                    let by = &mut self.narrower[knot][row];
+                    *by = (*by + EXTRA * excess).min(0.25 * (highest[row] - lowest[row]));
+                }
+            }
+        }
+    }
+
     /// J of (6a): t_F + h/2 sum u_k' R u_k.
     pub fn cost(&self, t_f: f64, u: &[ActuatedVector]) -> f64 {
         let effort: f64 = u.iter().map(|u| u.norm_squared()).sum();

@@ -19,7 +19,7 @@ use crate::problem::{KnotDerivatives, Problem, TorqueConstraint};
 use crate::qp::{Options, Qp, Solver, Status, TorqueRows};
 use std::time::Instant;
 use upswing_config::{Config, ConfigError, DatabaseFile};
-use upswing_model::{NU, NX, NZ, State, Workspace, position, state, velocity};
+use upswing_model::{NU, NX, NZ, State, Workspace, position, velocity};
 use upswing_trajectory::{Certificate, Database, DatabaseError, Entry, Margins, N, Trajectory, Unfit};
 
 /// Accuracy of each QP. A tenth of the defect that four linearisations reach.
@@ -33,8 +33,11 @@ const REACH: f64 = 0.6;
 /// How much longer a plan of QPs may take than the shortest of the nearest entries, whose duration is about that of the optimum.
 /// The knot margin alone takes 1.5 %.
 const LONGER: f64 = 1.035;
-/// How often limits are tightened for what a trajectory exceeds between its knots.
-const TIGHTENED: usize = 8;
+/// The same, of the shortest of as many entries as lie within two cells, which may not be near.
+const MUCH_LONGER: f64 = 1.06;
+const AROUND: usize = 24;
+/// How often bounds are narrowed for what a trajectory exceeds between its knots.
+const NARROWED: usize = 20;
 
 /// A trajectory from the start that the daemon would accept.
 struct Accepted {
@@ -163,11 +166,15 @@ impl Planner {
 
     /// The entries nearest to a start state, nearest first.
     pub fn nearest(&self, manoeuvre: Manoeuvre, start: &State) -> Vec<Neighbour> {
-        let tree = match manoeuvre {
+        self.tree(manoeuvre).nearest(&pose(start), self.config.planner.replan.neighbours)
+    }
+
+    /// The poses in which trajectories of a manoeuvre begin.
+    fn tree(&self, manoeuvre: Manoeuvre) -> &NearestPose {
+        match manoeuvre {
             Manoeuvre::SwingUp => &self.starts,
             Manoeuvre::SwingDown => &self.ends,
-        };
-        tree.nearest(&pose(start), self.config.planner.replan.neighbours)
+        }
     }
 
     /// A QP solver as the settings ask for, with its memory.
@@ -225,11 +232,15 @@ impl Planner {
             }
         }
         let mut optimisation = None;
-        let entries = neighbours.iter().map(|n| &self.entries[n.index].trajectory);
-        let shortest = entries.map(|t| t.t_f).fold(f64::INFINITY, f64::min);
+        let shortest = |of: &[Neighbour]| {
+            let durations = of.iter().map(|n| self.entries[n.index].trajectory.t_f);
+            durations.fold(f64::INFINITY, f64::min)
+        };
+        // Nearer entries alone may all be of another, longer local optimum.
+        let around = self.tree(manoeuvre).nearest(&pose(start), AROUND);
+        let longest = (LONGER * shortest(&neighbours)).min(MUCH_LONGER * shortest(&around));
         let good = |(_, accepted): &(Neighbour, Accepted)| {
-            accepted.defect <= self.config.planner.replan.defect
-                && accepted.trajectory.t_f <= LONGER * shortest
+            accepted.defect <= self.config.planner.replan.defect && accepted.trajectory.t_f <= longest
         };
         if effort.optimise
             && !adapted.as_ref().is_some_and(good)
@@ -298,8 +309,8 @@ impl Planner {
         self.accept(trajectory, Method::Quadratic, done, times)
     }
 
-    /// Finds the optimum (6) as for a database entry, or from the nearest `entry`, and from there the one with the margin
-    /// between knots: both are close, whereas the guesses may lead to another, longer local optimum.
+    /// Finds the optimum (6) as for a database entry, or from the nearest `entry`, and narrows the bounds where it exceeds a
+    /// limit between knots: the intervals of a slow motion are long.
     fn optimise(
         &self,
         manoeuvre: Manoeuvre,
@@ -309,27 +320,17 @@ impl Planner {
         times: &mut Times,
     ) -> Result<Accepted, Refusal> {
         use interior_point::Status as Ending;
-        let begin = Instant::now();
+        let mut begin = Instant::now();
         let reference = self.reference(manoeuvre, entry);
         let halted = || effort.is_cancelled() || effort.out_of_time();
         let options = interior_point::Options { cancelled: Some(&halted), ..offline::options(&self.config) };
-        let unmargined = self.problem_of(manoeuvre, start, &reference, 0.0);
-        let mut optimum = search_optimum(&unmargined, Search::Best, None, &options);
-        if optimum.status != Ending::Solved {
-            optimum = interior_point::solve(&unmargined, &unmargined.shifted(&reference), &options);
+        let mut problem = self.problem_of(manoeuvre, start, &reference, 0.0);
+        let mut solution = search_optimum(&problem, Search::Best, None, &options);
+        if solution.status != Ending::Solved {
+            solution = interior_point::solve(&problem, &problem.shifted(&reference), &options);
         }
-        times.optimisation += begin.elapsed();
-        let mut problem =
-            self.problem_of(manoeuvre, start, &reference, self.config.planner.replan.knot_margin);
-        let mut iterations = optimum.iterations;
-        let mut guess = optimum.trajectory;
-        // A slow motion has long intervals, between which it may exceed a limit by more than the margin.
+        let mut iterations = 0;
         for round in 0.. {
-            let begin = Instant::now();
-            let mut solution = interior_point::solve(&problem, &guess, &options);
-            if !matches!(solution.status, Ending::Solved | Ending::Stalled) && !halted() {
-                solution = search_optimum(&problem, Search::Best, Some(&reference), &options);
-            }
             times.optimisation += begin.elapsed();
             iterations += solution.iterations;
             match solution.status {
@@ -339,15 +340,23 @@ impl Planner {
                 _ if effort.out_of_time() => return Err(Refusal::Optimisation(Ending::OutOfTime)),
                 status => return Err(Refusal::Optimisation(status)),
             }
-            guess = solution.trajectory.clone();
-            match self.accept(solution.trajectory, Method::Optimisation, iterations, times) {
-                Err(Refusal::Unfit {
-                    unfit: Unfit::Limit { what, joint, got, lowest, highest, .. }, ..
-                }) if round < TIGHTENED => {
-                    let excess = (got - highest).max(lowest - got);
-                    tighten(&mut problem, what, joint, excess);
+            let found = solution.trajectory;
+            match self.accept(found.clone(), Method::Optimisation, iterations, times) {
+                Err(Refusal::Unfit { unfit: Unfit::Limit { what, joint, got, highest, .. }, .. })
+                    if round < NARROWED =>
+                {
+                    if what == "torque" {
+                        problem.limits.tau_max[joint] -= 1.5 * (got.abs() - highest);
+                    } else {
+                        problem.narrow(&found);
+                    }
                 }
                 verdict => return verdict,
+            }
+            begin = Instant::now();
+            solution = interior_point::solve(&problem, &found, &options);
+            if !matches!(solution.status, Ending::Solved | Ending::Stalled) && !halted() {
+                solution = search_optimum(&problem, Search::Best, Some(&reference), &options);
             }
         }
         unreachable!("the last round returns")
@@ -464,8 +473,6 @@ impl Planner {
             i => weights.u[i - NX],
         });
         let (tau_min, tau_max) = problem.torque.bounds(&problem.limits.tau_max);
-        let x_min = state(&problem.limits.q_min, &-problem.limits.qd_max);
-        let x_max = state(&problem.limits.q_max, &problem.limits.qd_max);
         let mut dynamics = Vec::with_capacity(N + 1);
         let mut torque = Vec::with_capacity(N + 1);
         let mut gradient = Vec::with_capacity(N + 1);
@@ -512,7 +519,12 @@ impl Planner {
                     value: row.value - row.coefficients.dot(&at.x[N]),
                 })
                 .collect(),
-            x: (1..=N).map(|k| (x_min - at.x[k], x_max - at.x[k])).collect(),
+            x: (1..=N)
+                .map(|k| {
+                    let (lowest, highest) = problem.bounds(k);
+                    (lowest - at.x[k], highest - at.x[k])
+                })
+                .collect(),
             t: (problem.t_f.0 - at.t_f, problem.t_f.1 - at.t_f),
             torque,
             compliance: 0.0,
@@ -530,21 +542,6 @@ fn keep_target_within(problem: &mut Problem<'_>) {
             l.q_max[i] = l.q_max[i].max(row.value);
         }
     }
-}
-
-/// Tightens a limit at all knots by somewhat more than the `excess` beyond it between two of them.
-fn tighten(problem: &mut Problem<'_>, what: &str, joint: usize, excess: f64) {
-    let (by, l) = (1.5 * excess, &mut problem.limits);
-    match what {
-        "position" => (l.q_min[joint], l.q_max[joint]) = (l.q_min[joint] + by, l.q_max[joint] - by),
-        "velocity" => l.qd_max[joint] -= by,
-        _ => l.tau_max[joint] -= by,
-    }
-    // Neither start nor target may fall outside.
-    l.q_min = l.q_min.inf(&position(&problem.start));
-    l.q_max = l.q_max.sup(&position(&problem.start));
-    l.qd_max = l.qd_max.sup(&velocity(&problem.start).abs());
-    keep_target_within(problem);
 }
 
 /// q_A of a state, rad.

@@ -55,6 +55,10 @@ fn far_from_every_entry() {
         // Near an entry whose duration is that of another local optimum.
         [-52.8, -26.5, 0.0, -102.1, 0.0, 27.4, 0.0],
         [-44.8, -25.0, 0.0, -88.0, 0.0, 55.5, 0.0],
+        // The nearest entries are all of another local optimum.
+        [-49.8, -6.8, 0.0, -107.8, 0.0, 3.5, 0.0],
+        // Narrower limits at every knot, not only where one is exceeded, take 7 % longer.
+        [-96.8, -75.0, -25.8, -32.9, -52.6, -88.8, -5.6],
     ] {
         let start = rest(planner.config(), degrees);
         assert!(plans_where_there_is_an_optimum(&planner, &start), "no optimum from {degrees:?}");

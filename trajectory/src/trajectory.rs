@@ -2,7 +2,7 @@
 
 use crate::N;
 use crate::largest;
-use upswing_model::{ActuatedVector, Model, NQ, State, Workspace};
+use upswing_model::{ActuatedVector, Model, NQ, NX, State, Workspace};
 
 /// xi = (t_F, x_0..x_N, u_0..u_N) (7).
 #[derive(Clone, Debug, PartialEq)]
@@ -93,6 +93,19 @@ impl Spline<'_> {
         let h = self.t_f / (self.x.len() - 1) as f64;
         let x = self.x[k] + (self.f[k] + (self.f[k + 1] - self.f[k]) * (0.5 * share)) * (share * h);
         (x, self.u[k] + (self.u[k + 1] - self.u[k]) * share)
+    }
+
+    /// The extrema of the rows of x, quadratics, strictly between the knots k and k + 1: row, share of the interval, value (rad
+    /// or rad/s); k < N.
+    pub fn extrema(&self, k: usize) -> impl Iterator<Item = (usize, f64, f64)> + '_ {
+        (0..NX).filter_map(move |row| {
+            let (slope, next) = (self.f[k][row], self.f[k + 1][row]);
+            // Where the slope, linear from one knot to the other, changes its sign.
+            (slope * next < 0.0).then(|| {
+                let share = slope / (slope - next);
+                (row, share, self.between(k, share).0[row])
+            })
+        })
     }
 
     /// x(t), rad and rad/s (12).

@@ -32,7 +32,9 @@ impl Gate {
         for k in 0..=N {
             self.check_state(&x[k], k as f64)?;
             if k < N {
-                self.check_extrema(&spline, k)?;
+                spline
+                    .extrema(k)
+                    .try_for_each(|(row, share, got)| self.check_row(row, got, k as f64 + share))?;
             }
             let points = if k < N { GRID } else { 1 };
             for point in 0..points {
@@ -60,20 +62,6 @@ impl Gate {
             (-fastest, fastest)
         };
         within(what, unit, joint, knot, got, lowest, highest)
-    }
-
-    /// The extremum of each row of the spline (12), a quadratic, between the knots k and k + 1.
-    fn check_extrema(&self, spline: &Spline<'_>, k: usize) -> Result<(), Unfit> {
-        for row in 0..NX {
-            let (slope, next) = (spline.f[k][row], spline.f[k + 1][row]);
-            // Where the slope, linear from one knot to the other, changes its sign.
-            if slope * next < 0.0 {
-                let share = slope / (slope - next);
-                let got = spline.between(k, share).0[row];
-                self.check_row(row, got, k as f64 + share)?;
-            }
-        }
-        Ok(())
     }
 
     /// Torques (9) of the spline a `share` of an interval after knot k.
