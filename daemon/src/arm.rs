@@ -62,8 +62,9 @@ impl ArmReference {
 
     /// Whether reference and arm have been at rest for a while at the time `now`, ns.
     pub fn is_settled(&mut self, x: &State, now: u64) -> bool {
-        let speed = x.fixed_rows::<NU>(NQ).amax();
-        if !(self.qd.amax() == 0.0 && speed < REST_SPEED) {
+        // A maximum would lose a NaN.
+        let slow = (0..NU).all(|i| x[NQ + i].abs() < REST_SPEED);
+        if !(self.qd.amax() == 0.0 && slow) {
             self.rest_since = None;
             return false;
         }
@@ -86,5 +87,135 @@ impl ArmReference {
                 + self.gains.stiffness[i] * (self.q[i] - x[i])
                 + self.gains.damping[i] * (self.qd[i] - x[NQ + i])
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::ArmReference;
+    use upswing_config::{Config, DaemonSettings};
+    use upswing_model::{ActuatedVector, NQ, NU, NX, State};
+
+    const MS: u64 = 1_000_000;
+
+    /// Settings in which every joint has numbers of its own.
+    fn settings() -> DaemonSettings {
+        let mut settings = Config::embedded().expect("settings").daemon;
+        for i in 0..NU {
+            settings.hold.stiffness[i] = 100.0 + i as f64;
+            settings.hold.damping[i] = 20.0 + i as f64;
+            settings.stop_deceleration[i] = 4.0 + i as f64;
+        }
+        settings
+    }
+
+    /// Numbers of their own in every row.
+    fn moving() -> State {
+        State::from_fn(|i, _| 0.1 + 0.05 * i as f64 * if i % 2 == 0 { 1.0 } else { -1.0 })
+    }
+
+    fn at_rest() -> State {
+        State::from_fn(|i, _| if i < NQ { moving()[i] } else { 0.0 })
+    }
+
+    #[test]
+    fn a_held_joint_is_pulled_to_its_pose_with_its_own_gains() {
+        let settings = settings();
+        let (mut arm, pose) = (ArmReference::new(&settings), moving());
+        // Whatever was before.
+        arm.stop(&(pose * 2.0));
+        arm.hold(&pose);
+        let x = State::from_fn(|i, _| 0.3 - 0.02 * i as f64);
+        let x_d = arm.state(&x);
+        for row in 0..NX {
+            let expected = match row {
+                row if row < NU => pose[row],
+                row if (NQ..NQ + NU).contains(&row) => 0.0,
+                // The pendulum is where it is.
+                _ => x[row],
+            };
+            assert_eq!(x_d[row], expected, "row {row}");
+        }
+        let u_d = ActuatedVector::from_fn(|i, _| 7.0 - i as f64);
+        let u = arm.input(&x, &u_d);
+        for i in 0..NU {
+            let (stiffness, damping) = (settings.hold.stiffness[i], settings.hold.damping[i]);
+            let expected = u_d[i] + stiffness * (pose[i] - x[i]) - damping * x[NQ + i];
+            assert!((u[i] - expected).abs() < 1e-12, "joint {}", i + 1);
+        }
+    }
+
+    #[test]
+    fn a_stop_decelerates_each_joint_as_set_on_a_parabola() {
+        let (settings, x) = (settings(), moving());
+        // In cycles, and where one cycle is longer than the way to rest.
+        for elapsed in [125e-6, 7e-3, 0.05, 1.0] {
+            let mut arm = ArmReference::new(&settings);
+            arm.stop(&x);
+            for cycle in 1..=(0.4 / elapsed) as usize + 1 {
+                let u_d = arm.decelerate(elapsed);
+                let x_d = arm.state(&State::zeros());
+                for i in 0..NU {
+                    let (v, a) = (x[NQ + i], settings.stop_deceleration[i]);
+                    let rest = v.abs() / a;
+                    let t = (cycle as f64 * elapsed).min(rest);
+                    let (q, qd) = (x[i] + v * t - 0.5 * v.signum() * a * t * t, v - v.signum() * a * t);
+                    assert!((x_d[i] - q).abs() < 1e-9, "{elapsed} s, joint {}: {} not {q}", i + 1, x_d[i]);
+                    assert!((x_d[NQ + i] - qd).abs() < 1e-9, "{elapsed} s, joint {}", i + 1);
+                    let expected = if t < rest { -v.signum() * a } else { 0.0 };
+                    // Where rest comes at the end of a cycle, rounding decides.
+                    let open = (cycle as f64 * elapsed - rest).abs() < 1e-9;
+                    assert!(open || u_d[i] == expected, "{elapsed} s, joint {}", i + 1);
+                    assert!(open || t < rest || x_d[NQ + i] == 0.0, "{elapsed} s, joint {}: at rest", i + 1);
+                }
+            }
+            // The feedback follows the way, not only its end.
+            let x = State::zeros();
+            arm.stop(&moving());
+            let u = arm.input(&x, &ActuatedVector::zeros());
+            for i in 0..NU {
+                let (q, qd) = (moving()[i], moving()[NQ + i]);
+                let expected = settings.hold.stiffness[i] * q + settings.hold.damping[i] * qd;
+                assert!((u[i] - expected).abs() < 1e-12, "joint {}", i + 1);
+            }
+        }
+    }
+
+    #[test]
+    fn the_arm_rests_when_it_and_its_reference_have_stood_for_50_ms() {
+        let mut arm = ArmReference::new(&settings());
+        let slow = |joint: usize, speed: f64| {
+            let mut x = at_rest();
+            x[NQ + joint] = speed;
+            x
+        };
+        // The pendulum may swing.
+        let mut still = slow(6, -0.099);
+        (still[NQ + 7], still[NQ + 8]) = (5.0, -5.0);
+        arm.stop(&moving());
+        for ms in [0, 60, 120] {
+            assert!(!arm.is_settled(&still, ms * MS), "the reference moves");
+        }
+        arm.stop(&at_rest());
+        let begin = 1000;
+        for (ms, x, expected) in [
+            (0, &still, false),
+            (49, &still, false),
+            (50, &still, true),
+            (51, &slow(0, 0.101), false),
+            (52, &still, false),
+            (101, &still, false),
+            (102, &still, true),
+            (103, &slow(6, -0.101), false),
+            (104, &slow(3, f64::NAN), false),
+            (105, &still, false),
+            (154, &still, false),
+        ] {
+            assert_eq!(arm.is_settled(x, (begin + ms) * MS), expected, "after {ms} ms");
+        }
+        // Another stop begins anew.
+        arm.stop(&at_rest());
+        assert!(!arm.is_settled(&still, (begin + 155) * MS));
+        assert!(arm.is_settled(&still, (begin + 205) * MS));
     }
 }

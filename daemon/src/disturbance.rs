@@ -210,7 +210,7 @@ mod tests {
             estimate.weigh(&d, T_S);
         }
         assert!((estimate.estimate() - d).amax() < 1e-12, "what was long ago is forgotten");
-        for bad in [2.1, f64::NAN, f64::INFINITY] {
+        for bad in [2.1, -2.1, f64::NAN, f64::INFINITY] {
             let mut wrong = d;
             wrong[4] = bad;
             estimate.weigh(&wrong, T_S);

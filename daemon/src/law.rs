@@ -99,6 +99,7 @@ mod tests {
         assert!(cut.limited && free.amax() > 5.0);
         for i in 0..NU {
             assert_eq!(cut.tau[i], free[i].clamp(-5.0, 5.0), "joint {}", i + 1);
+            assert_eq!(cut.cut[i], free[i] - cut.tau[i], "joint {}: what was taken off", i + 1);
         }
     }
 
@@ -127,5 +128,15 @@ mod tests {
         let (x, mut u) = motion();
         u[3] = f64::NAN;
         assert_eq!(law(&x, &u, 0.0, 1e3), None);
+        // One number that is none is enough.
+        let config = Config::embedded().expect("settings");
+        for (joint, value) in (0..NU).flat_map(|i| [f64::NAN, f64::INFINITY].map(|value| (i, value))) {
+            let (x, u) = motion();
+            let mut disturbance = ActuatedVector::zeros();
+            disturbance[joint] = value;
+            let limit = ActuatedVector::repeat(1e3);
+            let got = torque(&config.model, &x, &u, &disturbance, &limit, &mut Workspace::default());
+            assert_eq!(got, None, "{value} on joint {}", joint + 1);
+        }
     }
 }

@@ -179,3 +179,186 @@ impl Observer {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::Observer;
+    use crate::checks::Checks;
+    use crate::trip::TripCause;
+    use upswing_config::{Config, VelocityEstimate};
+    use upswing_ipc::{Clock, Measurement};
+    use upswing_model::{JointVector, NQ};
+
+    const PERIOD_NS: u64 = 125_000;
+
+    struct Seen {
+        observer: Observer,
+        checks: Checks,
+    }
+
+    impl Seen {
+        fn new() -> Self {
+            let config = Config::embedded().expect("settings");
+            Self { observer: Observer::new(&config.daemon.cycle), checks: Checks::new(&config) }
+        }
+
+        /// Takes a measurement in, in time: the reason not to use it, and whether a restart was noticed.
+        fn take(&mut self, measurement: &Measurement, braked: bool) -> (Option<TripCause>, bool) {
+            let now = measurement.t_ns;
+            let (_, restarted) = self.observer.observe(measurement, now, &self.checks, None, braked, &mut 0);
+            (self.observer.unfit.map(|trip| trip.cause), restarted.is_some())
+        }
+    }
+
+    fn measured(seq: u64, q: f64, clock: Clock) -> Measurement {
+        Measurement {
+            seq,
+            t_ns: seq * PERIOD_NS,
+            q: [q; NQ],
+            status: Measurement::DRIVES_READY,
+            clock: clock.code(),
+            period_ns: PERIOD_NS,
+            ..Measurement::default()
+        }
+    }
+
+    #[test]
+    fn the_first_measurement_is_fit_whenever_it_comes() {
+        for clock in [Clock::Wall, Clock::Paced, Clock::Lockstep] {
+            for seq in [1, 5000] {
+                let mut seen = Seen::new();
+                // Before it there is nothing that could be old.
+                for _ in 0..100 {
+                    let none =
+                        Measurement { period_ns: PERIOD_NS, clock: clock.code(), ..Measurement::default() };
+                    assert_eq!(seen.take(&none, true), (Some(TripCause::NoMeasurement), false));
+                    assert!(seen.observer.is_new());
+                }
+                assert_eq!(seen.take(&measured(seq, 0.1, clock), false), (None, false), "{clock}, {seq}");
+                assert!(!seen.observer.is_new());
+            }
+        }
+    }
+
+    #[test]
+    fn another_clock_or_an_earlier_number_is_a_restart_and_forgets_the_plant_before() {
+        for (seq, clock) in [(50, Clock::Lockstep), (3, Clock::Paced)] {
+            // The pendulum of the one before has turned; its stamp has stood still as long as it may.
+            let mut seen = Seen::new();
+            for seq in 1..=20 {
+                seen.take(&measured(seq, 0.1, Clock::Paced), false);
+            }
+            seen.observer.x[7] = 6.5;
+            seen.observer.drop_turns();
+            for seq in 21..=40 {
+                let stuck = Measurement { t_ns: 20 * PERIOD_NS, ..measured(seq, 0.1, Clock::Paced) };
+                assert_eq!(seen.take(&stuck, false), (None, false));
+            }
+            // Another time begins at 0.
+            for k in 0..30 {
+                let next = Measurement { t_ns: k, ..measured(seq + k, 0.2, clock) };
+                assert_eq!(seen.take(&next, false), (None, k == 0), "{clock}, measurement {k}");
+                assert_eq!(
+                    seen.observer.position(&next)[7],
+                    0.2,
+                    "its turns are not those of the one before"
+                );
+                assert_eq!(seen.observer.filtered, JointVector::zeros(), "nor is its motion");
+                assert_eq!(seen.observer.cycles(), if k == 0 { seq } else { 1 });
+            }
+            // Nor what its drives did.
+            let mut seen = Seen::new();
+            seen.take(&measured(1, 0.1, Clock::Paced), false);
+            seen.take(&Measurement { status: 0, ..measured(801, 0.1, Clock::Paced) }, false);
+            let next = Measurement { status: 0, ..measured(seq, 0.1, clock) };
+            assert_eq!(seen.take(&next, false), (None, true), "{clock}");
+            seen.observer.restart();
+            assert_eq!(seen.observer.unfit.map(|trip| trip.cause), Some(TripCause::MeasurementRestarted));
+        }
+    }
+
+    #[test]
+    fn whole_turns_of_joint_8_are_dropped_however_many_and_whichever_way() {
+        for turns in [-3.0, -1.0, 1.0, 3.0] {
+            let mut seen = Seen::new();
+            let turn = turns * std::f64::consts::TAU;
+            let mut turned = measured(1, 0.1, Clock::Paced);
+            turned.q[7] += turn;
+            seen.take(&turned, true);
+            seen.observer.drop_turns();
+            assert!((seen.observer.x[7] - 0.1).abs() < 1e-12, "{turns}: {}", seen.observer.x[7]);
+            // Nothing moved.
+            let next = Measurement { seq: 2, t_ns: 2 * PERIOD_NS, ..turned };
+            assert_eq!(seen.take(&next, false), (None, false), "{turns}");
+            assert!((seen.observer.position(&next)[7] - 0.1).abs() < 1e-12);
+            assert!(seen.observer.filtered.amax() < 1e-9, "{}", seen.observer.filtered);
+        }
+        // A rod near the top may be on either side of it.
+        for angle in [3.6, -3.6] {
+            let mut seen = Seen::new();
+            seen.take(&measured(1, angle, Clock::Paced), true);
+            seen.observer.drop_turns();
+            assert_eq!(seen.observer.x[7], angle);
+        }
+    }
+
+    #[test]
+    fn the_arm_is_as_fast_as_measured_whatever_the_model_expects() {
+        let mut config = Config::embedded().expect("settings");
+        config.daemon.cycle.velocity = VelocityEstimate::Model;
+        let mut observer = Observer::new(&config.daemon.cycle);
+        let checks = Checks::new(&config);
+        for seq in 1..1000 {
+            let next = measured(seq, 0.1, Clock::Paced);
+            observer.observe(&next, 0, &checks, Some(&JointVector::repeat(1e3)), false, &mut 0);
+            assert_eq!(observer.unfit, None);
+        }
+        assert!(observer.x[9] > 5.0, "what is expected enters the state: {}", observer.x[9]);
+    }
+
+    #[test]
+    fn a_stamp_that_does_not_go_on_is_as_old_as_the_measurements_since() {
+        // Backwards is no better than standing still.
+        for back in [0, 1] {
+            let mut seen = Seen::new();
+            let mut at =
+                |seq, t_ns| seen.take(&Measurement { t_ns, ..measured(seq, 0.1, Clock::Paced) }, false).0;
+            assert_eq!([at(1, 1), at(2, u64::MAX)], [None; 2]);
+            // Of two measurements one comes through.
+            let unfit = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10].map(|k| at(4 + 2 * k, u64::MAX - back * k));
+            assert_eq!(unfit[..10], [None; 10], "20 cycles are not too old");
+            assert_eq!(unfit[10], Some(TripCause::StaleMeasurement));
+        }
+    }
+
+    #[test]
+    fn what_is_no_angle_enters_nothing_and_the_next_angle_has_had_the_time_since() {
+        let mut seen = Seen::new();
+        seen.take(&measured(1, 0.1, Clock::Paced), true);
+        let x = seen.observer.x;
+        for seq in 2..=10 {
+            let mut bad = measured(seq, 0.1, Clock::Paced);
+            bad.q[4] = f64::NAN;
+            assert_eq!(seen.take(&bad, true).0, Some(TripCause::NotFinite));
+            assert_eq!(seen.observer.x, x);
+        }
+        // At the largest speed of the slowest joint in ten cycles; in one it would be a jump.
+        let q = 0.1 + 10.0 * 125e-6 * 1.3;
+        assert_eq!(seen.take(&measured(11, q, Clock::Paced), false), (None, false));
+        assert_eq!(seen.observer.cycles(), 10);
+        assert!(seen.observer.filtered.iter().all(|v| *v > 0.1), "{}", seen.observer.filtered);
+    }
+
+    #[test]
+    fn a_jump_behind_closed_brakes_begins_anew_and_is_none_afterwards() {
+        for braked in [true, false] {
+            let mut seen = Seen::new();
+            seen.take(&measured(1, 0.1, Clock::Paced), braked);
+            let unfit = seen.take(&measured(2, 0.9, Clock::Paced), braked).0;
+            assert_eq!(unfit, (!braked).then_some(TripCause::EncoderJump));
+            // No speed comes of it: the robot was moved by other means.
+            assert_eq!(seen.observer.filtered, JointVector::zeros());
+            assert_eq!(seen.take(&measured(3, 0.9, Clock::Paced), braked), (None, false));
+        }
+    }
+}

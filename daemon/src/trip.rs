@@ -223,3 +223,37 @@ impl fmt::Display for Trip {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{Trip, TripCause};
+
+    /// For a trip of joint 3 with the value 1.5 and the limit 4.
+    const TEXTS: [(TripCause, &str); 15] = [
+        (TripCause::StaleMeasurement, "no new measurement for 2 cycles, limit 4"),
+        (TripCause::MeasurementGap, "2 measurements were missed, limit 4"),
+        (TripCause::NotFinite, "the angle of joint 3 is 1.5, expected at most 4 rad"),
+        (
+            TripCause::EncoderJump,
+            "the angle of joint 3 jumped by 1.50000 rad, at most 4.00000 rad are possible",
+        ),
+        (TripCause::PositionLimit, "joint 3 at 1.5000 rad, limit 4.0000 rad"),
+        (TripCause::PendulumRange, "joint 3 at 1.5000 rad, limit 4.0000 rad"),
+        (TripCause::VelocityLimit, "joint 3 moves at 1.5000 rad/s, limit 4.0000 rad/s"),
+        (TripCause::TorqueLimit, "joint 3 shows a torque of 1.50 N m, limit 4.00 N m"),
+        (TripCause::TorqueRate, "the torque commanded to joint 3 changes by 2 N m/s, limit 4 N m/s"),
+        (TripCause::PeriodMismatch, "the plant has a period of 2 ns, the daemon one of 4 ns"),
+        (TripCause::UnknownClock, "the plant names clock 2, the last known is 4"),
+        (TripCause::TrackingError, "joint 3 is 1.5000 rad from its reference, limit 4.0000 rad"),
+        (TripCause::BalanceLost, "the rod is 1.5000 rad from where the plan ends, limit 4.0000 rad"),
+        (TripCause::LateCycles, "2 cycles in a row ended late, limit 4"),
+        (TripCause::PlanAge, "the loaded plan is old"),
+    ];
+
+    #[test]
+    fn a_trip_tells_joint_value_and_limit() {
+        for (cause, text) in TEXTS {
+            assert_eq!(Trip { cause, joint: 2, value: 1.5, limit: 4.0 }.to_string(), text);
+        }
+    }
+}

@@ -94,6 +94,126 @@ fn it_gives_up() {
     assert!(!fault.is_active());
 }
 
+/// The pendulum rests in Hold, with plan 1 loaded.
+fn rest(recovery: &mut Recovery, seconds: std::ops::RangeInclusive<u64>) {
+    for seconds in seconds {
+        hold(recovery, seconds, 0.0, 1);
+    }
+}
+
+/// In the middle of the second of two attempts' swing-ups, or before the first.
+fn swinging_up(again: bool) -> (Recovery, u64) {
+    if !again {
+        return (Recovery::new(settings(2)), SECOND);
+    }
+    let mut recovery = fallen(2);
+    assert_eq!([2, 3, 4].map(|s| hold(&mut recovery, s, 0.0, 1)), [None, None, Some(Action::AskPlanner)]);
+    recovery.planned(Some(Planned { id: 5, activation_ns: 0 }));
+    assert_eq!(hold(&mut recovery, 5, 0.0, 5), Some(Action::Start(5)));
+    (recovery, 6 * SECOND)
+}
+
+#[test]
+fn what_is_recovered_from() {
+    use TripCause::{BalanceLost, BalanceSpeed, PendulumRange, TrackingError};
+    for cause in TripCause::ALL.into_iter().map(Some).chain([None]) {
+        for again in [false, true] {
+            for before in Mode::ALL.iter().copied() {
+                let (mut recovery, now) = swinging_up(again);
+                recovery.note(&record(before, now, 3.0, None), 5);
+                recovery.note(&record(Mode::Stop, now + 1, 3.0, cause), 5);
+                let expected = match (cause, before) {
+                    (Some(BalanceLost | BalanceSpeed), Mode::Track | Mode::Balance) => true,
+                    (Some(PendulumRange), Mode::Balance) => true,
+                    // What the operator started and did not become a balance is the operator's.
+                    (Some(PendulumRange | TrackingError), Mode::Track | Mode::Balance) => again,
+                    _ => false,
+                };
+                assert_eq!(recovery.is_active(), expected, "{cause:?} in {before}, again: {again}");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_pendulum_rests_when_both_of_its_joints_do_in_hold() {
+    for (joint, speed, rests) in [
+        (7, 0.05, true),
+        (7, 0.051, false),
+        (7, -0.051, false),
+        (8, 0.051, false),
+        (8, -0.051, false),
+        (8, f64::NAN, false),
+        // The arm that is held flickers.
+        (6, 1.0, true),
+    ] {
+        let mut recovery = fallen(1);
+        let mut at = |mode, seconds| {
+            let mut record = record(mode, seconds * SECOND, 0.0, Some(TripCause::BalanceLost));
+            record.telemetry.qd[joint] = speed;
+            recovery.note(&record, 1)
+        };
+        // While the arm still stops, it moves the pendulum.
+        assert_eq!([at(Mode::Stop, 2), at(Mode::Stop, 6), at(Mode::Hold, 7), at(Mode::Hold, 8)], [None; 4]);
+        let expected = rests.then_some(Action::AskPlanner);
+        assert_eq!(at(Mode::Hold, 9), expected, "joint {} at {speed} rad/s", joint + 1);
+    }
+}
+
+#[test]
+fn another_mode_ends_it_at_every_stage() {
+    for mode in [Some(Mode::Idle), Some(Mode::Track), Some(Mode::Balance), Some(Mode::Fault), None] {
+        for stage in 0..3 {
+            let mut recovery = fallen(1);
+            if stage > 0 {
+                rest(&mut recovery, 2..=7);
+            }
+            if stage > 1 {
+                recovery.planned(Some(Planned { id: 5, activation_ns: 9 * SECOND }));
+            }
+            assert!(recovery.is_active());
+            let mut other = record(Mode::Hold, 8 * SECOND, 0.0, None);
+            // One that does not exist is no reason to go on.
+            other.telemetry.mode = mode.map_or(99, Mode::code);
+            assert_eq!((recovery.note(&other, 5), recovery.is_active()), (None, false), "{mode:?}, {stage}");
+        }
+    }
+}
+
+#[test]
+fn patience_ends_after_its_time_and_not_before() {
+    let mut restless = fallen(1);
+    hold(&mut restless, 61, 1.0, 1);
+    assert!(restless.is_active());
+    // Planning, and waiting for the plan to be loaded.
+    for answered in [false, true] {
+        let mut slow = fallen(1);
+        rest(&mut slow, 2..=4);
+        if answered {
+            slow.planned(Some(Planned { id: 5, activation_ns: 0 }));
+        }
+        assert_eq!(hold(&mut slow, 64, 0.0, 1), None, "another plan is loaded");
+        assert!(slow.is_active());
+        hold(&mut slow, 65, 0.0, 1);
+        assert!(!slow.is_active());
+    }
+}
+
+#[test]
+fn a_request_of_the_operator_gives_all_attempts_again() {
+    let mut recovery = fallen(1);
+    rest(&mut recovery, 2..=4);
+    let mut lose = |asked: bool, now: u64| {
+        if asked {
+            recovery.yield_to_operator();
+        }
+        recovery.note(&record(Mode::Balance, now * SECOND, 0.0, None), 5);
+        recovery.note(&record(Mode::Stop, now * SECOND + 1, 3.0, Some(TripCause::BalanceLost)), 5);
+        recovery.is_active()
+    };
+    assert_eq!([lose(false, 10), lose(true, 20)], [false, true]);
+}
+
 #[test]
 fn an_operators_stop_is_no_loss() {
     let mut recovery = Recovery::new(settings(1));
