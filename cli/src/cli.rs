@@ -7,7 +7,8 @@ use upswing_config::process::{Failure, ProcessArgs};
 /// Swings up and balances a spherical pendulum on a 7-DoF robot.
 ///
 /// Exit codes: 0 success, 1 it ran but the answer is no, 2 bad input. Results go to stdout, all else to stderr; colours
-/// and bars only to a terminal, colours not where NO_COLOR is set. --json prints one JSON document, in SI units.
+/// and bars only to a terminal, colours not where NO_COLOR is set. --json prints one JSON document, in SI units. Existing files
+/// are not overwritten without --force, and then as a whole: a write that fails leaves the old one.
 ///
 /// Example: upswing demo
 #[derive(Parser)]

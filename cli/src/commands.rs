@@ -28,6 +28,7 @@ use crate::session::{Options, SessionError};
 use progress::{byte_bar, progress_bar, spinner, time_bar};
 use serde::Serialize;
 use std::path::Path;
+use upswing_config::output::{Destination, Output, OutputError, Overwrite};
 use upswing_config::process::{Failure, ProcessArgs};
 use upswing_ipc::{CallError, Clock, ControlRequest, Domain, IpcError, Node, OwnDomain, Request as _};
 
@@ -141,13 +142,21 @@ pub(crate) fn print_line(line: &impl std::fmt::Display) -> Result<(), Failure> {
     }
 }
 
-/// "Ran, but the answer is no."
-/// Whether the file of an option can be written, before the work whose result it gets.
-fn check_writable(option: &str, path: Option<&Path>) -> Result<(), Failure> {
-    let check = path.map_or(Ok(()), crate::picture::check_writable);
-    check.map_err(|e| Failure::BadInput(format!("{option}: {e}; choose a place that can be written")))
+/// The file of an option that is given, if it can be written: known before the work whose result it gets.
+fn writable(
+    option: &str,
+    destination: Option<&Destination>,
+    overwrite: Overwrite,
+) -> Result<Option<Output>, Failure> {
+    let output = destination.map(|path| overwrite.output(path));
+    match output.as_ref().map_or(Ok(()), Output::check) {
+        Ok(()) => Ok(output),
+        Err(e @ OutputError::Exists { .. }) => Err(Failure::BadInput(format!("{option}: {e}"))),
+        Err(e) => Err(Failure::BadInput(format!("{option}: {e}; choose a place that can be written"))),
+    }
 }
 
+/// "Ran, but the answer is no."
 pub(crate) fn failed(e: impl std::fmt::Display) -> Failure {
     Failure::Failed(e.to_string())
 }

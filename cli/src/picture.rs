@@ -8,7 +8,7 @@ pub mod plan;
 
 use plotters::coord::Shift;
 use plotters::prelude::*;
-use std::path::Path;
+use upswing_config::output::Output;
 use upswing_ipc::{Mode, Telemetry};
 use upswing_model::{Limits, NQ, NU};
 
@@ -53,21 +53,8 @@ fn svg(size: (u32, u32), draw: impl FnOnce(&Area<'_>) -> Drawn) -> Result<String
 }
 
 /// Writes a drawing. That of plotters into a file would not tell that the disk is full.
-fn write(path: &Path, drawing: &[u8]) -> Result<(), String> {
-    std::fs::write(path, drawing).map_err(|e| format!("cannot write {}: {e}", path.display()))
-}
-
-/// Whether a file can be written at `path`, without changing what is there: to know it before a long run, not after it.
-///
-/// # Errors
-/// A text that says why not.
-pub fn check_writable(path: &Path) -> Result<(), String> {
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let check = match std::fs::OpenOptions::new().append(true).open(path) {
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => tempfile::tempfile_in(folder).map(drop),
-        opened => opened.map(drop),
-    };
-    check.map_err(|e| format!("cannot write {}: {e}", path.display()))
+fn write(output: &Output, drawing: &[u8]) -> Result<(), String> {
+    output.write(drawing).map_err(|e| e.to_string())
 }
 
 /// Draws the records from 0.2 s before the plan starts to the end of the balance as an SVG: measured values in colour,
@@ -75,8 +62,8 @@ pub fn check_writable(path: &Path) -> Result<(), String> {
 ///
 /// # Errors
 /// A text that says why the file could not be drawn.
-pub fn draw(path: &Path, records: &[Telemetry], limits: &Limits, period: f64) -> Result<(), String> {
-    write(path, swing_up(records, limits, period)?.as_bytes())
+pub fn draw(output: &Output, records: &[Telemetry], limits: &Limits, period: f64) -> Result<(), String> {
+    write(output, swing_up(records, limits, period)?.as_bytes())
 }
 
 /// The drawing of [`draw`].

@@ -111,7 +111,7 @@ pub enum RecordingError {
 
 fn advice(cause: &std::io::Error) -> &'static str {
     match cause.kind() {
-        std::io::ErrorKind::AlreadyExists => "; recordings are not overwritten, choose another name",
+        std::io::ErrorKind::AlreadyExists => "; choose another name",
         _ => "",
     }
 }

@@ -62,7 +62,7 @@ fn the_official_python_reader() {
     // And back: what another tool has written.
     let path = |name: &str| dir.path().join(name).to_str().expect("a plain path").to_owned();
     let table = |file: &str| {
-        let answer = success(&["export", file, "--csv", &path("table.csv")]);
+        let answer = success(&["export", file, "--csv", &path("table.csv"), "--force"]);
         assert!(answer["cut"].is_null() && answer["damage"].is_null(), "{answer}");
         std::fs::read(path("table.csv")).expect("the table")
     };

@@ -107,12 +107,9 @@ pub enum ConfigError {
         /// Upper end, deg.
         high: f64,
     },
-    /// An export would overwrite a file.
-    #[error("{file}: expected no such file, got an existing one: name a new folder, nothing is overwritten")]
-    Exists {
-        /// Path of the file.
-        file: String,
-    },
+    /// A file of an export cannot be written.
+    #[error(transparent)]
+    Output(crate::output::OutputError),
     /// An export failed.
     #[error("{file}: cannot be written ({cause}): name a folder that can be created or written to")]
     Unwritable {

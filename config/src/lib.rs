@@ -11,6 +11,7 @@ mod error;
 mod fault;
 mod grid;
 pub mod notify;
+pub mod output;
 mod planner;
 mod plant;
 pub mod process;
@@ -38,8 +39,8 @@ pub use robot::{CoriolisBound, RobotSettings, Target};
 pub use start::StartError;
 
 use check::{Check, degrees};
+use output::Overwrite;
 use std::borrow::Cow;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use upswing_model::{ActuatedVector, Limits, Model, N_ACTUATED, NQ, NU, State, Urdf, Workspace};
 use upswing_trajectory::{Delays, Gate};
@@ -166,26 +167,27 @@ impl Config {
         }
     }
 
-    /// Writes the embedded files, with their comments, to a folder, which is created if need be.
+    /// Writes the embedded files, with their comments, to a folder without any of them, which is created if need be.
     ///
     /// # Errors
-    /// One of the files exists already (then nothing is written), or the folder cannot be written to.
+    /// As [`Config::export_with`].
     pub fn export(dir: &Path) -> Result<(), ConfigError> {
-        let name = |path: &Path| path.display().to_string();
+        Self::export_with(dir, Overwrite::default())
+    }
+
+    /// As [`Config::export`]; files that exist already may be replaced.
+    ///
+    /// # Errors
+    /// One of the files exists already and is not to be replaced (then nothing is written), or the folder cannot be written to.
+    pub fn export_with(dir: &Path, overwrite: Overwrite) -> Result<(), ConfigError> {
         let files = || FILES.iter().chain([&DATABASE]).chain(&SCENARIOS);
-        if let Some(path) = files().map(|file| dir.join(file.name)).find(|path| path.exists()) {
-            return Err(ConfigError::Exists { file: name(&path) });
-        }
+        let output = |file: &EmbeddedFile| overwrite.output(&dir.join(file.name));
+        let present = |file: &&EmbeddedFile| dir.join(file.name).exists();
+        files().filter(present).try_for_each(|file| output(file).check()).map_err(ConfigError::Output)?;
         let folder = dir.join(SCENARIO_FOLDER);
         std::fs::create_dir_all(&folder)
-            .map_err(|cause| ConfigError::Unwritable { file: name(&folder), cause })?;
-        for file in files() {
-            let path = dir.join(file.name);
-            std::fs::File::create_new(&path)
-                .and_then(|mut target| target.write_all(file.bytes))
-                .map_err(|cause| ConfigError::Unwritable { file: name(&path), cause })?;
-        }
-        Ok(())
+            .map_err(|cause| ConfigError::Unwritable { file: folder.display().to_string(), cause })?;
+        files().try_for_each(|file| output(file).write(file.bytes)).map_err(ConfigError::Output)
     }
 
     fn assemble(dir: Option<&Path>) -> Result<Self, ConfigError> {

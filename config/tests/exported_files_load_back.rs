@@ -3,6 +3,7 @@
 mod common;
 use common::{edit, exported};
 use std::time::Duration;
+use upswing_config::output::{OutputError, Overwrite};
 use upswing_config::{Config, ConfigError, PendulumStart, TorqueConstraint, VelocityEstimate};
 
 #[test]
@@ -79,10 +80,12 @@ fn nothing_is_overwritten() {
         let path = dir.path().join(present);
         std::fs::write(&path, "mine").expect("write");
         let error = Config::export(dir.path()).expect_err("a file is there");
-        assert!(matches!(error, ConfigError::Exists { .. }), "{error}");
+        assert!(matches!(error, ConfigError::Output(OutputError::Exists { .. })), "{error}");
         assert!(error.to_string().contains(present), "{error}");
         assert_eq!(std::fs::read_to_string(&path).expect("read"), "mine");
         assert_eq!(std::fs::read_dir(dir.path()).expect("folder").count(), 1, "nothing else was written");
+        Config::export_with(dir.path(), Overwrite { force: true }).expect("it may be replaced");
+        assert_ne!(std::fs::read(&path).expect("read"), b"mine");
     }
 }
 

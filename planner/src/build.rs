@@ -15,6 +15,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
+use upswing_config::output::{Output, OutputError};
 use upswing_config::{Config, GridSettings};
 use upswing_model::{N_ACTUATED, N_UNACTUATED, State};
 use upswing_trajectory::{
@@ -60,6 +61,9 @@ pub enum BuildError {
         /// Why.
         cause: std::io::Error,
     },
+    /// The result cannot be written, or may not replace what is there.
+    #[error(transparent)]
+    Output(#[from] OutputError),
     /// A file is no database, or a damaged one.
     #[error("{}: {cause}", path.display())]
     Database {
@@ -175,25 +179,26 @@ fn journal_path(output: &Path) -> PathBuf {
 }
 
 /// Builds the database (or one shard of it) of the settings' grid into `output`. `progress` is told how many poses
-/// are done; raising `stop` ends the build, the journal keeps what is finished.
+/// are done; raising `stop` ends the build, the journal keeps what is finished. A finished file of the same build is left as it is.
 ///
 /// # Errors
 /// [`BuildError`] if a file cannot be used or belongs to other settings; nothing finished is lost.
 pub fn build(
     config: &Config,
     shard: Shard,
-    output: &Path,
+    output: &Output,
     stop: &AtomicBool,
     progress: impl Fn(usize) + Sync,
 ) -> Result<Summary, BuildError> {
     let heading = heading(config, shard);
     let lines = lines(&config.grid, shard);
     let poses = lines.iter().map(Vec::len).sum();
-    if let Some(finished) = finished(output, &heading)? {
+    if let Some(finished) = finished(output.path(), &heading)? {
         progress(poses);
         return Ok(summary(&finished, poses, poses));
     }
-    let path = journal_path(output);
+    output.check()?;
+    let path = journal_path(output.path());
     let (mut file, mut records) = open_journal(&path, &heading)?;
     // Journals joined by hand may hold a pose twice.
     records.sort_by_key(|r| r.pose);
@@ -232,7 +237,7 @@ pub fn build(
     let database = Database { heading, records };
     let summary = summary(&database, poses, resumed);
     if summary.left == 0 {
-        write_whole(output, &database.encode())?;
+        output.write(&database.encode())?;
         remove(&path)?;
     }
     Ok(summary)
@@ -379,7 +384,11 @@ fn same_origin(path: &Path, got: &Heading, expected: &Heading) -> Result<(), Bui
 ///
 /// # Errors
 /// [`BuildError`] for missing shards, files of different builds, and poses that differ between files.
-pub fn merge(inputs: &[PathBuf], output: &Path) -> Result<Summary, BuildError> {
+pub fn merge(inputs: &[PathBuf], output: &Output) -> Result<Summary, BuildError> {
+    // What is there may be the result of this merge.
+    if let Err(e @ OutputError::Io { .. }) = output.check() {
+        return Err(e.into());
+    }
     let mut records: BTreeMap<u64, (Record, PathBuf)> = BTreeMap::new();
     let mut first: Option<Heading> = None;
     let mut present = BTreeSet::new();
@@ -417,7 +426,10 @@ pub fn merge(inputs: &[PathBuf], output: &Path) -> Result<Summary, BuildError> {
     }
     let heading = Heading { shard: 1, shards: 1, ..heading };
     let database = Database { heading, records: records.into_values().map(|(r, _)| r).collect() };
-    write_whole(output, &database.encode())?;
+    let bytes = database.encode();
+    if !upswing_config::read_file(output.path()).is_ok_and(|present| present == bytes) {
+        output.write(&bytes)?;
+    }
     Ok(summary(&database, database.records.len(), 0))
 }
 
@@ -607,23 +619,6 @@ fn verify_entry(config: &Config, entry: &Entry) -> Result<(), Finding> {
         return Err(Finding::EndError { got: computed.end_error });
     }
     Ok(())
-}
-
-/// Writes a file beside its place and renames it: a reader sees the old one or the new one, never a part.
-fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), BuildError> {
-    let mut beside = path.as_os_str().to_owned();
-    beside.push(".part");
-    let beside = PathBuf::from(beside);
-    let write = || {
-        let mut file = File::create(&beside)?;
-        file.write_all(bytes)?;
-        file.sync_all()?;
-        std::fs::rename(&beside, path)
-    };
-    write().map_err(|cause| {
-        let _ = std::fs::remove_file(&beside);
-        BuildError::File { action: "write", path: path.to_owned(), cause }
-    })
 }
 
 fn remove(path: &Path) -> Result<(), BuildError> {

@@ -4,8 +4,9 @@
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Instant;
+use upswing_config::output::{OutputError, Overwrite};
 use upswing_config::{Config, GridAxis};
-use upswing_planner::build::{BuildError, Finding, Shard, build, certify, merge, read, verify};
+use upswing_planner::build::{self, BuildError, Finding, Shard, Summary, certify, read, verify};
 use upswing_planner::offline::problem_fingerprint;
 use upswing_planner::replan::{Planner, PlannerError};
 use upswing_trajectory::{Database, DatabaseError, Entry, Outcome, Record, Trajectory};
@@ -19,6 +20,22 @@ fn small_grid() -> Config {
         GridAxis { joint: 3, from: deg(-10.0), to: deg(-100.0), points: 2 },
     ];
     config
+}
+
+/// As of the planner, over whatever is there.
+fn build(
+    config: &Config,
+    shard: Shard,
+    path: &Path,
+    stop: &AtomicBool,
+    progress: impl Fn(usize) + Sync,
+) -> Result<Summary, BuildError> {
+    build::build(config, shard, &Overwrite { force: true }.output(path), stop, progress)
+}
+
+/// See [`build`].
+fn merge(inputs: &[PathBuf], path: &Path) -> Result<Summary, BuildError> {
+    build::merge(inputs, &Overwrite { force: true }.output(path))
 }
 
 fn go() -> AtomicBool {
@@ -162,6 +179,31 @@ fn a_second_build_of_the_same_file_is_refused() {
 }
 
 #[test]
+fn a_file_of_another_build_is_left_as_it_is_unless_it_may_be_replaced() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let path = dir.path().join("database.bin");
+    std::fs::write(&path, "mine").expect("written");
+    let carefully = Overwrite::default().output(&path);
+    let shards = [whole(dir.path())];
+    let refusals = [
+        build::build(&small_grid(), Shard::WHOLE, &carefully, &go(), |_| panic!("it began")),
+        build::merge(&shards, &carefully),
+    ];
+    for refusal in refusals {
+        let refusal = refusal.expect_err("refused");
+        assert!(matches!(refusal, BuildError::Output(OutputError::Exists { .. })), "{refusal}");
+        assert_eq!(bytes(&path), b"mine");
+        assert!(!dir.path().join("database.bin.journal").exists());
+    }
+    merge(&shards, &path).expect("it is replaced");
+    build::merge(&shards, &carefully).expect("it is the same");
+    // It is the file of this build now.
+    let summary =
+        build::build(&small_grid(), Shard::WHOLE, &carefully, &go(), |_| ()).expect("nothing to do");
+    assert_eq!(summary.resumed, 6);
+}
+
+#[test]
 fn a_journal_of_other_settings_is_refused() {
     let dir = tempfile::tempdir().expect("a folder");
     let path = dir.path().join("database.bin");
@@ -264,7 +306,7 @@ fn the_shipped_database_holds() {
 fn a_read_only_folder_gives_one_clear_error() {
     let nowhere = Path::new("/proc/database.bin");
     let refusal = build(&small_grid(), Shard::WHOLE, nowhere, &go(), |_| ()).expect_err("refused");
-    assert!(refusal.to_string().starts_with("cannot write /proc/database.bin.journal"), "{refusal}");
+    assert!(refusal.to_string().starts_with("cannot write /proc/database.bin"), "{refusal}");
 }
 
 #[test]

@@ -3,7 +3,8 @@
 use super::{failed, print};
 use clap_complete::Shell;
 use serde::Serialize;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
+use upswing_config::output::{Destination, OutputError, Overwrite};
 use upswing_config::process::Failure;
 
 /// Name of the program.
@@ -30,7 +31,10 @@ pub struct CompletionsArgs {
 #[derive(Clone, Debug, clap::Args)]
 pub struct ManArgs {
     /// The folder, made if need be
-    pub dir: PathBuf,
+    pub dir: Destination,
+    /// What becomes of an existing file.
+    #[command(flatten)]
+    pub overwrite: Overwrite,
     /// Print one JSON document on stdout instead of text
     #[arg(long)]
     pub json: bool,
@@ -71,20 +75,16 @@ pub fn completions(args: &CompletionsArgs, command: &mut clap::Command) -> Resul
     print(args.json, &Script { shell: args.shell.to_string(), script })
 }
 
-/// Writes the pages of a command and of those in it; how many.
-fn pages(command: &clap::Command, dir: &Path) -> std::io::Result<usize> {
-    let mut count = 1;
-    for command in command.get_subcommands() {
-        count += pages(command, dir)?;
-    }
+/// The pages of a command and of those in it: name of the file, and text.
+fn pages(command: &clap::Command, all: &mut Vec<(String, String)>) -> std::io::Result<()> {
+    command.get_subcommands().try_for_each(|command| pages(command, all))?;
     let name = command.get_display_name().unwrap_or_else(|| command.get_name());
     let page = clap_mangen::Man::new(command.clone()).title(name).date(DATE);
     let mut text = Vec::new();
     page.render(&mut text)?;
     // A blank line between two breaks: mandoc complains about either break, and about the blank line.
-    let text = String::from_utf8_lossy(&text).replace("\n.br\n\n.br\n", "\n.sp\n");
-    std::fs::write(dir.join(page.get_filename()), text)?;
-    Ok(count)
+    all.push((page.get_filename(), String::from_utf8_lossy(&text).replace("\n.br\n\n.br\n", "\n.sp\n")));
+    Ok(())
 }
 
 /// Writes the pages of `command`.
@@ -92,13 +92,19 @@ fn pages(command: &clap::Command, dir: &Path) -> std::io::Result<usize> {
 /// # Errors
 /// [`Failure::BadInput`] if the folder cannot be written to.
 pub fn man(args: &ManArgs, command: clap::Command) -> Result<(), Failure> {
-    let write = || -> std::io::Result<usize> {
-        std::fs::create_dir_all(&args.dir)?;
-        let mut command = command.disable_help_subcommand(true);
-        command.build();
-        pages(&command, &args.dir)
+    let bad = |e: &dyn std::fmt::Display| {
+        Failure::BadInput(format!("cannot write man pages to {}: {e}", args.dir.display()))
     };
-    let bad = |e| Failure::BadInput(format!("cannot write man pages to {}: {e}", args.dir.display()));
-    let pages = write().map_err(bad)?;
-    print(args.json, &Written { dir: args.dir.clone(), pages })
+    std::fs::create_dir_all(&*args.dir).map_err(|e| bad(&e))?;
+    let mut command = command.disable_help_subcommand(true);
+    command.build();
+    let mut all = Vec::new();
+    pages(&command, &mut all).map_err(|e| bad(&e))?;
+    let output = |name: &str| args.overwrite.output(&args.dir.join(name));
+    let write = || -> Result<(), OutputError> {
+        all.iter().try_for_each(|(name, _)| output(name).check())?;
+        all.iter().try_for_each(|(name, text)| output(name).write(text.as_bytes()))
+    };
+    write().map_err(|e| bad(&e))?;
+    print(args.json, &Written { dir: args.dir.to_path_buf(), pages: all.len() })
 }

@@ -4,6 +4,7 @@ use super::{CommonArgs, print};
 use serde::Serialize;
 use std::path::PathBuf;
 use upswing_config::Config;
+use upswing_config::output::{Destination, Overwrite};
 use upswing_config::process::Failure;
 
 /// Writes or checks settings.
@@ -19,12 +20,15 @@ pub struct ConfigArgs {
 /// What to do with settings.
 #[derive(Clone, Debug, clap::Subcommand)]
 pub enum ConfigCommand {
-    /// Write the embedded settings, robot and database to a folder; overwrites nothing
+    /// Write the embedded settings, robot and database to a folder
     ///
     /// Example: upswing config export my-config
     Export {
         /// The folder
-        dir: PathBuf,
+        dir: Destination,
+        /// What becomes of an existing file.
+        #[command(flatten)]
+        overwrite: Overwrite,
         /// Print one JSON document on stdout instead of text
         #[arg(long)]
         json: bool,
@@ -41,9 +45,9 @@ pub enum ConfigCommand {
 /// [`Failure::BadInput`] that names file, key and reason.
 pub fn run(args: &ConfigArgs) -> Result<(), Failure> {
     match &args.command {
-        ConfigCommand::Export { dir, json } => {
-            Config::export(dir)?;
-            print(*json, &Done { success: true, dir: Some(dir.clone()) })
+        ConfigCommand::Export { dir, overwrite, json } => {
+            Config::export_with(dir, *overwrite)?;
+            print(*json, &Done { success: true, dir: Some(dir.to_path_buf()) })
         }
         ConfigCommand::Check(common) => {
             common.process.load()?;

@@ -5,6 +5,7 @@ use crate::parse::whole;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
+use upswing_config::output::{Destination, Output, OutputError, Overwrite};
 use upswing_config::process::{Failure, shutdown_flag};
 use upswing_config::{Config, DatabaseFile};
 use upswing_planner::build::{self, BuildError, Shard, Summary};
@@ -38,7 +39,10 @@ pub enum DbCommand {
         shard: Shard,
         /// File to write; FILE.journal holds what is finished until then
         #[arg(long, value_name = "FILE", default_value = "database.bin")]
-        output: PathBuf,
+        output: Destination,
+        /// What becomes of an existing file.
+        #[command(flatten)]
+        overwrite: Overwrite,
     },
     /// Join the shards of one build; the result has the bytes of a build in one piece
     ///
@@ -49,7 +53,10 @@ pub enum DbCommand {
         common: CommonArgs,
         /// File to write
         #[arg(long, value_name = "FILE")]
-        output: PathBuf,
+        output: Destination,
+        /// What becomes of an existing file.
+        #[command(flatten)]
+        overwrite: Overwrite,
         /// The shards, in any order
         #[arg(required = true)]
         shards: Vec<PathBuf>,
@@ -99,8 +106,12 @@ pub enum DbCommand {
 /// not hold.
 pub fn run(args: &DbArgs) -> Result<(), Failure> {
     match &args.command {
-        DbCommand::Build { common, grid, shard, output } => build(common, grid.as_deref(), *shard, output),
-        DbCommand::Merge { common, output, shards } => merge(common, output, shards),
+        DbCommand::Build { common, grid, shard, output, overwrite } => {
+            build(common, grid.as_deref(), *shard, &overwrite.output(output))
+        }
+        DbCommand::Merge { common, output, overwrite, shards } => {
+            merge(common, &overwrite.output(output), shards)
+        }
         DbCommand::Verify { common, grid, file } => verify(common, grid.as_deref(), file.as_deref()),
         DbCommand::Info { common, file } => info(common, file.as_deref()),
         DbCommand::Export { common, file, entry } => export(common, file.as_deref(), *entry),
@@ -111,6 +122,7 @@ pub fn run(args: &DbArgs) -> Result<(), Failure> {
 fn failure(e: BuildError) -> Failure {
     match e {
         BuildError::File { action: "read", .. }
+        | BuildError::Output(OutputError::Exists { .. })
         | BuildError::Database { .. }
         | BuildError::Foreign { .. }
         | BuildError::Nothing => Failure::BadInput(e.to_string()),
@@ -150,7 +162,7 @@ impl std::fmt::Display for Built {
     }
 }
 
-fn build(common: &CommonArgs, grid: Option<&Path>, shard: Shard, output: &Path) -> Result<(), Failure> {
+fn build(common: &CommonArgs, grid: Option<&Path>, shard: Shard, output: &Output) -> Result<(), Failure> {
     let mut config = common.process.load()?;
     use_grid(&mut config, grid)?;
     let stop = shutdown_flag()?;
@@ -159,7 +171,9 @@ fn build(common: &CommonArgs, grid: Option<&Path>, shard: Shard, output: &Path) 
     let summary =
         build::build(&config, shard, output, &stop, |n| bar.inc(n as u64)).map_err(|e| match e {
             BuildError::File { action: "read", .. } => failure(e),
-            BuildError::File { .. } => failed(format!("{e}; what was finished is kept in the journal")),
+            BuildError::File { .. } | BuildError::Output(OutputError::Io { .. }) => {
+                failed(format!("{e}; what was finished is kept in the journal"))
+            }
             e => failure(e),
         })?;
     bar.finish_and_clear();
@@ -167,13 +181,13 @@ fn build(common: &CommonArgs, grid: Option<&Path>, shard: Shard, output: &Path) 
         let degrees = config.grid.pose(*pose as usize).map(|q| format!("{:.1}", q.to_degrees()));
         tracing::warn!("no solution from pose {pose}, [{}] deg", degrees.join(", "));
     }
-    conclude(common, output, summary, begin)
+    conclude(common, output.path(), summary, begin)
 }
 
-fn merge(common: &CommonArgs, output: &Path, shards: &[PathBuf]) -> Result<(), Failure> {
+fn merge(common: &CommonArgs, output: &Output, shards: &[PathBuf]) -> Result<(), Failure> {
     let begin = Instant::now();
     let summary = build::merge(shards, output).map_err(failure)?;
-    conclude(common, output, summary, begin)
+    conclude(common, output.path(), summary, begin)
 }
 
 fn use_grid(config: &mut Config, grid: Option<&Path>) -> Result<(), Failure> {

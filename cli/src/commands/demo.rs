@@ -1,6 +1,6 @@
 //! `upswing demo`: the whole system on this machine.
 
-use super::{CommonArgs, check_writable, failed, own_system, session_failure, time_bar};
+use super::{CommonArgs, failed, own_system, session_failure, time_bar, writable};
 use crate::parse::{Degrees, start_state, within};
 use crate::picture;
 use crate::recording::Recorder;
@@ -8,8 +8,10 @@ use crate::report::Report;
 use crate::session::{Programs, Session, SessionError};
 use crate::swing_up::swing_up;
 use serde::Serialize;
-use std::path::PathBuf;
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
 use upswing_config::PendulumStart;
+use upswing_config::output::{Destination, Overwrite};
 use upswing_config::process::{Failure, note, shutdown_flag};
 use upswing_ipc::Clock;
 
@@ -36,10 +38,13 @@ pub struct DemoArgs {
     pub seconds: f64,
     /// Record every cycle in this new file (MCAP); look at it with `upswing report`, Foxglove or PlotJuggler
     #[arg(long, value_name = "FILE.mcap")]
-    pub record: Option<PathBuf>,
-    /// Where to write the picture (SVG)
-    #[arg(long, value_name = "FILE", default_value = "upswing-demo.svg")]
-    pub picture: PathBuf,
+    pub record: Option<Destination>,
+    /// Where to write the picture (SVG) [default: upswing-demo.svg, or upswing-demo-2.svg, ... where that exists]
+    #[arg(long, value_name = "FILE")]
+    pub picture: Option<Destination>,
+    /// What becomes of an existing file.
+    #[command(flatten)]
+    pub overwrite: Overwrite,
 }
 
 #[derive(Serialize)]
@@ -64,6 +69,17 @@ impl std::fmt::Display for Answer {
     }
 }
 
+/// The picture where none is named: nobody has to think of a name to see another demo.
+fn default_picture(overwrite: Overwrite) -> Destination {
+    let name = |n: u32| match n {
+        1 => "upswing-demo.svg".to_owned(),
+        n => format!("upswing-demo-{n}.svg"),
+    };
+    let free = |name: &String| overwrite.force || !Path::new(name).exists();
+    let free = (1..=u32::MAX).map(name).find(free);
+    OsString::from(free.unwrap_or_else(|| name(1))).into()
+}
+
 /// Runs the demo.
 ///
 /// # Errors
@@ -82,16 +98,19 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
         None => Degrees(config.plant.start.q.iter().map(|q| (q.to_degrees() * 1e9).round() / 1e9).collect()),
     };
     start_state(&config, "--start", &start, PendulumStart::Rest)?;
-    check_writable("--picture", Some(&args.picture))?;
+    let named = args.picture.clone().unwrap_or_else(|| default_picture(args.overwrite));
+    let picture = writable("--picture", Some(&named), args.overwrite)?;
+    let recording = writable("--record", args.record.as_ref(), args.overwrite)?;
     let stop = shutdown_flag()?;
 
     let (_clean, options) =
         own_system(&args.common, "demo", args.clock, start.to_string(), args.scenario.clone())?;
     let period = config.daemon.cycle.period.as_secs_f64();
-    let recorder = args.record.as_deref().map(|file| {
+    let recorder = recording.map(|file| {
+        file.clear().map_err(|e| Failure::BadInput(format!("--record: {e}")))?;
         let mut details = vec![("clock", args.clock.to_string()), ("start_deg", start.to_string())];
         details.extend(args.scenario.clone().map(|scenario| ("scenario", scenario)));
-        Recorder::create(file, &config, details).map_err(Failure::from)
+        Recorder::create(file.path(), &config, details).map_err(Failure::from)
     });
     let recorder = recorder.transpose()?;
     if !args.common.json {
@@ -120,10 +139,11 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
         clock: args.clock.to_string(),
         start_deg: start.0,
         scenario: args.scenario.clone(),
-        picture: args.picture.clone(),
-        recording: args.record.clone(),
+        picture: named.to_path_buf(),
+        recording: args.record.as_deref().map(Path::to_path_buf),
     };
-    let drawn = picture::draw(&args.picture, &records, &config.robot.limits, period);
+    let draw = |output| picture::draw(&output, &records, &config.robot.limits, period);
+    let drawn = picture.map_or(Ok(()), draw);
     args.common.print(&answer)?;
     if !success {
         let logs = options.logs.display();

@@ -1,12 +1,13 @@
 //! `upswing export`: a recording as a table.
 
-use super::{CommonArgs, byte_bar, failed};
+use super::{CommonArgs, byte_bar, failed, writable};
 use crate::parse::{whole, window, within};
 use crate::recording::cycle::FIELDS;
 use crate::recording::{Message, Source, scan};
 use serde::Serialize;
-use std::io::{BufWriter, Write};
-use std::path::PathBuf;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use upswing_config::output::{Destination, Overwrite, Pending};
 use upswing_config::process::Failure;
 use upswing_ipc::Telemetry;
 
@@ -23,7 +24,7 @@ pub struct ExportArgs {
     pub file: PathBuf,
     /// The table to write
     #[arg(long, value_name = "FILE.csv")]
-    pub csv: PathBuf,
+    pub csv: Destination,
     /// Begin, s after the first cycle
     #[arg(long, value_name = "S", default_value_t = 0.0, value_parser = within(0.0, 1e9))]
     pub from: f64,
@@ -33,11 +34,14 @@ pub struct ExportArgs {
     /// Write only each n-th cycle
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = whole(1, u32::MAX))]
     pub every: u32,
+    /// What becomes of an existing file.
+    #[command(flatten)]
+    pub overwrite: Overwrite,
 }
 
 #[derive(Serialize)]
 struct Answer<'a> {
-    csv: &'a PathBuf,
+    csv: &'a Path,
     lines: usize,
     columns: usize,
     cut: Option<String>,
@@ -60,6 +64,7 @@ impl std::fmt::Display for Answer<'_> {
 /// [`Failure::BadInput`] if there is no such recording, [`Failure::Failed`] if the table cannot be written.
 pub fn run(args: &ExportArgs) -> Result<(), Failure> {
     let window = window(args.from, args.to)?;
+    let output = writable("--csv", Some(&args.csv), args.overwrite)?;
     let unwritable = |e: std::io::Error| failed(format!("cannot write {}: {e}", args.csv.display()));
     // Opened with the first cycle: a file that is no recording leaves the table as it is.
     let mut table = None;
@@ -72,15 +77,12 @@ pub fn run(args: &ExportArgs) -> Result<(), Failure> {
     let source = Source::open(&args.file, &args.common.process)?;
     let recording = scan(source.path(), window, progress, |_, message| -> Result<(), Failure> {
         let Message::Cycle(cycle) = message else { return Ok(()) };
+        if let (None, Some(output)) = (&table, &output) {
+            let file = table.insert(output.begin().map_err(failed)?);
+            writeln!(file, "{}", columns().join(",")).map_err(unwritable)?;
+        }
+        let Some(file) = &mut table else { return Ok(()) };
         let mut write = || -> std::io::Result<()> {
-            let file = match &mut table {
-                Some(file) => file,
-                none => {
-                    let file = none.insert(BufWriter::new(std::fs::File::create(&args.csv)?));
-                    writeln!(file, "{}", columns().join(","))?;
-                    file
-                }
-            };
             if seen % args.every as usize == 0 {
                 writeln!(file, "{}", line(&cycle))?;
                 lines += 1;
@@ -92,7 +94,7 @@ pub fn run(args: &ExportArgs) -> Result<(), Failure> {
     });
     bar.finish_and_clear();
     let recording = recording?;
-    table.map_or(Ok(()), |mut file| file.flush()).map_err(unwritable)?;
+    table.map_or(Ok(()), Pending::finish).map_err(failed)?;
     args.common.print(&Answer {
         csv: &args.csv,
         lines,

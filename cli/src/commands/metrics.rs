@@ -1,18 +1,17 @@
 //! `upswing metrics`: a running system for Prometheus.
 
-use super::{CommonArgs, failed, print_json, print_line};
+use super::{CommonArgs, failed, print_json, print_line, writable};
 use crate::http::{self, Listener, Request, Response, Server};
 use crate::live::Live;
 use crate::metrics::{self, CONTENT_TYPE};
 use crate::parse::within;
 use serde::Serialize;
-use std::io::Write;
 use std::net::SocketAddr;
-use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
+use upswing_config::output::{Destination, Overwrite};
 use upswing_config::process::{Failure, shutdown_flag};
 
 /// Pause between two looks for telemetry; its buffer lasts for two seconds.
@@ -36,10 +35,13 @@ pub struct MetricsArgs {
     pub listen: Option<SocketAddr>,
     /// Renew this file until Ctrl-C, for node_exporter's textfile collector; it is removed in the end
     #[arg(long, value_name = "FILE.prom")]
-    pub file: Option<PathBuf>,
+    pub file: Option<Destination>,
     /// Time between two renewals of the file, s, 0.1 to 3600
     #[arg(long, value_name = "S", default_value_t = 5.0, requires = "file", value_parser = within(0.1, 3600.0))]
     pub every: f64,
+    /// What becomes of an existing file.
+    #[command(flatten)]
+    pub overwrite: Overwrite,
 }
 
 #[derive(Serialize)]
@@ -71,6 +73,7 @@ pub fn run(args: &MetricsArgs) -> Result<(), Failure> {
         let got = file.display();
         return Err(Failure::BadInput(format!("--file: expected a name that ends in .prom, got {got}")));
     }
+    let file = writable("--file", args.file.as_ref(), args.overwrite)?;
     let config = args.common.process.load()?;
     if args.listen.is_none() && args.file.is_none() {
         let mut live = Live::open(&args.common, &config)?;
@@ -88,13 +91,15 @@ pub fn run(args: &MetricsArgs) -> Result<(), Failure> {
     let mut live = Live::open(&args.common, &config)?;
     live.settle().map_err(failed)?;
     let text = |live: &Live| metrics::text(&metrics::families(&live.view()));
-    if let Some(file) = &args.file {
-        replace(file, &text(&live)).map_err(|e| Failure::BadInput(format!("--file: {e}")))?;
+    if let Some(file) = &file {
+        file.write(text(&live).as_bytes()).map_err(|e| Failure::BadInput(format!("--file: {e}")))?;
     }
+    // From here on it is this process's own.
+    let file = file.map(|file| Overwrite { force: true }.output(file.path()));
     let newest = Arc::new(Mutex::new(text(&live)));
     args.common.print(&Begun {
         url: listener.as_ref().map(|l| format!("http://{}/metrics", l.address)),
-        file: args.file.clone(),
+        file: args.file.as_deref().map(Path::to_path_buf),
     })?;
     let mut server = listener.map(|listener| {
         let newest = Arc::clone(&newest);
@@ -112,8 +117,8 @@ pub fn run(args: &MetricsArgs) -> Result<(), Failure> {
                 *newest.lock().unwrap_or_else(PoisonError::into_inner) = text(&live);
                 shown = Instant::now();
             }
-            if let Some(file) = args.file.as_deref().filter(|_| written.elapsed() >= every) {
-                replace(file, &text(&live)).map_err(failed)?;
+            if let Some(file) = file.as_ref().filter(|_| written.elapsed() >= every) {
+                file.write(text(&live).as_bytes()).map_err(failed)?;
                 written = Instant::now();
             }
             std::thread::sleep(PAUSE);
@@ -124,8 +129,8 @@ pub fn run(args: &MetricsArgs) -> Result<(), Failure> {
     stop.store(true, Ordering::Release);
     let ended = server.as_mut().map_or(Ok(()), Server::end).map_err(failed);
     // What nobody renews would look like a system that stands still.
-    if let Some(file) = &args.file {
-        let _ = std::fs::remove_file(file);
+    if let Some(file) = &file {
+        let _ = std::fs::remove_file(file.path());
     }
     result.and(ended)
 }
@@ -138,20 +143,4 @@ fn answer(request: &Request, newest: &Mutex<String>) -> Response {
         (true, _) => http::respond(404, TEXT, "expected /metrics\n".into()),
         (false, _) => http::refuse_method(TEXT, "expected GET\n".into(), "GET, HEAD"),
     }
-}
-
-/// Writes a file that is complete whenever somebody reads it.
-fn replace(path: &Path, text: &str) -> Result<(), String> {
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let write = || -> std::io::Result<()> {
-        // The collector runs as another user and reads only *.prom.
-        let mut file = tempfile::Builder::new()
-            .prefix(".upswing-")
-            .permissions(std::fs::Permissions::from_mode(0o644))
-            .tempfile_in(folder)?;
-        file.write_all(text.as_bytes())?;
-        file.persist(path).map_err(|e| e.error)?;
-        Ok(())
-    };
-    write().map_err(|e| format!("cannot write {}: {e}", path.display()))
 }

@@ -6,7 +6,7 @@ mod replan;
 mod robustness;
 mod variation;
 
-use super::{CommonArgs, check_writable, failed, progress_bar};
+use super::{CommonArgs, failed, progress_bar, writable};
 use crate::closed_loop::{Aborted, Disturbances, swing_up};
 use crate::montecarlo::{NoStart, for_each};
 use crate::parse::whole;
@@ -14,6 +14,7 @@ use crate::report::Report;
 use clap::ValueEnum;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
+use upswing_config::output::Output;
 use upswing_config::process::Failure;
 use upswing_config::{Config, DatabaseFile, PendulumStart};
 use upswing_ipc::Telemetry;
@@ -238,7 +239,8 @@ fn database_file(path: &Path) -> Result<DatabaseFile, Failure> {
 /// Builds the database of the settings' grid.
 fn build_database(config: &Config, path: &Path, stop: &AtomicBool) -> Result<(), Failure> {
     let bar = progress_bar(config.grid.poses() as u64, "poses of the database");
-    let summary = build::build(config, Shard::WHOLE, path, stop, |n| bar.inc(n as u64)).map_err(failed)?;
+    let summary = build::build(config, Shard::WHOLE, &Output::new(path), stop, |n| bar.inc(n as u64))
+        .map_err(failed)?;
     bar.finish_and_clear();
     match (summary.left, summary.failed.len()) {
         (0, 0) => Ok(()),

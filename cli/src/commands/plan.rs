@@ -1,10 +1,10 @@
 //! `upswing plan`: one replan, without a running system.
 
-use super::{CommonArgs, PlanFigures, TrajectoryJson, failed, print_json, print_line};
+use super::{CommonArgs, PlanFigures, TrajectoryJson, failed, print_json, print_line, writable};
 use crate::parse::{Degrees, start_state, whole};
 use crate::picture;
 use serde::Serialize;
-use std::path::PathBuf;
+use upswing_config::output::{Destination, Overwrite};
 use upswing_config::process::Failure;
 use upswing_config::{Config, PendulumStart};
 use upswing_ipc::PlannerStatus;
@@ -40,7 +40,10 @@ pub struct PlanArgs {
     pub reference: Option<Degrees>,
     /// Draw the plan solid and the trajectory it was adapted from dashed, each scaled by the 100 % limits (SVG)
     #[arg(long, value_name = "FILE")]
-    pub svg: Option<PathBuf>,
+    pub svg: Option<Destination>,
+    /// What becomes of an existing file.
+    #[command(flatten)]
+    pub overwrite: Overwrite,
 }
 
 #[derive(Serialize)]
@@ -63,6 +66,7 @@ struct Answer {
 /// # Errors
 /// [`Failure::BadInput`] for an impossible start or database, [`Failure::Failed`] if there is no plan.
 pub fn run(args: &PlanArgs) -> Result<(), Failure> {
+    let svg = writable("--svg", args.svg.as_ref(), args.overwrite)?;
     let mut config = args.common.process.load()?;
     if let Some(iterations) = args.iterations {
         config.planner.replan.iterations = iterations as usize;
@@ -85,10 +89,10 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
         planner.replan_with(&mut planner.solver(), Manoeuvre::SwingUp, &start, &effort).map_err(failed)?;
     let open = replan.defect > settings.replan.defect;
     let status = if open { PlannerStatus::OpenDefect } else { PlannerStatus::Solved };
-    if let Some(path) = &args.svg {
+    if let Some(output) = &svg {
         let reference = &planner.entries()[replan.entry.index].trajectory;
         let config = planner.config();
-        picture::plan::draw(path, &config.model, &config.robot.limits, &replan.trajectory, reference)
+        picture::plan::draw(output, &config.model, &config.robot.limits, &replan.trajectory, reference)
             .map_err(failed)?;
     }
     let answer = Answer {

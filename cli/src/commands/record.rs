@@ -1,12 +1,13 @@
 //! `upswing record`: every cycle of a running system in a file.
 
-use super::{CommonArgs, failed, spinner, time_bar};
+use super::{CommonArgs, failed, spinner, time_bar, writable};
 use crate::parse::{WEEK, within};
 use crate::recording::{Recorder, RecordingError, Tally, Tap};
 use serde::Serialize;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
+use upswing_config::output::{Destination, Overwrite};
 use upswing_config::process::{Failure, shutdown_flag};
 
 /// Pause between two looks for telemetry; its buffer lasts for two seconds.
@@ -24,12 +25,15 @@ pub struct RecordArgs {
     /// Options of every command.
     #[command(flatten)]
     pub common: CommonArgs,
-    /// The new file; an existing one is not overwritten
+    /// The file
     #[arg(value_name = "FILE.mcap")]
-    pub file: PathBuf,
+    pub file: Destination,
     /// How long to record, s of the plant's time (0.001 to a week) [default: until Ctrl-C]
     #[arg(long, value_name = "S", value_parser = within(1e-3, WEEK))]
     pub seconds: Option<f64>,
+    /// What becomes of an existing file.
+    #[command(flatten)]
+    pub overwrite: Overwrite,
 }
 
 #[derive(Serialize)]
@@ -58,13 +62,17 @@ impl std::fmt::Display for Answer<'_> {
 /// full.
 pub fn run(args: &RecordArgs) -> Result<(), Failure> {
     let config = args.common.process.load()?;
+    let output = writable("FILE.mcap", Some(&args.file), args.overwrite)?;
     let node = args.common.connect()?;
     let stop = shutdown_flag()?;
     let tap = Tap::new(&node).map_err(failed)?;
     let details = [("domain", args.common.process.domain.clone())];
+    if let Some(output) = output {
+        output.clear().map_err(|e| Failure::BadInput(e.to_string()))?;
+    }
     let recorder = Recorder::create(&args.file, &config, details)?;
     let tally = record(args, &tap, recorder, &stop)?;
-    let bytes = std::fs::metadata(&args.file).map_or(0, |file| file.len());
+    let bytes = std::fs::metadata(&*args.file).map_or(0, |file| file.len());
     args.common.print(&Answer { file: &args.file, bytes, tally })
 }
 
@@ -91,7 +99,7 @@ fn record(args: &RecordArgs, tap: &Tap, mut recorder: Recorder, stop: &AtomicBoo
         if tally.cycles == 0 && begin.elapsed() > PATIENCE {
             // Nothing in it that anybody would miss.
             drop(recorder);
-            let _ = std::fs::remove_file(&args.file);
+            let _ = std::fs::remove_file(&*args.file);
             let domain = &args.common.process.domain;
             let waited = PATIENCE.as_secs();
             return Err(failed(format!(

@@ -1,11 +1,12 @@
 //! `upswing replay`: a recording once more through the controller.
 
-use super::{CommonArgs, failed};
+use super::{CommonArgs, failed, writable};
 use crate::recording::{Message, Recorder, RecordingError};
 use crate::replay::{Difference, Replay, Run, replay, settings};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use upswing_config::Config;
+use upswing_config::output::{Destination, Output, Overwrite};
 use upswing_config::process::Failure;
 
 /// Replays a recording through the controller and compares every number of every cycle, bit for bit.
@@ -23,9 +24,12 @@ pub struct ReplayArgs {
     /// The recording, from the start of the daemon on
     #[arg(value_name = "FILE.mcap")]
     pub file: PathBuf,
-    /// Where to keep inputs and decisions; an existing file is not overwritten
+    /// Where to keep inputs and decisions
     #[arg(long, value_name = "FILE.mcap")]
-    pub keep: Option<PathBuf>,
+    pub keep: Option<Destination>,
+    /// What becomes of an existing file.
+    #[command(flatten)]
+    pub overwrite: Overwrite,
 }
 
 #[derive(Serialize)]
@@ -36,7 +40,7 @@ struct Answer<'a> {
     compared: u64,
     difference: &'a Option<Difference>,
     decision: &'a Option<Difference>,
-    kept: &'a Option<PathBuf>,
+    kept: Option<&'a Path>,
 }
 
 impl std::fmt::Display for Answer<'_> {
@@ -69,11 +73,12 @@ fn text(difference: &Difference) -> String {
 /// # Errors
 /// [`Failure::BadInput`] if the file cannot be replayed, [`Failure::Failed`] if something differs.
 pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
+    let kept = writable("--keep", args.keep.as_ref(), args.overwrite)?;
     let recorded = Run::read(&args.file)?;
     let bad = |e: &dyn std::fmt::Display| Failure::BadInput(format!("{}: {e}", args.file.display()));
     let result =
         settings(&recorded.recording).and_then(|config| replay(&recorded, &config)).map_err(|e| bad(&e))?;
-    if let Some(file) = &args.keep {
+    if let Some(file) = &kept {
         let config = args.common.process.load()?;
         let today = replay(&recorded, &config).map_err(|e| bad(&e))?;
         keep(file, &config, &recorded, &today)?;
@@ -86,17 +91,18 @@ pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
         compared: result.compared,
         difference: &result.difference,
         decision: &result.decision,
-        kept: &args.keep,
+        kept: args.keep.as_deref(),
     })?;
     if success { Ok(()) } else { Err(failed("the replay differs from the recording")) }
 }
 
 /// Writes all inputs, and of the cycles as they came out those in which the controller decided something, the first and the
 /// last.
-fn keep(file: &Path, config: &Config, recorded: &Run, replay: &Replay) -> Result<(), Failure> {
+fn keep(file: &Output, config: &Config, recorded: &Run, replay: &Replay) -> Result<(), Failure> {
+    file.clear().map_err(|e| Failure::BadInput(format!("--keep: {e}")))?;
     let details = [("kept", env!("CARGO_PKG_VERSION").to_owned())];
     let write = || -> Result<_, RecordingError> {
-        let mut recorder = Recorder::create(file, config, details)?;
+        let mut recorder = Recorder::create(file.path(), config, details)?;
         for input in &recorded.inputs {
             match input {
                 Message::Step(step) => recorder.write_steps(std::slice::from_ref(step))?,

@@ -4,10 +4,10 @@ use super::{CommonArgs, byte_bar, failed};
 use crate::page::{self, Data, Digest};
 use crate::parse::{window, within};
 use crate::picture::figures;
-use crate::recording::{Message, Source, scan};
+use crate::recording::{Message, RecordingError, Source, scan};
 use serde::Serialize;
-use std::io::{BufWriter, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use upswing_config::output::{Destination, Overwrite};
 use upswing_config::process::Failure;
 
 /// Writes one HTML file that shows a recording in any browser, without network: the robot in motion with play, pause and
@@ -24,7 +24,7 @@ pub struct ReportArgs {
     pub file: PathBuf,
     /// The page to write [default: the recording's name with .html]
     #[arg(long, value_name = "FILE.html")]
-    pub output: Option<PathBuf>,
+    pub output: Option<Destination>,
     /// Begin, s after the first cycle
     #[arg(long, value_name = "S", default_value_t = 0.0, value_parser = within(0.0, 1e9))]
     pub from: f64,
@@ -37,6 +37,9 @@ pub struct ReportArgs {
     /// Write each figure as PNG, too, beside the page; needs a sans-serif font on this machine
     #[arg(long)]
     pub png: bool,
+    /// What becomes of an existing file.
+    #[command(flatten)]
+    pub overwrite: Overwrite,
 }
 
 #[derive(Serialize)]
@@ -63,6 +66,12 @@ impl std::fmt::Display for Answer {
 /// # Errors
 /// [`Failure::BadInput`] if there is no such recording, [`Failure::Failed`] if a file cannot be written.
 pub fn run(args: &ReportArgs) -> Result<(), Failure> {
+    let unreadable = |cause| RecordingError::Read { path: args.file.clone(), cause };
+    upswing_config::open_file(&args.file).map_err(unreadable)?;
+    let page = args.output.as_deref().map_or_else(|| args.file.with_extension("html"), Path::to_path_buf);
+    let page = args.overwrite.output(&page);
+    let checked = page.check().and_then(|()| figures::check(&page, args.svg, args.png));
+    checked.map_err(|e| Failure::BadInput(e.to_string()))?;
     let mut digest = None;
     let bar = byte_bar();
     let progress = |done, total| {
@@ -85,17 +94,15 @@ pub fn run(args: &ReportArgs) -> Result<(), Failure> {
     // A recording has at least one cycle.
     let digest = digest.ok_or_else(|| failed("no cycle"))?;
     let data = Data::new(&args.file, &recording, &digest)?;
-    let page = args.output.clone().unwrap_or_else(|| args.file.with_extension("html"));
-    let write = || -> std::io::Result<()> {
-        let mut file = BufWriter::new(std::fs::File::create(&page)?);
-        page::write(&data, &mut file)?;
-        file.flush()
-    };
-    write().map_err(|e| failed(format!("cannot write {}: {e}", page.display())))?;
+    let mut file = page.begin().map_err(failed)?;
+    let written = page::write(&data, &mut file);
+    written.map_err(|e| failed(format!("cannot write {}: {e}", page.path().display())))?;
+    file.finish().map_err(failed)?;
     let figures = if args.svg || args.png {
         figures::draw(&page, &digest, args.svg, args.png).map_err(Failure::Failed)?
     } else {
         Vec::new()
     };
+    let page = page.path().to_owned();
     args.common.print(&Answer { page, figures, cut: recording.cut, damage: recording.damage })
 }

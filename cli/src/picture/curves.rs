@@ -2,7 +2,7 @@
 
 use super::{Area, COLOURS, Drawn, svg, write};
 use plotters::prelude::*;
-use std::path::Path;
+use upswing_config::output::Output;
 
 /// Panels side by side, and the size of one, px.
 const COLUMNS: usize = 3;
@@ -34,7 +34,7 @@ pub struct Panel {
 ///
 /// # Errors
 /// A text that says why the file could not be drawn.
-pub fn draw(path: &Path, panels: &[Panel]) -> Result<(), String> {
+pub fn draw(output: &Output, panels: &[Panel]) -> Result<(), String> {
     let columns = panels.len().clamp(1, COLUMNS);
     let rows = panels.len().div_ceil(columns).max(1);
     let size = (PANEL.0 * columns as u32, PANEL.1 * rows as u32);
@@ -42,7 +42,7 @@ pub fn draw(path: &Path, panels: &[Panel]) -> Result<(), String> {
         let mut areas = panels.iter().zip(root.split_evenly((rows, columns)));
         areas.try_for_each(|(panel, area)| draw_panel(&area, panel))
     })?;
-    write(path, drawing.as_bytes())
+    write(output, drawing.as_bytes())
 }
 
 fn draw_panel(area: &Area<'_>, panel: &Panel) -> Drawn {

@@ -5,7 +5,8 @@ use crate::page::times::Times;
 use crate::page::{Digest, Span};
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
+use upswing_config::output::{Output, OutputError};
 use upswing_ipc::Mode;
 
 /// px
@@ -14,18 +15,42 @@ const MODES_SIZE: (u32, u32) = (1200, 260);
 /// Pixels of a PNG per unit of the SVG: sharp in print.
 const SCALE: f32 = 2.0;
 
+/// What the files of the figures end in.
+const TRAJECTORIES: &str = "trajectories";
+const MODES: &str = "modes";
+const CYCLE_TIMES: &str = "cycle-times";
+
+/// The file of a figure beside `page`.
+fn figure(page: &Output, name: &str, extension: &str) -> Output {
+    let stem = page.path().file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned());
+    page.beside(&format!("{stem}-{name}.{extension}"))
+}
+
+/// Whether all figures that there may be can be written.
+///
+/// # Errors
+/// [`OutputError`] of the first that cannot.
+pub fn check(page: &Output, as_svg: bool, as_png: bool) -> Result<(), OutputError> {
+    let kinds = [(as_svg, "svg"), (as_png, "png")];
+    let names = [TRAJECTORIES, MODES, CYCLE_TIMES];
+    kinds
+        .into_iter()
+        .filter(|(wanted, _)| *wanted)
+        .flat_map(|(_, extension)| names.map(|name| figure(page, name, extension)))
+        .try_for_each(|figure| figure.check())
+}
+
 /// Draws what there is of the figures beside `page`, as `NAME-trajectories.svg` and so on; the paths.
 ///
 /// # Errors
 /// A text that says which file could not be written.
-pub fn draw(page: &Path, digest: &Digest, as_svg: bool, as_png: bool) -> Result<Vec<PathBuf>, String> {
+pub fn draw(page: &Output, digest: &Digest, as_svg: bool, as_png: bool) -> Result<Vec<PathBuf>, String> {
     let mut written = Vec::new();
     let mut finish = |name: &str, drawing: &str| -> Result<(), String> {
-        let stem = page.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned());
         let mut write = |extension: &str, bytes: &[u8]| {
-            let path = page.with_file_name(format!("{stem}-{name}.{extension}"));
-            super::write(&path, bytes)?;
-            written.push(path);
+            let figure = figure(page, name, extension);
+            super::write(&figure, bytes)?;
+            written.push(figure.path().to_owned());
             Ok::<_, String>(())
         };
         if as_svg {
@@ -38,14 +63,14 @@ pub fn draw(page: &Path, digest: &Digest, as_svg: bool, as_png: bool) -> Result<
     };
     if digest.samples.iter().any(|t| matches!(t.mode(), Ok(Mode::Track | Mode::Balance))) {
         finish(
-            "trajectories",
+            TRAJECTORIES,
             &swing_up(&digest.samples, &digest.model.rated_limits().scale(), digest.step())?,
         )?;
     }
-    finish("modes", &modes(&digest.spans())?)?;
+    finish(MODES, &modes(&digest.spans())?)?;
     let times = digest.times.times();
     if !times.is_empty() {
-        finish("cycle-times", &cycle_times(&times, digest.period * 1e6)?)?;
+        finish(CYCLE_TIMES, &cycle_times(&times, digest.period * 1e6)?)?;
     }
     Ok(written)
 }

@@ -3,8 +3,8 @@
 
 use super::{Area, Drawn, svg, write};
 use plotters::prelude::*;
-use std::path::Path;
 use upswing_config::GridAxis;
+use upswing_config::output::Output;
 use upswing_model::NU;
 
 /// Size of a panel and of what stands beside the panels, px.
@@ -59,7 +59,7 @@ impl Side {
 ///
 /// # Errors
 /// A text that says why the file could not be drawn.
-pub fn draw(path: &Path, axes: &[GridAxis], points: &[Point]) -> Result<(), String> {
+pub fn draw(output: &Output, axes: &[GridAxis], points: &[Point]) -> Result<(), String> {
     let cells = (points.len() as f64 / STARTS_PER_CELL).sqrt().clamp(CELLS.0, CELLS.1) as usize;
     let sides: Vec<Side> = axes
         .iter()
@@ -86,7 +86,7 @@ pub fn draw(path: &Path, axes: &[GridAxis], points: &[Point]) -> Result<(), Stri
         }
         Ok(())
     })?;
-    write(path, drawing.as_bytes())
+    write(output, drawing.as_bytes())
 }
 
 /// Cells of a panel, `x` running fastest.

@@ -1,7 +1,7 @@
 //! A plan and the trajectory it was adapted from, as in the paper's Fig. 4.
 
 use super::{Curve, Look, POINTS, draw_panels, write};
-use std::path::Path;
+use upswing_config::output::Output;
 use upswing_model::{ActuatedVector, Limits, Model, NQ, NU, State, Workspace};
 use upswing_trajectory::{Spline, Trajectory};
 
@@ -37,7 +37,7 @@ impl Samples {
 /// # Errors
 /// A text that says why the file could not be drawn.
 pub fn draw(
-    path: &Path,
+    output: &Output,
     model: &Model,
     limits: &Limits,
     plan: &Trajectory,
@@ -56,5 +56,5 @@ pub fn draw(
             (i < NU).then(|| curve(&|s| s.torque(i, limits.tau_max[i]))),
         ]
     })?;
-    write(path, drawing.as_bytes())
+    write(output, drawing.as_bytes())
 }

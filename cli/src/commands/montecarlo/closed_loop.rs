@@ -1,7 +1,7 @@
 //! `upswing montecarlo closed-loop`.
 
 use super::condition::Condition;
-use super::{SamplingArgs, Scratch, check_writable, failed, list_failures};
+use super::{SamplingArgs, Scratch, failed, list_failures, writable};
 use crate::closed_loop::{Aborted, Disturbances};
 use crate::montecarlo::{NoStart, Spread, Starts, arm_degrees};
 use crate::parse::within;
@@ -9,9 +9,9 @@ use crate::picture;
 use crate::report::Report;
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
+use upswing_config::output::{Destination, Overwrite};
 use upswing_config::process::{Failure, shutdown_flag};
 use upswing_model::{NU, State};
 use upswing_planner::replan::Planner;
@@ -32,7 +32,10 @@ pub struct ClosedLoopArgs {
     pub seconds: f64,
     /// Draw the swing-up of --only as far as it came (SVG)
     #[arg(long, value_name = "FILE", requires = "only")]
-    pub picture: Option<PathBuf>,
+    pub picture: Option<Destination>,
+    /// What becomes of an existing file.
+    #[command(flatten)]
+    pub overwrite: Overwrite,
 }
 
 /// What became of one start. All but the time depends on settings, condition, seed and index alone.
@@ -227,7 +230,7 @@ impl std::fmt::Display for ConditionAnswer {
 /// # Errors
 /// [`Failure::BadInput`] for unusable options or files; [`Failure::Failed`] if not every start succeeded.
 pub fn run(args: &ClosedLoopArgs) -> Result<(), Failure> {
-    check_writable("--picture", args.picture.as_deref())?;
+    let picture = writable("--picture", args.picture.as_ref(), args.overwrite)?;
     let stop = shutdown_flag()?;
     let planner = args.sampling.planner(None, &stop)?;
     let config = planner.config();
@@ -243,12 +246,12 @@ pub fn run(args: &ClosedLoopArgs) -> Result<(), Failure> {
         .into_iter()
         .map(|condition| {
             let runs = Runs { planner: &planner, starts, condition, seconds: args.seconds };
-            if let (Some(path), Some(index)) = (&args.picture, args.sampling.only) {
+            if let (Some(output), Some(index)) = (&picture, args.sampling.only) {
                 let mut scratch = Scratch::new(&planner);
                 // How it ended, the answer says.
                 let _ = runs.run(&mut scratch, index, &starts.start(index)?);
                 let period = config.daemon.cycle.period.as_secs_f64();
-                picture::draw(path, &scratch.records, &config.robot.limits, period).map_err(failed)?;
+                picture::draw(output, &scratch.records, &config.robot.limits, period).map_err(failed)?;
             }
             runs.all(&args.sampling, &stop)
         })

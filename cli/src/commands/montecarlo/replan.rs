@@ -1,13 +1,13 @@
 //! `upswing montecarlo replan`.
 
-use super::{SamplingArgs, check_writable, failed, list_failures};
+use super::{SamplingArgs, failed, list_failures, writable};
 use crate::commands::PlanFigures;
 use crate::montecarlo::{NoStart, Spread, Starts, arm_degrees};
 use crate::parse::whole;
 use crate::picture::map;
 use serde::Serialize;
-use std::path::PathBuf;
 use std::time::Instant;
+use upswing_config::output::{Destination, Overwrite};
 use upswing_config::process::{Failure, shutdown_flag};
 use upswing_model::{NU, State};
 use upswing_planner::qp::Solver;
@@ -25,7 +25,10 @@ pub struct ReplanArgs {
     pub iterations: Option<u32>,
     /// Draw the smallest margins over the ranges of the starts (SVG)
     #[arg(long, value_name = "FILE")]
-    pub svg: Option<PathBuf>,
+    pub svg: Option<Destination>,
+    /// What becomes of an existing file.
+    #[command(flatten)]
+    pub overwrite: Overwrite,
 }
 
 /// Defect of the real dynamics that counts as closed, rad or rad/s per interval.
@@ -157,7 +160,7 @@ impl std::fmt::Display for Answer {
 /// # Errors
 /// [`Failure::BadInput`] for unusable options or files; [`Failure::Failed`] if not every start succeeded.
 pub fn run(args: &ReplanArgs) -> Result<(), Failure> {
-    check_writable("--svg", args.svg.as_deref())?;
+    let svg = writable("--svg", args.svg.as_ref(), args.overwrite)?;
     let stop = shutdown_flag()?;
     let begin = Instant::now();
     let planner = args.sampling.planner(args.iterations, &stop)?;
@@ -179,14 +182,14 @@ pub fn run(args: &ReplanArgs) -> Result<(), Failure> {
     let most = plans().map(|p| p.plan.attempts).max().unwrap_or(0);
     let succeeded = results.iter().filter(|s| s.failure.is_none()).count();
     let success = complete && succeeded == results.len();
-    if let Some(path) = &args.svg {
+    if let Some(output) = &svg {
         let margins =
             |p: &Figures| [p.plan.margins.margin_q, p.plan.margins.margin_qd, p.plan.margins.margin_tau];
         let points: Vec<_> = results
             .iter()
             .map(|s| map::Point { q_deg: s.start_deg, margins: s.plan.as_ref().map(margins) })
             .collect();
-        map::draw(path, &config.grid.axes, &points).map_err(failed)?;
+        map::draw(output, &config.grid.axes, &points).map_err(failed)?;
     }
     let samples = results.len();
     args.sampling.common.print(&Answer {

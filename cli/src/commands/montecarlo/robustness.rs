@@ -1,7 +1,7 @@
 //! `upswing montecarlo robustness`.
 
 use super::variation::{Misses, Variation};
-use super::{SamplingArgs, Scratch, check_writable, failed};
+use super::{SamplingArgs, Scratch, failed, writable};
 use crate::closed_loop::Aborted;
 use crate::montecarlo::{NoStart, Starts, arm_degrees, wilson};
 use crate::parse::within;
@@ -11,6 +11,7 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Instant;
+use upswing_config::output::{Destination, Overwrite};
 use upswing_config::process::{Failure, shutdown_flag};
 use upswing_config::{Config, VelocityEstimate};
 use upswing_model::{NU, State};
@@ -42,10 +43,13 @@ pub struct RobustnessArgs {
     pub seconds: f64,
     /// Draw the curves (SVG)
     #[arg(long, value_name = "FILE")]
-    pub svg: Option<PathBuf>,
+    pub svg: Option<Destination>,
     /// Draw the swing-up of --only as far as it came (SVG); one --over, --values and --velocity
     #[arg(long, value_name = "FILE", requires = "only")]
-    pub picture: Option<PathBuf>,
+    pub picture: Option<Destination>,
+    /// What becomes of an existing file.
+    #[command(flatten)]
+    pub overwrite: Overwrite,
 }
 
 /// One value of one curve.
@@ -182,14 +186,14 @@ pub fn run(args: &RobustnessArgs) -> Result<(), Failure> {
     if args.over.contains(&Variation::Jitter) && args.missed.is_none() {
         return Err(Failure::BadInput("--over jitter: expected a file by --missed, got none".into()));
     }
-    check_writable("--svg", args.svg.as_deref())?;
-    check_writable("--picture", args.picture.as_deref())?;
+    let svg = writable("--svg", args.svg.as_ref(), args.overwrite)?;
+    let picture = writable("--picture", args.picture.as_ref(), args.overwrite)?;
     let stop = shutdown_flag()?;
     let planner = args.sampling.planner(None, &stop)?;
     let cases = cases(args, planner.config())?;
     let starts = Starts { config: planner.config(), seed: args.sampling.seed };
     let runs = Runs { planner: &planner, starts, misses, seconds: args.seconds };
-    if let (Some(path), Some(index)) = (&args.picture, args.sampling.only) {
+    if let (Some(output), Some(index)) = (&picture, args.sampling.only) {
         let [case] = &cases[..] else {
             let got = cases.len();
             let text = format!("--picture: expected one --over, --values and --velocity, got {got} runs");
@@ -199,7 +203,7 @@ pub fn run(args: &RobustnessArgs) -> Result<(), Failure> {
         // How it ended, the answer says.
         let _ = runs.run(case, &mut scratch, index, &starts.start(index)?);
         let period = case.config.daemon.cycle.period.as_secs_f64();
-        picture::draw(path, &scratch.records, &case.config.robot.limits, period).map_err(failed)?;
+        picture::draw(output, &scratch.records, &case.config.robot.limits, period).map_err(failed)?;
     }
 
     let indices = args.sampling.indices();
@@ -217,8 +221,8 @@ pub fn run(args: &RobustnessArgs) -> Result<(), Failure> {
     )?;
     let complete = results.len() == jobs.len();
     let curves = curves_of(&cases, results);
-    if let Some(path) = &args.svg {
-        curves::draw(path, &panels(&curves)).map_err(failed)?;
+    if let Some(output) = &svg {
+        curves::draw(output, &panels(&curves)).map_err(failed)?;
     }
     let succeeded = curves.iter().flat_map(|c| &c.points).all(|p| p.succeeded == p.samples);
     let success = complete && (succeeded || args.sampling.only.is_none());
