@@ -18,6 +18,9 @@ const SIZE: (u32, u32) = (1200, 820);
 const POINTS: usize = 500;
 /// Joints of each row, 0-based, as in Fig. 4 and 5 (joint 7 is shown with the pendulum).
 const ROWS: [&[usize]; 3] = [&[0, 1, 2], &[3, 4, 5], &[6, 7, 8]];
+/// How far each panel reaches, in units of the 100 % limits: the same in all pictures, so that they can be compared. Plans may go to
+/// 1.11 of the limit of q8.
+const SHOWN: f64 = 1.2;
 /// What each column shows.
 const COLUMNS: [&str; 3] = ["position / 100 % limit", "velocity / 100 % limit", "torque / 100 % limit"];
 /// Colours that differ in print and for the colour-blind (Okabe, Ito 2008).
@@ -117,17 +120,19 @@ fn draw_panels(
     })
 }
 
+/// A point, at the edge of its panel where it is beyond that.
+fn shown((t, value): &(f64, f64)) -> (f64, f64) {
+    (*t, value.clamp(-SHOWN, SHOWN))
+}
+
 fn draw_panel(area: &Area<'_>, title: &str, bottom: bool, look: &Look, curves: &[(usize, Curve)]) -> Drawn {
-    let values = curves.iter().flat_map(|(_, c)| c.solid.iter().chain(&c.dashed)).map(|p| p.1.abs());
-    // The limits at +-1 are always in sight.
-    let top = values.fold(1.0, f64::max) * 1.08;
     let mut chart = ChartBuilder::on(area)
         .margin(8)
         .caption(title, ("sans-serif", 18))
         .x_label_area_size(if bottom { 38 } else { 22 })
         .y_label_area_size(38)
         // The legend stands to the right of the curves.
-        .build_cartesian_2d(look.begin..look.end * 1.42, -top..top)?;
+        .build_cartesian_2d(look.begin..look.end * 1.42, -SHOWN..SHOWN)?;
     chart
         .configure_mesh()
         .light_line_style(TRANSPARENT)
@@ -142,14 +147,14 @@ fn draw_panel(area: &Area<'_>, title: &str, bottom: bool, look: &Look, curves: &
     }
     for ((joint, curve), colour) in curves.iter().zip(COLOURS) {
         chart
-            .draw_series(LineSeries::new(curve.solid.iter().copied(), colour.stroke_width(2)))?
+            .draw_series(LineSeries::new(curve.solid.iter().map(shown), colour.stroke_width(2)))?
             .label(format!("joint {}", joint + 1))
             .legend(move |(x, y)| PathElement::new([(x, y), (x + 16, y)], colour.stroke_width(2)));
     }
     // The dashed curves lie on top, or the solid ones would hide them.
     for ((_, curve), colour) in curves.iter().zip(COLOURS) {
         let style = look.dashes.unwrap_or(colour).stroke_width(1);
-        chart.draw_series(DashedLineSeries::new(curve.dashed.iter().copied(), 4, 4, style))?;
+        chart.draw_series(DashedLineSeries::new(curve.dashed.iter().map(shown), 4, 4, style))?;
     }
     chart
         .configure_series_labels()

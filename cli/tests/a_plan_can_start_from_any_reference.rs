@@ -46,6 +46,27 @@ fn both_are_drawn() {
     assert!(apart.1 >= 25 * 10 && equal.1 >= 25 * 10, "{} and {} dashes", apart.1, equal.1);
 }
 
+#[test]
+fn pictures_with_the_same_titles_have_the_same_scale() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name).to_str().expect("a plain path").to_owned();
+    let (plan, far, flight) = (path("plan.svg"), path("far.svg"), path("flight.svg"));
+    success(&["plan", "--start", START, "--svg", &plan]);
+    success(&["plan", "--start", "0,-15,60,-95,60,10,60", "--svg", &far]);
+    success(&["demo", "--clock", "lockstep", "--seconds", "2", "--picture", &flight]);
+    let limits = |file: &str| {
+        let svg = std::fs::read_to_string(file).expect("the picture");
+        let lines = svg.split("<polyline").filter(|line| line.contains("opacity=\"0.35\""));
+        let heights =
+            lines.map(|line| line.split("points=\"").nth(1)?.split([',', ' ']).nth(1)?.parse().ok());
+        heights.collect::<Option<Vec<i32>>>().expect("heights")
+    };
+    let heights = limits(&plan);
+    // Two limits in nine panels.
+    assert_eq!(heights.len(), 18, "{heights:?}");
+    assert_eq!((&limits(&far), &limits(&flight)), (&heights, &heights));
+}
+
 /// Numbers of the thick lines and of the thin coloured ones.
 fn curves(path: &Path) -> (usize, usize) {
     let svg = std::fs::read_to_string(path).expect("the picture");
