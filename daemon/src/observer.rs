@@ -350,6 +350,31 @@ mod tests {
     }
 
     #[test]
+    fn what_spoke_against_a_measurement_does_so_until_the_next_one() {
+        let mut seen = Seen::new();
+        seen.take(&measured(1, 0.1, Clock::Wall), false);
+        let mut bad = measured(2, 0.1, Clock::Wall);
+        bad.q[4] = f64::NAN;
+        for _ in 0..3 {
+            assert_eq!(seen.take(&bad, false).0, Some(TripCause::NotFinite));
+        }
+        assert_eq!(seen.take(&measured(3, 0.1, Clock::Wall), false).0, None);
+    }
+
+    #[test]
+    fn drives_that_do_not_act_are_counted_in_cycles_not_in_measurements() {
+        let mut seen = Seen::new();
+        seen.take(&measured(1, 0.1, Clock::Paced), false);
+        let mut at = |seq| {
+            let next = Measurement { status: Measurement::BRAKES_CLOSED, ..measured(seq, 0.1, Clock::Paced) };
+            seen.take(&next, false).0
+        };
+        // Every other one is missed; 800 cycles are allowed.
+        assert_eq!((1..=400).find_map(|k| at(1 + 2 * k)), None);
+        assert_eq!(at(803), Some(TripCause::DrivesStopped));
+    }
+
+    #[test]
     fn a_jump_behind_closed_brakes_begins_anew_and_is_none_afterwards() {
         for braked in [true, false] {
             let mut seen = Seen::new();

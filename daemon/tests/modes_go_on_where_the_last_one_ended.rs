@@ -2,10 +2,10 @@
 
 mod common;
 
-use common::{Arm, PERIOD, PERIOD_NS, at_rest, config, measurement, rest_plan, rest_pose};
+use common::{Arm, PERIOD, PERIOD_NS, at_rest, config, measurement, rest_plan, rest_pose, upright_pose};
 use upswing_config::PlanWhileTracking;
 use upswing_ipc::{Clock, Measurement, Mode, Telemetry};
-use upswing_model::{JointVector, NQ, NU};
+use upswing_model::{ActuatedVector, JointVector, NQ, NU, Workspace};
 use upswingd::controller::{Controller, Order, Output};
 use upswingd::supervisor::{Refusal, Request};
 use upswingd::trip::TripCause;
@@ -94,10 +94,10 @@ fn a_stop_that_is_asked_for_again_goes_on_and_ends_in_the_pose_of_its_reference(
 fn a_plan_that_hangs_ends_in_the_hold_of_its_end() {
     let mut told = Told::new();
     let end = told.q;
+    // Held elsewhere, within what a start tolerates.
+    told.q[0] += 1e-4;
     told.ask(Request::Enable);
     told.step(Some(Order::Load(rest_plan(&config(), &at_rest(&end), 0.001))));
-    // Within what a start tolerates, and no jump.
-    told.q[0] += 1e-4;
     told.ask(Request::Start(7));
     let mut last = told.step(None);
     while told.controller.mode() == Mode::Track {
@@ -174,23 +174,25 @@ fn a_start_forgets_why_the_last_plan_was_given_up() {
 #[test]
 fn plans_are_taken_while_another_is_tracked_as_set() {
     for (while_tracking, taken) in [(PlanWhileTracking::Refuse, false), (PlanWhileTracking::Queue, true)] {
-        let mut config = config();
-        config.daemon.plans.while_tracking = while_tracking;
-        let mut told = Told { controller: Controller::new(&config), ..Told::new() };
-        let next = |id| {
-            let mut plan = rest_plan(&config, &at_rest(&rest_pose(&config)), 0.0005);
-            plan.id = id;
-            Some(Order::Load(plan))
-        };
-        told = told.tracking(0.01);
-        let output = told.step(next(8));
-        let expected = if taken { Ok(()) } else { Err(Refusal::Tracking { running: 7 }) };
-        assert_eq!(output.answer, Some(expected));
-        assert_eq!(output.garbage.map(|plan| plan.id), (!taken).then_some(8), "it is handed back");
-        while told.controller.mode() == Mode::Track {
-            told.step(None);
+        for (q, end) in [(rest_pose(&config()), Mode::Hold), (upright_pose(), Mode::Balance)] {
+            let mut config = config();
+            config.daemon.plans.while_tracking = while_tracking;
+            let next = |id| {
+                let mut plan = rest_plan(&config, &at_rest(&q), 0.0005);
+                plan.id = id;
+                Some(Order::Load(plan))
+            };
+            let mut told = Told { controller: Controller::new(&config), q, seq: 0 }.tracking(0.01);
+            let output = told.step(next(8));
+            let expected = if taken { Ok(()) } else { Err(Refusal::Tracking { running: 7 }) };
+            assert_eq!(output.answer, Some(expected));
+            assert_eq!(output.garbage.map(|plan| plan.id), (!taken).then_some(8), "it is handed back");
+            while told.controller.mode() == Mode::Track {
+                told.step(None);
+            }
+            assert_eq!(told.controller.mode(), end);
+            assert_eq!(told.step(next(9)).answer, Some(Ok(())), "in {end}");
         }
-        assert_eq!(told.step(next(9)).answer, Some(Ok(())), "in {}", told.controller.mode());
     }
 }
 
@@ -219,4 +221,46 @@ fn turns_of_a_pendulum_that_swings_behind_closed_brakes_do_not_count() {
     told.step(None);
     let shown = told.step(None).record.telemetry.q[7];
     assert!((shown - hanging).abs() < 1e-9, "{shown}");
+}
+
+#[test]
+fn a_shutdown_can_be_asked_for_twice_and_nothing_else_after_it() {
+    let mut told = Told::new();
+    told.ask(Request::Enable);
+    told.ask(Request::Shutdown);
+    told.ask(Request::Shutdown);
+    for request in [Request::Enable, Request::Hold, Request::Start(7), Request::Stop, Request::Reset] {
+        assert_eq!(told.step(Some(Order::Do(request))).answer, Some(Err(Refusal::ShuttingDown)), "{request}");
+    }
+}
+
+/// A torque of 1 N m more than gravity explains, behind closed brakes.
+#[test]
+fn only_a_load_that_is_sensed_behind_closed_brakes_is_an_offset() {
+    let config = config();
+    let q = rest_pose(&config);
+    let none = ActuatedVector::zeros();
+    let gravity = config.model.torque(&at_rest(&q), &none, &mut Workspace::default());
+    let closed = Measurement::BRAKES_CLOSED;
+    for (status, offset) in
+        [(0, 0.0), (closed, 0.0), (Measurement::LOAD_SENSED, 0.0), (closed | Measurement::LOAD_SENSED, 1.0)]
+    {
+        let mut controller = Controller::new(&config);
+        let mut tau_measured: [f64; NU] = gravity.into();
+        tau_measured[0] += 1.0;
+        for seq in 1..=10 {
+            let status = Measurement::DRIVES_READY | status;
+            controller.step(&Measurement { status, tau_measured, ..measurement(seq, &q) }, 0, None);
+        }
+        let last =
+            Measurement { status: Measurement::DRIVES_READY | status, tau_measured, ..measurement(11, &q) };
+        let output = controller.step(&last, 0, Some(Order::Do(Request::Enable)));
+        assert_eq!(output.answer, Some(Ok(())));
+        let mut tau = ActuatedVector::zeros();
+        for seq in 12..30 {
+            tau = controller.step(&measurement(seq, &q), 0, None).command.tau.into();
+        }
+        // The sensor shows 1 N m too much: so much more is commanded.
+        assert!(((tau - gravity)[0] - offset).abs() < 0.05, "{status:b}: {} N m", tau - gravity);
+    }
 }

@@ -456,20 +456,25 @@ fn gains_that_answer_a_tolerated_start_with_a_blow() {
     for knot in [0, 33, N] {
         for row in [0, NX - 1] {
             let tolerance = if row < NQ { 0.05 } else { 0.2 };
-            // The torque of joint 1 for 1 rad/s^2.
             let mut work = Workspace::default();
             let x = State::from(good.x[knot]);
             config.model.accelerations(&x, &ActuatedVector::from(good.u[knot]), &mut work);
-            let unit = ActuatedVector::from_fn(|i, _| f64::from(u8::from(i == 0)));
-            let inertia = config.model.reduced_inertia_times(&unit, &work)[0];
-            let blow = |limits: f64| limits * 320.0 / inertia / tolerance;
-            let refusal = verdict(&|p| p.k[knot][0][row] += blow(6.0)).unwrap_err();
-            let expected = matches!(
-                refusal,
-                PlanRefusal::Unfit(Unfit::Step { knot: k, joint: 0, got, most: 1600.0 })
-                    if k == knot && (got - 6.0 * 320.0).abs() < 0.7 * 320.0
-            );
-            assert!(expected, "{refusal}");
+            // Each joint has its own limit; towards either side.
+            for (of, limits) in [(0, 6.0), (0, -6.0), (6, 6.0), (6, -6.0)] {
+                let limit = config.robot.limits.tau_max[of];
+                // The torque of the joint for 1 rad/s^2.
+                let unit = ActuatedVector::from_fn(|i, _| f64::from(u8::from(i == of)));
+                let inertia = config.model.reduced_inertia_times(&unit, &work)[of];
+                let blow = limits * limit / inertia / tolerance;
+                let refusal = verdict(&|p| p.k[knot][of][row] += blow).unwrap_err();
+                let expected = matches!(
+                    refusal,
+                    PlanRefusal::Unfit(Unfit::Step { knot: k, joint, got, most })
+                        if (k, joint, most) == (knot, of, 5.0 * limit)
+                            && (got - 6.0 * limit).abs() < 0.7 * limit
+                );
+                assert!(expected, "{refusal}");
+            }
         }
     }
     let refusal = verdict(&|p| p.k_final[0][0] = 1e9).unwrap_err();
