@@ -82,6 +82,8 @@ pub struct StandstillSettings {
     pub friction: [f64; NQ],
     /// Torque that may act without being known, N m.
     pub unknown: [f64; NQ],
+    /// Change of a commanded torque that every torque sensor shows, as a share of the 100 % torque limits.
+    pub torque: f64,
 }
 
 /// Above `warn` the daemon warns, above `trip` it gives up control; warn < trip.
@@ -114,6 +116,14 @@ pub struct Levels {
     pub torque_rate: Level,
     /// Difference between an angle and its reference, rad.
     pub tracking_error: Level,
+    /// Torque on the arm that nothing explains, share of the 100 % limits.
+    pub collision_torque: Level,
+    /// How long it lasts until it is a collision, s.
+    pub collision_time: f64,
+    /// Distance of the arm from the pose that it holds, rad.
+    pub hold_error: Level,
+    /// Distance of the arm from the end of the plan in balance, rad.
+    pub balance_error: Level,
     /// Tilt of the rod from upright in balance, rad.
     pub balance_tilt: Level,
     /// Speed that balancing is about to ask of the arm, share of the 100 % limits.
@@ -249,6 +259,7 @@ struct RawStandstill {
     angle_rad: Vec<f64>,
     friction_nms_rad: Vec<f64>,
     unknown_torque_nm: Vec<f64>,
+    torque_fraction: f64,
 }
 
 #[derive(Deserialize)]
@@ -269,7 +280,11 @@ struct RawLevels {
     velocity_fraction: RawLevel,
     torque_fraction: RawLevel,
     torque_rate_per_ms: RawLevel,
+    collision_torque_fraction: RawLevel,
+    collision_ms: f64,
     tracking_error_rad: RawLevel,
+    hold_error_rad: RawLevel,
+    balance_error_rad: RawLevel,
     balance_tilt_deg: RawLevel,
     balance_speed_fraction: RawLevel,
     late_cycles: RawLevel,
@@ -381,6 +396,7 @@ impl DaemonSettings {
                     1,
                     &NON_NEGATIVE,
                 )?,
+                torque: check.number("standstill.torque_fraction", raw.standstill.torque_fraction, &SHARE)?,
             },
             limits,
             plans: PlanSettings {
@@ -447,7 +463,11 @@ impl RawLevels {
             velocity_fraction: level("velocity_fraction", &self.velocity_fraction, &POSITIVE)?,
             torque_fraction: level("torque_fraction", &self.torque_fraction, &POSITIVE)?,
             torque_rate: scaled(level("torque_rate_per_ms", &self.torque_rate_per_ms, &POSITIVE)?, 1e3),
+            collision_torque: level("collision_torque_fraction", &self.collision_torque_fraction, &POSITIVE)?,
+            collision_time: check.number("limits.collision_ms", self.collision_ms, &POSITIVE)? * 1e-3,
             tracking_error: level("tracking_error_rad", &self.tracking_error_rad, &POSITIVE)?,
+            hold_error: level("hold_error_rad", &self.hold_error_rad, &POSITIVE)?,
+            balance_error: level("balance_error_rad", &self.balance_error_rad, &POSITIVE)?,
             balance_tilt: scaled(level("balance_tilt_deg", &self.balance_tilt_deg, &ACUTE)?, to_rad),
             balance_speed: level("balance_speed_fraction", &self.balance_speed_fraction, &POSITIVE)?,
             late_cycles: level("late_cycles", &self.late_cycles, &COUNT)?,

@@ -2,7 +2,7 @@
 
 use crate::MAX_DELAY;
 use serde::Deserialize;
-use upswing_model::NQ;
+use upswing_model::{NQ, NU};
 
 /// What breaks; the index of a variant is its code in shared memory. Faults at the same time act in this order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, clap::ValueEnum)]
@@ -28,6 +28,8 @@ pub enum FaultKind {
     EncoderNan,
     /// No command reaches the drives.
     LoseCommand,
+    /// A torque of `amount`, N m, acts on `joint` of the arm from outside: somebody pushes, or is in the way.
+    ArmTorque,
 }
 
 impl FaultKind {
@@ -43,7 +45,16 @@ impl FaultKind {
 
     /// Whether it concerns one joint.
     pub const fn has_joint(self) -> bool {
-        matches!(self, Self::EncoderStuck | Self::EncoderJump | Self::EncoderNan)
+        self.joints() > 0
+    }
+
+    /// How many joints, from the first on, it can concern.
+    const fn joints(self) -> usize {
+        match self {
+            Self::EncoderStuck | Self::EncoderJump | Self::EncoderNan => NQ,
+            Self::ArmTorque => NU,
+            _ => 0,
+        }
     }
 }
 
@@ -58,7 +69,7 @@ pub struct Fault {
     pub cycles: u64,
     /// The joint, counted from 0, of the kinds that concern one.
     pub joint: usize,
-    /// Cycles (`DelayMeasurement`, 1..=[`MAX_DELAY`]) or rad (`EncoderJump`, not 0).
+    /// Cycles (`DelayMeasurement`, 1..=[`MAX_DELAY`]), rad (`EncoderJump`, not 0) or N m (`ArmTorque`, not 0).
     pub amount: f64,
 }
 
@@ -78,8 +89,8 @@ impl Fault {
     /// # Errors
     /// [`EventError`] with what was expected and what came.
     pub fn check(&self) -> Result<(), EventError> {
-        if self.kind.has_joint() && self.joint >= NQ {
-            return Err(EventError::Joint { got: self.joint.wrapping_add(1) });
+        if self.kind.has_joint() && self.joint >= self.kind.joints() {
+            return Err(EventError::Joint { most: self.kind.joints(), got: self.joint.wrapping_add(1) });
         }
         let amount = self.amount;
         match self.kind {
@@ -90,6 +101,9 @@ impl Fault {
             }
             FaultKind::EncoderJump if !(amount.is_finite() && amount != 0.0) => {
                 Err(EventError::Jump { got: amount })
+            }
+            FaultKind::ArmTorque if !(amount.is_finite() && amount != 0.0) => {
+                Err(EventError::Torque { got: amount })
             }
             _ if !amount.is_finite() => Err(EventError::Amount { got: amount }),
             _ => Ok(()),
@@ -133,8 +147,10 @@ impl Push {
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum EventError {
     /// No such joint.
-    #[error("joint: expected 1 to {NQ}, got {got}")]
+    #[error("joint: expected 1 to {most}, got {got}")]
     Joint {
+        /// The last one that there is for the kind.
+        most: usize,
         /// What came, counted from 1.
         got: usize,
     },
@@ -147,6 +163,12 @@ pub enum EventError {
     /// A jump by nothing, or by what is no number.
     #[error("amount: expected a finite number other than 0, rad, got {got}")]
     Jump {
+        /// What came.
+        got: f64,
+    },
+    /// No torque, or one that is no number.
+    #[error("amount: expected a finite number other than 0, N m, got {got}")]
+    Torque {
         /// What came.
         got: f64,
     },

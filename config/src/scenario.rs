@@ -107,7 +107,7 @@ fn read_fault(check: Check<'_>, raw: &RawFault) -> Result<Fault, ConfigError> {
         other => {
             let expected = if needs { "a joint" } else { "none for this kind" };
             let got = other.map_or("none".into(), |joint| joint.to_string());
-            return Err(check.refuse("fault.joint", expected, got, "only encoders have a joint"));
+            return Err(check.refuse("fault.joint", expected, got, "only encoders and torques have a joint"));
         }
     };
     let fault = Fault {

@@ -168,8 +168,8 @@ fn daemon() {
         ("trip = 1.2 }", "trip = nan }", &["limits.torque_fraction.trip", POSITIVE, "got NaN"]),
         ("per_ms = { warn = 1,", "per_ms = { warn = inf,", &["limits.torque_rate_per_ms.warn", "got inf"]),
         (
-            "error_rad = { warn = 0.25",
-            "error_rad = { warn = -1",
+            "tracking_error_rad = { warn = 0.25",
+            "tracking_error_rad = { warn = -1",
             &["limits.tracking_error_rad.warn", POSITIVE],
         ),
         (

@@ -143,6 +143,31 @@ impl Checks {
         beyond(TripCause::TrackingError, 0..NQ, |i| x[i] - x_d[i], level, warnings)
     }
 
+    /// Distance of the arm from the pose of `x_d`, which it holds or moves to.
+    pub fn hold(&self, x: &State, x_d: &State, warnings: &mut u64) -> Option<Trip> {
+        self.error_of_arm(self.levels.hold_error, x, x_d, warnings)
+    }
+
+    /// Distance of the arm from the end `x_d` of a plan that it balances at.
+    pub fn balance_error(&self, x: &State, x_d: &State, warnings: &mut u64) -> Option<Trip> {
+        self.error_of_arm(self.levels.balance_error, x, x_d, warnings)
+    }
+
+    fn error_of_arm(&self, level: Level, x: &State, x_d: &State, warnings: &mut u64) -> Option<Trip> {
+        beyond(TripCause::TrackingError, ARM, |i| x[i] - x_d[i], |_| level, warnings)
+    }
+
+    /// `torque` on the arm that nothing explains, N m.
+    pub fn unexplained(&self, torque: &ActuatedVector, warnings: &mut u64) -> Option<Trip> {
+        let level = scaled(self.levels.collision_torque, |i| self.tau_max[i]);
+        beyond(TripCause::Collision, ARM, |i| torque[i], level, warnings)
+    }
+
+    /// How long an unexplained torque lasts until it is a collision, s.
+    pub fn collision_time(&self) -> f64 {
+        self.levels.collision_time
+    }
+
     /// `tilt` of the rod from where the plan ends, rad.
     pub fn balance(&self, tilt: f64, warnings: &mut u64) -> Option<Trip> {
         let level = |_| self.levels.balance_tilt;

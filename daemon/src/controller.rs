@@ -141,6 +141,10 @@ pub struct Controller {
     begins: u64,
     /// qdd that the torque of the last cycle is meant for, unless the limiter cut it.
     expected: Option<JointVector>,
+    /// For how long a torque has acted on the arm that is enough for a collision, s.
+    pressed: f64,
+    /// Whether the robot measures the torque of its loads.
+    senses: bool,
 }
 
 impl Controller {
@@ -164,7 +168,11 @@ impl Controller {
                 config.robot.limits.tau_max * config.daemon.disturbance.most,
                 config.daemon.cycle.velocity_filter,
             ),
-            standstill: Standstill::new(&config.daemon.standstill, &config.robot.planning.q_max),
+            standstill: Standstill::new(
+                &config.daemon.standstill,
+                &config.robot.planning.q_max,
+                &config.robot.limits.tau_max,
+            ),
             arm: ArmReference::new(&config.daemon),
             now: 0,
             start: 0,
@@ -174,6 +182,8 @@ impl Controller {
             last: ActuatedVector::zeros(),
             begins: 0,
             expected: None,
+            pressed: 0.0,
+            senses: false,
         }
     }
 
@@ -245,12 +255,19 @@ impl Controller {
         if matches!(self.mode, Mode::Idle | Mode::Hold) {
             self.observer.drop_turns();
         }
+        let mut collision = None;
         if braked {
             self.weigh(measurement, fresh);
+            self.pressed = 0.0;
         } else {
             let v: ActuatedVector = self.observer.filtered.fixed_rows::<NU>(0).into();
             let u: Option<ActuatedVector> = expected.map(|qdd| qdd.fixed_rows::<NU>(0).into());
             self.disturbance.update(&self.model, &v, u.as_ref(), elapsed, &self.work);
+            let unexplained = self.checks.unexplained(self.disturbance.unexplained(), &mut self.warnings);
+            // Drives that do not act leave all of the command unexplained; that has a limit of its own.
+            let pressed = unexplained.is_some() && self.observer.drives_act();
+            self.pressed = if pressed { self.pressed + elapsed } else { 0.0 };
+            collision = unexplained.filter(|_| self.pressed >= self.checks.collision_time());
         }
         if self.warnings & TripCause::EncoderJump.bit() != 0 {
             self.standstill.jumped();
@@ -260,15 +277,20 @@ impl Controller {
             self.standstill.reset();
             None
         } else if fresh {
-            self.standstill
-                .observe(&position(&self.observer.x), self.observer.cycles() as f64 * self.checks.period())
+            let elapsed = self.observer.cycles() as f64 * self.checks.period();
+            let q = position(&self.observer.x);
+            let frozen = self
+                .standstill
+                .observe_all(&q, &measurement.tau_measured.into(), elapsed)
+                .filter(|_| self.senses);
+            self.standstill.observe(&q, elapsed).or(frozen)
         } else {
             None
         };
         // Without a new measurement it is a cycle on the wall clock only, on the others an order between cycles.
         self.cycle += u64::from(fresh || wall);
 
-        if let Some(trip) = restarted.or(self.observer.unfit).or(stuck) {
+        if let Some(trip) = restarted.or(self.observer.unfit).or(stuck).or(collision) {
             self.give_up(Event::Fault, trip);
         }
         if let Some(trip) = self.checks.late(told.late, &mut self.warnings) {
@@ -328,6 +350,7 @@ impl Controller {
     /// disturbance that Hold begins with. `fresh`: the measurement is new.
     fn weigh(&mut self, measurement: &Measurement, fresh: bool) {
         const HELD: u64 = Measurement::BRAKES_CLOSED | Measurement::LOAD_SENSED;
+        self.senses |= measurement.status & Measurement::LOAD_SENSED != 0;
         if measurement.status & HELD != HELD || self.observer.unfit.is_some() {
             self.disturbance.reset();
         } else if fresh {
@@ -495,6 +518,7 @@ impl Controller {
         };
         let u = reference.u + reference.gain * (x - reference.x);
         if self.mode == Mode::Balance {
+            lost = lost.or(self.checks.balance_error(x, &reference.x, warnings));
             let v = self.observer.filtered.fixed_rows::<NU>(0).into();
             lost = lost.or(self.checks.balance_speed(&v, &u, warnings));
         }
@@ -521,7 +545,12 @@ impl Controller {
             return self.rest();
         }
         let x = &self.observer.x;
-        Target { x_d: self.arm.state(x), u_d, u: self.arm.input(x, &u_d), t_plan: 0.0 }
+        let target = Target { x_d: self.arm.state(x), u_d, u: self.arm.input(x, &u_d), t_plan: 0.0 };
+        if let Some(trip) = self.checks.hold(x, &target.x_d, &mut self.warnings) {
+            self.give_up(Event::Fault, trip);
+            return self.rest();
+        }
+        target
     }
 
     /// Idle and Fault: the brakes hold whatever there is.

@@ -23,6 +23,8 @@ pub struct Disturbance {
     time_constant: f64,
     /// tau^ and tau^_f, N m.
     estimate: ActuatedVector,
+    /// tau^ without a limit, N m.
+    unlimited: ActuatedVector,
     lagging_estimate: ActuatedVector,
     /// u_f, rad/s^2.
     lagging_input: ActuatedVector,
@@ -42,6 +44,7 @@ impl Disturbance {
             most,
             time_constant,
             estimate: none,
+            unlimited: none,
             lagging_estimate: none,
             lagging_input: none,
             last: None,
@@ -52,6 +55,11 @@ impl Disturbance {
     /// tau^, N m.
     pub fn estimate(&self) -> &ActuatedVector {
         &self.estimate
+    }
+
+    /// What acts besides the command however large it is, N m: tau^ without its limit.
+    pub fn unexplained(&self) -> &ActuatedVector {
+        &self.unlimited
     }
 
     /// Forgets everything: the brakes hold.
@@ -74,7 +82,7 @@ impl Disturbance {
         let share = (elapsed / self.weighed).max(-(-elapsed * self.bandwidth).exp_m1());
         let estimate = self.estimate + (d - self.estimate) * share;
         *self = Self { weighed: self.weighed, ..Self::new(self.bandwidth, self.most, self.time_constant) };
-        (self.estimate, self.lagging_estimate) = (estimate, estimate);
+        (self.estimate, self.unlimited, self.lagging_estimate) = (estimate, estimate, estimate);
     }
 
     /// Takes in the filtered velocity `v` (rad/s), `elapsed` (s) after the last one. `u` (rad/s^2) was the input to
@@ -98,7 +106,9 @@ impl Disturbance {
         self.lagging_estimate += (self.estimate - self.lagging_estimate) * lag;
         let unexplained = (v - last) / elapsed - self.lagging_input;
         let torque = model.reduced_inertia_times(&unexplained, work) + self.lagging_estimate;
-        let estimate = self.estimate + (torque - self.estimate) * -(-elapsed * self.bandwidth).exp_m1();
+        let share = -(-elapsed * self.bandwidth).exp_m1();
+        self.unlimited += (torque - self.unlimited) * share;
+        let estimate = self.estimate + (torque - self.estimate) * share;
         self.estimate = estimate.inf(&self.most).sup(&-self.most);
     }
 }

@@ -81,8 +81,9 @@ impl Recovery {
         // A loss while tracking is one to recover from only if the recovery itself had begun to swing up.
         let fell = match record.trip.map(|trip| trip.cause) {
             Some(TripCause::BalanceLost | TripCause::BalanceSpeed) => true,
-            Some(TripCause::PendulumRange) => before == Mode::Balance || self.attempts > 0,
-            Some(TripCause::TrackingError) => self.attempts > 0,
+            Some(TripCause::PendulumRange | TripCause::TrackingError) => {
+                before == Mode::Balance || self.attempts > 0
+            }
             _ => false,
         };
         // The cause stays in later records: only a stop out of these modes follows from it.

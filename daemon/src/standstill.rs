@@ -13,6 +13,9 @@
 //! band about the last estimate. y is linear in it, so every cycle leaves an interval of values for which |y| stays
 //! below what the encoder resolves; when no value is left, the encoder is stuck, or something blocks the joint. No noise is
 //! needed to tell, but a torque that changes.
+//!
+//! Where torques are measured, measurements that freeze as a whole are noticed without a model: the commanded torque changes, and
+//! neither its sensors nor any angle show it.
 
 use crate::law::Torque;
 use crate::trip::{Trip, TripCause};
@@ -24,6 +27,10 @@ use upswing_model::{
 
 /// Time after which a joint whose angle does not change is taken to stand, s: one that turns back stands for less.
 const STANDS: f64 = 0.01;
+/// Shortest standstill that is not explained, s: a fast joint does not stop at once.
+const SHORTEST: f64 = 0.002;
+/// Time after which the sensors show a change of the commanded torque, s: more than command and drives need.
+const SHOWN: f64 = 0.01;
 
 /// Speed of the arm below which the estimate of other torques changes because a joint does not move, rad/s.
 const SLOW: f64 = 0.05;
@@ -94,10 +101,36 @@ struct Drive {
     inertia: JointVector,
 }
 
+/// What was measured last, since when, and what was commanded since.
+#[derive(Clone, Copy, Debug)]
+struct Unchanged {
+    /// Angles, rad, and torques, N m.
+    q: JointVector,
+    tau: ActuatedVector,
+    /// How long nothing of it has changed, s.
+    time: f64,
+    /// The commanded torques lie between these, N m.
+    low: ActuatedVector,
+    high: ActuatedVector,
+    /// How long they have differed by more than the sensors resolve, s.
+    differs: f64,
+}
+
+impl Unchanged {
+    /// New values.
+    fn new(q: &JointVector, tau: &ActuatedVector) -> Self {
+        let (low, high) = (ActuatedVector::repeat(f64::INFINITY), ActuatedVector::repeat(f64::NEG_INFINITY));
+        Self { q: *q, tau: *tau, time: 0.0, low, high, differs: 0.0 }
+    }
+}
+
 /// Watches all joints.
 #[derive(Clone, Debug)]
 pub struct Standstill {
     settings: StandstillSettings,
+    /// Changes of the torques that sensors show, N m.
+    resolution: ActuatedVector,
+    unchanged: Option<Unchanged>,
     /// Angles beyond which a joint may lie on its stop, rad.
     reach: JointVector,
     joints: [Joint; NQ],
@@ -112,10 +145,12 @@ pub struct Standstill {
 }
 
 impl Standstill {
-    /// With the end of the range open to plans (rad), near which a pendulum may lie on its stop.
-    pub fn new(settings: &StandstillSettings, q_max: &JointVector) -> Self {
+    /// With the end of the range open to plans (rad), near which a pendulum may lie on its stop, and the 100 % torques (N m).
+    pub fn new(settings: &StandstillSettings, q_max: &JointVector, tau_max: &ActuatedVector) -> Self {
         Self {
             settings: *settings,
+            resolution: tau_max * settings.torque,
+            unchanged: None,
             reach: JointVector::from_fn(|i, _| if i < NU { f64::INFINITY } else { q_max[i] - NEAR_STOP }),
             joints: [Joint::new(f64::NAN, 0.0, 0.0); NQ],
             pause: 0.0,
@@ -128,6 +163,7 @@ impl Standstill {
     /// Forgets everything: the brakes hold.
     pub fn reset(&mut self) {
         self.drive = None;
+        self.unchanged = None;
         for joint in &mut self.joints {
             joint.angle = f64::NAN;
         }
@@ -148,6 +184,10 @@ impl Standstill {
         mass: &JointMatrix,
         qd: &ActuatedVector,
     ) {
+        if let Some(unchanged) = &mut self.unchanged {
+            unchanged.low = unchanged.low.inf(&torque.tau);
+            unchanged.high = unchanged.high.sup(&torque.tau);
+        }
         let cut = &torque.cut;
         let qdd_u: UnactuatedVector = torque.qdd.fixed_rows::<N_UNACTUATED>(N_ACTUATED).into();
         let m_ua = mass.fixed_view::<N_UNACTUATED, N_ACTUATED>(N_ACTUATED, 0);
@@ -192,6 +232,22 @@ impl Standstill {
         self.drive = Some(drive);
     }
 
+    /// Takes in the angles `q` (rad) and the measured torques `tau` (N m), `elapsed` (s) after the last ones. Returns whether none
+    /// of them shows what was commanded.
+    pub fn observe_all(&mut self, q: &JointVector, tau: &ActuatedVector, elapsed: f64) -> Option<Trip> {
+        let unchanged = self.unchanged.get_or_insert_with(|| Unchanged::new(q, tau));
+        if unchanged.q != *q || unchanged.tau != *tau {
+            *unchanged = Unchanged::new(q, tau);
+            return None;
+        }
+        unchanged.time += elapsed;
+        let range = unchanged.high - unchanged.low;
+        let joint = (0..N_ACTUATED).find(|&i| range[i] > self.resolution[i])?;
+        unchanged.differs += elapsed;
+        let (cause, value) = (TripCause::FrozenMeasurement, unchanged.time);
+        (unchanged.differs > SHOWN).then_some(Trip { cause, joint, value, limit: SHOWN })
+    }
+
     /// Takes in the angles `q` (rad), `elapsed` (s) after the last ones. Returns the first joint that nothing explains.
     pub fn observe(&mut self, q: &JointVector, elapsed: f64) -> Option<Trip> {
         let drive = self.drive?;
@@ -222,7 +278,7 @@ impl Standstill {
                 }
                 explained &= any;
             }
-            if !explained && joint.time > STANDS && first.is_none() {
+            if !explained && joint.time > SHORTEST && first.is_none() {
                 let value = joint.time;
                 first = Some(Trip { cause: TripCause::StuckEncoder, joint: i, value, limit });
             }

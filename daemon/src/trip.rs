@@ -70,6 +70,10 @@ causes! {
     StuckEncoder = 21, "an encoder is stuck";
     /// To keep the rod upright the arm would have to move too fast.
     BalanceSpeed = 22, "the rod is faster than the arm can follow";
+    /// A torque acts on the arm that nothing explains: somebody or something is in its way.
+    Collision = 23, "something is in the arm's way";
+    /// No angle and no measured torque changes, although the commanded torque does.
+    FrozenMeasurement = 24, "the measurements are frozen";
 }
 
 // Codes are found again by their index.
@@ -100,8 +104,10 @@ impl TripCause {
             Self::NotFinite
             | Self::EncoderJump
             | Self::StuckEncoder
+            | Self::FrozenMeasurement
             | Self::VelocityLimit
             | Self::TorqueLimit => "check the joint's sensors",
+            Self::Collision => "clear the arm's way",
             Self::TorqueRate
             | Self::LawNotFinite
             | Self::TrackingError
@@ -200,6 +206,19 @@ impl fmt::Display for Trip {
             }
             TripCause::BalanceLost => {
                 write!(f, "the rod is {value:.4} rad from where the plan ends, limit {limit:.4} rad")
+            }
+            TripCause::FrozenMeasurement => {
+                write!(
+                    f,
+                    "no angle and no measured torque has changed for {value:.4} s, although the commanded torque did"
+                )
+            }
+            TripCause::Collision => {
+                write!(
+                    f,
+                    "a torque of {value:.2} N m acts on joint {joint} that nothing explains, limit {limit:.2} N m: is \
+                     something in its way?"
+                )
             }
             TripCause::BalanceSpeed => {
                 write!(

@@ -194,7 +194,8 @@ fn a_jump_with_closed_brakes_is_no_fault() {
 #[test]
 fn position_limit() {
     // 170 + 5 deg.
-    let (mut controller, mut q) = enabled();
+    let config = moved_by_others();
+    let (mut controller, mut q) = enabled_with(&config, rest_pose(&config));
     let mut seq = 2;
     let mut warned = None;
     while controller.mode() == Mode::Hold {
@@ -208,9 +209,93 @@ fn position_limit() {
     assert!((q[2].to_degrees() - 175.0).abs() < 0.01, "{}", q[2].to_degrees());
 }
 
+/// The arm moves as no command makes it, and that alone is no reason to give up.
+fn moved_by_others() -> Config {
+    let mut config = config();
+    config.daemon.limits.collision_torque.trip = 1e6;
+    config.daemon.limits.hold_error.trip = 1e6;
+    config
+}
+
+#[test]
+fn distance_from_the_held_pose() {
+    let mut config = moved_by_others();
+    config.daemon.limits.hold_error = Level { warn: 0.1, trip: 0.3 };
+    for joint in [1, 6] {
+        let (mut controller, mut q) = enabled_with(&config, rest_pose(&config));
+        let (mut seq, before, mut warned) = (2, q[joint], None);
+        while controller.mode() == Mode::Hold {
+            q[joint] += 1e-4;
+            seq += 1;
+            let output = controller.step(&flickering(seq, &q), 0, None);
+            warned = warned.or(warns(&output, TripCause::TrackingError).then_some(q[joint] - before));
+        }
+        assert!(warned.is_some_and(|error| (error - 0.1).abs() < 1e-3), "{warned:?}");
+        assert_eq!(trip(&controller), Some((Mode::Fault, TripCause::TrackingError, joint)));
+        assert!((q[joint] - before - 0.3).abs() < 1e-3, "{}", q[joint] - before);
+    }
+}
+
+#[test]
+fn distance_from_the_end_of_a_plan_in_balance() {
+    let mut config = moved_by_others();
+    config.daemon.limits.balance_speed.trip = 1e6;
+    config.daemon.limits.torque_rate.trip = 1e9;
+    let (mut controller, mut q) = balancing(&config);
+    let (mut seq, mut warned) = (10, None);
+    while controller.mode() == Mode::Balance {
+        q[0] += 1e-4;
+        seq += 1;
+        let output = controller.step(&flickering(seq, &q), 0, None);
+        warned = warned.or(warns(&output, TripCause::TrackingError).then_some(q[0]));
+    }
+    assert!(warned.is_some_and(|error| (error - 0.25).abs() < 1e-3), "{warned:?}");
+    assert_eq!(trip(&controller), Some((Mode::Stop, TripCause::TrackingError, 0)));
+    assert!((q[0] - 0.5).abs() < 1e-3, "{}", q[0]);
+}
+
+#[test]
+fn collision() {
+    // Joint 2 is pushed away: an acceleration of 10 rad/s^2 that was not commanded.
+    let (mut controller, q) = enabled();
+    let (mut seq, mut warned) = (2, None);
+    while controller.mode() == Mode::Hold {
+        seq += 1;
+        let t = (seq - 2) as f64 * common::PERIOD;
+        let mut moved = q;
+        moved[1] += 5.0 * t * t;
+        let output = controller.step(&flickering(seq, &moved), 0, None);
+        warned = warned.or(warns(&output, TripCause::Collision).then_some(t));
+    }
+    assert_eq!(trip(&controller), Some((Mode::Fault, TripCause::Collision, 1)));
+    let Trip { value, limit, .. } = *controller.trip().unwrap();
+    assert!((limit - 0.09 * 320.0).abs() < 1e-9 && value.abs() > limit, "{value} N m, limit {limit}");
+    let t = (seq - 2) as f64 * common::PERIOD;
+    assert!(warned.is_some_and(|warned| warned < t - 0.06), "warned at {warned:?} s, tripped at {t} s");
+}
+
+#[test]
+fn frozen_measurement() {
+    for (senses, expected) in [(Measurement::LOAD_SENSED, Some(TripCause::FrozenMeasurement)), (0, None)] {
+        let q = rest_pose(&config());
+        let mut controller = Controller::new(&config());
+        let mut first = measurement(1, &q);
+        first.status |= Measurement::BRAKES_CLOSED | senses;
+        controller.step(&first, 0, Some(Order::Do(Request::Enable)));
+        controller.step(&measurement(2, &q), 0, None);
+        // A step of an encoder away from the held pose: the command changes, nothing else does.
+        let away = q.add_scalar(2e-5);
+        for seq in 3..400 {
+            controller.step(&measurement(seq, &away), 0, None);
+        }
+        assert_eq!(controller.trip().map(|trip| trip.cause), expected);
+    }
+}
+
 #[test]
 fn velocity_limit_of_the_arm_only() {
-    let (mut controller, mut q) = enabled();
+    let config = moved_by_others();
+    let (mut controller, mut q) = enabled_with(&config, rest_pose(&config));
     // 1.1 times 75 deg/s is 1.44 rad/s; the pendulum may fall faster.
     for seq in 3..200 {
         q[7] += 20.0 * common::PERIOD;

@@ -9,6 +9,14 @@ use upswing_model::{
 /// A force at the tip of the rod, world frame, N.
 pub(crate) type Force = [f64; 3];
 
+/// What acts on the bodies from outside over a period.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Outside {
+    pub force: Option<Force>,
+    /// On the joints, N m.
+    pub torque: Option<JointVector>,
+}
+
 /// Speed below which a braked joint stands still, rad/s.
 const STANDSTILL: f64 = 1e-6;
 
@@ -47,24 +55,24 @@ impl Body {
     }
 
     /// Crosses one control period. None if the result is not a number: then the last state that was one remains.
-    pub(crate) fn advance(&mut self, action: &Action, push: Option<&Force>) -> Option<()> {
+    pub(crate) fn advance(&mut self, action: &Action, outside: &Outside) -> Option<()> {
         for _ in 0..self.substeps {
-            self.integrate(action, push)?;
+            self.integrate(action, outside)?;
         }
         Some(())
     }
 
     /// One step of classical Runge-Kutta.
-    fn integrate(&mut self, action: &Action, push: Option<&Force>) -> Option<()> {
+    fn integrate(&mut self, action: &Action, outside: &Outside) -> Option<()> {
         let h = self.step;
         let (q, v1) = (self.q, self.qd);
-        let a1 = self.acceleration(&q, &v1, action, push)?;
+        let a1 = self.acceleration(&q, &v1, action, outside)?;
         let v2 = v1 + a1 * (0.5 * h);
-        let a2 = self.acceleration(&(q + v1 * (0.5 * h)), &v2, action, push)?;
+        let a2 = self.acceleration(&(q + v1 * (0.5 * h)), &v2, action, outside)?;
         let v3 = v1 + a2 * (0.5 * h);
-        let a3 = self.acceleration(&(q + v2 * (0.5 * h)), &v3, action, push)?;
+        let a3 = self.acceleration(&(q + v2 * (0.5 * h)), &v3, action, outside)?;
         let v4 = v1 + a3 * h;
-        let a4 = self.acceleration(&(q + v3 * h), &v4, action, push)?;
+        let a4 = self.acceleration(&(q + v3 * h), &v4, action, outside)?;
         let q = q + (v1 + (v2 + v3) * 2.0 + v4) * (h / 6.0);
         let mut qd = v1 + (a1 + (a2 + a3) * 2.0 + a4) * (h / 6.0);
         if !q.iter().chain(qd.iter()).all(|v| v.is_finite()) {
@@ -87,9 +95,9 @@ impl Body {
         q: &JointVector,
         qd: &JointVector,
         action: &Action,
-        push: Option<&Force>,
+        outside: &Outside,
     ) -> Option<JointVector> {
-        let mut load = self.passive_load(q, qd, push);
+        let mut load = self.passive_load(q, qd, outside);
         let Action::Torque(torque) = action else { return self.braked_acceleration(q, qd, &load) };
         for i in 0..N_ACTUATED {
             load[i] += torque[i];
@@ -97,25 +105,28 @@ impl Body {
         self.model.forward_dynamics(q, qd, &load, &mut self.work)
     }
 
-    /// Torque of friction, stops and a push, N m.
-    fn passive_load(&self, q: &JointVector, qd: &JointVector, push: Option<&Force>) -> JointVector {
+    /// Torque of friction, stops and what acts from outside, N m.
+    fn passive_load(&self, q: &JointVector, qd: &JointVector, outside: &Outside) -> JointVector {
         let mut load = -self.friction.torque(qd);
         for i in 0..load.len() {
             load[i] += stop_torque(&self.stops, i, q[i], qd[i]);
         }
-        if let Some(force) = push {
-            load += self.model.torque_of_tip_force(q, &(*force).into());
+        if let Some(force) = outside.force {
+            load += self.model.torque_of_tip_force(q, &force.into());
+        }
+        if let Some(torque) = &outside.torque {
+            load += torque;
         }
         load
     }
 
     /// Torque with which closed brakes hold an arm at rest, N m; `None` while it moves.
-    pub(crate) fn held_load(&mut self, push: Option<&Force>) -> Option<ActuatedVector> {
+    pub(crate) fn held_load(&mut self, outside: &Outside) -> Option<ActuatedVector> {
         let (q, qd) = (self.q, self.qd);
         if qd.fixed_rows::<N_ACTUATED>(0).amax() != 0.0 {
             return None;
         }
-        let load = self.passive_load(&q, &qd, push);
+        let load = self.passive_load(&q, &qd, outside);
         let qdd = self.braked_acceleration(&q, &qd, &load)?;
         let force = self.model.inverse_dynamics(&q, &qd, &qdd, &mut self.work) - load;
         Some(force.fixed_rows::<N_ACTUATED>(0).into())

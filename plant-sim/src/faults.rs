@@ -1,7 +1,8 @@
-//! Faults: what becomes of measurements on the way to the daemon, and of commands on the way back.
+//! Faults: what becomes of measurements on the way to the daemon, and of commands on the way back; torques from outside.
 
 use upswing_config::{EventError, Fault, FaultKind, MAX_DELAY};
 use upswing_ipc::Measurement;
+use upswing_model::JointVector;
 
 /// Faults at a time.
 const MOST_FAULTS: usize = 16;
@@ -117,7 +118,10 @@ impl Faults {
                 FaultKind::EncoderStuck => measurement.q[fault.joint] = held.q[fault.joint],
                 FaultKind::EncoderJump => measurement.q[fault.joint] += fault.amount,
                 FaultKind::EncoderNan => measurement.q[fault.joint] = f64::NAN,
-                FaultKind::DuplicateMeasurement | FaultKind::ReorderMeasurement | FaultKind::LoseCommand => {}
+                FaultKind::DuplicateMeasurement
+                | FaultKind::ReorderMeasurement
+                | FaultKind::LoseCommand
+                | FaultKind::ArmTorque => {}
             }
         }
         measurement
@@ -126,6 +130,17 @@ impl Faults {
     /// Whether the command of cycle `seq` is lost.
     pub(crate) fn loses_command(&self, seq: u64) -> bool {
         self.entries.iter().any(|entry| entry.fault.kind == FaultKind::LoseCommand && entry.fault.acts(seq))
+    }
+
+    /// Torque on the arm from outside in cycle `seq`, N m; `None` if there is none.
+    pub(crate) fn torque(&self, seq: u64) -> Option<JointVector> {
+        let acting =
+            self.entries.iter().filter(|e| e.fault.kind == FaultKind::ArmTorque && e.fault.acts(seq));
+        acting.fold(None, |sum, Entry { fault, .. }| {
+            let mut sum = sum.unwrap_or_else(JointVector::zeros);
+            sum[fault.joint] += fault.amount;
+            Some(sum)
+        })
     }
 
     fn at(&self, seq: u64) -> Measurement {

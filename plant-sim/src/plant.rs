@@ -1,6 +1,6 @@
 //! The physics: one control period per step.
 
-use crate::body::{Body, Force};
+use crate::body::{Body, Force, Outside};
 use crate::drives::Drives;
 use crate::encoders::Encoders;
 use crate::faults::{Faults, SetEventError, check_room};
@@ -11,7 +11,7 @@ use upswing_model::{ActuatedVector, JointVector, NU, position, velocity};
 
 /// Robot, pendulum, drives, encoders and brakes at one moment.
 ///
-/// The state obeys M(q) qdd + C(q, qd) qd + g(q) = tau - friction + stops + push (1) while the brakes are released. When
+/// The state obeys M(q) qdd + C(q, qd) qd + g(q) = tau - friction + stops + what acts from outside (1) while the brakes are released. When
 /// they hold, they decelerate the arm by u = qdd_A = -qd_A / time constant, and the pendulum follows (3a), less its
 /// friction. Torques are constant over a period, which classical Runge-Kutta crosses in `substeps` steps.
 ///
@@ -100,8 +100,8 @@ impl Plant {
         let command = command.filter(|_| !self.faults.loses_command(self.seq));
         self.faults.end(self.seq);
         let action = self.drives.step(self.seq, command);
-        let push = self.force();
-        if self.body.advance(&action, push.as_ref()).is_none() {
+        let outside = self.outside();
+        if self.body.advance(&action, &outside).is_none() {
             // The numbers ran away: hold the last state that was one.
             self.body.qd = JointVector::zeros();
             self.drives.fail();
@@ -174,12 +174,9 @@ impl Plant {
     /// Takes the measurement of this cycle.
     fn sense(&mut self) {
         let bit = |set: bool, bit: u64| if set { bit } else { 0 };
-        let push = self.force();
-        let load = if self.brakes_closed() && !self.drive_fault() {
-            self.body.held_load(push.as_ref())
-        } else {
-            None
-        };
+        let outside = self.outside();
+        let load =
+            if self.brakes_closed() && !self.drive_fault() { self.body.held_load(&outside) } else { None };
         let tau: [f64; NU] =
             load.as_ref().map_or(*self.drives.tau(), |load| self.drives.show_load(load)).into();
         self.faults.measured(Measurement {
@@ -195,6 +192,11 @@ impl Plant {
             clock: Clock::Lockstep.code(),
             period_ns: self.period_ns,
         });
+    }
+
+    /// What acts on the bodies in this cycle.
+    fn outside(&self) -> Outside {
+        Outside { force: self.force(), torque: self.faults.torque(self.seq) }
     }
 
     /// All pushes of this cycle together, N.

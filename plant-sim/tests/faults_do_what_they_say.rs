@@ -57,6 +57,27 @@ fn corrupted(kind: FaultKind, joint: usize, amount: f64) -> (Vec<(Measurement, M
 }
 
 #[test]
+fn a_torque_from_outside_acts_as_one_of_the_drives() {
+    let moved = |faults: &[Fault], tau: f64| {
+        let mut config = settings();
+        config.plant.faults.extend(faults);
+        let mut plant = Plant::at(&config, &level_pose(), &JointVector::zeros()).unwrap();
+        let command = |tau: f64| torque(std::array::from_fn(|i| if i == 3 { tau } else { 0.0 }));
+        while plant.seq() <= END {
+            let during = (FROM..FROM + CYCLES).contains(&plant.seq());
+            plant.step(Some(&command(if during { tau } else { 0.0 })));
+        }
+        (*plant.position(), plant.tau_peak()[3])
+    };
+    let push = Fault { joint: 3, amount: 20.0, ..Fault::new(FaultKind::ArmTorque, FROM, CYCLES) };
+    let ((pushed, shown), (driven, _), (free, _)) = (moved(&[push], 0.0), moved(&[], 20.0), moved(&[], 0.0));
+    assert!((driven - free).amax() > 1e-5 && (pushed - driven).amax() < 1e-12, "{}", pushed - driven);
+    assert_eq!(shown, 0.0, "no drive gives it");
+    let half = Fault { amount: 10.0, ..push };
+    assert!((moved(&[half, half], 0.0).0 - driven).amax() < 1e-12, "two add up");
+}
+
+#[test]
 fn frozen_measurements_keep_angles_and_torques() {
     for (seen, truth) in corrupted(FaultKind::FreezeMeasurement, 0, 0.0).0 {
         let first = measurements(None)[FROM as usize];
@@ -166,7 +187,9 @@ fn what_cannot_be_is_refused_and_changes_nothing() {
     let delay = |amount| Fault { amount, ..Fault::new(FaultKind::DelayMeasurement, 2, 0) };
     let late = f64::from(MAX_DELAY) + 1.0;
     for (bad, error) in [
-        (Fault { joint: 9, ..fault }, EventError::Joint { got: 10 }),
+        (Fault { joint: 9, ..fault }, EventError::Joint { most: 9, got: 10 }),
+        (Fault { joint: 7, ..Fault::new(FaultKind::ArmTorque, 2, 0) }, EventError::Joint { most: 7, got: 8 }),
+        (Fault::new(FaultKind::ArmTorque, 2, 0), EventError::Torque { got: 0.0 }),
         (Fault { amount: f64::INFINITY, ..fault }, EventError::Amount { got: f64::INFINITY }),
         (delay(0.0), EventError::Delay { got: 0.0 }),
         (delay(1.5), EventError::Delay { got: 1.5 }),

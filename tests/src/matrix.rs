@@ -138,10 +138,19 @@ impl Case {
     /// # Panics
     /// If there is no such scenario.
     pub fn idle(scenario: Option<&str>) -> Self {
+        Self::idle_at(scenario, None)
+    }
+
+    /// As [`Self::idle`], with joints 1 to 7 at `pose` (rad) where one is given.
+    ///
+    /// # Panics
+    /// If there is no such scenario, or the pendulum does not hang at rest in this pose.
+    pub fn idle_at(scenario: Option<&str>, pose: Option<[f64; NU]>) -> Self {
         let mut config = CONFIG.clone();
         if let Some(scenario) = scenario {
             config.use_scenario(scenario).unwrap_or_else(|e| panic!("{e}"));
         }
+        config.plant.start.q = pose.unwrap_or(config.plant.start.q);
         let plant = Plant::new(&config).expect("a possible start");
         let system = ClosedLoop::new(&config, plant);
         Self {

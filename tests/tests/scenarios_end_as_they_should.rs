@@ -22,7 +22,7 @@ const TABLE: [(&str, &str); 16] = [
     ("lost-packets", BALANCED),
     ("payload", BALANCED),
     ("push", BALANCED),
-    ("rotor-inertia", "Fault: VelocityLimit"),
+    ("rotor-inertia", "Fault: Collision"),
     ("second-arm", BALANCED),
     ("slow-drives", BALANCED),
     ("torque-offset", BALANCED),

@@ -62,10 +62,10 @@ pub enum What {
 pub struct FaultArgs {
     /// What breaks
     pub kind: FaultKind,
-    /// Joint of an encoder, 1 to 9
+    /// Joint of an encoder, 1 to 9, or of a torque, 1 to 7
     #[arg(long, value_parser = whole(0, u64::MAX))]
     pub joint: Option<u64>,
-    /// How far the encoder jumps, rad, or how late measurements are, cycles
+    /// How far the encoder jumps, rad, how late measurements are, cycles, or the torque, N m
     #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
     pub amount: f64,
     /// How many cycles it lasts; 0: until `clear`

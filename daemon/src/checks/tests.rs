@@ -313,6 +313,25 @@ fn the_speed_that_a_balance_asks_for() {
 }
 
 #[test]
+fn distances_of_the_arm_and_unexplained_torques() {
+    let config = config();
+    let (checks, levels, zero) = (Checks::new(&config), &config.daemon.limits, State::zeros());
+    let moved = |q: &JointVector| upswing_model::state(q, &JointVector::repeat(9.0));
+    is_a_level(TripCause::TrackingError, ARM, |_| levels.hold_error, |q, w| checks.hold(&moved(q), &zero, w));
+    is_a_level(
+        TripCause::TrackingError,
+        ARM,
+        |_| levels.balance_error,
+        |q, w| checks.balance_error(&moved(q), &zero, w),
+    );
+    let Level { warn, trip } = levels.collision_torque;
+    let level = |i: usize| Level { warn: warn * (10.0 + i as f64), trip: trip * (10.0 + i as f64) };
+    is_a_level(TripCause::Collision, ARM, level, |tau, w| {
+        checks.unexplained(&tau.fixed_rows::<NU>(0).into(), w)
+    });
+}
+
+#[test]
 fn measurements_that_cannot_be_used() {
     let checks = Checks::new(&config());
     let cause = |spoil: &dyn Fn(&mut Measurement)| {

@@ -1,0 +1,61 @@
+//! Somebody who pushes a joint of the arm, or is in its way, ends its motion: the brakes close, in each mode that moves. Light joints
+//! become too fast at once; against much inertia the torque itself is noticed.
+
+use upswing_config::{Config, Fault, FaultKind};
+use upswing_ipc::Mode;
+use upswing_model::NU;
+use upswing_tests::matrix::{Case, WATCHED};
+use upswingd::trip::TripCause;
+
+/// Cycles of 200 ms.
+const SOON: u64 = 1_600;
+
+/// What a constant torque on a joint of the arm, a share of its 100 % limit, leads to.
+fn pushed(before: &Case, joint: usize, share: f64, cycles: u64) -> (Mode, Option<TripCause>, u64) {
+    let limits = Config::embedded().expect("settings").robot.limits;
+    let mut case = before.clone();
+    let amount = share * limits.tau_max[joint];
+    case.break_now(Fault { joint, amount, ..Fault::new(FaultKind::ArmTorque, 0, cycles) });
+    for cycle in 0..WATCHED {
+        case.run(1);
+        if case.mode().0 != before.mode().0 {
+            return (case.mode().0, case.system.controller.trip().map(|trip| trip.cause), cycle);
+        }
+    }
+    (case.mode().0, case.system.controller.trip().map(|trip| trip.cause), WATCHED)
+}
+
+#[test]
+fn a_strong_push_in_any_mode() {
+    for mode in [Mode::Hold, Mode::Track, Mode::Balance] {
+        let before = Case::idle(None).in_mode(mode);
+        for joint in 0..NU {
+            for share in [0.15, -0.15] {
+                let (then, cause, cycles) = pushed(&before, joint, share, 0);
+                println!("{mode}, joint {}, {share}: {then}, {cause:?} after {cycles}", joint + 1);
+                assert_eq!(then, Mode::Fault, "{mode}, joint {}, {share}: {cause:?}", joint + 1);
+                assert!(cycles <= SOON, "{mode}, joint {}, {share}: {cycles} cycles", joint + 1);
+            }
+        }
+    }
+}
+
+#[test]
+fn against_much_inertia_it_is_a_collision() {
+    for mode in [Mode::Hold, Mode::Balance] {
+        let before = Case::idle(None).in_mode(mode);
+        for share in [0.1, -0.1] {
+            assert_eq!(pushed(&before, 1, share, 0).1, Some(TripCause::Collision), "{mode}, {share}");
+        }
+    }
+}
+
+#[test]
+fn a_weak_or_short_push_is_borne() {
+    let before = Case::idle(None).in_mode(Mode::Hold);
+    // A person leans on the arm; and a blow of 10 ms.
+    for (joint, share, cycles) in [(1, 0.03, 0), (3, 0.03, 0), (1, 0.1, 80), (3, 0.1, 80)] {
+        let (mode, cause, _) = pushed(&before, joint, share, cycles);
+        assert_eq!((mode, cause), (Mode::Hold, None), "joint {}, {share}", joint + 1);
+    }
+}
