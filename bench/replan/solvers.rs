@@ -120,9 +120,8 @@ fn replans(planner: &Planner, starts: &[State]) {
     let times: Vec<Took> = plans
         .iter()
         .map(|plan| {
-            let (gains, took) = timed(|| {
-                lqr::synthesize(&config.model, &plan.trajectory, &config.planner.lqr, ts, &mut work)
-            });
+            let (gains, took) =
+                timed(|| lqr::synthesize(&config.model, &plan.trajectory, &config.planner, ts, &mut work));
             assert!(gains.is_ok(), "{gains:?}");
             took
         })

@@ -67,8 +67,12 @@ pub struct HoldGains {
 /// Estimate of the torque that acts on the arm besides the commanded one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DisturbanceSettings {
-    /// Bandwidth, rad/s; 0: no estimate.
+    /// Bandwidth where the arm is heavy, rad/s; 0: no estimate.
     pub bandwidth: f64,
+    /// Bandwidth where the arm is light, rad/s; not below `bandwidth`.
+    pub light_bandwidth: f64,
+    /// Inertia in whose direction the bandwidth is the mean of both, kg m^2.
+    pub light_inertia: f64,
     /// Largest estimate, as a share of the 100 % torque limits.
     pub most: f64,
 }
@@ -250,6 +254,8 @@ struct RawStop {
 #[serde(deny_unknown_fields)]
 struct RawDisturbance {
     bandwidth_rad_s: f64,
+    light_bandwidth_rad_s: f64,
+    light_inertia_kg_m2: f64,
     torque_fraction: f64,
 }
 
@@ -357,6 +363,15 @@ impl DaemonSettings {
             )?;
         }
         let recovery = &raw.recovery;
+        let RawDisturbance { bandwidth_rad_s, light_bandwidth_rad_s, .. } = raw.disturbance;
+        if light_bandwidth_rad_s < bandwidth_rad_s {
+            return Err(check.refuse(
+                "disturbance.light_bandwidth_rad_s",
+                format!("at least disturbance.bandwidth_rad_s, {bandwidth_rad_s}"),
+                light_bandwidth_rad_s,
+                "what is light is accelerated more",
+            ));
+        }
 
         Ok(Self {
             cycle: CycleSettings {
@@ -379,6 +394,16 @@ impl DaemonSettings {
                     "disturbance.bandwidth_rad_s",
                     raw.disturbance.bandwidth_rad_s,
                     &NON_NEGATIVE,
+                )?,
+                light_bandwidth: check.number(
+                    "disturbance.light_bandwidth_rad_s",
+                    raw.disturbance.light_bandwidth_rad_s,
+                    &NON_NEGATIVE,
+                )?,
+                light_inertia: check.number(
+                    "disturbance.light_inertia_kg_m2",
+                    raw.disturbance.light_inertia_kg_m2,
+                    &POSITIVE,
                 )?,
                 most: check.number("disturbance.torque_fraction", raw.disturbance.torque_fraction, &SHARE)?,
             },

@@ -28,14 +28,14 @@ pub use error::ConfigError;
 pub use fault::{EventError, Fault, FaultKind, Push};
 pub use grid::{GridAxis, GridSettings};
 pub use planner::{
-    LqrWeights, OfflineSettings, PlannerSettings, QpBackend, ReplanSettings, ReplanWeights, SUB_HORIZONS,
-    TorqueConstraint,
+    BalanceWeights, LqrWeights, OfflineSettings, PlannerSettings, QpBackend, ReplanSettings, ReplanWeights,
+    SUB_HORIZONS, TorqueConstraint,
 };
 pub use plant::{
     DriveSettings, EncoderSettings, FrictionSettings, MAX_DELAY, ModelSettings, PendulumStart, PlantSettings,
     PlantStart, StopSettings,
 };
-pub use robot::{CoriolisBound, RobotSettings, Target};
+pub use robot::{CoriolisBound, JointFriction, RobotSettings, Target};
 pub use start::StartError;
 
 use check::{Check, degrees};

@@ -15,6 +15,8 @@ pub struct PlannerSettings {
     pub replan: ReplanSettings,
     /// Weights of the trajectory controller.
     pub lqr: LqrWeights,
+    /// What is different for the gain that balances.
+    pub balance: BalanceWeights,
 }
 
 /// Trajectory optimisation (6), (8) with (9) or (11).
@@ -106,12 +108,22 @@ pub struct LqrWeights {
     pub r: f64,
 }
 
+/// The gain that holds x_N, where it differs from [`LqrWeights`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct BalanceWeights {
+    /// Angles of the actuated joints, 1/rad^2.
+    pub q_angles_actuated: f64,
+    /// Angles of the unactuated joints, 1/rad^2.
+    pub q_angles_unactuated: f64,
+}
+
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Raw {
     offline: RawOffline,
     replan: RawReplan,
     lqr: RawLqr,
+    balance: RawBalance,
 }
 
 #[derive(Deserialize)]
@@ -152,10 +164,17 @@ struct RawLqr {
     r: f64,
 }
 
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawBalance {
+    q_angles_actuated: f64,
+    q_angles_unactuated: f64,
+}
+
 impl PlannerSettings {
     pub(crate) fn read(file: &str, text: &str) -> Result<Self, ConfigError> {
         let check = Check { file };
-        let Raw { offline, replan, lqr } = check.parse(text)?;
+        let Raw { offline, replan, lqr, balance } = check.parse(text)?;
         Ok(Self {
             offline: read_offline(check, &offline)?,
             replan: ReplanSettings {
@@ -188,6 +207,18 @@ impl PlannerSettings {
                     &POSITIVE,
                 )?,
                 r: check.number("lqr.r", lqr.r, &POSITIVE)?,
+            },
+            balance: BalanceWeights {
+                q_angles_actuated: check.number(
+                    "balance.q_angles_actuated",
+                    balance.q_angles_actuated,
+                    &POSITIVE,
+                )?,
+                q_angles_unactuated: check.number(
+                    "balance.q_angles_unactuated",
+                    balance.q_angles_unactuated,
+                    &POSITIVE,
+                )?,
             },
         })
     }

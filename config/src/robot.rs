@@ -18,6 +18,28 @@ pub struct RobotSettings {
     pub target: Target,
     /// Inertia of the rotors, reflected to the actuated joints, kg m^2; part of [`crate::Config::model`].
     pub rotor_inertia: [f64; NU],
+    /// Joint friction that the drives leave, which the daemon adds to its torque.
+    pub friction: JointFriction,
+}
+
+/// Friction of the actuated joints: viscous qd + coulomb tanh(qd / smoothing).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct JointFriction {
+    /// N m s/rad
+    pub viscous: [f64; NU],
+    /// N m
+    pub coulomb: [f64; NU],
+    /// rad/s, above 0
+    pub smoothing: f64,
+}
+
+impl JointFriction {
+    /// Torque that moves the joints against their friction at the speeds `qd` (rad/s), N m.
+    pub fn torque(&self, qd: &ActuatedVector) -> ActuatedVector {
+        ActuatedVector::from_fn(|i, _| {
+            self.viscous[i] * qd[i] + self.coulomb[i] * (qd[i] / self.smoothing).tanh()
+        })
+    }
 }
 
 /// Range of C~ qd over all admissible states, (11), N m.
@@ -76,6 +98,9 @@ struct RawCoriolisBound {
 #[serde(deny_unknown_fields)]
 struct RawDrives {
     rotor_inertia_kg_m2: Vec<f64>,
+    friction_viscous: Vec<f64>,
+    friction_coulomb: Vec<f64>,
+    friction_smoothing_rad_s: f64,
 }
 
 #[derive(Deserialize)]
@@ -150,6 +175,32 @@ impl RobotSettings {
         };
         let key = "drives.rotor_inertia_kg_m2";
         let rotor_inertia = check.list(key, &raw.drives.rotor_inertia_kg_m2, 1, &NON_NEGATIVE)?;
-        Ok(Self { limits, planning, coriolis_bound, target, rotor_inertia })
+        let arm = |key: &str, values: &[f64]| check.list(key, values, 1, &NON_NEGATIVE);
+        let friction = JointFriction {
+            viscous: arm("drives.friction_viscous", &raw.drives.friction_viscous)?,
+            coulomb: arm("drives.friction_coulomb", &raw.drives.friction_coulomb)?,
+            smoothing: check.number(
+                "drives.friction_smoothing_rad_s",
+                raw.drives.friction_smoothing_rad_s,
+                &POSITIVE,
+            )?,
+        };
+        Ok(Self { limits, planning, coriolis_bound, target, rotor_inertia, friction })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::JointFriction;
+    use upswing_model::ActuatedVector;
+
+    #[test]
+    fn friction_is_smooth_at_rest_and_opposes_either_direction() {
+        let friction = JointFriction { viscous: [0.2; 7], coulomb: [0.3; 7], smoothing: 0.05 };
+        let at = |speed: f64| friction.torque(&ActuatedVector::repeat(speed))[3];
+        assert_eq!(at(0.0), 0.0);
+        assert!((at(1.0) - 0.5).abs() < 1e-9 && at(-1.0) == -at(1.0));
+        // Its slope at rest is 0.2 + 0.3 / 0.05.
+        assert!((at(1e-6) / 1e-6 - 6.2).abs() < 1e-3);
     }
 }

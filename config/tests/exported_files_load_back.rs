@@ -57,6 +57,7 @@ fn the_papers_values() {
     assert_eq!(config.daemon.cycle.velocity_filter, 0.012);
     assert_eq!(config.daemon.cycle.velocity, VelocityEstimate::Filter);
     assert_eq!(config.robot.rotor_inertia, [0.0; 7]);
+    assert_eq!((config.robot.friction.viscous, config.robot.friction.coulomb), ([0.0; 7], [0.0; 7]));
     assert_eq!(config.daemon.realtime.cpu, None);
     assert!((config.plant.encoder.pendulum_resolution - 4.79e-5).abs() < 1e-7);
     assert_eq!(config.plant.start.q[3], deg(-95.0));

@@ -39,6 +39,21 @@ fn robot() {
             "inertia_kg_m2 = [0, -1",
             &["drives.rotor_inertia_kg_m2", NOT_NEGATIVE, "got -1 for joint 2"],
         ),
+        (
+            "friction_viscous = [0, 0",
+            "friction_viscous = [0, -1",
+            &["drives.friction_viscous", NOT_NEGATIVE, "got -1 for joint 2"],
+        ),
+        (
+            "friction_coulomb = [0",
+            "friction_coulomb = [nan",
+            &["drives.friction_coulomb", NOT_NEGATIVE, "got NaN for joint 1"],
+        ),
+        (
+            "friction_smoothing_rad_s = 0.05",
+            "friction_smoothing_rad_s = 0",
+            &["drives.friction_smoothing_rad_s", POSITIVE, "got 0"],
+        ),
         ("upper_nm = [6", "upper_nm = [-6", &["coriolis_bound.upper_nm", POSITIVE, "got -6 for joint 1"]),
         ("lower_nm = [-6", "lower_nm = [6", &["coriolis_bound.lower_nm", "below 0", "got 6 for joint 1"]),
         (
@@ -59,7 +74,7 @@ fn robot() {
             &["target.pitch_deg", "an equilibrium", "got 60.00 with q8_deg 180.00", "joint 9 at rest"],
         ),
         ("q8_deg = 180", "q8_deg = 170", &["an equilibrium", "q8_deg 170.00", "joint 8 at rest"]),
-    ] as [(&str, &str, &[&str]); 16]
+    ] as [(&str, &str, &[&str]); 19]
     {
         refused("robot.toml", from, to, parts);
     }

@@ -13,7 +13,7 @@ use crate::standstill::Standstill;
 use crate::supervisor::{Event, Refusal, Request, is_braked, transition};
 use crate::trip::{Trip, TripCause};
 use nalgebra::Vector3;
-use upswing_config::{Config, PlanWhileTracking};
+use upswing_config::{Config, JointFriction, PlanWhileTracking};
 use upswing_ipc::{Clock, Command, Measurement, Mode, Step, Telemetry};
 use upswing_model::{ActuatedVector, JointVector, Model, NQ, NU, State, Workspace, position, velocity};
 use upswing_trajectory::{KNOTS, Plan, Trajectory};
@@ -112,6 +112,7 @@ pub struct Controller {
     work: Workspace,
     checks: Checks,
     tau_max: ActuatedVector,
+    friction: JointFriction,
     while_tracking: PlanWhileTracking,
 
     mode: Mode,
@@ -155,6 +156,7 @@ impl Controller {
             work: Workspace::default(),
             checks: Checks::new(config),
             tau_max: config.robot.limits.tau_max,
+            friction: config.robot.friction,
             while_tracking: config.daemon.plans.while_tracking,
             mode: Mode::Idle,
             shutting_down: false,
@@ -164,7 +166,7 @@ impl Controller {
             told: Step::default(),
             observer: Observer::new(&config.daemon.cycle),
             disturbance: Disturbance::new(
-                config.daemon.disturbance.bandwidth,
+                &config.daemon.disturbance,
                 config.robot.limits.tau_max * config.daemon.disturbance.most,
                 config.daemon.cycle.velocity_filter,
             ),
@@ -564,8 +566,9 @@ impl Controller {
     fn torque(&mut self, target: Target) -> (Target, law::Torque) {
         if !is_braked(self.mode) {
             let x = &self.observer.x;
-            let disturbance = self.disturbance.estimate();
-            match law::torque(&self.model, x, &target.u, disturbance, &self.tau_max, &mut self.work) {
+            let friction = self.friction.torque(&target.x_d.fixed_rows::<NU>(NQ).into());
+            let besides = self.disturbance.estimate() - friction;
+            match law::torque(&self.model, x, &target.u, &besides, &self.tau_max, &mut self.work) {
                 Some(torque) => {
                     let (torque, rate) = self.begin(torque);
                     match rate {

@@ -7,16 +7,21 @@
 //! a few 1 / L, and an exact model gives tau^ = 0. It is a torque that is kept, not an acceleration: where M~ is nearly
 //! singular (q2 near 0, axes 1 and 3 parallel) the acceleration that belongs to it changes quickly. The paper does without.
 //!
-//! There half a newton metre accelerates so much that L is too slow when the brakes open. Torque sensors on the side of the
+//! L is a function of M~, L(M~) = L_heavy + (L_light - L_heavy) m (M~ + m)^-1, so that each direction has the bandwidth of its
+//! inertia: a light one is accelerated more by the same torque, and the noise of its velocity is that of a smaller torque.
+//!
+//! Near q2 = 0 half a newton metre accelerates so much that L is too slow when the brakes open. Torque sensors on the side of the
 //! links see the load that the brakes hold: what gravity does not explain of it is tau_d before anything moves.
 
-use upswing_model::{ActuatedVector, Model, NU, Workspace};
+use nalgebra::Cholesky;
+use upswing_config::DisturbanceSettings;
+use upswing_model::{ActuatedMatrix, ActuatedVector, Model, NU, Workspace};
 
 /// The estimate and its memory.
 #[derive(Clone, Debug)]
 pub struct Disturbance {
-    /// L, rad/s; 0 for none.
-    bandwidth: f64,
+    /// L_heavy and L_light, and the m between them.
+    settings: DisturbanceSettings,
     /// Largest tau^, N m: what is more is no disturbance but a collision, or nonsense.
     most: ActuatedVector,
     /// T_1, s.
@@ -35,12 +40,11 @@ pub struct Disturbance {
 }
 
 impl Disturbance {
-    /// With the bandwidth L (rad/s; 0 switches it off), the largest estimate (N m), and the time constant T_1 (s) of the
-    /// velocity filter.
-    pub fn new(bandwidth: f64, most: ActuatedVector, time_constant: f64) -> Self {
+    /// With the largest estimate `most` (N m), and the time constant T_1 (s) of the velocity filter.
+    pub fn new(settings: &DisturbanceSettings, most: ActuatedVector, time_constant: f64) -> Self {
         let none = ActuatedVector::zeros();
         Self {
-            bandwidth,
+            settings: *settings,
             most,
             time_constant,
             estimate: none,
@@ -64,14 +68,14 @@ impl Disturbance {
 
     /// Forgets everything: the brakes hold.
     pub fn reset(&mut self) {
-        *self = Self::new(self.bandwidth, self.most, self.time_constant);
+        *self = Self::new(&self.settings, self.most, self.time_constant);
     }
 
     /// Takes in the torque `d` that acts on an arm at rest behind closed brakes, N m, `elapsed` (s) after the last one: the
     /// mean of what there is, later with the bandwidth L. More than the largest estimate on any joint is no offset of a
     /// sensor (a wrong model, a robot that leans on something), and not used.
     pub fn weigh(&mut self, d: &ActuatedVector, elapsed: f64) {
-        if self.bandwidth == 0.0 || !(elapsed > 0.0) {
+        if self.settings.bandwidth == 0.0 || !(elapsed > 0.0) {
             return;
         }
         if !(0..NU).all(|i| d[i].abs() <= self.most[i]) {
@@ -79,9 +83,9 @@ impl Disturbance {
             return;
         }
         self.weighed += elapsed;
-        let share = (elapsed / self.weighed).max(-(-elapsed * self.bandwidth).exp_m1());
+        let share = (elapsed / self.weighed).max(-(-elapsed * self.settings.bandwidth).exp_m1());
         let estimate = self.estimate + (d - self.estimate) * share;
-        *self = Self { weighed: self.weighed, ..Self::new(self.bandwidth, self.most, self.time_constant) };
+        *self = Self { weighed: self.weighed, ..Self::new(&self.settings, self.most, self.time_constant) };
         (self.estimate, self.unlimited, self.lagging_estimate) = (estimate, estimate, estimate);
     }
 
@@ -96,7 +100,7 @@ impl Disturbance {
         elapsed: f64,
         work: &Workspace,
     ) {
-        if self.bandwidth == 0.0 || !(elapsed > 0.0) {
+        if self.settings.bandwidth == 0.0 || !(elapsed > 0.0) {
             return;
         }
         let last = self.last.replace(*v);
@@ -105,27 +109,47 @@ impl Disturbance {
         self.lagging_input += (u - self.lagging_input) * lag;
         self.lagging_estimate += (self.estimate - self.lagging_estimate) * lag;
         let unexplained = (v - last) / elapsed - self.lagging_input;
-        let torque = model.reduced_inertia_times(&unexplained, work) + self.lagging_estimate;
-        let share = -(-elapsed * self.bandwidth).exp_m1();
-        self.unlimited += (torque - self.unlimited) * share;
-        let estimate = self.estimate + (torque - self.estimate) * share;
+        let inertia = model.reduced_inertia(work);
+        let torque = inertia * unexplained + self.lagging_estimate;
+        self.unlimited += (torque - self.unlimited) * -(-elapsed * self.settings.bandwidth).exp_m1();
+        let estimate = self.estimate + self.share(inertia, &(torque - self.estimate), elapsed);
         self.estimate = estimate.inf(&self.most).sup(&-self.most);
+    }
+
+    /// How much of `change` (N m) is taken in after `elapsed` s, for the inertia M~ (kg m^2).
+    fn share(&self, inertia: ActuatedMatrix, change: &ActuatedVector, elapsed: f64) -> ActuatedVector {
+        let DisturbanceSettings { bandwidth, light_bandwidth, light_inertia, .. } = self.settings;
+        let [heavy, light] = [bandwidth, light_bandwidth].map(|l| -(-elapsed * l).exp_m1());
+        let taken = change * heavy;
+        if light <= heavy {
+            return taken;
+        }
+        let sum = inertia + ActuatedMatrix::from_diagonal_element(light_inertia);
+        match Cholesky::new(sum) {
+            Some(sum) => taken + sum.solve(change) * ((light - heavy) * light_inertia),
+            None => taken,
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::Disturbance;
-    use upswing_config::{Config, PendulumStart};
+    use upswing_config::{Config, DisturbanceSettings, PendulumStart};
     use upswing_model::{ActuatedVector, NQ, State, Workspace};
 
     const T_S: f64 = 125e-6;
     const T_1: f64 = 0.012;
     const L: f64 = 40.0;
 
+    /// The same bandwidth in all directions.
+    fn settings() -> DisturbanceSettings {
+        DisturbanceSettings { bandwidth: L, light_bandwidth: L, light_inertia: 0.05, most: 1.0 }
+    }
+
     /// Joints 1 to 7 under a changing input and the torque `d` on top of it, with the filter of the velocity; the largest
-    /// difference between the estimate and `d` after `seconds`, N m, and the estimate of joint 1.
-    fn after(seconds: f64, d: &ActuatedVector) -> (f64, f64) {
+    /// difference between the estimate and `d` after `seconds`, N m, and the estimate.
+    fn after(seconds: f64, d: &ActuatedVector, settings: &DisturbanceSettings) -> (f64, ActuatedVector) {
         let config = Config::embedded().expect("embedded settings");
         let q = [0.3, -0.4, 0.1, -1.4, 0.2, 0.3, 0.0];
         let mut x: State = config.start_state(&q, PendulumStart::Rest).expect("a start at rest");
@@ -142,7 +166,7 @@ mod tests {
             let columns: Vec<_> = (0..7).map(|i| column(i, &mut work)).collect();
             nalgebra::SMatrix::<f64, 7, 7>::from_columns(&columns).try_inverse().expect("regular")
         };
-        let mut estimate = Disturbance::new(L, ActuatedVector::repeat(30.0), T_1);
+        let mut estimate = Disturbance::new(settings, ActuatedVector::repeat(30.0), T_1);
         let (mut filtered, mut u) = (ActuatedVector::zeros(), ActuatedVector::zeros());
         for i in 0..(seconds / T_S) as usize {
             estimate.update(model, &filtered, Some(&u), T_S, &work);
@@ -155,12 +179,12 @@ mod tests {
             let v: ActuatedVector = x.fixed_rows::<7>(NQ).into();
             filtered += (v - filtered) * T_S / T_1;
         }
-        ((estimate.estimate() - d).amax(), estimate.estimate()[0])
+        ((estimate.estimate() - d).amax(), *estimate.estimate())
     }
 
     #[test]
     fn an_exact_model_leaves_nothing_whatever_the_input() {
-        let (left, _) = after(0.3, &ActuatedVector::zeros());
+        let (left, _) = after(0.3, &ActuatedVector::zeros(), &settings());
         assert!(left < 0.05, "{left} N m");
     }
 
@@ -168,10 +192,22 @@ mod tests {
     fn a_constant_torque_is_known_after_a_few_time_constants() {
         let d = ActuatedVector::from_column_slice(&[3.0, -2.0, 1.0, 0.5, 0.1, -0.2, 0.05]);
         // 1 - exp(-t L), later by the lag of the filter.
-        let (_, early) = after(1.0 / L, &d);
+        let early = after(1.0 / L, &d, &settings()).1[0];
         assert!(early > 0.3 * d[0] && early < 0.7 * d[0], "{early} of {} N m after 1 / L", d[0]);
-        let (left, _) = after(0.3, &d);
+        let (left, _) = after(0.3, &d, &settings());
         assert!(left < 0.05, "off by {left} N m after 12 / L");
+    }
+
+    #[test]
+    fn what_is_light_is_known_sooner_and_what_is_heavy_as_before() {
+        let faster = DisturbanceSettings { light_bandwidth: 10.0 * L, ..settings() };
+        assert!(after(0.3, &ActuatedVector::zeros(), &faster).0 < 0.05, "an exact model leaves nothing");
+        // The last joint has 0.002 kg m^2, the first some 5 kg m^2.
+        let d = ActuatedVector::from_column_slice(&[3.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.05]);
+        let share = |settings| after(1.0 / L, &d, settings).1.component_div(&d);
+        let (same, faster) = (share(&settings()), share(&faster));
+        assert!(same[6] < 0.5 && faster[6] > 0.65, "joint 7: {} and {}", same[6], faster[6]);
+        assert!((same[0] - faster[0]).abs() < 0.1, "joint 1: {} and {}", same[0], faster[0]);
     }
 
     #[test]
@@ -181,7 +217,7 @@ mod tests {
         let x = config.start_state(&[0.0; 7], PendulumStart::Zero).expect("a start");
         let none = ActuatedVector::zeros();
         model.torque(&x, &none, &mut work);
-        let mut estimate = Disturbance::new(L, ActuatedVector::repeat(30.0), T_1);
+        let mut estimate = Disturbance::new(&settings(), ActuatedVector::repeat(30.0), T_1);
         estimate.update(model, &none, Some(&none), T_S, &work);
         estimate.update(model, &ActuatedVector::repeat(0.1), Some(&none), T_S, &work);
         let known = *estimate.estimate();
@@ -200,7 +236,7 @@ mod tests {
         let none = ActuatedVector::zeros();
         model.torque(&x, &none, &mut work);
         let most = ActuatedVector::from_column_slice(&[3.0, 3.0, 2.0, 2.0, 1.0, 0.4, 0.4]);
-        let mut estimate = Disturbance::new(L, most, T_1);
+        let mut estimate = Disturbance::new(&settings(), most, T_1);
         estimate.update(model, &none, Some(&none), T_S, &work);
         estimate.update(model, &ActuatedVector::repeat(2.0), Some(&none), T_S, &work);
         let got = estimate.estimate();
@@ -210,7 +246,7 @@ mod tests {
     #[test]
     fn a_load_behind_closed_brakes_is_known_at_once_and_averaged() {
         let most = ActuatedVector::repeat(2.0);
-        let mut estimate = Disturbance::new(L, most, T_1);
+        let mut estimate = Disturbance::new(&settings(), most, T_1);
         let d = ActuatedVector::from_column_slice(&[0.5, -0.2, 0.1, 0.0, 0.3, -0.4, 0.05]);
         estimate.weigh(&d, T_S);
         assert_eq!(*estimate.estimate(), d);
@@ -236,7 +272,11 @@ mod tests {
         let (model, mut work) = (&config.model, Workspace::default());
         let x = config.start_state(&[0.0; 7], PendulumStart::Zero).expect("a start");
         model.torque(&x, &ActuatedVector::zeros(), &mut work);
-        let mut estimate = Disturbance::new(0.0, ActuatedVector::repeat(30.0), T_1);
+        let mut estimate = Disturbance::new(
+            &DisturbanceSettings { bandwidth: 0.0, ..settings() },
+            ActuatedVector::repeat(30.0),
+            T_1,
+        );
         for i in 0..10 {
             let v = ActuatedVector::repeat(f64::from(i));
             estimate.update(model, &v, Some(&ActuatedVector::zeros()), T_S, &work);

@@ -2,10 +2,10 @@
 
 mod common;
 
-use common::{Arm, at_rest, config, rest_plan, rest_pose, upright_pose};
+use common::{Arm, at_rest, config, rest_plan, rest_pose, swing, upright_pose};
 use upswing_config::Config;
 use upswing_ipc::{Mode, Telemetry};
-use upswing_model::{JointVector, NQ, NU, State, position};
+use upswing_model::{ActuatedVector, JointVector, NQ, NU, State, position};
 use upswingd::controller::{Controller, Order};
 use upswingd::supervisor::{Request, is_braked};
 
@@ -175,4 +175,43 @@ fn a_pendulum_that_turned_over_hangs_at_zero_again() {
     seq += 1;
     let output = controller.step(&common::measurement(seq, &turning), 0, Some(Order::Do(Request::Start(7))));
     assert_eq!((output.answer, controller.mode()), (Some(Ok(())), Mode::Track));
+}
+
+#[test]
+fn known_friction_is_added_at_the_speed_of_the_reference() {
+    let ideal = config();
+    let mut with_friction = ideal.clone();
+    with_friction.robot.friction.viscous = [0.2; NU];
+    with_friction.robot.friction.coulomb = [0.3, 0.2, 0.1, 0.2, 0.03, 0.1, 0.1];
+    let q = rest_pose(&ideal);
+    let (plan, _) = swing(&ideal, &q);
+    let mut arm = Arm::new(&ideal, at_rest(&q));
+    let mut controllers = [Controller::new(&ideal), Controller::new(&with_friction)];
+    let (mut tracked, mut largest) = (0, 0.0_f64);
+    for cycle in 0..3 * SECOND {
+        let measurement = arm.measure();
+        // Both see the arm that the first one moves.
+        let [(free, command), (known, _)] = controllers.each_mut().map(|controller| {
+            let order = match cycle {
+                0 => Some(Order::Do(Request::Enable)),
+                1 => Some(Order::Load(plan.clone())),
+                2 => Some(Order::Do(Request::Start(plan.id))),
+                _ => None,
+            };
+            let output = controller.step(&measurement, 0, order);
+            (output.record.telemetry, output.command)
+        });
+        arm.advance(&command);
+        assert_eq!((free.mode, known.mode, free.qd_d), (known.mode, free.mode, known.qd_d), "cycle {cycle}");
+        let mode = free.mode();
+        let expected =
+            with_friction.robot.friction.torque(&JointVector::from(free.qd_d).fixed_rows::<NU>(0).into());
+        let added = ActuatedVector::from(known.tau) - ActuatedVector::from(free.tau);
+        if (mode == Ok(Mode::Track) && free.t_plan > 0.01) || mode == Ok(Mode::Balance) {
+            assert!((added - expected).amax() < 1e-9, "cycle {cycle}: {added} instead of {expected}");
+            tracked += 1;
+            largest = largest.max(expected.amax());
+        }
+    }
+    assert!(tracked > 2 * SECOND && largest > 0.3, "{tracked} cycles, at most {largest} N m");
 }

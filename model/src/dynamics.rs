@@ -3,7 +3,7 @@
 use crate::positive;
 use crate::spatial::{Inertia, Spatial};
 use crate::{
-    ActuatedVector, JointMatrix, JointVector, Model, N_ACTUATED, N_UNACTUATED, NQ, NX, State,
+    ActuatedMatrix, ActuatedVector, JointMatrix, JointVector, Model, N_ACTUATED, N_UNACTUATED, NQ, NX, State,
     UnactuatedVector, position, velocity,
 };
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
@@ -148,6 +148,15 @@ impl Model {
     /// M~ u + C~ qd + g~ (9), N m; with u = u_d + K dx the torque law (24).
     pub fn torque(&self, x: &State, u: &ActuatedVector, work: &mut Workspace) -> ActuatedVector {
         self.accelerations(x, u, work).tau
+    }
+
+    /// M~ (10), kg m^2, symmetric and positive definite, at the q of the last evaluation with `work`.
+    pub fn reduced_inertia(&self, work: &Workspace) -> ActuatedMatrix {
+        let mass = self.with_rotor_inertia(work.mass_matrix());
+        let columns = work.unactuated_columns();
+        let m_au = columns.fixed_rows::<N_ACTUATED>(0);
+        mass.fixed_view::<N_ACTUATED, N_ACTUATED>(0, 0)
+            - m_au * solve_unactuated(&unactuated_block(&columns), &m_au.transpose())
     }
 
     /// M~ a (10), N m, for `a` in rad/s^2, at the q of the last evaluation with `work`.

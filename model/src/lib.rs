@@ -48,6 +48,8 @@ pub type ActuatedVector = SVector<f64, NU>;
 pub type UnactuatedVector = SVector<f64, N_UNACTUATED>;
 /// State x = [q, qd] (rad, rad/s).
 pub type State = SVector<f64, NX>;
+/// One row and column per actuated joint.
+pub type ActuatedMatrix = SMatrix<f64, NU, NU>;
 /// One row and column per joint.
 pub type JointMatrix = SMatrix<f64, NQ, NQ>;
 

@@ -2,7 +2,7 @@
 
 use crate::rows::{Pivot, STATE_ROW, StateRow, add_scaled};
 use nalgebra::{SMatrix, SVector};
-use upswing_config::LqrWeights;
+use upswing_config::PlannerSettings;
 use upswing_model::{ActuatedVector, Derivatives, Model, N_ACTUATED, N_UNACTUATED, NQ, NU, NX, Workspace};
 use upswing_trajectory::{Gain, N, Trajectory};
 
@@ -49,7 +49,7 @@ impl Rows {
 pub struct Gains {
     /// K_k of (23) at the knots.
     pub knots: Vec<Gain>,
-    /// The gain that belongs to the terminal weight X (21): holds x_N.
+    /// The gain that holds x_N, for the weights of Balance.
     pub end: Gain,
 }
 
@@ -59,17 +59,19 @@ pub struct Gains {
 pub struct NotStabilisable;
 
 /// Solves (21), then iterates (23) backwards with the period `ts` (s), with A and B interpolated between the
-/// knots; keeps the gains at the knots.
+/// knots; keeps the gains at the knots. The gain that holds x_N has weights of its own: with those of the trajectory Balance is
+/// unstable if the bearings of the pendulum have more friction than 0.2 N m s/rad, as at small speeds they have where they stick.
 ///
 /// # Errors
 /// [`NotStabilisable`] if (21) has no stabilising solution at x_N.
 pub fn synthesize(
     model: &Model,
     trajectory: &Trajectory,
-    weights: &LqrWeights,
+    settings: &PlannerSettings,
     ts: f64,
     work: &mut Workspace,
 ) -> Result<Gains, NotStabilisable> {
+    let PlannerSettings { lqr: weights, balance, .. } = settings;
     let knots = trajectory.x.iter().zip(&trajectory.u);
     let rows: Vec<Rows> = knots.map(|(x, u)| Rows::new(&model.derivatives(x, u, work))).collect();
     let q = SVector::<f64, NX>::from_fn(|i, _| match i {
@@ -80,8 +82,16 @@ pub fn synthesize(
     // The end is an equilibrium: u = 0 there, whatever the last knot's input.
     let at_end = Rows::new(&model.derivatives(&trajectory.x[N], &ActuatedVector::zeros(), work));
     let mut p = algebraic_riccati(&at_end, &q, weights.r, ts).ok_or(NotStabilisable)?;
-    let step = |p: &mut Weight, rows: &Rows| riccati_step(p, rows, &q, weights.r, ts).ok_or(NotStabilisable);
-    let end = step(&mut p.clone(), &at_end)?.gain();
+    let step = |p: &mut Weight, rows: &Rows, q: &SVector<f64, NX>| {
+        riccati_step(p, rows, q, weights.r, ts).ok_or(NotStabilisable)
+    };
+    let end = {
+        let mut q = q;
+        q.fixed_rows_mut::<N_ACTUATED>(0).fill(balance.q_angles_actuated);
+        q.fixed_rows_mut::<N_UNACTUATED>(N_ACTUATED).fill(balance.q_angles_unactuated);
+        let mut p = algebraic_riccati(&at_end, &q, weights.r, ts).ok_or(NotStabilisable)?;
+        step(&mut p, &at_end, &q)?.gain()
+    };
 
     let steps = (trajectory.t_f / ts).floor() as usize;
     let h = trajectory.h();
@@ -91,7 +101,7 @@ pub fn synthesize(
         let t = i as f64 * ts;
         let k = ((t / h) as usize).min(N - 1);
         let between = rows[k].towards(&rows[k + 1], t / h - k as f64);
-        let step = step(&mut p, &between)?;
+        let step = step(&mut p, &between, &q)?;
         // The first gain at or before a knot's time serves the knot.
         while next_knot > 0 && t <= next_knot as f64 * h {
             knots[next_knot] = step.gain();
@@ -333,6 +343,48 @@ mod tests {
         (k, (next + next.transpose()) * 0.5)
     }
 
+    /// `a` of (19) at `x` with viscous friction in the bearings of the pendulum, N m s/rad.
+    fn with_bearings(
+        config: &upswing_config::Config,
+        x: &upswing_model::State,
+        a: &StateMatrix,
+        friction: f64,
+    ) -> StateMatrix {
+        let mass = config.model.mass_matrix(&upswing_model::position(x), &mut Workspace::default());
+        let m_uu: SMatrix<f64, 2, 2> = mass.fixed_view::<2, 2>(7, 7).into();
+        let mut a = *a;
+        let mut block = a.fixed_view_mut::<2, 2>(16, 16);
+        block -= m_uu.try_inverse().expect("positive definite") * friction;
+        a
+    }
+
+    #[test]
+    fn balance_is_stable_with_a_free_rod_and_with_one_that_its_bearings_hold() {
+        let config = upswing_config::Config::embedded().expect("settings");
+        let planner = crate::replan::Planner::new(config.clone()).expect("the database fits");
+        let ts = config.daemon.cycle.period.as_secs_f64();
+        let work = &mut Workspace::default();
+        for entry in planner.entries().iter().step_by(40) {
+            let x = &entry.trajectory.x[N];
+            let gains = synthesize(&config.model, &entry.trajectory, &config.planner, ts, work)
+                .expect("stabilisable");
+            let d = config.model.derivatives(x, &ActuatedVector::zeros(), work);
+            for friction in [0.0, 0.03, 0.1, 0.2, 0.3, 0.5, 0.8, 1.0] {
+                let a = with_bearings(&config, x, &d.a(), friction);
+                let mut closed = StateMatrix::identity() + (a + d.b() * gains.end) * ts;
+                // After 2^18 periods, half a minute.
+                for _ in 0..18 {
+                    closed *= closed;
+                }
+                assert!(
+                    closed.norm() < 1e-2,
+                    "{friction} N m s/rad: a deviation becomes {:e}",
+                    closed.norm()
+                );
+            }
+        }
+    }
+
     #[test]
     fn the_gains_of_a_swing_are_those_of_the_dense_recursion() {
         let config = upswing_config::Config::embedded().expect("settings");
@@ -340,7 +392,7 @@ mod tests {
         let trajectory = &planner.entries()[7].trajectory;
         let (weights, ts) = (&config.planner.lqr, config.daemon.cycle.period.as_secs_f64());
         let work = &mut Workspace::default();
-        let gains = synthesize(&config.model, trajectory, weights, ts, work).expect("stabilisable");
+        let gains = synthesize(&config.model, trajectory, &config.planner, ts, work).expect("stabilisable");
 
         // (20), written out.
         let mut q = StateMatrix::identity() * weights.q_angles;
@@ -356,12 +408,25 @@ mod tests {
         };
         // (21) by going back from no weight at all until nothing changes any more.
         let at_end = ab(&trajectory.x[N], &ActuatedVector::zeros());
-        let (mut p, mut end) = (StateMatrix::zeros(), Gain::zeros());
-        for _ in 0..60_000 {
-            (end, p) = dense_step(&p, (&at_end.0, &at_end.1), &q, weights.r, ts);
-        }
+        let from_far = |q: &StateMatrix| {
+            let (mut p, mut k) = (StateMatrix::zeros(), Gain::zeros());
+            for _ in 0..60_000 {
+                (k, p) = dense_step(&p, (&at_end.0, &at_end.1), q, weights.r, ts);
+            }
+            (k, p)
+        };
+        let (end, mut p) = from_far(&q);
         let scale = end.amax();
-        assert!((gains.end - end).amax() < 1e-6 * scale, "at the end: {}", (gains.end - end).amax() / scale);
+        // The gain that balances, for other weights of the angles.
+        let balance = &config.planner.balance;
+        let mut q_balance = q;
+        for i in 0..NQ {
+            let actuated = i < N_ACTUATED;
+            q_balance[(i, i)] =
+                if actuated { balance.q_angles_actuated } else { balance.q_angles_unactuated };
+        }
+        let error = (gains.end - from_far(&q_balance).0).amax();
+        assert!(error < 1e-6 * scale, "at the end: {}", error / scale);
 
         let knots: Vec<_> = trajectory.x.iter().zip(&trajectory.u).map(|(x, u)| ab(x, u)).collect();
         let periods = (trajectory.t_f / ts).floor() as usize;

@@ -381,7 +381,7 @@ impl Planner {
         times.check += begin.elapsed();
         let begin = Instant::now();
         let ts = self.config.daemon.cycle.period.as_secs_f64();
-        let gains = lqr::synthesize(model, &trajectory, &self.config.planner.lqr, ts, &mut work)?;
+        let gains = lqr::synthesize(model, &trajectory, &self.config.planner, ts, &mut work)?;
         times.lqr += begin.elapsed();
         let begin = Instant::now();
         gate.check_feedback(model, &trajectory, &gains.knots, &gains.end).map_err(unfit)?;

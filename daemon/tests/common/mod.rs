@@ -104,8 +104,8 @@ pub fn rest_payload(config: &Config, x: &State, t_f: f64) -> Box<Payload> {
     if x[NQ - 2] > 3.0 {
         let still = Trajectory { t_f: 0.01, x: vec![*x; KNOTS], u: vec![ActuatedVector::zeros(); KNOTS] };
         let mut work = Workspace::default();
-        let gains = lqr::synthesize(&config.model, &still, &config.planner.lqr, PERIOD, &mut work).unwrap();
-        payload.k_final = std::array::from_fn(|i| std::array::from_fn(|j| gains.end[(i, j)]));
+        let gains = lqr::synthesize(&config.model, &still, &config.planner, PERIOD, &mut work).unwrap();
+        payload.k_final = std::array::from_fn(|i| std::array::from_fn(|j| gains.knots[0][(i, j)]));
     }
     let gain = payload.k_final;
     payload.k.fill(gain);
@@ -119,7 +119,7 @@ pub fn swing(config: &Config, q: &JointVector) -> (Box<Plan>, Box<Plan>) {
     let up = planner.replan(&at_rest(q), config.planner.replan.iterations, None).unwrap().plan(config);
     let trajectory = up.trajectory.reversed();
     let mut work = Workspace::default();
-    let gains = lqr::synthesize(&config.model, &trajectory, &config.planner.lqr, PERIOD, &mut work).unwrap();
+    let gains = lqr::synthesize(&config.model, &trajectory, &config.planner, PERIOD, &mut work).unwrap();
     let down = Plan {
         id: 8,
         fingerprint: up.fingerprint,
