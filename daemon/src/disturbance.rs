@@ -136,7 +136,7 @@ impl Disturbance {
 mod tests {
     use super::Disturbance;
     use upswing_config::{Config, DisturbanceSettings, PendulumStart};
-    use upswing_model::{ActuatedVector, NQ, State, Workspace};
+    use upswing_model::{ActuatedMatrix, ActuatedVector, NQ, State, Workspace};
 
     const T_S: f64 = 125e-6;
     const T_1: f64 = 0.012;
@@ -202,12 +202,18 @@ mod tests {
     fn what_is_light_is_known_sooner_and_what_is_heavy_as_before() {
         let faster = DisturbanceSettings { light_bandwidth: 10.0 * L, ..settings() };
         assert!(after(0.3, &ActuatedVector::zeros(), &faster).0 < 0.05, "an exact model leaves nothing");
-        // The last joint has 0.002 kg m^2, the first some 5 kg m^2.
-        let d = ActuatedVector::from_column_slice(&[3.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.05]);
-        let share = |settings| after(1.0 / L, &d, settings).1.component_div(&d);
-        let (same, faster) = (share(&settings()), share(&faster));
-        assert!(same[6] < 0.5 && faster[6] > 0.65, "joint 7: {} and {}", same[6], faster[6]);
-        assert!((same[0] - faster[0]).abs() < 0.1, "joint 1: {} and {}", same[0], faster[0]);
+        // The last joint has 0.002 kg m^2.
+        let d = ActuatedVector::from_column_slice(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.05]);
+        let share = |settings| after(1.0 / L, &d, settings).1[6] / d[6];
+        let (same, sooner) = (share(&settings()), share(&faster));
+        assert!(same < 0.5 && sooner > 0.65, "{same} and {sooner} of it after 1 / L");
+        // In a direction of the mean inertia the bandwidth is the mean of both.
+        let estimate = Disturbance::new(&faster, ActuatedVector::repeat(30.0), T_1);
+        for (inertia, bandwidth) in [(1e-6, 10.0 * L), (faster.light_inertia, 5.5 * L), (1e6, L)] {
+            let inertia = ActuatedMatrix::from_diagonal_element(inertia);
+            let taken = estimate.share(inertia, &ActuatedVector::repeat(1.0), 1e-6).amax() * 1e6;
+            assert!((taken - bandwidth).abs() < 1e-3 * bandwidth, "{taken} instead of {bandwidth} rad/s");
+        }
     }
 
     #[test]
