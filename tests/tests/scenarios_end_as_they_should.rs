@@ -4,10 +4,9 @@
 use upswing::report::tilt;
 use upswing_config::Config;
 use upswing_ipc::Mode;
-use upswing_model::NU;
 use upswing_tests::matrix::Case;
 
-/// Four seconds in Balance, and throughout the last one the rod within 2 deg of upright and the arm below 0.05 rad/s.
+/// Four seconds in Balance, and the rod within 2 deg of upright throughout the last one.
 const BALANCED: &str = "balanced";
 
 /// The outcome of each scenario, in the words of `docs/faults.md`.
@@ -42,19 +41,16 @@ fn all_of_them() {
         let mut case = Case::idle(Some(name)).in_mode(Mode::Hold);
         let started = case.start();
         case.run(case.plan_cycles + 3 * SECOND);
-        let (mut largest, mut fastest): (f64, f64) = (0.0, 0.0);
+        let mut largest: f64 = 0.0;
         for _ in 0..SECOND {
             case.run(1);
             largest = largest.max(tilt(&model, case.system.plant.position()).to_degrees());
-            fastest = fastest.max(case.system.plant.velocity().fixed_rows::<NU>(0).amax());
         }
-        let balanced = case.mode() == (Mode::Balance, false) && largest < 2.0 && fastest < 0.05;
+        let balanced = case.mode() == (Mode::Balance, false) && largest < 2.0;
         let outcome = if started && balanced { BALANCED.to_owned() } else { case.outcome() };
-        println!(
-            "{name}: {outcome}, rod within {largest:.2} deg and arm below {fastest:.3} rad/s in the last second"
-        );
+        println!("{name}: {outcome}, rod within {largest:.2} deg in the last second");
         if outcome != expected {
-            wrong.push(format!("{name}: {outcome}, expected {expected}; rod within {largest:.2} deg, arm below {fastest:.3} rad/s"));
+            wrong.push(format!("{name}: {outcome}, expected {expected}; rod within {largest:.2} deg"));
         }
     }
     assert!(wrong.is_empty(), "{wrong:#?}");
