@@ -124,9 +124,9 @@ fn what_is_recovered_from() {
                 recovery.note(&record(Mode::Stop, now + 1, 3.0, cause), 5);
                 let expected = match (cause, before) {
                     (Some(BalanceLost | BalanceSpeed), Mode::Track | Mode::Balance) => true,
-                    (Some(PendulumRange), Mode::Balance) => true,
+                    (Some(PendulumRange | TrackingError), Mode::Balance) => true,
                     // What the operator started and did not become a balance is the operator's.
-                    (Some(PendulumRange | TrackingError), Mode::Track | Mode::Balance) => again,
+                    (Some(PendulumRange | TrackingError), Mode::Track) => again,
                     _ => false,
                 };
                 assert_eq!(recovery.is_active(), expected, "{cause:?} in {before}, again: {again}");

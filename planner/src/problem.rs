@@ -112,25 +112,35 @@ impl Problem<'_> {
     }
 
     /// Narrows the bounds at the knots between which `trajectory` exceeds a limit: the trapezoidal rule knows the knots only.
-    pub fn narrow(&mut self, trajectory: &Trajectory) {
+    /// Whether it exceeds any.
+    pub fn narrow(&mut self, trajectory: &Trajectory) -> bool {
         /// By how much, in units of the excess: the motion changes with its bounds, and a part of the excess comes back.
         const EXTRA: f64 = 1.5;
+        /// The least, as a share of the range.
+        const LEAST: f64 = 1e-4;
         let f = trajectory.f(self.model, &mut Workspace::default());
         let Trajectory { t_f, x, u } = trajectory;
         let spline = Spline { t_f: *t_f, x, u, f: &f };
         let (lowest, highest) =
             (state(&self.limits.q_min, &-self.limits.qd_max), state(&self.limits.q_max, &self.limits.qd_max));
         self.narrower.resize(KNOTS, State::zeros());
+        let mut exceeds = false;
         for k in 0..N {
             for (row, _, x) in spline.extrema(k) {
                 let excess = (x - highest[row]).max(lowest[row] - x).max(0.0);
+                if excess == 0.0 {
+                    continue;
+                }
+                exceeds = true;
+                let range = highest[row] - lowest[row];
                 // Neither start nor target move.
                 for knot in [k, k + 1].into_iter().filter(|knot| (1..N).contains(knot)) {
                     let by = &mut self.narrower[knot][row];
-                    *by = (*by + EXTRA * excess).min(0.25 * (highest[row] - lowest[row]));
+                    *by = (*by + EXTRA * excess + LEAST * range).min(0.25 * range);
                 }
             }
         }
+        exceeds
     }
 
     /// J of (6a): t_F + h/2 sum u_k' R u_k.

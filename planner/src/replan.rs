@@ -330,32 +330,38 @@ impl Planner {
             solution = interior_point::solve(&problem, &problem.shifted(&reference), &options);
         }
         let mut iterations = 0;
+        // A plan that exceeds limits between its knots by no more than the daemon tolerates.
+        let mut tolerable = None;
         for round in 0.. {
             times.optimisation += begin.elapsed();
             iterations += solution.iterations;
-            match solution.status {
-                // Of a stalled one all constraints are kept, too.
-                Ending::Solved | Ending::Stalled => {}
-                _ if effort.is_cancelled() => return Err(Refusal::Optimisation(Ending::Interrupted)),
-                _ if effort.out_of_time() => return Err(Refusal::Optimisation(Ending::OutOfTime)),
-                status => return Err(Refusal::Optimisation(status)),
+            // Of a stalled one all constraints are kept, too.
+            if !matches!(solution.status, Ending::Solved | Ending::Stalled) {
+                let ending = match solution.status {
+                    _ if effort.is_cancelled() => Ending::Interrupted,
+                    _ if effort.out_of_time() => Ending::OutOfTime,
+                    ending => ending,
+                };
+                return tolerable.ok_or(Refusal::Optimisation(ending));
             }
             let found = solution.trajectory;
-            match self.accept(found.clone(), Method::Optimisation, iterations, times) {
+            let verdict = self.accept(found.clone(), Method::Optimisation, iterations, times);
+            let exceeds = problem.narrow(&found);
+            match verdict {
+                Ok(plan) if exceeds && tolerable.is_none() => tolerable = Some(plan),
                 Err(Refusal::Unfit { unfit: Unfit::Limit { what, joint, got, highest, .. }, .. })
-                    if round < NARROWED =>
+                    if tolerable.is_none() && round < NARROWED =>
                 {
                     if what == "torque" {
                         problem.limits.tau_max[joint] -= 1.5 * (got.abs() - highest);
-                    } else {
-                        problem.narrow(&found);
                     }
                 }
-                verdict => return verdict,
+                verdict => return verdict.or_else(|refusal| tolerable.ok_or(refusal)),
             }
             begin = Instant::now();
             solution = interior_point::solve(&problem, &found, &options);
-            if !matches!(solution.status, Ending::Solved | Ending::Stalled) && !halted() {
+            let solved = matches!(solution.status, Ending::Solved | Ending::Stalled);
+            if !solved && tolerable.is_none() && !halted() {
                 solution = search_optimum(&problem, Search::Best, Some(&reference), &options);
             }
         }

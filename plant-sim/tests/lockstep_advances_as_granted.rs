@@ -120,7 +120,7 @@ fn what_cannot_be_is_refused_with_a_reason() {
     let ask = |kind: PlantKind, request: PlantRequest| PlantRequest { kind: kind.code(), ..request };
     for (request, reason) in [
         (PlantRequest { kind: 99, ..PlantRequest::default() }, "unknown plant request code 99"),
-        (ask(PlantKind::SetFault, PlantRequest { fault: 10, ..Default::default() }), "from 0 to 9, got 10"),
+        (ask(PlantKind::SetFault, PlantRequest { fault: 11, ..Default::default() }), "from 0 to 10, got 11"),
         (
             ask(PlantKind::SetFault, PlantRequest { fault: nan, ..Default::default() }),
             "joint: expected 1 to 9, got 0",

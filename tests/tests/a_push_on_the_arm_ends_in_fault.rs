@@ -18,7 +18,8 @@ fn pushed(before: &Case, joint: usize, share: f64, cycles: u64) -> (Mode, Option
     case.break_now(Fault { joint, amount, ..Fault::new(FaultKind::ArmTorque, 0, cycles) });
     for cycle in 0..WATCHED {
         case.run(1);
-        if case.mode().0 != before.mode().0 {
+        // A rod that the push throws over ends Balance in a stop; somebody who goes on pushing ends that, too.
+        if case.mode().0 != before.mode().0 && case.mode().0 != Mode::Stop {
             return (case.mode().0, case.system.controller.trip().map(|trip| trip.cause), cycle);
         }
     }
