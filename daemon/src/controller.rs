@@ -491,6 +491,8 @@ impl Controller {
         }
         self.mode = to;
         self.begins = self.checks.torque_steps();
+        // How long a joint has stood in Hold says nothing of a motion that only begins.
+        self.standstill.reset();
     }
 
     /// Track and Balance: u = u_d + K (x - x_d). `None` if the plan ended in Hold or had to be given up.

@@ -28,7 +28,7 @@ pub struct ClosedLoopArgs {
     #[arg(long, value_name = "NAME|FILE,..", value_delimiter = ',', default_value = "nominal")]
     pub condition: Vec<String>,
     /// How long to balance, s (2 to 600); the last second is judged
-    #[arg(long, value_name = "S", default_value_t = 2.0, value_parser = within(2.0, 600.0))]
+    #[arg(long, value_name = "S", default_value_t = 4.0, value_parser = within(2.0, 600.0))]
     pub seconds: f64,
     /// Draw the swing-up of --only as far as it came (SVG)
     #[arg(long, value_name = "FILE", requires = "only")]

@@ -39,7 +39,7 @@ pub struct RobustnessArgs {
     #[arg(long, value_name = "FILE")]
     pub missed: Option<PathBuf>,
     /// How long to balance, s (2 to 600); the last second is judged. One second longer where the balance is disturbed
-    #[arg(long, value_name = "S", default_value_t = 2.0, value_parser = within(2.0, 600.0))]
+    #[arg(long, value_name = "S", default_value_t = 4.0, value_parser = within(2.0, 600.0))]
     pub seconds: f64,
     /// Draw the curves (SVG)
     #[arg(long, value_name = "FILE")]
