@@ -29,6 +29,8 @@ use upswing_model::{
 const STANDS: f64 = 0.01;
 /// Shortest standstill that is not explained, s: a fast joint does not stop at once.
 const SHORTEST: f64 = 0.002;
+/// Speed that the errors of a model may seem to ask of a heavy joint at rest, rad/s: a small one for a long time hides no run-away.
+const CREEP: f64 = 1e-3;
 /// Time after which the sensors show a change of the commanded torque, s: more than command and drives need.
 const SHOWN: f64 = 0.01;
 
@@ -258,12 +260,13 @@ impl Standstill {
         }
         let mut first = None;
         for i in 0..NQ {
-            let (joint, limit) = (&mut self.joints[i], self.settings.angle[i]);
+            let (joint, angle) = (&mut self.joints[i], self.settings.angle[i]);
             if q[i] != joint.angle || q[i].abs() > self.reach[i] {
                 *joint = Joint::new(q[i], 0.0, self.settings.unknown[i]);
                 continue;
             }
             joint.time += elapsed;
+            let limit = angle + if i < WRIST { CREEP * joint.time } else { 0.0 };
             let (inertia, friction) = (drive.inertia[i], self.settings.friction[i]);
             advance(&mut joint.per_torque, 1.0, inertia, friction, elapsed);
             let mut explained = true;
