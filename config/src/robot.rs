@@ -37,7 +37,9 @@ impl JointFriction {
     /// Torque that moves the joints against their friction at the speeds `qd` (rad/s), N m.
     pub fn torque(&self, qd: &ActuatedVector) -> ActuatedVector {
         ActuatedVector::from_fn(|i, _| {
-            self.viscous[i] * qd[i] + self.coulomb[i] * (qd[i] / self.smoothing).tanh()
+            // Most robots leave it at 0, and a tanh is slow.
+            let coulomb = if self.coulomb[i] == 0.0 { 0.0 } else { (qd[i] / self.smoothing).tanh() };
+            self.viscous[i] * qd[i] + self.coulomb[i] * coulomb
         })
     }
 }

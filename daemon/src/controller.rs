@@ -15,7 +15,9 @@ use crate::trip::{Trip, TripCause};
 use nalgebra::Vector3;
 use upswing_config::{Config, JointFriction, PlanWhileTracking};
 use upswing_ipc::{Clock, Command, Measurement, Mode, Step, Telemetry};
-use upswing_model::{ActuatedVector, JointVector, Model, NQ, NU, State, Workspace, position, velocity};
+use upswing_model::{
+    ActuatedMatrix, ActuatedVector, JointVector, Model, NQ, NU, State, Workspace, position, velocity,
+};
 use upswing_trajectory::{KNOTS, Plan, Trajectory};
 
 /// What the controller is told besides the measurement; at most one per cycle.
@@ -142,6 +144,8 @@ pub struct Controller {
     begins: u64,
     /// qdd that the torque of the last cycle is meant for, unless the limiter cut it.
     expected: Option<JointVector>,
+    /// M~ of the last command, kg m^2.
+    inertia: ActuatedMatrix,
     /// For how long a torque has acted on the arm that is enough for a collision, s.
     pressed: f64,
     /// Whether the robot measures the torque of its loads.
@@ -184,6 +188,7 @@ impl Controller {
             last: ActuatedVector::zeros(),
             begins: 0,
             expected: None,
+            inertia: ActuatedMatrix::zeros(),
             pressed: 0.0,
             senses: false,
         }
@@ -216,6 +221,7 @@ impl Controller {
     pub fn restart_measurement(&mut self) {
         self.told.restarted = 1;
         let trip = self.observer.restart();
+        self.senses = false;
         self.give_up(Event::Fault, trip);
     }
 
@@ -257,6 +263,9 @@ impl Controller {
         if matches!(self.mode, Mode::Idle | Mode::Hold) {
             self.observer.drop_turns();
         }
+        if restarted.is_some() {
+            self.senses = false;
+        }
         let mut collision = None;
         if braked {
             self.weigh(measurement, fresh);
@@ -264,7 +273,7 @@ impl Controller {
         } else {
             let v: ActuatedVector = self.observer.filtered.fixed_rows::<NU>(0).into();
             let u: Option<ActuatedVector> = expected.map(|qdd| qdd.fixed_rows::<NU>(0).into());
-            self.disturbance.update(&self.model, &v, u.as_ref(), elapsed, &self.work);
+            self.disturbance.update(&v, u.as_ref(), elapsed, &self.inertia);
             let unexplained = self.checks.unexplained(self.disturbance.unexplained(), &mut self.warnings);
             // Drives that do not act leave all of the command unexplained; that has a limit of its own.
             let pressed = unexplained.is_some() && self.observer.drives_act();
@@ -281,10 +290,8 @@ impl Controller {
         } else if fresh {
             let elapsed = self.observer.cycles() as f64 * self.checks.period();
             let q = position(&self.observer.x);
-            let frozen = self
-                .standstill
-                .observe_all(&q, &measurement.tau_measured.into(), elapsed)
-                .filter(|_| self.senses);
+            let tau = measurement.tau_measured.into();
+            let frozen = if self.senses { self.standstill.observe_all(&q, &tau, elapsed) } else { None };
             self.standstill.observe(&q, elapsed).or(frozen)
         } else {
             None
@@ -491,8 +498,10 @@ impl Controller {
         }
         self.mode = to;
         self.begins = self.checks.torque_steps();
-        // How long a joint has stood in Hold says nothing of a motion that only begins.
-        self.standstill.reset();
+        if to == Mode::Track {
+            // How long a joint has stood in Hold says nothing of a motion that only begins.
+            self.standstill.reset();
+        }
     }
 
     /// Track and Balance: u = u_d + K (x - x_d). `None` if the plan ended in Hold or had to be given up.
@@ -576,6 +585,7 @@ impl Controller {
                     match rate {
                         Some(trip) => self.give_up(Event::Fault, trip),
                         None => {
+                            self.inertia = self.model.reduced_inertia(&self.work);
                             self.expected = (!torque.limited).then_some(torque.qdd);
                             self.last = torque.tau;
                             self.expect_motion(&target.u, &torque);
@@ -599,9 +609,9 @@ impl Controller {
             self.standstill.reset();
             return;
         }
-        let mass = self.model.last_mass_matrix(&self.work);
+        let columns = self.work.unactuated_columns();
         let qd = self.observer.filtered.fixed_rows::<NU>(0).into();
-        self.standstill.command(u, torque, self.disturbance.estimate(), &mass, &qd);
+        self.standstill.command(u, torque, self.disturbance.estimate(), (&self.inertia, &columns), &qd);
     }
 
     /// A mode begins with the torque of the last one (none, where the brakes held) and approaches its own without a step;

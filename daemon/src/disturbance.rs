@@ -15,7 +15,7 @@
 
 use nalgebra::Cholesky;
 use upswing_config::DisturbanceSettings;
-use upswing_model::{ActuatedMatrix, ActuatedVector, Model, NU, Workspace};
+use upswing_model::{ActuatedMatrix, ActuatedVector, NU};
 
 /// The estimate and its memory.
 #[derive(Clone, Debug)]
@@ -90,15 +90,14 @@ impl Disturbance {
     }
 
     /// Takes in the filtered velocity `v` (rad/s), `elapsed` (s) after the last one. `u` (rad/s^2) was the input to
-    /// (24) in between, `work` the memory of its evaluation; `None` if the torque limiter cut it: then the arm did
-    /// something else, and the estimate waits.
+    /// (24) in between, and `inertia` its M~ (kg m^2); `None` if the torque limiter cut it: then the arm did something else,
+    /// and the estimate waits.
     pub fn update(
         &mut self,
-        model: &Model,
         v: &ActuatedVector,
         u: Option<&ActuatedVector>,
         elapsed: f64,
-        work: &Workspace,
+        inertia: &ActuatedMatrix,
     ) {
         if self.settings.bandwidth == 0.0 || !(elapsed > 0.0) {
             return;
@@ -109,7 +108,6 @@ impl Disturbance {
         self.lagging_input += (u - self.lagging_input) * lag;
         self.lagging_estimate += (self.estimate - self.lagging_estimate) * lag;
         let unexplained = (v - last) / elapsed - self.lagging_input;
-        let inertia = model.reduced_inertia(work);
         let torque = inertia * unexplained + self.lagging_estimate;
         self.unlimited += (torque - self.unlimited) * -(-elapsed * self.settings.bandwidth).exp_m1();
         let estimate = self.estimate + self.share(inertia, &(torque - self.estimate), elapsed);
@@ -117,7 +115,7 @@ impl Disturbance {
     }
 
     /// How much of `change` (N m) is taken in after `elapsed` s, for the inertia M~ (kg m^2).
-    fn share(&self, inertia: ActuatedMatrix, change: &ActuatedVector, elapsed: f64) -> ActuatedVector {
+    fn share(&self, inertia: &ActuatedMatrix, change: &ActuatedVector, elapsed: f64) -> ActuatedVector {
         let DisturbanceSettings { bandwidth, light_bandwidth, light_inertia, .. } = self.settings;
         let [heavy, light] = [bandwidth, light_bandwidth].map(|l| -(-elapsed * l).exp_m1());
         let taken = change * heavy;
@@ -169,7 +167,7 @@ mod tests {
         let mut estimate = Disturbance::new(settings, ActuatedVector::repeat(30.0), T_1);
         let (mut filtered, mut u) = (ActuatedVector::zeros(), ActuatedVector::zeros());
         for i in 0..(seconds / T_S) as usize {
-            estimate.update(model, &filtered, Some(&u), T_S, &work);
+            estimate.update(&filtered, Some(&u), T_S, &model.reduced_inertia(&work));
             u = ActuatedVector::from_fn(|j, _| (10.0 * i as f64 * T_S + j as f64).sin());
             let inverse = inertia_inverse(&x);
             model.torque(&x, &u, &mut work);
@@ -211,7 +209,7 @@ mod tests {
         let estimate = Disturbance::new(&faster, ActuatedVector::repeat(30.0), T_1);
         for (inertia, bandwidth) in [(1e-6, 10.0 * L), (faster.light_inertia, 5.5 * L), (1e6, L)] {
             let inertia = ActuatedMatrix::from_diagonal_element(inertia);
-            let taken = estimate.share(inertia, &ActuatedVector::repeat(1.0), 1e-6).amax() * 1e6;
+            let taken = estimate.share(&inertia, &ActuatedVector::repeat(1.0), 1e-6).amax() * 1e6;
             assert!((taken - bandwidth).abs() < 1e-3 * bandwidth, "{taken} instead of {bandwidth} rad/s");
         }
     }
@@ -224,11 +222,11 @@ mod tests {
         let none = ActuatedVector::zeros();
         model.torque(&x, &none, &mut work);
         let mut estimate = Disturbance::new(&settings(), ActuatedVector::repeat(30.0), T_1);
-        estimate.update(model, &none, Some(&none), T_S, &work);
-        estimate.update(model, &ActuatedVector::repeat(0.1), Some(&none), T_S, &work);
+        estimate.update(&none, Some(&none), T_S, &model.reduced_inertia(&work));
+        estimate.update(&ActuatedVector::repeat(0.1), Some(&none), T_S, &model.reduced_inertia(&work));
         let known = *estimate.estimate();
         assert!(known.amax() > 0.0);
-        estimate.update(model, &ActuatedVector::repeat(0.5), None, T_S, &work);
+        estimate.update(&ActuatedVector::repeat(0.5), None, T_S, &model.reduced_inertia(&work));
         assert_eq!(*estimate.estimate(), known);
         estimate.reset();
         assert_eq!(*estimate.estimate(), none);
@@ -243,8 +241,8 @@ mod tests {
         model.torque(&x, &none, &mut work);
         let most = ActuatedVector::from_column_slice(&[3.0, 3.0, 2.0, 2.0, 1.0, 0.4, 0.4]);
         let mut estimate = Disturbance::new(&settings(), most, T_1);
-        estimate.update(model, &none, Some(&none), T_S, &work);
-        estimate.update(model, &ActuatedVector::repeat(2.0), Some(&none), T_S, &work);
+        estimate.update(&none, Some(&none), T_S, &model.reduced_inertia(&work));
+        estimate.update(&ActuatedVector::repeat(2.0), Some(&none), T_S, &model.reduced_inertia(&work));
         let got = estimate.estimate();
         assert!((0..7).all(|i| got[i].abs() <= most[i]) && got[1].abs() == most[1], "{got}");
     }
@@ -285,7 +283,7 @@ mod tests {
         );
         for i in 0..10 {
             let v = ActuatedVector::repeat(f64::from(i));
-            estimate.update(model, &v, Some(&ActuatedVector::zeros()), T_S, &work);
+            estimate.update(&v, Some(&ActuatedVector::zeros()), T_S, &model.reduced_inertia(&work));
         }
         estimate.weigh(&ActuatedVector::repeat(0.1), T_S);
         assert_eq!(*estimate.estimate(), ActuatedVector::zeros());

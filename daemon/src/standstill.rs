@@ -22,7 +22,7 @@ use crate::trip::{Trip, TripCause};
 use nalgebra::SMatrix;
 use upswing_config::StandstillSettings;
 use upswing_model::{
-    ActuatedVector, JointMatrix, JointVector, N_ACTUATED, N_UNACTUATED, NQ, NU, UnactuatedVector,
+    ActuatedMatrix, ActuatedVector, JointVector, N_ACTUATED, N_UNACTUATED, NQ, NU, UnactuatedVector,
 };
 
 /// Time after which a joint whose angle does not change is taken to stand, s: one that turns back stands for less.
@@ -162,7 +162,7 @@ impl Standstill {
         }
     }
 
-    /// Forgets everything: the brakes hold.
+    /// Forgets everything.
     pub fn reset(&mut self) {
         self.drive = None;
         self.unchanged = None;
@@ -177,13 +177,14 @@ impl Standstill {
     }
 
     /// Takes in the torque of this cycle, which acts until the next measurement: `u` is the input that it is meant for (rad/s^2),
-    /// `estimate` the estimate of other torques (N m), `mass` M(q), `qd` the measured speeds of the arm (rad/s).
+    /// `estimate` the estimate of other torques (N m), `reduced` M~ and `columns` those of M of the unactuated joints (kg m^2), `qd` the
+    /// measured speeds of the arm (rad/s).
     pub fn command(
         &mut self,
         u: &ActuatedVector,
         torque: &Torque,
         estimate: &ActuatedVector,
-        mass: &JointMatrix,
+        (reduced, columns): (&ActuatedMatrix, &SMatrix<f64, NQ, N_UNACTUATED>),
         qd: &ActuatedVector,
     ) {
         if let Some(unchanged) = &mut self.unchanged {
@@ -192,21 +193,18 @@ impl Standstill {
         }
         let cut = &torque.cut;
         let qdd_u: UnactuatedVector = torque.qdd.fixed_rows::<N_UNACTUATED>(N_ACTUATED).into();
-        let m_ua = mass.fixed_view::<N_UNACTUATED, N_ACTUATED>(N_ACTUATED, 0);
-        let m_uu: SMatrix<f64, N_UNACTUATED, N_UNACTUATED> =
-            mass.fixed_view::<N_UNACTUATED, N_UNACTUATED>(N_ACTUATED, N_ACTUATED).into();
-        let Some(inverse) = m_uu.try_inverse() else { return self.reset() };
+        let m_au = columns.fixed_rows::<N_ACTUATED>(0);
+        let m_uu = columns.fixed_rows::<N_UNACTUATED>(N_ACTUATED);
         // Joints that stand do not accelerate, whatever is asked of them.
         let standing = ActuatedVector::from_fn(|i, _| if self.joints[i].time > STANDS { u[i] } else { 0.0 });
-        let reduced = mass.fixed_view::<N_ACTUATED, N_ACTUATED>(0, 0) - m_ua.transpose() * (inverse * m_ua);
-        let (carried, full, reaction) = (reduced * standing, reduced * u, m_ua * standing);
+        let (carried, full, reaction) = (reduced * standing, reduced * u, m_au.tr_mul(&standing));
         let change = estimate - self.estimate;
         // What the model does not know of fast joints moves the estimates for all.
         if qd.amax() >= SLOW {
             self.quiet = 0.0;
         }
         let slow = self.quiet > QUIET;
-        let mut inertia = mass.diagonal();
+        let mut inertia = JointVector::zeros();
         let mut torque = [JointVector::zeros(); CASES];
         for i in 0..N_ACTUATED {
             inertia[i] = reduced[(i, i)];
@@ -226,6 +224,7 @@ impl Standstill {
         self.estimate = *estimate;
         let moving = m_uu * qdd_u;
         for i in 0..N_UNACTUATED {
+            inertia[NU + i] = m_uu[(i, i)];
             torque[0][NU + i] = moving[i] + reaction[i];
             torque[1][NU + i] = moving[i];
             torque[2][NU + i] = torque[0][NU + i];

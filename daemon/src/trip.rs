@@ -248,7 +248,7 @@ mod tests {
     use super::{Trip, TripCause};
 
     /// For a trip of joint 3 with the value 1.5 and the limit 4.
-    const TEXTS: [(TripCause, &str); 15] = [
+    const TEXTS: [(TripCause, &str); 18] = [
         (TripCause::StaleMeasurement, "no new measurement for 2 cycles, limit 4"),
         (TripCause::MeasurementGap, "2 measurements were missed, limit 4"),
         (TripCause::NotFinite, "the angle of joint 3 is 1.5, expected at most 4 rad"),
@@ -267,6 +267,18 @@ mod tests {
         (TripCause::BalanceLost, "the rod is 1.5000 rad from where the plan ends, limit 4.0000 rad"),
         (TripCause::LateCycles, "2 cycles in a row ended late, limit 4"),
         (TripCause::PlanAge, "the loaded plan is old"),
+        (
+            TripCause::BalanceSpeed,
+            "joint 3 would have to move at 1.5000 rad/s to keep the rod upright, limit 4.0000 rad/s",
+        ),
+        (
+            TripCause::Collision,
+            "a torque of 1.50 N m acts on joint 3 that nothing explains, limit 4.00 N m: is something in its way?",
+        ),
+        (
+            TripCause::FrozenMeasurement,
+            "no angle and no measured torque has changed for 1.5000 s, although the commanded torque did",
+        ),
     ];
 
     #[test]

@@ -66,8 +66,8 @@ impl Workspace {
         m
     }
 
-    /// Columns of the mass matrix that belong to the unactuated joints: [M_AU; M_UU], NQ x N_UNACTUATED.
-    pub(crate) fn unactuated_columns(&self) -> SMatrix<f64, NQ, N_UNACTUATED> {
+    /// Columns of M(q) that belong to the unactuated joints, [M_AU; M_UU], kg m^2, at the q of the last evaluation.
+    pub fn unactuated_columns(&self) -> SMatrix<f64, NQ, N_UNACTUATED> {
         let mut m = SMatrix::<f64, NQ, N_UNACTUATED>::zeros();
         for c in 0..N_UNACTUATED {
             let j = N_ACTUATED + c;
@@ -114,11 +114,6 @@ impl Model {
     /// M(q), kg m^2 (1): symmetric, positive definite.
     pub fn mass_matrix(&self, q: &JointVector, work: &mut Workspace) -> JointMatrix {
         self.place(q, work);
-        self.with_rotor_inertia(work.mass_matrix())
-    }
-
-    /// M(q), kg m^2, at the q of the last evaluation with `work`.
-    pub fn last_mass_matrix(&self, work: &Workspace) -> JointMatrix {
         self.with_rotor_inertia(work.mass_matrix())
     }
 

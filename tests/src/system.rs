@@ -157,8 +157,9 @@ impl System {
         self.advance(1);
         if goal != Mode::Idle {
             self.request(ControlCommand::Enable);
-            self.advance(SETTLE);
         }
+        // The arm settles; and a plant has heard the daemon for which it waits.
+        self.advance(SETTLE);
         if matches!(goal, Mode::Track | Mode::Balance | Mode::Stop) {
             let plan = plan_and_start(&mut self.session, PlannerKind::SwingUp);
             let plan = self.must(plan);

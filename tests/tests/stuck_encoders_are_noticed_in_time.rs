@@ -133,5 +133,5 @@ fn one_in_balance() {
 
 #[test]
 fn one_in_stop() {
-    single(Mode::Stop, 0.6);
+    single(Mode::Stop, 0.3);
 }
