@@ -10,9 +10,9 @@ mod system;
 
 use std::path::Path;
 use std::time::Duration;
-use upswing::montecarlo::{Spread, Starts};
 use upswing_config::Config;
 use upswing_model::State;
+use upswing_rig::montecarlo::{Spread, Starts};
 
 /// Seed of the random starts.
 const SEED: u64 = 0;

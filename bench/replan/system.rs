@@ -2,10 +2,10 @@
 
 use crate::{config, print, starts};
 use std::time::{Duration, Instant};
-use upswing::session::{Role, Session};
 use upswing_config::Config;
 use upswing_ipc::{Clock, ControlCommand, PlannerKind, PlannerRequest, PlannerResponse};
 use upswing_model::State;
+use upswing_rig::session::{Role, Session};
 use upswing_tests::System;
 use upswing_trajectory::{Database, Outcome};
 
@@ -21,7 +21,7 @@ pub fn run(count: u64) {
     requests(&starts(&config(), count));
     let folder = tempfile::tempdir().expect("a folder");
     let settings = folder.path().join("config");
-    Config::export(&settings).unwrap_or_else(|e| panic!("{e}"));
+    upswing_process::export(&settings, Default::default()).unwrap_or_else(|e| panic!("{e}"));
     memory(&System::start_with(Clock::Paced, POSE_DEG, Some(&settings)), entries(&config()));
     shorten(&settings);
     let shortened = Config::load(Some(&settings)).unwrap_or_else(|e| panic!("{e}"));

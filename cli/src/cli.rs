@@ -2,7 +2,7 @@
 
 use crate::commands;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
-use upswing_config::process::{Failure, ProcessArgs};
+use upswing_process::{Failure, ProcessArgs};
 
 /// Swings up and balances a spherical pendulum on a 7-DoF robot.
 ///

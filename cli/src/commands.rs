@@ -24,13 +24,13 @@ pub(crate) mod status;
 
 pub(crate) use json::{MarginsJson, PlanFigures, TrajectoryJson};
 
-use crate::session::{Options, SessionError};
 use progress::{byte_bar, progress_bar, spinner, time_bar};
 use serde::Serialize;
 use std::path::Path;
-use upswing_config::output::{Destination, Output, OutputError, Overwrite};
-use upswing_config::process::{Failure, ProcessArgs};
 use upswing_ipc::{CallError, Clock, ControlRequest, Domain, IpcError, Node, OwnDomain, Request as _};
+use upswing_process::output::{Destination, Output, OutputError, Overwrite};
+use upswing_process::{Failure, ProcessArgs};
+use upswing_rig::session::{Options, SessionError};
 
 /// Options of every command but the processes.
 #[derive(Clone, Debug, clap::Args)]

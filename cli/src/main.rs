@@ -2,7 +2,7 @@
 
 use std::process::ExitCode;
 use upswing::cli::{Cli, run};
-use upswing_config::process::{finish, start_logging};
+use upswing_process::{finish, start_logging};
 
 fn main() -> ExitCode {
     let cli = Cli::read();

@@ -1,10 +1,10 @@
 //! Values on the command line.
 
-use crate::recording::Window;
 use upswing_config::Config;
-use upswing_config::process::Failure;
-use upswing_config::{PendulumStart, StartError};
-use upswing_model::State;
+use upswing_config::PendulumStart;
+use upswing_model::{StartError, State};
+use upswing_process::Failure;
+use upswing_record::Window;
 
 /// s
 pub const WEEK: f64 = 604_800.0;

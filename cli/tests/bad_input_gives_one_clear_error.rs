@@ -5,7 +5,6 @@ mod common;
 
 use common::upswing;
 use std::path::Path;
-use upswing_config::Config;
 
 /// Runs `upswing` and expects exit code 2 and one error line with all of `parts`.
 fn refused(args: &[&str], parts: &[&str]) {
@@ -24,7 +23,7 @@ fn refused(args: &[&str], parts: &[&str]) {
 fn settings(change: impl FnOnce(&Path)) -> tempfile::TempDir {
     let dir = tempfile::tempdir().expect("a folder");
     let copy = dir.path().join("config");
-    Config::export(&copy).expect("settings are exported");
+    upswing_process::export(&copy, Default::default()).expect("settings are exported");
     change(&copy);
     dir
 }

@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use std::time::{Duration, Instant};
 use upswing::cli::Cli;
-use upswing_config::output::Destination;
 use upswing_ipc::OwnDomain;
+use upswing_process::output::Destination;
 
 const START: &str = "0,-15,0,-95,0,10,0";
 
@@ -165,7 +165,7 @@ fn of_a_folder_of_settings_too() {
     ];
     for name in names {
         let config = folder.path().join(name.replace('.', "-"));
-        upswing_config::Config::export(&config).expect("settings are exported");
+        upswing_process::export(&config, Default::default()).expect("settings are exported");
         let file = config.join(name);
         assert!(file.exists(), "{name}");
         std::fs::remove_file(&file).expect("removed");

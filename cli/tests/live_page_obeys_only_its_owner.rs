@@ -8,7 +8,7 @@ use proptest::prelude::*;
 use serde_json::Value;
 use std::io::{Read, Write};
 use std::net::TcpStream;
-use upswing::web::{Head, Token, check};
+use upswing_view::web::{Head, Token, check};
 
 /// Status and body of the answer to a request with these headers.
 fn ask(begun: &Value, line: &str, headers: &[(&str, &str)]) -> (u16, String) {

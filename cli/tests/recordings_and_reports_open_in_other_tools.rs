@@ -10,9 +10,9 @@ use common::{chromium, python, run, script, success};
 use serde_json::Value;
 use std::path::Path;
 use std::process::Command;
-use upswing::recording::Recorder;
 use upswing_config::Config;
 use upswing_ipc::Telemetry;
+use upswing_record::Recorder;
 
 /// A demo with its recording in `dir`; cycles in it by our own count.
 fn demo(dir: &Path) -> (String, usize) {

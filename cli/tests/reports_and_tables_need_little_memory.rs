@@ -1,9 +1,9 @@
 //! A report and a table of a recording need no memory for its cycles: those of this file would fill 125 MB.
 
 use std::process::{Command, Stdio};
-use upswing::recording::Recorder;
 use upswing_config::Config;
 use upswing_ipc::{Mode, Telemetry};
+use upswing_record::Recorder;
 
 const CYCLES: u64 = 200_000;
 /// The cycles alone would need twice as much.

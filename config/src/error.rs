@@ -107,15 +107,4 @@ pub enum ConfigError {
         /// Upper end, deg.
         high: f64,
     },
-    /// A file of an export cannot be written.
-    #[error(transparent)]
-    Output(crate::output::OutputError),
-    /// An export failed.
-    #[error("{file}: cannot be written ({cause}): name a folder that can be created or written to")]
-    Unwritable {
-        /// Path of the file or folder.
-        file: String,
-        /// What the operating system said.
-        cause: std::io::Error,
-    },
 }

@@ -1,6 +1,6 @@
 //! Settings and robot description of upswing: read, checked once, then plain SI numbers.
 //!
-//! A full set of files is embedded in the program and, with [`Config::export`], written to a folder for
+//! A full set of files is embedded in the program ([`Config::files`]) and can be exported to a folder for
 //! editing: the robot (`robot.urdf`), its limits and the target (`robot.toml`), the planner, the daemon, the
 //! simulated plant, the trajectory database, and scenarios for the plant ([`Config::use_scenario`]). In the files angles may be in degrees (the key then says so);
 //! past this crate everything is rad, s, N m, kg, m, and no value needs another check.
@@ -10,14 +10,10 @@ mod daemon;
 mod error;
 mod fault;
 mod grid;
-pub mod notify;
-pub mod output;
 mod planner;
 mod plant;
-pub mod process;
 mod robot;
 mod scenario;
-mod start;
 
 pub use daemon::{
     CycleSettings, DaemonSettings, DisturbanceSettings, HoldGains, Level, Levels, PlanSettings,
@@ -36,13 +32,13 @@ pub use plant::{
     PlantStart, StopSettings,
 };
 pub use robot::{CoriolisBound, JointFriction, RobotSettings, Target};
-pub use start::StartError;
 
 use check::{Check, degrees};
-use output::Overwrite;
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
-use upswing_model::{ActuatedVector, Limits, Model, N_ACTUATED, NQ, NU, State, Urdf, Workspace};
+use upswing_model::{
+    ActuatedVector, Limits, Model, N_ACTUATED, NQ, NU, StartError, State, UnactuatedVector, Urdf, Workspace,
+};
 use upswing_trajectory::{Delays, Gate};
 
 /// One complete, checked set of settings.
@@ -167,27 +163,35 @@ impl Config {
         }
     }
 
-    /// Writes the embedded files, with their comments, to a folder without any of them, which is created if need be.
-    ///
-    /// # Errors
-    /// As [`Config::export_with`].
-    pub fn export(dir: &Path) -> Result<(), ConfigError> {
-        Self::export_with(dir, Overwrite::default())
+    /// The embedded files with their comments: path below a folder of settings, and contents. `upswing_process::export`
+    /// writes them.
+    pub fn files() -> impl Iterator<Item = (&'static str, &'static [u8])> {
+        FILES.iter().chain([&DATABASE]).chain(&SCENARIOS).map(|file| (file.name, file.bytes))
     }
 
-    /// As [`Config::export`]; files that exist already may be replaced.
+    /// The state at standstill with the arm at `q_a` (7 angles, rad) and the pendulum as `pendulum` says.
     ///
     /// # Errors
-    /// One of the files exists already and is not to be replaced (then nothing is written), or the folder cannot be written to.
-    pub fn export_with(dir: &Path, overwrite: Overwrite) -> Result<(), ConfigError> {
-        let files = || FILES.iter().chain([&DATABASE]).chain(&SCENARIOS);
-        let output = |file: &EmbeddedFile| overwrite.output(&dir.join(file.name));
-        let present = |file: &&EmbeddedFile| dir.join(file.name).exists();
-        files().filter(present).try_for_each(|file| output(file).check()).map_err(ConfigError::Output)?;
-        let folder = dir.join(SCENARIO_FOLDER);
-        std::fs::create_dir_all(&folder)
-            .map_err(|cause| ConfigError::Unwritable { file: folder.display().to_string(), cause })?;
-        files().try_for_each(|file| output(file).write(file.bytes)).map_err(ConfigError::Output)
+    /// As [`Model::standstill`], for the limits open to plans.
+    pub fn start_state(&self, q_a: &[f64], pendulum: PendulumStart) -> Result<State, StartError> {
+        self.start_state_of(&self.model, q_a, pendulum)
+    }
+
+    /// As [`Config::start_state`] for another `model`, whose pendulum may hang differently.
+    ///
+    /// # Errors
+    /// As [`Config::start_state`].
+    pub fn start_state_of(
+        &self,
+        model: &Model,
+        q_a: &[f64],
+        pendulum: PendulumStart,
+    ) -> Result<State, StartError> {
+        let q_u = match pendulum {
+            PendulumStart::Rest => None,
+            PendulumStart::Zero => Some(UnactuatedVector::zeros()),
+        };
+        model.standstill(&self.robot.planning, q_a, q_u.as_ref())
     }
 
     fn assemble(dir: Option<&Path>) -> Result<Self, ConfigError> {

@@ -1,10 +1,9 @@
-//! The embedded settings load; an export loads back to the same values and never overwrites anything.
+//! The embedded settings load; files of the same contents load to the same values.
 
 mod common;
 use common::{edit, exported};
 use std::time::Duration;
-use upswing_config::output::{OutputError, Overwrite};
-use upswing_config::{Config, ConfigError, PendulumStart, TorqueConstraint, VelocityEstimate};
+use upswing_config::{Config, PendulumStart, TorqueConstraint, VelocityEstimate};
 
 #[test]
 fn the_same_settings() {
@@ -72,32 +71,4 @@ fn the_papers_values() {
     for (point, angle) in [-60.0, -25.0, 10.0, 45.0].into_iter().enumerate() {
         assert!((axes[0].angle(point) - deg(angle)).abs() < 1e-12);
     }
-}
-
-#[test]
-fn nothing_is_overwritten() {
-    for present in ["robot.urdf", "plant.toml", "database.bin"] {
-        let dir = tempfile::tempdir().expect("temporary folder");
-        let path = dir.path().join(present);
-        std::fs::write(&path, "mine").expect("write");
-        let error = Config::export(dir.path()).expect_err("a file is there");
-        assert!(matches!(error, ConfigError::Output(OutputError::Exists { .. })), "{error}");
-        assert!(error.to_string().contains(present), "{error}");
-        assert_eq!(std::fs::read_to_string(&path).expect("read"), "mine");
-        assert_eq!(std::fs::read_dir(dir.path()).expect("folder").count(), 1, "nothing else was written");
-        Config::export_with(dir.path(), Overwrite { force: true }).expect("it may be replaced");
-        assert_ne!(std::fs::read(&path).expect("read"), b"mine");
-    }
-}
-
-#[test]
-fn a_new_folder_is_created() {
-    let dir = tempfile::tempdir().expect("temporary folder");
-    let nested = dir.path().join("a/b");
-    Config::export(&nested).expect("export");
-    Config::from_dir(&nested).expect("exported settings");
-
-    let file = nested.join("robot.toml");
-    let error = Config::export(&file.join("c")).expect_err("below a file");
-    assert!(matches!(error, ConfigError::Unwritable { .. }), "{error}");
 }

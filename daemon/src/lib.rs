@@ -42,8 +42,8 @@ pub mod trip;
 
 pub use trip::{fault_text, warning_texts};
 
-use upswing_config::process::{Failure, ProcessArgs, shutdown_flag};
 use upswing_ipc::Domain;
+use upswing_process::{Failure, ProcessArgs, shutdown_flag};
 
 /// Runs the daemon until SIGINT, SIGTERM or SIGHUP; the main function of a process.
 ///

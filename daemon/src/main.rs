@@ -2,7 +2,7 @@
 
 use clap::Parser;
 use std::process::ExitCode;
-use upswing_config::process::{ProcessArgs, finish, start_logging};
+use upswing_process::{ProcessArgs, finish, start_logging};
 
 /// Runs the control daemon of upswing until SIGINT or SIGTERM
 #[derive(Parser)]

@@ -15,13 +15,13 @@ use std::sync::mpsc;
 use std::thread::{Builder, JoinHandle, sleep};
 use std::time::{Duration, Instant};
 use tracing::{info, warn};
-use upswing_config::notify::Notifier;
-use upswing_config::process::Failure;
 use upswing_config::{Config, RealtimeMode};
 use upswing_ipc::{
     Command, ControlCommand, ControlRequest, ControlResponse, Degradation, Domain, IpcError, Measurement,
     Mode, Node, Plan, PlannerKind, PlannerRequest, Reader, Search, Text,
 };
+use upswing_process::Failure;
+use upswing_process::notify::Notifier;
 
 /// Pause of the loop.
 const PAUSE: Duration = Duration::from_millis(1);

@@ -9,10 +9,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{JoinHandle, sleep, spawn};
 use std::time::{Duration, Instant};
 use upswing_config::Config;
-use upswing_config::process::Failure;
 use upswing_ipc::{
     Clock, ControlCommand, ControlRequest, Domain, Mode, OwnDomain, Plan, Telemetry, TelemetryBatch,
 };
+use upswing_process::Failure;
 use upswingd::service::serve;
 use upswingd::trip::TripCause;
 

@@ -10,7 +10,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{JoinHandle, sleep};
 use std::time::{Duration, Instant};
-use upswing_config::Config;
 use upswing_ipc::{
     Client, Clock, ControlCommand, ControlRequest, Degradation, Domain, Mode, Node, OwnDomain, Subscriber,
     Telemetry, TelemetryBatch,
@@ -31,7 +30,7 @@ struct System {
 /// A full set of settings in which each `from` of daemon.toml is a `to`.
 fn settings(edits: &[(&str, &str)]) -> tempfile::TempDir {
     let dir = tempfile::tempdir().unwrap();
-    Config::export(dir.path()).unwrap();
+    upswing_process::export(dir.path(), Default::default()).unwrap();
     let file = dir.path().join("daemon.toml");
     let mut text = std::fs::read_to_string(&file).unwrap();
     for (from, to) in edits {

@@ -46,6 +46,7 @@ mod error;
 mod limits;
 mod messages;
 mod node;
+pub mod operator;
 mod own;
 mod payload;
 mod request;

@@ -15,6 +15,7 @@ mod model;
 mod positive;
 mod rest;
 mod spatial;
+mod start;
 mod urdf;
 
 pub use derivatives::{Derivatives, Hessian};
@@ -22,6 +23,7 @@ pub use description::{Urdf, UrdfJoint, UrdfJointKind, UrdfLink, UrdfShape, UrdfV
 pub use dynamics::{Accelerations, Workspace};
 pub use model::{Limits, Model, Pose};
 pub use rest::RestError;
+pub use start::StartError;
 pub use urdf::UrdfError;
 
 use nalgebra::{SMatrix, SVector};

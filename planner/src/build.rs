@@ -15,9 +15,9 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
-use upswing_config::output::{Output, OutputError};
 use upswing_config::{Config, GridSettings};
 use upswing_model::{N_ACTUATED, N_UNACTUATED, State};
+use upswing_process::output::{Output, OutputError};
 use upswing_trajectory::{
     Certificate, Database, DatabaseError, Entry, Heading, Margins, N, Outcome, Record, Trajectory,
 };

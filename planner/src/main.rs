@@ -2,8 +2,8 @@
 
 use clap::Parser;
 use std::process::ExitCode;
-use upswing_config::process::{ProcessArgs, finish, start_logging};
 use upswing_planner::service::run;
+use upswing_process::{ProcessArgs, finish, start_logging};
 
 /// Plans swing-ups on request: nearest database entry, constrained QP, gains.
 ///

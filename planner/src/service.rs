@@ -8,13 +8,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use tracing::{info, warn};
 use upswing_config::ReplanSettings;
-use upswing_config::notify::Notifier;
-use upswing_config::process::{Failure, ProcessArgs, shutdown_flag};
 use upswing_ipc::{
     Domain, Mode, PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus, Subscriber, Telemetry,
     TelemetryBatch, Text, Topic as _,
 };
 use upswing_model::{ActuatedVector, Model, NQ, NU, NX, State, Workspace};
+use upswing_process::notify::Notifier;
+use upswing_process::{Failure, ProcessArgs, shutdown_flag};
 use upswing_trajectory::Plan;
 
 /// Pause between two looks for requests: small against a replan.

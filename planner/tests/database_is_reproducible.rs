@@ -4,11 +4,11 @@
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Instant;
-use upswing_config::output::{OutputError, Overwrite};
 use upswing_config::{Config, GridAxis};
 use upswing_planner::build::{self, BuildError, Finding, Shard, Summary, certify, read, verify};
 use upswing_planner::offline::problem_fingerprint;
 use upswing_planner::replan::{Planner, PlannerError};
+use upswing_process::output::{OutputError, Overwrite};
 use upswing_trajectory::{Database, DatabaseError, Entry, Outcome, Record, Trajectory};
 
 /// Six poses in three lines; the first of each line has no rest position within the limits.

@@ -33,10 +33,10 @@ pub use start::StateError;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use tracing::info;
-use upswing_config::process::{Failure, ProcessArgs, shutdown_flag};
-use upswing_config::{Config, PendulumStart, StartError};
+use upswing_config::{Config, PendulumStart};
 use upswing_ipc::{Clock, Domain};
-use upswing_model::NU;
+use upswing_model::{NU, StartError};
+use upswing_process::{Failure, ProcessArgs, shutdown_flag};
 
 /// Reads the name of a clock; completions of shells know the names.
 pub fn clock_parser() -> impl TypedValueParser<Value = Clock> {

@@ -2,8 +2,8 @@
 
 use clap::Parser;
 use std::process::ExitCode;
-use upswing_config::process::{finish, start_logging};
 use upswing_plant::{PlantArgs, run};
+use upswing_process::{finish, start_logging};
 
 /// Simulates robot, pendulum, drives, encoders and brakes
 #[derive(Parser)]

@@ -5,13 +5,13 @@ use crate::link::Link;
 use crate::{Plant, SetEventError};
 use std::sync::atomic::{AtomicBool, Ordering};
 use tracing::{info, warn};
-use upswing_config::notify::Notifier;
 use upswing_config::{Fault, FaultKind, Push};
 use upswing_ipc::{
     Clock, Command, Domain, IpcError, Measurement, PlantKind, PlantRequest, PlantResponse, Server, Text,
     Writer, is_lost, monotonic_ns, sleep_until,
 };
 use upswing_model::JointVector;
+use upswing_process::notify::Notifier;
 
 /// Shortest time between two reports of the same trouble, ns.
 const REPORT_PERIOD_NS: u64 = 1_000_000_000;

@@ -1,7 +1,7 @@
 //! Which states the plant can be put into.
 
-use upswing_config::{RobotSettings, StartError};
-use upswing_model::{JointVector, NQ};
+use upswing_config::RobotSettings;
+use upswing_model::{JointVector, NQ, StartError};
 
 /// Why the plant cannot be put into a state. Joints count from 1.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -33,7 +33,7 @@ pub(crate) fn check_state(
     qd: &JointVector,
 ) -> Result<(), StateError> {
     for i in 0..NQ {
-        robot.check_angle(i, q[i])?;
+        robot.planning.check_angle(i, q[i])?;
         let max = robot.limits.qd_max[i];
         // Written so that NaN is refused.
         if !(-max..=max).contains(&qd[i]) {

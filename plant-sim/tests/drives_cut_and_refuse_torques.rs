@@ -3,8 +3,8 @@
 mod common;
 
 use common::{holding_torque, level_pose, settings, torque};
-use upswing_config::StartError;
 use upswing_ipc::{Command, Measurement};
+use upswing_model::StartError;
 use upswing_model::{JointVector, NU};
 use upswing_plant::{Plant, StateError};
 

@@ -4,8 +4,9 @@ mod common;
 
 use common::settings;
 use std::process::{Command as Process, Output};
-use upswing_config::{PendulumStart, StartError};
+use upswing_config::PendulumStart;
 use upswing_ipc::OwnDomain;
+use upswing_model::StartError;
 use upswing_plant::{Plant, StateError};
 
 #[test]

@@ -5,9 +5,9 @@
 use clap::Parser;
 use std::path::PathBuf;
 use upswing::commands::disturb::FaultArgs;
-use upswing::recording::Recorder;
 use upswing_config::Config;
 use upswing_ipc::Telemetry;
+use upswing_record::Recorder;
 use upswing_tests::matrix::{Case, WATCHED, mode};
 use upswingd::warning_texts;
 

@@ -3,7 +3,6 @@
 
 use clap::Parser;
 use std::sync::LazyLock;
-use upswing::closed_loop::ClosedLoop;
 use upswing::commands::disturb::FaultArgs;
 use upswing_config::{Config, Fault, FaultKind};
 use upswing_ipc::{Mode, Plan};
@@ -11,6 +10,7 @@ use upswing_model::{JointVector, NU};
 use upswing_planner::replan::Planner;
 use upswing_planner::service::payload;
 use upswing_plant::Plant;
+use upswing_rig::closed_loop::ClosedLoop;
 use upswingd::controller::{Order, Record};
 use upswingd::plan::accept;
 use upswingd::supervisor::{Request, is_braked};

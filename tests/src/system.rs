@@ -5,12 +5,12 @@ use crate::programs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
-use upswing::recording::Recorder;
-use upswing::report::Report;
-use upswing::session::{Options, Programs, Role, Session, SessionError};
-use upswing::swing_up::{plan_and_start, swing_up};
 use upswing_config::Config;
 use upswing_ipc::{Clock, ControlCommand, ControlResponse, Mode, OwnDomain, PlannerKind, Telemetry};
+use upswing_record::Recorder;
+use upswing_record::report::Report;
+use upswing_rig::session::{Options, Programs, Role, Session, SessionError};
+use upswing_rig::swing_up::{plan_and_start, swing_up};
 
 /// Start of the arm in the paper's experiment, deg.
 pub const START: [f64; 7] = [0.0, -15.0, 0.0, -95.0, 0.0, 10.0, 0.0];

@@ -1,11 +1,11 @@
 //! Torque sensors that are off: the load behind closed brakes tells by how much, so that the arm does not leave its pose when
 //! they open, also where axes 1 and 3 are parallel and half a newton metre accelerates most.
 
-use upswing::closed_loop::ClosedLoop;
 use upswing_config::{Config, PendulumStart};
 use upswing_ipc::Mode;
 use upswing_model::{NU, position, velocity};
 use upswing_plant::Plant;
+use upswing_rig::closed_loop::ClosedLoop;
 use upswingd::controller::Order;
 use upswingd::supervisor::Request;
 

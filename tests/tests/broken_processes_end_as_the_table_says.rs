@@ -3,11 +3,11 @@
 
 use std::sync::{LazyLock, mpsc};
 use std::time::{Duration, Instant};
-use upswing::session::Role;
 use upswing_config::Config;
 use upswing_ipc::{Clock, ControlCommand, Mode, Plan, PlannerKind, PlannerRequest};
 use upswing_planner::replan::Planner;
 use upswing_planner::service::payload;
+use upswing_rig::session::Role;
 use upswing_tests::matrix::{PAGE, mode, table};
 use upswing_tests::running::{LONG, wait_for};
 use upswing_tests::{START, System};

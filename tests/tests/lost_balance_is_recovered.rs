@@ -2,7 +2,6 @@
 //! itself and balances, as often as the settings allow; then it stays in Hold.
 
 use std::time::{Duration, Instant};
-use upswing_config::Config;
 use upswing_ipc::{Clock, Mode, PlantKind, PlantRequest};
 use upswing_tests::{START, System};
 
@@ -15,7 +14,7 @@ const PATIENCE: Duration = Duration::from_secs(180);
 /// Settings with one attempt, and with bearings in which the pendulum comes to rest within seconds.
 fn settings() -> tempfile::TempDir {
     let dir = tempfile::tempdir().expect("temporary folder");
-    Config::export(dir.path()).expect("export");
+    upswing_process::export(dir.path(), Default::default()).expect("export");
     let edit = |file: &str, from: &str, to: &str| {
         let path = dir.path().join(file);
         let text = std::fs::read_to_string(&path).expect("exported file");

@@ -1,11 +1,11 @@
 //! Controller and plant in one process, as Monte Carlo runs couple them, do bit for bit what the three processes do on
 //! the clock `lockstep`: every number of every cycle of swing-up and balance.
 
-use upswing::closed_loop::{Disturbances, swing_up};
 use upswing_config::{Config, PendulumStart};
 use upswing_ipc::{Clock, Mode, Telemetry};
 use upswing_planner::replan::Planner;
 use upswing_plant::Plant;
+use upswing_rig::closed_loop::{Disturbances, swing_up};
 use upswing_tests::{System, same_bits};
 
 const START_DEG: [f64; 7] = [10.0, 10.0, 0.0, -100.0, 0.0, -20.0, 0.0];

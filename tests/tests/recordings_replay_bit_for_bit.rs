@@ -3,14 +3,14 @@
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use upswing::recording::Message;
-use upswing::replay::{Replay, ReplayError, Run, settings};
 use upswing_config::Config;
 use upswing_ipc::{Clock, ControlCommand, Mode};
+use upswing_record::Message;
+use upswing_record::replay::{Replay, ReplayError, Run, settings};
 use upswing_tests::{START, System, programs};
 
 fn replay(recording: &Run) -> Result<Replay, ReplayError> {
-    upswing::replay::replay(recording, &settings(&recording.recording)?)
+    upswing_record::replay::replay(recording, &settings(&recording.recording)?)
 }
 
 /// A run on the way to a mode, then with a lost encoder and a reset.
@@ -113,7 +113,7 @@ fn kept_by_one_command(file: &Path) {
 fn decisions(file: &Path) -> Vec<Mode> {
     let recording = Run::read(file).unwrap_or_else(|e| panic!("{e}"));
     let config = Config::embedded().expect("settings");
-    let result = upswing::replay::replay(&recording, &config);
+    let result = upswing_record::replay::replay(&recording, &config);
     let result = result.unwrap_or_else(|e| panic!("{}: {e}", file.display()));
     assert_eq!(result.compared, recording.cycles.len() as u64, "{}", file.display());
     assert_eq!(result.decision, None, "{}", file.display());

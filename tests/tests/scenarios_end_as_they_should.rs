@@ -1,9 +1,9 @@
 //! Each shipped scenario ends as its purpose demands: most balanced, some with the daemon giving up, and why. Torques stay
 //! within their limits in all of them.
 
-use upswing::report::tilt;
 use upswing_config::Config;
 use upswing_ipc::Mode;
+use upswing_record::report::tilt;
 use upswing_tests::matrix::Case;
 
 /// Four seconds in Balance, and the rod within 2 deg of upright throughout the last one.

@@ -1,8 +1,8 @@
 //! SIGTERM to the daemon, in any mode and also if it comes twice: the arm comes to rest, then the brakes close, then the
 //! process ends with success.
 
-use upswing::session::Role;
 use upswing_ipc::{Clock, Mode};
+use upswing_rig::session::Role;
 use upswing_tests::{START, System};
 
 fn ends_from(mode: Mode) {

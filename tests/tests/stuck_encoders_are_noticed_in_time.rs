@@ -1,10 +1,10 @@
 //! Angles that do not follow the joints end in Fault before a joint of the arm moves faster than the daemon allows, from several
 //! poses, with an ideal plant and with one that has noise, friction and delay. The simulated plant knows the true angles.
 
-use upswing::montecarlo::Starts;
 use upswing_config::{Config, Fault, FaultKind};
 use upswing_ipc::Mode;
 use upswing_model::{NQ, NU};
+use upswing_rig::montecarlo::Starts;
 use upswing_tests::matrix::Case;
 use upswingd::trip::TripCause;
 

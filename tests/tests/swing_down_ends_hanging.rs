@@ -2,9 +2,9 @@
 //! limit is exceeded, the arm then holds, and a swing-up can follow.
 
 use std::sync::atomic::AtomicBool;
-use upswing::swing_up::execute;
 use upswing_ipc::{Clock, Mode, PlannerKind};
 use upswing_model::{N_ACTUATED, NQ};
+use upswing_rig::swing_up::execute;
 use upswing_tests::System;
 
 #[test]

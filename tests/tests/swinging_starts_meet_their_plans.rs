@@ -2,9 +2,9 @@
 //! across three processes, the robot is there at that moment, and the swing-up ends balanced.
 
 use std::time::{Duration, Instant};
-use upswing::swing_up::plan_and_start;
 use upswing_ipc::{Clock, ControlCommand, Mode, Plan, PlannerKind, PlantKind, PlantRequest, Telemetry};
 use upswing_model::{NQ, NU};
+use upswing_rig::swing_up::plan_and_start;
 use upswing_tests::{START, System};
 
 /// How far the pendulum swings, deg: joints 8 and 9.

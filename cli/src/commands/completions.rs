@@ -4,8 +4,8 @@ use super::{failed, print};
 use clap_complete::Shell;
 use serde::Serialize;
 use std::path::PathBuf;
-use upswing_config::output::{Destination, OutputError, Overwrite};
-use upswing_config::process::Failure;
+use upswing_process::Failure;
+use upswing_process::output::{Destination, OutputError, Overwrite};
 
 /// Name of the program.
 const NAME: &str = "upswing";

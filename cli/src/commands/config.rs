@@ -3,9 +3,8 @@
 use super::{CommonArgs, print};
 use serde::Serialize;
 use std::path::PathBuf;
-use upswing_config::Config;
-use upswing_config::output::{Destination, Overwrite};
-use upswing_config::process::Failure;
+use upswing_process::output::{Destination, Overwrite};
+use upswing_process::{Failure, export};
 
 /// Writes or checks settings.
 ///
@@ -46,7 +45,7 @@ pub enum ConfigCommand {
 pub fn run(args: &ConfigArgs) -> Result<(), Failure> {
     match &args.command {
         ConfigCommand::Export { dir, overwrite, json } => {
-            Config::export_with(dir, *overwrite)?;
+            export(dir, *overwrite).map_err(|e| Failure::BadInput(e.to_string()))?;
             print(*json, &Done { success: true, dir: Some(dir.to_path_buf()) })
         }
         ConfigCommand::Check(common) => {

@@ -5,10 +5,10 @@ use crate::parse::whole;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
-use upswing_config::output::{Destination, Output, OutputError, Overwrite};
-use upswing_config::process::{Failure, shutdown_flag};
 use upswing_config::{Config, DatabaseFile};
 use upswing_planner::build::{self, BuildError, Shard, Summary};
+use upswing_process::output::{Destination, Output, OutputError, Overwrite};
+use upswing_process::{Failure, shutdown_flag};
 use upswing_trajectory::{Certificate, Database, Entry, Outcome};
 
 /// Builds, joins, checks, describes or exports trajectory databases.

@@ -2,18 +2,18 @@
 
 use super::{CommonArgs, failed, own_system, session_failure, time_bar, writable};
 use crate::parse::{Degrees, start_state, within};
-use crate::picture;
-use crate::recording::Recorder;
-use crate::report::Report;
-use crate::session::{Programs, Session, SessionError};
-use crate::swing_up::swing_up;
 use serde::Serialize;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use upswing_config::PendulumStart;
-use upswing_config::output::{Destination, Overwrite};
-use upswing_config::process::{Failure, note, shutdown_flag};
 use upswing_ipc::Clock;
+use upswing_process::output::{Destination, Overwrite};
+use upswing_process::{Failure, note, shutdown_flag};
+use upswing_record::Recorder;
+use upswing_record::report::Report;
+use upswing_rig::session::{Programs, Session, SessionError};
+use upswing_rig::swing_up::swing_up;
+use upswing_view::picture;
 
 /// Starts daemon, planner and plant as three processes, swings the pendulum up and balances it.
 ///

@@ -4,9 +4,9 @@ use super::{CommonArgs, failed};
 use crate::parse::whole;
 use serde::Serialize;
 use std::time::Duration;
-use upswing_config::process::Failure;
 use upswing_config::{EventError, Fault, FaultKind, Push};
 use upswing_ipc::{PlantKind, PlantRequest};
+use upswing_process::Failure;
 
 /// How long to wait for an answer.
 const PATIENCE: Duration = Duration::from_secs(10);

@@ -3,7 +3,6 @@
 pub mod host;
 
 use super::{CommonArgs, failed, time_bar};
-use crate::live::Times;
 use crate::parse::within;
 use host::Host;
 use serde::Serialize;
@@ -11,8 +10,9 @@ use std::fmt;
 use std::path::Path;
 use std::time::{Duration, Instant};
 use upswing_config::RealtimeSettings;
-use upswing_config::process::Failure;
 use upswing_ipc::{Domain, monotonic_ns, sleep_until};
+use upswing_process::Failure;
+use upswing_view::live::Times;
 use upswingd::histogram::Histogram;
 use upswingd::os;
 

@@ -2,14 +2,14 @@
 
 use super::{CommonArgs, byte_bar, failed, writable};
 use crate::parse::{whole, window, within};
-use crate::recording::cycle::FIELDS;
-use crate::recording::{Message, Source, scan};
 use serde::Serialize;
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use upswing_config::output::{Destination, Overwrite, Pending};
-use upswing_config::process::Failure;
 use upswing_ipc::Telemetry;
+use upswing_process::Failure;
+use upswing_process::output::{Destination, Overwrite, Pending};
+use upswing_record::cycle::FIELDS;
+use upswing_record::{Message, Source, scan};
 
 /// Writes the cycles of a recording as CSV: one line per cycle, one column per number, in SI units.
 ///

@@ -1,9 +1,6 @@
 //! `upswing metrics`: a running system for Prometheus.
 
 use super::{CommonArgs, failed, print_json, print_line, writable};
-use crate::http::{self, Listener, Request, Response, Server};
-use crate::live::Live;
-use crate::metrics::{self, CONTENT_TYPE};
 use crate::parse::within;
 use serde::Serialize;
 use std::net::SocketAddr;
@@ -11,8 +8,11 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
-use upswing_config::output::{Destination, Overwrite};
-use upswing_config::process::{Failure, shutdown_flag};
+use upswing_process::output::{Destination, Overwrite};
+use upswing_process::{Failure, shutdown_flag};
+use upswing_view::http::{self, Listener, Request, Response, Server};
+use upswing_view::live::Live;
+use upswing_view::metrics::{self, CONTENT_TYPE};
 
 /// Pause between two looks for telemetry; its buffer lasts for two seconds.
 const PAUSE: Duration = Duration::from_millis(20);
@@ -76,7 +76,7 @@ pub fn run(args: &MetricsArgs) -> Result<(), Failure> {
     let file = writable("--file", args.file.as_ref(), args.overwrite)?;
     let config = args.common.process.load()?;
     if args.listen.is_none() && args.file.is_none() {
-        let mut live = Live::open(&args.common, &config)?;
+        let mut live = Live::open(&args.common.join()?, &config).map_err(failed)?;
         live.settle().map_err(failed)?;
         let metrics = metrics::families(&live.view());
         return if args.common.json {
@@ -88,7 +88,7 @@ pub fn run(args: &MetricsArgs) -> Result<(), Failure> {
     let stop = shutdown_flag()?;
     let listener = args.listen.map(Listener::bind).transpose();
     let listener = listener.map_err(|e| Failure::BadInput(format!("--listen: {e}")))?;
-    let mut live = Live::open(&args.common, &config)?;
+    let mut live = Live::open(&args.common.join()?, &config).map_err(failed)?;
     live.settle().map_err(failed)?;
     let text = |live: &Live| metrics::text(&metrics::families(&live.view()));
     if let Some(file) = &file {

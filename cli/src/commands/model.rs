@@ -6,9 +6,9 @@ use nalgebra::SMatrix;
 use serde::{Deserialize, Serialize};
 use std::io::BufRead;
 use std::time::Instant;
-use upswing_config::process::{Failure, shutdown_flag};
 use upswing_model::{ActuatedVector, JointVector, Limits, Model, NQ, NU, Workspace, state};
 use upswing_planner::coriolis::bound;
+use upswing_process::{Failure, shutdown_flag};
 
 /// Evaluates or prints the robot model.
 ///

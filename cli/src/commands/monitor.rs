@@ -1,16 +1,16 @@
 //! `upswing monitor`: a running system, live.
 
 use super::{CommonArgs, failed, print_json};
-use crate::http::Listener;
-use crate::live::Live;
-use crate::monitor::{self, Look};
-use crate::page::Setup;
-use crate::web::{self, Token};
 use serde::Serialize;
 use std::io::IsTerminal;
 use std::net::SocketAddr;
 use upswing_config::Config;
-use upswing_config::process::{Failure, colours, shutdown_flag};
+use upswing_process::{Failure, colours, shutdown_flag};
+use upswing_view::http::Listener;
+use upswing_view::live::Live;
+use upswing_view::monitor::{self, Look};
+use upswing_view::page::Setup;
+use upswing_view::web::{self, Token};
 
 /// Shows a running system live: modes, rod, joints between their limits, cycle times, plans, faults.
 ///
@@ -64,7 +64,7 @@ pub fn run(args: &MonitorArgs) -> Result<(), Failure> {
         return serve(args, &config, address);
     }
     if args.common.json {
-        let mut live = Live::open(&args.common, &config)?;
+        let mut live = Live::open(&args.common.join()?, &config).map_err(failed)?;
         live.settle().map_err(failed)?;
         return print_json(&live.view());
     }
@@ -74,7 +74,7 @@ pub fn run(args: &MonitorArgs) -> Result<(), Failure> {
         ));
     }
     let stop = shutdown_flag()?;
-    let mut live = Live::open(&args.common, &config)?;
+    let mut live = Live::open(&args.common.join()?, &config).map_err(failed)?;
     monitor::run(&mut live, Look { colours: colours(&std::io::stdout()) }, &stop).map_err(failed)
 }
 
@@ -93,7 +93,7 @@ fn serve(args: &MonitorArgs, config: &Config, address: SocketAddr) -> Result<(),
     let domain = &args.common.process.domain;
     let setup = Setup::new(domain, config, args.allow_control)
         .map_err(|e| Failure::BadInput(format!("robot.urdf: {e}")))?;
-    let mut live = Live::open(&args.common, config)?;
+    let mut live = Live::open(&args.common.join()?, config).map_err(failed)?;
     let url = format!("http://{}/", listener.address);
     args.common.print(&Begun { url, token: token.as_ref().map(|t| t.text().to_owned()) })?;
     web::run(&mut live, listener, &setup, token, &stop).map_err(failed)

@@ -1,21 +1,14 @@
 //! `upswing montecarlo`: the same work from many random starts.
 
 mod closed_loop;
-mod condition;
 mod replan;
 mod robustness;
-mod variation;
 
 use super::{CommonArgs, failed, progress_bar, writable};
-use crate::closed_loop::{Aborted, Disturbances, swing_up};
-use crate::montecarlo::{NoStart, for_each};
 use crate::parse::whole;
-use crate::report::Report;
 use clap::ValueEnum;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
-use upswing_config::output::Output;
-use upswing_config::process::Failure;
 use upswing_config::{Config, DatabaseFile, PendulumStart};
 use upswing_ipc::Telemetry;
 use upswing_model::{NU, State};
@@ -23,6 +16,11 @@ use upswing_planner::build::{self, Shard};
 use upswing_planner::qp::Solver;
 use upswing_planner::replan::Planner;
 use upswing_plant::Plant;
+use upswing_process::Failure;
+use upswing_process::output::Output;
+use upswing_record::report::Report;
+use upswing_rig::closed_loop::{Aborted, Disturbances, swing_up};
+use upswing_rig::montecarlo::{NoStart, for_each};
 
 pub use closed_loop::ClosedLoopArgs;
 pub use replan::ReplanArgs;
@@ -144,10 +142,9 @@ impl Scratch {
     }
 }
 
-impl From<NoStart> for Failure {
-    fn from(e: NoStart) -> Self {
-        Self::BadInput(e.to_string())
-    }
+/// Ranges without a start are the user's to change.
+pub(super) fn no_start(e: NoStart) -> Failure {
+    Failure::BadInput(e.to_string())
 }
 
 impl SamplingArgs {
@@ -206,7 +203,7 @@ impl SamplingArgs {
         let results = for_each(indices, self.threads(), stop, || bar.inc(1), scratch, work);
         bar.finish_and_clear();
         let results = results.map_err(|e| failed(format!("cannot start threads: {e}")))?;
-        Ok(results.into_iter().collect::<Result<_, _>>()?)
+        results.into_iter().collect::<Result<_, _>>().map_err(no_start)
     }
 }
 

@@ -6,10 +6,10 @@ use serde::Serialize;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 use upswing_config::PendulumStart;
-use upswing_config::process::{Failure, shutdown_flag};
 use upswing_planner::interior_point::Options;
 use upswing_planner::interior_point::Status;
 use upswing_planner::offline::{Search, optimize, options};
+use upswing_process::{Failure, shutdown_flag};
 use upswing_trajectory::Margins;
 
 /// Optimises the swing-up (6), (8) from a start at rest; Ctrl-C prints what it has got.

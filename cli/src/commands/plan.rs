@@ -2,10 +2,7 @@
 
 use super::{CommonArgs, PlanFigures, TrajectoryJson, failed, print_json, print_line, writable};
 use crate::parse::{Degrees, start_state, whole};
-use crate::picture;
 use serde::Serialize;
-use upswing_config::output::{Destination, Overwrite};
-use upswing_config::process::Failure;
 use upswing_config::{Config, PendulumStart};
 use upswing_ipc::PlannerStatus;
 use upswing_model::State;
@@ -13,7 +10,10 @@ use upswing_planner::build::certify;
 use upswing_planner::interior_point::Status;
 use upswing_planner::offline::{Search, optimize, options};
 use upswing_planner::replan::{Effort, Manoeuvre, Method, Planner};
+use upswing_process::Failure;
+use upswing_process::output::{Destination, Overwrite};
 use upswing_trajectory::Entry;
+use upswing_view::picture;
 
 /// Plans a swing-up from a start at rest as the planner process does: adapts the nearest database entry, or optimises in full
 /// where none is near enough.

@@ -2,13 +2,13 @@
 
 use super::{CommonArgs, failed, spinner, time_bar, writable};
 use crate::parse::{WEEK, within};
-use crate::recording::{Recorder, RecordingError, Tally, Tap};
 use serde::Serialize;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-use upswing_config::output::{Destination, Overwrite};
-use upswing_config::process::{Failure, shutdown_flag};
+use upswing_process::output::{Destination, Overwrite};
+use upswing_process::{Failure, shutdown_flag};
+use upswing_record::{Recorder, Tally, Tap};
 
 /// Pause between two looks for telemetry; its buffer lasts for two seconds.
 const PAUSE: Duration = Duration::from_millis(2);
@@ -77,15 +77,6 @@ pub fn run(args: &RecordArgs) -> Result<(), Failure> {
 }
 
 /// A file that cannot be used is the user's to mend; a disk that is full is not.
-impl From<RecordingError> for Failure {
-    fn from(e: RecordingError) -> Self {
-        match e {
-            RecordingError::Write { .. } | RecordingError::Ipc(_) => failed(e),
-            _ => Self::BadInput(e.to_string()),
-        }
-    }
-}
-
 fn record(args: &RecordArgs, tap: &Tap, mut recorder: Recorder, stop: &AtomicBool) -> Result<Tally, Failure> {
     let end = args.seconds.unwrap_or(f64::INFINITY);
     let bar = match args.seconds {

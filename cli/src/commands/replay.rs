@@ -1,13 +1,13 @@
 //! `upswing replay`: a recording once more through the controller.
 
 use super::{CommonArgs, failed, writable};
-use crate::recording::{Message, Recorder, RecordingError};
-use crate::replay::{Difference, Replay, Run, replay, settings};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use upswing_config::Config;
-use upswing_config::output::{Destination, Output, Overwrite};
-use upswing_config::process::Failure;
+use upswing_process::Failure;
+use upswing_process::output::{Destination, Output, Overwrite};
+use upswing_record::replay::{Difference, Replay, Run, replay, settings};
+use upswing_record::{Message, Recorder, RecordingError};
 
 /// Replays a recording through the controller and compares every number of every cycle, bit for bit.
 ///

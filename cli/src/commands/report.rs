@@ -1,14 +1,14 @@
 //! `upswing report`: a recording as a page to look at.
 
 use super::{CommonArgs, byte_bar, failed};
-use crate::page::{self, Data, Digest};
 use crate::parse::{window, within};
-use crate::picture::figures;
-use crate::recording::{Message, RecordingError, Source, scan};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
-use upswing_config::output::{Destination, Overwrite};
-use upswing_config::process::Failure;
+use upswing_process::Failure;
+use upswing_process::output::{Destination, Overwrite};
+use upswing_record::{Message, RecordingError, Source, scan};
+use upswing_view::page::{self, Data, Digest};
+use upswing_view::picture::figures;
 
 /// Writes one HTML file that shows a recording in any browser, without network: the robot in motion with play, pause and
 /// scrub, positions, velocities and torques, modes, cycle times, summary and settings.

@@ -1,8 +1,9 @@
 //! `upswing request`: what an operator asks of a running system.
 
 use super::{CommonArgs, failed};
-use crate::operator::{Action, Operator};
-use upswing_config::process::{Failure, shutdown_flag};
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use upswing_ipc::operator::{Action, Operator};
+use upswing_process::{Failure, shutdown_flag};
 
 /// Asks the running system to do something.
 ///
@@ -15,8 +16,15 @@ pub struct RequestArgs {
     #[command(flatten)]
     pub common: CommonArgs,
     /// What to do
-    #[arg(value_enum)]
+    #[arg(value_parser = actions())]
     pub what: Action,
+}
+
+/// Reads the name of an action.
+fn actions() -> impl TypedValueParser<Value = Action> {
+    let value = |action: Action| PossibleValue::new(action.name()).help(action.purpose());
+    let known = |name: String| Action::from_name(&name).ok_or("no such action");
+    PossibleValuesParser::new(Action::ALL.map(value)).try_map(known)
 }
 
 /// Sends the request.

@@ -1,14 +1,14 @@
 //! `upswing soak`: the whole system on this machine, for long.
 
 use super::{CommonArgs, failed, own_system, session_failure, time_bar};
-use crate::montecarlo::Starts;
 use crate::parse::{WEEK, whole, within};
-use crate::session::{Programs, Session, SessionError};
-use crate::soak::{Growth, Kill, Record, Soak};
 use serde::Serialize;
 use std::time::Instant;
-use upswing_config::process::{Failure, shutdown_flag};
 use upswing_ipc::Clock;
+use upswing_process::{Failure, shutdown_flag};
+use upswing_rig::montecarlo::Starts;
+use upswing_rig::session::{Programs, Session, SessionError};
+use upswing_rig::soak::{Growth, Kill, Record, Soak};
 
 /// Swings up, balances, pushes, swings down and holds, over and over, from random starts
 ///
@@ -95,7 +95,7 @@ pub fn run(args: &SoakArgs) -> Result<(), Failure> {
     }
     let config = args.common.process.load()?;
     let starts = Starts { config: &config, seed: args.seed };
-    let start = Soak::first_start(&starts)?;
+    let start = Soak::first_start(&starts).map_err(super::montecarlo::no_start)?;
     let stop = shutdown_flag()?;
     let (_clean, options) = own_system(&args.common, "soak", args.clock, start, None)?;
     let begin = Instant::now();

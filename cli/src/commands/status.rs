@@ -1,9 +1,9 @@
 //! `upswing status`: how the system is.
 
 use super::{CommonArgs, failed};
-use crate::live::Status;
-use crate::operator::Operator;
-use upswing_config::process::Failure;
+use upswing_ipc::operator::Operator;
+use upswing_process::Failure;
+use upswing_view::live::Status;
 
 /// Shows the mode of the running daemon, its plan, faults and overruns; times in us.
 ///

@@ -6,7 +6,11 @@ use upswing_config::Config;
 /// Exports the default settings to a folder that vanishes with the returned guard.
 pub fn exported() -> tempfile::TempDir {
     let dir = tempfile::tempdir().expect("temporary folder");
-    Config::export(dir.path()).expect("export");
+    for (name, bytes) in Config::files() {
+        let path = dir.path().join(name);
+        std::fs::create_dir_all(path.parent().expect("a folder")).expect("folder");
+        std::fs::write(path, bytes).expect("file");
+    }
     dir
 }
 

@@ -1,20 +1,20 @@
 //! `upswing montecarlo closed-loop`.
 
-use super::condition::Condition;
-use super::{SamplingArgs, Scratch, failed, list_failures, writable};
-use crate::closed_loop::{Aborted, Disturbances};
-use crate::montecarlo::{NoStart, Spread, Starts, arm_degrees};
+use super::{SamplingArgs, Scratch, failed, list_failures, no_start, writable};
 use crate::parse::within;
-use crate::picture;
-use crate::report::Report;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
-use upswing_config::output::{Destination, Overwrite};
-use upswing_config::process::{Failure, shutdown_flag};
 use upswing_model::{NU, State};
 use upswing_planner::replan::Planner;
+use upswing_process::output::{Destination, Overwrite};
+use upswing_process::{Failure, shutdown_flag};
+use upswing_record::report::Report;
+use upswing_rig::closed_loop::{Aborted, Disturbances};
+use upswing_rig::montecarlo::condition::Condition;
+use upswing_rig::montecarlo::{NoStart, Spread, Starts, arm_degrees};
+use upswing_view::picture;
 
 /// How to swing up.
 #[derive(Clone, Debug, clap::Args)]
@@ -249,7 +249,7 @@ pub fn run(args: &ClosedLoopArgs) -> Result<(), Failure> {
             if let (Some(output), Some(index)) = (&picture, args.sampling.only) {
                 let mut scratch = Scratch::new(&planner);
                 // How it ended, the answer says.
-                let _ = runs.run(&mut scratch, index, &starts.start(index)?);
+                let _ = runs.run(&mut scratch, index, &starts.start(index).map_err(no_start)?);
                 let period = config.daemon.cycle.period.as_secs_f64();
                 picture::draw(output, &scratch.records, &config.robot.limits, period).map_err(failed)?;
             }

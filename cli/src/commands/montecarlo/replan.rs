@@ -2,17 +2,17 @@
 
 use super::{SamplingArgs, failed, list_failures, writable};
 use crate::commands::PlanFigures;
-use crate::montecarlo::{NoStart, Spread, Starts, arm_degrees};
 use crate::parse::whole;
-use crate::picture::map;
 use serde::Serialize;
 use std::time::Instant;
-use upswing_config::output::{Destination, Overwrite};
-use upswing_config::process::{Failure, shutdown_flag};
 use upswing_model::{NU, State};
 use upswing_planner::qp::Solver;
 use upswing_planner::replan::{Effort, Manoeuvre, Planner};
 use upswing_planner::service::payload;
+use upswing_process::output::{Destination, Overwrite};
+use upswing_process::{Failure, shutdown_flag};
+use upswing_rig::montecarlo::{NoStart, Spread, Starts, arm_degrees};
+use upswing_view::picture::map;
 
 /// How to plan.
 #[derive(Clone, Debug, clap::Args)]

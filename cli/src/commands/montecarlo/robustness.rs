@@ -1,21 +1,21 @@
 //! `upswing montecarlo robustness`.
 
-use super::variation::{Misses, Variation};
-use super::{SamplingArgs, Scratch, failed, writable};
-use crate::closed_loop::Aborted;
-use crate::montecarlo::{NoStart, Starts, arm_degrees, wilson};
+use super::{SamplingArgs, Scratch, failed, no_start, writable};
 use crate::parse::within;
-use crate::picture::{self, curves};
-use crate::report::Report;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Instant;
-use upswing_config::output::{Destination, Overwrite};
-use upswing_config::process::{Failure, shutdown_flag};
 use upswing_config::{Config, VelocityEstimate};
 use upswing_model::{NU, State};
 use upswing_planner::replan::Planner;
+use upswing_process::output::{Destination, Overwrite};
+use upswing_process::{Failure, shutdown_flag};
+use upswing_record::report::Report;
+use upswing_rig::closed_loop::Aborted;
+use upswing_rig::montecarlo::variation::{Misses, Variation};
+use upswing_rig::montecarlo::{NoStart, Starts, arm_degrees, wilson};
+use upswing_view::picture::{self, curves};
 
 /// What to vary.
 #[derive(Clone, Debug, clap::Args)]
@@ -201,7 +201,7 @@ pub fn run(args: &RobustnessArgs) -> Result<(), Failure> {
         };
         let mut scratch = Scratch::new(&planner);
         // How it ended, the answer says.
-        let _ = runs.run(case, &mut scratch, index, &starts.start(index)?);
+        let _ = runs.run(case, &mut scratch, index, &starts.start(index).map_err(no_start)?);
         let period = case.config.daemon.cycle.period.as_secs_f64();
         picture::draw(output, &scratch.records, &case.config.robot.limits, period).map_err(failed)?;
     }

@@ -1,0 +1,24 @@
+//! The embedded settings as files to edit.
+
+use crate::output::{OutputError, Overwrite};
+use std::path::Path;
+use upswing_config::Config;
+
+/// Writes the embedded settings, with their comments, to the folder `dir`, which is created if need be.
+///
+/// # Errors
+/// [`OutputError`] if one of the files exists already and is not to be replaced (then nothing is written), or the folder cannot
+/// be written to.
+pub fn export(dir: &Path, overwrite: Overwrite) -> Result<(), OutputError> {
+    let files = || Config::files().map(|(name, bytes)| (dir.join(name), bytes));
+    for (path, _) in files().filter(|(path, _)| path.exists()) {
+        overwrite.output(&path).check()?;
+    }
+    for (path, bytes) in files() {
+        let folder = path.parent().unwrap_or(dir);
+        std::fs::create_dir_all(folder)
+            .map_err(|cause| OutputError::Io { path: folder.to_owned(), cause })?;
+        overwrite.output(&path).write(bytes)?;
+    }
+    Ok(())
+}

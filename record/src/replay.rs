@@ -1,0 +1,236 @@
+//! Gives a controller once more what a recording says it was given, and compares.
+
+use crate::{Message, Recording, RecordingError, Window, cycle, scan};
+use std::collections::BTreeMap;
+use std::path::Path;
+use upswing_config::{Config, ConfigError};
+use upswing_ipc::{Plan, Step, Telemetry};
+use upswing_process::export;
+use upswing_process::output::{OutputError, Overwrite};
+use upswingd::controller::{Controller, Order};
+use upswingd::os::flush_to_zero;
+use upswingd::plan::{PlanRefusal, accept};
+
+/// Fields that tell of the thread, not of the controller.
+const OF_THE_THREAD: [&str; 5] = ["degraded", "wake_ns", "read_ns", "compute_ns", "write_ns"];
+
+/// A recorded run, all in memory: 10 MB per second at 8 kHz.
+#[derive(Clone, Debug, Default)]
+pub struct Run {
+    /// The cycles, in the order of their recording; at least one.
+    pub cycles: Vec<Telemetry>,
+    /// What led to them, in the order of their recording: steps and plans.
+    pub inputs: Vec<Message>,
+    /// What else is known of it.
+    pub recording: Recording,
+}
+
+impl Run {
+    /// Reads a recording.
+    ///
+    /// # Errors
+    /// As [`scan`].
+    pub fn read(path: &Path) -> Result<Self, RecordingError> {
+        let (mut cycles, mut inputs) = (Vec::new(), Vec::new());
+        let keep = |_: &Recording, message| -> Result<(), RecordingError> {
+            match message {
+                Message::Cycle(cycle) => cycles.push(cycle),
+                input => inputs.push(input),
+            }
+            Ok(())
+        };
+        let recording = scan(path, Window::ALL, |_, _| (), keep)?;
+        Ok(Self { cycles, inputs, recording })
+    }
+}
+
+/// Why a recording cannot be replayed.
+#[derive(Debug, thiserror::Error)]
+pub enum ReplayError {
+    /// It has no steps.
+    #[error("expected steps to replay, got none: the recording is of an older version")]
+    NoSteps,
+    /// Nobody knows what the controller was told before.
+    #[error(
+        "expected step {expected}, got step {got}: a replay needs all steps from the start of the daemon; record with \
+         `upswing demo --record`, or begin `upswing record` before the daemon"
+    )]
+    Gap {
+        /// Number of the step that is missing.
+        expected: u64,
+        /// Number of the one that comes instead.
+        got: u64,
+    },
+    /// An order that nobody gives, or the plan of one is missing.
+    #[error("step {number}: order {code} with plan {plan_id} cannot be given: {reason}")]
+    Order {
+        /// Number of the step.
+        number: u64,
+        /// Of the order.
+        code: u64,
+        /// Plan to be loaded or started.
+        plan_id: u64,
+        /// What is wrong.
+        reason: String,
+    },
+    /// A settings file is not in it.
+    #[error("expected the settings file {0} in the recording, got none")]
+    NoSettings(&'static str),
+    /// Its settings cannot be used.
+    #[error(transparent)]
+    Settings(#[from] ConfigError),
+    /// Its settings cannot be unpacked.
+    #[error("cannot unpack the settings: {0}")]
+    Unpack(#[from] std::io::Error),
+    /// The embedded settings, which complete them, cannot be unpacked.
+    #[error("cannot unpack the settings: {0}")]
+    Export(#[from] OutputError),
+}
+
+/// The first number that came out differently.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct Difference {
+    /// Number of the cycle.
+    pub cycle: u64,
+    /// Name of the field, with the joint where it has several numbers.
+    pub field: String,
+    /// In the recording.
+    pub recorded: String,
+    /// Now.
+    pub replayed: String,
+}
+
+/// What a replay gave.
+#[derive(Clone, Debug, Default)]
+pub struct Replay {
+    /// Steps given to the controller.
+    pub steps: u64,
+    /// Cycles that were compared.
+    pub compared: u64,
+    /// The first number that is not bit for bit the same.
+    pub difference: Option<Difference>,
+    /// The first cycle with another mode or fault.
+    pub decision: Option<Difference>,
+    /// The cycles as they came out.
+    pub cycles: Vec<Telemetry>,
+}
+
+/// Replays with some settings; those of the recording are [`settings`].
+///
+/// # Errors
+/// [`ReplayError`] if the recording does not hold all that the controller was told.
+pub fn replay(recorded: &Run, config: &Config) -> Result<Replay, ReplayError> {
+    // As in the real-time thread: the replay has to round as that does. In a thread of its own, for the caller's sake.
+    std::thread::scope(|threads| {
+        let run = threads.spawn(|| {
+            flush_to_zero();
+            run(recorded, config)
+        });
+        run.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+    })
+}
+
+fn run(run: &Run, config: &Config) -> Result<Replay, ReplayError> {
+    // By daemon and cycle: a recording may go on over restarts of the daemon.
+    let mut recorded = run.cycles.iter().peekable();
+    let mut plans = BTreeMap::new();
+    let mut controller = Controller::new(config);
+    let mut replay = Replay::default();
+    let (mut number, mut cycle) = (0, 0);
+    for input in &run.inputs {
+        let step = match input {
+            Message::Plan(plan) => {
+                plans.insert(plan.id, &**plan);
+                continue;
+            }
+            Message::Step(step) => step,
+            Message::Cycle(_) => continue,
+        };
+        if step.number == 1 && number > 0 {
+            // Another daemon; what the file has of the last one's cycles ends here.
+            (controller, number, cycle) = (Controller::new(config), 0, 0);
+            while recorded.peek().is_some_and(|record| record.seq > step.cycle) {
+                recorded.next();
+            }
+        }
+        if step.number != number + 1 {
+            return Err(ReplayError::Gap { expected: number + 1, got: step.number });
+        }
+        number = step.number;
+        replay.steps += 1;
+        let order = order(step, &plans, config)?;
+        if step.restarted != 0 {
+            controller.restart_measurement();
+        }
+        if step.lost != 0 {
+            controller.lose_measurement(step.lost);
+        }
+        controller.report_late(step.late);
+        let telemetry = controller.step(&step.measurement, step.now_ns, order).record.telemetry;
+        if telemetry.seq == cycle {
+            continue;
+        }
+        cycle = telemetry.seq;
+        replay.cycles.push(telemetry);
+        if let Some(record) = recorded.next_if(|record| record.seq == cycle) {
+            replay.compared += 1;
+            compare(record, &telemetry, &mut replay);
+        }
+    }
+    if replay.steps == 0 { Err(ReplayError::NoSteps) } else { Ok(replay) }
+}
+
+fn order(step: &Step, plans: &BTreeMap<u64, &Plan>, config: &Config) -> Result<Option<Order>, ReplayError> {
+    let Step { number, order: code, plan_id, .. } = *step;
+    if code == 0 {
+        return Ok(None);
+    }
+    let bad = |reason: String| ReplayError::Order { number, code, plan_id, reason };
+    let mut refused: Option<PlanRefusal> = None;
+    let order = Order::of(code, plan_id, || {
+        accept(plans.get(&plan_id)?, config).map_err(|refusal| refused = Some(refusal)).ok()
+    });
+    let missing = || refused.map_or("no such order, or no such plan before it".into(), |r| r.to_string());
+    order.map(Some).ok_or_else(|| bad(missing()))
+}
+
+/// Notes the first differences of two records of the same cycle.
+fn compare(recorded: &Telemetry, replayed: &Telemetry, replay: &mut Replay) {
+    let mut recorded = *recorded;
+    recorded.flags &= !Telemetry::OVERRUN;
+    let words = |record: &Telemetry| record.words().collect::<Vec<_>>();
+    let (old, new) = (words(&recorded), words(replayed));
+    for field in cycle::FIELDS.iter().filter(|field| !OF_THE_THREAD.contains(&field.name)) {
+        let Some(i) = (field.offset..field.offset + field.length).find(|i| old[*i] != new[*i]) else {
+            continue;
+        };
+        let text = |word: u64| {
+            if field.integer { word.to_string() } else { f64::from_bits(word).to_string() }
+        };
+        let joint = if field.length > 1 { format!("{}", i - field.offset + 1) } else { String::new() };
+        let difference = Difference {
+            cycle: replayed.seq,
+            field: format!("{}{joint}", field.name),
+            recorded: text(old[i]),
+            replayed: text(new[i]),
+        };
+        if matches!(field.name, "mode" | "fault") {
+            replay.decision.get_or_insert(difference.clone());
+        }
+        replay.difference.get_or_insert(difference);
+    }
+}
+
+/// The settings in a recording.
+///
+/// # Errors
+/// [`ReplayError`] if one is missing, or cannot be used by this version.
+pub fn settings(recording: &Recording) -> Result<Config, ReplayError> {
+    let folder = tempfile::tempdir()?;
+    export(folder.path(), Overwrite::default())?;
+    for (name, _) in Config::embedded()?.texts()? {
+        let text = recording.file_text(name).ok_or(ReplayError::NoSettings(name))?;
+        std::fs::write(folder.path().join(name), text)?;
+    }
+    Ok(Config::from_dir(folder.path())?)
+}

@@ -1,0 +1,329 @@
+//! What a swing-up was like, from its telemetry.
+
+use serde::Serialize;
+use std::collections::VecDeque;
+use upswing_config::Config;
+use upswing_ipc::operator::planning_text;
+use upswing_ipc::{Mode, PlannerResponse, Telemetry};
+use upswing_model::{JointVector, Limits, Model, NQ, NU};
+
+/// Figures of any stretch of records.
+#[derive(Clone, Debug, Serialize)]
+pub struct Figures {
+    /// Largest difference between a joint angle and its reference while tracking, rad, of joints 1-7 and 8-9.
+    pub tracking_error_arm: f64,
+    /// See `tracking_error_arm`.
+    pub tracking_error_pendulum: f64,
+    /// Largest share of the 100 % position limits that joints 1-7 reached.
+    pub peak_position: f64,
+    /// Largest share of the 100 % velocity limits that joints 1-7 reached.
+    pub peak_velocity: f64,
+    /// Largest share of the 100 % velocity limits that joints 8 and 9 reached while tracking or balancing.
+    pub peak_velocity_pendulum: f64,
+    /// Largest share of the 100 % torque limits, as commanded: the limiter cuts it at 1.
+    pub peak_torque: f64,
+    /// Share of the cycles of tracking and balancing in which the limiter cut a torque.
+    pub limited_share: f64,
+    /// Largest angle of the rod from upright in the last second of balance, deg.
+    pub final_tilt_deg: f64,
+    /// Largest velocity of joints 1-7 in the last second of balance, rad/s.
+    pub final_speed: f64,
+    /// Time in balance, s.
+    pub balance_s: f64,
+    /// Cycles recorded.
+    pub cycles: u64,
+    /// Records lost between daemon and here.
+    pub dropped: u64,
+    /// Cycles that ended late (clocks `wall` and `paced`).
+    pub overruns: u64,
+}
+
+/// A swing-up and whether it was one.
+#[derive(Clone, Debug, Serialize)]
+pub struct Report {
+    /// Balanced to the end, all limits kept.
+    pub success: bool,
+    /// Why not, for people.
+    pub failures: Vec<String>,
+    /// Duration of the planned swing-up t_F, s.
+    pub t_f: f64,
+    /// Time from the request to the plan, s.
+    pub planning_s: f64,
+    /// Index of the database entry and its distance, rad.
+    pub nearest_entry: u64,
+    /// See `nearest_entry`.
+    pub distance: f64,
+    /// Defect of the plan's real dynamics, rad/s per interval.
+    pub defect: f64,
+    /// What the records show.
+    #[serde(flatten)]
+    pub figures: Figures,
+}
+
+/// Tilt up to which the pendulum counts as balanced, deg.
+const BALANCED_DEG: f64 = 2.0;
+
+/// Velocity up to which the arm counts as at rest, rad/s. Assumed: three times what is left of a nominal swing-up after
+/// one second of balance.
+const AT_REST: f64 = 0.05;
+
+/// Share of the cycles in which a torque may have been cut. Assumed: while the limiter cuts, the loop is not the one that
+/// the gains were made for; two hundredths of a second in two seconds is what one hard push takes.
+const LIMITED_SHARE: f64 = 0.01;
+
+/// What a joint that stands on its limit may be measured beyond it, rad: a few steps of an encoder.
+const RESOLUTION: f64 = 1e-4;
+
+/// Angle of the rod from upright, rad: between the line from the last joint to the tip and the vertical.
+pub fn tilt(model: &Model, q: &JointVector) -> f64 {
+    let rod = model.rod(q);
+    (rod.z / rod.norm()).clamp(-1.0, 1.0).acos()
+}
+
+/// How far an angle was past its limit, and when.
+struct Beyond<'a> {
+    rad: f64,
+    joint: usize,
+    record: Option<&'a Telemetry>,
+}
+
+impl std::fmt::Display for Beyond<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "joint {} went {:.5} rad past its position limit", self.joint + 1, self.rad)?;
+        if let Some((record, mode)) = self.record.and_then(|r| Some((r, r.mode().ok()?))) {
+            write!(f, " in mode {mode}, {:.3} s after the plan's start", record.t_plan)?;
+        }
+        Ok(())
+    }
+}
+
+/// Makes [`Figures`] of one record after the other.
+#[derive(Clone, Debug, Default)]
+pub struct FigureCounter {
+    tracking_error_arm: f64,
+    tracking_error_pendulum: f64,
+    peak_position: f64,
+    peak_velocity: f64,
+    peak_velocity_pendulum: f64,
+    peak_torque: f64,
+    cycles: u64,
+    overruns: u64,
+    /// Cycles of tracking and balancing, and those of them in which the limiter cut a torque.
+    controlled: u64,
+    limited: u64,
+    /// Time from one balanced cycle to the next, ns: by the clock, because a cycle that the controller missed between two
+    /// others is balanced, too.
+    balance_ns: u64,
+    /// How often a balance began; each has one cycle more than steps.
+    balances: u64,
+    /// When the cycle before was balanced, ns.
+    balanced_ns: Option<u64>,
+    /// The last second of balance: time, ns, angle of the rod from upright, rad, and fastest joint of the arm, rad/s.
+    end: VecDeque<(u64, f64, f64)>,
+}
+
+impl FigureCounter {
+    /// The next record.
+    pub fn count(&mut self, model: &Model, limits: &Limits, t: &Telemetry) {
+        /// ns
+        const SECOND: u64 = 1_000_000_000;
+        self.cycles += 1;
+        self.overruns += u64::from(t.flags & Telemetry::OVERRUN != 0);
+        for i in 0..NU {
+            let range = if t.q[i] < 0.0 { limits.q_min[i] } else { limits.q_max[i] };
+            self.peak_position = self.peak_position.max(t.q[i] / range);
+            self.peak_velocity = self.peak_velocity.max(t.qd[i].abs() / limits.qd_max[i]);
+            self.peak_torque = self.peak_torque.max(t.tau[i].abs() / limits.tau_max[i]);
+        }
+        if matches!(t.mode(), Ok(Mode::Track | Mode::Balance)) {
+            self.controlled += 1;
+            self.limited += u64::from(t.flags & Telemetry::LIMITED != 0);
+            for i in NU..NQ {
+                self.peak_velocity_pendulum =
+                    self.peak_velocity_pendulum.max(t.qd[i].abs() / limits.qd_max[i]);
+            }
+        }
+        if t.mode() == Ok(Mode::Track) {
+            for i in 0..NQ {
+                let error = (t.q[i] - t.q_d[i]).abs();
+                let worst =
+                    if i < NU { &mut self.tracking_error_arm } else { &mut self.tracking_error_pendulum };
+                *worst = worst.max(error);
+            }
+        }
+        let before = self.balanced_ns.take();
+        if t.mode() == Ok(Mode::Balance) {
+            match before {
+                Some(before) => self.balance_ns += t.t_ns.saturating_sub(before),
+                None => self.balances += 1,
+            }
+            self.balanced_ns = Some(t.t_ns);
+            // Another plant began anew.
+            if self.end.back().is_some_and(|(last, ..)| t.t_ns < *last) {
+                self.end.clear();
+            }
+            let fastest = t.qd[..NU].iter().fold(0.0, |most: f64, v| v.abs().max(most));
+            self.end.push_back((t.t_ns, tilt(model, &JointVector::from(t.q)), fastest));
+            while self.end.front().is_some_and(|(begin, ..)| t.t_ns.saturating_sub(*begin) >= SECOND) {
+                self.end.pop_front();
+            }
+        }
+    }
+
+    /// The figures of all records so far, of which `dropped` were lost. `period` in s.
+    pub fn figures(&self, period: f64, dropped: u64) -> Figures {
+        let most = |of: fn(&(u64, f64, f64)) -> f64| match self.end.is_empty() {
+            true => f64::NAN,
+            false => self.end.iter().map(of).fold(0.0, f64::max),
+        };
+        Figures {
+            tracking_error_arm: self.tracking_error_arm,
+            tracking_error_pendulum: self.tracking_error_pendulum,
+            peak_position: self.peak_position,
+            peak_velocity: self.peak_velocity,
+            peak_velocity_pendulum: self.peak_velocity_pendulum,
+            peak_torque: self.peak_torque,
+            limited_share: self.limited as f64 / self.controlled.max(1) as f64,
+            final_tilt_deg: most(|end| end.1).to_degrees(),
+            final_speed: most(|end| end.2),
+            balance_s: self.balance_ns as f64 * 1e-9 + self.balances as f64 * period,
+            cycles: self.cycles,
+            dropped,
+            overruns: self.overruns,
+        }
+    }
+}
+
+impl<'a> Beyond<'a> {
+    fn most(limits: &Limits, records: &'a [Telemetry]) -> Self {
+        let mut most = Self { rad: f64::NEG_INFINITY, joint: 0, record: None };
+        for t in records {
+            for i in 0..NU {
+                let rad = (t.q[i] - limits.q_max[i]).max(limits.q_min[i] - t.q[i]);
+                if rad > most.rad {
+                    most = Self { rad, joint: i, record: Some(t) };
+                }
+            }
+        }
+        most
+    }
+}
+
+impl Report {
+    /// Evaluates the records of a swing-up that shall balance for `seconds`. `fastest`: the largest true speeds of all
+    /// joints, rad/s, where a simulated plant knows them; they count besides the estimated ones, which the filter smooths.
+    pub fn new(
+        config: &Config,
+        plan: &PlannerResponse,
+        records: &[Telemetry],
+        dropped: u64,
+        seconds: f64,
+        fastest: Option<&JointVector>,
+    ) -> Self {
+        let limits = &config.robot.limits;
+        let period = config.daemon.cycle.period.as_secs_f64();
+        let mut counter = FigureCounter::default();
+        records.iter().for_each(|record| counter.count(&config.model, limits, record));
+        let mut figures = counter.figures(period, dropped);
+        if let Some(fastest) = fastest {
+            let shares = fastest.component_div(&limits.qd_max);
+            figures.peak_velocity = shares.fixed_rows::<NU>(0).max().max(figures.peak_velocity);
+            figures.peak_velocity_pendulum =
+                shares.fixed_rows::<{ NQ - NU }>(NU).max().max(figures.peak_velocity_pendulum);
+        }
+        let beyond = Beyond::most(limits, records);
+        let mut failures = Vec::new();
+        let f = &figures;
+        let mut fail = |bad: bool, text: String| {
+            if bad {
+                failures.push(text);
+            }
+        };
+        fail(
+            !(f.final_tilt_deg <= BALANCED_DEG),
+            format!(
+                "rod {:.2} deg from upright in the last second, expected at most {BALANCED_DEG}",
+                f.final_tilt_deg
+            ),
+        );
+        fail(
+            f.balance_s + 2.0 * period < seconds,
+            format!("balanced {:.3} s, expected {seconds} s", f.balance_s),
+        );
+        fail(
+            !(f.final_speed <= AT_REST),
+            format!(
+                "the arm moves at {:.3} rad/s in the last second, expected at most {AT_REST}",
+                f.final_speed
+            ),
+        );
+        fail(
+            f.peak_velocity > 1.0,
+            format!("a velocity reached {:.0} % of its limit", 100.0 * f.peak_velocity),
+        );
+        fail(
+            f.peak_velocity_pendulum > 1.0,
+            format!("the pendulum reached {:.0} % of its velocity limit", 100.0 * f.peak_velocity_pendulum),
+        );
+        fail(
+            f.limited_share > LIMITED_SHARE,
+            format!(
+                "torques were cut at their limit in {:.1} % of the cycles, expected at most {} %",
+                100.0 * f.limited_share,
+                100.0 * LIMITED_SHARE
+            ),
+        );
+        fail(beyond.rad > RESOLUTION, beyond.to_string());
+        fail(f.dropped > 0, format!("{} telemetry records were lost", f.dropped));
+        Self {
+            success: failures.is_empty(),
+            failures,
+            t_f: plan.t_f,
+            planning_s: plan.time_total_us * 1e-6,
+            nearest_entry: plan.nearest_entry,
+            distance: plan.distance,
+            defect: plan.defect,
+            figures,
+        }
+    }
+}
+
+impl std::fmt::Display for Report {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        writeln!(f, "{}", if self.success { "Swing-up: balanced" } else { "Swing-up: FAILED" })?;
+        for reason in &self.failures {
+            writeln!(f, "  {reason}")?;
+        }
+        writeln!(
+            f,
+            "  plan      {:.3} s long, {} from database entry {} ({:.2} rad away), defect {:.1e}",
+            self.t_f,
+            planning_text(self.planning_s),
+            self.nearest_entry,
+            self.distance,
+            self.defect
+        )?;
+        writeln!(
+            f,
+            "  tracking  within {:.3} rad (joints 1-7), {:.3} rad (pendulum)",
+            self.figures.tracking_error_arm, self.figures.tracking_error_pendulum
+        )?;
+        writeln!(
+            f,
+            "  balance   {:.2} s, rod within {:.2} deg of upright and arm below {:.3} rad/s in the last second",
+            self.figures.balance_s, self.figures.final_tilt_deg, self.figures.final_speed
+        )?;
+        writeln!(
+            f,
+            "  peaks     position {:.0} %, velocity {:.0} %, torque {:.0} % of the 100 % limits of joints 1-7",
+            100.0 * self.figures.peak_position,
+            100.0 * self.figures.peak_velocity,
+            100.0 * self.figures.peak_torque
+        )?;
+        write!(
+            f,
+            "  cycles    {} recorded, {} lost, {} late",
+            self.figures.cycles, self.figures.dropped, self.figures.overruns
+        )
+    }
+}

@@ -1,0 +1,55 @@
+//! The clock of a plant begins at 0. Where a recording goes on with another plant no cycle is left out, time goes on, and
+//! what is judged at the end is the new plant.
+
+use upswing_config::Config;
+use upswing_ipc::{Mode, Telemetry};
+use upswing_model::JointVector;
+use upswing_record::report::{FigureCounter, tilt};
+use upswing_record::{Recorder, Window, read};
+
+/// Cycles of each plant: more than the second that is judged.
+const CYCLES: u64 = 10_000;
+const PERIOD_NS: u64 = 125_000;
+const PERIOD: f64 = 125e-6;
+
+/// Two plants in balance, their arms at different angles; the daemon counts on.
+fn cycles() -> Vec<Telemetry> {
+    let cycle = |seq: u64| {
+        let mut t = Telemetry { seq, t_ns: (seq - 1) % CYCLES * PERIOD_NS, ..Telemetry::default() };
+        t.mode = Mode::Balance.code();
+        t.q[1] = if seq <= CYCLES { 1.0 } else { 0.5 };
+        t
+    };
+    (1..=2 * CYCLES).map(cycle).collect()
+}
+
+#[test]
+fn in_a_recording() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let path = dir.path().join("run.mcap");
+    let config = Config::embedded().expect("the settings load");
+    let cycles = cycles();
+    let mut recorder = Recorder::create(&path, &config, []).expect("the file is made");
+    cycles.chunks(64).for_each(|batch| recorder.write(batch).expect("written"));
+    let tally = recorder.finish().expect("finished");
+    let total = 2.0 * (CYCLES - 1) as f64 * PERIOD;
+    assert!((tally.seconds - total).abs() < 1e-9, "{} s", tally.seconds);
+    assert_eq!((tally.cycles, tally.lost, tally.restarts), (2 * CYCLES, 0, 0));
+
+    assert_eq!(read(&path, Window::ALL).expect("it reads").0, cycles);
+    let half = Window { from: total / 2.0 - 0.5 * PERIOD, to: f64::INFINITY };
+    // The last of the old one began when the first of the new one did.
+    assert_eq!(read(&path, half).expect("it reads").0, cycles[CYCLES as usize - 1..]);
+}
+
+#[test]
+fn in_the_figures() {
+    let config = Config::embedded().expect("the settings load");
+    let mut counter = FigureCounter::default();
+    let cycles = cycles();
+    cycles.iter().for_each(|cycle| counter.count(&config.model, &config.robot.limits, cycle));
+    let figures = counter.figures(PERIOD, 0);
+    let tilts = [&cycles[0], &cycles[cycles.len() - 1]].map(|c| tilt(&config.model, &JointVector::from(c.q)));
+    assert!(tilts[0] > tilts[1], "{tilts:?}");
+    assert!((figures.final_tilt_deg - tilts[1].to_degrees()).abs() < 1e-9, "{}", figures.final_tilt_deg);
+}

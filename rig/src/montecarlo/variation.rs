@@ -1,0 +1,210 @@
+//! What a robustness curve is drawn over: one thing that planner and controller do not know, by how much.
+
+use crate::closed_loop::{Disturbances, Missed};
+use clap::ValueEnum;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::Path;
+use upswing_config::{Config, MAX_DELAY, Push};
+use upswing_process::Failure;
+
+/// Time in Balance before a push or a stretch of missed cycles comes, s.
+const BEFORE: f64 = 0.5;
+/// How much longer the balance lasts then, s, so that the last second is judged well after it.
+const LONGER: f64 = 1.0;
+/// How long a push lasts, s.
+const PUSH: f64 = 0.01;
+
+/// What is varied.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum Variation {
+    /// Error of all masses and inertias of the arm, %
+    ArmMass,
+    /// Error of masses and inertias of the pendulum, %
+    PendulumMass,
+    /// Error of the rod's length, %
+    PendulumLength,
+    /// Resolution of the pendulum's encoders, bits per turn
+    EncoderBits,
+    /// Cycles that a command spends on its way
+    TorqueDelay,
+    /// Time constant T_1 of the velocity filter, ms (a setting of the controller)
+    VelocityFilter,
+    /// Share of the arm's friction that the drives leave, %
+    Friction,
+    /// Horizontal push on the tip of the rod in Balance, in a direction drawn for each start, N s
+    Push,
+    /// Cycles missed in a row, at a moment of the swing-up drawn for each start
+    MissedSwingUp,
+    /// Cycles missed in a row in Balance
+    MissedBalance,
+    /// Cycles missed now and then, as often and as many as recorded (--missed), times this factor in frequency
+    Jitter,
+}
+
+/// How often cycles were missed somewhere: a part of what `upswing soak --json` prints.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+pub struct Misses {
+    /// Cycles that were looked at.
+    pub cycles: u64,
+    /// How often how many were missed in a row.
+    pub missed: BTreeMap<u64, u64>,
+}
+
+impl Misses {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// [`Failure::BadInput`] if it cannot be read or counts nothing.
+    pub fn read(path: &Path) -> Result<Self, Failure> {
+        let refuse = |text: String| Failure::BadInput(format!("--missed {}: {text}", path.display()));
+        let text = upswing_config::read_file(path).map_err(|e| refuse(e.to_string()))?;
+        let misses: Self = serde_json::from_slice(&text).map_err(|e| {
+            refuse(format!("expected {{\"cycles\": N, \"missed\": {{\"LENGTH\": COUNT, ..}}}}: {e}"))
+        })?;
+        if misses.cycles == 0 || misses.missed.values().all(|n| *n == 0) || misses.missed.contains_key(&0) {
+            return Err(refuse("expected cycles and stretches of at least one missed cycle".into()));
+        }
+        Ok(misses)
+    }
+
+    /// Stretches in `count` cycles, `factor` times as frequent. `shares`: random numbers in [0, 1).
+    fn draw(&self, factor: f64, count: u64, shares: &mut impl Iterator<Item = f64>) -> Vec<Missed> {
+        let stretches: u64 = self.missed.values().sum();
+        let probability = factor * stretches as f64 / self.cycles as f64;
+        let mut drawn = Vec::new();
+        let mut cycle = 0;
+        while cycle < count {
+            if shares.next().is_some_and(|share| share < probability) {
+                let mut rank = (shares.next().unwrap_or(0.0) * stretches as f64) as u64;
+                let length = self.missed.iter().find_map(|(length, n)| {
+                    let found = rank < *n;
+                    rank = rank.saturating_sub(*n);
+                    found.then_some(*length)
+                });
+                let missed = Missed { from: cycle, cycles: length.unwrap_or(1) };
+                cycle = cycle.saturating_add(missed.cycles);
+                drawn.push(missed);
+            }
+            cycle += 1;
+        }
+        drawn
+    }
+}
+
+impl Variation {
+    /// For axes and tables, with the unit.
+    pub fn label(self) -> &'static str {
+        match self {
+            Self::ArmMass => "mass of the arm, error (%)",
+            Self::PendulumMass => "mass of the pendulum, error (%)",
+            Self::PendulumLength => "length of the rod, error (%)",
+            Self::EncoderBits => "encoders of the pendulum (bits)",
+            Self::TorqueDelay => "delay of the torque (cycles)",
+            Self::VelocityFilter => "time constant of the filter (ms)",
+            Self::Friction => "friction left to the arm (%)",
+            Self::Push => "push in Balance (N s)",
+            Self::MissedSwingUp => "cycles missed in the swing-up",
+            Self::MissedBalance => "cycles missed in Balance",
+            Self::Jitter => "frequency of recorded misses (factor)",
+        }
+    }
+
+    /// The values of a curve if none are named.
+    pub fn values(self) -> &'static [f64] {
+        match self {
+            Self::ArmMass | Self::PendulumMass | Self::PendulumLength => {
+                &[-20.0, -15.0, -10.0, -5.0, 0.0, 5.0, 10.0, 15.0, 20.0]
+            }
+            Self::EncoderBits => &[12.0, 13.0, 14.0, 15.0, 16.0, 17.0, 18.0, 20.0],
+            Self::TorqueDelay => &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0],
+            Self::VelocityFilter => &[2.0, 5.0, 8.0, 12.0, 15.0, 18.0, 20.0],
+            Self::Friction => &[0.0, 20.0, 40.0, 60.0, 80.0, 100.0],
+            Self::Push => &[0.0, 0.02, 0.04, 0.06, 0.08, 0.1],
+            Self::MissedSwingUp | Self::MissedBalance => &[0.0, 5.0, 10.0, 15.0, 20.0, 21.0, 25.0],
+            Self::Jitter => &[0.0, 1.0, 10.0, 100.0, 1000.0],
+        }
+    }
+
+    /// Fails if the value cannot be.
+    ///
+    /// # Errors
+    /// [`Failure::BadInput`] with what was expected and what came.
+    pub fn check(self, value: f64) -> Result<(), Failure> {
+        let (lowest, highest, whole) = match self {
+            Self::ArmMass | Self::PendulumMass | Self::PendulumLength => (-90.0, 1000.0, false),
+            Self::EncoderBits => (1.0, 32.0, true),
+            Self::TorqueDelay => (0.0, f64::from(MAX_DELAY), true),
+            Self::VelocityFilter => (0.2, 1000.0, false),
+            Self::Friction => (0.0, 100.0, false),
+            Self::Push => (0.0, 100.0, false),
+            Self::MissedSwingUp | Self::MissedBalance => (0.0, 8000.0, true),
+            Self::Jitter => (0.0, 1e6, false),
+        };
+        // A NaN is in no range.
+        if (lowest..=highest).contains(&value) && !(whole && value.fract() != 0.0) {
+            return Ok(());
+        }
+        let kind = if whole { "a whole number" } else { "a number" };
+        let text =
+            format!("--values: {}: expected {kind} from {lowest} to {highest}, got {value}", self.label());
+        Err(Failure::BadInput(text))
+    }
+
+    /// How long to balance, s, if undisturbed it were `seconds`.
+    pub fn seconds(self, seconds: f64) -> f64 {
+        match self {
+            Self::Push | Self::MissedBalance => seconds + LONGER,
+            _ => seconds,
+        }
+    }
+
+    /// Settings of plant and controller with this value, which is a checked one.
+    pub fn apply(self, value: f64, config: &mut Config) {
+        let scale = 1.0 + 0.01 * value;
+        let plant = &mut config.plant;
+        match self {
+            Self::ArmMass => plant.model.arm_mass_scale *= scale,
+            Self::PendulumMass => plant.model.pendulum_mass_scale *= scale,
+            Self::PendulumLength => plant.model.pendulum_length_scale *= scale,
+            Self::EncoderBits => plant.encoder.pendulum_resolution = std::f64::consts::TAU * (-value).exp2(),
+            Self::TorqueDelay => plant.drive.command_delay = value as u32,
+            Self::VelocityFilter => config.daemon.cycle.velocity_filter = 1e-3 * value,
+            Self::Friction => plant.friction.arm_compensation = 1.0 - 0.01 * value,
+            Self::Push | Self::MissedSwingUp | Self::MissedBalance | Self::Jitter => {}
+        }
+    }
+
+    /// What happens after the start of a plan of the duration `t_f` (s), in cycles of `period` (s). `shares`: random numbers
+    /// in [0, 1).
+    pub fn disturbances(
+        self,
+        value: f64,
+        t_f: f64,
+        seconds: f64,
+        period: f64,
+        misses: &Misses,
+        mut shares: impl Iterator<Item = f64>,
+    ) -> Disturbances {
+        let cycle = |time: f64| (time / period).round() as u64;
+        let mut share = || shares.next().unwrap_or(0.0);
+        let stretch = |from: f64| vec![Missed { from: cycle(from), cycles: value as u64 }];
+        let mut disturbances = Disturbances::default();
+        match self {
+            Self::Push => {
+                let (sin, cos) = (std::f64::consts::TAU * share()).sin_cos();
+                disturbances.pushes.push(Push {
+                    from: cycle(t_f + BEFORE),
+                    cycles: cycle(PUSH).max(1),
+                    impulse: [value * cos, value * sin, 0.0],
+                });
+            }
+            Self::MissedSwingUp => disturbances.missed = stretch(share() * t_f),
+            Self::MissedBalance => disturbances.missed = stretch(t_f + BEFORE),
+            Self::Jitter => disturbances.missed = misses.draw(value, cycle(t_f + seconds), &mut shares),
+            _ => {}
+        }
+        disturbances
+    }
+}

@@ -1,0 +1,428 @@
+//! A system of three processes in a shared-memory domain of its own, and the means to drive it.
+
+mod process;
+
+pub use process::{Options, Programs, Role};
+
+use process::Process;
+use std::time::{Duration, Instant};
+use upswing_ipc::{
+    CallError, Client, Clock, ControlCommand, ControlRequest, ControlResponse, Domain, IpcError, Node,
+    PlannerKind, PlannerRequest, PlannerResponse, PlantKind, PlantRequest, PlantResponse, Request, Telemetry,
+};
+use upswing_record::{Recorder, RecordingError, Tally, Tap};
+
+/// How long a process may take to appear: starting takes well below a second, but machines are shared.
+const START_PATIENCE: Duration = Duration::from_secs(30);
+/// How long an answer may take. A replan takes about a second at worst.
+const ANSWER_PATIENCE: Duration = Duration::from_secs(30);
+/// How long a process may take to end after SIGTERM.
+const END_PATIENCE: Duration = Duration::from_secs(10);
+/// How long telemetry may keep silent before it is asked whether there is more to come.
+const SILENCE: Duration = Duration::from_millis(100);
+/// Pause between two looks at something awaited.
+const PAUSE: Duration = Duration::from_millis(1);
+
+/// Why a system could not be started or driven.
+#[derive(Debug, thiserror::Error)]
+pub enum SessionError {
+    /// A program could not be started.
+    #[error("cannot start the {role} ({program}): {cause}")]
+    Spawn {
+        /// daemon, planner or plant.
+        role: &'static str,
+        /// What was to be executed.
+        program: String,
+        /// Why not.
+        cause: std::io::Error,
+    },
+    /// A process ended by itself.
+    #[error("the {role} ended unexpectedly ({status}){log}")]
+    Ended {
+        /// daemon, planner or plant.
+        role: &'static str,
+        /// Exit status.
+        status: std::process::ExitStatus,
+        /// The last lines of its log.
+        log: String,
+    },
+    /// Something awaited did not happen.
+    #[error("waited {waited:.0?} for {what}{log}")]
+    Timeout {
+        /// What was awaited.
+        what: String,
+        /// How long.
+        waited: Duration,
+        /// The last lines of the logs.
+        log: String,
+    },
+    /// A request was refused.
+    #[error("the {role} refused: {reason}")]
+    Refused {
+        /// Who refused.
+        role: &'static str,
+        /// Why.
+        reason: String,
+    },
+    /// No answer.
+    #[error(transparent)]
+    Call(#[from] CallError),
+    /// Shared memory.
+    #[error(transparent)]
+    Ipc(#[from] IpcError),
+    /// The recording.
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
+    /// Ctrl-C.
+    #[error("interrupted")]
+    Interrupted,
+}
+
+/// A running system.
+pub struct Session {
+    programs: Programs,
+    options: Options,
+    processes: [Option<Process>; 3],
+    control: Client<ControlRequest>,
+    planner: Client<PlannerRequest>,
+    plant: Client<PlantRequest>,
+    tap: Tap,
+    node: Node,
+    /// Every record received so far.
+    pub records: Vec<Telemetry>,
+    /// Takes all that can be recorded; [`Self::end`] completes it.
+    recorder: Option<Recorder>,
+    tally: Tally,
+}
+
+impl Session {
+    /// Starts the three processes and waits until each answers. `recorder` takes all from the first cycle on.
+    ///
+    /// # Errors
+    /// [`SessionError`] with the end of the log of the process that failed.
+    pub fn start(
+        programs: Programs,
+        options: &Options,
+        recorder: Option<Recorder>,
+    ) -> Result<Self, SessionError> {
+        let domain = Domain::new(&options.domain)
+            .map_err(|e| SessionError::Refused { role: "domain", reason: e.to_string() })?;
+        let node = domain.connect("session")?;
+        let (control, planner, plant) = (node.client()?, node.client()?, node.client()?);
+        let tap = Tap::new(&node)?;
+        let start = |role| Process::start(role, &programs, options).map(Some);
+        let processes = [start(Role::Daemon)?, start(Role::Planner)?, start(Role::Plant)?];
+        let mut session = Self {
+            programs,
+            options: options.clone(),
+            processes,
+            control,
+            planner,
+            plant,
+            tap,
+            node,
+            records: Vec::new(),
+            recorder,
+            tally: Tally::default(),
+        };
+        session.wait_for("all three processes to answer", START_PATIENCE, |s| {
+            Ok(s.control.has_server() && s.planner.has_server() && s.plant.has_server())
+        })?;
+        Ok(session)
+    }
+
+    /// Records that were lost on the way here.
+    pub fn dropped(&self) -> u64 {
+        self.tally.lost
+    }
+
+    /// Process id of a role; `None` if it was ended.
+    pub fn pid(&self, role: Role) -> Option<u32> {
+        self.processes[role as usize].as_ref().map(|p| p.child.id())
+    }
+
+    /// Kills a process (SIGKILL) and reaps it.
+    pub fn kill(&mut self, role: Role) {
+        self.processes[role as usize] = None;
+    }
+
+    /// Sends a signal to a process, where it runs.
+    pub fn signal(&mut self, role: Role, signal: i32) {
+        if let Some(process) = &mut self.processes[role as usize] {
+            process.signal(signal);
+        }
+    }
+
+    /// Starts a process anew, and waits until it answers.
+    ///
+    /// # Errors
+    /// [`SessionError`] if it cannot be started or does not answer.
+    pub fn restart(&mut self, role: Role) -> Result<(), SessionError> {
+        self.kill(role);
+        self.processes[role as usize] = Some(Process::start(role, &self.programs, &self.options)?);
+        self.wait_for("the new process to answer", START_PATIENCE, |s| {
+            Ok(match role {
+                Role::Daemon => s.control.has_server(),
+                Role::Planner => s.planner.has_server(),
+                Role::Plant => s.plant.has_server(),
+            })
+        })
+    }
+
+    /// Ends a process in its own way: SIGTERM.
+    ///
+    /// # Errors
+    /// [`SessionError::Ended`] if it ends with an error, [`SessionError::Timeout`] if it does not end.
+    pub fn end_process(&mut self, role: Role) -> Result<(), SessionError> {
+        let i = role as usize;
+        let Some(process) = &mut self.processes[i] else { return Ok(()) };
+        process.signal(libc::SIGTERM);
+        let begin = Instant::now();
+        loop {
+            self.collect()?;
+            if self.options.clock == Clock::Lockstep && role == Role::Daemon {
+                // The daemon needs cycles to stop the arm in.
+                if let Ok(now) = self.plant_status() {
+                    let seq = now.seq + 100;
+                    let request = PlantRequest { seq, ..PlantRequest::new(PlantKind::AdvanceTo) };
+                    self.plant(&request)?;
+                }
+            }
+            let Some(process) = &mut self.processes[i] else { break };
+            match process.child.try_wait() {
+                Ok(Some(status)) if status.success() => break,
+                Ok(Some(status)) => {
+                    return Err(SessionError::Ended { role: role.name(), status, log: process.tail() });
+                }
+                _ if begin.elapsed() > END_PATIENCE => {
+                    return Err(SessionError::Timeout {
+                        what: format!("the {} to end", role.name()),
+                        waited: begin.elapsed(),
+                        log: process.tail(),
+                    });
+                }
+                _ => std::thread::sleep(PAUSE),
+            }
+        }
+        self.processes[i] = None;
+        Ok(())
+    }
+
+    /// This process's connection to the domain of the system.
+    pub fn node(&self) -> &Node {
+        &self.node
+    }
+
+    /// Sends a command to the daemon and expects it to be accepted.
+    ///
+    /// # Errors
+    /// [`SessionError::Refused`] with the daemon's reason.
+    pub fn control(&mut self, command: ControlCommand) -> Result<ControlResponse, SessionError> {
+        expect_accepted(self.ask_control(command)?)
+    }
+
+    /// Starts a plan that the daemon has loaded, and expects that to be accepted.
+    ///
+    /// # Errors
+    /// [`SessionError::Refused`] with the daemon's reason.
+    pub fn start_plan(&mut self, plan_id: u64) -> Result<ControlResponse, SessionError> {
+        expect_accepted(self.ask_daemon(&ControlRequest::start(plan_id))?)
+    }
+
+    /// Sends a command to the daemon; the answer may be a refusal.
+    ///
+    /// # Errors
+    /// [`SessionError::Call`] if no answer comes.
+    pub fn ask_control(&mut self, command: ControlCommand) -> Result<ControlResponse, SessionError> {
+        self.ask_daemon(&ControlRequest::new(command))
+    }
+
+    fn ask_daemon(&mut self, request: &ControlRequest) -> Result<ControlResponse, SessionError> {
+        let Self { control, tap, recorder, records, tally, .. } = self;
+        call(control, request, || collect(tap, recorder.as_mut(), records, tally))
+    }
+
+    /// Asks for a swing-up or swing-down from the present state and publishes it to the daemon.
+    ///
+    /// # Errors
+    /// [`SessionError::Refused`] with the planner's reason.
+    pub fn plan_from_now(&mut self, kind: PlannerKind) -> Result<PlannerResponse, SessionError> {
+        let request = PlannerRequest::from_now(kind);
+        let Self { planner, tap, recorder, records, tally, .. } = self;
+        let response = call(planner, &request, || collect(tap, recorder.as_mut(), records, tally))?;
+        if response.plan_id == 0 {
+            return Err(SessionError::Refused { role: "planner", reason: response.reason.to_string() });
+        }
+        Ok(response)
+    }
+
+    /// Sends a request to the plant and expects it to be accepted.
+    ///
+    /// # Errors
+    /// [`SessionError::Refused`] with the plant's reason.
+    pub fn plant(&mut self, request: &PlantRequest) -> Result<PlantResponse, SessionError> {
+        let Self { plant, tap, recorder, records, tally, .. } = self;
+        let response = call(plant, request, || collect(tap, recorder.as_mut(), records, tally))?;
+        if response.accepted == 1 {
+            Ok(response)
+        } else {
+            Err(SessionError::Refused { role: "plant", reason: response.reason.to_string() })
+        }
+    }
+
+    /// The plant's cycle number and true state.
+    ///
+    /// # Errors
+    /// [`SessionError::Call`] if no answer comes.
+    pub fn plant_status(&mut self) -> Result<PlantResponse, SessionError> {
+        self.plant(&PlantRequest::new(PlantKind::Status))
+    }
+
+    /// In lockstep: lets the plant run `cycles` more and waits until the daemon's record of the last one is here, or,
+    /// where a fault kept its measurement back, of the last that came through. On the other clocks: waits until that
+    /// many more cycles are recorded.
+    ///
+    /// # Errors
+    /// [`SessionError::Timeout`] if time does not pass.
+    pub fn advance(&mut self, cycles: u64) -> Result<(), SessionError> {
+        let goal = self.now()? + cycles;
+        self.advance_to(goal)
+    }
+
+    /// Cycles that the plant has completed.
+    ///
+    /// # Errors
+    /// [`SessionError::Call`] if it does not answer.
+    pub fn now(&mut self) -> Result<u64, SessionError> {
+        let plant = self.plant_status()?.seq;
+        // What was recorded may be far behind.
+        Ok(if self.options.clock == Clock::Lockstep { plant } else { self.last_measurement().max(plant) })
+    }
+
+    /// As [`Self::advance`], until the plant has completed cycle `end`; returns at once if it has.
+    ///
+    /// # Errors
+    /// As [`Self::advance`].
+    pub fn advance_to(&mut self, end: u64) -> Result<(), SessionError> {
+        /// Records fit into the daemon's ring with room to spare.
+        const PORTION: u64 = 4000;
+        let mut goal = self.now()?;
+        while goal < end {
+            goal = end.min(goal + PORTION);
+            if self.options.clock == Clock::Lockstep {
+                self.plant(&PlantRequest { seq: goal, ..PlantRequest::new(PlantKind::AdvanceTo) })?;
+            }
+            let begin = Instant::now();
+            self.wait_for(&format!("cycle {goal}"), ANSWER_PATIENCE, |s| {
+                let here = s.last_measurement() >= goal;
+                Ok(here || (begin.elapsed() > SILENCE && s.has_passed(goal)?))
+            })?;
+        }
+        Ok(())
+    }
+
+    /// Whether the plant has completed cycle `goal` and all that the daemon made of it is here.
+    fn has_passed(&mut self, goal: u64) -> Result<bool, SessionError> {
+        let reached = self.plant_status()?.seq >= goal;
+        if !reached || self.pid(Role::Daemon).is_none() {
+            return Ok(reached);
+        }
+        let last = self.ask_control(ControlCommand::Status)?.seq;
+        Ok(self.records.last().map_or(0, |r| r.seq) >= last)
+    }
+
+    fn last_measurement(&self) -> u64 {
+        self.records.last().map_or(0, |r| r.measurement_seq)
+    }
+
+    /// Waits until `done`, collecting telemetry; checks that no process has ended meanwhile.
+    ///
+    /// # Errors
+    /// [`SessionError::Timeout`], or whatever `done` says.
+    pub fn wait_for(
+        &mut self,
+        what: &str,
+        patience: Duration,
+        mut done: impl FnMut(&mut Self) -> Result<bool, SessionError>,
+    ) -> Result<(), SessionError> {
+        let begin = Instant::now();
+        loop {
+            self.collect()?;
+            if done(self)? {
+                return Ok(());
+            }
+            self.check()?;
+            let waited = begin.elapsed();
+            if waited > patience {
+                let log = self.processes.iter().flatten().map(Process::tail).collect();
+                return Err(SessionError::Timeout { what: what.into(), waited, log });
+            }
+            std::thread::sleep(PAUSE);
+        }
+    }
+
+    /// Whether all processes run that were not ended here.
+    ///
+    /// # Errors
+    /// [`SessionError::Ended`] with the end of the log of one that does not.
+    pub fn check(&mut self) -> Result<(), SessionError> {
+        self.processes.iter_mut().flatten().try_for_each(Process::check)
+    }
+
+    /// Takes all telemetry that is waiting.
+    ///
+    /// # Errors
+    /// [`SessionError::Recording`].
+    pub fn collect(&mut self) -> Result<(), SessionError> {
+        collect(&self.tap, self.recorder.as_mut(), &mut self.records, &mut self.tally)
+    }
+
+    /// Ends the system: SIGTERM to the daemon, which stops the arm and closes the brakes, then to the others.
+    ///
+    /// # Errors
+    /// [`SessionError::Ended`] if a process ends with an error, [`SessionError::Timeout`] if one does not end.
+    pub fn end(&mut self) -> Result<(), SessionError> {
+        Role::ALL.into_iter().try_for_each(|role| self.end_process(role))?;
+        if let Some(recorder) = self.recorder.take() {
+            recorder.finish()?;
+        }
+        Ok(())
+    }
+}
+
+fn expect_accepted(response: ControlResponse) -> Result<ControlResponse, SessionError> {
+    if response.accepted == 1 {
+        Ok(response)
+    } else {
+        Err(SessionError::Refused { role: "daemon", reason: response.reason.to_string() })
+    }
+}
+
+/// Asks, and collects meanwhile: telemetry waits a second for those who take it, and an answer may take longer on a busy
+/// machine.
+fn call<Q: Request>(
+    client: &Client<Q>,
+    request: &Q,
+    mut collect: impl FnMut() -> Result<(), SessionError>,
+) -> Result<Q::Response, SessionError> {
+    let mut collected = Ok(());
+    let response = client.call_while(request, ANSWER_PATIENCE, || {
+        collected = collect();
+        collected.is_ok()
+    });
+    collected?;
+    Ok(response?)
+}
+
+fn collect(
+    tap: &Tap,
+    recorder: Option<&mut Recorder>,
+    records: &mut Vec<Telemetry>,
+    tally: &mut Tally,
+) -> Result<(), SessionError> {
+    tap.drain(recorder, |new| {
+        records.extend_from_slice(new);
+        new.iter().for_each(|record| tally.count(record));
+    })?;
+    Ok(())
+}

@@ -1,0 +1,356 @@
+//! A long run of the whole system: swing-up, balance, push, swing-down and hold from random starts, over and over, while
+//! its processes are killed at random and started again.
+
+mod cycles;
+mod health;
+
+pub use cycles::Cycles;
+pub use health::{Growth, Sample};
+
+use crate::montecarlo::{NoStart, Starts, arm_degrees};
+use crate::session::{Role, Session, SessionError};
+use crate::swing_up::{SETTLE, plan_and_start};
+use serde::Serialize;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+use upswing_ipc::{
+    Clock, ControlCommand, ControlResponse, Mode, PlannerKind, PlantKind, PlantRequest, Telemetry,
+};
+use upswing_model::{JointVector, State};
+use upswing_record::report::tilt;
+
+/// Balance before the push and after it, and hold after the swing-down, s.
+const BALANCE: (f64, f64) = (0.5, 2.0);
+const HOLD: f64 = 0.5;
+/// About how long a round takes, s: when a process is killed is drawn from it.
+const ROUND: f64 = 7.5;
+/// Impulse of the push, N s, and the cycles that it lasts.
+const IMPULSE: f64 = 0.01;
+const PUSH_CYCLES: u64 = 80;
+/// Tilt up to which the rod counts as upright, deg.
+const UPRIGHT_DEG: f64 = 2.0;
+/// How long a system may take to be ready again.
+const PATIENCE: Duration = Duration::from_secs(30);
+/// Time between two looks at memory and handles.
+const HEALTH: Duration = Duration::from_secs(5);
+
+/// A round that did not come to its end although nobody was killed.
+#[derive(Clone, Debug, Serialize)]
+pub struct Loss {
+    /// Number of the round.
+    pub round: u64,
+    /// What was being done.
+    pub phase: &'static str,
+    /// What happened.
+    pub reason: String,
+}
+
+/// A process that was killed.
+#[derive(Clone, Debug, Serialize)]
+pub struct Kill {
+    /// Number of the round.
+    pub round: u64,
+    /// Who.
+    pub role: &'static str,
+    /// What was being done.
+    pub phase: &'static str,
+    /// Until the system was ready again, s.
+    pub recovered_s: f64,
+}
+
+/// What became of a soak.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Record {
+    /// Rounds that were begun, and those that came to their end: balanced after the push, hung at rest, and held.
+    pub rounds: u64,
+    /// See `rounds`.
+    pub completed: u64,
+    /// Processes that were killed, and recovered.
+    pub kills: Vec<Kill>,
+    /// Rounds that failed by themselves, and recovered.
+    pub losses: Vec<Loss>,
+    /// Daemons that were ended in their own way between two rounds.
+    pub orderly_restarts: u64,
+    /// Cycles, and those that were late or missed.
+    #[serde(flatten)]
+    pub cycles: Cycles,
+    /// What the daemon said about the last late cycle of each completed round that had one.
+    pub late_causes: Vec<String>,
+    /// Memory and handles over time.
+    pub samples: Vec<Sample>,
+}
+
+/// Why a round ended early.
+enum End {
+    Killed(Role),
+    Lost(String),
+    Broken(SessionError),
+}
+
+impl From<SessionError> for End {
+    fn from(e: SessionError) -> Self {
+        match e {
+            // What a system that runs may answer; all else is a system that does not.
+            SessionError::Refused { .. } => Self::Lost(e.to_string()),
+            e => Self::Broken(e),
+        }
+    }
+}
+
+/// A system under soak.
+pub struct Soak<'a> {
+    /// The system.
+    pub session: Session,
+    /// Where rounds begin, and their random numbers.
+    pub starts: Starts<'a>,
+    /// The plant's clock.
+    pub clock: Clock,
+    /// Share of the rounds in which a process is killed.
+    pub kills: f64,
+    /// What became of it so far.
+    pub record: Record,
+    begin: Instant,
+    looked: Option<Instant>,
+    newest: Option<Telemetry>,
+    phase: &'static str,
+    /// Who is to be killed in this round, and how long from now, s.
+    kill: Option<(Role, f64)>,
+}
+
+impl<'a> Soak<'a> {
+    /// A soak of a system that has just been started.
+    pub fn new(session: Session, starts: Starts<'a>, clock: Clock, kills: f64) -> Self {
+        Self {
+            session,
+            starts,
+            clock,
+            kills,
+            record: Record::default(),
+            begin: Instant::now(),
+            looked: None,
+            newest: None,
+            phase: "start",
+            kill: None,
+        }
+    }
+
+    /// Rounds until `seconds` have passed or `stop` is raised.
+    ///
+    /// # Errors
+    /// [`SessionError`] if the system could not be brought back.
+    pub fn run(
+        &mut self,
+        seconds: f64,
+        stop: &AtomicBool,
+        progress: &dyn Fn(f64),
+    ) -> Result<(), SessionError> {
+        while self.begin.elapsed().as_secs_f64() < seconds && !stop.load(Ordering::Acquire) {
+            progress(self.begin.elapsed().as_secs_f64());
+            let round = self.record.rounds;
+            self.record.rounds += 1;
+            let no_start = |e: NoStart| SessionError::Refused { role: "operator", reason: e.to_string() };
+            let start = self.starts.start(round).map_err(no_start)?;
+            let overruns = self.control(ControlCommand::Status)?.overruns;
+            let ended = self.round(round, &start, overruns);
+            let (phase, begin) = (self.phase, Instant::now());
+            let killed = match ended {
+                Ok(()) => {
+                    self.record.completed += 1;
+                    None
+                }
+                Err(End::Killed(role)) => Some(role.name()),
+                Err(End::Lost(reason)) => {
+                    self.record.losses.push(Loss { round, phase, reason });
+                    None
+                }
+                Err(End::Broken(e)) => return Err(e),
+            };
+            self.recover()?;
+            if let Some(role) = killed {
+                let recovered_s = begin.elapsed().as_secs_f64();
+                self.record.kills.push(Kill { round, role, phase, recovered_s });
+            }
+        }
+        Ok(())
+    }
+
+    fn round(&mut self, round: u64, start: &State, overruns: u64) -> Result<(), End> {
+        let mut shares = self.starts.shares(round);
+        let mut share = || shares.next().unwrap_or_default();
+        let role = Role::ALL[((share() * 3.0) as usize).min(2)];
+        self.kill = (share() < self.kills).then(|| (role, share() * ROUND));
+        let angle = std::f64::consts::TAU * share();
+
+        self.phase = "settle";
+        let q = upswing_model::position(start).into();
+        let reset = PlantRequest { q, ..PlantRequest::new(PlantKind::ResetState) };
+        self.session.plant(&reset)?;
+        self.pass(SETTLE)?;
+        self.session.control(ControlCommand::Enable)?;
+        self.pass(SETTLE)?;
+        self.expect(Mode::Hold)?;
+
+        self.phase = "swing-up";
+        let plan = plan_and_start(&mut self.session, PlannerKind::SwingUp)?;
+        self.pass(plan.t_f + BALANCE.0)?;
+        self.expect(Mode::Balance)?;
+
+        self.phase = "balance";
+        let impulse = [IMPULSE * angle.cos(), IMPULSE * angle.sin(), 0.0];
+        let push = PlantRequest { cycles: PUSH_CYCLES, impulse, ..PlantRequest::new(PlantKind::Push) };
+        self.session.plant(&push)?;
+        self.pass(BALANCE.1)?;
+        self.expect(Mode::Balance)?;
+        if let Some(record) = &self.newest {
+            let deg = tilt(&self.starts.config.model, &JointVector::from(record.q)).to_degrees();
+            if !(deg <= UPRIGHT_DEG) {
+                return Err(End::Lost(format!("the rod is {deg:.2} deg from upright after the push")));
+            }
+        }
+
+        self.phase = "swing-down";
+        let plan = plan_and_start(&mut self.session, PlannerKind::SwingDown)?;
+        self.pass(plan.t_f)?;
+        self.phase = "hold";
+        self.pass(HOLD)?;
+        let status = self.expect(Mode::Hold)?;
+        if status.overruns > overruns {
+            self.record.late_causes.push(status.overrun.to_string());
+        }
+        Ok(())
+    }
+
+    /// Lets time pass, s of the daemon's cycles, and kills who is to be killed meanwhile. A planner is started again on the
+    /// spot: the daemon goes on without it.
+    fn pass(&mut self, seconds: f64) -> Result<(), End> {
+        /// So that telemetry never fills up.
+        const SLICE: f64 = 0.05;
+        let period = self.starts.config.daemon.cycle.period.as_secs_f64();
+        let mut left = seconds;
+        while left > 0.0 {
+            let slice = left.min(SLICE);
+            left -= slice;
+            let before = self.record.cycles.cycles;
+            let cycles = (slice / period).ceil() as u64;
+            let begin = Instant::now();
+            while self.record.cycles.cycles < before + cycles {
+                self.look()?;
+                if begin.elapsed() > PATIENCE {
+                    return Err(End::Lost(format!("no telemetry for {PATIENCE:.0?}")));
+                }
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            self.kill_in(slice)?;
+        }
+        Ok(())
+    }
+
+    fn kill_in(&mut self, slice: f64) -> Result<(), End> {
+        let Some((role, time)) = &mut self.kill else { return Ok(()) };
+        *time -= slice;
+        if *time > 0.0 {
+            return Ok(());
+        }
+        let role = *role;
+        self.kill = None;
+        self.session.kill(role);
+        if role != Role::Planner {
+            return Err(End::Killed(role));
+        }
+        let begin = Instant::now();
+        self.session.restart(role)?;
+        let (round, role, phase) = (self.record.rounds - 1, role.name(), self.phase);
+        let recovered_s = begin.elapsed().as_secs_f64();
+        self.record.kills.push(Kill { round, role, phase, recovered_s });
+        Ok(())
+    }
+
+    /// Takes in telemetry, and now and then looks at memory and handles.
+    fn look(&mut self) -> Result<(), SessionError> {
+        self.session.collect()?;
+        self.session.check()?;
+        let records = std::mem::take(&mut self.session.records);
+        self.record.cycles.count(&records, self.clock);
+        self.newest = records.last().copied().or(self.newest);
+        if self.looked.is_none_or(|looked| looked.elapsed() >= HEALTH) {
+            self.looked = Some(Instant::now());
+            let sample = Sample::take(&self.session, self.begin.elapsed().as_secs_f64());
+            self.record.samples.push(sample);
+        }
+        Ok(())
+    }
+
+    fn control(&mut self, command: ControlCommand) -> Result<ControlResponse, SessionError> {
+        self.session.ask_control(command)
+    }
+
+    fn expect(&mut self, mode: Mode) -> Result<ControlResponse, End> {
+        let status = self.control(ControlCommand::Status)?;
+        if status.mode() == Ok(mode) {
+            return Ok(status);
+        }
+        let got = status.mode_text();
+        let late = if status.overrun.to_string().is_empty() { "" } else { "; last late cycle: " };
+        Err(End::Lost(format!("mode {got} instead of {mode}: {}{late}{}", status.reason, status.overrun)))
+    }
+
+    /// Brings the system to closed brakes, with all processes, ready for the next round.
+    fn recover(&mut self) -> Result<(), SessionError> {
+        let begin = Instant::now();
+        if self.session.pid(Role::Plant).is_none() {
+            self.session.restart(Role::Plant)?;
+            // The daemon notices by itself.
+            while !self.is_braked()? && begin.elapsed() < PATIENCE {
+                self.look()?;
+                std::thread::sleep(Duration::from_millis(1));
+            }
+        }
+        if self.session.pid(Role::Daemon).is_some() && !self.is_braked()? {
+            self.session.end_process(Role::Daemon)?;
+            self.record.orderly_restarts += 1;
+        }
+        if self.session.pid(Role::Daemon).is_none() {
+            self.session.restart(Role::Daemon)?;
+        }
+        loop {
+            self.look()?;
+            let status = self.control(ControlCommand::Status)?;
+            match status.mode() {
+                Ok(Mode::Fault) => {
+                    self.control(ControlCommand::Reset)?;
+                }
+                // It measures again, and the plant's brakes are closed.
+                Ok(Mode::Idle) if self.session.plant_status()?.brakes_closed == 1 => {
+                    let before = self.record.cycles.cycles;
+                    while self.record.cycles.cycles == before && begin.elapsed() < PATIENCE {
+                        self.look()?;
+                        std::thread::sleep(Duration::from_millis(1));
+                    }
+                    if self.record.cycles.cycles > before {
+                        return Ok(());
+                    }
+                }
+                _ => {}
+            }
+            if begin.elapsed() > PATIENCE {
+                let what = format!("the system to be ready again, mode code {}", status.mode);
+                return Err(SessionError::Timeout { what, waited: begin.elapsed(), log: String::new() });
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    /// Whether the daemon keeps the brakes closed.
+    fn is_braked(&mut self) -> Result<bool, SessionError> {
+        let mode = self.control(ControlCommand::Status)?.mode();
+        Ok(matches!(mode, Ok(Mode::Idle | Mode::Fault)))
+    }
+
+    /// Where the plant of a first round starts, deg, comma-separated.
+    ///
+    /// # Errors
+    /// [`NoStart`].
+    pub fn first_start(starts: &Starts<'_>) -> Result<String, NoStart> {
+        Ok(arm_degrees(&starts.start(0)?).map(|deg| deg.to_string()).join(","))
+    }
+}

@@ -1,0 +1,224 @@
+//! Makes a [`View`] of what arrives.
+
+use super::desk::News;
+use super::{Cycle, Event, Joint, Kind, PlanView, Status, View};
+use std::collections::VecDeque;
+use upswing_config::Config;
+use upswing_ipc::{Mode, Plan, Telemetry};
+use upswing_model::{JointVector, Limits, Model, NQ, NU};
+use upswing_record::Tally;
+use upswing_record::report::tilt;
+
+/// Events that are remembered.
+const EVENTS: usize = 100;
+
+/// The 100 % limits, with the positions open to plans where those reach farther: q8 swings past its target.
+fn widest(rated: &Limits, planning: &Limits) -> Limits {
+    Limits {
+        q_min: rated.q_min.zip_map(&planning.q_min, f64::min),
+        q_max: rated.q_max.zip_map(&planning.q_max, f64::max),
+        ..*rated
+    }
+}
+
+/// All that is known about a running system.
+pub struct Watch {
+    domain: String,
+    model: Model,
+    limits: Limits,
+    t: f64,
+    tally: Tally,
+    newest: Option<Telemetry>,
+    /// Mode and fault, whose change is an event.
+    state: Option<(u64, u64)>,
+    /// Warnings that were told since the last change of mode.
+    warned: u64,
+    status: Option<Status>,
+    plan: Option<PlanView>,
+    present: Option<[bool; 3]>,
+    asking: Option<&'static str>,
+    faults: u64,
+    plans: u64,
+    events: VecDeque<Event>,
+}
+
+impl Watch {
+    /// Nothing is known yet.
+    pub fn new(config: &Config, domain: &str) -> Self {
+        Self {
+            domain: domain.to_owned(),
+            model: config.model.clone(),
+            limits: widest(&config.robot.limits, &config.robot.planning),
+            t: 0.0,
+            tally: Tally::default(),
+            newest: None,
+            state: None,
+            warned: 0,
+            status: None,
+            plan: None,
+            present: None,
+            asking: None,
+            faults: 0,
+            plans: 0,
+            events: VecDeque::new(),
+        }
+    }
+
+    /// Time passes; s.
+    pub fn now(&mut self, t: f64) {
+        self.t = t;
+    }
+
+    /// A cycle arrived.
+    pub fn cycle(&mut self, record: &Telemetry) {
+        let lost = self.tally.lost;
+        self.tally.count(record);
+        if self.tally.lost > lost {
+            let lost = self.tally.lost - lost;
+            self.tell(Kind::Warning, format!("{lost} cycles were lost on the way here"));
+        }
+        if self.state != Some((record.mode, record.fault)) {
+            self.state = Some((record.mode, record.fault));
+            self.warned = 0;
+            match upswingd::fault_text(record.fault).filter(|_| record.mode() == Ok(Mode::Fault)) {
+                Some(cause) => {
+                    self.faults += 1;
+                    self.tell(Kind::Fault, format!("fault: {cause}"));
+                }
+                None => self.tell(Kind::Note, format!("mode {}", record.mode_text())),
+            }
+        }
+        let new = record.warnings & !self.warned;
+        self.warned |= record.warnings;
+        for text in upswingd::warning_texts(new) {
+            self.tell(Kind::Warning, format!("warning: {text}"));
+        }
+        self.newest = Some(*record);
+    }
+
+    /// No cycle came lately.
+    pub fn silence(&mut self) {
+        if self.newest.take().is_some() {
+            self.tell(Kind::Warning, "no cycles arrive any more".into());
+        }
+        self.state = None;
+    }
+
+    /// A plan arrived; a damaged one is the daemon's to refuse.
+    pub fn plan(&mut self, plan: &Plan) {
+        if !plan.is_intact() {
+            return self.tell(Kind::Warning, "a damaged plan was published".into());
+        }
+        let q = JointVector::from_fn(|i, _| plan.x[plan.x.len() - 1][i]);
+        let stands = tilt(&self.model, &q) < std::f64::consts::FRAC_PI_2;
+        let view = PlanView { id: format!("{:016x}", plan.id), t_f: plan.t_f, stands };
+        let end = if stands { "standing" } else { "hanging" };
+        self.tell(Kind::Note, format!("plan of {:.3} s that ends {end}", plan.t_f));
+        self.plan = Some(view);
+        self.plans += 1;
+    }
+
+    /// The desk has something to say.
+    pub(super) fn news(&mut self, news: News) {
+        match news {
+            News::Present(present) => {
+                let before = self.present.replace(present);
+                for (i, name) in ["daemon", "planner", "plant"].into_iter().enumerate() {
+                    if before.is_some_and(|before| before[i] != present[i]) {
+                        let text = if present[i] { "has started" } else { "is gone" };
+                        self.tell(Kind::Note, format!("the {name} {text}"));
+                    }
+                }
+            }
+            News::Status(answer) => {
+                let status = answer.map(|answer| Status::new(&answer));
+                let told = |s: &Option<Status>| s.as_ref().and_then(|s| s.last_overrun.clone());
+                if let Some(late) =
+                    told(&status).filter(|_| self.status.is_some() && told(&status) != told(&self.status))
+                {
+                    self.tell(Kind::Warning, format!("late: {late}"));
+                }
+                self.status = status;
+            }
+            News::Asked(action) => {
+                self.asking = Some(action.name());
+                self.tell(Kind::Note, format!("asked: {}", action.name()));
+            }
+            News::Answer(action, answer) => {
+                if self.asking == Some(action.name()) {
+                    self.asking = None;
+                }
+                match answer {
+                    Ok(accepted) => self.tell(Kind::Note, format!("{}: {accepted}", action.name())),
+                    Err(why) => self.tell(Kind::Warning, format!("{}: {why}", action.name())),
+                }
+            }
+        }
+    }
+
+    fn tell(&mut self, kind: Kind, text: String) {
+        if self.events.len() == EVENTS {
+            self.events.pop_front();
+        }
+        self.events.push_back(Event { t: self.t, kind, text });
+    }
+
+    /// What there is to see.
+    pub fn view(&self) -> View {
+        let [daemon, planner, plant] = self.present.unwrap_or_default();
+        let cycle = self.newest.as_ref();
+        let mode = cycle.map(Telemetry::mode_text);
+        // The status knows more than the mode, but is older than the newest cycle.
+        let status = self.status.as_ref().filter(|s| mode.as_ref().is_none_or(|mode| *mode == s.mode));
+        let of_mode = || cycle.and_then(|record| Some(record.mode().ok()?.next_step().to_string()));
+        let next = status.map(|s| s.next.clone()).or_else(of_mode);
+        View {
+            next,
+            domain: self.domain.clone(),
+            t: self.t,
+            daemon,
+            planner,
+            plant,
+            mode: mode.or_else(|| self.status.as_ref().map(|s| s.mode.clone())),
+            status: self.status.clone(),
+            cycle: cycle.map(|record| self.show(record)),
+            plan: self.plan.clone(),
+            lost: self.tally.lost,
+            faults: self.faults,
+            plans: self.plans,
+            asking: self.asking,
+            events: self.events.iter().cloned().collect(),
+        }
+    }
+
+    fn show(&self, r: &Telemetry) -> Cycle {
+        let q = JointVector::from(r.q);
+        let rod = self.model.rod(&q);
+        let error =
+            |joints: std::ops::Range<usize>| joints.map(|i| (r.q[i] - r.q_d[i]).abs()).fold(0.0, f64::max);
+        let follows = matches!(r.mode(), Ok(Mode::Track | Mode::Balance));
+        Cycle {
+            seq: r.seq,
+            t: r.t_ns as f64 * 1e-9,
+            fault: upswingd::fault_text(r.fault),
+            warnings: upswingd::warning_texts(r.warnings).collect(),
+            brakes: r.flags & Telemetry::BRAKE != 0,
+            limited: r.flags & Telemetry::LIMITED != 0,
+            plan: (r.plan_id != 0).then(|| format!("{:016x}", r.plan_id)),
+            t_plan: r.t_plan,
+            tilt: tilt(&self.model, &q),
+            rod: (rod / rod.norm()).into(),
+            error_arm: if follows { error(0..NU) } else { 0.0 },
+            error_pendulum: if follows { error(NU..NQ) } else { 0.0 },
+            joints: std::array::from_fn(|i| Joint {
+                q: r.q[i],
+                qd: r.qd[i],
+                tau: if i < NU { r.tau[i] } else { 0.0 },
+                q_min: self.limits.q_min[i],
+                q_max: self.limits.q_max[i],
+                qd_max: self.limits.qd_max[i],
+                tau_max: (i < NU).then(|| self.limits.tau_max[i]),
+            }),
+        }
+    }
+}

@@ -1,0 +1,85 @@
+//! A recording as one HTML file that needs no network: the robot in motion, the panels of the paper's Fig. 5, modes,
+//! cycle times, summary and settings; and the page of a running system, of the same parts.
+
+mod data;
+mod digest;
+pub mod times;
+
+pub(crate) use data::round;
+pub use data::{Data, Span};
+pub use digest::Digest;
+
+use data::Body;
+use serde::Serialize;
+use std::io::{self, Write};
+use upswing_config::Config;
+use upswing_ipc::operator::Action;
+use upswing_model::UrdfError;
+use upswing_record::robot::Robot;
+
+const STYLE: &str = include_str!("page/page.css");
+/// What both pages draw with.
+const DRAWING: &str = concat!(include_str!("page/scene.js"), include_str!("page/plots.js"));
+
+/// Writes the page of a recording.
+///
+/// # Errors
+/// Those of the writer.
+pub fn write(data: &Data, to: &mut impl Write) -> io::Result<()> {
+    let script = include_str!("page/page.js");
+    fill(include_str!("page/page.html"), script, &serde_json::to_string(data)?, to)
+}
+
+/// What the page of a running system has to know before its first frame.
+#[derive(Debug, Serialize)]
+pub struct Setup {
+    domain: String,
+    /// Whether requests can be made, and which.
+    control: bool,
+    requests: [&'static str; Action::ALL.len()],
+    period_us: f64,
+    #[serde(flatten)]
+    body: Body,
+}
+
+impl Setup {
+    /// Of the robot of the settings.
+    ///
+    /// # Errors
+    /// [`UrdfError`] if it cannot be drawn.
+    pub fn new(domain: &str, config: &Config, control: bool) -> Result<Self, UrdfError> {
+        Ok(Self {
+            domain: domain.to_owned(),
+            control,
+            requests: Action::ALL.map(Action::name),
+            period_us: config.daemon.cycle.period.as_secs_f64() * 1e6,
+            body: Body::new(Robot::from_urdf(&config.urdf, &config.model)?, &config.robot.limits),
+        })
+    }
+}
+
+/// The page of a running system.
+pub fn live(setup: &Setup) -> String {
+    let mut page = Vec::new();
+    let data = serde_json::to_string(setup).unwrap_or_default();
+    // A vector takes everything.
+    let _ = fill(include_str!("page/live.html"), include_str!("page/live.js"), &data, &mut page);
+    String::from_utf8_lossy(&page).into_owned()
+}
+
+/// Puts the parts in the places of their marks, which stand in this order.
+fn fill(template: &str, script: &str, data: &str, to: &mut impl Write) -> io::Result<()> {
+    // No text of the data can end the element it stands in.
+    let data = data.replace('<', "\\u003c");
+    let mut rest = template;
+    for (mark, parts) in
+        [("{{style}}", [STYLE, ""]), ("{{script}}", [DRAWING, script]), ("{{data}}", [&data, ""])]
+    {
+        let (before, after) = rest.split_once(mark).unwrap_or((rest, ""));
+        for part in [before, parts[0], parts[1]] {
+            to.write_all(part.as_bytes())?;
+        }
+        rest = after;
+    }
+    to.write_all(rest.as_bytes())
+}

@@ -1,0 +1,209 @@
+//! What the page shows, as the JSON that its script reads.
+
+use super::Digest;
+use super::times::Times;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::path::Path;
+use upswing_ipc::{Degradation, Telemetry};
+use upswing_model::{Limits, Model, NQ, NU};
+use upswing_record::robot::{Capsule, Link, Robot};
+use upswing_record::{Recording, RecordingError};
+use xxhash_rust::xxh3::xxh3_64;
+
+/// Everything on the page. Times in s from the start of the first plan, or else from the first cycle.
+#[derive(Debug, Serialize)]
+pub struct Data {
+    name: String,
+    /// Name and value.
+    summary: Vec<(&'static str, String)>,
+    details: BTreeMap<String, String>,
+    /// Name, fingerprint, text.
+    settings: Vec<(String, String, String)>,
+    #[serde(flatten)]
+    body: Body,
+    /// Times of the samples.
+    t: Vec<f64>,
+    /// Angles of one joint each, rad.
+    q: Vec<Vec<f64>>,
+    qd: Vec<Vec<f64>>,
+    q_d: Vec<Vec<f64>>,
+    qd_d: Vec<Vec<f64>>,
+    /// Torques of one joint each, N m.
+    tau: Vec<Vec<f64>>,
+    modes: Vec<Span>,
+    /// Times of cycles that ended late.
+    late: Vec<f64>,
+    times: Vec<Times>,
+    period_us: f64,
+}
+
+/// A stretch of time in one mode.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Span {
+    /// The mode, or the cause of a fault.
+    pub name: String,
+    /// Begin, s.
+    pub from: f64,
+    /// End, s.
+    pub to: f64,
+}
+
+/// The robot as both pages draw it.
+#[derive(Debug, Serialize)]
+pub(super) struct Body {
+    links: Vec<LinkJson>,
+    limits: LimitsJson,
+}
+
+impl Body {
+    /// `limits`: 100 %.
+    pub(super) fn new(robot: Robot, limits: &Limits) -> Self {
+        Self {
+            links: robot.links.into_iter().map(LinkJson::from).collect(),
+            limits: LimitsJson {
+                q: limits.q_max.iter().copied().collect(),
+                qd: limits.qd_max.iter().copied().collect(),
+                tau: limits.tau_max.iter().copied().collect(),
+            },
+        }
+    }
+}
+
+#[derive(Debug, Serialize)]
+struct LimitsJson {
+    q: Vec<f64>,
+    qd: Vec<f64>,
+    tau: Vec<f64>,
+}
+
+#[derive(Debug, Serialize)]
+struct LinkJson {
+    name: String,
+    parent: Option<usize>,
+    origin: [f64; 3],
+    /// Rows of the rotation matrix.
+    rotation: [[f64; 3]; 3],
+    joint: Option<usize>,
+    axis: [f64; 3],
+    shapes: Vec<Capsule>,
+}
+
+impl From<Link> for LinkJson {
+    fn from(link: Link) -> Self {
+        let r = link.origin.rotation.to_rotation_matrix();
+        Self {
+            name: link.name,
+            parent: link.parent,
+            origin: link.origin.translation.vector.into(),
+            rotation: std::array::from_fn(|i| std::array::from_fn(|j| r[(i, j)])),
+            joint: link.joint.map(|(i, _)| i),
+            axis: link.joint.map_or([0.0; 3], |(_, axis)| axis.into_inner().into()),
+            shapes: link.shapes,
+        }
+    }
+}
+
+/// Digits that no screen shows would double the size of the page.
+pub(crate) fn round(value: f64, per_unit: f64) -> f64 {
+    (value * per_unit).round() / per_unit
+}
+
+impl Data {
+    /// What is to be shown of a recording, whose file is `path`.
+    ///
+    /// # Errors
+    /// [`RecordingError`] if the recording does not hold a robot that can be drawn.
+    pub fn new(path: &Path, recording: &Recording, digest: &Digest) -> Result<Self, RecordingError> {
+        let robot = Robot::from_urdf(urdf(path, recording)?, &digest.model)
+            .map_err(|cause| RecordingError::Robot { path: path.to_owned(), cause })?;
+        let samples = &digest.samples;
+        let columns = |n: usize, of: fn(&Telemetry, usize) -> f64| {
+            (0..n).map(|i| samples.iter().map(|t| round(of(t, i), 1e4)).collect()).collect::<Vec<Vec<f64>>>()
+        };
+        Ok(Self {
+            name: path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned()),
+            summary: summary(digest, recording),
+            details: recording.details.clone(),
+            settings: settings(recording),
+            body: Body::new(robot, &digest.model.rated_limits().scale()),
+            t: samples.iter().map(|t| digest.seconds(t.t_ns)).collect(),
+            q: columns(NQ, |t, i| t.q[i]),
+            qd: columns(NQ, |t, i| t.qd[i]),
+            q_d: columns(NQ, |t, i| t.q_d[i]),
+            qd_d: columns(NQ, |t, i| t.qd_d[i]),
+            tau: columns(NU, |t, i| t.tau[i]),
+            modes: digest.spans(),
+            late: digest.late(),
+            times: digest.times.times(),
+            period_us: digest.period * 1e6,
+        })
+    }
+}
+
+fn urdf<'a>(path: &Path, recording: &'a Recording) -> Result<&'a str, RecordingError> {
+    recording.file_text("robot.urdf").ok_or_else(|| RecordingError::Missing {
+        path: path.to_owned(),
+        expected: "an attachment robot.urdf".into(),
+    })
+}
+
+/// The robot of a recording, whose file is `path`.
+pub(super) fn model(path: &Path, recording: &Recording) -> Result<Model, RecordingError> {
+    Model::from_urdf(urdf(path, recording)?)
+        .map_err(|cause| RecordingError::Robot { path: path.to_owned(), cause })
+}
+
+fn settings(recording: &Recording) -> Vec<(String, String, String)> {
+    let files = recording.files.iter();
+    files
+        .map(|(name, text)| (name.clone(), format!("{:016x}", xxh3_64(text.as_bytes())), text.clone()))
+        .collect()
+}
+
+fn summary(digest: &Digest, recording: &Recording) -> Vec<(&'static str, String)> {
+    let (f, tally) = (digest.figures(), &digest.tally);
+    let percent = |share: f64| format!("{:.0} %", 100.0 * share);
+    let degraded: Vec<_> = Degradation::of(digest.degraded).map(|d| d.to_string()).collect();
+    let warnings: Vec<_> = upswingd::warning_texts(digest.warnings).collect();
+    let mut rows = vec![
+        ("duration", format!("{:.3} s", tally.seconds)),
+        ("cycles", format!("{} recorded, {} lost, {} late", f.cycles, f.dropped, f.overruns)),
+        (
+            "tracking error",
+            format!(
+                "{:.3} rad (joints 1-7), {:.3} rad (pendulum)",
+                f.tracking_error_arm, f.tracking_error_pendulum
+            ),
+        ),
+        ("balance", format!("{:.2} s", f.balance_s)),
+    ];
+    if f.final_tilt_deg.is_finite() {
+        rows.push((
+            "last second of balance",
+            format!(
+                "rod within {:.2} deg of upright, arm below {:.3} rad/s",
+                f.final_tilt_deg, f.final_speed
+            ),
+        ));
+    }
+    rows.push((
+        "peaks of joints 1-7",
+        format!(
+            "position {}, velocity {}, torque {} of the 100 % limits",
+            percent(f.peak_position),
+            percent(f.peak_velocity),
+            percent(f.peak_torque)
+        ),
+    ));
+    let mut texts = |name, texts: String| {
+        if !texts.is_empty() {
+            rows.push((name, texts));
+        }
+    };
+    texts("warnings", warnings.join(", "));
+    texts("real time, degraded", degraded.join(", "));
+    texts("recording ends early", recording.cut.clone().unwrap_or_default());
+    texts("recording damaged", recording.damage.clone().unwrap_or_default());
+    rows
+}

@@ -1,0 +1,144 @@
+//! What of any number of cycles a page and its figures show; its size does not grow with their number.
+
+use super::Span;
+use super::times::CycleTimes;
+use std::path::Path;
+use upswing_ipc::{Mode, Telemetry};
+use upswing_model::Model;
+use upswing_record::report::{FigureCounter, Figures};
+use upswing_record::{Elapsed, Recording, RecordingError, Tally};
+
+/// Shortest time between two samples, ns: 250 per second are smooth on a screen.
+const STEP_NS: u64 = 4_000_000;
+/// Most samples; a longer recording gets a coarser motion.
+const SAMPLES: usize = 30_000;
+
+/// Made of one cycle after the other.
+pub struct Digest {
+    /// The robot.
+    pub model: Model,
+    /// Cycles at least `step` apart, their times counted from the first cycle.
+    pub samples: Vec<Telemetry>,
+    /// Counts of all cycles.
+    pub tally: Tally,
+    /// Distribution of the times of all cycles.
+    pub times: CycleTimes,
+    /// Warnings of all cycles, bits as in [`Telemetry`].
+    pub warnings: u64,
+    /// Degradations of all cycles, bits as in [`Telemetry`].
+    pub degraded: u64,
+    /// Control period, s.
+    pub period: f64,
+    step_ns: u64,
+    figures: FigureCounter,
+    /// Name, begin and end, ns, of each stretch in one mode.
+    spans: Vec<(String, u64, u64)>,
+    state: Option<(u64, u64)>,
+    late_ns: Vec<u64>,
+    elapsed: Elapsed,
+    plan_ns: Option<u64>,
+}
+
+impl Digest {
+    /// Of no cycle yet; `recording` holds what stands before the first one in the file `path`.
+    ///
+    /// # Errors
+    /// [`RecordingError`] if there is no robot.
+    pub fn new(path: &Path, recording: &Recording) -> Result<Self, RecordingError> {
+        Ok(Self {
+            model: super::data::model(path, recording)?,
+            samples: Vec::new(),
+            tally: Tally::default(),
+            times: CycleTimes::default(),
+            warnings: 0,
+            degraded: 0,
+            period: period(recording),
+            step_ns: STEP_NS,
+            figures: FigureCounter::default(),
+            spans: Vec::new(),
+            state: None,
+            late_ns: Vec::new(),
+            elapsed: Elapsed::default(),
+            plan_ns: None,
+        })
+    }
+
+    /// The next cycle.
+    pub fn take(&mut self, record: &Telemetry) {
+        let t = self.elapsed.until(record.t_ns);
+        let record = &Telemetry { t_ns: t, ..*record };
+        self.tally.count(record);
+        self.times.count(record);
+        self.figures.count(&self.model, self.model.rated_limits(), record);
+        self.warnings |= record.warnings;
+        self.degraded |= record.degraded;
+        if record.mode() == Ok(Mode::Track) {
+            self.plan_ns.get_or_insert(t);
+        }
+        if record.flags & Telemetry::OVERRUN != 0 && self.late_ns.len() < SAMPLES {
+            self.late_ns.push(t);
+        }
+        if let Some(span) = self.spans.last_mut() {
+            span.2 = t;
+        }
+        if self.state.replace((record.mode, record.fault)) != Some((record.mode, record.fault)) {
+            self.spans.push((name(record), t, t));
+        }
+        if self.samples.last().is_none_or(|last| t - last.t_ns >= self.step_ns) {
+            self.samples.push(*record);
+        }
+        if self.samples.len() > SAMPLES {
+            let mut keep = false;
+            self.samples.retain(|_| {
+                keep = !keep;
+                keep
+            });
+            self.step_ns *= 2;
+        }
+    }
+
+    /// Time between two samples, s.
+    pub fn step(&self) -> f64 {
+        (self.step_ns as f64 * 1e-9).max(self.period)
+    }
+
+    /// Figures of all cycles.
+    pub fn figures(&self) -> Figures {
+        self.figures.figures(self.period, self.tally.lost)
+    }
+
+    /// The modes one after the other, s.
+    pub fn spans(&self) -> Vec<Span> {
+        let span = |(name, from, to): &(String, u64, u64)| Span {
+            name: name.clone(),
+            from: self.seconds(*from),
+            to: self.seconds(*to),
+        };
+        self.spans.iter().map(span).collect()
+    }
+
+    /// When cycles ended late, s.
+    pub fn late(&self) -> Vec<f64> {
+        self.late_ns.iter().map(|t| self.seconds(*t)).collect()
+    }
+
+    /// A moment, ns since the first cycle, in s from the start of the first plan, or else from the first cycle.
+    pub fn seconds(&self, t_ns: u64) -> f64 {
+        super::data::round((t_ns as f64 - self.plan_ns.unwrap_or(0) as f64) * 1e-9, 1e6)
+    }
+}
+
+/// The mode, or the cause of a fault.
+fn name(record: &Telemetry) -> String {
+    let mode = record.mode_text();
+    let cause = upswingd::fault_text(record.fault).filter(|_| record.mode() == Ok(Mode::Fault));
+    cause.map_or_else(|| mode.clone(), |cause| format!("{mode}: {cause}"))
+}
+
+/// Control period of the settings that the recording was made with, s.
+fn period(recording: &Recording) -> f64 {
+    /// Where a file says nothing that can be.
+    const USUAL_US: f64 = 125.0;
+    let us = recording.details.get("period_us").and_then(|us| us.parse().ok());
+    us.filter(|us| *us >= 1.0 && *us <= 1e6).unwrap_or(USUAL_US) * 1e-6
+}

@@ -1,0 +1,166 @@
+//! Pictures like the paper's Fig. 4 and 5: positions, velocities and torques over time, each scaled by its 100 % limit, so
+//! that plans and flights can be compared.
+
+pub mod curves;
+pub mod figures;
+pub mod map;
+pub mod plan;
+
+use plotters::coord::Shift;
+use plotters::prelude::*;
+use upswing_ipc::{Mode, Telemetry};
+use upswing_model::{Limits, NQ, NU};
+use upswing_process::output::Output;
+
+/// Size of the picture, px.
+const SIZE: (u32, u32) = (1200, 820);
+/// Points per curve: more than the picture can show would only make the file large.
+const POINTS: usize = 500;
+/// Joints of each row, 0-based, as in Fig. 4 and 5 (joint 7 is shown with the pendulum).
+const ROWS: [&[usize]; 3] = [&[0, 1, 2], &[3, 4, 5], &[6, 7, 8]];
+/// How far each panel reaches, in units of the 100 % limits: the same in all pictures, so that they can be compared. Plans may go to
+/// 1.11 of the limit of q8.
+const SHOWN: f64 = 1.2;
+/// What each column shows.
+const COLUMNS: [&str; 3] = ["position / 100 % limit", "velocity / 100 % limit", "torque / 100 % limit"];
+/// Colours that differ in print and for the colour-blind (Okabe, Ito 2008).
+const COLOURS: [RGBColor; 3] = [RGBColor(0, 114, 178), RGBColor(213, 94, 0), RGBColor(0, 158, 115)];
+
+/// One curve, and one to compare with: scaled values over time, s.
+struct Curve {
+    solid: Vec<(f64, f64)>,
+    dashed: Vec<(f64, f64)>,
+}
+
+/// Times that a picture shows, s, and the colour of its dashed curves; `None`: that of the solid ones.
+struct Look {
+    begin: f64,
+    end: f64,
+    dashes: Option<RGBColor>,
+}
+
+type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+type Drawn = Result<(), DrawingAreaErrorKind<std::io::Error>>;
+
+/// A drawing of this size, px, as SVG.
+///
+/// # Errors
+/// A text that says what cannot be drawn.
+fn svg(size: (u32, u32), draw: impl FnOnce(&Area<'_>) -> Drawn) -> Result<String, String> {
+    let mut text = String::new();
+    let root = SVGBackend::with_string(&mut text, size).into_drawing_area();
+    let drawn = root.fill(&WHITE).and_then(|()| draw(&root)).and_then(|()| root.present());
+    drop(root);
+    drawn.map_err(|e| format!("cannot draw: {e}"))?;
+    Ok(text)
+}
+
+/// Writes a drawing. That of plotters into a file would not tell that the disk is full.
+fn write(output: &Output, drawing: &[u8]) -> Result<(), String> {
+    output.write(drawing).map_err(|e| e.to_string())
+}
+
+/// Draws the records from 0.2 s before the plan starts to the end of the balance as an SVG: measured values in colour,
+/// desired ones dashed, as in Fig. 5.
+///
+/// # Errors
+/// A text that says why the file could not be drawn.
+pub fn draw(output: &Output, records: &[Telemetry], limits: &Limits, period: f64) -> Result<(), String> {
+    write(output, swing_up(records, limits, period)?.as_bytes())
+}
+
+/// The drawing of [`draw`].
+fn swing_up(records: &[Telemetry], limits: &Limits, period: f64) -> Result<String, String> {
+    const LEAD: f64 = 0.2;
+    let moving = |t: &&Telemetry| matches!(t.mode(), Ok(Mode::Track | Mode::Balance));
+    let first = records.iter().position(|t| moving(&t)).ok_or("there is no swing-up to draw")?;
+    let last = records.iter().rposition(|t| moving(&t)).unwrap_or(first);
+    let shown = &records[first.saturating_sub((LEAD / period) as usize)..=last];
+    let start = records[first].t_ns;
+    let step = (shown.len() / POINTS).max(1);
+    let shown: Vec<_> = shown.iter().step_by(step).collect();
+    let time = |t: &Telemetry| (t.t_ns as i128 - start as i128) as f64 * 1e-9;
+    let measured = |value: &dyn Fn(&Telemetry) -> f64| shown.iter().map(|t| (time(t), value(t))).collect();
+    let desired = |value: &dyn Fn(&Telemetry) -> f64| {
+        shown.iter().filter(|t| moving(t)).map(|t| (time(t), value(t))).collect()
+    };
+    let end = shown.last().map_or(1.0, |t| time(t));
+    draw_panels(&Look { begin: -LEAD, end, dashes: Some(BLACK) }, |i| {
+        let (q, qd) = (limits.q_max[i], limits.qd_max[i]);
+        [
+            Some(Curve { solid: measured(&|t| t.q[i] / q), dashed: desired(&|t| t.q_d[i] / q) }),
+            Some(Curve { solid: measured(&|t| t.qd[i] / qd), dashed: desired(&|t| t.qd_d[i] / qd) }),
+            (i < NU)
+                .then(|| Curve { solid: measured(&|t| t.tau[i] / limits.tau_max[i]), dashed: Vec::new() }),
+        ]
+    })
+}
+
+/// `curves` gives the curves of a joint (0-based) in the order of [`COLUMNS`].
+fn draw_panels(
+    look: &Look,
+    curves: impl Fn(usize) -> [Option<Curve>; COLUMNS.len()],
+) -> Result<String, String> {
+    svg(SIZE, |root| {
+        let panels = root.split_evenly((ROWS.len(), COLUMNS.len()));
+        for (row, joints) in ROWS.iter().enumerate() {
+            let mut columns = [const { Vec::new() }; COLUMNS.len()];
+            for joint in *joints {
+                for (column, curve) in columns.iter_mut().zip(curves(*joint)) {
+                    column.extend(curve.map(|c| (*joint, c)));
+                }
+            }
+            for (column, curves) in columns.iter().enumerate() {
+                let title = if row == 0 { COLUMNS[column] } else { "" };
+                let bottom = row + 1 == ROWS.len();
+                draw_panel(&panels[row * COLUMNS.len() + column], title, bottom, look, curves)?;
+            }
+        }
+        Ok(())
+    })
+}
+
+/// A point, at the edge of its panel where it is beyond that.
+fn shown((t, value): &(f64, f64)) -> (f64, f64) {
+    (*t, value.clamp(-SHOWN, SHOWN))
+}
+
+fn draw_panel(area: &Area<'_>, title: &str, bottom: bool, look: &Look, curves: &[(usize, Curve)]) -> Drawn {
+    let mut chart = ChartBuilder::on(area)
+        .margin(8)
+        .caption(title, ("sans-serif", 18))
+        .x_label_area_size(if bottom { 38 } else { 22 })
+        .y_label_area_size(38)
+        // The legend stands to the right of the curves.
+        .build_cartesian_2d(look.begin..look.end * 1.42, -SHOWN..SHOWN)?;
+    chart
+        .configure_mesh()
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(BLACK.mix(0.08))
+        .label_style(("sans-serif", 13))
+        .x_labels(8)
+        .y_labels(5)
+        .x_desc(if bottom { "time (s)" } else { "" })
+        .draw()?;
+    for limit in [-1.0, 1.0] {
+        chart.draw_series(LineSeries::new([(look.begin, limit), (look.end, limit)], BLACK.mix(0.35)))?;
+    }
+    for ((joint, curve), colour) in curves.iter().zip(COLOURS) {
+        chart
+            .draw_series(LineSeries::new(curve.solid.iter().map(shown), colour.stroke_width(2)))?
+            .label(format!("joint {}", joint + 1))
+            .legend(move |(x, y)| PathElement::new([(x, y), (x + 16, y)], colour.stroke_width(2)));
+    }
+    // The dashed curves lie on top, or the solid ones would hide them.
+    for ((_, curve), colour) in curves.iter().zip(COLOURS) {
+        let style = look.dashes.unwrap_or(colour).stroke_width(1);
+        chart.draw_series(DashedLineSeries::new(curve.dashed.iter().map(shown), 4, 4, style))?;
+    }
+    chart
+        .configure_series_labels()
+        .position(SeriesLabelPosition::MiddleRight)
+        .label_font(("sans-serif", 13))
+        .draw()
+}
+
+const _: () = assert!(NQ == 9, "the rows of the picture are those of the paper's robot");

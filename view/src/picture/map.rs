@@ -1,0 +1,173 @@
+//! A map of plans over the ranges of their starts: for each kind of limit and each pair of joints, the smallest
+//! margin of all plans whose start is in a cell of the two angles, whatever the other angles are.
+
+use super::{Area, Drawn, svg, write};
+use plotters::prelude::*;
+use upswing_config::GridAxis;
+use upswing_model::NU;
+use upswing_process::output::Output;
+
+/// Size of a panel and of what stands beside the panels, px.
+const PANEL: u32 = 200;
+const SCALE_WIDTH: u32 = 110;
+/// Kinds of limits, one row each.
+const ROWS: [&str; 3] = ["position", "velocity", "torque"];
+/// Starts per cell, on average, and bounds of the cells along a side.
+const STARTS_PER_CELL: f64 = 20.0;
+const CELLS: (f64, f64) = (4.0, 20.0);
+/// A cell in which a start has no plan.
+const NO_PLAN: RGBColor = RGBColor(213, 94, 0);
+
+/// A start and the margins of its plan.
+#[derive(Clone, Copy, Debug)]
+pub struct Point {
+    /// q_A, deg.
+    pub q_deg: [f64; NU],
+    /// Smallest margins of position, velocity and torque, as shares of half the range; `None` without a plan.
+    pub margins: Option<[f64; 3]>,
+}
+
+/// What is known about a cell.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Cell {
+    Empty,
+    NoPlan,
+    Margin(f64),
+}
+
+/// One joint's range, deg, cut into cells.
+#[derive(Clone, Copy)]
+struct Side {
+    joint: usize,
+    from: f64,
+    to: f64,
+    cells: usize,
+}
+
+impl Side {
+    fn cell(&self, q_deg: &[f64; NU]) -> usize {
+        let share = (q_deg[self.joint] - self.from) / (self.to - self.from);
+        ((share * self.cells as f64) as usize).min(self.cells - 1)
+    }
+
+    fn edge(&self, cell: usize) -> f64 {
+        self.from + (self.to - self.from) * cell as f64 / self.cells as f64
+    }
+}
+
+/// Draws the map as an SVG. `axes` are the joints whose start angles differ.
+///
+/// # Errors
+/// A text that says why the file could not be drawn.
+pub fn draw(output: &Output, axes: &[GridAxis], points: &[Point]) -> Result<(), String> {
+    let cells = (points.len() as f64 / STARTS_PER_CELL).sqrt().clamp(CELLS.0, CELLS.1) as usize;
+    let sides: Vec<Side> = axes
+        .iter()
+        .filter(|a| a.to > a.from)
+        .map(|a| Side { joint: a.joint, from: a.from.to_degrees(), to: a.to.to_degrees(), cells })
+        .collect();
+    let pairs: Vec<(Side, Side)> = (0..sides.len())
+        .flat_map(|i| (i + 1..sides.len()).map(move |j| (i, j)))
+        .map(|(i, j)| (sides[i], sides[j]))
+        .collect();
+    if pairs.is_empty() {
+        return Err("a map needs a grid with ranges of two joints or more".into());
+    }
+    let size = (PANEL * pairs.len() as u32 + SCALE_WIDTH, PANEL * ROWS.len() as u32);
+    let drawing = svg(size, |root| {
+        for (kind, area) in root.split_evenly((ROWS.len(), 1)).iter().enumerate() {
+            let (panels, scale) = area.split_horizontally(PANEL * pairs.len() as u32);
+            let margins = points.iter().filter_map(|p| p.margins).map(|m| m[kind]).filter(|m| m.is_finite());
+            let range = margins.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), m| (a.min(m), b.max(m)));
+            for (panel, (x, y)) in panels.split_evenly((1, pairs.len())).iter().zip(&pairs) {
+                draw_panel(panel, x, y, &smallest(points, kind, x, y), range)?;
+            }
+            draw_scale(&scale, ROWS[kind], range)?;
+        }
+        Ok(())
+    })?;
+    write(output, drawing.as_bytes())
+}
+
+/// Cells of a panel, `x` running fastest.
+fn smallest(points: &[Point], kind: usize, x: &Side, y: &Side) -> Vec<Cell> {
+    let mut cells = vec![Cell::Empty; x.cells * y.cells];
+    for p in points {
+        let cell = &mut cells[y.cell(&p.q_deg) * x.cells + x.cell(&p.q_deg)];
+        *cell = match (*cell, p.margins) {
+            (_, None) | (Cell::NoPlan, _) => Cell::NoPlan,
+            (Cell::Empty, Some(m)) => Cell::Margin(m[kind]),
+            (Cell::Margin(known), Some(m)) => Cell::Margin(known.min(m[kind])),
+        };
+    }
+    cells
+}
+
+/// From dark, a share of 0, to light, 1; in the order of brightness in print and for the colour-blind, too.
+fn shade(share: f64) -> RGBColor {
+    const STOPS: [[f64; 3]; 3] = [[68.0, 1.0, 84.0], [33.0, 145.0, 140.0], [253.0, 231.0, 37.0]];
+    let place = share.clamp(0.0, 1.0) * (STOPS.len() - 1) as f64;
+    let i = (place as usize).min(STOPS.len() - 2);
+    let mix = |c: usize| (STOPS[i][c] + (STOPS[i + 1][c] - STOPS[i][c]) * (place - i as f64)).round() as u8;
+    RGBColor(mix(0), mix(1), mix(2))
+}
+
+fn draw_panel(area: &Area<'_>, x: &Side, y: &Side, cells: &[Cell], range: (f64, f64)) -> Drawn {
+    let mut chart = ChartBuilder::on(area)
+        .margin(6)
+        .x_label_area_size(34)
+        .y_label_area_size(42)
+        .build_cartesian_2d(x.from..x.to, y.from..y.to)?;
+    chart
+        .configure_mesh()
+        .disable_mesh()
+        .label_style(("sans-serif", 12))
+        .x_labels(4)
+        .y_labels(4)
+        .x_label_formatter(&|v| format!("{v:.0}"))
+        .y_label_formatter(&|v| format!("{v:.0}"))
+        .x_desc(format!("q{} (deg)", x.joint + 1))
+        .y_desc(format!("q{} (deg)", y.joint + 1))
+        .draw()?;
+    chart.draw_series(cells.iter().enumerate().filter_map(|(i, cell)| {
+        let (column, row) = (i % x.cells, i / x.cells);
+        let fill = match cell {
+            Cell::Empty => return None,
+            Cell::NoPlan => NO_PLAN,
+            Cell::Margin(m) if range.1 > range.0 => shade((m - range.0) / (range.1 - range.0)),
+            Cell::Margin(_) => shade(1.0),
+        };
+        let corners = [(x.edge(column), y.edge(row)), (x.edge(column + 1), y.edge(row + 1))];
+        Some(Rectangle::new(corners, fill.filled()))
+    }))?;
+    Ok(())
+}
+
+/// The colours and what they mean.
+fn draw_scale(area: &Area<'_>, name: &str, range: (f64, f64)) -> Drawn {
+    const STEPS: i32 = 40;
+    let (top, height, left, width) = (44, 110, 6, 14);
+    let text = |t: String, x: i32, y: i32| Text::new(t, (x, y), ("sans-serif", 12).into_font());
+    area.draw(&text(format!("{name} margin"), left, 10))?;
+    area.draw(&text("(half range = 1)".into(), left, 24))?;
+    for i in 0..STEPS {
+        let (y0, y1) = (top + height * i / STEPS, top + height * (i + 1) / STEPS);
+        let fill = shade(1.0 - f64::from(i) / f64::from(STEPS - 1));
+        area.draw(&Rectangle::new([(left, y0), (left + width, y1)], fill.filled()))?;
+    }
+    let (low, high) = range;
+    for (share, value) in [(0.0, high), (0.5, 0.5 * (low + high)), (1.0, low)] {
+        if value.is_finite() {
+            area.draw(&text(
+                format!("{value:.4}"),
+                left + width + 6,
+                top - 6 + (share * f64::from(height)) as i32,
+            ))?;
+        }
+    }
+    area.draw(&Rectangle::new(
+        [(left, top + height + 14), (left + width, top + height + 26)],
+        NO_PLAN.filled(),
+    ))?;
+    area.draw(&text("no plan".into(), left + width + 6, top + height + 14))
+}

@@ -1,0 +1,60 @@
+//! A plan and the trajectory it was adapted from, as in the paper's Fig. 4.
+
+use super::{Curve, Look, POINTS, draw_panels, write};
+use upswing_model::{ActuatedVector, Limits, Model, NQ, NU, State, Workspace};
+use upswing_process::output::Output;
+use upswing_trajectory::{Spline, Trajectory};
+
+/// The spline (12) of a trajectory with the torques (9) that it needs.
+struct Samples {
+    t: Vec<f64>,
+    x: Vec<State>,
+    tau: Vec<ActuatedVector>,
+}
+
+impl Samples {
+    fn of(trajectory: &Trajectory, model: &Model) -> Self {
+        let mut work = Workspace::default();
+        let f = trajectory.f(model, &mut work);
+        let spline = Spline { t_f: trajectory.t_f, x: &trajectory.x, u: &trajectory.u, f: &f };
+        let t: Vec<f64> = (0..=POINTS).map(|i| trajectory.t_f * i as f64 / POINTS as f64).collect();
+        let x: Vec<State> = t.iter().map(|t| spline.state(*t)).collect();
+        let tau = t.iter().zip(&x).map(|(t, x)| model.torque(x, &spline.input(*t), &mut work)).collect();
+        Self { t, x, tau }
+    }
+
+    fn state(&self, i: usize, scale: f64) -> Vec<(f64, f64)> {
+        self.t.iter().zip(&self.x).map(|(t, x)| (*t, x[i] / scale)).collect()
+    }
+
+    fn torque(&self, i: usize, scale: f64) -> Vec<(f64, f64)> {
+        self.t.iter().zip(&self.tau).map(|(t, tau)| (*t, tau[i] / scale)).collect()
+    }
+}
+
+/// Draws `plan` solid and `reference` dashed, scaled by `limits`, as an SVG.
+///
+/// # Errors
+/// A text that says why the file could not be drawn.
+pub fn draw(
+    output: &Output,
+    model: &Model,
+    limits: &Limits,
+    plan: &Trajectory,
+    reference: &Trajectory,
+) -> Result<(), String> {
+    let look = Look { begin: 0.0, end: plan.t_f.max(reference.t_f), dashes: None };
+    let (plan, reference) = (Samples::of(plan, model), Samples::of(reference, model));
+    let drawing = draw_panels(&look, |i| {
+        let curve = |values: &dyn Fn(&Samples) -> Vec<(f64, f64)>| Curve {
+            solid: values(&plan),
+            dashed: values(&reference),
+        };
+        [
+            Some(curve(&|s| s.state(i, limits.q_max[i]))),
+            Some(curve(&|s| s.state(NQ + i, limits.qd_max[i]))),
+            (i < NU).then(|| curve(&|s| s.torque(i, limits.tau_max[i]))),
+        ]
+    })?;
+    write(output, drawing.as_bytes())
+}

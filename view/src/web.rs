@@ -1,0 +1,186 @@
+//! The monitor as a page: [`crate::live::View`]s and the motion between them, as server-sent events.
+
+mod feed;
+mod guard;
+
+pub use guard::{Head, Refusal, Token, check};
+
+use crate::http::{self, Listener, Request, Response, ServeError};
+use crate::live::{Asker, Live};
+use crate::page;
+use feed::{Feed, Sampler};
+use hyper::Method;
+use hyper::header::{AUTHORIZATION, HOST, ORIGIN};
+use serde::Serialize;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+use upswing_ipc::IpcError;
+use upswing_ipc::operator::Action;
+
+/// Time between two events.
+const FRAME: Duration = Duration::from_millis(40);
+/// Pause between two looks for telemetry.
+const PAUSE: Duration = Duration::from_millis(5);
+/// Pages that can be open at a time.
+const PAGES: usize = 16;
+/// Longest wait for the answer to a request of an operator: those of planner and daemon, one after the other.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+const HTML: &str = "text/html; charset=utf-8";
+const JSON: &str = "application/json";
+
+struct Site {
+    page: String,
+    feed: Arc<Feed>,
+    token: Option<Token>,
+    asker: Asker,
+    open: AtomicUsize,
+}
+
+#[derive(Serialize)]
+struct No {
+    success: bool,
+    error: String,
+}
+
+impl No {
+    fn because(error: String) -> Self {
+        Self { success: false, error }
+    }
+}
+
+/// Why the page is served no more.
+#[derive(Debug, thiserror::Error)]
+pub enum WebError {
+    /// Connections cannot be accepted any more.
+    #[error(transparent)]
+    Serve(#[from] ServeError),
+    /// The system cannot be watched any more.
+    #[error(transparent)]
+    Ipc(#[from] IpcError),
+}
+
+/// Serves the page `setup` describes until `stop` is raised. Only who has the `token` can make requests.
+///
+/// # Errors
+/// [`WebError`]
+pub fn run(
+    live: &mut Live,
+    listener: Listener,
+    setup: &page::Setup,
+    token: Option<Token>,
+    stop: &Arc<AtomicBool>,
+) -> Result<(), WebError> {
+    let site = Arc::new(Site {
+        page: page::live(setup),
+        feed: Feed::new(),
+        token,
+        asker: live.asker(),
+        open: AtomicUsize::new(0),
+    });
+    let served = Arc::clone(&site);
+    let mut server = listener.serve(stop, move |request| Arc::clone(&served).answer(request));
+    let mut sampler = Sampler::default();
+    let mut next = Instant::now();
+    let mut watch = || -> Result<(), WebError> {
+        while !stop.load(Ordering::Acquire) {
+            server.check()?;
+            live.poll(|record| sampler.take(record))?;
+            if next <= Instant::now() {
+                site.feed.push(sampler.frame(live.view()));
+                next = Instant::now() + FRAME;
+            }
+            std::thread::sleep(PAUSE);
+        }
+        Ok(())
+    };
+    let result = watch();
+    stop.store(true, Ordering::Release);
+    result.and(Ok(server.end()?))
+}
+
+impl Site {
+    async fn answer(self: Arc<Self>, request: Request) -> Response {
+        let head = Head {
+            post: *request.method() == Method::POST,
+            get: http::reads(&request),
+            host: http::header(&request, HOST),
+            origin: http::header(&request, ORIGIN),
+            authorization: http::header(&request, AUTHORIZATION),
+        };
+        match check(&head, self.token.as_ref()) {
+            Ok(()) => {}
+            Err(Refusal { status: 405, why }) => {
+                return http::refuse_method(JSON, json(&No::because(why.into())), "GET, HEAD, POST");
+            }
+            Err(refusal) => return refuse(refusal.status, refusal.why.into()),
+        }
+        match (head.get, http::path(&request)) {
+            (true, "") => http::respond(200, HTML, self.page.clone()),
+            // A stream that nobody gets would take the place of a page.
+            (true, "/events") if *request.method() == Method::HEAD => {
+                http::respond(200, http::EVENTS, String::new())
+            }
+            (true, "/events") => self.stream(),
+            (false, path) => match path.strip_prefix("/request/").and_then(Action::from_name) {
+                Some(action) => self.ask(action).await,
+                None => refuse(404, format!("expected /request/ and one of {}", names())),
+            },
+            _ => refuse(404, "expected / or /events".into()),
+        }
+    }
+
+    fn stream(self: Arc<Self>) -> Response {
+        let Some(page) = Page::open(&self) else {
+            return refuse(503, format!("{PAGES} pages are open already; close one"));
+        };
+        let mut reader = self.feed.reader();
+        let (mut events, response) = http::stream();
+        tokio::spawn(async move {
+            let _open = page;
+            while let Some(frame) = reader.next().await
+                && events.send(&frame).await
+            {}
+        });
+        response
+    }
+
+    async fn ask(&self, action: Action) -> Response {
+        let answer = self.asker.ask(action);
+        match tokio::task::spawn_blocking(move || answer.recv_timeout(PATIENCE)).await {
+            Ok(Ok(Ok(accepted))) => http::respond(200, JSON, json(&accepted)),
+            Ok(Ok(Err(why))) => refuse(409, why),
+            _ => refuse(504, "no answer; see the events on the page".into()),
+        }
+    }
+}
+
+/// One of the pages that are open.
+struct Page(Arc<Site>);
+
+impl Page {
+    fn open(site: &Arc<Site>) -> Option<Self> {
+        let page = Self(Arc::clone(site));
+        (site.open.fetch_add(1, Ordering::AcqRel) < PAGES).then_some(page)
+    }
+}
+
+impl Drop for Page {
+    fn drop(&mut self) {
+        self.0.open.fetch_sub(1, Ordering::AcqRel);
+    }
+}
+
+fn names() -> String {
+    Action::ALL.map(Action::name).join(", ")
+}
+
+fn refuse(status: u16, error: String) -> Response {
+    http::respond(status, JSON, json(&No::because(error)))
+}
+
+fn json(value: &impl Serialize) -> String {
+    // What is sent has no maps with keys that are not texts.
+    serde_json::to_string(value).unwrap_or_default()
+}

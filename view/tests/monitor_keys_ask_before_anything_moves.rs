@@ -1,0 +1,47 @@
+//! Whatever keys are pressed: a request is made only by `y` right after its own key; but for a stop, which is made at
+//! once, always.
+
+use proptest::prelude::*;
+use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyEventKind};
+use upswing_ipc::operator::Action;
+use upswing_view::monitor::{Keys, Wish};
+
+fn action_of(key: char) -> Option<Action> {
+    let keys = "eudhr".chars();
+    let actions = [Action::Enable, Action::SwingUp, Action::SwingDown, Action::Hold, Action::Reset];
+    keys.zip(actions).find(|(k, _)| *k == key).map(|(_, action)| action)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(500) })]
+
+    #[test]
+    fn any_keys(typed in prop::collection::vec(prop::sample::select("eudhrsyqnxYS ".chars().collect::<Vec<_>>()), 1..60)) {
+        let mut keys = Keys::default();
+        // What our own reading of the rule says waits for `y`.
+        let mut waiting = None;
+        for key in typed {
+            let wish = keys.press(&KeyEvent::from(KeyCode::Char(key)));
+            let expected = match (key, waiting.take()) {
+                ('s', _) => Wish::Ask(Action::Stop),
+                ('y', Some(action)) => Wish::Ask(action),
+                ('q', None) => Wish::Quit,
+                (_, Some(_)) => Wish::Nothing,
+                (key, None) => {
+                    waiting = action_of(key);
+                    Wish::Nothing
+                }
+            };
+            prop_assert_eq!(wish, expected);
+            prop_assert_eq!(keys.waiting(), waiting);
+        }
+    }
+}
+
+#[test]
+fn a_key_that_is_let_go_does_nothing() {
+    let mut keys = Keys::default();
+    let mut key = KeyEvent::from(KeyCode::Char('s'));
+    key.kind = KeyEventKind::Release;
+    assert_eq!(keys.press(&key), Wish::Nothing);
+}
