@@ -18,7 +18,7 @@ use upswing_ipc::{Clock, Command, Measurement, Mode, Step, Telemetry};
 use upswing_model::{
     ActuatedMatrix, ActuatedVector, JointVector, Model, NQ, NU, State, Workspace, position, velocity,
 };
-use upswing_trajectory::{KNOTS, Plan, Trajectory};
+use upswing_trajectory::Plan;
 
 /// What the controller is told besides the measurement; at most one per cycle.
 #[derive(Debug)]
@@ -426,7 +426,6 @@ impl Controller {
 
     fn load(&mut self, plan: Box<Plan>, garbage: &mut Option<Box<Plan>>) -> Result<(), Refusal> {
         let refusal = match &self.running {
-            _ if !is_complete(&plan) => Refusal::IncompletePlan,
             Some(kept) if self.mode == Mode::Track && self.while_tracking == PlanWhileTracking::Refuse => {
                 Refusal::Tracking { running: kept.plan.id }
             }
@@ -630,10 +629,4 @@ impl Controller {
 /// How long a plan has been here at the time `now` (ns), s.
 fn age(kept: &Kept, now: u64) -> f64 {
     now.saturating_sub(kept.since) as f64 * 1e-9
-}
-
-/// Whether the plan has what its reference at any time is made of.
-fn is_complete(plan: &Plan) -> bool {
-    let Trajectory { x, u, .. } = &plan.trajectory;
-    [x.len(), u.len(), plan.f.len(), plan.gains.len()] == [KNOTS; 4]
 }

@@ -2,22 +2,16 @@
 
 use thiserror::Error;
 use upswing_config::Config;
-use upswing_ipc::Plan as Payload;
-use upswing_model::{ActuatedVector, NU, NX, State};
+use upswing_ipc::{DamagedPlan, Plan as Payload};
 pub use upswing_trajectory::Ending;
-use upswing_trajectory::{Gain, Plan, Trajectory, Unfit};
+use upswing_trajectory::{Plan, Unfit};
 
 /// Why a plan was refused: the first check that failed.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum PlanRefusal {
-    /// The bytes are not those that the planner sealed.
-    #[error("checksum: the plan names {expected:016x}, its contents give {got:016x}")]
-    Checksum {
-        /// In the plan.
-        expected: u64,
-        /// Of its contents.
-        got: u64,
-    },
+    /// The message holds no plan.
+    #[error(transparent)]
+    Damaged(#[from] DamagedPlan),
     /// Made for another robot.
     #[error("fingerprint: the plan was made for the model {got:016x}, the daemon has {expected:016x}")]
     Fingerprint {
@@ -26,9 +20,6 @@ pub enum PlanRefusal {
         /// In the plan.
         got: u64,
     },
-    /// The id that means "no plan".
-    #[error("id: expected one above 0")]
-    Id,
     /// The robot cannot follow it.
     #[error(transparent)]
     Unfit(#[from] Unfit),
@@ -40,34 +31,11 @@ pub enum PlanRefusal {
 /// # Errors
 /// The first check that failed, with its numbers.
 pub fn accept(payload: &Payload, config: &Config) -> Result<Box<Plan>, PlanRefusal> {
-    if !payload.is_intact() {
-        return Err(PlanRefusal::Checksum { expected: payload.checksum, got: payload.checksum_of() });
-    }
+    let plan = Box::<Plan>::try_from(payload)?;
     let expected = config.model.fingerprint();
-    if payload.fingerprint != expected {
-        return Err(PlanRefusal::Fingerprint { expected, got: payload.fingerprint });
+    if plan.fingerprint != expected {
+        return Err(PlanRefusal::Fingerprint { expected, got: plan.fingerprint });
     }
-    if payload.id == 0 {
-        return Err(PlanRefusal::Id);
-    }
-    let plan = convert(payload);
     config.gate().check(&config.model, &plan)?;
     Ok(plan)
-}
-
-fn convert(payload: &Payload) -> Box<Plan> {
-    let gain = |k: &[[f64; NX]; NU]| Gain::from_fn(|i, j| k[i][j]);
-    Box::new(Plan {
-        id: payload.id,
-        fingerprint: payload.fingerprint,
-        trajectory: Trajectory {
-            t_f: payload.t_f,
-            x: payload.x.iter().map(|x| State::from(*x)).collect(),
-            u: payload.u.iter().map(|u| ActuatedVector::from(*u)).collect(),
-        },
-        f: payload.f.iter().map(|f| State::from(*f)).collect(),
-        gains: payload.k.iter().map(gain).collect(),
-        final_gain: gain(&payload.k_final),
-        activation_ns: Some(payload.activation_ns).filter(|ns| *ns != 0),
-    })
 }

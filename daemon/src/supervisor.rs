@@ -181,11 +181,6 @@ pub enum Refusal {
         /// Id of the running plan.
         running: u64,
     },
-    /// A plan whose parts do not have the same number of knots.
-    #[error(
-        "the plan is incomplete: its states, inputs, derivatives and gains must have the same number of knots"
-    )]
-    IncompletePlan,
     /// The process shuts down.
     #[error("the daemon is shutting down; next: start it again")]
     ShuttingDown,

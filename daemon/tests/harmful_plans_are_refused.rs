@@ -8,7 +8,6 @@ use std::collections::BTreeMap;
 use upswing_config::Config;
 use upswing_ipc::{Mode, Plan as Payload};
 use upswing_model::{ActuatedVector, NQ, NU, NX, State, Workspace};
-use upswing_planner::service::payload;
 use upswing_trajectory::{KNOTS, N};
 use upswingd::controller::{Controller, Order};
 use upswingd::plan::accept;
@@ -133,8 +132,8 @@ fn three_thousand_of_them() {
     let config = config();
     let (up, down) = swing(&config, &rest_pose(&config));
     let plans = [
-        (payload(&up), Mode::Balance),
-        (payload(&down), Mode::Hold),
+        (Box::from(&*up), Mode::Balance),
+        (Box::from(&*down), Mode::Hold),
         (rest_payload(&config, &at_rest(&rest_pose(&config)), 1.0), Mode::Hold),
         (rest_payload(&config, &at_rest(&upright_pose()), 1.0), Mode::Balance),
     ];

@@ -197,23 +197,6 @@ fn plans_are_taken_while_another_is_tracked_as_set() {
 }
 
 #[test]
-fn a_plan_without_all_its_knots_is_handed_back() {
-    for part in 0..4 {
-        let mut told = Told::new();
-        let mut plan = rest_plan(&config(), &at_rest(&told.q), 1.0);
-        match part {
-            0 => drop(plan.trajectory.x.pop()),
-            1 => drop(plan.trajectory.u.pop()),
-            2 => drop(plan.f.pop()),
-            _ => drop(plan.gains.pop()),
-        }
-        let output = told.step(Some(Order::Load(plan)));
-        assert_eq!(output.answer, Some(Err(Refusal::IncompletePlan)), "part {part}");
-        assert!(output.garbage.is_some_and(|plan| plan.id == 7));
-    }
-}
-
-#[test]
 fn turns_of_a_pendulum_that_swings_behind_closed_brakes_do_not_count() {
     let mut told = Told::new();
     let hanging = told.q[7];

@@ -8,7 +8,7 @@ use upswing_config::Config;
 use upswing_ipc::{Mode, PlannerKind, PlannerRequest, Telemetry};
 use upswing_model::{JointVector, NQ};
 use upswing_planner::replan::Planner;
-use upswing_planner::service::{Desk, payload};
+use upswing_planner::service::Desk;
 use upswing_trajectory::Plan;
 use upswingd::controller::{Controller, Order};
 use upswingd::plan::accept;
@@ -140,7 +140,7 @@ fn a_predicted_start_is_met_and_ends_balanced() {
         desk.observe(newest, Instant::now());
         desk.answer(&PlannerRequest::from_now(PlannerKind::SwingUp), &|| true).1
     });
-    let plan = accept(&payload(&plan.expect("a plan")), &config).unwrap();
+    let plan = accept(&Box::<upswing_ipc::Plan>::from(&plan.expect("a plan")), &config).unwrap();
     let (id, t_f, x_0) = (plan.id, plan.trajectory.t_f, plan.trajectory.x[0]);
     let activation = plan.activation_ns.expect("a moving start has its moment");
     assert!(activation > newest.t_ns);

@@ -67,7 +67,7 @@ pub use messages::{Publisher, Received, Subscriber};
 pub use node::Node;
 pub use own::OwnDomain;
 pub use payload::{
-    Command, ControlRequest, ControlResponse, Measurement, Percentiles, Plan, PlannerRequest,
+    Command, ControlRequest, ControlResponse, DamagedPlan, Measurement, Percentiles, Plan, PlannerRequest,
     PlannerResponse, PlantRequest, PlantResponse, Step, StepBatch, Telemetry, TelemetryBatch,
 };
 pub use request::{Client, Server};

@@ -11,7 +11,7 @@ mod step;
 
 pub use control::{ControlRequest, ControlResponse, Percentiles};
 pub use cycle::{Command, Measurement, Telemetry, TelemetryBatch};
-pub use plan::Plan;
+pub use plan::{DamagedPlan, Plan};
 pub use planner::{PlannerRequest, PlannerResponse};
 pub use plant::{PlantRequest, PlantResponse};
 pub use step::{Step, StepBatch};

@@ -17,7 +17,7 @@ use nalgebra::SVector;
 use newton::{Direction, Linear};
 use std::time::{Duration, Instant};
 use upswing_model::{ActuatedVector, NU, NX, State, Workspace};
-use upswing_trajectory::{KNOTS, N, Trajectory};
+use upswing_trajectory::{KNOTS, Knots, N, Trajectory};
 
 /// When to stop.
 #[derive(Clone, Copy)]
@@ -105,8 +105,8 @@ type Scalar = SVector<f64, 1>;
 #[derive(Clone, Debug)]
 struct Point {
     t: f64,
-    x: Vec<State>,
-    u: Vec<ActuatedVector>,
+    x: Knots<State>,
+    u: Knots<ActuatedVector>,
     /// Slacks of the constrained torque, in units of half its range.
     s: Vec<ActuatedVector>,
 }
@@ -232,7 +232,7 @@ impl<'a> Solver<'a> {
 
     /// Barrier function of the primal variables.
     fn barrier_function(&self, p: &Point) -> f64 {
-        let mut phi = self.problem.cost(p.t, &p.u) + self.bound_t.barrier(&Scalar::new(p.t), self.mu);
+        let mut phi = self.problem.cost(p.t, &*p.u) + self.bound_t.barrier(&Scalar::new(p.t), self.mu);
         for (b, x) in self.bound_x.iter().zip(&p.x[1..]) {
             phi += b.barrier(x, self.mu);
         }
@@ -334,7 +334,7 @@ impl<'a> Solver<'a> {
                 None => break (Status::Infeasible(self.blocking_limit()), stationarity),
             }
         };
-        let cost = self.problem.cost(self.point.t, &self.point.u);
+        let cost = self.problem.cost(self.point.t, &*self.point.u);
         Solution {
             trajectory: Trajectory { t_f: self.point.t, x: self.point.x, u: self.point.u },
             status,

@@ -4,7 +4,7 @@ use crate::rows::{Pivot, STATE_ROW, StateRow, add_scaled};
 use nalgebra::{SMatrix, SVector};
 use upswing_config::PlannerSettings;
 use upswing_model::{ActuatedVector, Derivatives, Model, N_ACTUATED, N_UNACTUATED, NQ, NU, NX, Workspace};
-use upswing_trajectory::{Gain, N, Trajectory};
+use upswing_trajectory::{Gain, KNOTS, Knots, N, Trajectory};
 
 type StateMatrix = SMatrix<f64, NX, NX>;
 
@@ -48,7 +48,7 @@ impl Rows {
 #[derive(Clone, Debug)]
 pub struct Gains {
     /// K_k of (23) at the knots.
-    pub knots: Vec<Gain>,
+    pub knots: Knots<Gain>,
     /// The gain that holds x_N, for the weights of Balance.
     pub end: Gain,
 }
@@ -72,8 +72,8 @@ pub fn synthesize(
     work: &mut Workspace,
 ) -> Result<Gains, NotStabilisable> {
     let PlannerSettings { lqr: weights, balance, .. } = settings;
-    let knots = trajectory.x.iter().zip(&trajectory.u);
-    let rows: Vec<Rows> = knots.map(|(x, u)| Rows::new(&model.derivatives(x, u, work))).collect();
+    let rows: Vec<Rows> =
+        trajectory.knots().map(|(x, u)| Rows::new(&model.derivatives(x, u, work))).collect();
     let q = SVector::<f64, NX>::from_fn(|i, _| match i {
         i if i < NQ => weights.q_angles,
         i if i < NQ + N_ACTUATED => weights.q_velocities_actuated,
@@ -95,7 +95,7 @@ pub fn synthesize(
 
     let steps = (trajectory.t_f / ts).floor() as usize;
     let h = trajectory.h();
-    let mut knots = vec![end; N + 1];
+    let mut knots = Box::new([end; KNOTS]);
     let mut next_knot = N;
     for i in (0..steps).rev() {
         let t = i as f64 * ts;
@@ -428,7 +428,7 @@ mod tests {
         let error = (gains.end - from_far(&q_balance).0).amax();
         assert!(error < 1e-6 * scale, "at the end: {}", error / scale);
 
-        let knots: Vec<_> = trajectory.x.iter().zip(&trajectory.u).map(|(x, u)| ab(x, u)).collect();
+        let knots: Vec<_> = trajectory.knots().map(|(x, u)| ab(x, u)).collect();
         let periods = (trajectory.t_f / ts).floor() as usize;
         let mut by_period = vec![Gain::zeros(); periods];
         for i in (0..periods).rev() {

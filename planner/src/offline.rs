@@ -170,7 +170,7 @@ fn most_exceeded(
     let limits = &problem.limits;
     let mut work = Workspace::default();
     let mut worst = (0.0, None);
-    for (k, (x, u)) in trajectory.x.iter().zip(&trajectory.u).enumerate() {
+    for (k, (x, u)) in trajectory.knots().enumerate() {
         let (_, tau) = problem.knot(x, u, &mut work);
         let (tau_min, tau_max) = problem.torque.bounds(&limits.tau_max);
         for joint in joints.clone() {

@@ -192,13 +192,15 @@ impl Problem<'_> {
     /// A straight line from the start to the nearest point of the target, with zero velocities and inputs.
     pub fn straight_line(&self, t_f: f64) -> Trajectory {
         let end = self.nearest_target(&self.start);
-        let x = (0..KNOTS)
-            .map(|k| {
-                let s = k as f64 / N as f64;
-                self.start * (1.0 - s) + end * s
-            })
-            .collect();
-        Trajectory { t_f, x, u: vec![ActuatedVector::zeros(); KNOTS] }
+        let at = |k: usize| {
+            let s = k as f64 / N as f64;
+            self.start * (1.0 - s) + end * s
+        };
+        Trajectory {
+            t_f,
+            x: Box::new(std::array::from_fn(at)),
+            u: Box::new([ActuatedVector::zeros(); KNOTS]),
+        }
     }
 
     /// From the start to the nearest point of the target at constant speed with short ramps, with a half wave of the

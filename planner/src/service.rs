@@ -95,7 +95,7 @@ fn serve(planner: &Planner, domain: &Domain, stop: &Arc<AtomicBool>) -> Result<(
             response
         })?;
         for plan in &published {
-            publisher.publish(&payload(plan))?;
+            publisher.publish(&Box::<upswing_ipc::Plan>::from(plan))?;
             info!(id = format!("{:016x}", plan.id), t_f = plan.trajectory.t_f, "plan published");
         }
         publisher.greet()?;
@@ -438,23 +438,4 @@ pub fn describe(replan: &Replan, settings: &ReplanSettings) -> PlannerResponse {
         time_lqr_us: micros(replan.times.lqr),
         ..Default::default()
     }
-}
-
-/// The plan as it goes over shared memory.
-pub fn payload(plan: &Plan) -> Box<upswing_ipc::Plan> {
-    let mut p = upswing_ipc::Plan::boxed_zeroed();
-    (p.id, p.fingerprint, p.t_f) = (plan.id, plan.fingerprint, plan.trajectory.t_f);
-    p.activation_ns = plan.activation_ns.unwrap_or(0);
-    let gain = |g: &upswing_trajectory::Gain| -> [[f64; NX]; NU] {
-        std::array::from_fn(|i| std::array::from_fn(|j| g[(i, j)]))
-    };
-    for k in 0..plan.trajectory.x.len() {
-        p.x[k] = plan.trajectory.x[k].into();
-        p.u[k] = plan.trajectory.u[k].into();
-        p.f[k] = plan.f[k].into();
-        p.k[k] = gain(&plan.gains[k]);
-    }
-    p.k_final = gain(&plan.final_gain);
-    p.seal();
-    p
 }

@@ -21,7 +21,7 @@ fn assert_solved(config: &Config, start: State) {
     let t = &solution.trajectory;
     assert!(t.defect(&config.model, &mut Workspace::default()) <= 1e-8, "from {q}");
     let limits = &config.robot.planning;
-    for x in &t.x {
+    for x in t.x.iter() {
         for i in 0..NQ {
             assert!(x[i] >= limits.q_min[i] - 1e-9 && x[i] <= limits.q_max[i] + 1e-9, "q{} from {q}", i + 1);
             assert!(x[NQ + i].abs() <= limits.qd_max[i] + 1e-9, "qd{} from {q}", i + 1);

@@ -27,7 +27,7 @@ fn assert_limits(config: &Config, trajectory: &Trajectory) {
     let problem = problem(config, trajectory.x[0]);
     let (low, high) = problem.torque.bounds(&limits.tau_max);
     let mut work = Workspace::default();
-    for (k, (x, u)) in trajectory.x.iter().zip(&trajectory.u).enumerate() {
+    for (k, (x, u)) in trajectory.knots().enumerate() {
         for i in 0..NQ {
             assert!(
                 x[i] >= limits.q_min[i] - SLACK && x[i] <= limits.q_max[i] + SLACK,

@@ -6,7 +6,7 @@ use upswing_ipc::{Mode, PlannerResponse, Telemetry};
 use upswing_model::JointVector;
 use upswing_planner::qp::Solver;
 use upswing_planner::replan::{Effort, Manoeuvre, NoPlan, Planner};
-use upswing_planner::service::{describe, payload};
+use upswing_planner::service::describe;
 use upswing_plant::{Plant, SetEventError, StateError};
 use upswing_record::report::Report;
 use upswingd::controller::{Controller, Order, Output};
@@ -207,7 +207,7 @@ pub fn swing_up(
         &start,
         &Effort::iterations(config.planner.replan.iterations),
     )?;
-    let plan = accept(&payload(&replan.plan(config)), config)?;
+    let plan = accept(&Box::<upswing_ipc::Plan>::from(&replan.plan(config)), config)?;
     let id = plan.id;
     run.cycle(Some(("load", Order::Load(plan))))?;
     run.cycle(Some(("start", Order::Do(Request::Start(id)))))?;

@@ -8,7 +8,6 @@ use upswing_config::{Config, Fault, FaultKind};
 use upswing_ipc::{Mode, Plan};
 use upswing_model::{JointVector, NU};
 use upswing_planner::replan::Planner;
-use upswing_planner::service::payload;
 use upswing_plant::Plant;
 use upswing_rig::closed_loop::ClosedLoop;
 use upswingd::controller::{Order, Record};
@@ -208,7 +207,7 @@ impl Case {
         };
         let period = self.config.daemon.cycle.period.as_secs_f64();
         self.plan_cycles = (replan.trajectory.t_f / period).ceil() as u64;
-        let plan = payload(&replan.plan(&self.config));
+        let plan = Box::from(&replan.plan(&self.config));
         let Ok(accepted) = accept(&plan, &self.config) else { return false };
         let id = accepted.id;
         self.plan = Some(plan);

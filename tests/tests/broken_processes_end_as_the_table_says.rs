@@ -6,7 +6,6 @@ use std::time::{Duration, Instant};
 use upswing_config::Config;
 use upswing_ipc::{Clock, ControlCommand, Mode, Plan, PlannerKind, PlannerRequest};
 use upswing_planner::replan::Planner;
-use upswing_planner::service::payload;
 use upswing_rig::session::Role;
 use upswing_tests::matrix::{PAGE, mode, table};
 use upswing_tests::running::{LONG, wait_for};
@@ -189,7 +188,7 @@ static GOOD: LazyLock<Box<Plan>> = LazyLock::new(|| {
     let planner = Planner::new(config.clone()).expect("the database fits");
     let x = config.start_state(&START.map(f64::to_radians), config.plant.start.pendulum).expect("a start");
     let iterations = config.planner.replan.iterations;
-    payload(&planner.replan(&x, iterations, None).expect("a plan").plan(&config))
+    Box::from(&planner.replan(&x, iterations, None).expect("a plan").plan(&config))
 });
 
 /// In place of the planner, sends a plan once for each of its fields that is damaged; the daemon names the field.

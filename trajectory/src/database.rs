@@ -258,7 +258,7 @@ impl Record {
             let t = &entry.trajectory;
             put(t.t_f);
             t.x[0].iter().for_each(|v| put(*v));
-            for (x, u) in t.x.iter().zip(&t.u) {
+            for (x, u) in t.knots() {
                 u.iter().for_each(|v| put(*v));
                 for i in 0..N_UNACTUATED {
                     put(x[N_ACTUATED + i]);
@@ -303,13 +303,11 @@ fn decode_entry(bytes: &[u8], what: impl Fn() -> String) -> Result<Entry, Databa
     let mut next = || values.next().unwrap_or(f64::NAN);
     let certificate = Certificate::from_array(std::array::from_fn(|_| next()));
     let t_f = next();
-    let mut x = vec![State::from_fn(|_, _| next())];
-    let mut u = Vec::with_capacity(KNOTS);
+    let mut x = Box::new([State::zeros(); KNOTS]);
+    let mut u = Box::new([ActuatedVector::zeros(); KNOTS]);
+    x[0] = State::from_fn(|_, _| next());
     for k in 0..KNOTS {
-        u.push(ActuatedVector::from_fn(|_, _| next()));
-        if k > 0 {
-            x.push(State::zeros());
-        }
+        u[k] = ActuatedVector::from_fn(|_, _| next());
         for i in 0..N_UNACTUATED {
             x[k][N_ACTUATED + i] = next();
             x[k][NQ + N_ACTUATED + i] = next();

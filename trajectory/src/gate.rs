@@ -6,7 +6,7 @@ mod motion;
 
 pub use feedback::Delays;
 
-use crate::{KNOTS, Plan, Trajectory};
+use crate::{Plan, Trajectory};
 use nalgebra::Vector3;
 use upswing_model::{ActuatedVector, Limits, Model};
 
@@ -62,14 +62,6 @@ impl Ending {
 /// Why a plan is not fit to be followed: the first check that failed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Unfit {
-    /// Knots are missing.
-    #[error("the plan has {got} {what}, expected {KNOTS}")]
-    Incomplete {
-        /// Which part of the plan.
-        what: &'static str,
-        /// How many there are.
-        got: usize,
-    },
     /// A number is not finite.
     #[error("{what} at knot {knot} is {got}, expected a finite number")]
     NotFinite {
@@ -185,7 +177,7 @@ pub enum Unfit {
 }
 
 impl Gate {
-    /// Whether a robot may follow the plan, in this order: complete, finite, t_F; positions and velocities (at the knots and
+    /// Whether a robot may follow the plan, in this order: finite, t_F; positions and velocities (at the knots and
     /// at the extrema of the spline between them) and torques (9) (at the knots and on a grid between them); f_k against
     /// the model; (6b); an end at rest with the rod standing or hanging; the feedback. Time is monotone by construction:
     /// the knots are uniform. Who made the plan and for which robot is not asked.
@@ -196,10 +188,6 @@ impl Gate {
         self.check_motion(model, &plan.trajectory, &plan.f)?;
         self.check_feedback(model, &plan.trajectory, &plan.gains, &plan.final_gain)
     }
-}
-
-fn complete(what: &'static str, got: usize) -> Result<(), Unfit> {
-    if got == KNOTS { Ok(()) } else { Err(Unfit::Incomplete { what, got }) }
 }
 
 fn finite<'a>(what: &'static str, knots: impl Iterator<Item = &'a [f64]>) -> Result<(), Unfit> {

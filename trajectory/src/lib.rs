@@ -3,8 +3,10 @@
 
 /// Number of collocation intervals, the paper's N.
 pub const N: usize = 100;
-/// Number of knots x_0..x_N.
+/// Number of knots, x_0..x_N.
 pub const KNOTS: usize = N + 1;
+/// One value per knot, in the order of time; on the heap, because the gains alone are 100 KB.
+pub type Knots<T> = Box<[T; KNOTS]>;
 
 mod certificate;
 mod database;

@@ -1,6 +1,6 @@
 //! How far a trajectory stays from its limits, between the knots too.
 
-use crate::{Spline, Trajectory};
+use crate::{N, Spline, Trajectory};
 use upswing_model::{Limits, Model, NQ, NU, Workspace, position, velocity};
 
 /// The smallest distance to one kind of limit, as a share of that limit's range: 1 in the middle, 0 on the limit,
@@ -47,7 +47,7 @@ impl Margins {
         let f = trajectory.f(model, &mut work);
         let spline = Spline { t_f: trajectory.t_f, x: &trajectory.x, u: &trajectory.u, f: &f };
         let mut margins = Self { q: Margin::NONE, qd: Margin::NONE, tau: Margin::NONE };
-        let samples = (trajectory.x.len() - 1) * (between + 1);
+        let samples = N * (between + 1);
         for i in 0..=samples {
             let t = trajectory.t_f * i as f64 / samples as f64;
             let (x, u) = (spline.state(t), spline.input(t));

@@ -1,6 +1,6 @@
 //! A plan: a trajectory with the gains that track it and hold its end.
 
-use crate::{Spline, Trajectory};
+use crate::{Knots, N, Spline, Trajectory};
 use upswing_model::{ActuatedVector, NU, NX, State};
 
 /// Feedback gain K of (22): du = K dx, rad/s^2 per rad and per rad/s; NU x NX.
@@ -30,9 +30,9 @@ pub struct Plan {
     /// x_k, u_k, t_F
     pub trajectory: Trajectory,
     /// f_k at the knots.
-    pub f: Vec<State>,
+    pub f: Knots<State>,
     /// K_k at the knots.
-    pub gains: Vec<Gain>,
+    pub gains: Knots<Gain>,
     /// Gain of the balance at x_N (from the DARE).
     pub final_gain: Gain,
 }
@@ -56,8 +56,7 @@ impl Plan {
 
     /// The target: x_N, u = 0 and the final gain.
     pub fn end(&self) -> Reference {
-        let last = self.trajectory.x.len() - 1;
-        Reference { x: self.trajectory.x[last], u: ActuatedVector::zeros(), gain: self.final_gain }
+        Reference { x: self.trajectory.x[N], u: ActuatedVector::zeros(), gain: self.final_gain }
     }
 
     /// The plan's spline (12).

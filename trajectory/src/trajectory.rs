@@ -1,7 +1,6 @@
 //! A trajectory at its knots and between them.
 
-use crate::N;
-use crate::largest;
+use crate::{KNOTS, Knots, N, largest};
 use upswing_model::{ActuatedVector, Model, NQ, NX, State, Workspace};
 
 /// xi = (t_F, x_0..x_N, u_0..u_N) (7).
@@ -9,10 +8,10 @@ use upswing_model::{ActuatedVector, Model, NQ, NX, State, Workspace};
 pub struct Trajectory {
     /// t_F, s.
     pub t_f: f64,
-    /// x_k = [q, qd], rad and rad/s; KNOTS of them.
-    pub x: Vec<State>,
-    /// u_k = qdd_A, rad/s^2; KNOTS of them.
-    pub u: Vec<ActuatedVector>,
+    /// x_k = [q, qd], rad and rad/s.
+    pub x: Knots<State>,
+    /// u_k = qdd_A, rad/s^2.
+    pub u: Knots<ActuatedVector>,
 }
 
 impl Trajectory {
@@ -21,9 +20,14 @@ impl Trajectory {
         self.t_f / N as f64
     }
 
+    /// (x_k, u_k) of every knot.
+    pub fn knots(&self) -> impl ExactSizeIterator<Item = (&State, &ActuatedVector)> {
+        self.x.iter().zip(self.u.iter())
+    }
+
     /// f_k = f(x_k, u_k) (5) at every knot.
-    pub fn f(&self, model: &Model, work: &mut Workspace) -> Vec<State> {
-        self.x.iter().zip(&self.u).map(|(x, u)| model.f(x, u, work)).collect()
+    pub fn f(&self, model: &Model, work: &mut Workspace) -> Knots<State> {
+        Box::new(std::array::from_fn(|k| model.f(&self.x[k], &self.u[k], work)))
     }
 
     /// Longest duration of a trajectory, s.
@@ -48,8 +52,8 @@ impl Trajectory {
         };
         Self {
             t_f: self.t_f,
-            x: self.x.iter().rev().map(backwards).collect(),
-            u: self.u.iter().rev().copied().collect(),
+            x: Box::new(std::array::from_fn(|k| backwards(&self.x[N - k]))),
+            u: Box::new(std::array::from_fn(|k| self.u[N - k])),
         }
     }
 
@@ -61,36 +65,40 @@ impl Trajectory {
 }
 
 /// The spline (12) through knots: x(t) quadratic, u(t) linear in each interval. Borrows x_k, u_k and
-/// f_k = f(x_k, u_k), all of the same length N + 1.
+/// f_k = f(x_k, u_k).
 #[derive(Clone, Copy, Debug)]
 pub struct Spline<'a> {
     /// t_F, s.
     pub t_f: f64,
-    /// x_k
-    pub x: &'a [State],
-    /// u_k
-    pub u: &'a [ActuatedVector],
-    /// f_k
-    pub f: &'a [State],
+    /// x_k, rad and rad/s.
+    pub x: &'a [State; KNOTS],
+    /// u_k, rad/s^2.
+    pub u: &'a [ActuatedVector; KNOTS],
+    /// f_k, rad/s and rad/s^2.
+    pub f: &'a [State; KNOTS],
 }
 
 impl Spline<'_> {
+    /// h = t_F / N, s.
+    fn h(&self) -> f64 {
+        self.t_f / N as f64
+    }
+
     /// The interval k that holds the time `t` (s), and the time since its knot (s). Times outside [0, t_F]
     /// are moved to its ends.
     #[inline]
     pub fn locate(&self, t: f64) -> (usize, f64) {
-        let intervals = self.x.len() - 1;
-        let h = self.t_f / intervals as f64;
+        let h = self.h();
         // `clamp` would let a NaN through.
         let t = t.max(0.0).min(self.t_f);
-        let k = ((t / h) as usize).min(intervals - 1);
+        let k = ((t / h) as usize).min(N - 1);
         (k, t - k as f64 * h)
     }
 
     /// x and u (12) a `share` of the interval after knot k; k < N.
     #[inline]
     pub fn between(&self, k: usize, share: f64) -> (State, ActuatedVector) {
-        let h = self.t_f / (self.x.len() - 1) as f64;
+        let h = self.h();
         let x = self.x[k] + (self.f[k] + (self.f[k + 1] - self.f[k]) * (0.5 * share)) * (share * h);
         (x, self.u[k] + (self.u[k + 1] - self.u[k]) * share)
     }
@@ -112,7 +120,7 @@ impl Spline<'_> {
     #[inline]
     pub fn state(&self, t: f64) -> State {
         let (k, dt) = self.locate(t);
-        let h = self.t_f / (self.x.len() - 1) as f64;
+        let h = self.h();
         self.x[k] + self.f[k] * dt + (self.f[k + 1] - self.f[k]) * (dt * dt / (2.0 * h))
     }
 
@@ -120,7 +128,7 @@ impl Spline<'_> {
     #[inline]
     pub fn input(&self, t: f64) -> ActuatedVector {
         let (k, dt) = self.locate(t);
-        let h = self.t_f / (self.x.len() - 1) as f64;
+        let h = self.h();
         self.u[k] + (self.u[k + 1] - self.u[k]) * (dt / h)
     }
 }

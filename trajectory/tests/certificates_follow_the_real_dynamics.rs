@@ -1,7 +1,7 @@
 //! The figures of a certificate are those of the trajectory; its end error comes from an integrator that shares no code
 //! with the trapezoidal rule and finds the end that another one finds. What no integrator can follow has none.
 
-use upswing_model::{ActuatedVector, JointVector, Model, State, Workspace, state};
+use upswing_model::{ActuatedVector, JointVector, Model, Workspace, state};
 use upswing_trajectory::{Certificate, KNOTS, N, Spline, Trajectory, follow};
 
 fn robot() -> Model {
@@ -14,15 +14,12 @@ fn motion(model: &Model) -> Trajectory {
     (q[1], q[3], q[5]) = (0.2, -1.3, 0.1);
     let q = model.rest_position(&q, &mut Workspace::default()).expect("it hangs");
     let (t_f, h) = (1.0, 1.0 / N as f64);
-    let u: Vec<_> = (0..KNOTS)
-        .map(|k| {
-            let mut u = ActuatedVector::zeros();
-            u[0] = (2.0 * std::f64::consts::PI * k as f64 * h).cos();
-            u[3] = 0.5 * (k as f64 * h);
-            u
-        })
-        .collect();
-    let mut x: Vec<State> = vec![state(&q, &JointVector::zeros())];
+    let mut u = Box::new([ActuatedVector::zeros(); KNOTS]);
+    for (k, u) in u.iter_mut().enumerate() {
+        u[0] = (2.0 * std::f64::consts::PI * k as f64 * h).cos();
+        u[3] = 0.5 * (k as f64 * h);
+    }
+    let mut x = Box::new([state(&q, &JointVector::zeros()); KNOTS]);
     let mut work = Workspace::default();
     // Classical Runge-Kutta with 20 steps per interval, along the linear spline of u.
     for k in 0..N {
@@ -36,7 +33,7 @@ fn motion(model: &Model) -> Trajectory {
             let k4 = model.f(&(y + k3 * d), &input(1.0), &mut work);
             y += (k1 + k2 * 2.0 + k3 * 2.0 + k4) * (d / 6.0);
         }
-        x.push(y);
+        x[k + 1] = y;
     }
     Trajectory { t_f, x, u }
 }

@@ -12,8 +12,12 @@ fn example() -> Database {
         let seed = pose as f64 + 0.25;
         let trajectory = Trajectory {
             t_f: 2.0 + seed,
-            x: (0..KNOTS).map(|k| State::from_fn(|i, _| (k as f64 * 0.1 + i as f64 + seed).sin())).collect(),
-            u: (0..KNOTS).map(|k| ActuatedVector::from_fn(|i, _| (k as f64 - i as f64) * seed)).collect(),
+            x: Box::new(std::array::from_fn(|k| {
+                State::from_fn(|i, _| (k as f64 * 0.1 + i as f64 + seed).sin())
+            })),
+            u: Box::new(std::array::from_fn(|k| {
+                ActuatedVector::from_fn(|i, _| (k as f64 - i as f64) * seed)
+            })),
         };
         let figures = |t: &Trajectory| Certificate {
             cost: t.t_f,

@@ -2,7 +2,7 @@
 //! times outside [0, t_F], and NaN, give an end.
 
 use upswing_model::{ActuatedVector, State};
-use upswing_trajectory::{Gain, KNOTS, N, Plan, Trajectory};
+use upswing_trajectory::{Gain, N, Plan, Trajectory};
 
 /// Knots of x(t) = f0 t + c t^2 / 2, for which (12) is exact.
 fn plan() -> Plan {
@@ -14,11 +14,11 @@ fn plan() -> Plan {
         fingerprint: 2,
         trajectory: Trajectory {
             t_f,
-            x: (0..KNOTS).map(|k| f0 * time(k) + c * (0.5 * time(k) * time(k))).collect(),
-            u: (0..KNOTS).map(|k| ActuatedVector::repeat(k as f64)).collect(),
+            x: Box::new(std::array::from_fn(|k| f0 * time(k) + c * (0.5 * time(k) * time(k)))),
+            u: Box::new(std::array::from_fn(|k| ActuatedVector::repeat(k as f64))),
         },
-        f: (0..KNOTS).map(|k| f0 + c * time(k)).collect(),
-        gains: (0..KNOTS).map(|k| Gain::repeat(k as f64)).collect(),
+        f: Box::new(std::array::from_fn(|k| f0 + c * time(k))),
+        gains: Box::new(std::array::from_fn(|k| Gain::repeat(k as f64))),
         activation_ns: None,
         final_gain: Gain::repeat(-1.0),
     }

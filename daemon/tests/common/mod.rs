@@ -8,7 +8,6 @@ use upswing_ipc::{Clock, Command, Measurement, Plan as Payload};
 use upswing_model::{ActuatedVector, JointVector, NQ, NU, State, Workspace, position, state, velocity};
 use upswing_planner::lqr;
 use upswing_planner::replan::Planner;
-use upswing_planner::service::payload;
 use upswing_trajectory::{KNOTS, Plan, Trajectory};
 
 /// T_s, s and ns.
@@ -102,7 +101,8 @@ pub fn rest_payload(config: &Config, x: &State, t_f: f64) -> Box<Payload> {
         payload.k_final[i][NQ + i] = -20.0;
     }
     if x[NQ - 2] > 3.0 {
-        let still = Trajectory { t_f: 0.01, x: vec![*x; KNOTS], u: vec![ActuatedVector::zeros(); KNOTS] };
+        let still =
+            Trajectory { t_f: 0.01, x: Box::new([*x; KNOTS]), u: Box::new([ActuatedVector::zeros(); KNOTS]) };
         let mut work = Workspace::default();
         let gains = lqr::synthesize(&config.model, &still, &config.planner, PERIOD, &mut work).unwrap();
         payload.k_final = std::array::from_fn(|i| std::array::from_fn(|j| gains.knots[0][(i, j)]));
@@ -130,7 +130,8 @@ pub fn swing(config: &Config, q: &JointVector) -> (Box<Plan>, Box<Plan>) {
         activation_ns: None,
     };
     // Through shared memory and the checks, as in life.
-    let [up, down] = [up, down].map(|plan| upswingd::plan::accept(&payload(&plan), config).unwrap());
+    let [up, down] =
+        [up, down].map(|plan| upswingd::plan::accept(&Box::<Payload>::from(&plan), config).unwrap());
     (up, down)
 }
 

@@ -1,9 +1,9 @@
-//! A trajectory with its gains, as the daemon runs it.
+//! A plan as a message from planner to daemon, and its conversion to and from the plan that the controller follows.
 
 use super::{WORD, Zeroable, boxed_zeroed};
 use iceoryx2::prelude::ZeroCopySend;
-use upswing_model::{NU, NX};
-use upswing_trajectory::KNOTS;
+use upswing_model::{ActuatedVector, NU, NX, State};
+use upswing_trajectory::{self as trajectory, Gain, KNOTS, Trajectory};
 use xxhash_rust::xxh3::xxh3_64;
 
 /// A trajectory xi with its gain schedule, planner -> daemon; x = [q, qd], knots uniform over [0, t_F].
@@ -95,4 +95,77 @@ impl Plan {
     pub fn is_intact(&self) -> bool {
         self.checksum == self.checksum_of()
     }
+}
+
+impl From<&trajectory::Plan> for Box<Plan> {
+    /// The sealed message of a plan.
+    fn from(plan: &trajectory::Plan) -> Self {
+        let mut message = Plan::boxed_zeroed();
+        message.id = plan.id;
+        message.fingerprint = plan.fingerprint;
+        message.activation_ns = plan.activation_ns.unwrap_or(0);
+        message.t_f = plan.trajectory.t_f;
+        for k in 0..KNOTS {
+            message.x[k] = plan.trajectory.x[k].into();
+            message.u[k] = plan.trajectory.u[k].into();
+            message.f[k] = plan.f[k].into();
+            message.k[k] = rows(&plan.gains[k]);
+        }
+        message.k_final = rows(&plan.final_gain);
+        message.seal();
+        message
+    }
+}
+
+/// Why a message is not a plan.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum DamagedPlan {
+    /// The bytes are not those that the planner sealed.
+    #[error("checksum: the plan names {expected:016x}, its contents give {got:016x}")]
+    Checksum {
+        /// The checksum in the message.
+        expected: u64,
+        /// The checksum of its contents.
+        got: u64,
+    },
+    /// The id is 0, which means "no plan".
+    #[error("id: expected one above 0")]
+    Id,
+}
+
+impl TryFrom<&Plan> for Box<trajectory::Plan> {
+    type Error = DamagedPlan;
+
+    /// The plan in a message, of which nothing else is checked. `message` must be a copy that no other process can write to.
+    fn try_from(message: &Plan) -> Result<Self, DamagedPlan> {
+        if !message.is_intact() {
+            return Err(DamagedPlan::Checksum { expected: message.checksum, got: message.checksum_of() });
+        }
+        if message.id == 0 {
+            return Err(DamagedPlan::Id);
+        }
+        Ok(Self::new(trajectory::Plan {
+            id: message.id,
+            fingerprint: message.fingerprint,
+            activation_ns: Some(message.activation_ns).filter(|ns| *ns != 0),
+            trajectory: Trajectory {
+                t_f: message.t_f,
+                x: Box::new(std::array::from_fn(|k| State::from(message.x[k]))),
+                u: Box::new(std::array::from_fn(|k| ActuatedVector::from(message.u[k]))),
+            },
+            f: Box::new(std::array::from_fn(|k| State::from(message.f[k]))),
+            gains: Box::new(std::array::from_fn(|k| gain(&message.k[k]))),
+            final_gain: gain(&message.k_final),
+        }))
+    }
+}
+
+/// A gain by rows.
+fn rows(gain: &Gain) -> [[f64; NX]; NU] {
+    std::array::from_fn(|i| std::array::from_fn(|j| gain[(i, j)]))
+}
+
+/// The gain with these rows.
+fn gain(rows: &[[f64; NX]; NU]) -> Gain {
+    Gain::from_fn(|i, j| rows[i][j])
 }

@@ -103,7 +103,7 @@ impl Solver<'_> {
     /// Gradient of the objective: with respect to z_k into `g`; that with respect to t_F is returned.
     pub(super) fn objective_gradient(&self, g: &mut [KnotVector]) -> f64 {
         let (h, r) = (self.point.t / N as f64, self.problem.input_weight);
-        for (g, u) in g.iter_mut().zip(&self.point.u) {
+        for (g, u) in g.iter_mut().zip(self.point.u.iter()) {
             g.fill(0.0);
             g.fixed_rows_mut::<NU>(NX).copy_from(&(u * (h * r)));
         }

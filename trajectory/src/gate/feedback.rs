@@ -1,7 +1,7 @@
 //! The gains of a plan: what they do to a deviation from it, with the delays of the loop that runs.
 
-use super::{Ending, Gate, MOST_AMPLIFIED, MOST_STEP, Unfit, complete, finite};
-use crate::{Gain, N, Trajectory};
+use super::{Ending, Gate, MOST_AMPLIFIED, MOST_STEP, Unfit, finite};
+use crate::{Gain, KNOTS, N, Trajectory};
 use nalgebra::{DMatrix, DVector, SMatrix};
 use upswing_model::{ActuatedVector, Model, NQ, NU, NX, State, Workspace, position};
 
@@ -76,10 +76,9 @@ impl Gate {
         &self,
         model: &Model,
         trajectory: &Trajectory,
-        gains: &[Gain],
+        gains: &[Gain; KNOTS],
         final_gain: &Gain,
     ) -> Result<(), Unfit> {
-        complete("K", gains.len())?;
         finite("K", gains.iter().map(|k| k.as_slice()))?;
         finite("the final K", std::iter::once(final_gain.as_slice()))?;
         let mut work = Workspace::default();
@@ -175,9 +174,9 @@ impl Gate {
 /// x_k, u_k, K_k
 fn loops<'a>(
     trajectory: &'a Trajectory,
-    gains: &'a [Gain],
+    gains: &'a [Gain; KNOTS],
 ) -> impl Iterator<Item = (&'a State, &'a ActuatedVector, &'a Gain)> {
-    trajectory.x.iter().zip(&trajectory.u).zip(gains).map(|((x, u), gain)| (x, u, gain))
+    trajectory.knots().zip(gains).map(|((x, u), gain)| (x, u, gain))
 }
 
 /// P = Q + M' P M, the sum of (M')^i Q M^i over all i, by doubling; `None` if it does not converge: M is not stable.

@@ -2,9 +2,9 @@
 
 use super::{
     DERIVATIVE_TOLERANCE, END_SPEED, END_TILT, Gate, POSITION_SLACK, TORQUE_SLACK, Unfit, VELOCITY_SLACK,
-    complete, finite,
+    finite,
 };
-use crate::{Certificate, N, Spline, Trajectory};
+use crate::{Certificate, KNOTS, N, Spline, Trajectory};
 use upswing_model::{Model, NQ, NU, NX, State, Workspace, position, velocity};
 
 /// Points of the grid per interval between knots on which torques are checked.
@@ -15,11 +15,13 @@ impl Gate {
     ///
     /// # Errors
     /// The first check that failed, with its numbers.
-    pub fn check_motion(&self, model: &Model, trajectory: &Trajectory, f: &[State]) -> Result<(), Unfit> {
+    pub fn check_motion(
+        &self,
+        model: &Model,
+        trajectory: &Trajectory,
+        f: &[State; KNOTS],
+    ) -> Result<(), Unfit> {
         let Trajectory { t_f, x, u } = trajectory;
-        complete("x", x.len())?;
-        complete("u", u.len())?;
-        complete("f", f.len())?;
         finite("x", x.iter().map(|x| x.as_slice()))?;
         finite("u", u.iter().map(|u| u.as_slice()))?;
         finite("f", f.iter().map(|f| f.as_slice()))?;
@@ -82,7 +84,7 @@ impl Gate {
         Ok(())
     }
 
-    fn check_defects(&self, trajectory: &Trajectory, f: &[State]) -> Result<(), Unfit> {
+    fn check_defects(&self, trajectory: &Trajectory, f: &[State; KNOTS]) -> Result<(), Unfit> {
         let half_h = 0.5 * trajectory.h();
         for (k, x) in trajectory.x.windows(2).enumerate() {
             let defect = x[1] - x[0] - (f[k] + f[k + 1]) * half_h;
@@ -123,10 +125,10 @@ fn within(
 fn check_derivatives(
     model: &Model,
     trajectory: &Trajectory,
-    f: &[State],
+    f: &[State; KNOTS],
     work: &mut Workspace,
 ) -> Result<(), Unfit> {
-    for (knot, ((x, u), f)) in trajectory.x.iter().zip(&trajectory.u).zip(f).enumerate() {
+    for (knot, ((x, u), f)) in trajectory.knots().zip(f).enumerate() {
         let model = model.f(x, u, work);
         for row in 0..NX {
             let (got, expected) = (f[row], model[row]);

@@ -8,7 +8,6 @@ use std::time::Instant;
 use upswing_model::{NU, State};
 use upswing_planner::qp::Solver;
 use upswing_planner::replan::{Effort, Manoeuvre, Planner};
-use upswing_planner::service::payload;
 use upswing_process::output::{Destination, Overwrite};
 use upswing_process::{Failure, shutdown_flag};
 use upswing_rig::montecarlo::{NoStart, Spread, Starts, arm_degrees};
@@ -69,7 +68,8 @@ fn sample(planner: &Planner, solver: &mut Solver, iterations: usize, index: u64,
     let (plan, failure, times) = match &result {
         Ok(replan) => {
             let config = planner.config();
-            let refused = upswingd::plan::accept(&payload(&replan.plan(config)), config).err();
+            let message = Box::<upswing_ipc::Plan>::from(&replan.plan(config));
+            let refused = upswingd::plan::accept(&message, config).err();
             let failure = refused.map(|e| format!("the daemon refused the plan: {e}"));
             let figures = Figures { t_f: replan.trajectory.t_f, plan: PlanFigures::new(replan) };
             let (qp, lqr) = (replan.times.qp.as_secs_f64(), replan.times.lqr.as_secs_f64());
