@@ -17,7 +17,7 @@ const START_PATIENCE: Duration = Duration::from_secs(30);
 /// How long an answer may take. A replan takes about a second at worst.
 const ANSWER_PATIENCE: Duration = Duration::from_secs(30);
 /// How long a process may take to end after SIGTERM.
-const END_PATIENCE: Duration = Duration::from_secs(10);
+const END_PATIENCE: Duration = Duration::from_secs(30);
 /// How long telemetry may keep silent before it is asked whether there is more to come.
 const SILENCE: Duration = Duration::from_millis(100);
 /// Pause between two looks at something awaited.

@@ -1,7 +1,9 @@
-// Follows a running system: frames come as server-sent events and are drawn once per picture of the screen.
+// Follows a running system: frames come as server-sent events and are drawn at most 20 times a second.
 
 addEventListener("DOMContentLoaded", () => {
   const SPAN = 10;
+  // From one picture to the next, ms: motion looks smooth at 20 Hz, and a busy machine keeps the rest of its time.
+  const PAUSE = 50;
   const data = JSON.parse(document.getElementById("data").textContent);
   const $ = id => document.getElementById(id);
   const token = new URLSearchParams(location.hash.slice(1)).get("token");
@@ -11,7 +13,7 @@ addEventListener("DOMContentLoaded", () => {
   const motion = { q: columns(9), q_d: columns(9), qd: columns(9), qd_d: columns(9), tau: columns(7) };
   const limits = { q: data.limits.q, q_d: data.limits.q, qd: data.limits.qd, qd_d: data.limits.qd, tau: data.limits.tau };
   const parts = [];
-  let view = null, times = [], connected = false, dirty = false;
+  let view = null, times = [], connected = false, dirty = false, drawn = -PAUSE;
 
   const all = Object.values(motion).flat();
   const panels = [];
@@ -93,29 +95,29 @@ addEventListener("DOMContentLoaded", () => {
     [...$("events").rows].reverse().forEach((row, i) => { row.className = view.events[i].kind; });
   }
 
-  function draw() {
+  function draw(now) {
     requestAnimationFrame(draw);
-    if (!dirty || !view) return;
-    dirty = false;
+    if (!dirty || !view || now - drawn < PAUSE) return;
+    [dirty, drawn] = [false, now];
     facts();
     drawTimes($("times"), times, data.period_us);
     if (!t.length) return;
-    const spans = runs(), now = t[t.length - 1], last = spans[spans.length - 1];
+    const spans = runs(), end = t[t.length - 1], last = spans[spans.length - 1];
     const follows = name => name === "track" || name === "balance";
     parts.splice(0, parts.length, ...spans.filter(s => follows(s.name)).map(s => {
       return Array.from({ length: s.end - s.begin + 1 }, (_, i) => s.begin + i);
     }));
     const newest = name => motion[name].map((column, i) => column[column.length - 1] * limits[name][i]);
     const trail = [];
-    for (let k = t.findIndex(s => s >= now - 1); k < t.length; k += 3) {
+    for (let k = t.findIndex(s => s >= end - 1); k < t.length; k += 3) {
       trail.push(scene.tip(motion.q.map((column, i) => column[k] * limits.q[i])));
     }
     const q = newest("q");
     scene.draw(q, follows(last.name) ? newest("q_d") : null, trail);
     const deg = i => (q[i] * 180 / Math.PI).toFixed(1).padStart(7);
     $("readout").textContent = `mode ${last.name}\nq8 ${deg(7)} deg\nq9 ${deg(8)} deg`;
-    panels.forEach(panel => { panel.render(); panel.draw(now, column => column[column.length - 1]); });
-    drawTimeline($("timeline"), spans, late, t[0], now, now);
+    panels.forEach(panel => { panel.render(); panel.draw(end, column => column[column.length - 1]); });
+    drawTimeline($("timeline"), spans, late, t[0], end, end);
   }
 
   async function ask(name) {
@@ -138,5 +140,5 @@ addEventListener("DOMContentLoaded", () => {
   source.onerror = () => { connected = false; dirty = true; };
   // Also where the page gets its first width, which is no resize of the window.
   new ResizeObserver(() => { dirty = true; }).observe(document.querySelector("main"));
-  draw();
+  requestAnimationFrame(draw);
 });
