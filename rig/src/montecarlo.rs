@@ -1,15 +1,25 @@
 //! Random starts at rest, and the same work for each of them on many threads.
 
+pub mod closed_loop;
 pub mod condition;
+pub mod robustness;
+mod statistics;
 pub mod variation;
 
+pub use statistics::{Spread, wilson};
+
+use crate::closed_loop::{Aborted, Disturbances, swing_up};
 use rand_pcg::Pcg64;
 use rand_pcg::rand_core::{Rng, SeedableRng};
 use rayon::prelude::*;
-use serde::Serialize;
 use std::sync::atomic::{AtomicBool, Ordering};
 use upswing_config::{Config, PendulumStart};
+use upswing_ipc::Telemetry;
 use upswing_model::{N_ACTUATED, N_UNACTUATED, NU, State};
+use upswing_planner::qp::Solver;
+use upswing_planner::replan::Planner;
+use upswing_plant::Plant;
+use upswing_record::report::Report;
 
 /// Largest angle at which the pendulum hangs in a start, rad: 5 deg within the limit of joint 9, Table II.
 const LARGEST_REST_ANGLE: f64 = 40.0 * std::f64::consts::PI / 180.0;
@@ -87,115 +97,88 @@ pub fn arm_degrees(x: &State) -> [f64; NU] {
     std::array::from_fn(|i| x[i].to_degrees())
 }
 
-/// `work` for each of `indices` on `threads` threads, each with its own `scratch`; results in the order
-/// of the indices. Raising `stop` ends it after what is under way; what is missing then is left out. `progress` is
-/// called after each.
-///
-/// # Errors
-/// Why the threads could not be started.
-pub fn for_each<S, T: Send>(
-    indices: &[u64],
-    threads: usize,
-    stop: &AtomicBool,
-    progress: impl Fn() + Sync,
-    scratch: impl Fn() -> S + Sync + Send,
-    work: impl Fn(&mut S, u64) -> T + Sync + Send,
-) -> Result<Vec<T>, rayon::ThreadPoolBuildError> {
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
-    let results: Vec<Option<T>> = pool.install(|| {
-        indices
-            .par_iter()
-            .map_init(&scratch, |scratch, index| {
-                let result = (!stop.load(Ordering::Acquire)).then(|| work(scratch, *index));
-                progress();
-                result
-            })
-            .collect()
-    });
-    Ok(results.into_iter().flatten().collect())
+/// Runs from many random starts.
+pub struct Study<'a> {
+    /// Makes the plans; its settings are those of the controller.
+    pub planner: &'a Planner,
+    /// Where the runs start.
+    pub starts: Starts<'a>,
+    /// Numbers of the starts.
+    pub indices: Vec<u64>,
+    /// Threads to use.
+    pub threads: usize,
+    /// Raised: the runs that are under way come to their end, the others are left out.
+    pub stop: &'a AtomicBool,
+    /// Called after each run.
+    pub progress: &'a (dyn Fn() + Sync),
 }
 
-/// 95 % interval of a probability of which `succeeded` of `samples` trials are known (E. B. Wilson, J. Am. Stat. Assoc. 22,
-/// 1927).
-pub fn wilson(succeeded: usize, samples: usize) -> (f64, f64) {
-    /// 97.5 % of a normal distribution are below this, in standard deviations.
-    const Z: f64 = 1.959_963_984_540_054;
-    if samples == 0 {
-        return (0.0, 1.0);
-    }
-    let n = samples as f64;
-    let share = succeeded as f64 / n;
-    let middle = share + Z * Z / (2.0 * n);
-    let half = Z * (share * (1.0 - share) / n + Z * Z / (4.0 * n * n)).sqrt();
-    let at = |v: f64| (v / (1.0 + Z * Z / n)).clamp(0.0, 1.0);
-    (at(middle - half), at(middle + half))
+/// Why a study has no result.
+#[derive(Debug, thiserror::Error)]
+pub enum StudyError {
+    /// The ranges hold no start.
+    #[error(transparent)]
+    NoStart(#[from] NoStart),
+    /// The threads could not be started.
+    #[error("cannot start threads: {0}")]
+    Threads(#[from] rayon::ThreadPoolBuildError),
 }
 
-/// How a figure is distributed over the samples.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Spread {
-    /// Smallest.
-    pub min: f64,
-    /// 1 % are not above it.
-    pub p01: f64,
-    /// Half are not above it.
-    pub median: f64,
-    /// 99 % are not above it.
-    pub p99: f64,
-    /// Largest.
-    pub max: f64,
-}
-
-impl Spread {
-    /// Of `values`; `None` if there are none.
-    pub fn of(values: impl IntoIterator<Item = f64>) -> Option<Self> {
-        let mut sorted: Vec<f64> = values.into_iter().collect();
-        sorted.sort_by(f64::total_cmp);
-        let last = sorted.len().checked_sub(1)?;
-        // Nearest rank.
-        let at = |share: f64| sorted[((share * sorted.len() as f64).ceil() as usize).clamp(1, last + 1) - 1];
-        Some(Self { min: sorted[0], p01: at(0.01), median: at(0.5), p99: at(0.99), max: sorted[last] })
-    }
-
-    /// The line above those of [`Self::write_row`].
-    pub fn write_heading(f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let [min, p01, median, p99, max] = ["min", "1 %", "median", "99 %", "max"];
-        writeln!(f, "  {:<22} {min:>11} {p01:>11} {median:>11} {p99:>11} {max:>11}", "")
-    }
-
-    /// One line of a table, with all values times `unit`; nothing if there is no spread.
-    pub fn write_row(
-        f: &mut std::fmt::Formatter<'_>,
-        name: &str,
-        spread: Option<Self>,
-        unit: f64,
-    ) -> std::fmt::Result {
-        let Some(s) = spread else { return Ok(()) };
-        write!(f, "  {name:<22}")?;
-        for v in [s.min, s.p01, s.median, s.p99, s.max].map(|v| v * unit) {
-            if v != 0.0 && v.abs() < 1e-3 { write!(f, " {v:>11.1e}")? } else { write!(f, " {v:>11.4}")? }
-        }
-        writeln!(f)
+impl Study<'_> {
+    /// `work` for each of `jobs`, on threads with a `scratch` each; results in the order of the jobs.
+    ///
+    /// # Errors
+    /// [`StudyError`]
+    pub fn each<S, T: Send>(
+        &self,
+        jobs: &[u64],
+        scratch: impl Fn() -> S + Sync + Send,
+        work: impl Fn(&mut S, u64) -> Result<T, NoStart> + Sync + Send,
+    ) -> Result<Vec<T>, StudyError> {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(self.threads).build()?;
+        let results: Vec<Option<Result<T, NoStart>>> = pool.install(|| {
+            jobs.par_iter()
+                .map_init(&scratch, |scratch, job| {
+                    let result = (!self.stop.load(Ordering::Acquire)).then(|| work(scratch, *job));
+                    (self.progress)();
+                    result
+                })
+                .collect()
+        });
+        Ok(results.into_iter().flatten().collect::<Result<_, _>>()?)
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::wilson;
+/// What a thread keeps from one swing-up to the next.
+struct Scratch {
+    solver: Solver,
+    /// Every cycle of the last one.
+    records: Vec<Telemetry>,
+}
 
-    #[test]
-    fn intervals_are_those_of_the_literature() {
-        // R. G. Newcombe, Statistics in Medicine 17, 1998, table I, method 3.
-        for ((r, n), (low, high)) in [
-            ((81, 263), (0.2553, 0.3662)),
-            ((15, 148), (0.0624, 0.1605)),
-            ((0, 20), (0.0, 0.1611)),
-            ((1, 29), (0.0061, 0.1718)),
-        ] {
-            let (l, h) = wilson(r, n);
-            assert!((l - low).abs() < 5.1e-5 && (h - high).abs() < 5.1e-5, "{r} of {n}: {l} to {h}");
-            let (l, h) = wilson(n - r, n);
-            assert!((l - 1.0 + high).abs() < 5.1e-5 && (h - 1.0 + low).abs() < 5.1e-5);
-        }
+impl Scratch {
+    fn new(planner: &Planner) -> Self {
+        Self { solver: planner.solver(), records: Vec::new() }
+    }
+
+    /// Swings up from start number `index`, at rest where the pendulum rests in this plant, and balances for `seconds`.
+    /// `controller` and `plant` are the settings of the two.
+    fn swing_up(
+        &mut self,
+        planner: &Planner,
+        (index, start): (u64, &State),
+        controller: &Config,
+        mut plant: Config,
+        seconds: f64,
+        disturbances: impl FnOnce(f64) -> Disturbances,
+    ) -> Result<Report, Aborted> {
+        plant.plant.start.q = std::array::from_fn(|i| start[i]);
+        plant.plant.start.pendulum = PendulumStart::Rest;
+        plant.plant.encoder.seed = plant.plant.encoder.seed.wrapping_add(index);
+        let plant = Plant::new(&plant)?;
+        swing_up(planner, &mut self.solver, controller, plant, seconds, disturbances, &mut self.records)
     }
 }
+
+/// How a run that came to its end without success is counted.
+const ENDED_BADLY: &str = "came to its end, but not as it should";

@@ -9,18 +9,13 @@ use crate::parse::whole;
 use clap::ValueEnum;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
-use upswing_config::{Config, DatabaseFile, PendulumStart};
-use upswing_ipc::Telemetry;
-use upswing_model::{NU, State};
+use upswing_config::{Config, DatabaseFile};
+use upswing_model::NU;
 use upswing_planner::build::{self, Shard};
-use upswing_planner::qp::Solver;
 use upswing_planner::replan::Planner;
-use upswing_plant::Plant;
 use upswing_process::Failure;
 use upswing_process::output::Output;
-use upswing_record::report::Report;
-use upswing_rig::closed_loop::{Aborted, Disturbances, swing_up};
-use upswing_rig::montecarlo::{NoStart, for_each};
+use upswing_rig::montecarlo::{Spread, Starts, Study, StudyError};
 
 pub use closed_loop::ClosedLoopArgs;
 pub use replan::ReplanArgs;
@@ -111,40 +106,12 @@ pub fn run(args: &MonteCarloArgs) -> Result<(), Failure> {
     }
 }
 
-/// What a thread keeps from one swing-up to the next.
-struct Scratch {
-    solver: Solver,
-    /// Every cycle of the last one.
-    records: Vec<Telemetry>,
-}
-
-impl Scratch {
-    fn new(planner: &Planner) -> Self {
-        Self { solver: planner.solver(), records: Vec::new() }
-    }
-
-    /// Swings up from start number `index`, at rest where the pendulum rests in this plant, and balances for `seconds`.
-    /// `controller` and `plant` are the settings of the two.
-    fn swing_up(
-        &mut self,
-        planner: &Planner,
-        (index, start): (u64, &State),
-        controller: &Config,
-        mut plant: Config,
-        seconds: f64,
-        disturbances: impl FnOnce(f64) -> Disturbances,
-    ) -> Result<Report, Aborted> {
-        plant.plant.start.q = std::array::from_fn(|i| start[i]);
-        plant.plant.start.pendulum = PendulumStart::Rest;
-        plant.plant.encoder.seed = plant.plant.encoder.seed.wrapping_add(index);
-        let plant = Plant::new(&plant)?;
-        swing_up(planner, &mut self.solver, controller, plant, seconds, disturbances, &mut self.records)
-    }
-}
-
 /// Ranges without a start are the user's to change.
-pub(super) fn no_start(e: NoStart) -> Failure {
-    Failure::BadInput(e.to_string())
+fn study_failure(e: StudyError) -> Failure {
+    match e {
+        StudyError::NoStart(_) => Failure::BadInput(e.to_string()),
+        StudyError::Threads(_) => failed(e),
+    }
 }
 
 impl SamplingArgs {
@@ -191,20 +158,48 @@ impl SamplingArgs {
         }
     }
 
-    /// [`for_each`] of `indices`, with a progress bar.
-    fn run<S, T: Send>(
+    /// Does `work` with the study of these options, with a progress bar over its `runs`.
+    fn study<T>(
         &self,
-        indices: &[u64],
+        planner: &Planner,
+        runs: usize,
         stop: &AtomicBool,
-        scratch: impl Fn() -> S + Sync + Send,
-        work: impl Fn(&mut S, u64) -> Result<T, NoStart> + Sync + Send,
-    ) -> Result<Vec<T>, Failure> {
-        let bar = progress_bar(indices.len() as u64, "runs");
-        let results = for_each(indices, self.threads(), stop, || bar.inc(1), scratch, work);
+        work: impl FnOnce(&Study<'_>) -> Result<T, Failure>,
+    ) -> Result<T, Failure> {
+        let bar = progress_bar(runs as u64, "runs");
+        let study = Study {
+            planner,
+            starts: Starts { config: planner.config(), seed: self.seed },
+            indices: self.indices(),
+            threads: self.threads(),
+            stop,
+            progress: &|| bar.inc(1),
+        };
+        let result = work(&study);
         bar.finish_and_clear();
-        let results = results.map_err(|e| failed(format!("cannot start threads: {e}")))?;
-        results.into_iter().collect::<Result<_, _>>().map_err(no_start)
+        result
     }
+}
+
+/// The line above those of [`write_row`].
+fn write_heading(f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+    let [min, p01, median, p99, max] = ["min", "1 %", "median", "99 %", "max"];
+    writeln!(f, "  {:<22} {min:>11} {p01:>11} {median:>11} {p99:>11} {max:>11}", "")
+}
+
+/// One line of a table, with all values times `unit`; nothing if there is no spread.
+fn write_row(
+    f: &mut std::fmt::Formatter<'_>,
+    name: &str,
+    spread: Option<Spread>,
+    unit: f64,
+) -> std::fmt::Result {
+    let Some(s) = spread else { return Ok(()) };
+    write!(f, "  {name:<22}")?;
+    for v in [s.min, s.p01, s.median, s.p99, s.max].map(|v| v * unit) {
+        if v != 0.0 && v.abs() < 1e-3 { write!(f, " {v:>11.1e}")? } else { write!(f, " {v:>11.4}")? }
+    }
+    writeln!(f)
 }
 
 /// Lists failed starts: number, angles of joints 1-7 (deg), reason. Of many, the first ones.

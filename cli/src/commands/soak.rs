@@ -95,7 +95,7 @@ pub fn run(args: &SoakArgs) -> Result<(), Failure> {
     }
     let config = args.common.process.load()?;
     let starts = Starts { config: &config, seed: args.seed };
-    let start = Soak::first_start(&starts).map_err(super::montecarlo::no_start)?;
+    let start = Soak::first_start(&starts).map_err(|e| Failure::BadInput(e.to_string()))?;
     let stop = shutdown_flag()?;
     let (_clean, options) = own_system(&args.common, "soak", args.clock, start, None)?;
     let begin = Instant::now();

@@ -4,9 +4,7 @@ use crate::closed_loop::{Disturbances, Missed};
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::path::Path;
 use upswing_config::{Config, MAX_DELAY, Push};
-use upswing_process::Failure;
 
 /// Time in Balance before a push or a stretch of missed cycles comes, s.
 const BEFORE: f64 = 0.5;
@@ -43,6 +41,17 @@ pub enum Variation {
     Jitter,
 }
 
+/// A value outside the range of its variation.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("{label}: expected {} from {lowest} to {highest}, got {value}", if *whole { "a whole number" } else { "a number" })]
+pub struct ValueError {
+    label: &'static str,
+    whole: bool,
+    lowest: f64,
+    highest: f64,
+    value: f64,
+}
+
 /// How often cycles were missed somewhere: a part of what `upswing soak --json` prints.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 pub struct Misses {
@@ -53,22 +62,6 @@ pub struct Misses {
 }
 
 impl Misses {
-    /// Reads a file.
-    ///
-    /// # Errors
-    /// [`Failure::BadInput`] if it cannot be read or counts nothing.
-    pub fn read(path: &Path) -> Result<Self, Failure> {
-        let refuse = |text: String| Failure::BadInput(format!("--missed {}: {text}", path.display()));
-        let text = upswing_config::read_file(path).map_err(|e| refuse(e.to_string()))?;
-        let misses: Self = serde_json::from_slice(&text).map_err(|e| {
-            refuse(format!("expected {{\"cycles\": N, \"missed\": {{\"LENGTH\": COUNT, ..}}}}: {e}"))
-        })?;
-        if misses.cycles == 0 || misses.missed.values().all(|n| *n == 0) || misses.missed.contains_key(&0) {
-            return Err(refuse("expected cycles and stretches of at least one missed cycle".into()));
-        }
-        Ok(misses)
-    }
-
     /// Stretches in `count` cycles, `factor` times as frequent. `shares`: random numbers in [0, 1).
     fn draw(&self, factor: f64, count: u64, shares: &mut impl Iterator<Item = f64>) -> Vec<Missed> {
         let stretches: u64 = self.missed.values().sum();
@@ -127,11 +120,11 @@ impl Variation {
         }
     }
 
-    /// Fails if the value cannot be.
+    /// Whether the value is within the range of this variation.
     ///
     /// # Errors
-    /// [`Failure::BadInput`] with what was expected and what came.
-    pub fn check(self, value: f64) -> Result<(), Failure> {
+    /// [`ValueError`]
+    pub fn check(self, value: f64) -> Result<(), ValueError> {
         let (lowest, highest, whole) = match self {
             Self::ArmMass | Self::PendulumMass | Self::PendulumLength => (-90.0, 1000.0, false),
             Self::EncoderBits => (1.0, 32.0, true),
@@ -146,10 +139,7 @@ impl Variation {
         if (lowest..=highest).contains(&value) && !(whole && value.fract() != 0.0) {
             return Ok(());
         }
-        let kind = if whole { "a whole number" } else { "a number" };
-        let text =
-            format!("--values: {}: expected {kind} from {lowest} to {highest}, got {value}", self.label());
-        Err(Failure::BadInput(text))
+        Err(ValueError { label: self.label(), whole, lowest, highest, value })
     }
 
     /// How long to balance, s, if undisturbed it were `seconds`.

@@ -1,6 +1,6 @@
 //! `upswing montecarlo replan`.
 
-use super::{SamplingArgs, failed, list_failures, writable};
+use super::{SamplingArgs, failed, list_failures, study_failure, writable, write_heading, write_row};
 use crate::commands::PlanFigures;
 use crate::parse::whole;
 use serde::Serialize;
@@ -10,7 +10,7 @@ use upswing_planner::qp::Solver;
 use upswing_planner::replan::{Effort, Manoeuvre, Planner};
 use upswing_process::output::{Destination, Overwrite};
 use upswing_process::{Failure, shutdown_flag};
-use upswing_rig::montecarlo::{NoStart, Spread, Starts, arm_degrees};
+use upswing_rig::montecarlo::{NoStart, Spread, arm_degrees};
 use upswing_view::picture::map;
 
 /// How to plan.
@@ -133,7 +133,7 @@ impl std::fmt::Display for Answer {
             attempts.join(", ")
         )?;
         writeln!(f, "  defect    at most {CLOSED_DEFECT:.0e} in {} plans", self.defect_closed)?;
-        Spread::write_heading(f)?;
+        write_heading(f)?;
         let rows = [
             ("linearisations", self.iterations, 1.0),
             ("defect, rad or rad/s", self.defect, 1.0),
@@ -147,7 +147,7 @@ impl std::fmt::Display for Answer {
             ("  its gains, ms", self.times.lqr, 1e3),
         ];
         for (name, spread, unit) in rows {
-            Spread::write_row(f, name, spread, unit)?;
+            write_row(f, name, spread, unit)?;
         }
         write!(f, "  time      {:.1} s on {} threads", self.times.total, self.threads)?;
         let failures = self.results.iter().filter_map(|s| Some((s.index, &s.start_deg, s.failure.clone()?)));
@@ -166,11 +166,12 @@ pub fn run(args: &ReplanArgs) -> Result<(), Failure> {
     let planner = args.sampling.planner(args.iterations, &stop)?;
     let config = planner.config();
     let iterations = config.planner.replan.iterations;
-    let starts = Starts { config, seed: args.sampling.seed };
-    let work = |solver: &mut Solver, index: u64| -> Result<Sample, NoStart> {
-        Ok(sample(&planner, solver, iterations, index, &starts.start(index)?))
-    };
-    let results = args.sampling.run(&args.sampling.indices(), &stop, || planner.solver(), work)?;
+    let results = args.sampling.study(&planner, args.sampling.indices().len(), &stop, |study| {
+        let work = |solver: &mut Solver, index: u64| -> Result<Sample, NoStart> {
+            Ok(sample(&planner, solver, iterations, index, &study.starts.start(index)?))
+        };
+        study.each(&study.indices, || planner.solver(), work).map_err(study_failure)
+    })?;
     let complete = results.len() == args.sampling.indices().len();
     let plans = || results.iter().filter_map(|s| s.plan.as_ref());
     let spread = |value: fn(&Figures) -> f64| Spread::of(plans().map(value));

@@ -1,20 +1,16 @@
 //! `upswing montecarlo robustness`.
 
-use super::{SamplingArgs, Scratch, failed, no_start, writable};
+use super::{SamplingArgs, failed, study_failure, writable};
 use crate::parse::within;
 use serde::Serialize;
-use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 use upswing_config::{Config, VelocityEstimate};
-use upswing_model::{NU, State};
-use upswing_planner::replan::Planner;
 use upswing_process::output::{Destination, Overwrite};
 use upswing_process::{Failure, shutdown_flag};
-use upswing_record::report::Report;
-use upswing_rig::closed_loop::Aborted;
+use upswing_rig::montecarlo::StudyError;
+use upswing_rig::montecarlo::robustness::{self, Case, Curve, Point};
 use upswing_rig::montecarlo::variation::{Misses, Variation};
-use upswing_rig::montecarlo::{NoStart, Starts, arm_degrees, wilson};
 use upswing_view::picture::{self, curves};
 
 /// What to vary.
@@ -52,55 +48,6 @@ pub struct RobustnessArgs {
     pub overwrite: Overwrite,
 }
 
-/// One value of one curve.
-struct Case {
-    over: Variation,
-    value: f64,
-    velocity: VelocityEstimate,
-    /// Of controller and plant.
-    config: Config,
-}
-
-/// All runs.
-struct Runs<'a> {
-    planner: &'a Planner,
-    starts: Starts<'a>,
-    misses: Misses,
-    seconds: f64,
-}
-
-/// A start that did not end balanced.
-#[derive(Clone, Debug, Serialize)]
-struct Failed {
-    index: u64,
-    start_deg: [f64; NU],
-    kind: String,
-    reasons: Vec<String>,
-}
-
-impl Runs<'_> {
-    /// What became of one start; `None`: it ended balanced.
-    fn sample(&self, case: &Case, scratch: &mut Scratch, index: u64) -> Result<Option<Failed>, NoStart> {
-        let start = self.starts.start(index)?;
-        let (kind, reasons) = match self.run(case, scratch, index, &start) {
-            Ok(report) if report.success => return Ok(None),
-            Ok(report) => ("came to its end, but not as it should".into(), report.failures),
-            Err(e) => (e.kind(), vec![e.to_string()]),
-        };
-        Ok(Some(Failed { index, start_deg: arm_degrees(&start), kind, reasons }))
-    }
-
-    fn run(&self, case: &Case, scratch: &mut Scratch, index: u64, start: &State) -> Result<Report, Aborted> {
-        let config = &case.config;
-        let seconds = case.over.seconds(self.seconds);
-        let period = config.daemon.cycle.period.as_secs_f64();
-        let shares = self.starts.shares(index);
-        let disturbances =
-            |t_f: f64| case.over.disturbances(case.value, t_f, seconds, period, &self.misses, shares);
-        scratch.swing_up(self.planner, (index, start), config, config.clone(), seconds, disturbances)
-    }
-}
-
 #[derive(Serialize)]
 struct Answer {
     success: bool,
@@ -109,26 +56,6 @@ struct Answer {
     seed: u64,
     curves: Vec<Curve>,
     times: Times,
-}
-
-#[derive(Serialize)]
-struct Curve {
-    over: Variation,
-    label: &'static str,
-    velocity: &'static str,
-    points: Vec<Point>,
-}
-
-#[derive(Serialize)]
-struct Point {
-    value: f64,
-    samples: usize,
-    succeeded: usize,
-    /// 95 % interval of the probability of success (Wilson).
-    interval: (f64, f64),
-    /// How often each kind of failure occurred.
-    failures: BTreeMap<String, usize>,
-    failed: Vec<Failed>,
 }
 
 /// In s; the only part that differs from run to run.
@@ -141,38 +68,27 @@ impl std::fmt::Display for Answer {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let part = if self.complete { "" } else { " (interrupted)" };
         write!(f, "seed {}, {}{part}, {:.0} s", self.seed, self.database, self.times.total)?;
-        self.curves.iter().try_for_each(|c| write!(f, "\n{c}"))
+        self.curves.iter().try_for_each(|c| write_curve(f, c))
     }
 }
 
-impl std::fmt::Display for Curve {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{}, velocities from the {}:", self.label, self.velocity)?;
-        self.points.iter().try_for_each(|p| write!(f, "\n{p}"))
-    }
+fn write_curve(f: &mut std::fmt::Formatter<'_>, c: &Curve) -> std::fmt::Result {
+    write!(f, "\n{}, velocities from the {}:", c.label, c.velocity)?;
+    c.points.iter().try_for_each(|p| write_point(f, p))
 }
 
-impl std::fmt::Display for Point {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        const SHOWN: usize = 10;
-        let (low, high) = (100.0 * self.interval.0, 100.0 * self.interval.1);
-        let (value, succeeded, samples) = (self.value, self.succeeded, self.samples);
-        write!(f, "  {value:>8}: {succeeded} of {samples}, 95 % interval {low:.1} to {high:.1} %")?;
-        if self.failed.is_empty() {
-            return Ok(());
-        }
-        let starts: Vec<_> = self.failed.iter().take(SHOWN).map(|s| s.index.to_string()).collect();
-        let more = if self.failed.len() > SHOWN { ", .." } else { "" };
-        write!(f, "; failed: {}{more}", starts.join(", "))?;
-        self.failures.iter().try_for_each(|(kind, n)| write!(f, "\n            {n} times: {kind}"))
+fn write_point(f: &mut std::fmt::Formatter<'_>, p: &Point) -> std::fmt::Result {
+    const SHOWN: usize = 10;
+    let (low, high) = (100.0 * p.interval.0, 100.0 * p.interval.1);
+    let (value, succeeded, samples) = (p.value, p.succeeded, p.samples);
+    write!(f, "\n  {value:>8}: {succeeded} of {samples}, 95 % interval {low:.1} to {high:.1} %")?;
+    if p.failed.is_empty() {
+        return Ok(());
     }
-}
-
-fn name(velocity: VelocityEstimate) -> &'static str {
-    match velocity {
-        VelocityEstimate::Filter => "filter",
-        VelocityEstimate::Model => "model",
-    }
+    let starts: Vec<_> = p.failed.iter().take(SHOWN).map(|s| s.index.to_string()).collect();
+    let more = if p.failed.len() > SHOWN { ", .." } else { "" };
+    write!(f, "; failed: {}{more}", starts.join(", "))?;
+    p.failures.iter().try_for_each(|(kind, n)| write!(f, "\n            {n} times: {kind}"))
 }
 
 /// Swings up from every start at every value of every curve.
@@ -182,7 +98,7 @@ fn name(velocity: VelocityEstimate) -> &'static str {
 /// `--only` did not end balanced.
 pub fn run(args: &RobustnessArgs) -> Result<(), Failure> {
     let begin = Instant::now();
-    let misses = args.missed.as_deref().map_or_else(|| Ok(Misses::default()), Misses::read)?;
+    let misses = args.missed.as_deref().map_or_else(|| Ok(Misses::default()), misses)?;
     if args.over.contains(&Variation::Jitter) && args.missed.is_none() {
         return Err(Failure::BadInput("--over jitter: expected a file by --missed, got none".into()));
     }
@@ -191,36 +107,24 @@ pub fn run(args: &RobustnessArgs) -> Result<(), Failure> {
     let stop = shutdown_flag()?;
     let planner = args.sampling.planner(None, &stop)?;
     let cases = cases(args, planner.config())?;
-    let starts = Starts { config: planner.config(), seed: args.sampling.seed };
-    let runs = Runs { planner: &planner, starts, misses, seconds: args.seconds };
-    if let (Some(output), Some(index)) = (&picture, args.sampling.only) {
-        let [case] = &cases[..] else {
-            let got = cases.len();
-            let text = format!("--picture: expected one --over, --values and --velocity, got {got} runs");
-            return Err(Failure::BadInput(text));
-        };
-        let mut scratch = Scratch::new(&planner);
-        // How it ended, the answer says.
-        let _ = runs.run(case, &mut scratch, index, &starts.start(index).map_err(no_start)?);
-        let period = case.config.daemon.cycle.period.as_secs_f64();
-        picture::draw(output, &scratch.records, &case.config.robot.limits, period).map_err(failed)?;
-    }
-
-    let indices = args.sampling.indices();
-    let jobs: Vec<u64> = (0..(cases.len() * indices.len()) as u64).collect();
-    // In the order of the starts, so that the values of a curve take turns and the estimate of the time left is fair.
-    let place = |job: u64| (job as usize % cases.len(), job as usize / cases.len());
-    let results = args.sampling.run(
-        &jobs,
-        &stop,
-        || Scratch::new(&planner),
-        |scratch, job| {
-            let (case, start) = place(job);
-            runs.sample(&cases[case], scratch, indices[start]).map(|failed| (case, failed))
-        },
-    )?;
-    let complete = results.len() == jobs.len();
-    let curves = curves_of(&cases, results);
+    let jobs = cases.len() * args.sampling.indices().len();
+    let curves = args.sampling.study(&planner, jobs, &stop, |study| {
+        if let (Some(output), Some(index)) = (&picture, args.sampling.only) {
+            let [case] = &cases[..] else {
+                let got = cases.len();
+                let text = format!("--picture: expected one --over, --values and --velocity, got {got} runs");
+                return Err(Failure::BadInput(text));
+            };
+            let records = robustness::records(study, case, &misses, args.seconds, index)
+                .map_err(StudyError::from)
+                .map_err(study_failure)?;
+            let config = planner.config();
+            let period = config.daemon.cycle.period.as_secs_f64();
+            picture::draw(output, &records, &config.robot.limits, period).map_err(failed)?;
+        }
+        robustness::run(study, &cases, &misses, args.seconds).map_err(study_failure)
+    })?;
+    let complete = curves.iter().flat_map(|c| &c.points).map(|p| p.samples).sum::<usize>() == jobs;
     if let Some(output) = &svg {
         curves::draw(output, &panels(&curves)).map_err(failed)?;
     }
@@ -253,52 +157,25 @@ fn cases(args: &RobustnessArgs, config: &Config) -> Result<Vec<Case>, Failure> {
         let values = args.values.as_deref().unwrap_or(over.values());
         for velocity in &velocities {
             for value in values {
-                over.check(*value)?;
-                let mut config = base.clone();
-                config.daemon.cycle.velocity = *velocity;
-                over.apply(*value, &mut config);
-                cases.push(Case { over: *over, value: *value, velocity: *velocity, config });
+                let case = Case::new(*over, *value, *velocity, &base);
+                cases.push(case.map_err(|e| Failure::BadInput(format!("--values: {e}")))?);
             }
         }
     }
     Ok(cases)
 }
 
-/// The results, which name their case, as curves.
-fn curves_of(cases: &[Case], results: Vec<(usize, Option<Failed>)>) -> Vec<Curve> {
-    let mut points: Vec<Point> = cases
-        .iter()
-        .map(|case| Point {
-            value: case.value,
-            samples: 0,
-            succeeded: 0,
-            interval: (0.0, 1.0),
-            failures: BTreeMap::new(),
-            failed: Vec::new(),
-        })
-        .collect();
-    for (case, failed) in results {
-        let point = &mut points[case];
-        point.samples += 1;
-        point.succeeded += usize::from(failed.is_none());
-        if let Some(failed) = failed {
-            *point.failures.entry(failed.kind.clone()).or_default() += 1;
-            point.failed.push(failed);
-        }
+/// How often cycles were missed, as `upswing soak --json` prints it.
+fn misses(path: &Path) -> Result<Misses, Failure> {
+    let refuse = |text: String| Failure::BadInput(format!("--missed {}: {text}", path.display()));
+    let text = upswing_config::read_file(path).map_err(|e| refuse(e.to_string()))?;
+    let misses: Misses = serde_json::from_slice(&text).map_err(|e| {
+        refuse(format!("expected {{\"cycles\": N, \"missed\": {{\"LENGTH\": COUNT, ..}}}}: {e}"))
+    })?;
+    if misses.cycles == 0 || misses.missed.values().all(|n| *n == 0) || misses.missed.contains_key(&0) {
+        return Err(refuse("expected cycles and stretches of at least one missed cycle".into()));
     }
-    let mut curves: Vec<Curve> = Vec::new();
-    for (case, mut point) in cases.iter().zip(points) {
-        point.interval = wilson(point.succeeded, point.samples);
-        let velocity = name(case.velocity);
-        match curves.last_mut().filter(|c| c.over == case.over && c.velocity == velocity) {
-            Some(curve) => curve.points.push(point),
-            None => {
-                let label = case.over.label();
-                curves.push(Curve { over: case.over, label, velocity, points: vec![point] });
-            }
-        }
-    }
-    curves
+    Ok(misses)
 }
 
 /// One panel for each thing that is varied.

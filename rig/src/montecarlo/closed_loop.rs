@@ -1,0 +1,205 @@
+//! Swing-ups with controller and simulated plant in one process, under conditions that planner and controller do not know.
+
+use super::condition::Condition;
+use super::{ENDED_BADLY, NoStart, Scratch, Spread, Study, StudyError, arm_degrees};
+use crate::closed_loop::{Aborted, Disturbances};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::time::Instant;
+use upswing_ipc::Telemetry;
+use upswing_model::{NU, State};
+use upswing_record::report::Report;
+
+/// What became of one start. All but the time depends on settings, condition, seed and index alone.
+#[derive(Clone, Debug, Serialize)]
+pub struct Sample {
+    /// Number of the start.
+    pub index: u64,
+    /// Angles of joints 1-7, deg.
+    pub start_deg: [f64; NU],
+    /// Figures of a run that came to its end.
+    pub end: Option<Figures>,
+    /// The kind of failure; `None`: it ended balanced.
+    pub failure: Option<String>,
+    /// What exactly was wrong.
+    pub reasons: Vec<String>,
+    /// How long it took, s.
+    #[serde(skip)]
+    pub time_s: f64,
+}
+
+/// Some of the figures of a [`Report`].
+#[derive(Clone, Debug, Serialize)]
+pub struct Figures {
+    /// Duration of the plan t_F, s.
+    pub t_f: f64,
+    /// Largest |q - q_d| of joints 1-7 in Track, rad.
+    pub tracking_error_arm: f64,
+    /// Largest |q - q_d| of the pendulum in Track, rad.
+    pub tracking_error_pendulum: f64,
+    /// Largest share of the position limits of joints 1-7.
+    pub peak_position: f64,
+    /// Largest share of the velocity limits of joints 1-7.
+    pub peak_velocity: f64,
+    /// Largest share of the velocity limits of the pendulum.
+    pub peak_velocity_pendulum: f64,
+    /// Largest share of the torque limits.
+    pub peak_torque: f64,
+    /// Share of the cycles with torques cut at their limit.
+    pub limited_share: f64,
+    /// Largest tilt of the rod in the last second, deg.
+    pub final_tilt_deg: f64,
+    /// Largest speed of joints 1-7 in the last second, rad/s.
+    pub final_speed: f64,
+}
+
+impl From<&Report> for Figures {
+    fn from(r: &Report) -> Self {
+        Self {
+            t_f: r.t_f,
+            tracking_error_arm: r.figures.tracking_error_arm,
+            tracking_error_pendulum: r.figures.tracking_error_pendulum,
+            peak_position: r.figures.peak_position,
+            peak_velocity: r.figures.peak_velocity,
+            peak_velocity_pendulum: r.figures.peak_velocity_pendulum,
+            peak_torque: r.figures.peak_torque,
+            limited_share: r.figures.limited_share,
+            final_tilt_deg: r.figures.final_tilt_deg,
+            final_speed: r.figures.final_speed,
+        }
+    }
+}
+
+/// Figures are those of the runs that came to their end.
+#[derive(Serialize)]
+pub struct ConditionResult {
+    /// Name of the condition.
+    pub condition: String,
+    /// What it is for.
+    pub purpose: String,
+    /// Runs.
+    pub samples: usize,
+    /// Runs that ended balanced.
+    pub succeeded: usize,
+    /// How often each kind of failure occurred.
+    pub failures: BTreeMap<String, usize>,
+    /// Largest |q - q_d| of joints 1-7 in Track, rad.
+    pub tracking_error_arm: Option<Spread>,
+    /// Largest |q - q_d| of the pendulum in Track, rad.
+    pub tracking_error_pendulum: Option<Spread>,
+    /// Largest share of the position limits of joints 1-7.
+    pub peak_position: Option<Spread>,
+    /// Largest share of the velocity limits of joints 1-7.
+    pub peak_velocity: Option<Spread>,
+    /// Largest share of the velocity limits of the pendulum.
+    pub peak_velocity_pendulum: Option<Spread>,
+    /// Largest share of the torque limits.
+    pub peak_torque: Option<Spread>,
+    /// Share of the cycles with torques cut at their limit.
+    pub limited_share: Option<Spread>,
+    /// Largest tilt of the rod in the last second, deg.
+    pub final_tilt_deg: Option<Spread>,
+    /// Largest speed of joints 1-7 in the last second, rad/s.
+    pub final_speed: Option<Spread>,
+    /// How long it took.
+    pub times: Times,
+    /// Each run.
+    pub results: Vec<Sample>,
+}
+
+/// All in s; the only part that differs from run to run.
+#[derive(Serialize)]
+pub struct Times {
+    /// One run.
+    pub run: Option<Spread>,
+    /// All runs.
+    pub total: f64,
+}
+
+/// Swing-ups under one condition from every start of the study, each balanced for `seconds`.
+///
+/// # Errors
+/// [`StudyError`]
+pub fn run(study: &Study<'_>, condition: &Condition, seconds: f64) -> Result<ConditionResult, StudyError> {
+    let begin = Instant::now();
+    let results = study.each(
+        &study.indices,
+        || Scratch::new(study.planner),
+        |scratch, index| sample(study, condition, seconds, scratch, index),
+    )?;
+    let spread =
+        |value: fn(&Figures) -> f64| Spread::of(results.iter().filter_map(|s| s.end.as_ref()).map(value));
+    Ok(ConditionResult {
+        condition: condition.name.clone(),
+        purpose: condition.purpose.clone(),
+        samples: results.len(),
+        failures: results.iter().filter_map(|s| s.failure.clone()).fold(BTreeMap::new(), |mut n, kind| {
+            *n.entry(kind).or_default() += 1;
+            n
+        }),
+        succeeded: results.iter().filter(|s| s.failure.is_none()).count(),
+        tracking_error_arm: spread(|e| e.tracking_error_arm),
+        tracking_error_pendulum: spread(|e| e.tracking_error_pendulum),
+        peak_position: spread(|e| e.peak_position),
+        peak_velocity: spread(|e| e.peak_velocity),
+        peak_velocity_pendulum: spread(|e| e.peak_velocity_pendulum),
+        peak_torque: spread(|e| e.peak_torque),
+        limited_share: spread(|e| e.limited_share),
+        final_tilt_deg: spread(|e| e.final_tilt_deg),
+        final_speed: spread(|e| e.final_speed),
+        times: Times {
+            run: Spread::of(results.iter().map(|s| s.time_s)),
+            total: begin.elapsed().as_secs_f64(),
+        },
+        results,
+    })
+}
+
+/// Every cycle of the swing-up from start number `index`, as far as it came.
+///
+/// # Errors
+/// [`NoStart`]
+pub fn records(
+    study: &Study<'_>,
+    condition: &Condition,
+    seconds: f64,
+    index: u64,
+) -> Result<Vec<Telemetry>, NoStart> {
+    let mut scratch = Scratch::new(study.planner);
+    // How it ended, the result of the study says.
+    let _ = swing_up(study, condition, seconds, &mut scratch, index, &study.starts.start(index)?);
+    Ok(scratch.records)
+}
+
+fn sample(
+    study: &Study<'_>,
+    condition: &Condition,
+    seconds: f64,
+    scratch: &mut Scratch,
+    index: u64,
+) -> Result<Sample, NoStart> {
+    let begin = Instant::now();
+    let start = study.starts.start(index)?;
+    let (end, failure, reasons) = match swing_up(study, condition, seconds, scratch, index, &start) {
+        Ok(report) => {
+            let failure = (!report.success).then(|| ENDED_BADLY.into());
+            (Some(Figures::from(&report)), failure, report.failures)
+        }
+        Err(e) => (None, Some(e.kind()), vec![e.to_string()]),
+    };
+    let time_s = begin.elapsed().as_secs_f64();
+    Ok(Sample { index, start_deg: arm_degrees(&start), end, failure, reasons, time_s })
+}
+
+fn swing_up(
+    study: &Study<'_>,
+    condition: &Condition,
+    seconds: f64,
+    scratch: &mut Scratch,
+    index: u64,
+    start: &State,
+) -> Result<Report, Aborted> {
+    let (planner, plant) = (study.planner, condition.plant(&study.starts, index));
+    let undisturbed = |_| Disturbances::default();
+    scratch.swing_up(planner, (index, start), planner.config(), plant, seconds, undisturbed)
+}

@@ -1,0 +1,67 @@
+//! Figures of many runs: how they are distributed, and how well a share is known.
+
+use serde::Serialize;
+
+/// 95 % interval of a probability of which `succeeded` of `samples` trials are known (E. B. Wilson, J. Am. Stat. Assoc. 22,
+/// 1927).
+pub fn wilson(succeeded: usize, samples: usize) -> (f64, f64) {
+    /// 97.5 % of a normal distribution are below this, in standard deviations.
+    const Z: f64 = 1.959_963_984_540_054;
+    if samples == 0 {
+        return (0.0, 1.0);
+    }
+    let n = samples as f64;
+    let share = succeeded as f64 / n;
+    let middle = share + Z * Z / (2.0 * n);
+    let half = Z * (share * (1.0 - share) / n + Z * Z / (4.0 * n * n)).sqrt();
+    let at = |v: f64| (v / (1.0 + Z * Z / n)).clamp(0.0, 1.0);
+    (at(middle - half), at(middle + half))
+}
+
+/// How a figure is distributed over the samples.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Spread {
+    /// Smallest.
+    pub min: f64,
+    /// 1 % are not above it.
+    pub p01: f64,
+    /// Half are not above it.
+    pub median: f64,
+    /// 99 % are not above it.
+    pub p99: f64,
+    /// Largest.
+    pub max: f64,
+}
+
+impl Spread {
+    /// Of `values`; `None` if there are none.
+    pub fn of(values: impl IntoIterator<Item = f64>) -> Option<Self> {
+        let mut sorted: Vec<f64> = values.into_iter().collect();
+        sorted.sort_by(f64::total_cmp);
+        let last = sorted.len().checked_sub(1)?;
+        // Nearest rank.
+        let at = |share: f64| sorted[((share * sorted.len() as f64).ceil() as usize).clamp(1, last + 1) - 1];
+        Some(Self { min: sorted[0], p01: at(0.01), median: at(0.5), p99: at(0.99), max: sorted[last] })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::wilson;
+
+    #[test]
+    fn intervals_are_those_of_the_literature() {
+        // R. G. Newcombe, Statistics in Medicine 17, 1998, table I, method 3.
+        for ((r, n), (low, high)) in [
+            ((81, 263), (0.2553, 0.3662)),
+            ((15, 148), (0.0624, 0.1605)),
+            ((0, 20), (0.0, 0.1611)),
+            ((1, 29), (0.0061, 0.1718)),
+        ] {
+            let (l, h) = wilson(r, n);
+            assert!((l - low).abs() < 5.1e-5 && (h - high).abs() < 5.1e-5, "{r} of {n}: {l} to {h}");
+            let (l, h) = wilson(n - r, n);
+            assert!((l - 1.0 + high).abs() < 5.1e-5 && (h - 1.0 + low).abs() < 5.1e-5);
+        }
+    }
+}
