@@ -1,5 +1,5 @@
-# Options that submit-slurm and parallel share; to be sourced. Sets upswing, shards, database, folder, settings
-# (options of `upswing db build`), inputs (every file that decides on the result), and engine (options for Slurm or
+# Options of submit-slurm and parallel; sourced by both. Sets upswing, shards, database, folder, settings
+# (options of `upswing db build`), inputs (every file that determines the result), and engine (options for Slurm or
 # GNU Parallel).
 # shellcheck shell=bash disable=SC2034
 
@@ -21,7 +21,7 @@ read_options() {
     engine=("$@")
 
     [[ $shards =~ ^[1-9][0-9]{0,5}$ ]] || refuse "-n: expected a number of shards from 1 to 999999, got '$shards'"
-    [[ -n $database ]] || refuse "-o: expected the database to write"
+    [[ -n $database ]] || refuse "-o: expected the name of the database to write"
     [[ ! -d $database ]] || refuse "-o: expected a file, $database is a folder"
     upswing=$(type -P "${upswing:-upswing}") || refuse "-u: no program upswing; build it with cargo build --release"
     upswing=$(realpath "$upswing")
@@ -40,7 +40,7 @@ read_options() {
         fi
         settings+=(--grid "$grid")
     fi
-    # With the number of shards in its name: shards of different cuts must not meet.
+    # The name contains the number of shards, so that shards of different partitions are not mixed.
     folder=$database.shards-$shards
     mkdir -p "$folder/log"
 }
