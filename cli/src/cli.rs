@@ -23,6 +23,8 @@ enum Command {
     Demo(commands::demo::DemoArgs),
     Request(commands::request::RequestArgs),
     Disturb(commands::disturb::DisturbArgs),
+    // For those who change the programs: the list of commands is for those who use them.
+    #[command(hide = true)]
     Soak(commands::soak::SoakArgs),
     Status(commands::status::StatusArgs),
     Monitor(commands::monitor::MonitorArgs),
@@ -40,6 +42,8 @@ enum Command {
     MonteCarlo(commands::montecarlo::MonteCarloArgs),
     Config(commands::config::ConfigArgs),
     Completions(commands::completions::CompletionsArgs),
+    // For those who package the programs.
+    #[command(hide = true)]
     Man(commands::completions::ManArgs),
     /// Run as the control daemon, like `upswingd`
     ///
