@@ -3,6 +3,7 @@
 
 mod export;
 pub mod notify;
+pub mod number;
 pub mod output;
 
 pub use export::export;

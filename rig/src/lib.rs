@@ -3,6 +3,7 @@
 //! ([`montecarlo`]), many in a row while processes are killed ([`soak`]).
 
 pub mod closed_loop;
+pub mod fault_args;
 pub mod montecarlo;
 pub mod session;
 pub mod soak;

@@ -4,10 +4,10 @@
 
 use clap::Parser;
 use std::path::PathBuf;
-use upswing::commands::disturb::FaultArgs;
 use upswing_config::Config;
 use upswing_ipc::Telemetry;
 use upswing_record::Recorder;
+use upswing_rig::fault_args::FaultArgs;
 use upswing_tests::matrix::{Case, WATCHED, mode};
 use upswingd::warning_texts;
 

@@ -3,13 +3,13 @@
 
 use clap::Parser;
 use std::sync::LazyLock;
-use upswing::commands::disturb::FaultArgs;
 use upswing_config::{Config, Fault, FaultKind};
 use upswing_ipc::{Mode, Plan};
 use upswing_model::{JointVector, NU};
 use upswing_planner::replan::Planner;
 use upswing_plant::Plant;
 use upswing_rig::closed_loop::ClosedLoop;
+use upswing_rig::fault_args::FaultArgs;
 use upswingd::controller::{Order, Record};
 use upswingd::plan::accept;
 use upswingd::supervisor::{Request, is_braked};

@@ -1,12 +1,12 @@
 //! `upswing db`: the trajectory database.
 
 use super::{CommonArgs, TrajectoryJson, failed, print_json, progress_bar};
-use crate::parse::whole;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 use upswing_config::{Config, DatabaseFile};
 use upswing_planner::build::{self, BuildError, Shard, Summary};
+use upswing_process::number::whole;
 use upswing_process::output::{Destination, Output, OutputError, Overwrite};
 use upswing_process::{Failure, shutdown_flag};
 use upswing_trajectory::{Certificate, Database, Entry, Outcome};

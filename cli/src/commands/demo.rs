@@ -1,12 +1,13 @@
 //! `upswing demo`: the whole system on this machine.
 
 use super::{CommonArgs, failed, own_system, session_failure, time_bar, writable};
-use crate::parse::{Degrees, start_state, within};
+use crate::parse::{Degrees, start_state};
 use serde::Serialize;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use upswing_config::PendulumStart;
 use upswing_ipc::Clock;
+use upswing_process::number::within;
 use upswing_process::output::{Destination, Overwrite};
 use upswing_process::{Failure, note, shutdown_flag};
 use upswing_record::Recorder;

@@ -3,7 +3,6 @@
 pub mod host;
 
 use super::{CommonArgs, failed, time_bar};
-use crate::parse::within;
 use host::Host;
 use serde::Serialize;
 use std::fmt;
@@ -12,6 +11,7 @@ use std::time::{Duration, Instant};
 use upswing_config::RealtimeSettings;
 use upswing_ipc::{Domain, monotonic_ns, sleep_until};
 use upswing_process::Failure;
+use upswing_process::number::within;
 use upswing_view::live::Times;
 use upswingd::histogram::Histogram;
 use upswingd::os;

@@ -1,12 +1,13 @@
 //! `upswing export`: a recording as a table.
 
 use super::{CommonArgs, byte_bar, failed, writable};
-use crate::parse::{whole, window, within};
+use crate::parse::window;
 use serde::Serialize;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use upswing_ipc::Telemetry;
 use upswing_process::Failure;
+use upswing_process::number::{whole, within};
 use upswing_process::output::{Destination, Overwrite, Pending};
 use upswing_record::cycle::FIELDS;
 use upswing_record::{Message, Source, scan};

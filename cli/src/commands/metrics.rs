@@ -1,13 +1,13 @@
 //! `upswing metrics`: a running system for Prometheus.
 
 use super::{CommonArgs, failed, print_json, print_line, writable};
-use crate::parse::within;
 use serde::Serialize;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
+use upswing_process::number::within;
 use upswing_process::output::{Destination, Overwrite};
 use upswing_process::{Failure, shutdown_flag};
 use upswing_view::http::{self, Listener, Request, Response, Server};

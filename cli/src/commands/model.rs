@@ -1,13 +1,13 @@
 //! `upswing model`: the dynamics on the command line.
 
 use super::{CommonArgs, failed, print_json, print_line, progress_bar};
-use crate::parse::whole;
 use nalgebra::SMatrix;
 use serde::{Deserialize, Serialize};
 use std::io::BufRead;
 use std::time::Instant;
 use upswing_model::{ActuatedVector, JointVector, Limits, Model, NQ, NU, Workspace, state};
 use upswing_planner::coriolis::bound;
+use upswing_process::number::whole;
 use upswing_process::{Failure, shutdown_flag};
 
 /// Evaluates or prints the robot model.

@@ -5,7 +5,6 @@ mod replan;
 mod robustness;
 
 use super::{CommonArgs, failed, progress_bar, writable};
-use crate::parse::whole;
 use clap::ValueEnum;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
@@ -14,6 +13,7 @@ use upswing_model::NU;
 use upswing_planner::build::{self, Shard};
 use upswing_planner::replan::Planner;
 use upswing_process::Failure;
+use upswing_process::number::whole;
 use upswing_process::output::Output;
 use upswing_rig::montecarlo::{Spread, Starts, Study, StudyError};
 

@@ -1,7 +1,7 @@
 //! `upswing optimize`: one offline optimisation.
 
 use super::{CommonArgs, MarginsJson, TrajectoryJson, failed, print_json, print_line, spinner};
-use crate::parse::{Degrees, WEEK, start_state, within};
+use crate::parse::{Degrees, WEEK, start_state};
 use serde::Serialize;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
@@ -9,6 +9,7 @@ use upswing_config::PendulumStart;
 use upswing_planner::interior_point::Options;
 use upswing_planner::interior_point::Status;
 use upswing_planner::offline::{Search, optimize, options};
+use upswing_process::number::within;
 use upswing_process::{Failure, shutdown_flag};
 use upswing_trajectory::Margins;
 

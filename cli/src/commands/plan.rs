@@ -1,7 +1,7 @@
 //! `upswing plan`: one replan, without a running system.
 
 use super::{CommonArgs, PlanFigures, TrajectoryJson, failed, print_json, print_line, writable};
-use crate::parse::{Degrees, start_state, whole};
+use crate::parse::{Degrees, start_state};
 use serde::Serialize;
 use upswing_config::{Config, PendulumStart};
 use upswing_ipc::PlannerStatus;
@@ -11,6 +11,7 @@ use upswing_planner::interior_point::Status;
 use upswing_planner::offline::{Search, optimize, options};
 use upswing_planner::replan::{Effort, Manoeuvre, Method, Planner};
 use upswing_process::Failure;
+use upswing_process::number::whole;
 use upswing_process::output::{Destination, Overwrite};
 use upswing_trajectory::Entry;
 use upswing_view::picture;

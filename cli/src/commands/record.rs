@@ -1,11 +1,12 @@
 //! `upswing record`: every cycle of a running system in a file.
 
 use super::{CommonArgs, failed, spinner, time_bar, writable};
-use crate::parse::{WEEK, within};
+use crate::parse::WEEK;
 use serde::Serialize;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
+use upswing_process::number::within;
 use upswing_process::output::{Destination, Overwrite};
 use upswing_process::{Failure, shutdown_flag};
 use upswing_record::{Recorder, Tally, Tap};

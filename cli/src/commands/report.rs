@@ -1,10 +1,11 @@
 //! `upswing report`: a recording as a page to look at.
 
 use super::{CommonArgs, byte_bar, failed};
-use crate::parse::{window, within};
+use crate::parse::window;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use upswing_process::Failure;
+use upswing_process::number::within;
 use upswing_process::output::{Destination, Overwrite};
 use upswing_record::{Message, RecordingError, Source, scan};
 use upswing_view::page::{self, Data, Digest};

@@ -1,10 +1,11 @@
 //! `upswing soak`: the whole system on this machine, for long.
 
 use super::{CommonArgs, failed, own_system, session_failure, time_bar};
-use crate::parse::{WEEK, whole, within};
+use crate::parse::WEEK;
 use serde::Serialize;
 use std::time::Instant;
 use upswing_ipc::Clock;
+use upswing_process::number::{whole, within};
 use upswing_process::{Failure, shutdown_flag};
 use upswing_rig::montecarlo::Starts;
 use upswing_rig::session::{Programs, Session, SessionError};

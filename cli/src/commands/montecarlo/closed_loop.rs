@@ -1,8 +1,8 @@
 //! `upswing montecarlo closed-loop`.
 
 use super::{SamplingArgs, failed, list_failures, study_failure, writable, write_heading, write_row};
-use crate::parse::within;
 use serde::Serialize;
+use upswing_process::number::within;
 use upswing_process::output::{Destination, Overwrite};
 use upswing_process::{Failure, shutdown_flag};
 use upswing_rig::montecarlo::StudyError;

@@ -2,12 +2,12 @@
 
 use super::{SamplingArgs, failed, list_failures, study_failure, writable, write_heading, write_row};
 use crate::commands::PlanFigures;
-use crate::parse::whole;
 use serde::Serialize;
 use std::time::Instant;
 use upswing_model::{NU, State};
 use upswing_planner::qp::Solver;
 use upswing_planner::replan::{Effort, Manoeuvre, Planner};
+use upswing_process::number::whole;
 use upswing_process::output::{Destination, Overwrite};
 use upswing_process::{Failure, shutdown_flag};
 use upswing_rig::montecarlo::{NoStart, Spread, arm_degrees};

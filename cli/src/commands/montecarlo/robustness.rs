@@ -1,11 +1,11 @@
 //! `upswing montecarlo robustness`.
 
 use super::{SamplingArgs, failed, study_failure, writable};
-use crate::parse::within;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 use upswing_config::{Config, VelocityEstimate};
+use upswing_process::number::within;
 use upswing_process::output::{Destination, Overwrite};
 use upswing_process::{Failure, shutdown_flag};
 use upswing_rig::montecarlo::StudyError;
