@@ -115,7 +115,7 @@ fn replans(planner: &Planner, starts: &[State]) {
         iterations.last().unwrap_or(&0)
     );
 
-    let ts = config.daemon.cycle.period.as_secs_f64();
+    let ts = config.daemon.cycle.period.seconds();
     let mut work = Workspace::default();
     let times: Vec<Took> = plans
         .iter()

@@ -5,7 +5,7 @@ use crate::{ConfigError, RobotSettings};
 use serde::Deserialize;
 use std::path::PathBuf;
 use std::time::Duration;
-use upswing_model::{NQ, NU};
+use upswing_model::{NQ, NU, Period};
 
 /// The control daemon.
 #[derive(Clone, Debug, PartialEq)]
@@ -38,7 +38,7 @@ pub struct DaemonSettings {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CycleSettings {
     /// Control period T_s.
-    pub period: Duration,
+    pub period: Period,
     /// Time constant T_1 of the differential filter, s.
     pub velocity_filter: f64,
     /// Where velocities come from.
@@ -342,12 +342,12 @@ impl DaemonSettings {
         let check = Check { file };
         let raw: Raw = check.parse(text)?;
 
-        let period_us: u64 = check.integer("cycle.period_us", raw.cycle.period_us, 1..=100_000)?;
+        let period_us: u32 = check.integer("cycle.period_us", raw.cycle.period_us, 1..=100_000)?;
         let filter_ms = check.number("cycle.velocity_filter_ms", raw.cycle.velocity_filter_ms, &POSITIVE)?;
         check.above(
             "cycle.velocity_filter_ms",
             filter_ms,
-            period_us as f64 / 1e3,
+            f64::from(period_us) / 1e3,
             "cycle.period_us (in ms)",
         )?;
 
@@ -375,7 +375,7 @@ impl DaemonSettings {
 
         Ok(Self {
             cycle: CycleSettings {
-                period: Duration::from_micros(period_us),
+                period: Period::from_micros(period_us),
                 velocity_filter: filter_ms * 1e-3,
                 velocity: raw.cycle.velocity,
             },

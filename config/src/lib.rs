@@ -153,7 +153,7 @@ impl Config {
             defect: if self.planner.replan.iterations == 1 { plans.defect_of_one_qp } else { plans.defect },
             tolerance: (start.position, start.velocity),
             delays: Delays {
-                period: cycle.period.as_secs_f64(),
+                period: cycle.period.seconds(),
                 velocity_filter: match cycle.velocity {
                     VelocityEstimate::Filter => Some(cycle.velocity_filter),
                     VelocityEstimate::Model => None,

@@ -2,8 +2,8 @@
 
 mod common;
 use common::{edit, exported};
-use std::time::Duration;
 use upswing_config::{Config, PendulumStart, TorqueConstraint, VelocityEstimate};
+use upswing_model::Period;
 
 #[test]
 fn the_same_settings() {
@@ -52,7 +52,7 @@ fn the_papers_values() {
     assert_eq!(robot.planning.q_max[6], robot.limits.q_max[6]);
     assert_eq!((robot.target.pitch, robot.target.q8), (deg(90.0), deg(180.0)));
     assert_eq!((robot.coriolis_bound.lower[1], robot.coriolis_bound.upper[1]), (-7.0, 8.0));
-    assert_eq!(config.daemon.cycle.period, Duration::from_micros(125));
+    assert_eq!(config.daemon.cycle.period, Period::from_micros(125));
     assert_eq!(config.daemon.cycle.velocity_filter, 0.012);
     assert_eq!(config.daemon.cycle.velocity, VelocityEstimate::Filter);
     assert_eq!(config.robot.rotor_inertia, [0.0; 7]);

@@ -6,7 +6,7 @@ use crate::trip::{Trip, TripCause};
 use std::ops::Range;
 use upswing_config::{Config, Level, Levels, StartTolerance};
 use upswing_ipc::Measurement;
-use upswing_model::{ActuatedVector, JointVector, NQ, NU, NX, State};
+use upswing_model::{ActuatedVector, JointVector, NQ, NU, NX, Period, State};
 
 /// The joints of the arm, q_A, and those of the pendulum, q_U.
 const ARM: Range<usize> = 0..NU;
@@ -33,7 +33,7 @@ pub struct Checks {
     /// Largest speed that an encoder can report, rad/s.
     encoder_speed: JointVector,
     start: StartTolerance,
-    period_ns: u64,
+    period: Period,
     /// T_1, s: how far measured speeds lag behind.
     velocity_filter: f64,
 }
@@ -52,14 +52,14 @@ impl Checks {
                 if i < NU { SPEED_FACTOR * limits.qd_max[i] } else { PENDULUM_SPEED }
             }),
             start: config.daemon.start,
-            period_ns: u64::try_from(config.daemon.cycle.period.as_nanos()).unwrap_or(u64::MAX),
+            period: config.daemon.cycle.period,
             velocity_filter: config.daemon.cycle.velocity_filter,
         }
     }
 
-    /// T_s, s.
-    pub fn period(&self) -> f64 {
-        self.period_ns as f64 * 1e-9
+    /// T_s.
+    pub fn period(&self) -> Period {
+        self.period
     }
 
     /// Whether a measurement can be used at all: clock, period, drives, angles, torques.
@@ -68,8 +68,8 @@ impl Checks {
             let (value, limit) = (unknown.got as f64, unknown.max as f64);
             return Some(Trip { cause: TripCause::UnknownClock, joint: 0, value, limit });
         }
-        if measurement.period_ns != self.period_ns {
-            let (value, limit) = (measurement.period_ns as f64, self.period_ns as f64);
+        if measurement.period_ns != self.period.nanos() {
+            let (value, limit) = (measurement.period_ns as f64, self.period.nanos() as f64);
             return Some(Trip { cause: TripCause::PeriodMismatch, joint: 0, value, limit });
         }
         if measurement.status & Measurement::DRIVE_FAULT != 0 {
@@ -116,7 +116,7 @@ impl Checks {
 
     /// Whether the angles can have changed from `last` to `q` (rad) in `cycles` cycles.
     pub fn jump(&self, last: &JointVector, q: &JointVector, cycles: u64, warnings: &mut u64) -> Option<Trip> {
-        let elapsed = cycles as f64 * self.period();
+        let elapsed = self.period.seconds_of(cycles);
         let level = |i: usize| {
             let moved = self.encoder_speed[i] * elapsed;
             let Level { warn, trip } = self.levels.encoder_jump;
@@ -189,17 +189,17 @@ impl Checks {
         warnings: &mut u64,
     ) -> Option<Trip> {
         let level = scaled(self.levels.torque_rate, |i| self.tau_max[i]);
-        beyond(TripCause::TorqueRate, ARM, |i| (tau[i] - last[i]) / self.period(), level, warnings)
+        beyond(TripCause::TorqueRate, ARM, |i| (tau[i] - last[i]) / self.period.seconds(), level, warnings)
     }
 
     /// Largest change of the commanded torque in one cycle, N m, while a mode begins: that of the warning level.
     pub fn torque_step(&self) -> ActuatedVector {
-        self.tau_max * (self.levels.torque_rate.warn * self.period())
+        self.tau_max * (self.levels.torque_rate.warn * self.period.seconds())
     }
 
     /// How many cycles of such a change lead from any torque to any other.
     pub fn torque_steps(&self) -> u64 {
-        (2.0 / (self.levels.torque_rate.warn * self.period())).ceil() as u64
+        (2.0 / (self.levels.torque_rate.warn * self.period.seconds())).ceil() as u64
     }
 
     /// Age of the loaded plan, s.

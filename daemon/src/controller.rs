@@ -288,7 +288,7 @@ impl Controller {
             self.standstill.reset();
             None
         } else if fresh {
-            let elapsed = self.observer.cycles() as f64 * self.checks.period();
+            let elapsed = self.checks.period().seconds_of(self.observer.cycles());
             let q = position(&self.observer.x);
             let tau = measurement.tau_measured.into();
             let frozen = if self.senses { self.standstill.observe_all(&q, &tau, elapsed) } else { None };
@@ -367,7 +367,7 @@ impl Controller {
             let mut x = self.observer.x;
             x.fixed_rows_mut::<NU>(NQ).fill(0.0);
             let explained = self.model.torque(&x, &ActuatedVector::zeros(), &mut self.work);
-            let elapsed = self.observer.cycles() as f64 * self.checks.period();
+            let elapsed = self.checks.period().seconds_of(self.observer.cycles());
             self.disturbance.weigh(&(explained - ActuatedVector::from(measurement.tau_measured)), elapsed);
         }
     }
@@ -403,6 +403,7 @@ impl Controller {
             u: target.u.into(),
             tau: torque.tau.into(),
             tau_measured: measurement.tau_measured,
+            clock: measurement.clock,
             ..Telemetry::default()
         }
     }

@@ -12,7 +12,7 @@ use upswing_ipc::Telemetry;
 use xxhash_rust::xxh3::xxh3_64;
 
 /// The first word: what the file is, and the version of its records.
-pub const MAGIC: u64 = u64::from_le_bytes(*b"upswfl02");
+pub const MAGIC: u64 = u64::from_le_bytes(*b"upswfl03");
 /// Ending of the names of its files.
 const EXTENSION: &str = "flight";
 const WORD: usize = 8;

@@ -10,13 +10,13 @@ use std::time::{Duration, Instant};
 use tracing::{error, info, warn};
 use upswing_config::DaemonSettings;
 use upswing_ipc::{
-    ControlResponse, IpcError, Mode, Node, Publisher, StepBatch, Telemetry, TelemetryBatch, Text,
+    Clock, ControlResponse, IpcError, Mode, Node, Publisher, StepBatch, Telemetry, TelemetryBatch, Text,
 };
 
 /// Oldest telemetry that waits for a batch to fill.
 const FLUSH: Duration = Duration::from_millis(5);
-/// What the flight recorder keeps.
-const FLIGHT: Duration = Duration::from_secs(2);
+/// What the flight recorder keeps, s.
+const FLIGHT: f64 = 2.0;
 /// Shortest time between two logged overruns; all are counted.
 const OVERRUN_LOG: Duration = Duration::from_secs(1);
 
@@ -50,7 +50,6 @@ impl<'a> Journal<'a> {
     /// # Errors
     /// If nothing can be published.
     pub fn new(settings: &'a DaemonSettings, node: &Node) -> Result<Self, IpcError> {
-        let cycles = FLIGHT.as_nanos() / settings.cycle.period.as_nanos();
         Ok(Self {
             settings,
             newest: None,
@@ -65,7 +64,7 @@ impl<'a> Journal<'a> {
             warnings: 0,
             watch: None,
             overrun: None,
-            recorder: Recorder::new(usize::try_from(cycles).unwrap_or(1)),
+            recorder: Recorder::new(settings.cycle.period.cycles_in(FLIGHT) as usize),
             flight: String::new(),
         })
     }
@@ -157,11 +156,11 @@ impl<'a> Journal<'a> {
     /// Statistics and warnings.
     fn count(&mut self, telemetry: &Telemetry) {
         let compute = telemetry.read_ns + telemetry.compute_ns + telemetry.write_ns;
-        // On lockstep there are no times, on paced there is no planned start.
-        if compute > 0 {
+        let clock = telemetry.clock();
+        if clock.is_ok_and(Clock::is_timed) {
             self.compute.add(compute);
         }
-        if telemetry.wake_ns > 0 {
+        if clock.is_ok_and(Clock::is_real_time) {
             self.wake.add(telemetry.wake_ns);
         }
         if telemetry.flags & Telemetry::OVERRUN != 0 {

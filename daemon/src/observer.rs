@@ -47,9 +47,9 @@ impl Observer {
     /// An observer that has seen nothing.
     pub fn new(cycle: &CycleSettings) -> Self {
         Self {
-            filter: DifferentialFilter::new(cycle.period.as_secs_f64(), cycle.velocity_filter),
+            filter: DifferentialFilter::new(cycle.period.seconds(), cycle.velocity_filter),
             lead: (cycle.velocity == VelocityEstimate::Model)
-                .then(|| Lead::new(cycle.period.as_secs_f64(), cycle.velocity_filter)),
+                .then(|| Lead::new(cycle.period.seconds(), cycle.velocity_filter)),
             x: State::zeros(),
             filtered: JointVector::zeros(),
             unfit: Some(Trip::plain(TripCause::NoMeasurement)),

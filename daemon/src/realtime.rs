@@ -135,7 +135,7 @@ impl Cycle {
             reports,
             records,
             shared: Arc::clone(&shared),
-            period_ns: u64::try_from(config.daemon.cycle.period.as_nanos()).unwrap_or(u64::MAX),
+            period_ns: config.daemon.cycle.period.nanos(),
             waited_ns: 0,
             overruns: 0,
             late: 0,

@@ -5,7 +5,7 @@ mod common;
 use common::{Arm, PERIOD, PERIOD_NS, at_rest, config, measurement, rest_payload, rest_pose, swing};
 use std::time::Instant;
 use upswing_config::Config;
-use upswing_ipc::{Mode, PlannerKind, PlannerRequest, Telemetry};
+use upswing_ipc::{Clock, Mode, PlannerKind, PlannerRequest, Telemetry};
 use upswing_model::{JointVector, NQ};
 use upswing_planner::replan::Planner;
 use upswing_planner::service::Desk;
@@ -124,7 +124,7 @@ fn a_predicted_start_is_met_and_ends_balanced() {
         let output = controller.step(&measurement, 0, order);
         arm.advance(&output.command);
         // Phase times tell the planner that no lock-step holds time for it.
-        (Telemetry { compute_ns: 1, ..output.record.telemetry }, output.answer)
+        (Telemetry { clock: Clock::Paced.code(), ..output.record.telemetry }, output.answer)
     };
     cycle(None);
     cycle(Some(Order::Do(Request::Enable)));

@@ -98,7 +98,7 @@ class Command(Structure):
 
 
 class Telemetry(Structure):
-    SIZE = 624
+    SIZE = 632
     OFFSETS = {
         "seq": 0,
         "t_ns": 8,
@@ -122,6 +122,7 @@ class Telemetry(Structure):
         "read_ns": 600,
         "compute_ns": 608,
         "write_ns": 616,
+        "clock": 624,
     }
     _fields_ = [
         ("seq", c_uint64),
@@ -146,15 +147,16 @@ class Telemetry(Structure):
         ("read_ns", c_uint64),
         ("compute_ns", c_uint64),
         ("write_ns", c_uint64),
+        ("clock", c_uint64),
     ]
 
     @staticmethod
     def type_name():
-        return "upswing.Telemetry.v2"
+        return "upswing.Telemetry.v3"
 
 
 class TelemetryBatch(Structure):
-    SIZE = 39952
+    SIZE = 40464
     OFFSETS = {
         "count": 0,
         "dropped": 8,
@@ -168,7 +170,7 @@ class TelemetryBatch(Structure):
 
     @staticmethod
     def type_name():
-        return "upswing.TelemetryBatch.v2"
+        return "upswing.TelemetryBatch.v3"
 
 
 class Plan(Structure):

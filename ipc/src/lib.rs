@@ -48,6 +48,7 @@ mod messages;
 mod node;
 pub mod operator;
 mod own;
+mod pacing;
 mod payload;
 mod request;
 mod search;

@@ -362,7 +362,7 @@ mod tests {
     fn balance_is_stable_with_a_free_rod_and_with_one_that_its_bearings_hold() {
         let config = upswing_config::Config::embedded().expect("settings");
         let planner = crate::replan::Planner::new(config.clone()).expect("the database fits");
-        let ts = config.daemon.cycle.period.as_secs_f64();
+        let ts = config.daemon.cycle.period.seconds();
         let work = &mut Workspace::default();
         for entry in planner.entries().iter().step_by(40) {
             let x = &entry.trajectory.x[N];
@@ -390,7 +390,7 @@ mod tests {
         let config = upswing_config::Config::embedded().expect("settings");
         let planner = crate::replan::Planner::new(config.clone()).expect("the database fits");
         let trajectory = &planner.entries()[7].trajectory;
-        let (weights, ts) = (&config.planner.lqr, config.daemon.cycle.period.as_secs_f64());
+        let (weights, ts) = (&config.planner.lqr, config.daemon.cycle.period.seconds());
         let work = &mut Workspace::default();
         let gains = synthesize(&config.model, trajectory, &config.planner, ts, work).expect("stabilisable");
 

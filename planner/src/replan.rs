@@ -386,7 +386,7 @@ impl Planner {
         let margins = Margins::of(&trajectory, model, &self.config.robot.planning, Certificate::BETWEEN);
         times.check += begin.elapsed();
         let begin = Instant::now();
-        let ts = self.config.daemon.cycle.period.as_secs_f64();
+        let ts = self.config.daemon.cycle.period.seconds();
         let gains = lqr::synthesize(model, &trajectory, &self.config.planner, ts, &mut work)?;
         times.lqr += begin.elapsed();
         let begin = Instant::now();

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use tracing::{info, warn};
 use upswing_config::ReplanSettings;
 use upswing_ipc::{
-    Domain, Mode, PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus, Subscriber, Telemetry,
+    Clock, Domain, Mode, PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus, Subscriber, Telemetry,
     TelemetryBatch, Text, Topic as _,
 };
 use upswing_model::{ActuatedVector, Model, NQ, NU, NX, State, Workspace};
@@ -165,7 +165,7 @@ impl<'a> Desk<'a> {
         let Some((record, seen)) = &self.newest else { return };
         let start = measured(record);
         // In lockstep equal runs give equal plans, however long they take.
-        if in_lockstep(record)
+        if stands_still(record)
             || stale(record, *seen)
             || record.mode() != Ok(Mode::Hold)
             || !hangs(&self.planner.config().model, &start)
@@ -319,7 +319,7 @@ impl<'a> Desk<'a> {
         if manoeuvre == Manoeuvre::SwingDown || hangs(&config.model, &x) {
             return Ok(Start { x, activation_ns: None, due: None });
         }
-        if in_lockstep(record) || config.planner.replan.lead.is_zero() {
+        if stands_still(record) || config.planner.replan.lead.is_zero() {
             return Ok(Start { x, activation_ns: None, due: None });
         }
         let age = begin.saturating_duration_since(*seen);
@@ -346,15 +346,14 @@ fn measured(record: &Telemetry) -> State {
     State::from_fn(|i, _| if i < NQ { record.q[i] } else { record.qd[i - NQ] })
 }
 
-/// Whether a record comes from a system on the clock `lockstep`, on which all phase times are zero: time stands still
-/// while a plan is made.
-fn in_lockstep(record: &Telemetry) -> bool {
-    [record.wake_ns, record.read_ns, record.compute_ns, record.write_ns] == [0; 4]
+/// Whether time stands still on the clock of the plant while a plan is made.
+fn stands_still(record: &Telemetry) -> bool {
+    record.clock().is_ok_and(Clock::stands_still)
 }
 
 /// Whether the daemon that sent a record, seen at `seen`, may be gone.
 fn stale(record: &Telemetry, seen: Instant) -> bool {
-    !in_lockstep(record) && seen.elapsed() > FRESH
+    !stands_still(record) && seen.elapsed() > FRESH
 }
 
 /// Whether nothing moves but the noise of the velocity filter.

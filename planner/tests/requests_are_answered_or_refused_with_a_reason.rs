@@ -3,7 +3,9 @@
 use std::cell::Cell;
 use std::time::{Duration, Instant};
 use upswing_config::{Config, PendulumStart};
-use upswing_ipc::{Mode, NextStep, PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus, Telemetry};
+use upswing_ipc::{
+    Clock, Mode, NextStep, PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus, Telemetry,
+};
 use upswing_model::{NQ, State};
 use upswing_planner::replan::Planner;
 use upswing_planner::service::Desk;
@@ -24,7 +26,7 @@ fn record(x: &State, mode: Mode, lockstep: bool) -> Telemetry {
     for i in 0..NQ {
         (record.q[i], record.qd[i], record.q_d[i]) = (x[i], x[NQ + i], x[i]);
     }
-    record.compute_ns = if lockstep { 0 } else { 5000 };
+    record.clock = if lockstep { Clock::Lockstep } else { Clock::Paced }.code();
     record
 }
 

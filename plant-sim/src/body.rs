@@ -37,10 +37,10 @@ pub(crate) struct Body {
 }
 
 impl Body {
-    /// In a state (rad, rad/s), for a control period in s.
-    pub(crate) fn new(config: &Config, model: Model, q: &JointVector, qd: &JointVector, period: f64) -> Self {
+    /// Arm and pendulum in a state (rad, rad/s).
+    pub(crate) fn new(config: &Config, model: Model, q: &JointVector, qd: &JointVector) -> Self {
         let settings = &config.plant;
-        let step = period / f64::from(settings.substeps);
+        let step = config.daemon.cycle.period.seconds() / f64::from(settings.substeps);
         Self {
             q: *q,
             qd: *qd,

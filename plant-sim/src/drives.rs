@@ -2,7 +2,7 @@
 
 use upswing_config::{DriveSettings, MAX_DELAY};
 use upswing_ipc::Command;
-use upswing_model::{ActuatedVector, NU};
+use upswing_model::{ActuatedVector, NU, Period};
 
 /// Places for commands on their way, with the one that arrives.
 const LINE: usize = MAX_DELAY as usize + 1;
@@ -42,16 +42,15 @@ pub(crate) struct Drives {
 }
 
 impl Drives {
-    /// With closed brakes, for a control period in s.
-    pub(crate) fn new(settings: &DriveSettings, tau_max: &ActuatedVector, period: f64) -> Self {
+    /// Drives with closed brakes. `tau_max`: the torque limits, N m.
+    pub(crate) fn new(settings: &DriveSettings, tau_max: &ActuatedVector, period: Period) -> Self {
         let lag = settings.torque_lag;
         Self {
             tau_max: *tau_max,
             offset: settings.torque_offset.into(),
-            approach: if lag > 0.0 { -(-period / lag).exp_m1() } else { 1.0 },
+            approach: if lag > 0.0 { -(-period.seconds() / lag).exp_m1() } else { 1.0 },
             watchdog_cycles: settings.watchdog_cycles,
-            // Not negative: both are checked settings.
-            engage_cycles: (settings.brake_engage / period).round() as u64,
+            engage_cycles: period.nearest_cycles(settings.brake_engage),
             delay: settings.command_delay as usize,
             line: [None; LINE],
             held: None,

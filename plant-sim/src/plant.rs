@@ -7,7 +7,7 @@ use crate::faults::{Faults, SetEventError, check_room};
 use crate::start::{StateError, check_state};
 use upswing_config::{Config, Fault, Push, RobotSettings};
 use upswing_ipc::{Clock, Command, Measurement};
-use upswing_model::{ActuatedVector, JointVector, NU, position, velocity};
+use upswing_model::{ActuatedVector, JointVector, NU, Period, position, velocity};
 
 /// Robot, pendulum, drives, encoders and brakes at one moment.
 ///
@@ -25,7 +25,7 @@ pub struct Plant {
     encoders: Encoders,
     faults: Faults,
     pushes: Vec<Push>,
-    period_ns: u64,
+    period: Period,
     /// Number of the cycle that the next step completes.
     seq: u64,
 }
@@ -53,12 +53,12 @@ impl Plant {
         let model = settings.model.apply(&config.plant_model);
         let mut plant = Self {
             robot: config.robot.clone(),
-            body: Body::new(config, model, q, qd, period.as_secs_f64()),
-            drives: Drives::new(&settings.drive, &config.robot.limits.tau_max, period.as_secs_f64()),
+            body: Body::new(config, model, q, qd),
+            drives: Drives::new(&settings.drive, &config.robot.limits.tau_max, period),
             encoders: Encoders::new(&settings.encoder),
             faults: Faults::new(&settings.faults),
             pushes: settings.pushes.clone(),
-            period_ns: u64::try_from(period.as_nanos()).unwrap_or(u64::MAX),
+            period,
             seq: 1,
         };
         plant.sense();
@@ -166,9 +166,9 @@ impl Plant {
         self.drives.tau_peak()
     }
 
-    /// Control period, ns.
-    pub fn period_ns(&self) -> u64 {
-        self.period_ns
+    /// Control period T_s.
+    pub fn period(&self) -> Period {
+        self.period
     }
 
     /// Takes the measurement of this cycle.
@@ -181,7 +181,7 @@ impl Plant {
             load.as_ref().map_or(*self.drives.tau(), |load| self.drives.show_load(load)).into();
         self.faults.measured(Measurement {
             seq: self.seq,
-            t_ns: self.seq.saturating_mul(self.period_ns),
+            t_ns: self.period.nanos_of(self.seq),
             q: self.encoders.read(&self.body.q),
             tau_measured: tau,
             status: bit(self.brakes_closed(), Measurement::BRAKES_CLOSED)
@@ -190,7 +190,7 @@ impl Plant {
                 | bit(self.drive_fault(), Measurement::DRIVE_FAULT)
                 | bit(load.is_some(), Measurement::LOAD_SENSED),
             clock: Clock::Lockstep.code(),
-            period_ns: self.period_ns,
+            period_ns: self.period.nanos(),
         });
     }
 
@@ -201,10 +201,9 @@ impl Plant {
 
     /// All pushes of this cycle together, N.
     fn force(&self) -> Option<Force> {
-        let period = self.period_ns as f64 * 1e-9;
         self.pushes.iter().filter(|push| push.acts(self.seq)).fold(None, |sum: Option<Force>, push| {
             let sum = sum.unwrap_or_default();
-            let time = push.cycles as f64 * period;
+            let time = self.period.seconds_of(push.cycles);
             Some(std::array::from_fn(|i| sum[i] + push.impulse[i] / time))
         })
     }

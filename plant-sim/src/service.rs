@@ -87,7 +87,7 @@ impl Service<'_> {
     /// Clock `wall`. Where the plant itself is late by less than the watchdog's time it catches up; if later, it moves
     /// its deadlines.
     fn run_on_wall_clock(&mut self) {
-        let period = self.front.plant.period_ns();
+        let period = self.front.plant.period().nanos();
         let tolerated = period.saturating_mul(self.watchdog_cycles.into());
         let mut deadline = monotonic_ns();
         let mut presence = Presence::Awaited;
@@ -129,7 +129,7 @@ impl Service<'_> {
     /// Clocks `paced` and `lockstep`.
     fn run_with_daemon(&mut self) {
         let paced = self.front.clock == Clock::Paced;
-        let period = self.front.plant.period_ns();
+        let period = self.front.plant.period().nanos();
         let mut deadline = monotonic_ns();
         let mut presence = Presence::Awaited;
         while self.wait_for_grant() {
@@ -232,7 +232,7 @@ impl Service<'_> {
         }
         self.published = measured.seq;
         // A late measurement, or a stale time, is as old on one clock as on the other.
-        let simulated = plant.seq().saturating_mul(plant.period_ns());
+        let simulated = plant.period().nanos_of(plant.seq());
         let t_ns =
             now.map_or(measured.t_ns, |now| now.saturating_sub(simulated.saturating_sub(measured.t_ns)));
         self.writer.write(Measurement { t_ns, clock: self.front.clock.code(), ..measured });

@@ -3,9 +3,8 @@
 mod common;
 
 use common::{frictionless, level_pose, settings, torque};
-use std::time::Duration;
 use upswing_ipc::Command;
-use upswing_model::{JointVector, N_ACTUATED, NU};
+use upswing_model::{JointVector, N_ACTUATED, NU, Period};
 use upswing_plant::Plant;
 
 #[test]
@@ -61,7 +60,7 @@ fn friction_is_the_torque_that_the_settings_state() {
         with.plant.friction.arm_compensation = compensation;
         let mut without = frictionless();
         // So short that friction changes neither itself nor Coriolis torques.
-        let period = Duration::from_micros(2);
+        let period = Period::from_micros(2);
         with.daemon.cycle.period = period;
         without.daemon.cycle.period = period;
         let qd = JointVector::from_fn(|i, _| if i % 2 == 0 { 0.3 } else { -0.2 });
@@ -81,7 +80,7 @@ fn friction_is_the_torque_that_the_settings_state() {
             *plant.velocity()
         };
         let mass = with.model.mass_matrix(&level_pose(), &mut upswing_model::Workspace::default());
-        let got = mass * (next(&with) - next(&without)) / period.as_secs_f64();
+        let got = mass * (next(&with) - next(&without)) / period.seconds();
         for i in 0..9 {
             let tolerance = 0.02 * expected[i].abs() + 1e-4;
             assert!(

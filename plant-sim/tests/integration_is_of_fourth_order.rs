@@ -3,9 +3,8 @@
 mod common;
 
 use common::{level_pose, settings, torque};
-use std::time::Duration;
 use upswing_config::Config;
-use upswing_model::{JointVector, NU, State, state};
+use upswing_model::{JointVector, NU, Period, State, state};
 use upswing_plant::Plant;
 
 const TAU: [f64; NU] = [5.0, -60.0, 3.0, 20.0, -1.0, 2.0, 0.2];
@@ -37,7 +36,7 @@ fn a_period_agrees_with_much_finer_steps() {
 fn halving_the_step_divides_the_error_by_sixteen() {
     let mut config = settings();
     // Long enough that rounding does not matter; the steep part of Coulomb friction is no power series.
-    config.daemon.cycle.period = Duration::from_millis(4);
+    config.daemon.cycle.period = Period::from_micros(4000);
     config.plant.friction.pendulum_coulomb = [0.0; _];
     config.plant.drive.brake_time_constant = 0.1;
     for brakes in [false, true] {

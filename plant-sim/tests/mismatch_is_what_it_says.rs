@@ -3,9 +3,8 @@
 mod common;
 
 use common::{energy, frictionless, level_pose, torque};
-use std::time::Duration;
 use upswing_config::{Config, Push};
-use upswing_model::{JointMatrix, JointVector, Model, NQ, NU, Workspace};
+use upswing_model::{JointMatrix, JointVector, Model, NQ, NU, Period, Workspace};
 use upswing_plant::Plant;
 
 fn pose() -> JointVector {
@@ -22,7 +21,7 @@ fn velocity_of(point: impl Fn(&JointVector) -> [f64; 3], q: &JointVector, qd: &J
 /// Velocity after one period so short that positions do not change, divided by it: qdd, rad/s^2.
 fn acceleration(config: &Config, tau: [f64; NU]) -> JointVector {
     let mut config = config.clone();
-    config.daemon.cycle.period = Duration::from_micros(1);
+    config.daemon.cycle.period = Period::from_micros(1);
     let mut plant = Plant::at(&config, &pose(), &JointVector::zeros()).unwrap();
     plant.step(Some(&torque(tau)));
     plant.velocity() / 1e-6

@@ -30,7 +30,7 @@ fn swing_period(config: &Config, joint: usize, amplitude: f64) -> f64 {
     let mut q = level_pose();
     q[joint] = amplitude;
     let mut plant = Plant::at(config, &q, &JointVector::zeros()).unwrap();
-    let h = plant.period_ns() as f64 * 1e-9;
+    let h = plant.period().seconds();
     let mut falls = Vec::new();
     for k in 0..80_000 {
         let before = plant.position()[joint];
@@ -110,7 +110,7 @@ fn one_second_under_changing_torques_agrees_with_order_twelve() {
     let qd = JointVector::from_fn(|i, _| 0.05 * (i as f64 - 4.0));
     let mut plant = Plant::at(&config, &q, &qd).unwrap();
     let mut x = state(&q, &qd);
-    let (h, work) = (plant.period_ns() as f64 * 1e-9, &mut Workspace::default());
+    let (h, work) = (plant.period().seconds(), &mut Workspace::default());
     let holding = config.model.gravity_torque(&q, work);
     for k in 0..8_000 {
         let t = f64::from(k) * h;

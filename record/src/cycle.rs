@@ -3,7 +3,7 @@
 use super::cdr;
 use std::fmt::Write;
 use std::mem::offset_of;
-use upswing_ipc::{Mode, Telemetry};
+use upswing_ipc::{Clock, Mode, Telemetry};
 use upswing_model::{NQ, NU};
 
 /// ROS type of the message.
@@ -89,6 +89,7 @@ fields! {
     read_ns: u64, "ns", "reading the measurement";
     compute_ns: u64, "ns", "computing the command";
     write_ns: u64, "ns", "writing the command";
+    clock: u64, "", "clock of the plant";
 }
 
 // One field follows the other, and nothing is left out.
@@ -105,13 +106,25 @@ const _: () = {
 
 /// Definition of the message in the language of ROS 2.
 pub fn definition() -> String {
+    definition_of(FIELDS)
+}
+
+/// Definition of the message in the first recordings, which did not name the clock: the last field is missing.
+pub fn first_definition() -> String {
+    definition_of(&FIELDS[..FIELDS.len() - 1])
+}
+
+fn definition_of(fields: &[Field]) -> String {
     let mut text = String::from("# One control cycle of upswing. Joints run from the base to the tip.\n");
-    for field in FIELDS {
-        if field.name == "mode" {
-            // Foxglove shows the names of constants that stand before a field.
-            for mode in Mode::ALL {
-                let _ = writeln!(text, "uint64 {}={}", mode.to_string().to_uppercase(), mode.code());
-            }
+    for field in fields {
+        // Foxglove shows the names of constants that stand before a field.
+        let names: Vec<String> = match field.name {
+            "mode" => Mode::ALL.iter().map(Mode::to_string).collect(),
+            "clock" => Clock::ALL.iter().map(Clock::to_string).collect(),
+            _ => Vec::new(),
+        };
+        for (code, name) in names.iter().enumerate() {
+            let _ = writeln!(text, "uint64 {}={code}", name.to_uppercase());
         }
         let kind = if field.integer { "uint64" } else { "float64" };
         let array = if field.length > 1 { format!("[{}]", field.length) } else { String::new() };

@@ -93,7 +93,8 @@ pub fn scan<E: From<RecordingError>>(
         cause: Box::new(mcap::McapError::BadMagic),
     })?;
     let (schemas, channels) = (BTreeMap::new(), BTreeMap::new());
-    let mut reader = Reader { path, window, schemas, channels, settings: 0, elapsed: Elapsed::default() };
+    let (settings, elapsed, clock) = (0, Elapsed::default(), u64::MAX);
+    let mut reader = Reader { path, window, schemas, channels, settings, elapsed, clock };
     let mut recording = Recording::default();
     let (mut finished, mut seen) = (false, 0_u64);
     let mut damage = Damage::default();
@@ -169,6 +170,8 @@ impl Damage {
 #[derive(Clone, Copy)]
 enum Kind {
     Cycle,
+    /// A cycle of the first version of the message: its clock is that of the step before it.
+    CycleWithoutClock,
     Step,
     Plan,
 }
@@ -184,6 +187,8 @@ struct Reader<'a> {
     /// Bytes of the settings so far.
     settings: usize,
     elapsed: Elapsed,
+    /// Code of the plant's clock in the newest step; a number that is no code before the first one.
+    clock: u64,
 }
 
 impl Reader<'_> {
@@ -203,6 +208,11 @@ impl Reader<'_> {
                 self.schemas.insert(header.id, (header.name, text(&data)));
             }
             Record::Channel(c) => {
+                let first = &cycle::first_definition();
+                if c.topic == CYCLE_TOPIC && self.check(c.schema_id, cycle::TYPE, first).is_ok() {
+                    self.channels.insert(c.id, Kind::CycleWithoutClock);
+                    return Ok(None);
+                }
                 let known = [
                     (CYCLE_TOPIC, Kind::Cycle, cycle::TYPE, cycle::definition()),
                     (
@@ -226,12 +236,15 @@ impl Reader<'_> {
             }
             Record::Message { header, data } => {
                 let Some(kind) = self.channels.get(&header.channel_id) else { return Ok(None) };
-                let words = cdr::words(&data);
+                let mut words = cdr::words(&data);
+                if let (Kind::CycleWithoutClock, Some(words)) = (kind, &mut words) {
+                    words.push(self.clock);
+                }
                 let words = words.as_deref();
                 let what = || format!("message {} has {} bytes", header.sequence, data.len());
                 let other = || self.other_version(what());
                 return match kind {
-                    Kind::Cycle => {
+                    Kind::Cycle | Kind::CycleWithoutClock => {
                         let cycle = words.and_then(Telemetry::from_words).ok_or_else(other)?;
                         let t = self.elapsed.until(cycle.t_ns) as f64 * 1e-9;
                         let inside = t >= self.window.from && t <= self.window.to;
@@ -239,6 +252,7 @@ impl Reader<'_> {
                     }
                     Kind::Step => {
                         let step = words.and_then(Step::from_words).ok_or_else(other)?;
+                        self.clock = step.measurement.clock;
                         Ok(Some(Message::Step(step)))
                     }
                     Kind::Plan => {

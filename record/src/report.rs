@@ -221,7 +221,7 @@ impl Report {
         fastest: Option<&JointVector>,
     ) -> Self {
         let limits = &config.robot.limits;
-        let period = config.daemon.cycle.period.as_secs_f64();
+        let period = config.daemon.cycle.period.seconds();
         let mut counter = FigureCounter::default();
         records.iter().for_each(|record| counter.count(&config.model, limits, record));
         let mut figures = counter.figures(period, dropped);

@@ -55,7 +55,7 @@ impl Recorder {
         let texts = config.texts()?;
         let file = File::create_new(path)
             .map_err(|cause| RecordingError::Create { path: path.to_owned(), cause })?;
-        let period = config.daemon.cycle.period.as_secs_f64();
+        let period = config.daemon.cycle.period.seconds();
         let mut all = BTreeMap::from([
             ("version".into(), env!("CARGO_PKG_VERSION").into()),
             ("model_fingerprint".into(), format!("{:016x}", config.model.fingerprint())),

@@ -192,7 +192,7 @@ pub fn swing_up(
     disturbances: impl FnOnce(f64) -> Disturbances,
     records: &mut Vec<Telemetry>,
 ) -> Result<Report, Aborted> {
-    let period = config.daemon.cycle.period.as_secs_f64();
+    let period = config.daemon.cycle.period.seconds();
     let cycles = |s: f64| (s / period).ceil() as u64;
     records.clear();
     let mut run = Run { system: ClosedLoop::new(config, plant), records, fastest: JointVector::zeros() };

@@ -225,7 +225,7 @@ impl<'a> Soak<'a> {
     fn pass(&mut self, seconds: f64) -> Result<(), End> {
         /// So that telemetry never fills up.
         const SLICE: f64 = 0.05;
-        let period = self.starts.config.daemon.cycle.period.as_secs_f64();
+        let period = self.starts.config.daemon.cycle.period.seconds();
         let mut left = seconds;
         while left > 0.0 {
             let slice = left.min(SLICE);

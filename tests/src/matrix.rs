@@ -205,7 +205,7 @@ impl Case {
         let Ok(replan) = PLANNER.replan(self.system.controller.state(), iterations, None) else {
             return false;
         };
-        let period = self.config.daemon.cycle.period.as_secs_f64();
+        let period = self.config.daemon.cycle.period.seconds();
         self.plan_cycles = (replan.trajectory.t_f / period).ceil() as u64;
         let plan = Box::from(&replan.plan(&self.config));
         let Ok(accepted) = accept(&plan, &self.config) else { return false };

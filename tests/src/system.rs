@@ -99,7 +99,7 @@ impl System {
 
     /// Control period, s.
     pub fn period(&self) -> f64 {
-        self.config.daemon.cycle.period.as_secs_f64()
+        self.config.daemon.cycle.period.seconds()
     }
 
     /// Swings up, balances for `seconds`, and evaluates.

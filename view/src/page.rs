@@ -52,7 +52,7 @@ impl Setup {
             domain: domain.to_owned(),
             control,
             requests: Action::ALL.map(Action::name),
-            period_us: config.daemon.cycle.period.as_secs_f64() * 1e6,
+            period_us: config.daemon.cycle.period.seconds() * 1e6,
             body: Body::new(Robot::from_urdf(&config.urdf, &config.model)?, &config.robot.limits),
         })
     }

@@ -106,7 +106,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
 
     let (_clean, options) =
         own_system(&args.common, "demo", args.clock, start.to_string(), args.scenario.clone())?;
-    let period = config.daemon.cycle.period.as_secs_f64();
+    let period = config.daemon.cycle.period.seconds();
     let recorder = recording.map(|file| {
         file.clear().map_err(|e| Failure::BadInput(format!("--record: {e}")))?;
         let mut details = vec![("clock", args.clock.to_string()), ("start_deg", start.to_string())];

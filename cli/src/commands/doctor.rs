@@ -10,6 +10,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 use upswing_config::RealtimeSettings;
 use upswing_ipc::{Domain, monotonic_ns, sleep_until};
+use upswing_model::Period;
 use upswing_process::Failure;
 use upswing_process::number::within;
 use upswing_view::live::Times;
@@ -199,8 +200,8 @@ fn leftovers(domain: &Domain) -> Finding {
 }
 
 /// Sleeps to absolute deadlines as the daemon does; how late each wake-up is, and how many by more than a period.
-fn wake_up_latency(period: Duration, duration: Duration) -> (Histogram, u64) {
-    let period = u64::try_from(period.as_nanos()).unwrap_or(u64::MAX).max(1);
+fn wake_up_latency(period: Period, duration: Duration) -> (Histogram, u64) {
+    let period = period.nanos();
     let mut histogram = Histogram::default();
     let mut overruns = 0;
     let begin = monotonic_ns();

@@ -122,7 +122,8 @@ pub fn module() -> String {
             wake_ns,
             read_ns,
             compute_ns,
-            write_ns
+            write_ns,
+            clock
         }
     );
     class!(out, TelemetryBatch { count, dropped, records });

@@ -72,7 +72,7 @@ const _: () = assert!(size_of::<Command>() == WORD * (4 + NU));
 /// Everything of one control cycle, daemon -> whoever listens.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
-#[type_name("upswing.Telemetry.v2")]
+#[type_name("upswing.Telemetry.v3")]
 pub struct Telemetry {
     /// Cycle number of the daemon since it started, counts from 1.
     pub seq: u64,
@@ -111,17 +111,19 @@ pub struct Telemetry {
     pub tau: [f64; NU],
     /// tau, measured torques, joint frames, N m.
     pub tau_measured: [f64; NU],
-    /// From the planned start of the cycle to the actual one, ns.
+    /// From the planned start of the cycle to the actual one, ns; measured on the clock `wall`, else 0.
     pub wake_ns: u64,
-    /// Reading the measurement, ns.
+    /// Reading the measurement, ns; measured on the clock `wall`, else 0.
     pub read_ns: u64,
-    /// Filter, supervisor, control and torque law, ns.
+    /// Filter, supervisor, control and torque law, ns; measured on the clocks `wall` and `paced`, 0 on `lockstep`.
     pub compute_ns: u64,
-    /// Writing the command, ns.
+    /// Writing the command, ns; measured on the clocks `wall` and `paced`, 0 on `lockstep`.
     pub write_ns: u64,
+    /// Code of the plant's [`Clock`], as the measurement used names it: what `t_ns` and the phase times count by.
+    pub clock: u64,
 }
 
-const _: () = assert!(size_of::<Telemetry>() == WORD * (14 + 4 * NQ + 4 * NU));
+const _: () = assert!(size_of::<Telemetry>() == WORD * (15 + 4 * NQ + 4 * NU));
 
 impl Telemetry {
     /// Flag: the cycle ended after the next one should have begun.
@@ -132,6 +134,14 @@ impl Telemetry {
     pub const LIMITED: u64 = 1 << 2;
     /// Flag: the command closes the brakes.
     pub const BRAKE: u64 = 1 << 3;
+
+    /// The plant's clock.
+    ///
+    /// # Errors
+    /// [`UnknownCode`] if `clock` names none.
+    pub fn clock(&self) -> Result<Clock, UnknownCode> {
+        Clock::try_from(self.clock)
+    }
 
     /// The daemon's mode.
     ///
@@ -155,7 +165,7 @@ const TELEMETRY_BATCH: usize = 64;
 /// Consecutive cycles in one sample, because a sample per cycle would cost more than the cycle itself.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, ZeroCopySend)]
-#[type_name("upswing.TelemetryBatch.v2")]
+#[type_name("upswing.TelemetryBatch.v3")]
 pub struct TelemetryBatch {
     /// Records in use, 0 to the length of `records`; not to be trusted, read with [`TelemetryBatch::used`].
     pub count: u64,

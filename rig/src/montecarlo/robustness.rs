@@ -155,7 +155,7 @@ fn swing_up(
 ) -> Result<Report, Aborted> {
     let config = &case.config;
     let seconds = case.over.seconds(seconds);
-    let period = config.daemon.cycle.period.as_secs_f64();
+    let period = config.daemon.cycle.period.seconds();
     let shares = study.starts.shares(index);
     let disturbances = |t_f: f64| case.over.disturbances(case.value, t_f, seconds, period, misses, shares);
     scratch.swing_up(study.planner, (index, start), config, config.clone(), seconds, disturbances)

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 use std::collections::BTreeMap;
-use upswing_ipc::Telemetry;
+use upswing_ipc::{Clock, Telemetry};
 use upswingd::histogram::Histogram;
 
 /// Bins per factor of two.
@@ -40,11 +40,16 @@ struct Counter {
 impl CycleTimes {
     /// The next cycle.
     pub fn count(&mut self, t: &Telemetry) {
-        self.wake.count(t.wake_ns);
-        self.compute.count(t.read_ns.saturating_add(t.compute_ns).saturating_add(t.write_ns));
+        let clock = t.clock();
+        if clock.is_ok_and(Clock::is_real_time) {
+            self.wake.count(t.wake_ns);
+        }
+        if clock.is_ok_and(Clock::is_timed) {
+            self.compute.count(t.read_ns.saturating_add(t.compute_ns).saturating_add(t.write_ns));
+        }
     }
 
-    /// What was measured so far: on `lockstep` nothing is.
+    /// The distributions so far: none on `lockstep`, where nothing is measured, and no wake-ups on `paced`.
     pub fn times(&self) -> Vec<Times> {
         [self.wake.times("wake-up"), self.compute.times("compute")].into_iter().flatten().collect()
     }
@@ -52,10 +57,10 @@ impl CycleTimes {
 
 impl Counter {
     fn count(&mut self, ns: u64) {
-        if ns > 0 {
-            self.histogram.add(ns);
-            *self.bins.entry(((ns as f64).log2() * BINS_PER_OCTAVE).floor() as u32).or_default() += 1;
-        }
+        self.histogram.add(ns);
+        // The scale of the bins is logarithmic and begins at 1 ns.
+        let bin = (ns.max(1) as f64).log2() * BINS_PER_OCTAVE;
+        *self.bins.entry(bin.floor() as u32).or_default() += 1;
     }
 
     fn times(&self, name: &'static str) -> Option<Times> {

@@ -99,7 +99,7 @@ pub fn run(args: &ClosedLoopArgs) -> Result<(), Failure> {
                 let records = closed_loop::records(study, &condition, args.seconds, index)
                     .map_err(StudyError::from)
                     .map_err(study_failure)?;
-                let period = config.daemon.cycle.period.as_secs_f64();
+                let period = config.daemon.cycle.period.seconds();
                 picture::draw(output, &records, &config.robot.limits, period).map_err(failed)?;
             }
             closed_loop::run(study, &condition, args.seconds).map_err(study_failure)

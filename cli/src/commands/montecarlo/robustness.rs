@@ -119,7 +119,7 @@ pub fn run(args: &RobustnessArgs) -> Result<(), Failure> {
                 .map_err(StudyError::from)
                 .map_err(study_failure)?;
             let config = planner.config();
-            let period = config.daemon.cycle.period.as_secs_f64();
+            let period = config.daemon.cycle.period.seconds();
             picture::draw(output, &records, &config.robot.limits, period).map_err(failed)?;
         }
         robustness::run(study, &cases, &misses, args.seconds).map_err(study_failure)
