@@ -2,7 +2,7 @@
 
 use crate::solvers::Took;
 use upswing_model::{NU, NX};
-use upswing_planner::qp::{Qp, Solution};
+use upswing_ocp::qp::{Qp, Solution};
 use upswing_trajectory::N;
 
 /// First N, NX, NU and the number of target rows; then one record per QP, all of the same length, in the order of

@@ -4,10 +4,10 @@ use crate::qps::QpFile;
 use crate::{config, print, starts};
 use std::path::Path;
 use std::time::{Duration, Instant};
-use upswing_config::QpBackend;
 use upswing_model::{State, Workspace};
-use upswing_planner::lqr;
-use upswing_planner::qp::{Options, Qp, Solver, Status};
+use upswing_ocp::lqr;
+use upswing_ocp::qp::{Backend, Options, Qp, Solver, Status};
+use upswing_planner::offline::{lqr_weights, qp_weights};
 use upswing_planner::replan::{Effort, Manoeuvre, Planner, Replan};
 use upswing_trajectory::N;
 
@@ -58,7 +58,7 @@ pub fn run(folder: &Path, count: u64) {
 
 /// The first QP of each replan.
 fn one_qp(planner: &Planner, starts: &[State], path: &Path) {
-    let backends = [QpBackend::Structured, QpBackend::Clarabel];
+    let backends = [Backend::Structured, Backend::Clarabel];
     let mut solvers = backends.map(|backend| Solver::new(backend, N));
     let mut file = QpFile::default();
     let mut infeasible = 0;
@@ -86,7 +86,8 @@ fn one_qp(planner: &Planner, starts: &[State], path: &Path) {
 fn first_qp(planner: &Planner, start: &State) -> Qp {
     let nearest = planner.nearest(Manoeuvre::SwingUp, start)[0];
     let reference = &planner.entries()[nearest.index].trajectory;
-    planner.qp(&planner.problem(start), reference, reference, &mut Workspace::default())
+    let weights = qp_weights(&planner.config().planner.replan.weights);
+    Qp::new(&planner.problem(start), reference, reference, &weights, &mut Workspace::default())
 }
 
 fn replans(planner: &Planner, starts: &[State]) {
@@ -115,13 +116,13 @@ fn replans(planner: &Planner, starts: &[State]) {
         iterations.last().unwrap_or(&0)
     );
 
-    let ts = config.daemon.cycle.period.seconds();
+    let (weights, ts) = (lqr_weights(&config.planner), config.daemon.cycle.period.seconds());
     let mut work = Workspace::default();
     let times: Vec<Took> = plans
         .iter()
         .map(|plan| {
             let (gains, took) =
-                timed(|| lqr::synthesize(&config.model, &plan.trajectory, &config.planner, ts, &mut work));
+                timed(|| lqr::synthesize(&config.model, &plan.trajectory, &weights, ts, &mut work));
             assert!(gains.is_ok(), "{gains:?}");
             took
         })

@@ -8,6 +8,7 @@
 //! here allocates (but for making a [`Model`]), does I/O or differentiates numerically. SI units; joints
 //! are ordered from base to tip.
 
+pub mod coriolis;
 mod derivatives;
 mod description;
 mod dynamics;

@@ -1,21 +1,12 @@
-//! Swing-up trajectories, offline and in milliseconds.
+//! Plans of swing-ups and swing-downs: the trajectory database, replanning in milliseconds, and the planner process.
 //!
-//! - [`problem`]: (6), (8), (9), (11) as an optimisation problem; [`interior_point`] solves it, [`kkt`] is the
-//!   structured linear algebra underneath, [`offline`] applies them to a configuration, [`build`] makes databases with it.
-//! - [`nearest`]: the K-D tree over database entries; [`qp`]: (16); [`replan`]: both together with
-//!   [`lqr`], the gains (23). [`service`]: the process that answers requests; [`predict`]: where a moving start will be.
-//! - [`coriolis`]: the bound c of (11) by random states.
+//! - [`offline`]: the optimisation problem of the settings, solved for one start; [`database`] applies it to a grid of
+//!   starts and finds the entries nearest to one.
+//! - [`replan`]: a plan from a measured start; [`predict`]: the state in which a moving system will be when a plan begins.
+//! - [`service`]: the process that answers requests.
 
-pub mod build;
-pub mod coriolis;
-pub mod interior_point;
-pub mod kkt;
-pub mod lqr;
-pub mod nearest;
+pub mod database;
 pub mod offline;
 pub mod predict;
-pub mod problem;
-pub mod qp;
 pub mod replan;
-mod rows;
 pub mod service;

@@ -1,21 +1,15 @@
 //! Offline optimisation (6), (8), (9)/(11) with the settings of a configuration.
 
-use crate::interior_point::{Limit, Options, Solution, Status, solve};
-use crate::problem::{LimitKind, Problem, TorqueConstraint, upright_target};
-use upswing_config::Config;
-use upswing_model::{ActuatedVector, N_ACTUATED, NQ, NU, NX, State, Workspace};
+use upswing_config::{Config, PlannerSettings, ReplanWeights};
+use upswing_model::{ActuatedVector, N_ACTUATED, N_UNACTUATED, NQ, NU, NX, State};
+use upswing_ocp::interior_point::{Options, Solution, Status};
+use upswing_ocp::kkt::KnotVector;
+use upswing_ocp::lqr;
+use upswing_ocp::multistart::{self, Search, limit_in_the_way};
+use upswing_ocp::problem::{Problem, TorqueConstraint, upright_target};
+use upswing_ocp::qp;
 use upswing_trajectory::{N, Trajectory};
 use xxhash_rust::xxh3::Xxh3;
-
-/// Half waves (joint counted from 0, rad) on the lines from which an optimisation begins, near the mean of the optima of
-/// the paper's grid. A straight line itself lies on the symmetric ridge between optima: from it, 4 of the 152 starts of
-/// that grid end more than 2 % above the best known cost, and it takes three times as many iterations.
-const BENDS: [&[(usize, f64)]; 2] =
-    [&[(4, -0.75), (6, -0.65)], &[(0, 0.4), (2, 0.4), (4, -0.75), (6, -0.65)]];
-/// Duration of the bent lines, s.
-const BENT_DURATION: f64 = 2.3;
-/// Durations of the straight lines that are tried where no bent one converges, s.
-const STRAIGHT_DURATIONS: [f64; 2] = [2.0, 1.5];
 
 /// The problem (6), (8) of a start under the settings' limits and weights.
 pub fn problem(config: &Config, start: State) -> Problem<'_> {
@@ -63,15 +57,6 @@ pub fn problem_fingerprint(config: &Config) -> u64 {
     hash.digest()
 }
 
-/// How hard to look for the best of several local optima.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Search {
-    /// The first guess that converges.
-    First,
-    /// All bent lines; the cheapest solution is kept.
-    Best,
-}
-
 /// Optimises the swing-up from a start state; also from the solution of a `neighbour`, where there is one.
 /// A budget of time counts for each guess.
 pub fn optimize(
@@ -82,110 +67,13 @@ pub fn optimize(
     options: &Options<'_>,
 ) -> Solution {
     let problem = problem(config, start);
-    let mut best = search_optimum(&problem, search, neighbour, options);
+    let mut best = multistart::solve(&problem, search, neighbour, options);
     if matches!(best.status, Status::Infeasible(_))
         && let Some(limit) = limit_in_the_way(&problem, options)
     {
         best.status = Status::Infeasible(limit);
     }
     best
-}
-
-/// Solves `problem` from the guesses of [`optimize`], whose target and limits need not be those of the settings.
-pub fn search_optimum(
-    problem: &Problem<'_>,
-    search: Search,
-    neighbour: Option<&Trajectory>,
-    options: &Options<'_>,
-) -> Solution {
-    let mut best: Option<Solution> = None;
-    let mut attempt = |guess: &Trajectory, options: &Options<'_>| {
-        let solution = solve(problem, guess, options);
-        let solved = solution.status == Status::Solved;
-        let better = best.as_ref().is_none_or(|b| match (solved, b.status == Status::Solved) {
-            (true, true) => solution.cost < b.cost,
-            (false, false) => solution.violation < b.violation,
-            (this, _) => this,
-        });
-        if better {
-            best = Some(solution);
-        }
-        solved
-    };
-    let mut solved = false;
-    for bends in BENDS {
-        if !solved || search == Search::Best {
-            solved |= attempt(&problem.bent_line(BENT_DURATION, bends), options);
-        }
-    }
-    if let Some(neighbour) = neighbour {
-        solved |= attempt(&problem.shifted(neighbour), options);
-    }
-    for t_f in STRAIGHT_DURATIONS {
-        if !solved {
-            solved |= attempt(&problem.straight_line(t_f), options);
-        }
-    }
-    // At least one attempt was made.
-    best.unwrap_or_else(|| solve(problem, &problem.straight_line(STRAIGHT_DURATIONS[0]), options))
-}
-
-/// The limit without which a start that has no trajectory would have one: each kind of limit is lifted in turn, those
-/// of the pendulum first, which the arm cannot influence at once; what the trajectory then exceeds most is the answer.
-fn limit_in_the_way(problem: &Problem<'_>, options: &Options<'_>) -> Option<Limit> {
-    /// As good as none.
-    const LIFTED: f64 = 100.0;
-    let (arm, pendulum) = (0..N_ACTUATED, N_ACTUATED..NQ);
-    let both = [LimitKind::Velocity, LimitKind::Position];
-    // One joint of the pendulum, then all of it, then the arm.
-    let single = both.into_iter().flat_map(|kind| (N_ACTUATED..NQ).rev().map(move |i| (kind, i..i + 1)));
-    let whole = both.into_iter().map(|kind| (kind, pendulum.clone()));
-    let of_the_arm = [LimitKind::Velocity, LimitKind::Torque, LimitKind::Position].map(|k| (k, arm.clone()));
-    single.chain(whole).chain(of_the_arm).find_map(|(kind, joints)| {
-        let mut lifted = problem.clone();
-        for i in joints.clone() {
-            match kind {
-                LimitKind::Velocity => lifted.limits.qd_max[i] *= LIFTED,
-                LimitKind::Torque => lifted.limits.tau_max[i] *= LIFTED,
-                LimitKind::Position => {
-                    lifted.limits.q_min[i] *= LIFTED;
-                    lifted.limits.q_max[i] *= LIFTED;
-                }
-            }
-        }
-        let solution = solve(&lifted, &lifted.bent_line(BENT_DURATION, BENDS[0]), options);
-        (solution.status == Status::Solved)
-            .then(|| most_exceeded(problem, &solution.trajectory, kind, joints))
-            .flatten()
-    })
-}
-
-/// Where a trajectory exceeds the limits of one kind most, as a share of the range.
-fn most_exceeded(
-    problem: &Problem<'_>,
-    trajectory: &Trajectory,
-    kind: LimitKind,
-    joints: std::ops::Range<usize>,
-) -> Option<Limit> {
-    let limits = &problem.limits;
-    let mut work = Workspace::default();
-    let mut worst = (0.0, None);
-    for (k, (x, u)) in trajectory.knots().enumerate() {
-        let (_, tau) = problem.knot(x, u, &mut work);
-        let (tau_min, tau_max) = problem.torque.bounds(&limits.tau_max);
-        for joint in joints.clone() {
-            let (value, lower, upper) = match kind {
-                LimitKind::Position => (x[joint], limits.q_min[joint], limits.q_max[joint]),
-                LimitKind::Velocity => (x[NQ + joint], -limits.qd_max[joint], limits.qd_max[joint]),
-                LimitKind::Torque => (tau[joint], tau_min[joint], tau_max[joint]),
-            };
-            let excess = (lower - value).max(value - upper) / (upper - lower);
-            if excess > worst.0 {
-                worst = (excess, Some(Limit { kind, joint, time: k as f64 * trajectory.h() }));
-            }
-        }
-    }
-    worst.1
 }
 
 /// The options of the settings.
@@ -197,4 +85,28 @@ pub fn options(config: &Config) -> Options<'static> {
         time_budget: None,
         cancelled: None,
     }
+}
+
+/// The weights of the settings for the gains (20), and for the gain that holds x_N.
+pub fn lqr_weights(settings: &PlannerSettings) -> lqr::Weights {
+    let PlannerSettings { lqr: weights, balance, .. } = settings;
+    let q = State::from_fn(|i, _| match i {
+        i if i < NQ => weights.q_angles,
+        i if i < NQ + N_ACTUATED => weights.q_velocities_actuated,
+        _ => weights.q_velocities_unactuated,
+    });
+    let mut q_end = q;
+    q_end.fixed_rows_mut::<N_ACTUATED>(0).fill(balance.q_angles_actuated);
+    q_end.fixed_rows_mut::<N_UNACTUATED>(N_ACTUATED).fill(balance.q_angles_unactuated);
+    lqr::Weights { q, q_end, r: weights.r }
+}
+
+/// The weights of the settings for (17).
+pub fn qp_weights(weights: &ReplanWeights) -> qp::Weights {
+    let z = KnotVector::from_fn(|i, _| match i {
+        i if i < NQ => weights.q[i],
+        i if i < NX => weights.qd[i - NQ],
+        i => weights.u[i - NX],
+    });
+    qp::Weights { t_f: weights.t_f, z }
 }

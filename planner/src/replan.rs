@@ -10,16 +10,17 @@ mod outcome;
 
 pub use outcome::{Attempt, Method, NoPlan, Refusal, Replan, Times};
 
-use crate::interior_point;
-use crate::kkt::{KnotDynamics, KnotVector, TargetRow};
-use crate::lqr::{self, Gains};
-use crate::nearest::{NearestPose, Neighbour};
-use crate::offline::{self, Search, problem, problem_fingerprint, search_optimum, torque_constraint};
-use crate::problem::{KnotDerivatives, Problem, TorqueConstraint};
-use crate::qp::{Options, Qp, Solver, Status, TorqueRows};
+use crate::database::{NearestPose, Neighbour};
+use crate::offline::{self, lqr_weights, problem, problem_fingerprint, qp_weights, torque_constraint};
 use std::time::Instant;
-use upswing_config::{Config, ConfigError, DatabaseFile};
-use upswing_model::{NU, NX, NZ, State, Workspace, position, velocity};
+use upswing_config::{Config, ConfigError, DatabaseFile, QpBackend};
+use upswing_model::{NU, NX, State, Workspace, position, velocity};
+use upswing_ocp::interior_point;
+use upswing_ocp::kkt::{KnotVector, TargetRow};
+use upswing_ocp::lqr::{self, Gains};
+use upswing_ocp::multistart::{self, Search};
+use upswing_ocp::problem::Problem;
+use upswing_ocp::qp::{Backend, Options, Qp, Solver, Status};
 use upswing_trajectory::{Certificate, Database, DatabaseError, Entry, Margins, N, Trajectory, Unfit};
 
 /// Accuracy of each QP. A tenth of the defect that four linearisations reach.
@@ -180,7 +181,11 @@ impl Planner {
     /// A QP solver as the settings ask for, with its memory.
     pub fn solver(&self) -> Solver {
         let settings = &self.config.planner.replan;
-        Solver::new(settings.backend, N / settings.sub_horizons)
+        let backend = match settings.backend {
+            QpBackend::Structured => Backend::Structured,
+            QpBackend::Clarabel => Backend::Clarabel,
+        };
+        Solver::new(backend, N / settings.sub_horizons)
     }
 
     /// A swing-up from `start` by [`Self::replan_with`] a new solver.
@@ -297,11 +302,12 @@ impl Planner {
         let problem = self.problem_of(manoeuvre, start, &reference, self.config.planner.replan.knot_margin);
         let mut work = Workspace::default();
         let mut trajectory = reference.clone();
+        let weights = qp_weights(&self.config.planner.replan.weights);
         let begin = Instant::now();
         let (mut done, mut defect) = (0, f64::INFINITY);
         while done < iterations && !(defect <= self.config.planner.replan.defect) {
             done += 1;
-            let qp = self.qp(&problem, &reference, &trajectory, &mut work);
+            let qp = Qp::new(&problem, &reference, &trajectory, &weights, &mut work);
             self.step(&qp, solver, done, effort, &mut trajectory)?;
             defect = trajectory.defect(&self.config.model, &mut work);
         }
@@ -325,7 +331,7 @@ impl Planner {
         let halted = || effort.is_cancelled() || effort.out_of_time();
         let options = interior_point::Options { cancelled: Some(&halted), ..offline::options(&self.config) };
         let mut problem = self.problem_of(manoeuvre, start, &reference, 0.0);
-        let mut solution = search_optimum(&problem, Search::Best, None, &options);
+        let mut solution = multistart::solve(&problem, Search::Best, None, &options);
         if solution.status != Ending::Solved {
             solution = interior_point::solve(&problem, &problem.shifted(&reference), &options);
         }
@@ -362,7 +368,7 @@ impl Planner {
             solution = interior_point::solve(&problem, &found, &options);
             let solved = matches!(solution.status, Ending::Solved | Ending::Stalled);
             if !solved && tolerable.is_none() && !halted() {
-                solution = search_optimum(&problem, Search::Best, Some(&reference), &options);
+                solution = multistart::solve(&problem, Search::Best, Some(&reference), &options);
             }
         }
         unreachable!("the last round returns")
@@ -387,7 +393,7 @@ impl Planner {
         times.check += begin.elapsed();
         let begin = Instant::now();
         let ts = self.config.daemon.cycle.period.seconds();
-        let gains = lqr::synthesize(model, &trajectory, &self.config.planner, ts, &mut work)?;
+        let gains = lqr::synthesize(model, &trajectory, &lqr_weights(&self.config.planner), ts, &mut work)?;
         times.lqr += begin.elapsed();
         let begin = Instant::now();
         gate.check_feedback(model, &trajectory, &gains.knots, &gains.end).map_err(unfit)?;
@@ -462,79 +468,6 @@ impl Planner {
             trajectory.u[k] += dz.fixed_rows::<NU>(NX);
         }
         Ok(())
-    }
-
-    /// (16) linearised around `at`, for the deviation from `reference`.
-    pub fn qp(
-        &self,
-        problem: &Problem<'_>,
-        reference: &Trajectory,
-        at: &Trajectory,
-        work: &mut Workspace,
-    ) -> Qp {
-        let weights = &self.config.planner.replan.weights;
-        let weight = KnotVector::from_fn(|i, _| match i {
-            i if i < NX / 2 => weights.q[i],
-            i if i < NX => weights.qd[i - NX / 2],
-            i => weights.u[i - NX],
-        });
-        let (tau_min, tau_max) = problem.torque.bounds(&problem.limits.tau_max);
-        let mut dynamics = Vec::with_capacity(N + 1);
-        let mut torque = Vec::with_capacity(N + 1);
-        let mut gradient = Vec::with_capacity(N + 1);
-        for k in 0..=N {
-            let (x, u) = (&at.x[k], &at.u[k]);
-            let knot = KnotDerivatives {
-                dynamics: problem.model.derivatives(x, u, work),
-                constraint: match problem.torque {
-                    TorqueConstraint::Exact => None,
-                    TorqueConstraint::WithoutCoriolis { .. } => {
-                        Some(problem.model.derivatives_without_coriolis(x, u, work))
-                    }
-                },
-            };
-            dynamics.push(KnotDynamics::new(&knot.dynamics, x, u));
-            let d = knot.torque();
-            torque.push(TorqueRows {
-                jacobian: nalgebra::SMatrix::<f64, NU, NZ>::from_fn(|i, j| {
-                    if j < NX { d.tau_x[(i, j)] } else { d.tau_u[(i, j - NX)] }
-                }),
-                lower: tau_min - d.value.tau,
-                upper: tau_max - d.value.tau,
-            });
-            let (dx, du) = (x - reference.x[k], u - reference.u[k]);
-            gradient.push(KnotVector::from_fn(|i, _| weight[i] * if i < NX { dx[i] } else { du[i - NX] }));
-        }
-        let half_h = 0.5 * at.h();
-        Qp {
-            weight: vec![weight; N + 1],
-            weight_t: weights.t_f,
-            gradient,
-            gradient_t: weights.t_f * (at.t_f - reference.t_f),
-            h: at.h(),
-            defects: (0..N)
-                .map(|k| at.x[k + 1] - at.x[k] - (dynamics[k].f + dynamics[k + 1].f) * half_h)
-                .collect(),
-            dynamics,
-            start: problem.start - at.x[0],
-            target: problem
-                .target
-                .iter()
-                .map(|row| TargetRow {
-                    coefficients: row.coefficients,
-                    value: row.value - row.coefficients.dot(&at.x[N]),
-                })
-                .collect(),
-            x: (1..=N)
-                .map(|k| {
-                    let (lowest, highest) = problem.bounds(k);
-                    (lowest - at.x[k], highest - at.x[k])
-                })
-                .collect(),
-            t: (problem.t_f.0 - at.t_f, problem.t_f.1 - at.t_f),
-            torque,
-            compliance: 0.0,
-        }
     }
 }
 

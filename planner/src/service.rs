@@ -1,7 +1,6 @@
 //! The planner process: answers requests with plans.
 
 use crate::predict;
-use crate::qp::Solver;
 use crate::replan::{Effort, Manoeuvre, Method, Planner, Replan};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -13,6 +12,7 @@ use upswing_ipc::{
     TelemetryBatch, Text, Topic as _,
 };
 use upswing_model::{ActuatedVector, Model, NQ, NU, NX, State, Workspace};
+use upswing_ocp::qp::Solver;
 use upswing_process::notify::Notifier;
 use upswing_process::{Failure, ProcessArgs, shutdown_flag};
 use upswing_trajectory::Plan;

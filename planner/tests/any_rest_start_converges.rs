@@ -3,9 +3,10 @@
 
 use upswing_config::{Config, PendulumStart};
 use upswing_model::{NQ, State, Workspace};
-use upswing_planner::interior_point::{Solution, Status};
-use upswing_planner::offline::{Search, optimize, options};
-use upswing_planner::problem::LimitKind;
+use upswing_ocp::interior_point::{Solution, Status};
+use upswing_ocp::multistart::Search;
+use upswing_ocp::problem::LimitKind;
+use upswing_planner::offline::{optimize, options};
 
 /// Enough to meet rare trouble, few enough for a test; 1000 were run while this was written.
 const STARTS: usize = 60;

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Instant;
 use upswing_config::{Config, GridAxis};
-use upswing_planner::build::{self, BuildError, Finding, Shard, Summary, certify, read, verify};
+use upswing_planner::database::{self, BuildError, Finding, Shard, Summary, certify, read, verify};
 use upswing_planner::offline::problem_fingerprint;
 use upswing_planner::replan::{Planner, PlannerError};
 use upswing_process::output::{OutputError, Overwrite};
@@ -30,12 +30,12 @@ fn build(
     stop: &AtomicBool,
     progress: impl Fn(usize) + Sync,
 ) -> Result<Summary, BuildError> {
-    build::build(config, shard, &Overwrite { force: true }.output(path), stop, progress)
+    database::build(config, shard, &Overwrite { force: true }.output(path), stop, progress)
 }
 
 /// See [`build`].
 fn merge(inputs: &[PathBuf], path: &Path) -> Result<Summary, BuildError> {
-    build::merge(inputs, &Overwrite { force: true }.output(path))
+    database::merge(inputs, &Overwrite { force: true }.output(path))
 }
 
 fn go() -> AtomicBool {
@@ -186,8 +186,8 @@ fn a_file_of_another_build_is_left_as_it_is_unless_it_may_be_replaced() {
     let carefully = Overwrite::default().output(&path);
     let shards = [whole(dir.path())];
     let refusals = [
-        build::build(&small_grid(), Shard::WHOLE, &carefully, &go(), |_| panic!("it began")),
-        build::merge(&shards, &carefully),
+        database::build(&small_grid(), Shard::WHOLE, &carefully, &go(), |_| panic!("it began")),
+        database::merge(&shards, &carefully),
     ];
     for refusal in refusals {
         let refusal = refusal.expect_err("refused");
@@ -196,10 +196,10 @@ fn a_file_of_another_build_is_left_as_it_is_unless_it_may_be_replaced() {
         assert!(!dir.path().join("database.bin.journal").exists());
     }
     merge(&shards, &path).expect("it is replaced");
-    build::merge(&shards, &carefully).expect("it is the same");
+    database::merge(&shards, &carefully).expect("it is the same");
     // It is the file of this build now.
     let summary =
-        build::build(&small_grid(), Shard::WHOLE, &carefully, &go(), |_| ()).expect("nothing to do");
+        database::build(&small_grid(), Shard::WHOLE, &carefully, &go(), |_| ()).expect("nothing to do");
     assert_eq!(summary.resumed, 6);
 }
 

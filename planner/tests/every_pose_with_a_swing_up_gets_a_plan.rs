@@ -4,8 +4,9 @@
 use rayon::prelude::*;
 use upswing_config::{Config, PendulumStart};
 use upswing_model::{NU, State};
-use upswing_planner::interior_point::Status;
-use upswing_planner::offline::{Search, optimize, options};
+use upswing_ocp::interior_point::Status;
+use upswing_ocp::multistart::Search;
+use upswing_planner::offline::{optimize, options};
 use upswing_planner::replan::{Effort, Manoeuvre, Method, Planner};
 use upswing_trajectory::{Certificate, Entry, N};
 

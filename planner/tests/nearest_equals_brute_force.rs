@@ -2,7 +2,7 @@
 
 use proptest::prelude::*;
 use upswing_model::NU;
-use upswing_planner::nearest::NearestPose;
+use upswing_planner::database::NearestPose;
 
 fn brute_force(poses: &[[f64; NU]], metric: &[f64; NU], q: &[f64; NU], count: usize) -> Vec<usize> {
     let scale = metric.map(f64::sqrt);

@@ -4,8 +4,9 @@
 use serde::Deserialize;
 use upswing_config::{Config, PendulumStart, TorqueConstraint};
 use upswing_model::{NQ, NU, Workspace};
-use upswing_planner::interior_point::Status;
-use upswing_planner::offline::{Search, optimize, options, problem};
+use upswing_ocp::interior_point::Status;
+use upswing_ocp::multistart::Search;
+use upswing_planner::offline::{optimize, options, problem};
 use upswing_trajectory::Trajectory;
 
 #[derive(Deserialize)]

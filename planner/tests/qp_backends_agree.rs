@@ -1,17 +1,17 @@
 //! Both back ends solve (16), one around each of many database entries, to the same answer, and call the same ones
 //! infeasible.
 
-use upswing_config::{Config, PendulumStart, QpBackend};
+use upswing_config::{Config, PendulumStart};
 use upswing_model::{NQ, NU, NX, NZ, State, Workspace};
-use upswing_planner::kkt::KnotVector;
-use upswing_planner::offline::problem;
-use upswing_planner::problem::LimitKind;
-use upswing_planner::qp::{Bound, Options, Qp, Solver, Status};
+use upswing_ocp::kkt::KnotVector;
+use upswing_ocp::problem::LimitKind;
+use upswing_ocp::qp::{Backend, Bound, Options, Qp, Solver, Status};
+use upswing_planner::offline::{problem, qp_weights};
 use upswing_planner::replan::Planner;
 use upswing_trajectory::{N, Trajectory};
 
 /// `Structured` first.
-const BACKENDS: [QpBackend; 2] = [QpBackend::Structured, QpBackend::Clarabel];
+const BACKENDS: [Backend; 2] = [Backend::Structured, Backend::Clarabel];
 
 /// Tight, so that inputs agree even where a bound is hardly active.
 const PRECISE: Options<'_> =
@@ -48,7 +48,8 @@ fn qp_at(planner: &Planner, entry: usize, offset: &[f64; NU]) -> Option<Qp> {
 
 fn qp_from(planner: &Planner, reference: &Trajectory, at: &Trajectory, start: State) -> Qp {
     let problem = problem(planner.config(), start);
-    planner.qp(&problem, reference, at, &mut Workspace::default())
+    let weights = qp_weights(&planner.config().planner.replan.weights);
+    Qp::new(&problem, reference, at, &weights, &mut Workspace::default())
 }
 
 /// Largest violation of any constraint (rad, rad/s, share of half a torque range), computed from the statement.
@@ -168,7 +169,7 @@ fn infeasible_ones_are_infeasible_for_both() {
                 let Status::Infeasible(conflict) = status else {
                     panic!("{backend:?}, entry {entry}, joint {joint}: {status:?}")
                 };
-                assert_eq!(conflict.is_some(), backend == QpBackend::Structured, "{backend:?}");
+                assert_eq!(conflict.is_some(), backend == Backend::Structured, "{backend:?}");
             }
         }
         // A duration that no motion between the limits takes, and a target beyond its bounds.
@@ -209,7 +210,7 @@ fn softened_limits_yield_where_hard_ones_contradict() {
     }
     // Where nothing contradicts, a bound that hardly yields is one that does not.
     let mut qp = qp_at(&planner, 77, &[0.05; NU]).expect("a start at rest");
-    let [mut hard, mut soft] = [Solver::new(QpBackend::Structured, N), Solver::new(QpBackend::Structured, N)];
+    let [mut hard, mut soft] = [Solver::new(Backend::Structured, N), Solver::new(Backend::Structured, N)];
     assert_eq!(hard.solve(&qp, &PRECISE), Status::Solved);
     qp.compliance = 1e-9;
     assert_eq!(soft.solve(&qp, &PRECISE), Status::Solved);
@@ -226,7 +227,7 @@ fn a_limit_that_jumps_away_is_named() {
         qp.x[knot - 1].0[joint] = 0.5;
         qp.x[knot - 1].1[joint] = 1.0;
         qp.x[knot].1[joint] = 0.0;
-        let status = Solver::new(QpBackend::Structured, N).solve(&qp, &Options::new(1e-9));
+        let status = Solver::new(Backend::Structured, N).solve(&qp, &Options::new(1e-9));
         let Status::Infeasible(Some(conflict)) = status else { panic!("joint {joint}: {status:?}") };
         assert_eq!(conflict.bound, Bound::Joint(LimitKind::Position, joint), "{conflict}");
         assert!(conflict.knot == knot || conflict.knot == knot + 1, "{conflict}");
@@ -241,12 +242,12 @@ fn a_warm_start_ends_where_a_cold_one_does() {
         let q: [f64; NU] = std::array::from_fn(|i| reference.x[0][i] + offset * [1.0, 0.5, 0.0][i % 3]);
         let start = planner.config().start_state(&q, PendulumStart::Rest).expect("a start at rest");
         let mut at = reference.clone();
-        let mut warm = Solver::new(QpBackend::Structured, N);
+        let mut warm = Solver::new(Backend::Structured, N);
         for iteration in 0..4 {
             let qp = qp_from(&planner, reference, &at, start);
             let status =
                 if iteration == 0 { warm.solve(&qp, &PRECISE) } else { warm.solve_again(&qp, &PRECISE) };
-            let mut cold = Solver::new(QpBackend::Structured, N);
+            let mut cold = Solver::new(Backend::Structured, N);
             assert_eq!(
                 [status, cold.solve(&qp, &PRECISE)],
                 [Status::Solved; 2],
@@ -270,9 +271,9 @@ fn equal_qps_give_equal_bits_whatever_was_solved_before() {
     let mut qps = (0..planner.entries().len()).filter_map(|entry| qp_at(&planner, entry, &[0.02; NU]));
     let (first, other) = (qps.nth(20).expect("one"), qps.nth(20).expect("another"));
     let options = Options::new(1e-9);
-    let mut fresh = Solver::new(QpBackend::Structured, N);
+    let mut fresh = Solver::new(Backend::Structured, N);
     assert_eq!(fresh.solve(&first, &options), Status::Solved);
-    let mut used = Solver::new(QpBackend::Structured, N);
+    let mut used = Solver::new(Backend::Structured, N);
     assert_eq!(used.solve(&other, &options), Status::Solved);
     assert_eq!(used.solve(&first, &options), Status::Solved);
     let bits = |s: &Solver| -> Vec<u64> {
@@ -304,7 +305,7 @@ fn what_is_less_accurate_than_asked_for_is_not_solved() {
     let entries = 0..planner.entries().len();
     let qp = entries.filter_map(|entry| qp_at(&planner, entry, &[0.02; NU])).next().expect("a start at rest");
     // No solver meets this tolerance: Clarabel then says that it is almost there.
-    let mut solver = Solver::new(QpBackend::Clarabel, N);
+    let mut solver = Solver::new(Backend::Clarabel, N);
     let status = solver.solve(&qp, &Options::new(1e-20));
     assert!(matches!(status, Status::Stalled(_)), "{status:?}");
 }
@@ -317,7 +318,7 @@ fn the_last_iterate_of_a_stopped_solve_is_the_best() {
         .map(|(entry, joint)| towards_its_stop(&planner, entry, joint, fast(joint)));
     let solvable = qp_at(&planner, 40, &[0.05; NU]).expect("a start at rest");
     for qp in hopeless.iter().chain([&solvable]) {
-        let mut solver = Solver::new(QpBackend::Structured, N);
+        let mut solver = Solver::new(Backend::Structured, N);
         let mut before = f64::INFINITY;
         for max_iterations in 0..12 {
             let status = solver.solve(qp, &Options { max_iterations, ..Options::new(1e-9) });

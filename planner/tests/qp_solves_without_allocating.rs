@@ -1,10 +1,10 @@
 //! Once the memory of the structured back end fits the number of target rows, a solve allocates nothing.
 
 use allocation_counter::measure;
-use upswing_config::{Config, QpBackend};
+use upswing_config::Config;
 use upswing_model::Workspace;
-use upswing_planner::offline::problem;
-use upswing_planner::qp::{Options, Solver, Status};
+use upswing_ocp::qp::{Backend, Options, Qp, Solver, Status};
+use upswing_planner::offline::{problem, qp_weights};
 use upswing_planner::replan::Planner;
 use upswing_trajectory::N;
 
@@ -14,10 +14,12 @@ fn after_the_first_one() {
     let qp = |entry: usize| {
         let (reference, start) =
             (&planner.entries()[entry].trajectory, planner.entries()[entry + 1].trajectory.x[0]);
-        planner.qp(&problem(planner.config(), start), reference, reference, &mut Workspace::default())
+        let config = planner.config();
+        let (problem, weights) = (problem(config, start), qp_weights(&config.planner.replan.weights));
+        Qp::new(&problem, reference, reference, &weights, &mut Workspace::default())
     };
     let (first, second) = (qp(40), qp(41));
-    let mut solver = Solver::new(QpBackend::Structured, N);
+    let mut solver = Solver::new(Backend::Structured, N);
     let options = Options::new(1e-9);
     let heap = measure(|| assert_eq!(solver.solve(&first, &options), Status::Solved));
     assert!(heap.count_total > 0, "the counter counts");

@@ -4,7 +4,7 @@
 use std::time::Instant;
 use upswing_config::{Config, PendulumStart, SUB_HORIZONS, TorqueConstraint};
 use upswing_model::State;
-use upswing_planner::interior_point::Status as Ending;
+use upswing_ocp::interior_point::Status as Ending;
 use upswing_planner::replan::{Effort, Manoeuvre, Planner, Refusal};
 use upswing_trajectory::{Entry, N};
 

@@ -4,7 +4,7 @@ use crate::swing_up::SETTLE;
 use upswing_config::{Config, Push};
 use upswing_ipc::{Mode, PlannerResponse, Telemetry};
 use upswing_model::JointVector;
-use upswing_planner::qp::Solver;
+use upswing_ocp::qp::Solver;
 use upswing_planner::replan::{Effort, Manoeuvre, NoPlan, Planner};
 use upswing_planner::service::describe;
 use upswing_plant::{Plant, SetEventError, StateError};

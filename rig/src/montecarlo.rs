@@ -16,7 +16,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use upswing_config::{Config, PendulumStart};
 use upswing_ipc::Telemetry;
 use upswing_model::{N_ACTUATED, N_UNACTUATED, NU, State};
-use upswing_planner::qp::Solver;
+use upswing_ocp::qp::Solver;
 use upswing_planner::replan::Planner;
 use upswing_plant::Plant;
 use upswing_record::report::Report;

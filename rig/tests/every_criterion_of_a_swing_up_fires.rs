@@ -3,7 +3,6 @@
 use upswing_config::Config;
 use upswing_ipc::{Mode, PlannerResponse, Telemetry};
 use upswing_model::JointVector;
-use upswing_planner::qp::Solver;
 use upswing_planner::replan::Planner;
 use upswing_plant::Plant;
 use upswing_record::report::Report;
@@ -30,16 +29,8 @@ fn each_alone() {
     let plant = Plant::new(&config).expect("a possible start");
     let mut good = Vec::new();
     let none = |_| Disturbances::default();
-    let report = swing_up(
-        &planner,
-        &mut Solver::new(config.planner.replan.backend, upswing_trajectory::N),
-        &config,
-        plant,
-        SECONDS,
-        none,
-        &mut good,
-    )
-    .expect("runs to its end");
+    let report = swing_up(&planner, &mut planner.solver(), &config, plant, SECONDS, none, &mut good)
+        .expect("runs to its end");
     assert_eq!(report.failures, [""; 0], "a good run");
     let limits = &config.robot.limits;
 

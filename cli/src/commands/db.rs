@@ -5,7 +5,7 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 use upswing_config::{Config, DatabaseFile};
-use upswing_planner::build::{self, BuildError, Shard, Summary};
+use upswing_planner::database::{self, BuildError, Shard, Summary};
 use upswing_process::number::whole;
 use upswing_process::output::{Destination, Output, OutputError, Overwrite};
 use upswing_process::{Failure, shutdown_flag};
@@ -169,7 +169,7 @@ fn build(common: &CommonArgs, grid: Option<&Path>, shard: Shard, output: &Output
     let bar = progress_bar((config.grid.poses() as u64).div_ceil(shard.of), "poses");
     let begin = Instant::now();
     let summary =
-        build::build(&config, shard, output, &stop, |n| bar.inc(n as u64)).map_err(|e| match e {
+        database::build(&config, shard, output, &stop, |n| bar.inc(n as u64)).map_err(|e| match e {
             BuildError::File { action: "read", .. } => failure(e),
             BuildError::File { .. } | BuildError::Output(OutputError::Io { .. }) => {
                 failed(format!("{e}; what was finished is kept in the journal"))
@@ -186,7 +186,7 @@ fn build(common: &CommonArgs, grid: Option<&Path>, shard: Shard, output: &Output
 
 fn merge(common: &CommonArgs, output: &Output, shards: &[PathBuf]) -> Result<(), Failure> {
     let begin = Instant::now();
-    let summary = build::merge(shards, output).map_err(failure)?;
+    let summary = database::merge(shards, output).map_err(failure)?;
     conclude(common, output.path(), summary, begin)
 }
 
@@ -224,7 +224,7 @@ fn conclude(common: &CommonArgs, output: &Path, summary: Summary, begin: Instant
 /// The database of a file or of the settings, and where it comes from.
 fn read(config: &Config, file: Option<&Path>) -> Result<(Database, String), Failure> {
     match file {
-        Some(path) => Ok((build::read(path).map_err(failure)?, path.display().to_string())),
+        Some(path) => Ok((database::read(path).map_err(failure)?, path.display().to_string())),
         None => {
             let DatabaseFile { bytes, origin } = config.database()?;
             let database =
@@ -295,21 +295,21 @@ fn verify(common: &CommonArgs, grid: Option<&Path>, file: Option<&Path>) -> Resu
     let mut config = common.process.load()?;
     use_grid(&mut config, grid)?;
     let (database, origin) = read(&config, file)?;
-    let (expected, got) = (build::heading(&config, Shard::WHOLE), database.heading);
+    let (expected, got) = (database::heading(&config, Shard::WHOLE), database.heading);
     if (expected.model, expected.problem) != (got.model, got.problem) {
         return Err(Failure::BadInput(format!(
             "{origin}: made for robot {:016x} and limits {:016x}, the settings are robot {:016x} and limits {:016x}",
             got.model, got.problem, expected.model, expected.problem
         )));
     }
-    let starts_compared = build::has_grid_of(&config, &database);
+    let starts_compared = database::has_grid_of(&config, &database);
     if !starts_compared {
         tracing::warn!("{origin}: built from another grid, starts are not compared; name it by --grid");
     }
     let entries = database.entries().count();
     let bar = progress_bar(entries as u64, "entries");
     let begin = Instant::now();
-    let discrepancies = build::verify(&config, &database, || bar.inc(1));
+    let discrepancies = database::verify(&config, &database, || bar.inc(1));
     bar.finish_and_clear();
     for d in &discrepancies {
         tracing::warn!("pose {}: {}", d.pose, d.finding);
@@ -433,7 +433,7 @@ fn info(common: &CommonArgs, file: Option<&Path>) -> Result<(), Failure> {
         _ => String::new(),
     };
     let count = |outcome: Outcome| database.records.iter().filter(|r| r.outcome == outcome).count();
-    let (h, settings) = (database.heading, build::heading(&config, Shard::WHOLE));
+    let (h, settings) = (database.heading, database::heading(&config, Shard::WHOLE));
     common.print(&Info {
         origin,
         poses: h.poses,

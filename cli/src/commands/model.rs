@@ -5,8 +5,8 @@ use nalgebra::SMatrix;
 use serde::{Deserialize, Serialize};
 use std::io::BufRead;
 use std::time::Instant;
+use upswing_model::coriolis::bound;
 use upswing_model::{ActuatedVector, JointVector, Limits, Model, NQ, NU, Workspace, state};
-use upswing_planner::coriolis::bound;
 use upswing_process::number::whole;
 use upswing_process::{Failure, shutdown_flag};
 

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use upswing_config::{Config, DatabaseFile};
 use upswing_model::NU;
-use upswing_planner::build::{self, Shard};
+use upswing_planner::database::{self, Shard};
 use upswing_planner::replan::Planner;
 use upswing_process::Failure;
 use upswing_process::number::whole;
@@ -231,7 +231,7 @@ fn database_file(path: &Path) -> Result<DatabaseFile, Failure> {
 /// Builds the database of the settings' grid.
 fn build_database(config: &Config, path: &Path, stop: &AtomicBool) -> Result<(), Failure> {
     let bar = progress_bar(config.grid.poses() as u64, "poses of the database");
-    let summary = build::build(config, Shard::WHOLE, &Output::new(path), stop, |n| bar.inc(n as u64))
+    let summary = database::build(config, Shard::WHOLE, &Output::new(path), stop, |n| bar.inc(n as u64))
         .map_err(failed)?;
     bar.finish_and_clear();
     match (summary.left, summary.failed.len()) {

@@ -6,7 +6,8 @@ pub mod live;
 use upswing_config::Config;
 use upswing_ipc::{Clock, Command, Measurement, Plan as Payload};
 use upswing_model::{ActuatedVector, JointVector, NQ, NU, State, Workspace, position, state, velocity};
-use upswing_planner::lqr;
+use upswing_ocp::lqr;
+use upswing_planner::offline::lqr_weights;
 use upswing_planner::replan::Planner;
 use upswing_trajectory::{KNOTS, Plan, Trajectory};
 
@@ -104,7 +105,8 @@ pub fn rest_payload(config: &Config, x: &State, t_f: f64) -> Box<Payload> {
         let still =
             Trajectory { t_f: 0.01, x: Box::new([*x; KNOTS]), u: Box::new([ActuatedVector::zeros(); KNOTS]) };
         let mut work = Workspace::default();
-        let gains = lqr::synthesize(&config.model, &still, &config.planner, PERIOD, &mut work).unwrap();
+        let gains =
+            lqr::synthesize(&config.model, &still, &lqr_weights(&config.planner), PERIOD, &mut work).unwrap();
         payload.k_final = std::array::from_fn(|i| std::array::from_fn(|j| gains.knots[0][(i, j)]));
     }
     let gain = payload.k_final;
@@ -119,7 +121,8 @@ pub fn swing(config: &Config, q: &JointVector) -> (Box<Plan>, Box<Plan>) {
     let up = planner.replan(&at_rest(q), config.planner.replan.iterations, None).unwrap().plan(config);
     let trajectory = up.trajectory.reversed();
     let mut work = Workspace::default();
-    let gains = lqr::synthesize(&config.model, &trajectory, &config.planner, PERIOD, &mut work).unwrap();
+    let gains = lqr::synthesize(&config.model, &trajectory, &lqr_weights(&config.planner), PERIOD, &mut work)
+        .unwrap();
     let down = Plan {
         id: 8,
         fingerprint: up.fingerprint,

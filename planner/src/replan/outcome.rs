@@ -1,12 +1,12 @@
 //! What comes of a replan: the plan, or the reason for each entry tried.
 
-use crate::interior_point;
-use crate::lqr::{self, Gains};
-use crate::nearest::Neighbour;
-use crate::qp::{Conflict, Stall};
+use crate::database::Neighbour;
 use std::time::Duration;
 use upswing_config::Config;
 use upswing_model::Workspace;
+use upswing_ocp::interior_point;
+use upswing_ocp::lqr::{self, Gains};
+use upswing_ocp::qp::{Conflict, Stall};
 use upswing_trajectory::{Margins, Plan, Trajectory, Unfit};
 
 /// A neighbour that was tried in vain.

@@ -5,7 +5,7 @@ use crate::commands::PlanFigures;
 use serde::Serialize;
 use std::time::Instant;
 use upswing_model::{NU, State};
-use upswing_planner::qp::Solver;
+use upswing_ocp::qp::Solver;
 use upswing_planner::replan::{Effort, Manoeuvre, Planner};
 use upswing_process::number::whole;
 use upswing_process::output::{Destination, Overwrite};

@@ -1,9 +1,10 @@
 //! Discrete time-variant LQR (18)-(23) along a trajectory.
 
 use crate::rows::{Pivot, STATE_ROW, StateRow, add_scaled};
-use nalgebra::{SMatrix, SVector};
-use upswing_config::PlannerSettings;
-use upswing_model::{ActuatedVector, Derivatives, Model, N_ACTUATED, N_UNACTUATED, NQ, NU, NX, Workspace};
+use nalgebra::SMatrix;
+use upswing_model::{
+    ActuatedVector, Derivatives, Model, N_ACTUATED, N_UNACTUATED, NQ, NU, NX, State, Workspace,
+};
 use upswing_trajectory::{Gain, KNOTS, Knots, N, Trajectory};
 
 type StateMatrix = SMatrix<f64, NX, NX>;
@@ -58,39 +59,41 @@ pub struct Gains {
 #[error("no gain stabilises the end of the trajectory: the Riccati equation (21) has no solution there")]
 pub struct NotStabilisable;
 
+/// Weights Q_c and R_c of (20).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Weights {
+    /// Diagonal of Q_c along the trajectory: 1/rad^2 for angles, s^2/rad^2 for velocities.
+    pub q: State,
+    /// The same for the gain that holds x_N. With the weights of the trajectory that gain is unstable if the bearings of the
+    /// pendulum have more friction than 0.2 N m s/rad, as at small speeds they have where they stick.
+    pub q_end: State,
+    /// r of R_c = r I, s^4/rad^2.
+    pub r: f64,
+}
+
 /// Solves (21), then iterates (23) backwards with the period `ts` (s), with A and B interpolated between the
-/// knots; keeps the gains at the knots. The gain that holds x_N has weights of its own: with those of the trajectory Balance is
-/// unstable if the bearings of the pendulum have more friction than 0.2 N m s/rad, as at small speeds they have where they stick.
+/// knots; keeps the gains at the knots.
 ///
 /// # Errors
 /// [`NotStabilisable`] if (21) has no stabilising solution at x_N.
 pub fn synthesize(
     model: &Model,
     trajectory: &Trajectory,
-    settings: &PlannerSettings,
+    weights: &Weights,
     ts: f64,
     work: &mut Workspace,
 ) -> Result<Gains, NotStabilisable> {
-    let PlannerSettings { lqr: weights, balance, .. } = settings;
     let rows: Vec<Rows> =
         trajectory.knots().map(|(x, u)| Rows::new(&model.derivatives(x, u, work))).collect();
-    let q = SVector::<f64, NX>::from_fn(|i, _| match i {
-        i if i < NQ => weights.q_angles,
-        i if i < NQ + N_ACTUATED => weights.q_velocities_actuated,
-        _ => weights.q_velocities_unactuated,
-    });
     // The end is an equilibrium: u = 0 there, whatever the last knot's input.
     let at_end = Rows::new(&model.derivatives(&trajectory.x[N], &ActuatedVector::zeros(), work));
-    let mut p = algebraic_riccati(&at_end, &q, weights.r, ts).ok_or(NotStabilisable)?;
-    let step = |p: &mut Weight, rows: &Rows, q: &SVector<f64, NX>| {
+    let mut p = algebraic_riccati(&at_end, &weights.q, weights.r, ts).ok_or(NotStabilisable)?;
+    let step = |p: &mut Weight, rows: &Rows, q: &State| {
         riccati_step(p, rows, q, weights.r, ts).ok_or(NotStabilisable)
     };
     let end = {
-        let mut q = q;
-        q.fixed_rows_mut::<N_ACTUATED>(0).fill(balance.q_angles_actuated);
-        q.fixed_rows_mut::<N_UNACTUATED>(N_ACTUATED).fill(balance.q_angles_unactuated);
-        let mut p = algebraic_riccati(&at_end, &q, weights.r, ts).ok_or(NotStabilisable)?;
-        step(&mut p, &at_end, &q)?.gain()
+        let mut p = algebraic_riccati(&at_end, &weights.q_end, weights.r, ts).ok_or(NotStabilisable)?;
+        step(&mut p, &at_end, &weights.q_end)?.gain()
     };
 
     let steps = (trajectory.t_f / ts).floor() as usize;
@@ -101,7 +104,7 @@ pub fn synthesize(
         let t = i as f64 * ts;
         let k = ((t / h) as usize).min(N - 1);
         let between = rows[k].towards(&rows[k + 1], t / h - k as f64);
-        let step = step(&mut p, &between, &q)?;
+        let step = step(&mut p, &between, &weights.q)?;
         // The first gain at or before a knot's time serves the knot.
         while next_knot > 0 && t <= next_knot as f64 * h {
             knots[next_knot] = step.gain();
@@ -134,7 +137,7 @@ impl Step {
 
 /// One step of (23): moves the weight P one period back. With `Phi = I + Ts A` and `A = [[0, I], [0], [a]]`,
 /// `Gamma = Ts [[0], [I], [b]]` all products are a few row operations.
-fn riccati_step(p: &mut Weight, rows: &Rows, q: &SVector<f64, NX>, r: f64, ts: f64) -> Option<Step> {
+fn riccati_step(p: &mut Weight, rows: &Rows, q: &State, r: f64, ts: f64) -> Option<Step> {
     /// First row of the unactuated velocities.
     const V_U: usize = NX - N_UNACTUATED;
     // R + Gamma' P Gamma
@@ -245,7 +248,7 @@ fn discretised(rows: &Rows, ts: f64) -> (StateMatrix, SMatrix<f64, NX, NU>) {
 
 /// X of (21) by structured doubling (Chu, Fan, Lin, Wang, *Structure-preserving algorithms for periodic
 /// discrete-time algebraic Riccati equations*, Int. J. Control 77, 2004): each step doubles the horizon.
-fn algebraic_riccati(rows: &Rows, q: &SVector<f64, NX>, r: f64, ts: f64) -> Option<Weight> {
+fn algebraic_riccati(rows: &Rows, q: &State, r: f64, ts: f64) -> Option<Weight> {
     /// 2^40 periods of 125 us are four years.
     const DOUBLINGS: usize = 40;
     let (mut a, gamma) = discretised(rows, ts);
@@ -298,7 +301,7 @@ mod tests {
     #[test]
     fn a_structured_step_equals_the_dense_formula_23() {
         let (rows, ts, r) = (rows(), 1e-2, 0.01);
-        let q = SVector::<f64, NX>::from_fn(|i, _| 1.0 + i as f64);
+        let q = State::from_fn(|i, _| 1.0 + i as f64);
         let seed = StateMatrix::from_fn(|i, j| ((i * 7 + j * 3) % 11) as f64 - 5.0);
         let p = seed * seed.transpose() + StateMatrix::identity();
         let mut next = [[0.0; STATE_ROW]; NX];
@@ -320,134 +323,11 @@ mod tests {
     #[test]
     fn the_terminal_weight_is_a_fixed_point_of_23() {
         let (rows, ts, r) = (rows(), 1e-2, 0.01);
-        let q = SVector::<f64, NX>::repeat(1.0);
+        let q = State::repeat(1.0);
         let x = algebraic_riccati(&rows, &q, r, ts).expect("stabilisable");
         let mut again = x;
         riccati_step(&mut again, &rows, &q, r, ts).expect("positive definite");
         let (x, again) = (matrix(&x), matrix(&again));
         assert!((again - x).amax() < 1e-9 * x.amax(), "moves by {}", (again - x).amax() / x.amax());
-    }
-
-    /// One step of (23) with dense matrices: the gain, and the weight one period before.
-    fn dense_step(
-        p: &StateMatrix,
-        (a, b): (&StateMatrix, &SMatrix<f64, NX, NU>),
-        q: &StateMatrix,
-        r: f64,
-        ts: f64,
-    ) -> (Gain, StateMatrix) {
-        let (phi, gamma) = (StateMatrix::identity() + a * ts, b * ts);
-        let pivot = SMatrix::<f64, NU, NU>::identity() * r + gamma.transpose() * p * gamma;
-        let k = -pivot.try_inverse().expect("invertible") * gamma.transpose() * p * phi;
-        let next = q + phi.transpose() * p * phi + (gamma.transpose() * p * phi).transpose() * k;
-        (k, (next + next.transpose()) * 0.5)
-    }
-
-    /// `a` of (19) at `x` with viscous friction in the bearings of the pendulum, N m s/rad.
-    fn with_bearings(
-        config: &upswing_config::Config,
-        x: &upswing_model::State,
-        a: &StateMatrix,
-        friction: f64,
-    ) -> StateMatrix {
-        let mass = config.model.mass_matrix(&upswing_model::position(x), &mut Workspace::default());
-        let m_uu: SMatrix<f64, 2, 2> = mass.fixed_view::<2, 2>(7, 7).into();
-        let mut a = *a;
-        let mut block = a.fixed_view_mut::<2, 2>(16, 16);
-        block -= m_uu.try_inverse().expect("positive definite") * friction;
-        a
-    }
-
-    #[test]
-    fn balance_is_stable_with_a_free_rod_and_with_one_that_its_bearings_hold() {
-        let config = upswing_config::Config::embedded().expect("settings");
-        let planner = crate::replan::Planner::new(config.clone()).expect("the database fits");
-        let ts = config.daemon.cycle.period.seconds();
-        let work = &mut Workspace::default();
-        for entry in planner.entries().iter().step_by(40) {
-            let x = &entry.trajectory.x[N];
-            let gains = synthesize(&config.model, &entry.trajectory, &config.planner, ts, work)
-                .expect("stabilisable");
-            let d = config.model.derivatives(x, &ActuatedVector::zeros(), work);
-            for friction in [0.0, 0.03, 0.1, 0.2, 0.3, 0.5, 0.8, 1.0] {
-                let a = with_bearings(&config, x, &d.a(), friction);
-                let mut closed = StateMatrix::identity() + (a + d.b() * gains.end) * ts;
-                // After 2^18 periods, half a minute.
-                for _ in 0..18 {
-                    closed *= closed;
-                }
-                assert!(
-                    closed.norm() < 1e-2,
-                    "{friction} N m s/rad: a deviation becomes {:e}",
-                    closed.norm()
-                );
-            }
-        }
-    }
-
-    #[test]
-    fn the_gains_of_a_swing_are_those_of_the_dense_recursion() {
-        let config = upswing_config::Config::embedded().expect("settings");
-        let planner = crate::replan::Planner::new(config.clone()).expect("the database fits");
-        let trajectory = &planner.entries()[7].trajectory;
-        let (weights, ts) = (&config.planner.lqr, config.daemon.cycle.period.seconds());
-        let work = &mut Workspace::default();
-        let gains = synthesize(&config.model, trajectory, &config.planner, ts, work).expect("stabilisable");
-
-        // (20), written out.
-        let mut q = StateMatrix::identity() * weights.q_angles;
-        for i in 9..16 {
-            q[(i, i)] = weights.q_velocities_actuated;
-        }
-        for i in 16..18 {
-            q[(i, i)] = weights.q_velocities_unactuated;
-        }
-        let mut ab = |x, u: &ActuatedVector| {
-            let d = config.model.derivatives(x, u, work);
-            (d.a(), d.b())
-        };
-        // (21) by going back from no weight at all until nothing changes any more.
-        let at_end = ab(&trajectory.x[N], &ActuatedVector::zeros());
-        let from_far = |q: &StateMatrix| {
-            let (mut p, mut k) = (StateMatrix::zeros(), Gain::zeros());
-            for _ in 0..60_000 {
-                (k, p) = dense_step(&p, (&at_end.0, &at_end.1), q, weights.r, ts);
-            }
-            (k, p)
-        };
-        let (end, mut p) = from_far(&q);
-        let scale = end.amax();
-        // The gain that balances, for other weights of the angles.
-        let balance = &config.planner.balance;
-        let mut q_balance = q;
-        for i in 0..NQ {
-            let actuated = i < N_ACTUATED;
-            q_balance[(i, i)] =
-                if actuated { balance.q_angles_actuated } else { balance.q_angles_unactuated };
-        }
-        let error = (gains.end - from_far(&q_balance).0).amax();
-        assert!(error < 1e-6 * scale, "at the end: {}", error / scale);
-
-        let knots: Vec<_> = trajectory.knots().map(|(x, u)| ab(x, u)).collect();
-        let periods = (trajectory.t_f / ts).floor() as usize;
-        let mut by_period = vec![Gain::zeros(); periods];
-        for i in (0..periods).rev() {
-            let place = i as f64 * ts / trajectory.t_f * N as f64;
-            let (k, share) = ((place as usize).min(N - 1), place.fract());
-            let a = knots[k].0 * (1.0 - share) + knots[k + 1].0 * share;
-            let b = knots[k].1 * (1.0 - share) + knots[k + 1].1 * share;
-            (by_period[i], p) = dense_step(&p, (&a, &b), &q, weights.r, ts);
-        }
-        // The period in which a knot lies; no period begins at or after t_F.
-        let at = |k: usize| ((k as f64 * trajectory.h() / ts) as usize).min(periods - 1);
-        for k in 0..=N {
-            let error = (gains.knots[k] - by_period[at(k)]).amax();
-            assert!(error < 1e-6 * scale, "knot {k}: {}", error / scale);
-            // The gains of the neighbours are others.
-            for neighbour in [k.saturating_sub(1), (k + 1).min(N)].into_iter().filter(|n| *n != k) {
-                let change = (gains.knots[k] - by_period[at(neighbour)]).amax();
-                assert!(change > 1e-4 * scale, "knots {k} and {neighbour}: {}", change / scale);
-            }
-        }
     }
 }

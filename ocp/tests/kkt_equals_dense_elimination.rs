@@ -3,7 +3,7 @@
 
 use nalgebra::{DMatrix, DVector, SMatrix};
 use upswing_model::{N_UNACTUATED, NU, NX, NZ, State};
-use upswing_planner::kkt::{
+use upswing_ocp::kkt::{
     Factor, Kkt, KnotDynamics, KnotMatrix, KnotVector, Rhs, SolveWorkspace, Step, TargetRow,
 };
 

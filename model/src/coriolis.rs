@@ -1,10 +1,10 @@
 //! The bound c of (11): the range of the Coriolis torques C~ qd (10) over random admissible states, Section III-A.
 
+use crate::{ActuatedVector, JointVector, Limits, Model, NX, Workspace};
 use rand_pcg::Pcg64;
 use rand_pcg::rand_core::{Rng, SeedableRng};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
-use upswing_model::{ActuatedVector, JointVector, Limits, Model, NX, Workspace};
 
 /// States between two looks at the stop flag, some 0.1 s: short enough for Ctrl-C, long enough that threads do not
 /// wait for each other.

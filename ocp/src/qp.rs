@@ -13,12 +13,12 @@ mod clarabel;
 pub mod structured;
 
 use crate::kkt::{KnotDynamics, KnotVector, TargetRow};
-use crate::problem::LimitKind;
+use crate::problem::{KnotDerivatives, LimitKind, Problem, TorqueConstraint};
 use nalgebra::SMatrix;
 use std::time::Instant;
 use structured::Structured;
-use upswing_config::QpBackend;
-use upswing_model::{ActuatedVector, NU, NX, NZ, State};
+use upswing_model::{ActuatedVector, NU, NX, NZ, State, Workspace};
+use upswing_trajectory::{N, Trajectory};
 
 /// Linearised torque of one knot within its bounds: `lower` <= J dz <= `upper`, N m.
 #[derive(Clone, Debug)]
@@ -29,6 +29,15 @@ pub struct TorqueRows {
     pub lower: ActuatedVector,
     /// Upper bound less the torque of the linearisation point.
     pub upper: ActuatedVector,
+}
+
+/// The diagonal of Q (17), the same at every knot.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Weights {
+    /// Of t_F, 1/s^2.
+    pub t_f: f64,
+    /// Of z_k: 1/rad^2 for angles, s^2/rad^2 for velocities, s^4/rad^2 for inputs.
+    pub z: KnotVector,
 }
 
 /// The program; angles in rad, times in s, torques in N m.
@@ -64,6 +73,74 @@ pub struct Qp {
 }
 
 impl Qp {
+    /// (16) linearised around `at`, for the deviation from `reference`.
+    pub fn new(
+        problem: &Problem<'_>,
+        reference: &Trajectory,
+        at: &Trajectory,
+        weights: &Weights,
+        work: &mut Workspace,
+    ) -> Self {
+        let weight = &weights.z;
+        let (tau_min, tau_max) = problem.torque.bounds(&problem.limits.tau_max);
+        let mut dynamics = Vec::with_capacity(N + 1);
+        let mut torque = Vec::with_capacity(N + 1);
+        let mut gradient = Vec::with_capacity(N + 1);
+        for k in 0..=N {
+            let (x, u) = (&at.x[k], &at.u[k]);
+            let knot = KnotDerivatives {
+                dynamics: problem.model.derivatives(x, u, work),
+                constraint: match problem.torque {
+                    TorqueConstraint::Exact => None,
+                    TorqueConstraint::WithoutCoriolis { .. } => {
+                        Some(problem.model.derivatives_without_coriolis(x, u, work))
+                    }
+                },
+            };
+            dynamics.push(KnotDynamics::new(&knot.dynamics, x, u));
+            let d = knot.torque();
+            torque.push(TorqueRows {
+                jacobian: SMatrix::<f64, NU, NZ>::from_fn(|i, j| {
+                    if j < NX { d.tau_x[(i, j)] } else { d.tau_u[(i, j - NX)] }
+                }),
+                lower: tau_min - d.value.tau,
+                upper: tau_max - d.value.tau,
+            });
+            let (dx, du) = (x - reference.x[k], u - reference.u[k]);
+            gradient.push(KnotVector::from_fn(|i, _| weight[i] * if i < NX { dx[i] } else { du[i - NX] }));
+        }
+        let half_h = 0.5 * at.h();
+        Self {
+            weight: vec![*weight; N + 1],
+            weight_t: weights.t_f,
+            gradient,
+            gradient_t: weights.t_f * (at.t_f - reference.t_f),
+            h: at.h(),
+            defects: (0..N)
+                .map(|k| at.x[k + 1] - at.x[k] - (dynamics[k].f + dynamics[k + 1].f) * half_h)
+                .collect(),
+            dynamics,
+            start: problem.start - at.x[0],
+            target: problem
+                .target
+                .iter()
+                .map(|row| TargetRow {
+                    coefficients: row.coefficients,
+                    value: row.value - row.coefficients.dot(&at.x[N]),
+                })
+                .collect(),
+            x: (1..=N)
+                .map(|k| {
+                    let (lowest, highest) = problem.bounds(k);
+                    (lowest - at.x[k], highest - at.x[k])
+                })
+                .collect(),
+            t: (problem.t_f.0 - at.t_f, problem.t_f.1 - at.t_f),
+            torque,
+            compliance: 0.0,
+        }
+    }
+
     /// The program of the knots `first` to `last` alone, a sub-horizon of Section IV: from the step `start` (in z) of
     /// its first knot to the target, if that is at its end. `t` is the change of its own duration; where an earlier part
     /// has decided on the whole duration by `dt` (s), `t` only follows.
@@ -223,6 +300,15 @@ impl Solution {
     }
 }
 
+/// Which back end solves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Backend {
+    /// See [`structured`].
+    Structured,
+    /// See <https://clarabel.org>.
+    Clarabel,
+}
+
 /// A back end with its memory, to be used for one QP after the other.
 #[derive(Clone, Debug)]
 pub enum Solver {
@@ -234,10 +320,10 @@ pub enum Solver {
 
 impl Solver {
     /// Allocates all that `backend` can keep between QPs of `n` intervals; one of another size allocates again.
-    pub fn new(backend: QpBackend, n: usize) -> Self {
+    pub fn new(backend: Backend, n: usize) -> Self {
         match backend {
-            QpBackend::Structured => Self::Structured(Box::new(Structured::new(n))),
-            QpBackend::Clarabel => Self::Clarabel(Box::new(Solution::zeros(n))),
+            Backend::Structured => Self::Structured(Box::new(Structured::new(n))),
+            Backend::Clarabel => Self::Clarabel(Box::new(Solution::zeros(n))),
         }
     }
 

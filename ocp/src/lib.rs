@@ -1,0 +1,16 @@
+//! Numerics of optimal control for trajectories of 100 collocation intervals with a free duration.
+//!
+//! - [`problem`]: the swing-up (6), (8), (9), (11) as a nonlinear program; [`interior_point`] solves it from one guess,
+//!   [`multistart`] from several, and names the limit that leaves no solution.
+//! - [`qp`]: the quadratic program of a replan (16), and its solvers.
+//! - [`kkt`]: the stage-wise factorisation underneath both; [`lqr`]: the gains (18)-(23).
+//!
+//! Nothing here reads files or settings, starts threads or sends anything.
+
+pub mod interior_point;
+pub mod kkt;
+pub mod lqr;
+pub mod multistart;
+pub mod problem;
+pub mod qp;
+mod rows;

@@ -1,0 +1,221 @@
+//! The trajectory database: [`build`] it, [`merge`] its shards, [`verify`] what it records, and find the entries nearest to a
+//! start ([`NearestPose`]). The format of the file is that of [`upswing_trajectory::Database`].
+
+mod build;
+mod merge;
+mod nearest;
+mod verify;
+
+pub use build::build;
+pub use merge::merge;
+pub use nearest::{NearestPose, Neighbour};
+pub use verify::{Discrepancy, Finding, verify};
+
+use crate::offline::problem_fingerprint;
+use std::path::{Path, PathBuf};
+use upswing_config::{Config, GridSettings};
+use upswing_model::{N_ACTUATED, N_UNACTUATED, State};
+use upswing_process::output::OutputError;
+use upswing_trajectory::{Certificate, Database, DatabaseError, Heading, Outcome, Trajectory};
+use xxhash_rust::xxh3::Xxh3;
+
+/// A part of the lines of a grid: those whose number, counted from 0, is `number - 1` modulo `of`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shard {
+    /// From 1.
+    pub number: u64,
+    /// How many there are.
+    pub of: u64,
+}
+
+impl Shard {
+    /// Everything.
+    pub const WHOLE: Self = Self { number: 1, of: 1 };
+}
+
+impl std::str::FromStr for Shard {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong = || format!("expected i/n with 1 <= i <= n, got `{text}`");
+        let (number, of) = text.split_once('/').ok_or_else(wrong)?;
+        let (number, of) = (number.parse().map_err(|_| wrong())?, of.parse().map_err(|_| wrong())?);
+        if number >= 1 && number <= of { Ok(Self { number, of }) } else { Err(wrong()) }
+    }
+}
+
+/// Why a build, merge or verification could not be done.
+#[derive(Debug, thiserror::Error)]
+pub enum BuildError {
+    /// A file cannot be read or written.
+    #[error("cannot {action} {}: {cause}", path.display())]
+    File {
+        /// read, write, ...
+        action: &'static str,
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        cause: std::io::Error,
+    },
+    /// The result cannot be written, or may not replace what is there.
+    #[error(transparent)]
+    Output(#[from] OutputError),
+    /// A file is no database, or a damaged one.
+    #[error("{}: {cause}", path.display())]
+    Database {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        cause: DatabaseError,
+    },
+    /// A file belongs to something else.
+    #[error("{}: {what} is {got:016x}, expected {expected:016x}; remove the file or use the settings it was made with", path.display())]
+    Foreign {
+        /// Which file.
+        path: PathBuf,
+        /// Which fingerprint or number.
+        what: &'static str,
+        /// What it should be.
+        expected: u64,
+        /// What it is.
+        got: u64,
+    },
+    /// Shards are missing.
+    #[error("shards missing: {} of {of}", .missing.iter().map(u64::to_string).collect::<Vec<_>>().join(", "))]
+    Missing {
+        /// Their numbers.
+        missing: Vec<u64>,
+        /// How many there should be.
+        of: u64,
+    },
+    /// All shards are there, but not all poses: one of them is not finished.
+    #[error(
+        "expected {poses} poses in the shards together, got {got}; finish the shards with `upswing db build`"
+    )]
+    Incomplete {
+        /// How many the grid has.
+        poses: u64,
+        /// How many there are.
+        got: u64,
+    },
+    /// The same pose with different contents.
+    #[error("pose {pose} differs between {} and {}", first.display(), second.display())]
+    Disagree {
+        /// The pose.
+        pose: u64,
+        /// One file.
+        first: PathBuf,
+        /// The other.
+        second: PathBuf,
+    },
+    /// Another process builds the same file.
+    #[error("{} is being written by another build; wait for it or choose another output", .0.display())]
+    Busy(PathBuf),
+    /// A merge of nothing.
+    #[error("no shards given")]
+    Nothing,
+}
+
+/// How a build ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Summary {
+    /// Poses of this shard.
+    pub poses: usize,
+    /// Poses found in the journal or in the finished file.
+    pub resumed: usize,
+    /// Trajectories.
+    pub solved: usize,
+    /// Poses left out by the rules of the grid.
+    pub rejected: usize,
+    /// Numbers of the poses without a solution.
+    pub failed: Vec<u64>,
+    /// Poses left when the build was stopped; then there is a journal and no file.
+    pub left: usize,
+}
+
+fn summary(database: &Database, poses: usize, resumed: usize) -> Summary {
+    let mut s = Summary {
+        poses,
+        resumed,
+        solved: 0,
+        rejected: 0,
+        failed: Vec::new(),
+        left: poses.saturating_sub(database.records.len()),
+    };
+    for record in &database.records {
+        match record.outcome {
+            Outcome::Solved(_) => s.solved += 1,
+            Outcome::Rejected => s.rejected += 1,
+            Outcome::Failed => s.failed.push(record.pose),
+        }
+    }
+    s
+}
+
+/// What a database of the settings' grid has in its header.
+pub fn heading(config: &Config, shard: Shard) -> Heading {
+    Heading {
+        model: config.model.fingerprint(),
+        problem: problem_fingerprint(config),
+        grid: grid_fingerprint(&config.grid),
+        poses: config.grid.poses() as u64,
+        shard: shard.number,
+        shards: shard.of,
+    }
+}
+
+/// Identifies a grid.
+fn grid_fingerprint(grid: &GridSettings) -> u64 {
+    let mut hash = Xxh3::new();
+    for number in 0..grid.poses() {
+        grid.pose(number).iter().for_each(|q| hash.update(&q.to_le_bytes()));
+    }
+    hash.update(&grid.max_rest_angle.to_le_bytes());
+    hash.update(format!("{:?}", grid.start).as_bytes());
+    hash.digest()
+}
+
+/// Whether a database was built from the grid of the settings, so that [`verify`] can compare poses.
+pub fn has_grid_of(config: &Config, database: &Database) -> bool {
+    database.heading.grid == grid_fingerprint(&config.grid)
+}
+
+/// Refuses a file that was made for another robot, other settings or another grid.
+fn same_origin(path: &Path, got: &Heading, expected: &Heading) -> Result<(), BuildError> {
+    for (what, expected, got) in [
+        ("fingerprint of the robot model", expected.model, got.model),
+        ("fingerprint of limits and weights", expected.problem, got.problem),
+        ("fingerprint of the grid", expected.grid, got.grid),
+    ] {
+        if expected != got {
+            return Err(BuildError::Foreign { path: path.to_owned(), what, expected, got });
+        }
+    }
+    Ok(())
+}
+
+/// Reads a database file.
+///
+/// # Errors
+/// [`BuildError::File`] or [`BuildError::Database`].
+pub fn read(path: &Path) -> Result<Database, BuildError> {
+    let bytes = upswing_config::read_file(path).map_err(|cause| BuildError::File {
+        action: "read",
+        path: path.to_owned(),
+        cause,
+    })?;
+    Database::decode(&bytes).map_err(|cause| BuildError::Database { path: path.to_owned(), cause })
+}
+
+/// The state from which a pose starts, unless the grid's rules leave it out.
+fn start_of(config: &Config, pose: usize) -> Option<State> {
+    let grid = &config.grid;
+    let start = config.start_state(&grid.pose(pose), grid.start).ok();
+    start.filter(|x| x.rows(N_ACTUATED, N_UNACTUATED).amax() <= grid.max_rest_angle)
+}
+
+/// The certificate of a trajectory under the settings' limits and weights.
+pub fn certify(config: &Config, trajectory: &Trajectory) -> Certificate {
+    let input_weight = config.planner.offline.input_weight;
+    Certificate::of(trajectory, &config.model, &config.robot.planning, input_weight)
+}

@@ -1,0 +1,203 @@
+//! Builds trajectory databases: on all cores, resumable, in shards.
+//!
+//! The poses of a grid form lines along its last axis. A line is solved from one end to the other, each pose from the
+//! usual guesses and from the solution before it; the cheapest solution is kept. Lines do not depend on each other,
+//! so that neither the number of cores, nor an interruption, nor shards change a bit of the result.
+//!
+//! Every finished line is appended to a journal beside the output; a build that finds one goes on where it ends.
+
+use super::{BuildError, Shard, Summary, certify, heading, same_origin, start_of, summary};
+use crate::offline::{optimize, options};
+use rayon::prelude::*;
+use std::collections::HashSet;
+use std::fs::{File, OpenOptions, TryLockError};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+use upswing_config::{Config, GridSettings};
+use upswing_ocp::interior_point::{Options, Status};
+use upswing_ocp::multistart::Search;
+use upswing_process::output::Output;
+use upswing_trajectory::{Database, DatabaseError, Entry, Heading, Outcome, Record, Trajectory};
+
+/// Poses of one line, in order.
+type Line = Vec<usize>;
+
+fn lines(grid: &GridSettings, shard: Shard) -> Vec<Line> {
+    let length = grid.axes.last().map_or(1, |axis| axis.points);
+    (0..grid.poses() / length)
+        .filter(|line| *line as u64 % shard.of == shard.number - 1)
+        .map(|line| (line * length..(line + 1) * length).collect())
+        .collect()
+}
+
+/// The journal of an output file.
+fn journal_path(output: &Path) -> PathBuf {
+    let mut path = output.as_os_str().to_owned();
+    path.push(".journal");
+    path.into()
+}
+
+/// Builds the database (or one shard of it) of the settings' grid into `output`. `progress` is told how many poses
+/// are done; raising `stop` ends the build, the journal keeps what is finished. A finished file of the same build is left as it is.
+///
+/// # Errors
+/// [`BuildError`] if a file cannot be used or belongs to other settings; nothing finished is lost.
+pub fn build(
+    config: &Config,
+    shard: Shard,
+    output: &Output,
+    stop: &AtomicBool,
+    progress: impl Fn(usize) + Sync,
+) -> Result<Summary, BuildError> {
+    let heading = heading(config, shard);
+    let lines = lines(&config.grid, shard);
+    let poses = lines.iter().map(Vec::len).sum();
+    if let Some(finished) = finished(output.path(), &heading)? {
+        progress(poses);
+        return Ok(summary(&finished, poses, poses));
+    }
+    output.check()?;
+    let path = journal_path(output.path());
+    let (mut file, mut records) = open_journal(&path, &heading)?;
+    // Journals joined by hand may hold a pose twice.
+    records.sort_by_key(|r| r.pose);
+    records.dedup_by_key(|r| r.pose);
+    let done: HashSet<u64> = records.iter().map(|r| r.pose).collect();
+    // A line is journaled at once: one that is there in part belongs to a process that was killed while writing.
+    let whole = |line: &Line| line.iter().all(|pose| done.contains(&(*pose as u64)));
+    let kept: HashSet<u64> = lines.iter().filter(|line| whole(line)).flatten().map(|p| *p as u64).collect();
+    records.retain(|r| kept.contains(&r.pose));
+    let resumed = records.len();
+    progress(resumed);
+    let results: Mutex<Result<Vec<Record>, BuildError>> = Mutex::new(Ok(records));
+    let journal = Mutex::new(&mut file);
+    lines.par_iter().filter(|line| !whole(line)).for_each(|line| {
+        // Another line may have failed to be written.
+        let halted = || stop.load(Ordering::Acquire) || results.lock().map_or(true, |r| r.is_err());
+        let Some(solved) = solve_line(config, line, &halted, stop) else { return };
+        let bytes: Vec<u8> = solved.iter().flat_map(Record::encode).collect();
+        let written = journal.lock().map(|mut file| file.write_all(&bytes));
+        if let Ok(mut results) = results.lock() {
+            match (written, &mut *results) {
+                (Ok(Ok(())), Ok(records)) => {
+                    records.extend(solved);
+                    progress(line.len());
+                }
+                (Ok(Err(cause)), Ok(_)) => {
+                    *results = Err(BuildError::File { action: "write", path: path.clone(), cause });
+                }
+                _ => {}
+            }
+        }
+    });
+    // A poisoned lock means a panic, which has been passed on already.
+    let mut records = results.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner())?;
+    records.sort_by_key(|r| r.pose);
+    let database = Database { heading, records };
+    let summary = summary(&database, poses, resumed);
+    if summary.left == 0 {
+        output.write(&database.encode())?;
+        remove(&path)?;
+    }
+    Ok(summary)
+}
+
+/// Solves a line; `None` if it was halted.
+fn solve_line(
+    config: &Config,
+    line: &Line,
+    halted: &impl Fn() -> bool,
+    stop: &AtomicBool,
+) -> Option<Vec<Record>> {
+    let stopped = || stop.load(Ordering::Acquire);
+    let options = Options { cancelled: Some(&stopped), ..options(config) };
+    let mut neighbour: Option<Trajectory> = None;
+    let mut records = Vec::with_capacity(line.len());
+    for pose in line {
+        if halted() {
+            return None;
+        }
+        let outcome = match start_of(config, *pose) {
+            None => Outcome::Rejected,
+            Some(start) => {
+                let solution = optimize(config, start, Search::Best, neighbour.as_ref(), &options);
+                // The best of some guesses need not be the best of all.
+                if stopped() {
+                    return None;
+                }
+                match solution.status {
+                    Status::Solved => {
+                        let entry = Entry::new(&solution.trajectory, |t| certify(config, t));
+                        neighbour = Some(entry.trajectory.clone());
+                        Outcome::Solved(Box::new(entry))
+                    }
+                    _ => Outcome::Failed,
+                }
+            }
+        };
+        records.push(Record { pose: *pose as u64, outcome });
+    }
+    Some(records)
+}
+
+/// The finished file of exactly this build, if it is there. One of other settings is replaced in the end.
+fn finished(output: &Path, heading: &Heading) -> Result<Option<Database>, BuildError> {
+    match upswing_config::read_file(output) {
+        Ok(bytes) => Ok(Database::decode(&bytes).ok().filter(|d| d.heading == *heading)),
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(None),
+        Err(cause) => Err(BuildError::File { action: "read", path: output.to_owned(), cause }),
+    }
+}
+
+/// Opens the journal for appending, with what is whole in it.
+fn open_journal(path: &Path, heading: &Heading) -> Result<(File, Vec<Record>), BuildError> {
+    let failed = |action| move |cause| BuildError::File { action, path: path.to_owned(), cause };
+    let open = || {
+        upswing_config::check_regular(path).map_err(failed("write"))?;
+        let file = OpenOptions::new().create(true).append(true).open(path).map_err(failed("write"))?;
+        // Held until the build ends; the kernel releases it if the process dies.
+        match file.try_lock() {
+            Ok(()) => Ok(file),
+            Err(TryLockError::WouldBlock) => Err(BuildError::Busy(path.to_owned())),
+            Err(TryLockError::Error(cause)) => Err(failed("lock")(cause)),
+        }
+    };
+    let begin = |mut file: File| {
+        file.write_all(&heading.journal()).map_err(failed("write"))?;
+        Ok((file, Vec::new()))
+    };
+    let file = open()?;
+    let bytes = upswing_config::read_file(path).map_err(failed("read"))?;
+    if bytes.is_empty() {
+        return begin(file);
+    }
+    // A journal killed within its header holds nothing.
+    let Ok((journal, whole)) = Database::recover(&bytes) else {
+        if bytes.len() >= heading.journal().len() {
+            let cause = Database::recover(&bytes).err().unwrap_or(DatabaseError::Empty);
+            return Err(BuildError::Database { path: path.to_owned(), cause });
+        }
+        file.set_len(0).map_err(failed("write"))?;
+        return begin(file);
+    };
+    same_origin(path, &journal.heading, heading)?;
+    for (what, expected, got) in
+        [("shard", heading.shard, journal.heading.shard), ("shards", heading.shards, journal.heading.shards)]
+    {
+        if expected != got {
+            return Err(BuildError::Foreign { path: path.to_owned(), what, expected, got });
+        }
+    }
+    file.set_len(whole as u64).map_err(failed("write"))?;
+    Ok((file, journal.records))
+}
+
+fn remove(path: &Path) -> Result<(), BuildError> {
+    std::fs::remove_file(path).map_err(|cause| BuildError::File {
+        action: "remove",
+        path: path.to_owned(),
+        cause,
+    })
+}

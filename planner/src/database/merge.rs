@@ -1,0 +1,61 @@
+//! Joins the shards of one build.
+
+use super::{BuildError, Summary, read, same_origin, summary};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
+use upswing_process::output::{Output, OutputError};
+use upswing_trajectory::{Database, Heading, Record};
+
+/// Joins the shards of one build into `output`; the order of the files does not matter, and the result has the bytes
+/// of a build in one piece. Says what it holds.
+///
+/// # Errors
+/// [`BuildError`] for missing shards, files of different builds, and poses that differ between files.
+pub fn merge(inputs: &[PathBuf], output: &Output) -> Result<Summary, BuildError> {
+    // What is there may be the result of this merge.
+    if let Err(e @ OutputError::Io { .. }) = output.check() {
+        return Err(e.into());
+    }
+    let mut records: BTreeMap<u64, (Record, PathBuf)> = BTreeMap::new();
+    let mut first: Option<Heading> = None;
+    let mut present = BTreeSet::new();
+    for path in inputs {
+        let database = read(path)?;
+        let expected = *first.get_or_insert(database.heading);
+        same_origin(path, &database.heading, &expected)?;
+        if expected.shards != database.heading.shards {
+            let (expected, got) = (expected.shards, database.heading.shards);
+            return Err(BuildError::Foreign { path: path.clone(), what: "number of shards", expected, got });
+        }
+        present.insert(database.heading.shard);
+        for record in database.records {
+            match records.get(&record.pose) {
+                // Compared as bytes: NaN would differ from itself.
+                Some((known, file)) if known.encode() != record.encode() => {
+                    let (first, second) = (file.clone(), path.clone());
+                    return Err(BuildError::Disagree { pose: record.pose, first, second });
+                }
+                Some(_) => {}
+                None => {
+                    records.insert(record.pose, (record, path.clone()));
+                }
+            }
+        }
+    }
+    let heading = first.ok_or(BuildError::Nothing)?;
+    let missing: Vec<u64> = (1..=heading.shards).filter(|i| !present.contains(i)).collect();
+    if !missing.is_empty() {
+        return Err(BuildError::Missing { missing, of: heading.shards });
+    }
+    let (poses, got) = (heading.poses, records.len() as u64);
+    if got != poses {
+        return Err(BuildError::Incomplete { poses, got });
+    }
+    let heading = Heading { shard: 1, shards: 1, ..heading };
+    let database = Database { heading, records: records.into_values().map(|(r, _)| r).collect() };
+    let bytes = database.encode();
+    if !upswing_config::read_file(output.path()).is_ok_and(|present| present == bytes) {
+        output.write(&bytes)?;
+    }
+    Ok(summary(&database, database.records.len(), 0))
+}

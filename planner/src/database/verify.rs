@@ -1,0 +1,180 @@
+//! Computes again what the records of a database claim.
+
+use super::{certify, has_grid_of, start_of};
+use crate::offline::{optimize, options, problem};
+use rayon::prelude::*;
+use upswing_config::Config;
+use upswing_model::State;
+use upswing_ocp::interior_point::Status;
+use upswing_ocp::multistart::Search;
+use upswing_trajectory::{Certificate, Database, Entry, Margins, N, Outcome, Record};
+
+/// A pose whose record is not what a build of these settings would have written.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Discrepancy {
+    /// Its number.
+    pub pose: u64,
+    /// What is wrong.
+    pub finding: Finding,
+}
+
+/// What is wrong with a record.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum Finding {
+    /// The figures are not those of the trajectory.
+    #[error("recorded {recorded:?}, computed {computed:?}")]
+    Certificate {
+        /// In the file.
+        recorded: Certificate,
+        /// Computed from the trajectory.
+        computed: Certificate,
+    },
+    /// The grid's rules make something else of the pose: no trajectory where one starts, or the other way round.
+    #[error("the grid {} this pose, the file does not", if *leaves_out { "leaves out" } else { "has" })]
+    Rule {
+        /// Whether the rules leave the pose out.
+        leaves_out: bool,
+    },
+    /// The trajectory starts elsewhere.
+    #[error("starts {by:.2e} (rad or rad/s) from the grid's pose, in entry {row} of the state")]
+    Start {
+        /// Entry of x_0.
+        row: usize,
+        /// Distance.
+        by: f64,
+    },
+    /// The trajectory does not end in the target (8).
+    #[error("misses row {row} of the target (8) by {by:.2e} rad or rad/s")]
+    End {
+        /// Row of (8).
+        row: usize,
+        /// By how much.
+        by: f64,
+    },
+    /// The trajectory jumps.
+    #[error("defect (6b) of {got:.2e} rad or rad/s, expected at most {most:.0e}")]
+    Defect {
+        /// Largest one.
+        got: f64,
+        /// `replan.defect`.
+        most: f64,
+    },
+    /// A limit is exceeded.
+    #[error("exceeds a limit of {what} {at} by {by:.4} of half its range, expected at most {most}")]
+    Limit {
+        /// Position, velocity or torque.
+        what: &'static str,
+        /// At or between the knots.
+        at: &'static str,
+        /// Share of half the range.
+        by: f64,
+        /// The largest that is accepted.
+        most: f64,
+    },
+    /// Followed without feedback, the end is missed by too much.
+    #[error(
+        "followed without feedback, misses its end by {got:.2} rad or rad/s, expected at most {FARTHEST_END}"
+    )]
+    EndError {
+        /// By how much.
+        got: f64,
+    },
+    /// A pose said to have no trajectory has one.
+    #[error("recorded as without solution, but a trajectory of cost {cost:.5} is found")]
+    Solvable {
+        /// Its cost.
+        cost: f64,
+    },
+}
+
+/// Largest difference of two computations, rad or rad/s or relative: the libraries of two machines differ in the last digits
+/// of sines, which an unstable pendulum amplifies.
+const ROUNDING: f64 = 1e-6;
+/// Largest end error, rad or rad/s. The trapezoidal rule is exact to h^2; the falling rod, which is left to itself for this
+/// figure, amplifies that by some hundreds: 0.65 in the shipped database, 1.1 in that of the other arm in `examples/`. A
+/// rod that ends hanging misses by pi.
+const FARTHEST_END: f64 = 2.0;
+
+/// Computes everything again, in parallel, that the records claim: figures, start, target, limits, and that poses without
+/// a trajectory have none. Starts are compared where the database [has the settings' grid](has_grid_of). Between knots a
+/// limit may be exceeded by `replan.knot_margin`, which a replan leaves free for that.
+pub fn verify(config: &Config, database: &Database, progress: impl Fn() + Sync) -> Vec<Discrepancy> {
+    let compare_poses = has_grid_of(config, database);
+    let judge = |record: &Record| {
+        if compare_poses {
+            let start = start_of(config, record.pose as usize);
+            let leaves_out = start.is_none();
+            if leaves_out != matches!(record.outcome, Outcome::Rejected) {
+                return Err(Finding::Rule { leaves_out });
+            }
+            if let Some(start) = start {
+                has_start(config, record, &start)?;
+            }
+        }
+        match &record.outcome {
+            Outcome::Solved(entry) => {
+                let verdict = verify_entry(config, entry);
+                progress();
+                verdict
+            }
+            _ => Ok(()),
+        }
+    };
+    let judged = database.records.par_iter().map(|record| (record.pose, judge(record)));
+    judged.filter_map(|(pose, verdict)| verdict.err().map(|finding| Discrepancy { pose, finding })).collect()
+}
+
+/// Whether a record of a pose that starts in `start` does so, or rightly has no trajectory.
+fn has_start(config: &Config, record: &Record, start: &State) -> Result<(), Finding> {
+    match &record.outcome {
+        Outcome::Solved(entry) => {
+            let away = (entry.trajectory.x[0] - start).abs();
+            let row = away.imax();
+            if away[row] <= ROUNDING { Ok(()) } else { Err(Finding::Start { row, by: away[row] }) }
+        }
+        _ => {
+            let solution = optimize(config, *start, Search::Best, None, &options(config));
+            match solution.status {
+                Status::Solved => Err(Finding::Solvable { cost: solution.cost }),
+                _ => Ok(()),
+            }
+        }
+    }
+}
+
+fn verify_entry(config: &Config, entry: &Entry) -> Result<(), Finding> {
+    let (trajectory, recorded) = (&entry.trajectory, entry.certificate);
+    let computed = certify(config, trajectory);
+    if recorded.difference(&computed) > ROUNDING {
+        return Err(Finding::Certificate { recorded, computed });
+    }
+    for (row, target) in problem(config, trajectory.x[0]).target.iter().enumerate() {
+        let by = (target.coefficients.dot(&trajectory.x[N]) - target.value).abs();
+        // A NaN fails, here and below.
+        if !(by <= ROUNDING) {
+            return Err(Finding::End { row, by });
+        }
+    }
+    let most = config.planner.replan.defect;
+    if !(computed.defect <= most) {
+        return Err(Finding::Defect { got: computed.defect, most });
+    }
+    let knots = Margins::of(trajectory, &config.model, &config.robot.planning, 0);
+    let between = config.planner.replan.knot_margin;
+    for (what, at_knots, everywhere) in [
+        ("position", knots.q.share, computed.margin_q),
+        ("velocity", knots.qd.share, computed.margin_qd),
+        ("torque", knots.tau.share, computed.margin_tau),
+    ] {
+        for (at, margin, most) in [("at a knot", at_knots, ROUNDING), ("between knots", everywhere, between)]
+        {
+            if !(margin >= -most) {
+                return Err(Finding::Limit { what, at, by: -margin, most });
+            }
+        }
+    }
+    if !(computed.end_error <= FARTHEST_END) {
+        return Err(Finding::EndError { got: computed.end_error });
+    }
+    Ok(())
+}
