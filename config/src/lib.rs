@@ -37,7 +37,7 @@ use check::{Check, degrees};
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 use upswing_model::{
-    ActuatedVector, Limits, Model, N_ACTUATED, NQ, NU, StartError, State, UnactuatedVector, Urdf, Workspace,
+    ActuatedVector, Limits, Model, NQ, NU, StartError, State, UnactuatedVector, Urdf, Workspace,
 };
 use upswing_trajectory::{Delays, Gate};
 
@@ -386,9 +386,9 @@ fn check_target(file: &str, target: &Target, model: &Model) -> Result<(), Config
     // (8) fixes q2 - q4 + q6 only: whichever joint turns the flange, the pendulum has to stay.
     for (joint, sign) in [(1, 1.0), (3, -1.0), (5, 1.0)] {
         let mut x = State::zeros();
-        (x[joint], x[N_ACTUATED]) = (sign * target.pitch, target.q8);
+        (x[joint], x[NU]) = (sign * target.pitch, target.q8);
         let f = model.f(&x, &ActuatedVector::zeros(), &mut work);
-        let falling = (N_ACTUATED..NQ).find(|i| !(f[NQ + i].abs() <= NONE));
+        let falling = (NU..NQ).find(|i| !(f[NQ + i].abs() <= NONE));
         if let Some(i) = falling {
             let (pitch, q8) = (target.pitch.to_degrees(), target.q8.to_degrees());
             return Err(Check { file }.refuse(

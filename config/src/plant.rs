@@ -3,7 +3,7 @@
 use crate::check::{Check, FINITE, FULL_TURN, NON_NEGATIVE, POSITIVE, SHARE};
 use crate::{ConfigError, Fault, Push, RobotSettings};
 use serde::Deserialize;
-use upswing_model::{Model, N_ACTUATED, N_UNACTUATED, NQ, NU};
+use upswing_model::{Model, N_UNACTUATED, NQ, NU};
 
 /// Most cycles that a command, or under a fault a measurement, can be late.
 pub const MAX_DELAY: u32 = 63;
@@ -307,7 +307,7 @@ fn read_drive(check: Check<'_>, raw: &RawDrive) -> Result<DriveSettings, ConfigE
 }
 
 fn read_friction(check: Check<'_>, raw: &RawFriction) -> Result<FrictionSettings, ConfigError> {
-    const PENDULUM: usize = N_ACTUATED + 1;
+    const PENDULUM: usize = NU + 1;
     let pendulum = |key: &str, values: &[f64]| check.list(key, values, PENDULUM, &NON_NEGATIVE);
     let arm = |key: &str, values: &[f64]| check.list(key, values, 1, &NON_NEGATIVE);
     Ok(FrictionSettings {

@@ -3,7 +3,7 @@
 use crate::ConfigError;
 use crate::check::{Check, FRACTION, FULL_TURN, NEGATIVE, NON_NEGATIVE, POSITIVE};
 use serde::Deserialize;
-use upswing_model::{ActuatedVector, JointVector, Limits, N_ACTUATED, N_UNACTUATED, NQ, NU};
+use upswing_model::{ActuatedVector, JointVector, Limits, N_UNACTUATED, NQ, NU};
 
 /// What the robot may do and where the swing-up ends.
 #[derive(Clone, Debug, PartialEq)]
@@ -129,12 +129,8 @@ impl RobotSettings {
         };
 
         let usage = &raw.usage;
-        let margin: [f64; N_UNACTUATED] = check.list(
-            "usage.position_margin_deg",
-            &usage.position_margin_deg,
-            N_ACTUATED + 1,
-            &NON_NEGATIVE,
-        )?;
+        let margin: [f64; N_UNACTUATED] =
+            check.list("usage.position_margin_deg", &usage.position_margin_deg, NU + 1, &NON_NEGATIVE)?;
         let of_arm =
             check.number("usage.velocity_fraction_actuated", usage.velocity_fraction_actuated, &FRACTION)?;
         let of_pendulum = check.number(
@@ -146,11 +142,11 @@ impl RobotSettings {
         let mut planning = limits;
         planning.tau_max *= of_torque;
         for i in 0..NQ {
-            planning.qd_max[i] *= if i < N_ACTUATED { of_arm } else { of_pendulum };
+            planning.qd_max[i] *= if i < NU { of_arm } else { of_pendulum };
         }
         for i in 0..N_UNACTUATED {
-            planning.q_max[N_ACTUATED + i] += margin[i].to_radians();
-            planning.q_min[N_ACTUATED + i] -= margin[i].to_radians();
+            planning.q_max[NU + i] += margin[i].to_radians();
+            planning.q_min[NU + i] -= margin[i].to_radians();
         }
 
         let bound = &raw.coriolis_bound;
@@ -173,7 +169,7 @@ impl RobotSettings {
 
         let target = Target {
             pitch: check.number("target.pitch_deg", raw.target.pitch_deg, &FULL_TURN)?.to_radians(),
-            q8: check.angle("target.q8_deg", raw.target.q8_deg, N_ACTUATED, &planning)?,
+            q8: check.angle("target.q8_deg", raw.target.q8_deg, NU, &planning)?,
         };
         let key = "drives.rotor_inertia_kg_m2";
         let rotor_inertia = check.list(key, &raw.drives.rotor_inertia_kg_m2, 1, &NON_NEGATIVE)?;

@@ -21,9 +21,7 @@ use crate::law::Torque;
 use crate::trip::{Trip, TripCause};
 use nalgebra::SMatrix;
 use upswing_config::StandstillSettings;
-use upswing_model::{
-    ActuatedMatrix, ActuatedVector, JointVector, N_ACTUATED, N_UNACTUATED, NQ, NU, UnactuatedVector,
-};
+use upswing_model::{ActuatedMatrix, ActuatedVector, JointVector, N_UNACTUATED, NQ, NU, UnactuatedVector};
 
 /// Time after which a joint whose angle does not change is taken to stand, s: one that turns back stands for less.
 const STANDS: f64 = 0.01;
@@ -192,9 +190,9 @@ impl Standstill {
             unchanged.high = unchanged.high.sup(&torque.tau);
         }
         let cut = &torque.cut;
-        let qdd_u: UnactuatedVector = torque.qdd.fixed_rows::<N_UNACTUATED>(N_ACTUATED).into();
-        let m_au = columns.fixed_rows::<N_ACTUATED>(0);
-        let m_uu = columns.fixed_rows::<N_UNACTUATED>(N_ACTUATED);
+        let qdd_u: UnactuatedVector = torque.qdd.fixed_rows::<N_UNACTUATED>(NU).into();
+        let m_au = columns.fixed_rows::<NU>(0);
+        let m_uu = columns.fixed_rows::<N_UNACTUATED>(NU);
         // Joints that stand do not accelerate, whatever is asked of them.
         let standing = ActuatedVector::from_fn(|i, _| if self.joints[i].time > STANDS { u[i] } else { 0.0 });
         let (carried, full, reaction) = (reduced * standing, reduced * u, m_au.tr_mul(&standing));
@@ -206,7 +204,7 @@ impl Standstill {
         let slow = self.quiet > QUIET;
         let mut inertia = JointVector::zeros();
         let mut torque = [JointVector::zeros(); CASES];
-        for i in 0..N_ACTUATED {
+        for i in 0..NU {
             inertia[i] = reduced[(i, i)];
             let joint = &mut self.joints[i];
             if joint.time == 0.0 {
@@ -243,7 +241,7 @@ impl Standstill {
         }
         unchanged.time += elapsed;
         let range = unchanged.high - unchanged.low;
-        let joint = (0..N_ACTUATED).find(|&i| range[i] > self.resolution[i])?;
+        let joint = (0..NU).find(|&i| range[i] > self.resolution[i])?;
         unchanged.differs += elapsed;
         let (cause, value) = (TripCause::FrozenMeasurement, unchanged.time);
         (unchanged.differs > SHOWN).then_some(Trip { cause, joint, value, limit: SHOWN })

@@ -14,8 +14,8 @@
 use crate::dynamics::{solve_unactuated, state_derivative, unactuated_block};
 use crate::spatial::{Spatial, skew};
 use crate::{
-    Accelerations, ActuatedVector, JointMatrix, JointVector, Model, N_ACTUATED, N_UNACTUATED, NQ, NU, NX, NZ,
-    State, UnactuatedVector, Workspace, position, velocity,
+    Accelerations, ActuatedVector, JointMatrix, JointVector, Model, N_UNACTUATED, NQ, NU, NX, NZ, State,
+    UnactuatedVector, Workspace, position, velocity,
 };
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
@@ -51,7 +51,7 @@ impl Derivatives {
     /// B = df/du (19), `[[0], [I], [d qdd_U / du]]`.
     pub fn b(&self) -> SMatrix<f64, NX, NU> {
         let mut b = SMatrix::<f64, NX, NU>::zeros();
-        for i in 0..N_ACTUATED {
+        for i in 0..NU {
             b[(NQ + i, i)] = 1.0;
         }
         b.fixed_rows_mut::<N_UNACTUATED>(NX - N_UNACTUATED).copy_from(&self.qdd_u_u);
@@ -93,29 +93,27 @@ impl Model {
     ) -> Derivatives {
         let value = self.accelerations_at(q, qd, u, work);
         let mut qdd = JointVector::zeros();
-        qdd.fixed_rows_mut::<N_ACTUATED>(0).copy_from(u);
-        qdd.fixed_rows_mut::<N_UNACTUATED>(N_ACTUATED).copy_from(&value.qdd_u);
+        qdd.fixed_rows_mut::<NU>(0).copy_from(u);
+        qdd.fixed_rows_mut::<N_UNACTUATED>(NU).copy_from(&value.qdd_u);
         self.accelerate_with(qd, &qdd, work);
 
         let m = work.mass_matrix();
-        let m_au = m.fixed_view::<N_ACTUATED, N_UNACTUATED>(0, N_ACTUATED);
-        let m_ua = m.fixed_view::<N_UNACTUATED, N_ACTUATED>(N_ACTUATED, 0).into_owned();
-        let m_uu = unactuated_block(&m.fixed_columns::<N_UNACTUATED>(N_ACTUATED).into());
+        let m_au = m.fixed_view::<NU, N_UNACTUATED>(0, NU);
+        let m_ua = m.fixed_view::<N_UNACTUATED, NU>(NU, 0).into_owned();
+        let m_uu = unactuated_block(&m.fixed_columns::<N_UNACTUATED>(NU).into());
         let (r_q, r_qd) = work.inverse_dynamics_derivatives();
         let mut r_x = SMatrix::<f64, NQ, NX>::zeros();
         r_x.fixed_columns_mut::<NQ>(0).copy_from(&r_q);
         r_x.fixed_columns_mut::<NQ>(NQ).copy_from(&r_qd);
 
-        let qdd_u_x = -solve_unactuated(&m_uu, &r_x.fixed_rows::<N_UNACTUATED>(N_ACTUATED).into());
+        let qdd_u_x = -solve_unactuated(&m_uu, &r_x.fixed_rows::<N_UNACTUATED>(NU).into());
         let qdd_u_u = -solve_unactuated(&m_uu, &m_ua);
         Derivatives {
             value,
             qdd_u_x,
             qdd_u_u,
-            tau_x: r_x.fixed_rows::<N_ACTUATED>(0) + m_au * qdd_u_x,
-            tau_u: m.fixed_view::<N_ACTUATED, N_ACTUATED>(0, 0)
-                + SMatrix::from_diagonal(&self.rotors)
-                + m_au * qdd_u_u,
+            tau_x: r_x.fixed_rows::<NU>(0) + m_au * qdd_u_x,
+            tau_u: m.fixed_view::<NU, NU>(0, 0) + SMatrix::from_diagonal(&self.rotors) + m_au * qdd_u_u,
         }
     }
 
@@ -129,11 +127,11 @@ impl Model {
         work: &Workspace,
     ) -> Hessian {
         let columns = work.unactuated_columns();
-        let m_ua_mu = columns.fixed_rows::<N_ACTUATED>(0).transpose() * mu;
+        let m_ua_mu = columns.fixed_rows::<NU>(0).transpose() * mu;
         let nu = -solve_unactuated(&unactuated_block(&columns), &(w + m_ua_mu));
         let mut eta = JointVector::zeros();
-        eta.fixed_rows_mut::<N_ACTUATED>(0).copy_from(mu);
-        eta.fixed_rows_mut::<N_UNACTUATED>(N_ACTUATED).copy_from(&nu);
+        eta.fixed_rows_mut::<NU>(0).copy_from(mu);
+        eta.fixed_rows_mut::<N_UNACTUATED>(NU).copy_from(&nu);
 
         let second = work.second_derivatives(&eta);
         let mut h = Hessian::zeros();
@@ -141,11 +139,11 @@ impl Model {
         h.fixed_view_mut::<NQ, NQ>(0, NQ).copy_from(&second.q_qd);
         h.fixed_view_mut::<NQ, NQ>(NQ, 0).copy_from(&second.q_qd.transpose());
         h.fixed_view_mut::<NQ, NQ>(NQ, NQ).copy_from(&second.qd_qd);
-        let q_u = second.q_qdd.fixed_columns::<N_ACTUATED>(0);
+        let q_u = second.q_qdd.fixed_columns::<NU>(0);
         h.fixed_view_mut::<NQ, NU>(0, NX).copy_from(&q_u);
         h.fixed_view_mut::<NU, NQ>(NX, 0).copy_from(&q_u.transpose());
         // The path through a_U: q_qdd_U (d qdd_U / dz) and its transpose.
-        let q_a = second.q_qdd.fixed_columns::<N_UNACTUATED>(N_ACTUATED);
+        let q_a = second.q_qdd.fixed_columns::<N_UNACTUATED>(NU);
         for row in 0..NQ {
             for col in 0..NZ {
                 let mut sum = 0.0;

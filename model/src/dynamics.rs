@@ -3,7 +3,7 @@
 use crate::positive;
 use crate::spatial::{Inertia, Spatial};
 use crate::{
-    ActuatedMatrix, ActuatedVector, JointMatrix, JointVector, Model, N_ACTUATED, N_UNACTUATED, NQ, NX, State,
+    ActuatedMatrix, ActuatedVector, JointMatrix, JointVector, Model, N_UNACTUATED, NQ, NU, NX, State,
     UnactuatedVector, position, velocity,
 };
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
@@ -70,13 +70,13 @@ impl Workspace {
     pub fn unactuated_columns(&self) -> SMatrix<f64, NQ, N_UNACTUATED> {
         let mut m = SMatrix::<f64, NQ, N_UNACTUATED>::zeros();
         for c in 0..N_UNACTUATED {
-            let j = N_ACTUATED + c;
+            let j = NU + c;
             let carried = self.composite_axis(j);
             for i in 0..=j {
                 m[(i, c)] = self.axis[i].dot(&carried);
             }
             for other in 0..c {
-                m[(j, other)] = m[(N_ACTUATED + other, c)];
+                m[(j, other)] = m[(NU + other, c)];
             }
         }
         m
@@ -105,7 +105,7 @@ impl Model {
         self.move_with(qd, work);
         self.accelerate_with(qd, qdd, work);
         let mut force = generalized_force(work);
-        for i in 0..N_ACTUATED {
+        for i in 0..NU {
             force[i] += self.rotors[i] * qdd[i];
         }
         force
@@ -119,7 +119,7 @@ impl Model {
 
     /// The mass matrix of bodies and rotors, given that of the bodies.
     fn with_rotor_inertia(&self, mut bodies: JointMatrix) -> JointMatrix {
-        for i in 0..N_ACTUATED {
+        for i in 0..NU {
             bodies[(i, i)] += self.rotors[i];
         }
         bodies
@@ -149,15 +149,15 @@ impl Model {
     pub fn reduced_inertia(&self, work: &Workspace) -> ActuatedMatrix {
         let mass = self.with_rotor_inertia(work.mass_matrix());
         let columns = work.unactuated_columns();
-        let m_au = columns.fixed_rows::<N_ACTUATED>(0);
-        mass.fixed_view::<N_ACTUATED, N_ACTUATED>(0, 0)
+        let m_au = columns.fixed_rows::<NU>(0);
+        mass.fixed_view::<NU, NU>(0, 0)
             - m_au * solve_unactuated(&unactuated_block(&columns), &m_au.transpose())
     }
 
     /// M~ a (10), N m, for `a` in rad/s^2, at the q of the last evaluation with `work`.
     pub fn reduced_inertia_times(&self, a: &ActuatedVector, work: &Workspace) -> ActuatedVector {
         let mut carried = JointVector::zeros();
-        carried.fixed_rows_mut::<N_ACTUATED>(0).copy_from(a);
+        carried.fixed_rows_mut::<NU>(0).copy_from(a);
         reduce(&(self.with_rotor_inertia(work.mass_matrix()) * carried), work).tau
     }
 
@@ -224,7 +224,7 @@ impl Model {
         work: &mut Workspace,
     ) -> Accelerations {
         let mut qdd = JointVector::zeros();
-        qdd.fixed_rows_mut::<N_ACTUATED>(0).copy_from(u);
+        qdd.fixed_rows_mut::<NU>(0).copy_from(u);
         reduce(&self.inverse_dynamics(q, qd, &qdd, work), work)
     }
 
@@ -276,9 +276,8 @@ fn accelerate(base: Spatial, qd: &JointVector, qdd: &JointVector, work: &mut Wor
 /// no motors, accelerate until their torques vanish.
 fn reduce(r: &JointVector, work: &Workspace) -> Accelerations {
     let columns = work.unactuated_columns();
-    let qdd_u =
-        -solve_unactuated(&unactuated_block(&columns), &r.fixed_rows::<N_UNACTUATED>(N_ACTUATED).into());
-    let tau = r.fixed_rows::<N_ACTUATED>(0) + columns.fixed_rows::<N_ACTUATED>(0) * qdd_u;
+    let qdd_u = -solve_unactuated(&unactuated_block(&columns), &r.fixed_rows::<N_UNACTUATED>(NU).into());
+    let tau = r.fixed_rows::<NU>(0) + columns.fixed_rows::<NU>(0) * qdd_u;
     Accelerations { qdd_u, tau }
 }
 
@@ -291,14 +290,14 @@ fn generalized_force(work: &Workspace) -> JointVector {
 pub(crate) fn state_derivative(x: &State, u: &ActuatedVector, qdd_u: &UnactuatedVector) -> State {
     let mut f = SVector::<f64, NX>::zeros();
     f.fixed_rows_mut::<NQ>(0).copy_from(&x.fixed_rows::<NQ>(NQ));
-    f.fixed_rows_mut::<N_ACTUATED>(NQ).copy_from(u);
-    f.fixed_rows_mut::<N_UNACTUATED>(NQ + N_ACTUATED).copy_from(qdd_u);
+    f.fixed_rows_mut::<NU>(NQ).copy_from(u);
+    f.fixed_rows_mut::<N_UNACTUATED>(NQ + NU).copy_from(qdd_u);
     f
 }
 
 /// M_UU out of [M_AU; M_UU].
 pub(crate) fn unactuated_block(columns: &SMatrix<f64, NQ, N_UNACTUATED>) -> UnactuatedMatrix {
-    columns.fixed_view::<N_UNACTUATED, N_UNACTUATED>(N_ACTUATED, 0).into()
+    columns.fixed_view::<N_UNACTUATED, N_UNACTUATED>(NU, 0).into()
 }
 
 /// M_UU^-1 r by elimination in place: M_UU is positive definite, so no pivot vanishes.

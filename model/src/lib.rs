@@ -31,17 +31,15 @@ pub use urdf::UrdfError;
 
 use nalgebra::{SMatrix, SVector};
 
-/// Number of actuated joints, q_A. This and [`N_UNACTUATED`] are the only places where a dimension of the
-/// robot is written down.
-pub const N_ACTUATED: usize = 7;
+/// Dimension of the input u = qdd_A and of the torque tau_A: the number of actuated joints q_A, which come first in the chain.
+/// The dimensions of the robot follow from this number and [`N_UNACTUATED`].
+pub const NU: usize = 7;
 /// Number of unactuated joints, q_U, at the end of the chain.
 pub const N_UNACTUATED: usize = 2;
 /// Number of joints, q = [q_A, q_U].
-pub const NQ: usize = N_ACTUATED + N_UNACTUATED;
+pub const NQ: usize = NU + N_UNACTUATED;
 /// Dimension of the state x = [q, qd].
 pub const NX: usize = 2 * NQ;
-/// Dimension of the input u = qdd_A and of the torque tau_A.
-pub const NU: usize = N_ACTUATED;
 /// Dimension of one collocation knot z = [x, u].
 pub const NZ: usize = NX + NU;
 

@@ -1,6 +1,6 @@
 //! The hanging equilibrium of the unactuated joints.
 
-use crate::{JointVector, Model, N_ACTUATED, N_UNACTUATED, NQ, UnactuatedVector, Workspace};
+use crate::{JointVector, Model, N_UNACTUATED, NQ, NU, UnactuatedVector, Workspace};
 
 /// No hanging equilibrium was found.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -42,7 +42,7 @@ impl Model {
             loop {
                 let mut trial = q;
                 for i in 0..N_UNACTUATED {
-                    trial[N_ACTUATED + i] += fraction * step[i];
+                    trial[NU + i] += fraction * step[i];
                 }
                 let trial_energy = self.potential_energy(&trial);
                 // The slack is the rounding of an energy of about 100 J.
@@ -66,7 +66,7 @@ impl Model {
         let r = self.inverse_dynamics(q, &zero, &zero, work);
         let (dr_dq, _) = work.inverse_dynamics_derivatives();
         (
-            r.fixed_rows::<N_UNACTUATED>(N_ACTUATED).into(),
+            r.fixed_rows::<N_UNACTUATED>(NU).into(),
             dr_dq.fixed_view::<N_UNACTUATED, N_UNACTUATED>(NQ - N_UNACTUATED, NQ - N_UNACTUATED).into(),
         )
     }

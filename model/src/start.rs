@@ -1,17 +1,15 @@
 //! States at standstill within the limits of the joints: where a motion can start.
 
 use crate::{
-    ActuatedVector, JointVector, Limits, Model, N_ACTUATED, N_UNACTUATED, NQ, RestError, State,
-    UnactuatedVector, Workspace, state,
+    ActuatedVector, JointVector, Limits, Model, N_UNACTUATED, NQ, NU, RestError, State, UnactuatedVector,
+    Workspace, state,
 };
 
 /// Why a pose cannot be a start.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum StartError {
     /// The wrong number of angles.
-    #[error(
-        "expected {N_ACTUATED} joint angles in deg, separated by commas, as in 0,-15,0,-95,0,10,0; got {got}"
-    )]
+    #[error("expected {NU} joint angles in deg, separated by commas, as in 0,-15,0,-95,0,10,0; got {got}")]
     Length {
         /// Angles given.
         got: usize,
@@ -68,19 +66,19 @@ impl Model {
         q_a: &[f64],
         q_u: Option<&UnactuatedVector>,
     ) -> Result<State, StartError> {
-        if q_a.len() != N_ACTUATED {
+        if q_a.len() != NU {
             return Err(StartError::Length { got: q_a.len() });
         }
         let mut q = JointVector::zeros();
-        q.fixed_rows_mut::<N_ACTUATED>(0).copy_from(&ActuatedVector::from_column_slice(q_a));
-        for i in 0..N_ACTUATED {
+        q.fixed_rows_mut::<NU>(0).copy_from(&ActuatedVector::from_column_slice(q_a));
+        for i in 0..NU {
             limits.check_angle(i, q[i])?;
         }
         match q_u {
-            Some(q_u) => q.fixed_rows_mut::<N_UNACTUATED>(N_ACTUATED).copy_from(q_u),
+            Some(q_u) => q.fixed_rows_mut::<N_UNACTUATED>(NU).copy_from(q_u),
             None => q = self.rest_position(&q, &mut Workspace::default())?,
         }
-        for i in N_ACTUATED..NQ {
+        for i in NU..NQ {
             limits.check_angle(i, q[i]).map_err(|e| match e {
                 StartError::OutsideLimits { joint, min_deg, max_deg, got_deg } => {
                     StartError::RestOutsideLimits { joint, min_deg, max_deg, got_deg }

@@ -2,9 +2,7 @@
 
 use crate::rows::{Pivot, STATE_ROW, StateRow, add_scaled};
 use nalgebra::SMatrix;
-use upswing_model::{
-    ActuatedVector, Derivatives, Model, N_ACTUATED, N_UNACTUATED, NQ, NU, NX, State, Workspace,
-};
+use upswing_model::{ActuatedVector, Derivatives, Model, N_UNACTUATED, NQ, NU, NX, State, Workspace};
 use upswing_trajectory::{Gain, KNOTS, Knots, N, Trajectory};
 
 type StateMatrix = SMatrix<f64, NX, NX>;
@@ -231,7 +229,7 @@ fn discretised(rows: &Rows, ts: f64) -> (StateMatrix, SMatrix<f64, NX, NU>) {
     for i in 0..NQ {
         phi[(i, NQ + i)] += ts;
     }
-    for i in 0..N_ACTUATED {
+    for i in 0..NU {
         gamma[(NQ + i, i)] = ts;
     }
     for m in 0..N_UNACTUATED {

@@ -1,7 +1,7 @@
 //! Offline optimisation (6), (8), (9)/(11) with the settings of a configuration.
 
 use upswing_config::{Config, PlannerSettings, ReplanWeights};
-use upswing_model::{ActuatedVector, N_ACTUATED, N_UNACTUATED, NQ, NU, NX, State};
+use upswing_model::{ActuatedVector, N_UNACTUATED, NQ, NU, NX, State};
 use upswing_ocp::interior_point::{Options, Solution, Status};
 use upswing_ocp::kkt::KnotVector;
 use upswing_ocp::lqr;
@@ -92,12 +92,12 @@ pub fn lqr_weights(settings: &PlannerSettings) -> lqr::Weights {
     let PlannerSettings { lqr: weights, balance, .. } = settings;
     let q = State::from_fn(|i, _| match i {
         i if i < NQ => weights.q_angles,
-        i if i < NQ + N_ACTUATED => weights.q_velocities_actuated,
+        i if i < NQ + NU => weights.q_velocities_actuated,
         _ => weights.q_velocities_unactuated,
     });
     let mut q_end = q;
-    q_end.fixed_rows_mut::<N_ACTUATED>(0).fill(balance.q_angles_actuated);
-    q_end.fixed_rows_mut::<N_UNACTUATED>(N_ACTUATED).fill(balance.q_angles_unactuated);
+    q_end.fixed_rows_mut::<NU>(0).fill(balance.q_angles_actuated);
+    q_end.fixed_rows_mut::<N_UNACTUATED>(NU).fill(balance.q_angles_unactuated);
     lqr::Weights { q, q_end, r: weights.r }
 }
 

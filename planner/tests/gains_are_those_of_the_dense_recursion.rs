@@ -3,7 +3,7 @@
 
 use nalgebra::SMatrix;
 use upswing_config::Config;
-use upswing_model::{ActuatedVector, N_ACTUATED, NQ, NU, NX, State, Workspace, position};
+use upswing_model::{ActuatedVector, NQ, NU, NX, State, Workspace, position};
 use upswing_ocp::lqr::synthesize;
 use upswing_planner::offline::lqr_weights;
 use upswing_planner::replan::Planner;
@@ -96,7 +96,7 @@ fn the_gains_of_a_swing_are_those_of_the_dense_recursion() {
     let balance = &config.planner.balance;
     let mut q_balance = q;
     for i in 0..NQ {
-        let actuated = i < N_ACTUATED;
+        let actuated = i < NU;
         q_balance[(i, i)] = if actuated { balance.q_angles_actuated } else { balance.q_angles_unactuated };
     }
     let error = (gains.end - from_far(&q_balance).0).amax();

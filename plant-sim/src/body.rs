@@ -2,9 +2,7 @@
 
 use crate::drives::Action;
 use upswing_config::{Config, FrictionSettings, StopSettings};
-use upswing_model::{
-    ActuatedVector, JointVector, Model, N_ACTUATED, N_UNACTUATED, NU, UnactuatedVector, Workspace,
-};
+use upswing_model::{ActuatedVector, JointVector, Model, N_UNACTUATED, NU, UnactuatedVector, Workspace};
 
 /// A force at the tip of the rod, world frame, N.
 pub(crate) type Force = [f64; 3];
@@ -79,7 +77,7 @@ impl Body {
             return None;
         }
         if *action == Action::Brakes {
-            for i in 0..N_ACTUATED {
+            for i in 0..NU {
                 if qd[i].abs() < STANDSTILL {
                     qd[i] = 0.0;
                 }
@@ -99,7 +97,7 @@ impl Body {
     ) -> Option<JointVector> {
         let mut load = self.passive_load(q, qd, outside);
         let Action::Torque(torque) = action else { return self.braked_acceleration(q, qd, &load) };
-        for i in 0..N_ACTUATED {
+        for i in 0..NU {
             load[i] += torque[i];
         }
         self.model.forward_dynamics(q, qd, &load, &mut self.work)
@@ -123,13 +121,13 @@ impl Body {
     /// Torque with which closed brakes hold an arm at rest, N m; `None` while it moves.
     pub(crate) fn held_load(&mut self, outside: &Outside) -> Option<ActuatedVector> {
         let (q, qd) = (self.q, self.qd);
-        if qd.fixed_rows::<N_ACTUATED>(0).amax() != 0.0 {
+        if qd.fixed_rows::<NU>(0).amax() != 0.0 {
             return None;
         }
         let load = self.passive_load(&q, &qd, outside);
         let qdd = self.braked_acceleration(&q, &qd, &load)?;
         let force = self.model.inverse_dynamics(&q, &qd, &qdd, &mut self.work) - load;
-        Some(force.fixed_rows::<N_ACTUATED>(0).into())
+        Some(force.fixed_rows::<NU>(0).into())
     }
 
     /// qdd = [u, qdd_U] with u = -qd_A / time constant: (3a) with the load of the pendulum (N m),
@@ -141,14 +139,14 @@ impl Body {
         load: &JointVector,
     ) -> Option<JointVector> {
         let mut qdd = JointVector::zeros();
-        for i in 0..N_ACTUATED {
+        for i in 0..NU {
             qdd[i] = -qd[i] / self.brake_time_constant;
         }
         let force = self.model.inverse_dynamics(q, qd, &qdd, &mut self.work) - load;
         let mass = self.model.mass_matrix(q, &mut self.work);
-        let mass_u = mass.fixed_view::<N_UNACTUATED, N_UNACTUATED>(N_ACTUATED, N_ACTUATED).into_owned();
-        let force_u: UnactuatedVector = force.fixed_rows::<N_UNACTUATED>(N_ACTUATED).into();
-        qdd.fixed_rows_mut::<N_UNACTUATED>(N_ACTUATED).copy_from(&-mass_u.cholesky()?.solve(&force_u));
+        let mass_u = mass.fixed_view::<N_UNACTUATED, N_UNACTUATED>(NU, NU).into_owned();
+        let force_u: UnactuatedVector = force.fixed_rows::<N_UNACTUATED>(NU).into();
+        qdd.fixed_rows_mut::<N_UNACTUATED>(NU).copy_from(&-mass_u.cholesky()?.solve(&force_u));
         Some(qdd)
     }
 }
@@ -178,7 +176,7 @@ impl Friction {
     fn new(settings: &FrictionSettings) -> Self {
         let felt = 1.0 - settings.arm_compensation;
         let join = |arm: &[f64; NU], pendulum: &[f64; N_UNACTUATED]| {
-            JointVector::from_fn(|i, _| if i < N_ACTUATED { felt * arm[i] } else { pendulum[i - N_ACTUATED] })
+            JointVector::from_fn(|i, _| if i < NU { felt * arm[i] } else { pendulum[i - NU] })
         };
         Self {
             viscous: join(&settings.arm_viscous, &settings.pendulum_viscous),

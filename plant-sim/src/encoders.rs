@@ -4,7 +4,7 @@ use rand_pcg::Pcg64;
 use rand_pcg::rand_core::{Rng, SeedableRng};
 use std::f64::consts::TAU;
 use upswing_config::EncoderSettings;
-use upswing_model::{JointVector, N_ACTUATED, NQ};
+use upswing_model::{JointVector, NQ, NU};
 
 /// The encoders of all joints.
 #[derive(Clone, Debug)]
@@ -22,7 +22,7 @@ impl Encoders {
     pub(crate) fn read(&mut self, q: &JointVector) -> [f64; NQ] {
         let EncoderSettings { arm_resolution, pendulum_resolution, noise, bias, .. } = self.settings;
         std::array::from_fn(|i| {
-            let resolution = if i < N_ACTUATED { arm_resolution } else { pendulum_resolution };
+            let resolution = if i < NU { arm_resolution } else { pendulum_resolution };
             let mut angle = q[i] + bias[i];
             if noise[i] > 0.0 {
                 angle += noise[i] * self.standard_normal();

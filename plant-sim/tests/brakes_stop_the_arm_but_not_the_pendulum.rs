@@ -4,13 +4,13 @@ mod common;
 
 use common::{frictionless, level_pose, settings, torque};
 use upswing_ipc::Command;
-use upswing_model::{JointVector, N_ACTUATED, NU, Period};
+use upswing_model::{JointVector, NU, Period};
 use upswing_plant::Plant;
 
 #[test]
 fn the_arm_stops_with_its_time_constant_and_the_pendulum_swings_on() {
     let config = settings();
-    let qd = JointVector::from_fn(|i, _| if i < N_ACTUATED { 0.1 * (i as f64 + 1.0) } else { 0.0 });
+    let qd = JointVector::from_fn(|i, _| if i < NU { 0.1 * (i as f64 + 1.0) } else { 0.0 });
     let time_constant = config.plant.drive.brake_time_constant;
     let mut plant = Plant::at(&config, &level_pose(), &qd).unwrap();
     for _ in 0..80 {

@@ -4,7 +4,7 @@ mod common;
 
 use common::{level_pose, settings, torque};
 use upswing_ipc::{Clock, Measurement};
-use upswing_model::{JointVector, N_ACTUATED, NQ, NU};
+use upswing_model::{JointVector, NQ, NU};
 use upswing_plant::Plant;
 
 #[test]
@@ -17,7 +17,7 @@ fn every_angle_is_on_the_grid_and_nearest() {
         plant.step(Some(&torque([1.0; NU])));
         let measured = plant.measure();
         for i in 0..NQ {
-            let step = if i < N_ACTUATED { encoder.arm_resolution } else { encoder.pendulum_resolution };
+            let step = if i < NU { encoder.arm_resolution } else { encoder.pendulum_resolution };
             let steps = (measured.q[i] / step).round();
             assert_eq!(measured.q[i], steps * step, "joint {} is on the grid", i + 1);
             let error = (measured.q[i] - plant.position()[i]).abs();

@@ -4,7 +4,7 @@ mod common;
 
 use common::{frictionless, level_pose, torque};
 use upswing_config::Config;
-use upswing_model::{JointVector, Model, N_ACTUATED, NU, State, Workspace, position, state, velocity};
+use upswing_model::{JointVector, Model, NU, State, Workspace, position, state, velocity};
 use upswing_plant::Plant;
 
 /// Period of a pendulum over that of its small swings: 1 / agm(1, cos(amplitude / 2)).
@@ -119,7 +119,7 @@ fn one_second_under_changing_torques_agrees_with_order_twelve() {
             tau[i] = holding[i]
                 + 0.1 * (7.0 * t + i as f64).sin() * config.robot.limits.tau_max[i] / (2.0 + i as f64);
         }
-        plant.step(Some(&torque(tau.fixed_rows::<N_ACTUATED>(0).into_owned().into())));
+        plant.step(Some(&torque(tau.fixed_rows::<NU>(0).into_owned().into())));
         x = extrapolated(&config.model, &x, &tau, h, work);
     }
     let (moved, error) = ((position(&x) - q).amax(), (state(plant.position(), plant.velocity()) - x).amax());

@@ -3,7 +3,7 @@
 
 use std::sync::atomic::AtomicBool;
 use upswing_ipc::{Clock, Mode, PlannerKind};
-use upswing_model::{N_ACTUATED, NQ};
+use upswing_model::{NQ, NU};
 use upswing_rig::swing_up::execute;
 use upswing_tests::System;
 
@@ -33,7 +33,7 @@ fn up_down_and_up(start_deg: [f64; 7]) {
     let down = &system.session.records[before..];
     let limits = &system.config.robot.limits;
     for record in down {
-        for i in 0..N_ACTUATED {
+        for i in 0..NU {
             assert!(record.tau[i].abs() <= limits.tau_max[i], "torque {} of joint {}", record.tau[i], i + 1);
         }
         for i in 0..NQ {
@@ -49,8 +49,8 @@ fn up_down_and_up(start_deg: [f64; 7]) {
     assert_eq!(last.mode(), Ok(Mode::Hold));
     // Hanging: nobody controls the pendulum in Hold, so that what is left at the end of the plan swings on.
     assert!(last.q[7].abs() < 0.1, "q8 is {} rad", last.q[7]);
-    assert!(last.qd[..N_ACTUATED].iter().all(|v| v.abs() < 0.01), "{:?}", last.qd);
-    assert!(last.qd[N_ACTUATED..].iter().all(|v| v.abs() < 0.3), "{:?}", last.qd);
+    assert!(last.qd[..NU].iter().all(|v| v.abs() < 0.01), "{:?}", last.qd);
+    assert!(last.qd[NU..].iter().all(|v| v.abs() < 0.3), "{:?}", last.qd);
 
     let before = system.session.records.len();
     go(&mut system, PlannerKind::SwingUp);

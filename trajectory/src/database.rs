@@ -8,7 +8,7 @@
 //! While a database is built its records are appended to a journal: the same file without the number of records.
 
 use crate::{Certificate, KNOTS, N, Trajectory};
-use upswing_model::{ActuatedVector, N_ACTUATED, N_UNACTUATED, NQ, NU, NX, State};
+use upswing_model::{ActuatedVector, N_UNACTUATED, NQ, NU, NX, State};
 use xxhash_rust::xxh3::xxh3_64;
 
 const MAGIC: &[u8; 8] = b"upswing\0";
@@ -168,7 +168,7 @@ impl Entry {
 fn integrate_arm(mut t: Trajectory) -> Trajectory {
     let half_h = 0.5 * t.h();
     for k in 0..N {
-        for i in 0..N_ACTUATED {
+        for i in 0..NU {
             let qd = t.x[k][NQ + i] + half_h * (t.u[k][i] + t.u[k + 1][i]);
             t.x[k + 1][i] = t.x[k][i] + half_h * (t.x[k][NQ + i] + qd);
             t.x[k + 1][NQ + i] = qd;
@@ -261,8 +261,8 @@ impl Record {
             for (x, u) in t.knots() {
                 u.iter().for_each(|v| put(*v));
                 for i in 0..N_UNACTUATED {
-                    put(x[N_ACTUATED + i]);
-                    put(x[NQ + N_ACTUATED + i]);
+                    put(x[NU + i]);
+                    put(x[NQ + NU + i]);
                 }
             }
         }
@@ -309,8 +309,8 @@ fn decode_entry(bytes: &[u8], what: impl Fn() -> String) -> Result<Entry, Databa
     for k in 0..KNOTS {
         u[k] = ActuatedVector::from_fn(|_, _| next());
         for i in 0..N_UNACTUATED {
-            x[k][N_ACTUATED + i] = next();
-            x[k][NQ + N_ACTUATED + i] = next();
+            x[k][NU + i] = next();
+            x[k][NQ + NU + i] = next();
         }
     }
     let refuse = |name: &str, expected: String, got: f64| {

@@ -4,11 +4,11 @@
 use super::{KnotDynamics, KnotVector};
 use crate::rows::{ROW, STATE_ROW, StateRow, add_scaled};
 use nalgebra::SMatrix;
-use upswing_model::{ActuatedVector, N_ACTUATED, N_UNACTUATED, NQ, NU, NX, NZ, State};
+use upswing_model::{ActuatedVector, N_UNACTUATED, NQ, NU, NX, NZ, State};
 
 /// First row of the velocities, of the unactuated velocities, and of the inputs among z = (x, u).
 const V: usize = NQ;
-const V_U: usize = NQ + N_ACTUATED;
+const V_U: usize = NQ + NU;
 pub(super) const U: usize = NX;
 
 /// A row over z = (x, u) or (s, u).
@@ -29,7 +29,7 @@ impl Entering {
             for j in 0..NQ {
                 rhs[j] = half_h * knot.qdd_u_x[(i, j)];
             }
-            for j in 0..N_ACTUATED {
+            for j in 0..NU {
                 let on_v = half_h * (knot.qdd_u_x[(i, V + j)] + rhs[j]);
                 rhs[V + j] = on_v;
                 rhs[U + j] = half_h * (knot.qdd_u_u[(i, j)] + on_v);
@@ -38,7 +38,7 @@ impl Entering {
         }
         // E_UU of E = I - h/2 A, with the unactuated angles eliminated.
         let block = SMatrix::<f64, N_UNACTUATED, N_UNACTUATED>::from_fn(|i, j| {
-            let position = knot.qdd_u_x[(i, N_ACTUATED + j)];
+            let position = knot.qdd_u_x[(i, NU + j)];
             let velocity = knot.qdd_u_x[(i, V_U + j)];
             f64::from(u8::from(i == j)) - half_h * velocity - half_h * half_h * position
         })
@@ -57,7 +57,7 @@ impl Entering {
     #[inline(always)]
     pub(super) fn apply(&self, s: &State, u: &ActuatedVector) -> KnotVector {
         let mut z = KnotVector::zeros();
-        for j in 0..N_ACTUATED {
+        for j in 0..NU {
             z[V + j] = s[V + j] + self.half_h * u[j];
             z[U + j] = u[j];
         }
@@ -92,7 +92,7 @@ impl Entering {
         for i in 0..NQ {
             out[V + i] += self.half_h * out[i];
         }
-        for i in 0..N_ACTUATED {
+        for i in 0..NU {
             out[U + i] += self.half_h * out[V + i];
         }
         let on_v: [f64; N_UNACTUATED] = std::array::from_fn(|i| out[V_U + i]);
@@ -109,7 +109,7 @@ impl Entering {
             let q = p[i];
             add_scaled(&mut p[V + i], self.half_h, &q);
         }
-        for i in 0..N_ACTUATED {
+        for i in 0..NU {
             let v = p[V + i];
             add_scaled(&mut p[U + i], self.half_h, &v);
         }
@@ -155,7 +155,7 @@ impl Leaving {
         for i in 0..NQ {
             s[i] = z[i] + self.half_h * z[V + i];
         }
-        for i in 0..N_ACTUATED {
+        for i in 0..NU {
             s[V + i] = z[V + i] + self.half_h * z[U + i];
         }
         for (i, n) in self.n.iter().enumerate() {
@@ -176,7 +176,7 @@ impl Leaving {
         for i in 0..NQ {
             out[V + i] += self.half_h * p[i];
         }
-        for i in 0..N_ACTUATED {
+        for i in 0..NU {
             out[U + i] = self.half_h * p[V + i];
         }
         for (i, n) in self.n.iter().enumerate() {

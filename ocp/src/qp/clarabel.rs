@@ -7,7 +7,7 @@ use clarabel::solver::{
     DefaultSettings, DefaultSolver, IPSolver, SolverStatus,
     SupportedConeT::{NonnegativeConeT, ZeroConeT},
 };
-use upswing_model::{N_ACTUATED, N_UNACTUATED, NQ, NU, NX, NZ};
+use upswing_model::{N_UNACTUATED, NQ, NU, NX, NZ};
 
 /// Rows of A z + s = b, as triplets.
 #[derive(Default)]
@@ -36,7 +36,7 @@ impl Rows {
         let at = k * NZ;
         if i < NQ {
             self.put(at + NQ + i, scale);
-        } else if i < NQ + N_ACTUATED {
+        } else if i < NQ + NU {
             self.put(at + NX + i - NQ, scale);
         } else {
             let m = i - (NX - N_UNACTUATED);
