@@ -4,11 +4,12 @@ use crate::qps::QpFile;
 use crate::{config, print, starts};
 use std::path::Path;
 use std::time::{Duration, Instant};
+use upswing_ipc::operator::Manoeuvre;
 use upswing_model::{State, Workspace};
 use upswing_ocp::lqr;
 use upswing_ocp::qp::{Backend, Options, Qp, Solver, Status};
 use upswing_planner::offline::{lqr_weights, qp_weights};
-use upswing_planner::replan::{Effort, Manoeuvre, Planner, Replan};
+use upswing_planner::replan::{Effort, Planner, Replan};
 use upswing_trajectory::N;
 
 /// As in a replan (`planner/src/replan.rs`) but for a tenth of its complementarity, with which all solvers come equally

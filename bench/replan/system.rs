@@ -3,7 +3,8 @@
 use crate::{config, print, starts};
 use std::time::{Duration, Instant};
 use upswing_config::Config;
-use upswing_ipc::{Clock, ControlCommand, PlannerKind, PlannerRequest, PlannerResponse};
+use upswing_ipc::operator::{Manoeuvre, Request};
+use upswing_ipc::{Clock, PlannerRequest, PlannerResponse};
 use upswing_model::State;
 use upswing_rig::session::{Role, Session};
 use upswing_tests::System;
@@ -33,10 +34,10 @@ fn requests(starts: &[State]) {
     let period = system.period();
     let session = &mut system.session;
     session.advance(1).expect("time passes");
-    session.control(ControlCommand::Enable).unwrap_or_else(|e| panic!("{e}"));
+    session.request(Request::Enable).unwrap_or_else(|e| panic!("{e}"));
     // Time to settle, and for the planner to make its plan.
     session.advance((1.0 / period) as u64).expect("time passes");
-    let from_now = PlannerRequest::from_now(PlannerKind::SwingUp);
+    let from_now = PlannerRequest::from_now(Manoeuvre::SwingUp);
     let fresh = |start: &State| PlannerRequest { from_now: 0, start: (*start).into(), ..from_now };
     let (mut computed, mut ready, mut planning, mut status) = (vec![], vec![], vec![], vec![]);
     // In turns, so that the id of the loaded plan changes with each request.
@@ -49,7 +50,7 @@ fn requests(starts: &[State]) {
         assert!(reason.contains("ready"), "the plan was not kept ready: {reason}");
         ready.push(time);
         let begin = Instant::now();
-        session.ask_control(ControlCommand::Status).unwrap_or_else(|e| panic!("{e}"));
+        session.status().unwrap_or_else(|e| panic!("{e}"));
         status.push(begin.elapsed());
         // The records of the telemetry are of no use here.
         session.collect().unwrap_or_else(|e| panic!("{e}"));
@@ -68,7 +69,7 @@ fn request(session: &mut Session, request: PlannerRequest) -> (PlannerResponse, 
     let plan = client.call(&request, PATIENCE).unwrap_or_else(|e| panic!("{e}"));
     assert_ne!(plan.plan_id, 0, "the planner refused: {:?}", plan.reason.as_str());
     loop {
-        let status = session.ask_control(ControlCommand::Status).unwrap_or_else(|e| panic!("{e}"));
+        let status = session.status().unwrap_or_else(|e| panic!("{e}"));
         if status.plan_id == plan.plan_id {
             return (plan, begin.elapsed());
         }

@@ -224,7 +224,7 @@ impl<'a> Journal<'a> {
             None => Some(TripCause::NoMeasurement.remedy()),
             Some(record) => record.unready.as_ref().and_then(Refusal::remedy),
         };
-        remedy.map_or_else(|| self.mode().next_step().to_string(), str::to_owned)
+        remedy.map_or_else(|| self.mode().next_action().to_string(), str::to_owned)
     }
 
     /// The answer to a request, as far as it follows from the cycles.

@@ -1,44 +1,36 @@
-//! After a lost balance: wait until the pendulum hangs at rest, get a new plan, swing up again. Pure; the service thread
-//! does what it asks for.
+//! Recovery after a lost balance: wait until the pendulum hangs at rest, ask for a plan, wait until the plan is loaded and due,
+//! start it. Pure; the service thread performs the [`RecoveryAction`]s.
 
 use crate::controller::Record;
 use crate::trip::TripCause;
 use upswing_config::RecoverySettings;
 use upswing_ipc::Mode;
+use upswing_ipc::operator::PublishedPlan;
 use upswing_model::{NQ, NU};
 
-/// What is to be done next.
+/// The next action of a recovery.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Action {
-    /// Ask the planner for a swing-up from now.
+pub enum RecoveryAction {
+    /// Ask the planner for a swing-up from the present state.
     AskPlanner,
     /// Start the loaded plan, which has this id.
     Start(u64),
 }
 
-/// The plan that the planner published.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Planned {
-    /// Its id.
-    pub id: u64,
-    /// When it may be started, ns on the daemon's clock.
-    pub activation_ns: u64,
-}
-
-/// How far the recovery is; times in ns.
+/// Stage of a recovery; times in ns on the daemon's clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stage {
-    /// Nothing to recover from, or given up.
+    /// No recovery is in progress.
     Off,
-    /// Since the loss; and since when the pendulum has been at rest.
+    /// Waiting until the pendulum hangs at rest: time of the lost balance, and since when the pendulum has been at rest.
     Settling { lost: u64, rest: Option<u64> },
-    /// Asked the planner.
+    /// Waiting for the planner: time of the request.
     Planning { asked: u64 },
-    /// Got a plan.
-    Planned { plan: Planned, asked: u64 },
+    /// Waiting until the plan is loaded and due: the plan, and the time of the request.
+    Planned { plan: PublishedPlan, asked: u64 },
 }
 
-/// Limited attempts to swing up again.
+/// A limited number of attempts to swing up again.
 #[derive(Clone, Debug)]
 pub struct Recovery {
     settings: RecoverySettings,
@@ -46,35 +38,35 @@ pub struct Recovery {
     /// Attempts since the last request of the operator.
     attempts: u32,
     mode: Mode,
-    /// Time of the newest cycle, ns.
+    /// Start of the newest cycle, ns on the daemon's clock.
     now: u64,
 }
 
 impl Recovery {
-    /// Nothing to recover from yet.
+    /// No recovery in progress.
     pub fn new(settings: RecoverySettings) -> Self {
         Self { settings, stage: Stage::Off, attempts: 0, mode: Mode::Idle, now: 0 }
     }
 
-    /// Whether it works on a recovery.
+    /// Whether a recovery is in progress.
     pub fn is_active(&self) -> bool {
         self.stage != Stage::Off
     }
 
-    /// The operator takes over.
+    /// Ends a recovery in favour of the operator; all attempts are available again.
     pub fn yield_to_operator(&mut self) {
         (self.stage, self.attempts) = (Stage::Off, 0);
     }
 
-    /// The planner answered: with the plan that it published, or without one.
-    pub fn planned(&mut self, plan: Option<Planned>) {
+    /// Takes in the answer of the planner: the published plan, or `None` if there is none.
+    pub fn planned(&mut self, plan: Option<PublishedPlan>) {
         if let Stage::Planning { asked } = self.stage {
             self.stage = plan.map_or(Stage::Off, |plan| Stage::Planned { plan, asked });
         }
     }
 
-    /// Takes in a cycle; `loaded` is the id of the loaded plan. Returns what is to be done, once.
-    pub fn note(&mut self, record: &Record, loaded: u64) -> Option<Action> {
+    /// Takes in the record of a cycle; `loaded` is the id of the loaded plan. Returns each action once.
+    pub fn note(&mut self, record: &Record, loaded: u64) -> Option<RecoveryAction> {
         let telemetry = &record.telemetry;
         let before = self.mode;
         (self.mode, self.now) = (telemetry.mode().unwrap_or(Mode::Fault), telemetry.t_ns);
@@ -101,9 +93,9 @@ impl Recovery {
                 self.give_up_after(asked);
                 None
             }
-            Stage::Planned { plan, .. } if plan.id == loaded && plan.activation_ns <= self.now => {
+            Stage::Planned { plan, .. } if plan.is_due(loaded, self.now) => {
                 self.stage = Stage::Off;
-                Some(Action::Start(plan.id))
+                Some(RecoveryAction::Start(plan.id))
             }
             Stage::Planned { asked, .. } => {
                 self.give_up_after(asked);
@@ -112,14 +104,14 @@ impl Recovery {
         }
     }
 
-    fn settle(&mut self, lost: u64, rest: Option<u64>, qd: &[f64; NQ]) -> Option<Action> {
+    fn settle(&mut self, lost: u64, rest: Option<u64>, qd: &[f64; NQ]) -> Option<RecoveryAction> {
         let still = qd[NU..].iter().all(|qd| qd.abs() <= self.settings.rest_speed);
         let rest = if still && self.mode == Mode::Hold { Some(rest.unwrap_or(self.now)) } else { None };
         self.stage = Stage::Settling { lost, rest };
         if rest.is_some_and(|since| self.elapsed(since) >= self.settings.rest.as_nanos()) {
             self.stage = Stage::Planning { asked: self.now };
             self.attempts += 1;
-            return Some(Action::AskPlanner);
+            return Some(RecoveryAction::AskPlanner);
         }
         self.give_up_after(lost);
         None

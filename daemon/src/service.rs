@@ -7,7 +7,7 @@ use crate::loads::Loads;
 use crate::os::{self, Refused};
 use crate::plan;
 use crate::realtime::{Cycle, Ends, Report, Ticket};
-use crate::recovery::{Action, Planned, Recovery};
+use crate::recovery::{Recovery, RecoveryAction};
 use crate::supervisor::{Refusal, Request, is_braked};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -16,9 +16,10 @@ use std::thread::{Builder, JoinHandle, sleep};
 use std::time::{Duration, Instant};
 use tracing::{info, warn};
 use upswing_config::{Config, RealtimeMode};
+use upswing_ipc::operator::{Manoeuvre, PublishedPlan, request_plan};
 use upswing_ipc::{
     Command, ControlCommand, ControlRequest, ControlResponse, Degradation, Domain, IpcError, Measurement,
-    Mode, Node, Plan, PlannerKind, PlannerRequest, Reader, Search, Text,
+    Mode, Node, Plan, PlannerRequest, Reader, Search, Text,
 };
 use upswing_process::Failure;
 use upswing_process::notify::Notifier;
@@ -134,7 +135,7 @@ struct Desk<'a> {
     mode_told: Option<Mode>,
     recovery: Recovery,
     /// Asks the planner for a recovery.
-    asker: Option<JoinHandle<Result<Planned, String>>>,
+    asker: Option<JoinHandle<Result<PublishedPlan, String>>>,
     /// Tells it that nobody waits any more.
     closing: Arc<AtomicBool>,
     /// Bits of [`upswing_ipc::Degradation`].
@@ -448,8 +449,8 @@ impl<'a> Desk<'a> {
             let noted = self.journal.note(record, self.dropped());
             self.complain_of(noted);
             match action {
-                Some(Action::AskPlanner) => self.ask_planner(),
-                Some(Action::Start(plan_id)) => {
+                Some(RecoveryAction::AskPlanner) => self.ask_planner(),
+                Some(RecoveryAction::Start(plan_id)) => {
                     info!("recovery: swinging up again");
                     if self.order(Order::Do(Request::Start(plan_id))).is_none() {
                         self.complain("too many orders wait for the next cycle".into());
@@ -466,12 +467,10 @@ impl<'a> Desk<'a> {
         let (node, patience) = (self.node.clone(), self.config.daemon.recovery.patience);
         let closing = Arc::clone(&self.closing);
         let ask = move || {
-            let request = PlannerRequest::from_now(PlannerKind::SwingUp);
-            let client = node.client::<PlannerRequest>().map_err(|e| e.to_string())?;
+            let planner = node.client::<PlannerRequest>().map_err(|e| e.to_string())?;
             let wanted = || !closing.load(Ordering::Acquire);
-            let answer = client.call_while(&request, patience, wanted).map_err(|e| e.to_string())?;
-            let plan = Planned { id: answer.plan_id, activation_ns: answer.activation_ns };
-            if plan.id == 0 { Err(answer.reason.to_string()) } else { Ok(plan) }
+            let plan = request_plan(&planner, Manoeuvre::SwingUp, patience, wanted);
+            plan.map(|plan| PublishedPlan::from(&plan)).map_err(|e| e.to_string())
         };
         match Builder::new().name("recovery".into()).spawn(ask) {
             Ok(thread) => self.asker = Some(thread),

@@ -113,7 +113,7 @@ pub fn is_braked(mode: Mode) -> bool {
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum Refusal {
     /// The mode does not allow it.
-    #[error("{} is not possible in mode {mode}; next: {}", event_name(.event), .mode.next_step())]
+    #[error("{} is not possible in mode {mode}; next: {}", event_name(.event), .mode.next_action())]
     Mode {
         /// The mode.
         mode: Mode,
@@ -121,10 +121,10 @@ pub enum Refusal {
         event: Event,
     },
     /// The measurement cannot be trusted.
-    #[error("the robot is not fit to be enabled: {0}; next: {remedy}, then {enable}", remedy = .0.cause.remedy(), enable = Mode::Idle.next_step())]
+    #[error("the robot is not fit to be enabled: {0}; next: {remedy}, then {enable}", remedy = .0.cause.remedy(), enable = Mode::Idle.next_action())]
     Unfit(Trip),
     /// A drive is not powered.
-    #[error("the drives are not ready; next: {DRIVES_ON}, then {}", Mode::Idle.next_step())]
+    #[error("the drives are not ready; next: {DRIVES_ON}, then {}", Mode::Idle.next_action())]
     DrivesNotReady,
     /// No plan is loaded.
     #[error("no plan is loaded: ask the planner for one")]

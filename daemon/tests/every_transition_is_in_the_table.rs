@@ -1,7 +1,7 @@
 //! Every pair of mode and event has the result that docs/daemon.md names.
 
 use upswing_ipc::Mode::{self, Balance, Fault, Hold, Idle, Stop, Track};
-use upswing_ipc::{ControlCommand, NextStep, PlannerKind};
+use upswing_ipc::operator::{self, Manoeuvre, NextAction};
 use upswingd::plan::Ending;
 use upswingd::supervisor::{Event, Refusal, Request, transition};
 
@@ -54,31 +54,32 @@ fn every_request_is_in_the_table() {
 #[test]
 fn a_refusal_names_a_step_that_is_accepted() {
     for mode in Mode::ALL.iter().copied() {
-        let accepted = match mode.next_step() {
-            NextStep::Control(command) | NextStep::WaitOr(command) => {
-                let asked = Request::ALL.into_iter().find(|r| r.to_string() == command.to_string());
-                transition(mode, Event::Asked(asked.expect("a request")))
-            }
+        let accepted = match mode.next_action() {
             // The planner makes such plans in these modes; then one starts.
-            NextStep::Plan(kind) => {
-                let needed = if kind == PlannerKind::SwingUp { Hold } else { Balance };
+            NextAction::Make(operator::Request::Manoeuvre(manoeuvre)) => {
+                let needed = if manoeuvre == Manoeuvre::SwingUp { Hold } else { Balance };
                 assert_eq!(mode, needed);
                 transition(mode, Event::Asked(Request::Start(7)))
             }
-            NextStep::WaitForRest => transition(mode, Event::AtRest),
+            NextAction::Make(request) | NextAction::WaitOr(request) => {
+                let asked = Request::ALL.into_iter().find(|r| r.to_string() == request.name());
+                transition(mode, Event::Asked(asked.expect("a request")))
+            }
+            NextAction::WaitForRest => transition(mode, Event::AtRest),
         };
         let next = accepted.expect("it is accepted");
         assert_ne!(next, mode, "it leads somewhere");
         let refused = Request::ALL.into_iter().filter_map(|r| transition(mode, Event::Asked(r)).err());
         for refusal in refused {
             let text = refusal.to_string();
-            assert!(text.ends_with(&format!("next: {}", mode.next_step())), "{text}");
+            assert!(text.ends_with(&format!("next: {}", mode.next_action())), "{text}");
         }
     }
     // From a fault the steps lead to a balanced rod.
-    assert_eq!(Fault.next_step(), NextStep::Control(ControlCommand::Reset));
-    assert_eq!(Idle.next_step(), NextStep::Control(ControlCommand::Enable));
-    assert_eq!(Hold.next_step(), NextStep::Plan(PlannerKind::SwingUp));
+    assert_eq!(Fault.next_action(), NextAction::Make(operator::Request::Reset));
+    assert_eq!(Idle.next_action(), NextAction::Make(operator::Request::Enable));
+    let swing_up = operator::Request::Manoeuvre(Manoeuvre::SwingUp);
+    assert_eq!(Hold.next_action(), NextAction::Make(swing_up));
 }
 
 #[test]

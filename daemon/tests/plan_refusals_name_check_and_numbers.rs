@@ -4,9 +4,10 @@ mod common;
 
 use common::{at_rest, config, rest_payload, rest_plan, rest_pose, upright_pose};
 use upswing_config::{Config, PendulumStart, PlanWhileTracking, VelocityEstimate};
+use upswing_ipc::operator::Manoeuvre;
 use upswing_ipc::{DamagedPlan, Measurement, Plan as Payload};
 use upswing_model::{ActuatedVector, NQ, NU, NX, State, Workspace};
-use upswing_planner::replan::{Effort, Manoeuvre, Planner};
+use upswing_planner::replan::{Effort, Planner};
 use upswing_trajectory::{Gain, KNOTS, N, Unfit};
 use upswingd::controller::{Controller, Order};
 use upswingd::plan::{PlanRefusal, accept};

@@ -5,7 +5,8 @@ mod common;
 use common::{Arm, PERIOD, PERIOD_NS, at_rest, config, measurement, rest_payload, rest_pose, swing};
 use std::time::Instant;
 use upswing_config::Config;
-use upswing_ipc::{Clock, Mode, PlannerKind, PlannerRequest, Telemetry};
+use upswing_ipc::operator::Manoeuvre;
+use upswing_ipc::{Clock, Mode, PlannerRequest, Telemetry};
 use upswing_model::{JointVector, NQ};
 use upswing_planner::replan::Planner;
 use upswing_planner::service::Desk;
@@ -138,7 +139,7 @@ fn a_predicted_start_is_met_and_ends_balanced() {
     // On a busy machine a plan may be late; the next one looks further ahead.
     let plan = (0..100).find_map(|_| {
         desk.observe(newest, Instant::now());
-        desk.answer(&PlannerRequest::from_now(PlannerKind::SwingUp), &|| true).1
+        desk.answer(&PlannerRequest::from_now(Manoeuvre::SwingUp), &|| true).1
     });
     let plan = accept(&Box::<upswing_ipc::Plan>::from(&plan.expect("a plan")), &config).unwrap();
     let (id, t_f, x_0) = (plan.id, plan.trajectory.t_f, plan.trajectory.x[0]);

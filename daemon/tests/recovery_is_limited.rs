@@ -3,9 +3,10 @@
 use proptest::prelude::*;
 use std::time::Duration;
 use upswing_config::RecoverySettings;
+use upswing_ipc::operator::PublishedPlan;
 use upswing_ipc::{Mode, Step, Telemetry};
 use upswingd::controller::Record;
-use upswingd::recovery::{Action, Planned, Recovery};
+use upswingd::recovery::{Recovery, RecoveryAction};
 use upswingd::trip::{Trip, TripCause};
 
 const SECOND: u64 = 1_000_000_000;
@@ -29,7 +30,7 @@ fn fallen(attempts: u32) -> Recovery {
     recovery
 }
 
-fn hold(recovery: &mut Recovery, seconds: u64, speed: f64, loaded: u64) -> Option<Action> {
+fn hold(recovery: &mut Recovery, seconds: u64, speed: f64, loaded: u64) -> Option<RecoveryAction> {
     recovery.note(&record(Mode::Hold, seconds * SECOND, speed, Some(TripCause::BalanceLost)), loaded)
 }
 
@@ -40,12 +41,12 @@ fn it_waits_plans_and_starts() {
     for (seconds, speed) in [(2, 1.0), (3, 0.04), (4, 0.06), (5, 0.04), (6, -0.04)] {
         assert_eq!(hold(&mut recovery, seconds, speed, 1), None, "{seconds} s");
     }
-    assert_eq!(hold(&mut recovery, 7, 0.0, 1), Some(Action::AskPlanner), "two seconds at rest");
+    assert_eq!(hold(&mut recovery, 7, 0.0, 1), Some(RecoveryAction::AskPlanner), "two seconds at rest");
     assert_eq!(hold(&mut recovery, 8, 0.0, 1), None, "asked once");
-    recovery.planned(Some(Planned { id: 5, activation_ns: 10 * SECOND }));
+    recovery.planned(Some(PublishedPlan { id: 5, activation_ns: 10 * SECOND }));
     assert_eq!(hold(&mut recovery, 8, 0.0, 1), None, "the old plan is not started");
     assert_eq!(hold(&mut recovery, 9, 0.0, 5), None, "the moment of its start is still to come");
-    assert_eq!(hold(&mut recovery, 10, 0.0, 5), Some(Action::Start(5)));
+    assert_eq!(hold(&mut recovery, 10, 0.0, 5), Some(RecoveryAction::Start(5)));
     assert_eq!(hold(&mut recovery, 11, 0.0, 5), None, "started once");
     // The only attempt is used up.
     recovery.note(&record(Mode::Track, 12 * SECOND, 0.0, None), 5);
@@ -75,7 +76,7 @@ fn it_gives_up() {
         });
         assert!(slow.is_active());
         if answered {
-            slow.planned(Some(Planned { id: 5, activation_ns: 0 }));
+            slow.planned(Some(PublishedPlan { id: 5, activation_ns: 0 }));
         }
         hold(&mut slow, 70, 0.0, 1);
         assert!(!slow.is_active(), "no plan in time");
@@ -107,9 +108,12 @@ fn swinging_up(again: bool) -> (Recovery, u64) {
         return (Recovery::new(settings(2)), SECOND);
     }
     let mut recovery = fallen(2);
-    assert_eq!([2, 3, 4].map(|s| hold(&mut recovery, s, 0.0, 1)), [None, None, Some(Action::AskPlanner)]);
-    recovery.planned(Some(Planned { id: 5, activation_ns: 0 }));
-    assert_eq!(hold(&mut recovery, 5, 0.0, 5), Some(Action::Start(5)));
+    assert_eq!(
+        [2, 3, 4].map(|s| hold(&mut recovery, s, 0.0, 1)),
+        [None, None, Some(RecoveryAction::AskPlanner)]
+    );
+    recovery.planned(Some(PublishedPlan { id: 5, activation_ns: 0 }));
+    assert_eq!(hold(&mut recovery, 5, 0.0, 5), Some(RecoveryAction::Start(5)));
     (recovery, 6 * SECOND)
 }
 
@@ -155,7 +159,7 @@ fn the_pendulum_rests_when_both_of_its_joints_do_in_hold() {
         };
         // While the arm still stops, it moves the pendulum.
         assert_eq!([at(Mode::Stop, 2), at(Mode::Stop, 6), at(Mode::Hold, 7), at(Mode::Hold, 8)], [None; 4]);
-        let expected = rests.then_some(Action::AskPlanner);
+        let expected = rests.then_some(RecoveryAction::AskPlanner);
         assert_eq!(at(Mode::Hold, 9), expected, "joint {} at {speed} rad/s", joint + 1);
     }
 }
@@ -169,7 +173,7 @@ fn another_mode_ends_it_at_every_stage() {
                 rest(&mut recovery, 2..=7);
             }
             if stage > 1 {
-                recovery.planned(Some(Planned { id: 5, activation_ns: 9 * SECOND }));
+                recovery.planned(Some(PublishedPlan { id: 5, activation_ns: 9 * SECOND }));
             }
             assert!(recovery.is_active());
             let mut other = record(Mode::Hold, 8 * SECOND, 0.0, None);
@@ -190,7 +194,7 @@ fn patience_ends_after_its_time_and_not_before() {
         let mut slow = fallen(1);
         rest(&mut slow, 2..=4);
         if answered {
-            slow.planned(Some(Planned { id: 5, activation_ns: 0 }));
+            slow.planned(Some(PublishedPlan { id: 5, activation_ns: 0 }));
         }
         assert_eq!(hold(&mut slow, 64, 0.0, 1), None, "another plan is loaded");
         assert!(slow.is_active());
@@ -261,15 +265,15 @@ proptest! {
                     recovery.yield_to_operator();
                     (asked, started) = (0, 0);
                 }
-                Input::Planned(id) => recovery.planned(id.map(|id| Planned { id, activation_ns: 0 })),
+                Input::Planned(id) => recovery.planned(id.map(|id| PublishedPlan { id, activation_ns: 0 })),
                 Input::Cycle(mode, dt, speed, cause, loaded) => {
                     now += dt;
                     let cause = cause.map(|i| TripCause::ALL[i]);
                     let action = recovery.note(&record(Mode::ALL[mode], now, speed, cause), loaded);
-                    asked += u32::from(action == Some(Action::AskPlanner));
-                    started += u32::from(matches!(action, Some(Action::Start(_))));
+                    asked += u32::from(action == Some(RecoveryAction::AskPlanner));
+                    started += u32::from(matches!(action, Some(RecoveryAction::Start(_))));
                     prop_assert!(action.is_none() || matches!(Mode::ALL[mode], Mode::Hold | Mode::Stop));
-                    prop_assert!(action != Some(Action::AskPlanner) || Mode::ALL[mode] == Mode::Hold);
+                    prop_assert!(action != Some(RecoveryAction::AskPlanner) || Mode::ALL[mode] == Mode::Hold);
                 }
             }
             prop_assert!(started <= asked && asked <= attempts);

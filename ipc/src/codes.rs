@@ -87,46 +87,8 @@ codes! {
     }
 }
 
-impl Mode {
-    /// What an operator does next in this mode: in Idle, where measurement and drives are fit.
-    pub const fn next_step(self) -> NextStep {
-        match self {
-            Self::Idle => NextStep::Control(ControlCommand::Enable),
-            Self::Hold => NextStep::Plan(PlannerKind::SwingUp),
-            Self::Track => NextStep::WaitOr(ControlCommand::Stop),
-            Self::Balance => NextStep::Plan(PlannerKind::SwingDown),
-            Self::Stop => NextStep::WaitForRest,
-            Self::Fault => NextStep::Control(ControlCommand::Reset),
-        }
-    }
-}
-
-/// A step that an operator can take; as text it fits a narrow column.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum NextStep {
-    /// Ask the daemon.
-    Control(ControlCommand),
-    /// Ask the planner for a plan, and start it.
-    Plan(PlannerKind),
-    /// Wait for the end of the motion, or ask the daemon.
-    WaitOr(ControlCommand),
-    /// Wait: the arm decelerates and then holds.
-    WaitForRest,
-}
-
-impl fmt::Display for NextStep {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Control(command) => write!(f, "upswing request {command}"),
-            Self::Plan(kind) => write!(f, "upswing request {kind}"),
-            Self::WaitOr(command) => write!(f, "wait, or upswing request {command}"),
-            Self::WaitForRest => f.write_str("wait until the arm rests"),
-        }
-    }
-}
-
 codes! {
-    /// What an operator asks of the daemon.
+    /// A command to the daemon.
     ControlCommand is a "control command" {
         /// Release the brakes and hold.
         Enable = "enable",
@@ -172,7 +134,7 @@ impl Degradation {
 }
 
 codes! {
-    /// What is asked of the planner.
+    /// A request to the planner.
     PlannerKind is a "planner request" {
         /// A trajectory from rest to the upright equilibrium.
         SwingUp = "swing-up",

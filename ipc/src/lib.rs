@@ -59,7 +59,7 @@ mod time;
 
 pub use blackboard::{Finder, Reader, Writer, WriterEntry, WriterPorts};
 pub use codes::{
-    Clock, ControlCommand, Degradation, Mode, NextStep, PlannerKind, PlannerStatus, PlantKind, UnknownClock,
+    Clock, ControlCommand, Degradation, Mode, PlannerKind, PlannerStatus, PlantKind, UnknownClock,
     UnknownCode,
 };
 pub use domain::{Domain, DomainError};

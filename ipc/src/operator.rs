@@ -1,43 +1,87 @@
-//! What an operator asks of a running system, and what it answers.
+//! The requests of an operator to a running system, and the client that makes them.
+//!
+//! A manoeuvre takes the same course everywhere: [`Operator::plan`], wait until the daemon has loaded the plan and the plan is due
+//! ([`PublishedPlan::is_due`]), start that plan by its id.
 
 use crate::{
-    CallError, Client, ControlCommand, ControlRequest, ControlResponse, IpcError, Node, PlannerKind,
-    PlannerRequest,
+    CallError, Client, ControlCommand, ControlRequest, ControlResponse, IpcError, Mode, Node, PlannerKind,
+    PlannerRequest, PlannerResponse,
 };
 use serde::Serialize;
+use std::cell::OnceCell;
+use std::fmt;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// How long to wait for an answer.
+/// Longest wait for a response, and for the daemon to load a plan.
 const PATIENCE: Duration = Duration::from_secs(10);
+/// Pause between two looks at the loaded plan.
+const PAUSE: Duration = Duration::from_millis(1);
 
-/// What can be requested.
+/// A motion that is planned before it starts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Action {
-    /// Plan from the present state, then start the plan
+pub enum Manoeuvre {
+    /// From hanging, at rest or swinging, to upright.
     SwingUp,
-    /// Plan from upright to hanging at rest, then start the plan
+    /// From upright to hanging at rest.
     SwingDown,
-    /// Hold the arm where it is
-    Hold,
-    /// Decelerate the arm, then hold
-    Stop,
-    /// Open the brakes and hold
-    Enable,
-    /// Leave a fault; brakes stay closed
-    Reset,
 }
 
-impl Action {
-    /// Every action.
-    pub const ALL: [Self; 6] =
-        [Self::SwingUp, Self::SwingDown, Self::Hold, Self::Stop, Self::Enable, Self::Reset];
-
-    /// As on the command line: `swing-up`, ...
+impl Manoeuvre {
+    /// Name on the command line.
     pub const fn name(self) -> &'static str {
         match self {
             Self::SwingUp => "swing-up",
             Self::SwingDown => "swing-down",
+        }
+    }
+}
+
+impl fmt::Display for Manoeuvre {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+impl From<Manoeuvre> for PlannerKind {
+    fn from(manoeuvre: Manoeuvre) -> Self {
+        match manoeuvre {
+            Manoeuvre::SwingUp => Self::SwingUp,
+            Manoeuvre::SwingDown => Self::SwingDown,
+        }
+    }
+}
+
+/// A request that an operator can make.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Request {
+    /// Plan the manoeuvre from the present state, then start the plan.
+    Manoeuvre(Manoeuvre),
+    /// Hold the present pose of the arm.
+    Hold,
+    /// Decelerate the arm, then hold.
+    Stop,
+    /// Open the brakes and hold.
+    Enable,
+    /// Leave a fault; the brakes stay closed.
+    Reset,
+}
+
+impl Request {
+    /// All requests.
+    pub const ALL: [Self; 6] = [
+        Self::Manoeuvre(Manoeuvre::SwingUp),
+        Self::Manoeuvre(Manoeuvre::SwingDown),
+        Self::Hold,
+        Self::Stop,
+        Self::Enable,
+        Self::Reset,
+    ];
+
+    /// Name on the command line: `swing-up`, ...
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Manoeuvre(manoeuvre) => manoeuvre.name(),
             Self::Hold => "hold",
             Self::Stop => "stop",
             Self::Enable => "enable",
@@ -45,11 +89,13 @@ impl Action {
         }
     }
 
-    /// What it does, in a line.
+    /// Purpose in one line.
     pub const fn purpose(self) -> &'static str {
         match self {
-            Self::SwingUp => "Plan from the present state, then start the plan",
-            Self::SwingDown => "Plan from upright to hanging at rest, then start the plan",
+            Self::Manoeuvre(Manoeuvre::SwingUp) => "Plan from the present state, then start the plan",
+            Self::Manoeuvre(Manoeuvre::SwingDown) => {
+                "Plan from upright to hanging at rest, then start the plan"
+            }
             Self::Hold => "Hold the arm where it is",
             Self::Stop => "Decelerate the arm, then hold",
             Self::Enable => "Open the brakes and hold",
@@ -57,61 +103,136 @@ impl Action {
         }
     }
 
-    /// The action of a name.
+    /// The request of this name.
     pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|action| action.name() == name)
+        Self::ALL.into_iter().find(|request| request.name() == name)
     }
 
-    /// What is asked of planner or daemon.
-    pub const fn kind(self) -> Kind {
+    /// The command to the daemon, or the manoeuvre that has to be planned first.
+    ///
+    /// # Errors
+    /// The manoeuvre.
+    pub const fn command(self) -> Result<ControlCommand, Manoeuvre> {
         match self {
-            Self::SwingUp => Kind::Plan(PlannerKind::SwingUp),
-            Self::SwingDown => Kind::Plan(PlannerKind::SwingDown),
-            Self::Hold => Kind::Control(ControlCommand::Hold),
-            Self::Stop => Kind::Control(ControlCommand::Stop),
-            Self::Enable => Kind::Control(ControlCommand::Enable),
-            Self::Reset => Kind::Control(ControlCommand::Reset),
+            Self::Manoeuvre(manoeuvre) => Err(manoeuvre),
+            Self::Hold => Ok(ControlCommand::Hold),
+            Self::Stop => Ok(ControlCommand::Stop),
+            Self::Enable => Ok(ControlCommand::Enable),
+            Self::Reset => Ok(ControlCommand::Reset),
         }
     }
 }
 
-/// Who is asked first.
-pub enum Kind {
-    /// The daemon alone.
-    Control(ControlCommand),
-    /// The planner, then the daemon.
-    Plan(PlannerKind),
+impl fmt::Display for Request {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
 }
 
-/// Why a request had no success.
+/// What an operator does next; its text fits into a narrow column.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NextAction {
+    /// Make this request.
+    Make(Request),
+    /// Wait for the end of the motion, or make this request.
+    WaitOr(Request),
+    /// Wait until the arm has decelerated and holds.
+    WaitForRest,
+}
+
+impl fmt::Display for NextAction {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Make(request) => write!(f, "upswing request {request}"),
+            Self::WaitOr(request) => write!(f, "wait, or upswing request {request}"),
+            Self::WaitForRest => f.write_str("wait until the arm rests"),
+        }
+    }
+}
+
+impl Mode {
+    /// What an operator does next in this mode; in Idle, if measurement and drives are fit.
+    pub const fn next_action(self) -> NextAction {
+        match self {
+            Self::Idle => NextAction::Make(Request::Enable),
+            Self::Hold => NextAction::Make(Request::Manoeuvre(Manoeuvre::SwingUp)),
+            Self::Track => NextAction::WaitOr(Request::Stop),
+            Self::Balance => NextAction::Make(Request::Manoeuvre(Manoeuvre::SwingDown)),
+            Self::Stop => NextAction::WaitForRest,
+            Self::Fault => NextAction::Make(Request::Reset),
+        }
+    }
+}
+
+/// A plan that the planner has published to the daemon.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PublishedPlan {
+    /// Id of the plan.
+    pub id: u64,
+    /// Earliest start, ns on the daemon's clock: the time for which the first state of the plan was predicted.
+    pub activation_ns: u64,
+}
+
+impl PublishedPlan {
+    /// Whether the plan can be started: plan `loaded` is loaded in the daemon, whose time is `t_ns`, ns.
+    pub fn is_due(&self, loaded: u64, t_ns: u64) -> bool {
+        self.id == loaded && self.activation_ns <= t_ns
+    }
+}
+
+impl From<&PlannerResponse> for PublishedPlan {
+    fn from(response: &PlannerResponse) -> Self {
+        Self { id: response.plan_id, activation_ns: response.activation_ns }
+    }
+}
+
+/// Asks the planner for a manoeuvre from the present state, to be published to the daemon. The request is withdrawn once
+/// `wanted` returns false.
+///
+/// # Errors
+/// [`OperatorError::Planner`] if the planner makes no plan, [`OperatorError::Call`] if it does not respond.
+pub fn request_plan(
+    planner: &Client<PlannerRequest>,
+    manoeuvre: Manoeuvre,
+    patience: Duration,
+    wanted: impl FnMut() -> bool,
+) -> Result<PlannerResponse, OperatorError> {
+    let response = planner.call_while(&PlannerRequest::from_now(manoeuvre), patience, wanted)?;
+    if response.plan_id == 0 {
+        return Err(OperatorError::Planner(response.reason.to_string()));
+    }
+    Ok(response)
+}
+
+/// Why a request failed.
 #[derive(Debug, thiserror::Error)]
 pub enum OperatorError {
-    /// The daemon says no.
+    /// The daemon refused the request.
     #[error("the daemon refused `{command}` in mode {mode}: {reason}")]
     Daemon {
-        /// What was asked.
-        command: ControlCommand,
-        /// Why not.
+        /// Name of the command.
+        command: String,
+        /// Reason of the refusal.
         reason: String,
-        /// Its mode.
+        /// Mode of the daemon.
         mode: String,
     },
-    /// The planner says no.
+    /// The planner made no plan.
     #[error("the planner refused: {0}")]
     Planner(String),
-    /// The plan does not reach the daemon.
+    /// The daemon did not load the plan in time.
     #[error("the daemon did not take the plan: {0}")]
     NotTaken(String),
-    /// Withdrawn in time.
+    /// Interrupted before the plan started.
     #[error("interrupted before the start of the plan; nothing moves")]
     Interrupted,
-    /// Withdrawn just after the start.
+    /// Interrupted when the plan had just started.
     #[error("interrupted at the start of the plan; the arm stops")]
     Stopped,
-    /// No answer.
+    /// No response.
     #[error(transparent)]
     Call(#[from] CallError),
-    /// Shared memory.
+    /// Shared memory cannot be used.
     #[error(transparent)]
     Ipc(#[from] IpcError),
 }
@@ -131,8 +252,8 @@ pub struct Accepted {
     pub planning_s: Option<f64>,
 }
 
-impl std::fmt::Display for Accepted {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+impl fmt::Display for Accepted {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "accepted; mode {}", self.mode)?;
         if let (Some(t_f), Some(planning)) = (self.t_f, self.planning_s) {
             write!(f, "; plan of {t_f:.3} s {}", planning_text(planning))?;
@@ -141,101 +262,140 @@ impl std::fmt::Display for Accepted {
     }
 }
 
-/// A connection to the daemon; stays in its thread.
+/// The client of the daemon and, for manoeuvres, of the planner. It stays in the thread that opened it.
 pub struct Operator {
     control: Client<ControlRequest>,
+    /// Opened for the first plan: a stop must not depend on the planner's service.
+    planner: OnceCell<Client<PlannerRequest>>,
+    patience: Duration,
     node: Node,
 }
 
 impl Operator {
-    /// Connects, whether or not there is a daemon.
+    /// Opens the client, whether or not a daemon is running.
     ///
     /// # Errors
     /// [`OperatorError::Ipc`]
     pub fn new(node: &Node) -> Result<Self, OperatorError> {
-        Ok(Self { control: node.client()?, node: node.clone() })
+        Self::with_patience(node, PATIENCE)
     }
 
-    /// Does what is asked. Raising `interrupted` withdraws a plan before it starts.
+    /// As [`Self::new`], with another longest wait for a response.
+    ///
+    /// # Errors
+    /// [`OperatorError::Ipc`]
+    pub fn with_patience(node: &Node, patience: Duration) -> Result<Self, OperatorError> {
+        Ok(Self { control: node.client()?, planner: OnceCell::new(), patience, node: node.clone() })
+    }
+
+    /// Whether a daemon is running.
+    pub fn has_daemon(&self) -> bool {
+        self.control.has_server()
+    }
+
+    /// Whether a planner is running.
+    ///
+    /// # Errors
+    /// [`OperatorError::Ipc`]
+    pub fn has_planner(&self) -> Result<bool, OperatorError> {
+        Ok(self.planner()?.has_server())
+    }
+
+    /// Makes a request and waits until it has taken effect. Raising `interrupted` withdraws a manoeuvre before it starts.
     ///
     /// # Errors
     /// [`OperatorError`] with the reason.
-    pub fn request(&self, action: Action, interrupted: &AtomicBool) -> Result<Accepted, OperatorError> {
-        match action.kind() {
-            Kind::Plan(kind) => self.plan_and_start(kind, interrupted),
-            Kind::Control(command) => {
-                let answer = self.control(command)?;
-                Ok(Accepted {
-                    success: true,
-                    mode: answer.mode_text(),
-                    plan_id: None,
-                    t_f: None,
-                    planning_s: None,
-                })
-            }
-        }
+    pub fn request(&self, request: Request, interrupted: &AtomicBool) -> Result<Accepted, OperatorError> {
+        let command = match request.command() {
+            Ok(command) => command,
+            Err(manoeuvre) => return self.execute(manoeuvre, interrupted),
+        };
+        let mode = self.control(&ControlRequest::new(command), &mut || true)?.mode_text();
+        Ok(Accepted { success: true, mode, plan_id: None, t_f: None, planning_s: None })
     }
 
-    /// How the daemon is.
+    /// The state of the daemon.
     ///
     /// # Errors
-    /// [`OperatorError`] if there is none.
+    /// [`OperatorError`] if no daemon responds.
     pub fn status(&self) -> Result<ControlResponse, OperatorError> {
-        self.control(ControlCommand::Status)
+        self.control(&ControlRequest::new(ControlCommand::Status), &mut || true)
     }
 
-    fn control(&self, command: ControlCommand) -> Result<ControlResponse, OperatorError> {
-        self.ask(command, &ControlRequest::new(command))
-    }
-
-    fn ask(
+    /// Sends a request to the daemon, which must accept it. `wanted` is called again and again during the wait; once it returns
+    /// false, the request is withdrawn.
+    ///
+    /// # Errors
+    /// [`OperatorError::Daemon`] with the reason of a refusal, [`OperatorError::Call`] if no response comes.
+    pub fn control(
         &self,
-        command: ControlCommand,
         request: &ControlRequest,
+        wanted: &mut dyn FnMut() -> bool,
     ) -> Result<ControlResponse, OperatorError> {
-        let answer = self.control.call(request, PATIENCE)?;
-        if answer.accepted == 1 {
-            Ok(answer)
-        } else {
-            let (reason, mode) = (answer.reason.to_string(), answer.mode_text());
-            Err(OperatorError::Daemon { command, reason, mode })
+        let response = self.control.call_while(request, self.patience, wanted)?;
+        if response.accepted == 1 {
+            return Ok(response);
         }
+        Err(OperatorError::Daemon {
+            command: request
+                .command()
+                .map_or_else(|unknown| unknown.to_string(), |command| command.to_string()),
+            reason: response.reason.to_string(),
+            mode: response.mode_text(),
+        })
     }
 
-    fn plan_and_start(&self, kind: PlannerKind, interrupted: &AtomicBool) -> Result<Accepted, OperatorError> {
-        let planner = self.node.client::<PlannerRequest>()?;
-        let request = PlannerRequest::from_now(kind);
-        let plan = match planner.call_while(&request, PATIENCE, || !interrupted.load(Ordering::Acquire)) {
-            Err(CallError::Interrupted { .. }) => return Err(OperatorError::Interrupted),
-            answer => answer?,
-        };
-        if plan.plan_id == 0 {
-            return Err(OperatorError::Planner(plan.reason.to_string()));
+    /// As [`request_plan`].
+    ///
+    /// # Errors
+    /// As [`request_plan`].
+    pub fn plan(
+        &self,
+        manoeuvre: Manoeuvre,
+        wanted: &mut dyn FnMut() -> bool,
+    ) -> Result<PlannerResponse, OperatorError> {
+        request_plan(self.planner()?, manoeuvre, self.patience, wanted)
+    }
+
+    fn planner(&self) -> Result<&Client<PlannerRequest>, OperatorError> {
+        if let Some(planner) = self.planner.get() {
+            return Ok(planner);
         }
+        let planner = self.node.client()?;
+        Ok(self.planner.get_or_init(|| planner))
+    }
+
+    fn execute(&self, manoeuvre: Manoeuvre, interrupted: &AtomicBool) -> Result<Accepted, OperatorError> {
+        let is_interrupted = || interrupted.load(Ordering::Acquire);
+        let plan = match self.plan(manoeuvre, &mut || !is_interrupted()) {
+            Err(OperatorError::Call(CallError::Interrupted { .. })) => {
+                return Err(OperatorError::Interrupted);
+            }
+            plan => plan?,
+        };
         let begin = Instant::now();
         loop {
             let status = self.status()?;
-            if interrupted.load(Ordering::Acquire) {
+            if is_interrupted() {
                 return Err(OperatorError::Interrupted);
             }
-            // It may begin when the moment that its first state was predicted for has come.
-            if status.plan_id == plan.plan_id && status.t_ns >= plan.activation_ns {
+            if PublishedPlan::from(&plan).is_due(status.plan_id, status.t_ns) {
                 break;
             }
-            if begin.elapsed() > PATIENCE {
+            if begin.elapsed() > self.patience {
                 return Err(OperatorError::NotTaken(status.reason.to_string()));
             }
-            std::thread::sleep(Duration::from_millis(1));
+            std::thread::sleep(PAUSE);
         }
-        let answer = self.ask(ControlCommand::Start, &ControlRequest::start(plan.plan_id))?;
+        let response = self.control(&ControlRequest::start(plan.plan_id), &mut || true)?;
         // Whoever interrupts a moment too late wants the arm to stand, too.
-        if interrupted.load(Ordering::Acquire) {
-            self.control(ControlCommand::Stop)?;
+        if is_interrupted() {
+            self.control(&ControlRequest::new(ControlCommand::Stop), &mut || true)?;
             return Err(OperatorError::Stopped);
         }
         Ok(Accepted {
             success: true,
-            mode: answer.mode_text(),
+            mode: response.mode_text(),
             plan_id: Some(format!("{:016x}", plan.plan_id)),
             t_f: Some(plan.t_f),
             planning_s: Some(plan.time_total_us * 1e-6),
@@ -243,7 +403,7 @@ impl Operator {
     }
 }
 
-/// How long planning took, s: no replan takes less than a millisecond, so that one was there before it was asked for.
+/// The planning time, s, as text. No replan takes less than a millisecond: such a plan was ready before the request.
 pub fn planning_text(seconds: f64) -> String {
     if seconds < 1e-3 { "kept ready".into() } else { format!("made in {:.0} ms", 1e3 * seconds) }
 }

@@ -14,6 +14,7 @@ use crate::database::{NearestPose, Neighbour};
 use crate::offline::{self, lqr_weights, problem, problem_fingerprint, qp_weights, torque_constraint};
 use std::time::Instant;
 use upswing_config::{Config, ConfigError, DatabaseFile, QpBackend};
+use upswing_ipc::operator::Manoeuvre;
 use upswing_model::{NU, NX, State, Workspace, position, velocity};
 use upswing_ocp::interior_point;
 use upswing_ocp::kkt::{KnotVector, TargetRow};
@@ -48,15 +49,6 @@ struct Accepted {
     iterations: usize,
     defect: f64,
     margins: Margins,
-}
-
-/// What the pendulum shall do.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Manoeuvre {
-    /// From hanging (at rest or swinging) to upright.
-    SwingUp,
-    /// From upright to hanging at rest.
-    SwingDown,
 }
 
 /// How much may be spent on a plan.

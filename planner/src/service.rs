@@ -1,12 +1,13 @@
 //! The planner process: answers requests with plans.
 
 use crate::predict;
-use crate::replan::{Effort, Manoeuvre, Method, Planner, Replan};
+use crate::replan::{Effort, Method, Planner, Replan};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use tracing::{info, warn};
 use upswing_config::ReplanSettings;
+use upswing_ipc::operator::Manoeuvre;
 use upswing_ipc::{
     Clock, Domain, Mode, PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus, Subscriber, Telemetry,
     TelemetryBatch, Text, Topic as _,
@@ -300,16 +301,16 @@ impl<'a> Desk<'a> {
             let reason = "no telemetry from the daemon for some seconds: is upswingd running?";
             return Err(not_ready(reason.into()));
         }
-        let (name, needed) = match manoeuvre {
-            Manoeuvre::SwingUp => ("swing-up", Mode::Hold),
-            Manoeuvre::SwingDown => ("swing-down", Mode::Balance),
+        let needed = match manoeuvre {
+            Manoeuvre::SwingUp => Mode::Hold,
+            Manoeuvre::SwingDown => Mode::Balance,
         };
         match record.mode() {
             Ok(mode) if mode == needed => {}
             Ok(mode) => {
-                let next = mode.next_step();
+                let next = mode.next_action();
                 return Err(not_ready(format!(
-                    "a {name} from now needs the daemon in mode {needed}, it is in {mode}; next: {next}"
+                    "a {manoeuvre} from now needs the daemon in mode {needed}, it is in {mode}; next: {next}"
                 )));
             }
             Err(unknown) => return Err(not_ready(unknown.to_string())),

@@ -3,11 +3,12 @@
 
 use rayon::prelude::*;
 use upswing_config::{Config, PendulumStart};
+use upswing_ipc::operator::Manoeuvre;
 use upswing_model::{NU, State};
 use upswing_ocp::interior_point::Status;
 use upswing_ocp::multistart::Search;
 use upswing_planner::offline::{optimize, options};
-use upswing_planner::replan::{Effort, Manoeuvre, Method, Planner};
+use upswing_planner::replan::{Effort, Method, Planner};
 use upswing_trajectory::{Certificate, Entry, N};
 
 /// Duration of a plan, of that of the optimum.

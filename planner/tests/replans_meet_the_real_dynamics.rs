@@ -3,9 +3,10 @@
 
 use std::time::Instant;
 use upswing_config::{Config, PendulumStart, SUB_HORIZONS, TorqueConstraint};
+use upswing_ipc::operator::Manoeuvre;
 use upswing_model::State;
 use upswing_ocp::interior_point::Status as Ending;
-use upswing_planner::replan::{Effort, Manoeuvre, Planner, Refusal};
+use upswing_planner::replan::{Effort, Planner, Refusal};
 use upswing_trajectory::{Entry, N};
 
 fn planner() -> Planner {

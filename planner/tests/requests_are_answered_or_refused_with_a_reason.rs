@@ -3,9 +3,8 @@
 use std::cell::Cell;
 use std::time::{Duration, Instant};
 use upswing_config::{Config, PendulumStart};
-use upswing_ipc::{
-    Clock, Mode, NextStep, PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus, Telemetry,
-};
+use upswing_ipc::operator::{Manoeuvre, NextAction, Request};
+use upswing_ipc::{Clock, Mode, PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus, Telemetry};
 use upswing_model::{NQ, State};
 use upswing_planner::replan::Planner;
 use upswing_planner::service::Desk;
@@ -49,7 +48,7 @@ fn a_plan_is_ready_while_the_arm_holds() {
     let x = rest(&planner);
     desk.observe(record(&x, Mode::Hold, false), Instant::now());
     desk.prepare(&|| true);
-    let (answer, plan) = ask(&mut desk, &PlannerRequest::from_now(PlannerKind::SwingUp));
+    let (answer, plan) = ask(&mut desk, &PlannerRequest::from_now(Manoeuvre::SwingUp));
     assert_eq!(answer.reason.as_str(), Ok("ready before it was asked for"));
     let plan = plan.expect("a plan");
     assert_eq!(answer.plan_id, plan.id);
@@ -60,7 +59,7 @@ fn a_plan_is_ready_while_the_arm_holds() {
         let mut moved = x;
         moved[1] += shift;
         desk.observe(record(&moved, Mode::Hold, false), Instant::now());
-        let (answer, plan) = ask(&mut desk, &PlannerRequest::from_now(PlannerKind::SwingUp));
+        let (answer, plan) = ask(&mut desk, &PlannerRequest::from_now(Manoeuvre::SwingUp));
         assert_eq!(answer.reason.as_str().expect("text").starts_with("ready"), ready, "moved by {shift}");
         assert!((plan.expect("a plan").trajectory.x[0] - moved).amax() < 2e-4);
     }
@@ -78,7 +77,7 @@ fn in_lockstep_a_plan_begins_with_the_state_of_the_record() {
         }
         desk.observe(record(&x, Mode::Hold, true), Instant::now());
         desk.prepare(&|| true);
-        let (answer, plan) = ask(&mut desk, &PlannerRequest::from_now(PlannerKind::SwingUp));
+        let (answer, plan) = ask(&mut desk, &PlannerRequest::from_now(Manoeuvre::SwingUp));
         assert_eq!(answer.reason.as_str(), Ok(""), "nothing is prepared in lockstep");
         assert!((plan.expect("a plan").trajectory.x[0] - x).amax() < 1e-6);
     }
@@ -95,7 +94,7 @@ fn a_moving_start_is_predicted_for_the_activation_of_its_plan() {
     let (answer, plan) = (0..100)
         .find_map(|_| {
             desk.observe(now, Instant::now());
-            let (answer, plan) = ask(&mut desk, &PlannerRequest::from_now(PlannerKind::SwingUp));
+            let (answer, plan) = ask(&mut desk, &PlannerRequest::from_now(Manoeuvre::SwingUp));
             plan.map(|plan| (answer, plan))
         })
         .expect("a plan");
@@ -123,7 +122,7 @@ fn a_pendulum_that_turns_round_is_not_at_rest() {
     let mut reason = String::new();
     let plan = (0..100).find_map(|_| {
         desk.observe(record(&x, Mode::Hold, false), Instant::now());
-        let (answer, plan) = ask(&mut desk, &PlannerRequest::from_now(PlannerKind::SwingUp));
+        let (answer, plan) = ask(&mut desk, &PlannerRequest::from_now(Manoeuvre::SwingUp));
         reason = answer.reason.to_string();
         plan
     });
@@ -142,7 +141,7 @@ fn a_swing_down_begins_upright_and_ends_hanging_at_rest() {
     upright[1] += 0.02;
     upright[5] -= 0.01;
     desk.observe(record(&upright, Mode::Balance, false), Instant::now());
-    let (answer, plan) = ask(&mut desk, &PlannerRequest::from_now(PlannerKind::SwingDown));
+    let (answer, plan) = ask(&mut desk, &PlannerRequest::from_now(Manoeuvre::SwingDown));
     assert_eq!(answer.status(), Ok(PlannerStatus::Solved), "{:?}", answer.reason.as_str());
     let trajectory = plan.expect("a plan").trajectory;
     assert!((trajectory.x[0] - upright).amax() < 1e-6);
@@ -160,21 +159,21 @@ fn from_another_mode_or_without_a_daemon() {
     let planner = planner();
     let mut desk = Desk::new(&planner);
     refused(
-        ask(&mut desk, &PlannerRequest::from_now(PlannerKind::SwingUp)),
+        ask(&mut desk, &PlannerRequest::from_now(Manoeuvre::SwingUp)),
         PlannerStatus::NotReady,
         "is upswingd running",
     );
     for mode in Mode::ALL.iter().copied() {
-        for (kind, needed) in [(PlannerKind::SwingUp, Mode::Hold), (PlannerKind::SwingDown, Mode::Balance)] {
+        for (manoeuvre, needed) in [(Manoeuvre::SwingUp, Mode::Hold), (Manoeuvre::SwingDown, Mode::Balance)] {
             let x =
                 if mode == Mode::Balance { planner.entries()[17].trajectory.x[N] } else { rest(&planner) };
             desk.observe(record(&x, mode, false), Instant::now());
-            let answer = ask(&mut desk, &PlannerRequest::from_now(kind));
+            let answer = ask(&mut desk, &PlannerRequest::from_now(manoeuvre));
             if mode == needed {
-                assert!(answer.1.is_some(), "{kind} in {mode}: {:?}", answer.0.reason);
-                assert_eq!(mode.next_step(), NextStep::Plan(kind));
+                assert!(answer.1.is_some(), "{manoeuvre} in {mode}: {:?}", answer.0.reason);
+                assert_eq!(mode.next_action(), NextAction::Make(Request::Manoeuvre(manoeuvre)));
             } else {
-                refused(answer, PlannerStatus::NotReady, &format!("next: {}", mode.next_step()));
+                refused(answer, PlannerStatus::NotReady, &format!("next: {}", mode.next_action()));
             }
         }
     }
@@ -188,22 +187,22 @@ fn from_a_daemon_that_has_fallen_silent() {
     moving[NQ + 7] = 0.5;
     let long_ago = Instant::now().checked_sub(Duration::from_secs(6)).expect("the clock runs for longer");
     let reason = "no telemetry from the daemon for some seconds";
-    for (x, mode, kind) in [
-        (moving, Mode::Hold, PlannerKind::SwingUp),
-        (planner.entries()[17].trajectory.x[N], Mode::Balance, PlannerKind::SwingDown),
+    for (x, mode, manoeuvre) in [
+        (moving, Mode::Hold, Manoeuvre::SwingUp),
+        (planner.entries()[17].trajectory.x[N], Mode::Balance, Manoeuvre::SwingDown),
     ] {
         desk.observe(record(&x, mode, false), long_ago);
-        refused(ask(&mut desk, &PlannerRequest::from_now(kind)), PlannerStatus::NotReady, reason);
+        refused(ask(&mut desk, &PlannerRequest::from_now(manoeuvre)), PlannerStatus::NotReady, reason);
     }
     // Nothing is prepared for it, either.
     desk.observe(record(&rest(&planner), Mode::Hold, false), long_ago);
     desk.prepare(&|| true);
     desk.observe(record(&rest(&planner), Mode::Hold, false), Instant::now());
-    let (answer, _) = ask(&mut desk, &PlannerRequest::from_now(PlannerKind::SwingUp));
+    let (answer, _) = ask(&mut desk, &PlannerRequest::from_now(Manoeuvre::SwingUp));
     assert_eq!(answer.reason.as_str(), Ok(""));
     // In lockstep time stands still while a plan is made.
     desk.observe(record(&moving, Mode::Hold, true), long_ago);
-    assert!(ask(&mut desk, &PlannerRequest::from_now(PlannerKind::SwingUp)).1.is_some());
+    assert!(ask(&mut desk, &PlannerRequest::from_now(Manoeuvre::SwingUp)).1.is_some());
 }
 
 #[test]

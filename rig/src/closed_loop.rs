@@ -1,11 +1,12 @@
 //! Controller and simulated plant in one process: the pure functions of both, cycle by cycle, without shared memory.
 
-use crate::swing_up::SETTLE;
+use crate::course::{self, Course};
 use upswing_config::{Config, Push};
+use upswing_ipc::operator::Manoeuvre;
 use upswing_ipc::{Mode, PlannerResponse, Telemetry};
 use upswing_model::JointVector;
 use upswing_ocp::qp::Solver;
-use upswing_planner::replan::{Effort, Manoeuvre, NoPlan, Planner};
+use upswing_planner::replan::{Effort, NoPlan, Planner};
 use upswing_planner::service::describe;
 use upswing_plant::{Plant, SetEventError, StateError};
 use upswing_record::report::Report;
@@ -124,15 +125,21 @@ impl ClosedLoop {
     }
 }
 
-/// A run that ends as soon as something is refused or given up.
-struct Run<'a> {
+/// A swing-up that ends as soon as something is refused or a limit trips.
+struct SwingUpRun<'a, D> {
     system: ClosedLoop,
+    config: &'a Config,
+    planner: &'a Planner,
+    solver: &'a mut Solver,
+    disturbances: Option<D>,
+    /// Missed cycles after the start of the plan.
+    missed: Vec<Missed>,
     records: &'a mut Vec<Telemetry>,
     /// Largest true speeds so far while a plan runs, rad/s.
     fastest: JointVector,
 }
 
-impl Run<'_> {
+impl<D> SwingUpRun<'_, D> {
     fn cycle(&mut self, order: Option<(&'static str, Order)>) -> Result<(), Aborted> {
         let before = self.system.controller.mode();
         let (request, mut order) = order.unzip();
@@ -161,9 +168,9 @@ impl Run<'_> {
     }
 
     /// `count` cycles, without those that are missed: in them the drives hear nothing.
-    fn cycles_without(&mut self, missed: &[Missed], count: u64) -> Result<(), Aborted> {
+    fn cycles_without_missed(&mut self, count: u64) -> Result<(), Aborted> {
         let mut passed = 0;
-        for miss in missed {
+        for miss in std::mem::take(&mut self.missed) {
             self.cycles(miss.from.min(count).saturating_sub(passed))?;
             passed = passed.max(miss.from.min(count));
             let end = miss.from.saturating_add(miss.cycles).min(count);
@@ -176,13 +183,50 @@ impl Run<'_> {
     }
 }
 
-/// Enables the controller, lets the arm settle in Hold, plans from the measured state, swings up and balances for
-/// `seconds`: the course of [`crate::swing_up::swing_up`], with time standing still while the plan is made. `config`
-/// are the settings of the controller; the plant may be another one. `disturbances` is told the duration t_F of the plan,
-/// s. `records` is cleared and then holds every cycle.
+impl<D: FnOnce(f64) -> Disturbances> Course for SwingUpRun<'_, D> {
+    type Error = Aborted;
+
+    fn advance(&mut self, cycles: u64) -> Result<(), Aborted> {
+        self.cycles(cycles)
+    }
+
+    fn hold(&mut self, cycles: u64) -> Result<(), Aborted> {
+        self.cycle(Some(("enable", Order::Do(Request::Enable))))?;
+        self.cycles(cycles - 1)
+    }
+
+    /// Time stands still while the plan is made.
+    fn start(&mut self, manoeuvre: Manoeuvre) -> Result<PlannerResponse, Aborted> {
+        let start = *self.system.controller.state();
+        let settings = &self.config.planner.replan;
+        let effort = Effort::iterations(settings.iterations);
+        let replan = self.planner.replan_with(self.solver, manoeuvre, &start, &effort)?;
+        let plan = accept(&Box::<upswing_ipc::Plan>::from(&replan.plan(self.config)), self.config)?;
+        let id = plan.id;
+        self.cycle(Some(("load", Order::Load(plan))))?;
+        self.cycle(Some(("start", Order::Do(Request::Start(id)))))?;
+        if let Some(disturbances) = self.disturbances.take() {
+            let Disturbances { pushes, missed } = disturbances(replan.trajectory.t_f);
+            let now = self.system.plant.seq();
+            for push in pushes {
+                self.system.plant.push(&Push { from: now + push.from, ..push })?;
+            }
+            self.missed = missed;
+        }
+        let time_total_us = replan.times.total.as_secs_f64() * 1e6;
+        Ok(PlannerResponse { time_total_us, ..describe(&replan, settings) })
+    }
+
+    fn watch(&mut self, cycles: u64) -> Result<(), Aborted> {
+        self.cycles_without_missed(cycles)
+    }
+}
+
+/// Takes the course of a swing-up ([`course::swing_up`]) and evaluates it. `config` are the settings of the controller; the plant may
+/// be another one. `disturbances` is told the duration t_F of the plan, s. `records` is cleared and then holds every cycle.
 ///
 /// # Errors
-/// [`Aborted`] if it could not be run to the end; how it ended, the report says.
+/// [`Aborted`] if the run could not be finished; the report says how a finished run ended.
 pub fn swing_up(
     planner: &Planner,
     solver: &mut Solver,
@@ -192,34 +236,18 @@ pub fn swing_up(
     disturbances: impl FnOnce(f64) -> Disturbances,
     records: &mut Vec<Telemetry>,
 ) -> Result<Report, Aborted> {
-    let period = config.daemon.cycle.period.seconds();
-    let cycles = |s: f64| (s / period).ceil() as u64;
     records.clear();
-    let mut run = Run { system: ClosedLoop::new(config, plant), records, fastest: JointVector::zeros() };
-    // As in a system of processes, where nothing is measured before the first cycle.
-    run.cycle(None)?;
-    run.cycle(Some(("enable", Order::Do(Request::Enable))))?;
-    run.cycles(cycles(SETTLE) - 1)?;
-    let start = *run.system.controller.state();
-    let replan = planner.replan_with(
+    let mut run = SwingUpRun {
+        system: ClosedLoop::new(config, plant),
+        config,
+        planner,
         solver,
-        Manoeuvre::SwingUp,
-        &start,
-        &Effort::iterations(config.planner.replan.iterations),
-    )?;
-    let plan = accept(&Box::<upswing_ipc::Plan>::from(&replan.plan(config)), config)?;
-    let id = plan.id;
-    run.cycle(Some(("load", Order::Load(plan))))?;
-    run.cycle(Some(("start", Order::Do(Request::Start(id)))))?;
-    let Disturbances { pushes, missed } = disturbances(replan.trajectory.t_f);
-    let now = run.system.plant.seq();
-    for push in pushes {
-        run.system.plant.push(&Push { from: now + push.from, ..push })?;
-    }
-    run.cycles_without(&missed, cycles(replan.trajectory.t_f + seconds))?;
-    let response = PlannerResponse {
-        time_total_us: replan.times.total.as_secs_f64() * 1e6,
-        ..describe(&replan, &config.planner.replan)
+        disturbances: Some(disturbances),
+        missed: Vec::new(),
+        records,
+        fastest: JointVector::zeros(),
     };
+    let period = config.daemon.cycle.period.seconds();
+    let response = course::swing_up(&mut run, period, seconds)?;
     Ok(Report::new(config, &response, run.records, 0, seconds, Some(&run.fastest)))
 }

@@ -6,16 +6,17 @@ pub use process::{Options, Programs, Role};
 
 use process::Process;
 use std::time::{Duration, Instant};
+use upswing_ipc::operator::{Manoeuvre, Operator, OperatorError, PublishedPlan, Request};
 use upswing_ipc::{
     CallError, Client, Clock, ControlCommand, ControlRequest, ControlResponse, Domain, IpcError, Node,
-    PlannerKind, PlannerRequest, PlannerResponse, PlantKind, PlantRequest, PlantResponse, Request, Telemetry,
+    PlannerResponse, PlantKind, PlantRequest, PlantResponse, Telemetry,
 };
 use upswing_record::{Recorder, RecordingError, Tally, Tap};
 
 /// How long a process may take to appear: starting takes well below a second, but machines are shared.
 const START_PATIENCE: Duration = Duration::from_secs(30);
 /// How long an answer may take. A replan takes about a second at worst.
-const ANSWER_PATIENCE: Duration = Duration::from_secs(30);
+const RESPONSE_PATIENCE: Duration = Duration::from_secs(30);
 /// How long a process may take to end after SIGTERM.
 const END_PATIENCE: Duration = Duration::from_secs(30);
 /// How long telemetry may keep silent before it is asked whether there is more to come.
@@ -56,18 +57,21 @@ pub enum SessionError {
         /// The last lines of the logs.
         log: String,
     },
-    /// A request was refused.
+    /// The system refused what was asked of it.
     #[error("the {role} refused: {reason}")]
     Refused {
-        /// Who refused.
+        /// The part that refused.
         role: &'static str,
-        /// Why.
+        /// Reason of the refusal.
         reason: String,
     },
-    /// No answer.
+    /// Daemon or planner refused a request.
+    #[error(transparent)]
+    Operator(OperatorError),
+    /// No response.
     #[error(transparent)]
     Call(#[from] CallError),
-    /// Shared memory.
+    /// Shared memory cannot be used.
     #[error(transparent)]
     Ipc(#[from] IpcError),
     /// The recording.
@@ -78,13 +82,22 @@ pub enum SessionError {
     Interrupted,
 }
 
+impl From<OperatorError> for SessionError {
+    fn from(e: OperatorError) -> Self {
+        match e {
+            OperatorError::Call(e) => Self::Call(e),
+            OperatorError::Ipc(e) => Self::Ipc(e),
+            e => Self::Operator(e),
+        }
+    }
+}
+
 /// A running system.
 pub struct Session {
     programs: Programs,
     options: Options,
     processes: [Option<Process>; 3],
-    control: Client<ControlRequest>,
-    planner: Client<PlannerRequest>,
+    operator: Operator,
     plant: Client<PlantRequest>,
     tap: Tap,
     node: Node,
@@ -108,7 +121,7 @@ impl Session {
         let domain = Domain::new(&options.domain)
             .map_err(|e| SessionError::Refused { role: "domain", reason: e.to_string() })?;
         let node = domain.connect("session")?;
-        let (control, planner, plant) = (node.client()?, node.client()?, node.client()?);
+        let (operator, plant) = (Operator::with_patience(&node, RESPONSE_PATIENCE)?, node.client()?);
         let tap = Tap::new(&node)?;
         let start = |role| Process::start(role, &programs, options).map(Some);
         let processes = [start(Role::Daemon)?, start(Role::Planner)?, start(Role::Plant)?];
@@ -116,8 +129,7 @@ impl Session {
             programs,
             options: options.clone(),
             processes,
-            control,
-            planner,
+            operator,
             plant,
             tap,
             node,
@@ -126,7 +138,7 @@ impl Session {
             tally: Tally::default(),
         };
         session.wait_for("all three processes to answer", START_PATIENCE, |s| {
-            Ok(s.control.has_server() && s.planner.has_server() && s.plant.has_server())
+            Ok(s.operator.has_daemon() && s.operator.has_planner()? && s.plant.has_server())
         })?;
         Ok(session)
     }
@@ -162,8 +174,8 @@ impl Session {
         self.processes[role as usize] = Some(Process::start(role, &self.programs, &self.options)?);
         self.wait_for("the new process to answer", START_PATIENCE, |s| {
             Ok(match role {
-                Role::Daemon => s.control.has_server(),
-                Role::Planner => s.planner.has_server(),
+                Role::Daemon => s.operator.has_daemon(),
+                Role::Planner => s.operator.has_planner()?,
                 Role::Plant => s.plant.has_server(),
             })
         })
@@ -213,47 +225,57 @@ impl Session {
         &self.node
     }
 
-    /// Sends a command to the daemon and expects it to be accepted.
+    /// Makes a request and returns the state of the daemon afterwards.
     ///
     /// # Errors
-    /// [`SessionError::Refused`] with the daemon's reason.
-    pub fn control(&mut self, command: ControlCommand) -> Result<ControlResponse, SessionError> {
-        expect_accepted(self.ask_control(command)?)
-    }
-
-    /// Starts a plan that the daemon has loaded, and expects that to be accepted.
-    ///
-    /// # Errors
-    /// [`SessionError::Refused`] with the daemon's reason.
-    pub fn start_plan(&mut self, plan_id: u64) -> Result<ControlResponse, SessionError> {
-        expect_accepted(self.ask_daemon(&ControlRequest::start(plan_id))?)
-    }
-
-    /// Sends a command to the daemon; the answer may be a refusal.
-    ///
-    /// # Errors
-    /// [`SessionError::Call`] if no answer comes.
-    pub fn ask_control(&mut self, command: ControlCommand) -> Result<ControlResponse, SessionError> {
-        self.ask_daemon(&ControlRequest::new(command))
-    }
-
-    fn ask_daemon(&mut self, request: &ControlRequest) -> Result<ControlResponse, SessionError> {
-        let Self { control, tap, recorder, records, tally, .. } = self;
-        call(control, request, || collect(tap, recorder.as_mut(), records, tally))
-    }
-
-    /// Asks for a swing-up or swing-down from the present state and publishes it to the daemon.
-    ///
-    /// # Errors
-    /// [`SessionError::Refused`] with the planner's reason.
-    pub fn plan_from_now(&mut self, kind: PlannerKind) -> Result<PlannerResponse, SessionError> {
-        let request = PlannerRequest::from_now(kind);
-        let Self { planner, tap, recorder, records, tally, .. } = self;
-        let response = call(planner, &request, || collect(tap, recorder.as_mut(), records, tally))?;
-        if response.plan_id == 0 {
-            return Err(SessionError::Refused { role: "planner", reason: response.reason.to_string() });
+    /// [`SessionError::Operator`] with the reason of a refusal.
+    pub fn request(&mut self, request: Request) -> Result<ControlResponse, SessionError> {
+        match request.command() {
+            Ok(command) => self.control(&ControlRequest::new(command)),
+            Err(manoeuvre) => {
+                self.start_manoeuvre(manoeuvre)?;
+                self.status()
+            }
         }
+    }
+
+    /// The state of the daemon.
+    ///
+    /// # Errors
+    /// [`SessionError::Operator`] if the daemon does not respond.
+    pub fn status(&mut self) -> Result<ControlResponse, SessionError> {
+        self.control(&ControlRequest::new(ControlCommand::Status))
+    }
+
+    /// Plans a manoeuvre from the present state, waits until the daemon has loaded the plan and the plan is due, and starts it.
+    ///
+    /// # Errors
+    /// [`SessionError::Operator`] with the reason of a refusal, [`SessionError::Timeout`] if the plan is not loaded.
+    pub fn start_manoeuvre(&mut self, manoeuvre: Manoeuvre) -> Result<PlannerResponse, SessionError> {
+        let response = self.plan(manoeuvre)?;
+        let plan = PublishedPlan::from(&response);
+        self.wait_for("the daemon to load the plan and its time to come", RESPONSE_PATIENCE, |s| {
+            let status = s.status()?;
+            Ok(plan.is_due(status.plan_id, status.t_ns))
+        })?;
+        self.control(&ControlRequest::start(plan.id))?;
         Ok(response)
+    }
+
+    /// Asks the planner for a manoeuvre from the present state, to be published to the daemon.
+    ///
+    /// # Errors
+    /// [`SessionError::Operator`] with the reason of a refusal.
+    pub fn plan(&mut self, manoeuvre: Manoeuvre) -> Result<PlannerResponse, SessionError> {
+        let Self { operator, tap, recorder, records, tally, .. } = self;
+        let collect = || collect(tap, recorder.as_mut(), records, tally);
+        while_collecting(collect, |wanted| Ok(operator.plan(manoeuvre, wanted)?))
+    }
+
+    fn control(&mut self, request: &ControlRequest) -> Result<ControlResponse, SessionError> {
+        let Self { operator, tap, recorder, records, tally, .. } = self;
+        let collect = || collect(tap, recorder.as_mut(), records, tally);
+        while_collecting(collect, |wanted| Ok(operator.control(request, wanted)?))
     }
 
     /// Sends a request to the plant and expects it to be accepted.
@@ -262,7 +284,9 @@ impl Session {
     /// [`SessionError::Refused`] with the plant's reason.
     pub fn plant(&mut self, request: &PlantRequest) -> Result<PlantResponse, SessionError> {
         let Self { plant, tap, recorder, records, tally, .. } = self;
-        let response = call(plant, request, || collect(tap, recorder.as_mut(), records, tally))?;
+        let collect = || collect(tap, recorder.as_mut(), records, tally);
+        let response =
+            while_collecting(collect, |wanted| Ok(plant.call_while(request, RESPONSE_PATIENCE, wanted)?))?;
         if response.accepted == 1 {
             Ok(response)
         } else {
@@ -313,7 +337,7 @@ impl Session {
                 self.plant(&PlantRequest { seq: goal, ..PlantRequest::new(PlantKind::AdvanceTo) })?;
             }
             let begin = Instant::now();
-            self.wait_for(&format!("cycle {goal}"), ANSWER_PATIENCE, |s| {
+            self.wait_for(&format!("cycle {goal}"), RESPONSE_PATIENCE, |s| {
                 let here = s.last_measurement() >= goal;
                 Ok(here || (begin.elapsed() > SILENCE && s.has_passed(goal)?))
             })?;
@@ -327,7 +351,7 @@ impl Session {
         if !reached || self.pid(Role::Daemon).is_none() {
             return Ok(reached);
         }
-        let last = self.ask_control(ControlCommand::Status)?.seq;
+        let last = self.status()?.seq;
         Ok(self.records.last().map_or(0, |r| r.seq) >= last)
     }
 
@@ -390,28 +414,19 @@ impl Session {
     }
 }
 
-fn expect_accepted(response: ControlResponse) -> Result<ControlResponse, SessionError> {
-    if response.accepted == 1 {
-        Ok(response)
-    } else {
-        Err(SessionError::Refused { role: "daemon", reason: response.reason.to_string() })
-    }
-}
-
-/// Asks, and collects meanwhile: telemetry waits a second for those who take it, and an answer may take longer on a busy
+/// Makes a call and collects telemetry during it: telemetry waits for one second only, and a response may take longer on a busy
 /// machine.
-fn call<Q: Request>(
-    client: &Client<Q>,
-    request: &Q,
+fn while_collecting<T>(
     mut collect: impl FnMut() -> Result<(), SessionError>,
-) -> Result<Q::Response, SessionError> {
+    call: impl FnOnce(&mut dyn FnMut() -> bool) -> Result<T, SessionError>,
+) -> Result<T, SessionError> {
     let mut collected = Ok(());
-    let response = client.call_while(request, ANSWER_PATIENCE, || {
+    let response = call(&mut || {
         collected = collect();
         collected.is_ok()
     });
     collected?;
-    Ok(response?)
+    response
 }
 
 fn collect(

@@ -7,15 +7,14 @@ mod health;
 pub use cycles::Cycles;
 pub use health::{Growth, Sample};
 
+use crate::course::SETTLE;
 use crate::montecarlo::{NoStart, Starts, arm_degrees};
 use crate::session::{Role, Session, SessionError};
-use crate::swing_up::{SETTLE, plan_and_start};
 use serde::Serialize;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-use upswing_ipc::{
-    Clock, ControlCommand, ControlResponse, Mode, PlannerKind, PlantKind, PlantRequest, Telemetry,
-};
+use upswing_ipc::operator::{Manoeuvre, OperatorError, Request};
+use upswing_ipc::{Clock, ControlResponse, Mode, PlantKind, PlantRequest, Telemetry};
 use upswing_model::{JointVector, State};
 use upswing_record::report::tilt;
 
@@ -91,7 +90,10 @@ impl From<SessionError> for End {
     fn from(e: SessionError) -> Self {
         match e {
             // What a system that runs may answer; all else is a system that does not.
-            SessionError::Refused { .. } => Self::Lost(e.to_string()),
+            SessionError::Refused { .. }
+            | SessionError::Operator(OperatorError::Daemon { .. } | OperatorError::Planner(_)) => {
+                Self::Lost(e.to_string())
+            }
             e => Self::Broken(e),
         }
     }
@@ -150,7 +152,7 @@ impl<'a> Soak<'a> {
             self.record.rounds += 1;
             let no_start = |e: NoStart| SessionError::Refused { role: "operator", reason: e.to_string() };
             let start = self.starts.start(round).map_err(no_start)?;
-            let overruns = self.control(ControlCommand::Status)?.overruns;
+            let overruns = self.session.status()?.overruns;
             let ended = self.round(round, &start, overruns);
             let (phase, begin) = (self.phase, Instant::now());
             let killed = match ended {
@@ -186,12 +188,12 @@ impl<'a> Soak<'a> {
         let reset = PlantRequest { q, ..PlantRequest::new(PlantKind::ResetState) };
         self.session.plant(&reset)?;
         self.pass(SETTLE)?;
-        self.session.control(ControlCommand::Enable)?;
+        self.session.request(Request::Enable)?;
         self.pass(SETTLE)?;
         self.expect(Mode::Hold)?;
 
         self.phase = "swing-up";
-        let plan = plan_and_start(&mut self.session, PlannerKind::SwingUp)?;
+        let plan = self.session.start_manoeuvre(Manoeuvre::SwingUp)?;
         self.pass(plan.t_f + BALANCE.0)?;
         self.expect(Mode::Balance)?;
 
@@ -209,7 +211,7 @@ impl<'a> Soak<'a> {
         }
 
         self.phase = "swing-down";
-        let plan = plan_and_start(&mut self.session, PlannerKind::SwingDown)?;
+        let plan = self.session.start_manoeuvre(Manoeuvre::SwingDown)?;
         self.pass(plan.t_f)?;
         self.phase = "hold";
         self.pass(HOLD)?;
@@ -280,12 +282,8 @@ impl<'a> Soak<'a> {
         Ok(())
     }
 
-    fn control(&mut self, command: ControlCommand) -> Result<ControlResponse, SessionError> {
-        self.session.ask_control(command)
-    }
-
     fn expect(&mut self, mode: Mode) -> Result<ControlResponse, End> {
-        let status = self.control(ControlCommand::Status)?;
+        let status = self.session.status()?;
         if status.mode() == Ok(mode) {
             return Ok(status);
         }
@@ -314,11 +312,13 @@ impl<'a> Soak<'a> {
         }
         loop {
             self.look()?;
-            let status = self.control(ControlCommand::Status)?;
+            let status = self.session.status()?;
             match status.mode() {
-                Ok(Mode::Fault) => {
-                    self.control(ControlCommand::Reset)?;
-                }
+                Ok(Mode::Fault) => match self.session.request(Request::Reset) {
+                    // A reset that is refused is repeated.
+                    Ok(_) | Err(SessionError::Operator(OperatorError::Daemon { .. })) => {}
+                    Err(e) => return Err(e),
+                },
                 // It measures again, and the plant's brakes are closed.
                 Ok(Mode::Idle) if self.session.plant_status()?.brakes_closed == 1 => {
                     let before = self.record.cycles.cycles;
@@ -342,7 +342,7 @@ impl<'a> Soak<'a> {
 
     /// Whether the daemon keeps the brakes closed.
     fn is_braked(&mut self) -> Result<bool, SessionError> {
-        let mode = self.control(ControlCommand::Status)?.mode();
+        let mode = self.session.status()?.mode();
         Ok(matches!(mode, Ok(Mode::Idle | Mode::Fault)))
     }
 

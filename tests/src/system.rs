@@ -3,14 +3,14 @@
 use crate::matrix;
 use crate::programs;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 use upswing_config::Config;
-use upswing_ipc::{Clock, ControlCommand, ControlResponse, Mode, OwnDomain, PlannerKind, Telemetry};
+use upswing_ipc::operator::{Manoeuvre, Request};
+use upswing_ipc::{Clock, ControlResponse, Mode, OwnDomain, Telemetry};
 use upswing_record::Recorder;
 use upswing_record::report::Report;
+use upswing_rig::course::{SessionCourse, swing_up};
 use upswing_rig::session::{Options, Programs, Role, Session, SessionError};
-use upswing_rig::swing_up::{plan_and_start, swing_up};
 
 /// Start of the arm in the paper's experiment, deg.
 pub const START: [f64; 7] = [0.0, -15.0, 0.0, -95.0, 0.0, 10.0, 0.0];
@@ -108,7 +108,7 @@ impl System {
     /// If the system refuses or leaves the modes of a swing-up.
     pub fn swing_up(&mut self, seconds: f64) -> Report {
         let period = self.period();
-        let plan = swing_up(&mut self.session, period, seconds, &AtomicBool::new(false), &|_, _| ());
+        let plan = swing_up(&mut SessionCourse::new(&mut self.session, period), period, seconds);
         let plan = self.must(plan);
         Report::new(&self.config, &plan, &self.session.records, self.session.dropped(), seconds, None)
     }
@@ -126,8 +126,8 @@ impl System {
     ///
     /// # Panics
     /// If it refuses.
-    pub fn request(&mut self, command: ControlCommand) -> ControlResponse {
-        let response = self.session.control(command);
+    pub fn request(&mut self, request: Request) -> ControlResponse {
+        let response = self.session.request(request);
         self.must(response)
     }
 
@@ -136,7 +136,7 @@ impl System {
     /// # Panics
     /// If it does not answer.
     pub fn status(&mut self) -> ControlResponse {
-        let response = self.session.ask_control(ControlCommand::Status);
+        let response = self.session.status();
         self.must(response)
     }
 
@@ -156,12 +156,12 @@ impl System {
     pub fn bring_to(&mut self, goal: Mode) {
         self.advance(1);
         if goal != Mode::Idle {
-            self.request(ControlCommand::Enable);
+            self.request(Request::Enable);
         }
         // The arm settles; and a plant has heard the daemon for which it waits.
         self.advance(SETTLE);
         if matches!(goal, Mode::Track | Mode::Balance | Mode::Stop) {
-            let plan = plan_and_start(&mut self.session, PlannerKind::SwingUp);
+            let plan = self.session.start_manoeuvre(Manoeuvre::SwingUp);
             let plan = self.must(plan);
             self.wait_until("track", |record| record.mode() == Ok(Mode::Track));
             if goal != Mode::Balance {
@@ -169,7 +169,7 @@ impl System {
             }
         }
         match goal {
-            Mode::Stop => drop(self.request(ControlCommand::Stop)),
+            Mode::Stop => drop(self.request(Request::Stop)),
             Mode::Fault => self.inject("encoder-nan --joint 1 --cycles 1"),
             _ => {}
         }
@@ -266,7 +266,7 @@ impl System {
     /// The value; or the end of the test, with what the daemon says of itself.
     fn must<T>(&mut self, result: Result<T, SessionError>) -> T {
         result.unwrap_or_else(|e| {
-            let status = match self.session.ask_control(ControlCommand::Status) {
+            let status = match self.session.status() {
                 Ok(status) => {
                     let fault = upswingd::fault_text(status.fault).unwrap_or("no fault");
                     let mode = status.mode().map_or_else(|e| e.to_string(), |mode| mode.to_string());

@@ -4,9 +4,10 @@
 use std::sync::{LazyLock, mpsc};
 use std::time::{Duration, Instant};
 use upswing_config::Config;
-use upswing_ipc::{Clock, ControlCommand, Mode, Plan, PlannerKind, PlannerRequest};
+use upswing_ipc::operator::{OperatorError, Request};
+use upswing_ipc::{Clock, Mode, Plan, PlannerKind, PlannerRequest};
 use upswing_planner::replan::Planner;
-use upswing_rig::session::Role;
+use upswing_rig::session::{Role, SessionError};
 use upswing_tests::matrix::{PAGE, mode, table};
 use upswing_tests::running::{LONG, wait_for};
 use upswing_tests::{START, System};
@@ -80,8 +81,9 @@ fn check(column: Mode) {
             system.pass(Duration::from_millis(20));
         }
         if expected.starts_with("Fault") {
-            let answer = system.session.ask_control(ControlCommand::Enable).expect("an answer");
-            assert_eq!(answer.accepted, 0, "a fault is left by a reset only");
+            let refusal =
+                system.session.request(Request::Enable).expect_err("a fault is left by a reset only");
+            assert!(matches!(refusal, SessionError::Operator(OperatorError::Daemon { .. })), "{refusal}");
         }
     }
 }

@@ -1,10 +1,10 @@
 //! After a swing-up and some balancing, a swing-down brings the pendulum to hang at rest, as smoothly as it went up: no
 //! limit is exceeded, the arm then holds, and a swing-up can follow.
 
-use std::sync::atomic::AtomicBool;
-use upswing_ipc::{Clock, Mode, PlannerKind};
+use upswing_ipc::operator::Manoeuvre;
+use upswing_ipc::{Clock, Mode};
 use upswing_model::{NQ, NU};
-use upswing_rig::swing_up::execute;
+use upswing_rig::course::{SessionCourse, execute};
 use upswing_tests::System;
 
 #[test]
@@ -23,11 +23,11 @@ fn up_down_and_up(start_deg: [f64; 7]) {
     assert!(report.success, "{report}");
     let period = system.period();
     let before = system.session.records.len();
-    let go = |system: &mut System, kind| {
-        execute(&mut system.session, kind, period, 1.0, &AtomicBool::new(false), &|_, _| ())
+    let go = |system: &mut System, manoeuvre| {
+        execute(&mut SessionCourse::new(&mut system.session, period), manoeuvre, period, 1.0)
             .unwrap_or_else(|e| panic!("{e}"))
     };
-    let plan = go(&mut system, PlannerKind::SwingDown);
+    let plan = go(&mut system, Manoeuvre::SwingDown);
     assert!(plan.margin_q >= 0.0 && plan.margin_qd >= 0.0 && plan.margin_tau >= 0.0, "{plan:?}");
 
     let down = &system.session.records[before..];
@@ -53,7 +53,7 @@ fn up_down_and_up(start_deg: [f64; 7]) {
     assert!(last.qd[NU..].iter().all(|v| v.abs() < 0.3), "{:?}", last.qd);
 
     let before = system.session.records.len();
-    go(&mut system, PlannerKind::SwingUp);
+    go(&mut system, Manoeuvre::SwingUp);
     let last = system.session.records[before..].last().expect("records");
     assert_eq!(last.mode(), Ok(Mode::Balance));
     system.session.end().unwrap_or_else(|e| panic!("{e}"));
@@ -66,7 +66,7 @@ fn only_from_balance() {
     let refusal = (0..100)
         .find_map(|_| {
             system.session.advance(100).unwrap_or_else(|e| panic!("{e}"));
-            let answer = system.session.plan_from_now(PlannerKind::SwingDown);
+            let answer = system.session.plan(Manoeuvre::SwingDown);
             let refusal = answer.expect_err("nothing to swing down from");
             (!refusal.to_string().contains("no telemetry")).then_some(refusal)
         })

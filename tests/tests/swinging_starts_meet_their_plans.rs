@@ -2,9 +2,9 @@
 //! across three processes, the robot is there at that moment, and the swing-up ends balanced.
 
 use std::time::{Duration, Instant};
-use upswing_ipc::{Clock, ControlCommand, Mode, Plan, PlannerKind, PlantKind, PlantRequest, Telemetry};
+use upswing_ipc::operator::{Manoeuvre, Request};
+use upswing_ipc::{Clock, Mode, Plan, PlantKind, PlantRequest, Telemetry};
 use upswing_model::{NQ, NU};
-use upswing_rig::swing_up::plan_and_start;
 use upswing_tests::{START, System};
 
 /// How far the pendulum swings, deg: joints 8 and 9.
@@ -35,7 +35,7 @@ fn on_a_clock_that_runs() {
     system.session.plant(&swung).expect("it is put there");
     // What was measured before the pendulum was moved by hand is of no use.
     let begin = Instant::now();
-    while system.session.ask_control(ControlCommand::Enable).expect("an answer").accepted == 0 {
+    while system.session.request(Request::Enable).is_err() {
         assert!(begin.elapsed() < PATIENCE, "{}", system.status().reason);
         system.advance(8);
     }
@@ -43,7 +43,7 @@ fn on_a_clock_that_runs() {
 
     let begin = Instant::now();
     let response = loop {
-        match plan_and_start(&mut system.session, PlannerKind::SwingUp) {
+        match system.session.start_manoeuvre(Manoeuvre::SwingUp) {
             Ok(response) => break response,
             Err(e) => assert!(begin.elapsed() < PATIENCE, "{e}"),
         }

@@ -13,7 +13,7 @@ use data::Body;
 use serde::Serialize;
 use std::io::{self, Write};
 use upswing_config::Config;
-use upswing_ipc::operator::Action;
+use upswing_ipc::operator::Request;
 use upswing_model::UrdfError;
 use upswing_record::robot::Robot;
 
@@ -36,7 +36,7 @@ pub struct Setup {
     domain: String,
     /// Whether requests can be made, and which.
     control: bool,
-    requests: [&'static str; Action::ALL.len()],
+    requests: [&'static str; Request::ALL.len()],
     period_us: f64,
     #[serde(flatten)]
     body: Body,
@@ -51,7 +51,7 @@ impl Setup {
         Ok(Self {
             domain: domain.to_owned(),
             control,
-            requests: Action::ALL.map(Action::name),
+            requests: Request::ALL.map(Request::name),
             period_us: config.daemon.cycle.period.seconds() * 1e6,
             body: Body::new(Robot::from_urdf(&config.urdf, &config.model)?, &config.robot.limits),
         })

@@ -5,7 +5,7 @@ mod guard;
 
 pub use guard::{Head, Refusal, Token, check};
 
-use crate::http::{self, Listener, Request, Response, ServeError};
+use crate::http::{self, Listener, Response, ServeError};
 use crate::live::{Asker, Live};
 use crate::page;
 use feed::{Feed, Sampler};
@@ -16,7 +16,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 use upswing_ipc::IpcError;
-use upswing_ipc::operator::Action;
+use upswing_ipc::operator::Request;
 
 /// Time between two events.
 const FRAME: Duration = Duration::from_millis(40);
@@ -101,7 +101,7 @@ pub fn run(
 }
 
 impl Site {
-    async fn answer(self: Arc<Self>, request: Request) -> Response {
+    async fn answer(self: Arc<Self>, request: http::Request) -> Response {
         let head = Head {
             post: *request.method() == Method::POST,
             get: http::reads(&request),
@@ -123,8 +123,8 @@ impl Site {
                 http::respond(200, http::EVENTS, String::new())
             }
             (true, "/events") => self.stream(),
-            (false, path) => match path.strip_prefix("/request/").and_then(Action::from_name) {
-                Some(action) => self.ask(action).await,
+            (false, path) => match path.strip_prefix("/request/").and_then(Request::from_name) {
+                Some(request) => self.ask(request).await,
                 None => refuse(404, format!("expected /request/ and one of {}", names())),
             },
             _ => refuse(404, "expected / or /events".into()),
@@ -146,8 +146,8 @@ impl Site {
         response
     }
 
-    async fn ask(&self, action: Action) -> Response {
-        let answer = self.asker.ask(action);
+    async fn ask(&self, request: Request) -> Response {
+        let answer = self.asker.ask(request);
         match tokio::task::spawn_blocking(move || answer.recv_timeout(PATIENCE)).await {
             Ok(Ok(Ok(accepted))) => http::respond(200, JSON, json(&accepted)),
             Ok(Ok(Err(why))) => refuse(409, why),
@@ -173,7 +173,7 @@ impl Drop for Page {
 }
 
 fn names() -> String {
-    Action::ALL.map(Action::name).join(", ")
+    Request::ALL.map(Request::name).join(", ")
 }
 
 fn refuse(status: u16, error: String) -> Response {

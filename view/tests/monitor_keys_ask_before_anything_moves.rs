@@ -3,13 +3,19 @@
 
 use proptest::prelude::*;
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyEventKind};
-use upswing_ipc::operator::Action;
+use upswing_ipc::operator::{Manoeuvre, Request};
 use upswing_view::monitor::{Keys, Wish};
 
-fn action_of(key: char) -> Option<Action> {
+fn action_of(key: char) -> Option<Request> {
     let keys = "eudhr".chars();
-    let actions = [Action::Enable, Action::SwingUp, Action::SwingDown, Action::Hold, Action::Reset];
-    keys.zip(actions).find(|(k, _)| *k == key).map(|(_, action)| action)
+    let actions = [
+        Request::Enable,
+        Request::Manoeuvre(Manoeuvre::SwingUp),
+        Request::Manoeuvre(Manoeuvre::SwingDown),
+        Request::Hold,
+        Request::Reset,
+    ];
+    keys.zip(actions).find(|(k, _)| *k == key).map(|(_, request)| request)
 }
 
 proptest! {
@@ -23,8 +29,8 @@ proptest! {
         for key in typed {
             let wish = keys.press(&KeyEvent::from(KeyCode::Char(key)));
             let expected = match (key, waiting.take()) {
-                ('s', _) => Wish::Ask(Action::Stop),
-                ('y', Some(action)) => Wish::Ask(action),
+                ('s', _) => Wish::Ask(Request::Stop),
+                ('y', Some(request)) => Wish::Ask(request),
                 ('q', None) => Wish::Quit,
                 (_, Some(_)) => Wish::Nothing,
                 (key, None) => {

@@ -6,7 +6,7 @@ use ratatui::backend::TestBackend;
 use ratatui::crossterm::event::{KeyCode, KeyEvent};
 use std::sync::LazyLock;
 use upswing_config::Config;
-use upswing_ipc::operator::Action;
+use upswing_ipc::operator::Request;
 use upswing_ipc::{Mode, Telemetry};
 use upswing_planner::replan::Planner;
 use upswing_plant::Plant;
@@ -128,7 +128,7 @@ fn what_to_do_next_in_every_mode() {
         let record = Telemetry { mode: mode.code(), ..*last };
         for view in [view(&[record]), View { status: None, ..view(&[record]) }] {
             let text = picture(&view, &Keys::default(), 80, 24);
-            let next = mode.next_step().to_string();
+            let next = mode.next_action().to_string();
             assert_eq!(view.next.as_ref(), Some(&next));
             assert!(text.contains(&next), "{mode}: no `{next}` in\n{text}");
         }
@@ -146,7 +146,7 @@ fn a_question_mark_explains_the_keys() {
     assert_eq!(press('?'), Wish::Nothing);
     // Nothing but a stop is asked for while it is shown.
     assert_eq!(press('y'), Wish::Nothing);
-    assert_eq!((press('?'), press('s')), (Wish::Nothing, Wish::Ask(Action::Stop)));
+    assert_eq!((press('?'), press('s')), (Wish::Nothing, Wish::Ask(Request::Stop)));
     assert_eq!(press('?'), Wish::Nothing);
     let text = picture(&view, &keys, 80, 24);
     for shown in ["swing-down", "The brakes open", "any other key no", "s still stops"] {

@@ -12,8 +12,8 @@ use upswing_process::output::{Destination, Overwrite};
 use upswing_process::{Failure, note, shutdown_flag};
 use upswing_record::Recorder;
 use upswing_record::report::Report;
+use upswing_rig::course::{SessionCourse, swing_up};
 use upswing_rig::session::{Programs, Session, SessionError};
-use upswing_rig::swing_up::swing_up;
 use upswing_view::picture;
 
 /// Starts daemon, planner and plant as three processes, swings the pendulum up and balances it.
@@ -124,7 +124,9 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
             bar.set_length((total * 1e3) as u64);
             bar.set_position((passed * 1e3) as u64);
         };
-        let plan = swing_up(&mut session, period, args.seconds, &stop, &progress);
+        let mut course =
+            SessionCourse { session: &mut session, period, interrupted: &stop, progress: &progress };
+        let plan = swing_up(&mut course, period, args.seconds);
         bar.finish_and_clear();
         let plan = plan?;
         let dropped = session.dropped();

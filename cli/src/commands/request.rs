@@ -2,7 +2,7 @@
 
 use super::{CommonArgs, failed};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use upswing_ipc::operator::{Action, Operator};
+use upswing_ipc::operator::{Operator, Request};
 use upswing_process::{Failure, shutdown_flag};
 
 /// Asks the running system to do something.
@@ -16,15 +16,15 @@ pub struct RequestArgs {
     #[command(flatten)]
     pub common: CommonArgs,
     /// What to do
-    #[arg(value_parser = actions())]
-    pub what: Action,
+    #[arg(value_parser = requests())]
+    pub what: Request,
 }
 
-/// Reads the name of an action.
-fn actions() -> impl TypedValueParser<Value = Action> {
-    let value = |action: Action| PossibleValue::new(action.name()).help(action.purpose());
-    let known = |name: String| Action::from_name(&name).ok_or("no such action");
-    PossibleValuesParser::new(Action::ALL.map(value)).try_map(known)
+/// Reads the name of a request.
+fn requests() -> impl TypedValueParser<Value = Request> {
+    let value = |request: Request| PossibleValue::new(request.name()).help(request.purpose());
+    let known = |name: String| Request::from_name(&name).ok_or("no such request");
+    PossibleValuesParser::new(Request::ALL.map(value)).try_map(known)
 }
 
 /// Sends the request.

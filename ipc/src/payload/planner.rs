@@ -2,6 +2,7 @@
 
 use super::WORD;
 use crate::codes::{PlannerKind, PlannerStatus, UnknownCode};
+use crate::operator::Manoeuvre;
 use crate::text::Text;
 use iceoryx2::prelude::ZeroCopySend;
 use upswing_model::NX;
@@ -29,8 +30,8 @@ const _: () = assert!(size_of::<PlannerRequest>() == WORD * (5 + NX));
 
 impl PlannerRequest {
     /// A request for a plan from the present state, to be published to the daemon.
-    pub fn from_now(kind: PlannerKind) -> Self {
-        Self { kind: kind.code(), from_now: 1, publish: 1, ..Self::default() }
+    pub fn from_now(manoeuvre: Manoeuvre) -> Self {
+        Self { kind: PlannerKind::from(manoeuvre).code(), from_now: 1, publish: 1, ..Self::default() }
     }
 
     /// The kind of request.

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
-use upswing_ipc::operator::{Accepted, Action, Kind, Operator, OperatorError};
+use upswing_ipc::operator::{Accepted, Operator, OperatorError, Request};
 use upswing_ipc::{ControlResponse, Node};
 
 /// Time between two requests for the daemon's status.
@@ -21,13 +21,13 @@ pub(super) enum News {
     /// The daemon's status; `None`: no answer.
     Status(Option<Box<ControlResponse>>),
     /// A request was made.
-    Asked(Action),
+    Asked(Request),
     /// A request was answered.
-    Answer(Action, Reply),
+    Answer(Request, Reply),
 }
 
 struct Order {
-    action: Action,
+    request: Request,
     reply: Sender<Reply>,
 }
 
@@ -37,10 +37,10 @@ pub struct Asker(Sender<Order>);
 
 impl Asker {
     /// Asks; the answer comes through the returned end, and is an event of the view.
-    pub fn ask(&self, action: Action) -> Receiver<Reply> {
+    pub fn ask(&self, request: Request) -> Receiver<Reply> {
         let (reply, answer) = channel();
         // Where the desk is gone, the other end of `reply` goes with the order, and the receiver sees it.
-        let _ = self.0.send(Order { action, reply });
+        let _ = self.0.send(Order { request, reply });
         answer
     }
 }
@@ -108,7 +108,6 @@ struct Planning {
 struct Work {
     node: Node,
     operator: Operator,
-    planner: upswing_ipc::Client<upswing_ipc::PlannerRequest>,
     plant: upswing_ipc::Client<upswing_ipc::PlantRequest>,
     news: Sender<News>,
     planning: Option<Planning>,
@@ -116,14 +115,7 @@ struct Work {
 
 impl Work {
     fn new(node: Node, news: Sender<News>) -> Result<Self, OperatorError> {
-        Ok(Self {
-            operator: Operator::new(&node)?,
-            planner: node.client()?,
-            plant: node.client()?,
-            node,
-            news,
-            planning: None,
-        })
+        Ok(Self { operator: Operator::new(&node)?, plant: node.client()?, node, news, planning: None })
     }
 
     fn run(&mut self, orders: &Receiver<Order>, closing: &AtomicBool) {
@@ -147,34 +139,35 @@ impl Work {
 
     fn look(&mut self) {
         let status = self.operator.status();
-        let present = [status.is_ok(), self.planner.has_server(), self.plant.has_server()];
+        let planner = self.operator.has_planner().is_ok_and(|present| present);
+        let present = [status.is_ok(), planner, self.plant.has_server()];
         let _ = self.news.send(News::Present(present));
         let _ = self.news.send(News::Status(status.ok().map(Box::new)));
     }
 
     /// Plans are made beside, so that a stop is never kept waiting.
-    fn serve(&mut self, Order { action, reply }: Order) {
-        let _ = self.news.send(News::Asked(action));
+    fn serve(&mut self, Order { request, reply }: Order) {
+        let _ = self.news.send(News::Asked(request));
         let news = self.news.clone();
         let answer = move |result: Reply| {
-            let _ = news.send(News::Answer(action, result.clone()));
+            let _ = news.send(News::Answer(request, result.clone()));
             let _ = reply.send(result);
         };
-        match action.kind() {
-            Kind::Control(_) => {
+        match request {
+            Request::Hold | Request::Stop | Request::Enable | Request::Reset => {
                 if let Some(planning) = &self.planning {
                     planning.withdrawn.store(true, Ordering::Release);
                 }
-                let done = self.operator.request(action, &AtomicBool::new(false));
+                let done = self.operator.request(request, &AtomicBool::new(false));
                 answer(done.map_err(|e| e.to_string()));
             }
-            Kind::Plan(_) if self.planning.as_ref().is_some_and(|p| !p.thread.is_finished()) => {
+            Request::Manoeuvre(_) if self.planning.as_ref().is_some_and(|p| !p.thread.is_finished()) => {
                 answer(Err("a plan is being made already; stop withdraws it".into()));
             }
-            Kind::Plan(_) => {
+            Request::Manoeuvre(_) => {
                 let (node, withdrawn) = (self.node.clone(), Arc::new(AtomicBool::new(false)));
                 let flag = Arc::clone(&withdrawn);
-                let plan = move || Operator::new(&node)?.request(action, &flag);
+                let plan = move || Operator::new(&node)?.request(request, &flag);
                 let thread = std::thread::spawn(move || answer(plan().map_err(|e| e.to_string())));
                 self.planning = Some(Planning { thread, withdrawn });
             }

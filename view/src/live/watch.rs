@@ -140,17 +140,17 @@ impl Watch {
                 }
                 self.status = status;
             }
-            News::Asked(action) => {
-                self.asking = Some(action.name());
-                self.tell(Kind::Note, format!("asked: {}", action.name()));
+            News::Asked(request) => {
+                self.asking = Some(request.name());
+                self.tell(Kind::Note, format!("asked: {}", request.name()));
             }
-            News::Answer(action, answer) => {
-                if self.asking == Some(action.name()) {
+            News::Answer(request, answer) => {
+                if self.asking == Some(request.name()) {
                     self.asking = None;
                 }
                 match answer {
-                    Ok(accepted) => self.tell(Kind::Note, format!("{}: {accepted}", action.name())),
-                    Err(why) => self.tell(Kind::Warning, format!("{}: {why}", action.name())),
+                    Ok(accepted) => self.tell(Kind::Note, format!("{}: {accepted}", request.name())),
+                    Err(why) => self.tell(Kind::Warning, format!("{}: {why}", request.name())),
                 }
             }
         }
@@ -170,7 +170,7 @@ impl Watch {
         let mode = cycle.map(Telemetry::mode_text);
         // The status knows more than the mode, but is older than the newest cycle.
         let status = self.status.as_ref().filter(|s| mode.as_ref().is_none_or(|mode| *mode == s.mode));
-        let of_mode = || cycle.and_then(|record| Some(record.mode().ok()?.next_step().to_string()));
+        let of_mode = || cycle.and_then(|record| Some(record.mode().ok()?.next_action().to_string()));
         let next = status.map(|s| s.next.clone()).or_else(of_mode);
         View {
             next,

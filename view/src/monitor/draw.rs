@@ -1,6 +1,6 @@
 //! One picture of a [`View`].
 
-use super::keys::ACTIONS;
+use super::keys::REQUESTS;
 use super::{Keys, rows};
 use crate::live::{Cycle, Joint, Kind, Times, View};
 use ratatui::Frame;
@@ -10,7 +10,7 @@ use ratatui::text::{Line, Span};
 use ratatui::widgets::canvas::{Canvas, Circle, Line as Stroke};
 use ratatui::widgets::{Block, Borders, Clear, Paragraph};
 use std::collections::VecDeque;
-use upswing_ipc::operator::Action;
+use upswing_ipc::operator::Request;
 
 /// Whether to use colours; without them what matters is reversed or bold.
 #[derive(Clone, Copy, Debug)]
@@ -85,8 +85,8 @@ pub fn draw(frame: &mut Frame, view: &View, keys: &Keys, look: Look) {
     draw_plan(frame, plan, view, look);
     draw_events(frame, events, view, look);
     frame.render_widget(footer(look), foot);
-    if let Some(action) = keys.waiting() {
-        confirm(frame, action, look);
+    if let Some(request) = keys.waiting() {
+        confirm(frame, request, look);
     } else if keys.help() {
         help(frame, look);
     }
@@ -267,8 +267,10 @@ fn draw_events(frame: &mut Frame, area: Rect, view: &View, look: Look) {
 
 fn footer(look: Look) -> Line<'static> {
     // Of 80 columns it takes 77.
-    let keys =
-        ACTIONS.into_iter().map(|(key, action)| (key, action.name())).chain([('q', "quit"), ('?', "help")]);
+    let keys = REQUESTS
+        .into_iter()
+        .map(|(key, request)| (key, request.name()))
+        .chain([('q', "quit"), ('?', "help")]);
     let key = Style::new().add_modifier(Modifier::REVERSED);
     Line::from_iter(keys.flat_map(|(c, name)| {
         [Span::styled(format!(" {c} "), key), Span::styled(format!("{name} "), look.ink(Color::Gray))]
@@ -276,9 +278,9 @@ fn footer(look: Look) -> Line<'static> {
 }
 
 fn help(frame: &mut Frame, look: Look) {
-    let lines: Vec<_> = ACTIONS
+    let lines: Vec<_> = REQUESTS
         .into_iter()
-        .map(|(key, action)| format!(" {key}  {:<11}{}", action.name(), effect(action)))
+        .map(|(key, request)| format!(" {key}  {:<11}{}", request.name(), effect(request)))
         .chain([
             " q  quit       The monitor ends, the system goes on.".into(),
             String::new(),
@@ -292,13 +294,13 @@ fn help(frame: &mut Frame, look: Look) {
 }
 
 /// What a request does to the robot.
-fn effect(action: Action) -> &'static str {
-    match action {
-        Action::Enable => "The brakes open and the arm holds its pose.",
-        Action::SwingUp | Action::SwingDown => "The arm moves fast.",
-        Action::Hold => "The arm holds its pose; a rod that stands falls.",
-        Action::Stop => "The arm decelerates.",
-        Action::Reset => "The fault is forgotten; brakes stay closed.",
+fn effect(request: Request) -> &'static str {
+    match request {
+        Request::Enable => "The brakes open and the arm holds its pose.",
+        Request::Manoeuvre(_) => "The arm moves fast.",
+        Request::Hold => "The arm holds its pose; a rod that stands falls.",
+        Request::Stop => "The arm decelerates.",
+        Request::Reset => "The fault is forgotten; brakes stay closed.",
     }
 }
 
@@ -313,13 +315,13 @@ fn popup(frame: &mut Frame, width: u16, title: &str, lines: Vec<Line<'_>>, cente
     frame.render_widget(if centered { text.centered() } else { text }, area);
 }
 
-fn confirm(frame: &mut Frame, action: Action, look: Look) {
+fn confirm(frame: &mut Frame, request: Request, look: Look) {
     let lines = vec![
-        Line::raw(effect(action)),
+        Line::raw(effect(request)),
         Line::raw(""),
         Line::styled("y: yes   any other key: no", Style::new().add_modifier(Modifier::BOLD)),
     ];
-    popup(frame, 56, &format!(" {}? ", action.name()), lines, true, look);
+    popup(frame, 56, &format!(" {}? ", request.name()), lines, true, look);
 }
 
 fn nothing(text: &str) -> Paragraph<'_> {

@@ -1,16 +1,16 @@
 //! What the keys mean.
 
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
-use upswing_ipc::operator::Action;
+use upswing_ipc::operator::{Manoeuvre, Request};
 
-/// Key, name and action, in the order of the bottom line.
-pub(super) const ACTIONS: [(char, Action); 6] = [
-    ('e', Action::Enable),
-    ('u', Action::SwingUp),
-    ('d', Action::SwingDown),
-    ('h', Action::Hold),
-    ('s', Action::Stop),
-    ('r', Action::Reset),
+/// Key, name and request, in the order of the bottom line.
+pub(super) const REQUESTS: [(char, Request); 6] = [
+    ('e', Request::Enable),
+    ('u', Request::Manoeuvre(Manoeuvre::SwingUp)),
+    ('d', Request::Manoeuvre(Manoeuvre::SwingDown)),
+    ('h', Request::Hold),
+    ('s', Request::Stop),
+    ('r', Request::Reset),
 ];
 
 /// What a key asks for.
@@ -21,19 +21,19 @@ pub enum Wish {
     /// The end.
     Quit,
     /// A request.
-    Ask(Action),
+    Ask(Request),
 }
 
 /// All but a stop has to be confirmed: it waits here for `y`, and any other key forgets it. Likewise any key ends the help.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Keys {
-    waiting: Option<Action>,
+    waiting: Option<Request>,
     help: bool,
 }
 
 impl Keys {
     /// What waits for `y`.
-    pub fn waiting(&self) -> Option<Action> {
+    pub fn waiting(&self) -> Option<Request> {
         self.waiting
     }
 
@@ -51,8 +51,8 @@ impl Keys {
         let helped = std::mem::take(&mut self.help);
         match (key.code, waiting) {
             (KeyCode::Char('c'), _) if key.modifiers.contains(KeyModifiers::CONTROL) => Wish::Quit,
-            (KeyCode::Char('s'), _) => Wish::Ask(Action::Stop),
-            (KeyCode::Char('y'), Some(action)) => Wish::Ask(action),
+            (KeyCode::Char('s'), _) => Wish::Ask(Request::Stop),
+            (KeyCode::Char('y'), Some(request)) => Wish::Ask(request),
             // Any other key forgets what waits, and does nothing else.
             (_, Some(_)) => Wish::Nothing,
             _ if helped => Wish::Nothing,
@@ -62,7 +62,7 @@ impl Keys {
             }
             (KeyCode::Char('q') | KeyCode::Esc, None) => Wish::Quit,
             (KeyCode::Char(c), None) => {
-                self.waiting = ACTIONS.into_iter().find(|(key, _)| *key == c).map(|(_, action)| action);
+                self.waiting = REQUESTS.into_iter().find(|(key, _)| *key == c).map(|(_, request)| request);
                 Wish::Nothing
             }
             _ => Wish::Nothing,

@@ -4,9 +4,10 @@ use super::{SamplingArgs, failed, list_failures, study_failure, writable, write_
 use crate::commands::PlanFigures;
 use serde::Serialize;
 use std::time::Instant;
+use upswing_ipc::operator::Manoeuvre;
 use upswing_model::{NU, State};
 use upswing_ocp::qp::Solver;
-use upswing_planner::replan::{Effort, Manoeuvre, Planner};
+use upswing_planner::replan::{Effort, Planner};
 use upswing_process::number::whole;
 use upswing_process::output::{Destination, Overwrite};
 use upswing_process::{Failure, shutdown_flag};

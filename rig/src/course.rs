@@ -1,0 +1,140 @@
+//! The course of a manoeuvre: hold the arm, plan from the present state, wait until the plan is loaded and due, start it, watch the
+//! modes. Three processes ([`SessionCourse`]) and the closed loop in one process take the same course.
+
+use crate::session::{Session, SessionError};
+use std::sync::atomic::{AtomicBool, Ordering};
+use upswing_ipc::operator::{Manoeuvre, Request};
+use upswing_ipc::{Mode, PlannerResponse};
+
+/// Time in which the arm settles in Hold before the plan is made, s.
+pub const SETTLE: f64 = 0.25;
+/// Time between two looks at the modes, s.
+const LOOK: f64 = 0.1;
+
+/// A system that is taken through a manoeuvre.
+pub trait Course {
+    /// Why the system left the course.
+    type Error;
+
+    /// Lets control cycles pass.
+    ///
+    /// # Errors
+    /// [`Self::Error`] if time does not pass.
+    fn advance(&mut self, cycles: u64) -> Result<(), Self::Error>;
+
+    /// Enables the daemon and lets control cycles pass, in which the arm settles in Hold.
+    ///
+    /// # Errors
+    /// [`Self::Error`] if the daemon refuses, or does not stay in Hold.
+    fn hold(&mut self, cycles: u64) -> Result<(), Self::Error>;
+
+    /// Plans a manoeuvre from the present state, waits until the plan is loaded and due, and starts it.
+    ///
+    /// # Errors
+    /// [`Self::Error`] if planner or daemon refuse.
+    fn start(&mut self, manoeuvre: Manoeuvre) -> Result<PlannerResponse, Self::Error>;
+
+    /// Lets control cycles pass after the start of the plan.
+    ///
+    /// # Errors
+    /// [`Self::Error`] if the daemon leaves the modes of the course.
+    fn watch(&mut self, cycles: u64) -> Result<(), Self::Error>;
+}
+
+/// Enables the daemon, lets the arm settle in Hold, swings up and balances for `seconds`. `period` of control in s.
+///
+/// # Errors
+/// [`Course::Error`]
+pub fn swing_up<C: Course>(course: &mut C, period: f64, seconds: f64) -> Result<PlannerResponse, C::Error> {
+    // A daemon that has measured nothing yet refuses to be enabled.
+    course.advance(1)?;
+    course.hold(cycles(SETTLE, period))?;
+    execute(course, Manoeuvre::SwingUp, period, seconds)
+}
+
+/// Plans a manoeuvre from the present state, starts it, and lets its duration and `seconds` pass. `period` of control in s.
+///
+/// # Errors
+/// [`Course::Error`]
+pub fn execute<C: Course>(
+    course: &mut C,
+    manoeuvre: Manoeuvre,
+    period: f64,
+    seconds: f64,
+) -> Result<PlannerResponse, C::Error> {
+    let plan = course.start(manoeuvre)?;
+    course.watch(cycles(plan.t_f + seconds, period))?;
+    Ok(plan)
+}
+
+fn cycles(seconds: f64, period: f64) -> u64 {
+    (seconds / period).ceil() as u64
+}
+
+/// Takes three processes through a manoeuvre.
+pub struct SessionCourse<'a> {
+    /// The three processes.
+    pub session: &'a mut Session,
+    /// Control period, s.
+    pub period: f64,
+    /// Raised to end the wait.
+    pub interrupted: &'a AtomicBool,
+    /// Gets the time that has passed since the start of the plan, and the time in total, s.
+    pub progress: &'a dyn Fn(f64, f64),
+}
+
+impl<'a> SessionCourse<'a> {
+    /// A course that nobody interrupts or observes.
+    pub fn new(session: &'a mut Session, period: f64) -> Self {
+        static NEVER: AtomicBool = AtomicBool::new(false);
+        Self { session, period, interrupted: &NEVER, progress: &|_, _| () }
+    }
+
+    fn expect_mode(&self, modes: &[Mode]) -> Result<(), SessionError> {
+        let Some(last) = self.session.records.last() else { return Ok(()) };
+        match last.mode() {
+            Ok(mode) if modes.contains(&mode) => Ok(()),
+            _ => {
+                let mode = last.mode_text();
+                let cause = upswingd::fault_text(last.fault);
+                let reason =
+                    format!("it is in mode {mode}{}", cause.map_or_else(String::new, |c| format!(": {c}")));
+                Err(SessionError::Refused { role: "daemon", reason })
+            }
+        }
+    }
+}
+
+impl Course for SessionCourse<'_> {
+    type Error = SessionError;
+
+    fn advance(&mut self, cycles: u64) -> Result<(), SessionError> {
+        self.session.advance(cycles)
+    }
+
+    fn hold(&mut self, cycles: u64) -> Result<(), SessionError> {
+        self.session.request(Request::Enable)?;
+        self.session.advance(cycles)?;
+        self.expect_mode(&[Mode::Hold])
+    }
+
+    fn start(&mut self, manoeuvre: Manoeuvre) -> Result<PlannerResponse, SessionError> {
+        self.session.start_manoeuvre(manoeuvre)
+    }
+
+    /// In portions, so that an interrupt or a fault ends the wait; a plant that runs by itself does not wait for them.
+    fn watch(&mut self, total: u64) -> Result<(), SessionError> {
+        let begin = self.session.now()?;
+        let mut passed = 0;
+        while passed < total {
+            if self.interrupted.load(Ordering::Acquire) {
+                return Err(SessionError::Interrupted);
+            }
+            self.session.advance_to(begin + total.min(passed + cycles(LOOK, self.period)))?;
+            self.expect_mode(&[Mode::Hold, Mode::Track, Mode::Balance])?;
+            passed = total.min(self.session.now()?.saturating_sub(begin));
+            (self.progress)(passed as f64 * self.period, total as f64 * self.period);
+        }
+        Ok(())
+    }
+}
