@@ -35,6 +35,11 @@ macro_rules! codes {
             pub const fn code(self) -> u64 {
                 self as u64
             }
+
+            /// The name of this variant for people.
+            pub const fn name(self) -> &'static str {
+                match self { $($name::$variant => $label),+ }
+            }
         }
 
         impl TryFrom<u64> for $name {
@@ -51,14 +56,14 @@ macro_rules! codes {
 
         impl fmt::Display for $name {
             fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.pad(match self { $($name::$variant => $label),+ })
+                f.pad(self.name())
             }
         }
     };
 }
 
 codes! {
-    /// Who advances time.
+    /// The clock of a system: how plant and daemon advance in time. Rules: `pacing`.
     Clock is a "clock" {
         /// Daemon and plant each follow CLOCK_MONOTONIC; a late daemon meets a plant that has moved on.
         Wall = "wall",
@@ -195,11 +200,7 @@ impl FromStr for Clock {
     type Err = UnknownClock;
 
     fn from_str(name: &str) -> Result<Self, UnknownClock> {
-        match name {
-            "wall" => Ok(Clock::Wall),
-            "paced" => Ok(Clock::Paced),
-            "lockstep" => Ok(Clock::Lockstep),
-            other => Err(UnknownClock { got: other.to_owned() }),
-        }
+        let clock = Clock::ALL.iter().find(|clock| clock.name() == name).copied();
+        clock.ok_or_else(|| UnknownClock { got: name.to_owned() })
     }
 }

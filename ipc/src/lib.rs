@@ -67,6 +67,10 @@ pub use error::{CallError, Cause, IpcError};
 pub use messages::{Publisher, Received, Subscriber};
 pub use node::Node;
 pub use own::OwnDomain;
+pub use pacing::{
+    Commands, CycleBegin, CycleStart, CycleTimes, DaemonPacing, DaemonWake, GrantError, PlantPacing,
+    PlantWake, Presence,
+};
 pub use payload::{
     Command, ControlRequest, ControlResponse, DamagedPlan, Measurement, Percentiles, Plan, PlannerRequest,
     PlannerResponse, PlantRequest, PlantResponse, Step, StepBatch, Telemetry, TelemetryBatch,

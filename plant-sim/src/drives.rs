@@ -1,41 +1,43 @@
-//! Drives: what becomes of a command until it is torque on the joints, and when the brakes close.
+//! Drives and brakes of the arm: from a command to the torque on the joints, and when the brakes close.
 
 use upswing_config::{DriveSettings, MAX_DELAY};
 use upswing_ipc::Command;
 use upswing_model::{ActuatedVector, NU, Period};
 
-/// Places for commands on their way, with the one that arrives.
-const LINE: usize = MAX_DELAY as usize + 1;
+/// Length of the delay line for commands.
+const DELAY_LINE: usize = MAX_DELAY as usize + 1;
 
-/// What the drives do to the actuated joints for one period.
+/// The actuation of the arm over one control period.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Action {
-    /// Released brakes and this torque on the joints, N m.
+pub(crate) enum Actuation {
+    /// Released brakes and this torque on the actuated joints, N m.
     Torque(ActuatedVector),
     /// Closed brakes.
     Brakes,
 }
 
-/// The drives and brakes of joints 1 to 7.
+/// The drives and brakes of the actuated joints.
 #[derive(Clone, Debug)]
 pub(crate) struct Drives {
     tau_max: ActuatedVector,
     offset: ActuatedVector,
-    /// Share of the way to the commanded torque that one period covers.
-    approach: f64,
+    /// Share of the difference to the commanded torque that one period removes: the lag of first order, discretised.
+    lag_share: f64,
     watchdog_cycles: u32,
     engage_cycles: u64,
-    delay: usize,
-    /// Commands on their way, a ring.
-    line: [Option<Command>; LINE],
-    /// The command in force, and cycles since it came.
-    held: Option<Command>,
-    age: u32,
+    delay: u64,
+    /// Commands that have not arrived yet, a ring by cycle number.
+    delay_line: [Option<Command>; DELAY_LINE],
+    /// The newest command that has arrived, until the watchdog drops it.
+    active: Option<Command>,
+    /// Cycles since a command arrived.
+    silent_cycles: u32,
     /// Cycles until closing brakes hold.
-    engaging: u64,
+    engage_left: u64,
     /// Torque that the sensors show, N m.
     tau: ActuatedVector,
     tau_peak: ActuatedVector,
+    /// Whether the brakes are commanded to close.
     braking: bool,
     saturated: bool,
     fault: bool,
@@ -48,14 +50,14 @@ impl Drives {
         Self {
             tau_max: *tau_max,
             offset: settings.torque_offset.into(),
-            approach: if lag > 0.0 { -(-period.seconds() / lag).exp_m1() } else { 1.0 },
+            lag_share: if lag > 0.0 { -(-period.seconds() / lag).exp_m1() } else { 1.0 },
             watchdog_cycles: settings.watchdog_cycles,
             engage_cycles: period.nearest_cycles(settings.brake_engage),
-            delay: settings.command_delay as usize,
-            line: [None; LINE],
-            held: None,
-            age: 0,
-            engaging: 0,
+            delay: settings.command_delay.into(),
+            delay_line: [None; DELAY_LINE],
+            active: None,
+            silent_cycles: 0,
+            engage_left: 0,
             tau: ActuatedVector::zeros(),
             tau_peak: ActuatedVector::zeros(),
             braking: true,
@@ -64,7 +66,7 @@ impl Drives {
         }
     }
 
-    /// Forgets torques, their peaks and a fault.
+    /// Clears torques, their peaks and a fault.
     pub(crate) fn reset(&mut self) {
         self.tau = ActuatedVector::zeros();
         self.tau_peak = ActuatedVector::zeros();
@@ -72,50 +74,50 @@ impl Drives {
         self.fault = false;
     }
 
-    /// What happens in period `seq` when `command` is sent, or none.
-    pub(crate) fn step(&mut self, seq: u64, command: Option<&Command>) -> Action {
-        self.line[place(seq)] = command.copied();
-        let delay = self.delay as u64;
-        let arrived = if seq > delay { self.line[place(seq - delay)].take() } else { None };
+    /// The actuation in cycle `seq`, in which the daemon sends `command`, or none.
+    pub(crate) fn step(&mut self, seq: u64, command: Option<&Command>) -> Actuation {
+        self.delay_line[slot(seq)] = command.copied();
+        let arrived = if seq > self.delay { self.delay_line[slot(seq - self.delay)].take() } else { None };
         match arrived {
-            Some(command) => (self.held, self.age) = (Some(command), 0),
-            None => self.age = self.age.saturating_add(1),
+            Some(command) => (self.active, self.silent_cycles) = (Some(command), 0),
+            None => self.silent_cycles = self.silent_cycles.saturating_add(1),
         }
-        if self.age >= self.watchdog_cycles {
-            self.held = None;
+        if self.silent_cycles >= self.watchdog_cycles {
+            self.active = None;
         }
-        match self.demanded() {
-            Some(demanded) => Action::Torque(self.follow(&demanded)),
+        match self.commanded_torque() {
+            Some(commanded) => Actuation::Torque(self.apply(&commanded)),
             None => self.brake(),
         }
     }
 
-    /// After numbers that ran away: brakes until a command closes them too.
+    /// A drive fault with brakes that hold at once, until a command closes the brakes, too.
     pub(crate) fn fail(&mut self) {
         self.fault = true;
         self.braking = true;
-        self.engaging = 0;
+        self.engage_left = 0;
     }
 
-    /// What the sensors show of a load that the brakes hold, N m: less their offset, as of the drives' own torque.
-    pub(crate) fn show_load(&self, load: &ActuatedVector) -> ActuatedVector {
+    /// The sensors' reading of a load that the brakes hold, N m: less their offset, as for the drives' own torque.
+    pub(crate) fn sensed_load(&self, load: &ActuatedVector) -> ActuatedVector {
         (load - self.offset).inf(&self.tau_max).sup(&-self.tau_max)
     }
 
-    /// Torque that the sensors show of the drives, N m.
+    /// The sensors' reading of the drives' torque, N m.
     pub(crate) fn tau(&self) -> &ActuatedVector {
         &self.tau
     }
 
-    /// Largest magnitude of each since the start or the last reset, N m.
+    /// Largest magnitude of each drive's torque since the start or the last reset, N m.
     pub(crate) fn tau_peak(&self) -> &ActuatedVector {
         &self.tau_peak
     }
 
     pub(crate) fn brakes_hold(&self) -> bool {
-        self.braking && self.engaging == 0
+        self.braking && self.engage_left == 0
     }
 
+    /// Whether a drive limited the newest command.
     pub(crate) fn saturated(&self) -> bool {
         self.saturated
     }
@@ -124,10 +126,10 @@ impl Drives {
         self.fault
     }
 
-    /// The commanded torque within the limits, N m; None if the brakes have to be closed.
-    fn demanded(&mut self) -> Option<ActuatedVector> {
+    /// The commanded torque within the limits, N m; `None` if the brakes have to close.
+    fn commanded_torque(&mut self) -> Option<ActuatedVector> {
         self.saturated = false;
-        let command = self.held?;
+        let command = self.active?;
         if !command.tau.iter().all(|tau| tau.is_finite()) {
             self.fault = true;
         } else if command.brake != 0 {
@@ -145,27 +147,29 @@ impl Drives {
         Some(torque)
     }
 
-    fn follow(&mut self, demanded: &ActuatedVector) -> ActuatedVector {
+    /// The torque on the joints, N m, with released brakes: the lagged commanded torque and its offset.
+    fn apply(&mut self, commanded: &ActuatedVector) -> ActuatedVector {
         // While the brakes hold, the torque loops have time to settle.
-        if self.braking || self.approach >= 1.0 {
-            self.tau = *demanded;
+        if self.braking || self.lag_share >= 1.0 {
+            self.tau = *commanded;
         } else {
-            self.tau += (demanded - self.tau) * self.approach;
+            self.tau += (commanded - self.tau) * self.lag_share;
         }
         self.braking = false;
         self.tau_peak = self.tau_peak.sup(&self.tau.abs());
         self.tau + self.offset
     }
 
-    fn brake(&mut self) -> Action {
-        self.engaging = if self.braking { self.engaging.saturating_sub(1) } else { self.engage_cycles };
+    /// Closes the brakes; until they hold the arm moves without torque.
+    fn brake(&mut self) -> Actuation {
+        self.engage_left = if self.braking { self.engage_left.saturating_sub(1) } else { self.engage_cycles };
         self.braking = true;
         self.tau = ActuatedVector::zeros();
-        if self.engaging == 0 { Action::Brakes } else { Action::Torque(self.tau) }
+        if self.engage_left == 0 { Actuation::Brakes } else { Actuation::Torque(self.tau) }
     }
 }
 
-/// Place of a cycle in a ring of [`LINE`].
-fn place(seq: u64) -> usize {
-    (seq % LINE as u64) as usize
+/// Index of a cycle in the delay line.
+fn slot(seq: u64) -> usize {
+    (seq % DELAY_LINE as u64) as usize
 }

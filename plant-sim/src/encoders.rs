@@ -1,4 +1,4 @@
-//! Encoders: bias, noise and rounding.
+//! Joint encoders with bias, noise and resolution.
 
 use rand_pcg::Pcg64;
 use rand_pcg::rand_core::{Rng, SeedableRng};
@@ -18,7 +18,7 @@ impl Encoders {
         Self { settings: *settings, random: Pcg64::seed_from_u64(settings.seed) }
     }
 
-    /// What they show for the true angles `q` (rad): q + bias + noise, rounded to the resolution. New noise at every call.
+    /// Readings of the true angles `q` (rad): q + bias + noise, rounded to the resolution, rad. Each call draws new noise.
     pub(crate) fn read(&mut self, q: &JointVector) -> [f64; NQ] {
         let EncoderSettings { arm_resolution, pendulum_resolution, noise, bias, .. } = self.settings;
         std::array::from_fn(|i| {
@@ -31,12 +31,12 @@ impl Encoders {
         })
     }
 
-    /// Box and Muller's transform of two uniform numbers.
+    /// A sample of the standard normal distribution, by the Box-Muller transform.
     fn standard_normal(&mut self) -> f64 {
-        /// 2^-53: the numbers are multiples of it.
+        /// 2^-53: the uniform numbers are multiples of it.
         const UNIT: f64 = f64::EPSILON / 2.0;
         let mut uniform = || ((self.random.next_u64() >> 11) + 1) as f64 * UNIT;
-        // In (0, 1], so that the logarithm is finite.
+        // Uniform numbers in (0, 1], so that the logarithm is finite.
         (-2.0 * uniform().ln()).sqrt() * (TAU * uniform()).cos()
     }
 }

@@ -1,34 +1,34 @@
-//! Faults: what becomes of measurements on the way to the daemon, and of commands on the way back; torques from outside.
+//! Faults: of measurements on their way to the daemon, of commands on their way to the drives, and external torques.
 
 use upswing_config::{EventError, Fault, FaultKind, MAX_DELAY};
 use upswing_ipc::Measurement;
 use upswing_model::JointVector;
 
-/// Faults at a time.
+/// Most faults, and most pushes, that can be set at the same time.
 const MOST_FAULTS: usize = 16;
-/// Measurements to look back at, with the newest.
+/// Newest true measurements that are kept: as many as a fault can delay, and the present one.
 const HISTORY: usize = MAX_DELAY as usize + 1;
 
 /// Why a fault or a push cannot be added.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum SetEventError {
-    /// It cannot be in itself.
+    /// Its numbers are impossible.
     #[error(transparent)]
     Impossible(#[from] EventError),
-    /// It would begin in a complete cycle.
+    /// It would begin in a cycle that is over.
     #[error("expected a cycle from {next} on, got {got}: what is over cannot be changed")]
     Past {
-        /// First possible cycle.
+        /// First cycle that can still change.
         next: u64,
-        /// What came.
+        /// Cycle that was asked for.
         got: u64,
     },
-    /// There are as many as there can be.
+    /// Too many are set already.
     #[error("expected at most {MOST_FAULTS} at a time: clear some first")]
     TooMany,
 }
 
-/// Fails if there is no room for another event, or it cannot be from cycle `from` on when `next` is the next one.
+/// Fails if `count` events leave no room for another one, or it would begin in `from`, before the cycle `next`.
 pub(crate) fn check_room(count: usize, next: u64, from: u64) -> Result<(), SetEventError> {
     if from < next {
         return Err(SetEventError::Past { next, got: from });
@@ -36,86 +36,90 @@ pub(crate) fn check_room(count: usize, next: u64, from: u64) -> Result<(), SetEv
     if count >= MOST_FAULTS { Err(SetEventError::TooMany) } else { Ok(()) }
 }
 
+/// A fault with the measurement that it may freeze.
 #[derive(Clone, Debug)]
-struct Entry {
+struct FaultState {
     fault: Fault,
-    /// What was measured when the fault began.
-    held: Measurement,
+    /// The true measurement of the cycle in which the fault begins.
+    at_begin: Measurement,
 }
 
-/// Measurements on their way to the daemon.
+/// The faults that are set, and the measurements that they delay, freeze or repeat.
 #[derive(Clone, Debug)]
 pub(crate) struct Faults {
-    /// In the order of their kinds: first which measurement arrives, then what is wrong with it, whichever was set first.
-    entries: Vec<Entry>,
-    /// True measurements, a ring.
+    /// In the order of their kinds, whichever was set first: the kinds that choose a measurement come before those that
+    /// falsify it.
+    states: Vec<FaultState>,
+    /// True measurements, a ring by cycle number.
     history: [Measurement; HISTORY],
-    /// What the daemon saw in the last cycle.
-    shown: Measurement,
+    /// The measurement that the daemon found in the last cycle.
+    last_shown: Measurement,
 }
 
 impl Faults {
     pub(crate) fn new(faults: &[Fault]) -> Self {
-        let entry = |fault: &Fault| Entry { fault: *fault, held: Measurement::default() };
-        let mut entries: Vec<_> = faults.iter().map(entry).collect();
-        sort(&mut entries);
-        Self { entries, history: [Measurement::default(); HISTORY], shown: Measurement::default() }
+        let state = |fault: &Fault| FaultState { fault: *fault, at_begin: Measurement::default() };
+        let mut states: Vec<_> = faults.iter().map(state).collect();
+        sort(&mut states);
+        let none = Measurement::default();
+        Self { states, history: [none; HISTORY], last_shown: none }
     }
 
     /// Adds a fault that begins in cycle `next` or later.
     pub(crate) fn add(&mut self, fault: &Fault, next: u64) -> Result<(), SetEventError> {
         fault.check()?;
-        self.entries.retain(|entry| {
-            entry.fault.cycles == 0 || entry.fault.from.saturating_add(entry.fault.cycles) > next
+        self.states.retain(|state| {
+            state.fault.cycles == 0 || state.fault.from.saturating_add(state.fault.cycles) > next
         });
-        check_room(self.entries.len(), next, fault.from)?;
-        self.entries.push(Entry { fault: *fault, held: self.at(next) });
-        sort(&mut self.entries);
+        check_room(self.states.len(), next, fault.from)?;
+        self.states.push(FaultState { fault: *fault, at_begin: self.at(next) });
+        sort(&mut self.states);
         Ok(())
     }
 
+    /// Removes all faults.
     pub(crate) fn clear(&mut self) {
-        self.entries.clear();
+        self.states.clear();
     }
 
-    /// Takes in the true measurement of a cycle; again, if the state was changed in between.
+    /// Stores the true measurement of the present cycle; once more if the state is reset in it.
     pub(crate) fn measured(&mut self, measurement: Measurement) {
-        self.history[place(measurement.seq)] = measurement;
-        for entry in &mut self.entries {
-            if entry.fault.from == measurement.seq {
-                entry.held = measurement;
+        self.history[slot(measurement.seq)] = measurement;
+        for state in &mut self.states {
+            if state.fault.from == measurement.seq {
+                state.at_begin = measurement;
             }
         }
     }
 
-    /// Ends cycle `seq`: what it showed has been seen.
+    /// Ends cycle `seq`: the daemon has found its measurement.
     pub(crate) fn end(&mut self, seq: u64) {
-        self.shown = self.show(seq);
+        self.last_shown = self.show(seq);
     }
 
-    /// What the daemon finds in cycle `seq`, the newest one; the same as in the last cycle if nothing arrives.
+    /// The measurement that the daemon finds in cycle `seq`, the present one; that of the last cycle if none arrives.
     pub(crate) fn show(&self, seq: u64) -> Measurement {
         let mut measurement = self.at(seq);
-        for Entry { fault, held } in self.entries.iter().filter(|entry| entry.fault.acts(seq)) {
+        for FaultState { fault, at_begin } in self.states.iter().filter(|state| state.fault.acts(seq)) {
             let since = seq - fault.from;
             let odd = !since.is_multiple_of(2);
             match fault.kind {
-                FaultKind::DropMeasurement => return self.shown,
-                FaultKind::DuplicateMeasurement if !odd => return self.shown,
+                FaultKind::DropMeasurement => return self.last_shown,
+                FaultKind::DuplicateMeasurement if !odd => return self.last_shown,
                 FaultKind::ReorderMeasurement if odd => measurement = self.at(seq.saturating_sub(2)),
                 FaultKind::DelayMeasurement => {
                     // A checked whole number.
                     let delay = fault.amount as u64;
                     if since < delay {
-                        return self.shown;
+                        return self.last_shown;
                     }
                     measurement = self.at(seq - delay);
                 }
                 FaultKind::FreezeMeasurement => {
-                    (measurement.q, measurement.tau_measured) = (held.q, held.tau_measured);
+                    (measurement.q, measurement.tau_measured) = (at_begin.q, at_begin.tau_measured);
                 }
-                FaultKind::StaleTime => measurement.t_ns = held.t_ns,
-                FaultKind::EncoderStuck => measurement.q[fault.joint] = held.q[fault.joint],
+                FaultKind::StaleTime => measurement.t_ns = at_begin.t_ns,
+                FaultKind::EncoderStuck => measurement.q[fault.joint] = at_begin.q[fault.joint],
                 FaultKind::EncoderJump => measurement.q[fault.joint] += fault.amount,
                 FaultKind::EncoderNan => measurement.q[fault.joint] = f64::NAN,
                 FaultKind::DuplicateMeasurement
@@ -129,30 +133,30 @@ impl Faults {
 
     /// Whether the command of cycle `seq` is lost.
     pub(crate) fn loses_command(&self, seq: u64) -> bool {
-        self.entries.iter().any(|entry| entry.fault.kind == FaultKind::LoseCommand && entry.fault.acts(seq))
+        self.states.iter().any(|state| state.fault.kind == FaultKind::LoseCommand && state.fault.acts(seq))
     }
 
-    /// Torque on the arm from outside in cycle `seq`, N m; `None` if there is none.
+    /// External torque on the joints in cycle `seq`, N m; `None` if there is none.
     pub(crate) fn torque(&self, seq: u64) -> Option<JointVector> {
-        let acting =
-            self.entries.iter().filter(|e| e.fault.kind == FaultKind::ArmTorque && e.fault.acts(seq));
-        acting.fold(None, |sum, Entry { fault, .. }| {
+        let acting = self.states.iter().filter(|s| s.fault.kind == FaultKind::ArmTorque && s.fault.acts(seq));
+        acting.fold(None, |sum, FaultState { fault, .. }| {
             let mut sum = sum.unwrap_or_else(JointVector::zeros);
             sum[fault.joint] += fault.amount;
             Some(sum)
         })
     }
 
+    /// The true measurement of cycle `seq`, one of the newest.
     fn at(&self, seq: u64) -> Measurement {
-        self.history[place(seq)]
+        self.history[slot(seq)]
     }
 }
 
-fn sort(entries: &mut [Entry]) {
-    entries.sort_by_key(|entry| entry.fault.kind.code());
+fn sort(states: &mut [FaultState]) {
+    states.sort_by_key(|state| state.fault.kind.code());
 }
 
-/// Place of a cycle in the ring.
-fn place(seq: u64) -> usize {
+/// Index of a cycle in the history.
+fn slot(seq: u64) -> usize {
     (seq % HISTORY as u64) as usize
 }

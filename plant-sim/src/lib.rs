@@ -1,29 +1,31 @@
-//! The simulated robot: dynamics (1) of arm and pendulum, drives, encoders and brakes.
+//! The simulated robot: dynamics (1) of arm and pendulum, drives, encoders, brakes and faults.
 //!
-//! [`Plant`] is the physics: pure, deterministic, without clock or shared memory, to be coupled with a controller
-//! in the same process. [`run`] is the process around it, which advances on one of three clocks:
+//! [`Plant`] is the simulation: pure and deterministic, without clock or shared memory, also for a controller in the same
+//! process. [`run`] is the plant process, which steps a [`Plant`] on one of the clocks `wall`, `paced` and `lockstep`
+//! ([`upswing_ipc::PlantPacing`] has their rules).
 //!
-//! - `wall`: cycle n begins at a deadline of CLOCK_MONOTONIC and applies the newest command.
-//! - `paced`: cycle n waits for the command that answers measurement n, and lasts at least one period. Until the
-//!   first command arrives, time goes on with closed brakes.
-//! - `lockstep`: as `paced`, without deadlines, and only up to the cycle that `AdvanceTo` has granted. Until the first
-//!   command arrives, cycle 1 waits: so every run begins with an answered cycle.
+//! | module | contents |
+//! |---|---|
+//! | `plant` | the plant in one moment, and its step |
+//! | `mechanism` | arm and pendulum: dynamics, friction, stops, brakes, external loads, integration |
+//! | `drives`, `encoders`, `faults` | actuators, sensors, and what goes wrong with them |
+//! | `start` | which states are accepted |
+//! | `service`, `commands`, `requests` | the process: its loop, the daemon's commands, the `plant` service |
 //!
-//! On every clock the drives close the brakes when they get no fresh command for `drive.watchdog_cycles` cycles. A daemon
-//! that answers nothing in `paced` or `lockstep` counts as lost after one second if its process is gone, and after 20 s
-//! if it lives, until a command arrives. A cycle in which a fault shows the daemon nothing new does not wait for it.
+//! On every clock the drives close the brakes when no command has arrived for `drive.watchdog_cycles` cycles. A cycle in
+//! which a fault keeps the measurement from the daemon does not wait for an answer.
 //!
-//! A cycle is complete when its measurement is answered and the state has moved on. The `plant` service states
-//! the last complete cycle and the true state that the next measurement will show. A plant that pauses has therefore
-//! no measurement outstanding, and what is asked of it or of the daemon takes effect in the next cycle.
+//! A cycle is complete when its measurement is answered and the state has moved on. The `plant` service reports the last
+//! complete cycle and the true state that the next measurement will show. A paused plant therefore has no unanswered
+//! measurement, and a request to the plant or to the daemon takes effect in the next cycle.
 
-mod body;
-mod clock;
+mod commands;
 mod drives;
 mod encoders;
 mod faults;
-mod link;
+mod mechanism;
 mod plant;
+mod requests;
 mod service;
 mod start;
 
@@ -38,18 +40,19 @@ use upswing_ipc::{Clock, Domain};
 use upswing_model::{NU, StartError};
 use upswing_process::{Failure, ProcessArgs, shutdown_flag};
 
-/// Reads the name of a clock; completions of shells know the names.
+/// Parser of a clock's name for command lines; shell completions list the names.
 pub fn clock_parser() -> impl TypedValueParser<Value = Clock> {
-    PossibleValuesParser::new(["wall", "paced", "lockstep"]).try_map(|name| name.parse::<Clock>())
+    PossibleValuesParser::new(Clock::ALL.iter().map(|clock| clock.name()))
+        .try_map(|name| name.parse::<Clock>())
 }
 
 /// Options of the plant process.
 #[derive(Clone, Debug, clap::Args)]
 pub struct PlantArgs {
-    /// What every process has.
+    /// Options of every process.
     #[command(flatten)]
     pub process: ProcessArgs,
-    /// Who advances time: wall (real time), paced (real time, waits for the daemon), lockstep (as granted)
+    /// Clock: wall (real time), paced (real time, waits for the daemon), lockstep (as granted)
     #[arg(long, value_name = "CLOCK", default_value = "paced", value_parser = clock_parser())]
     pub clock: Clock,
     /// Start angles of joints 1 to 7, deg [default: start.q_deg of plant.toml]
@@ -58,13 +61,13 @@ pub struct PlantArgs {
     /// Start of the pendulum: hanging at rest, or q8 = q9 = 0 [default: start.pendulum of plant.toml]
     #[arg(long, value_name = "START")]
     pub start_pendulum: Option<PendulumStart>,
-    /// What is different about the plant: a scenario of the settings, or the path of a .toml file
+    /// Changes of the plant's settings: a scenario by name, or the path of a .toml file
     #[arg(long, value_name = "NAME|FILE")]
     pub scenario: Option<String>,
 }
 
 impl PlantArgs {
-    /// The settings, with the start that the options name.
+    /// The settings, with scenario and start of the options.
     fn load(&self) -> Result<Config, Failure> {
         let mut config = self.process.load()?;
         if let Some(scenario) = &self.scenario {
@@ -84,7 +87,7 @@ impl PlantArgs {
     }
 }
 
-/// Runs the plant until SIGINT or SIGTERM.
+/// Runs the plant process until SIGINT or SIGTERM.
 ///
 /// # Errors
 /// [`Failure::BadInput`] if the settings, the start pose or the domain cannot be used, [`Failure::Failed`] if shared

@@ -1,4 +1,4 @@
-//! The plant as a process of its own; see [`upswing_plant::run`].
+//! `upswing-plant`: the plant process, see [`upswing_plant::run`].
 
 use clap::Parser;
 use std::process::ExitCode;

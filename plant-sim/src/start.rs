@@ -1,9 +1,9 @@
-//! Which states the plant can be put into.
+//! The check of a state before the plant is put into it.
 
 use upswing_config::RobotSettings;
 use upswing_model::{JointVector, NQ, StartError};
 
-/// Why the plant cannot be put into a state. Joints count from 1.
+/// Why the plant refuses a state. Joints count from 1.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum StateError {
     /// An angle is not a number or outside the limits open to plans, or the pendulum has no rest position there.
@@ -16,17 +16,17 @@ pub enum StateError {
         joint: usize,
         /// Highest speed, deg/s.
         max: f64,
-        /// What came, deg/s.
+        /// Velocity of the refused state, deg/s.
         got: f64,
     },
-    /// The state of a plant with released brakes is the daemon's.
+    /// The brakes are released: the daemon controls the state.
     #[error(
         "the brakes are released: stop or fault the daemon first, a state can be set only with closed brakes"
     )]
     BrakesReleased,
 }
 
-/// Fails unless all of q (rad) and qd (rad/s) are within what the robot can do.
+/// Fails unless all joint positions q (rad) and velocities qd (rad/s) are within the limits of the robot.
 pub(crate) fn check_state(
     robot: &RobotSettings,
     q: &JointVector,

@@ -1,32 +1,34 @@
-//! The bodies: dynamics (1) of arm and pendulum with friction, stops, brakes and pushes, and their integration.
+//! The mechanism of arm and pendulum: dynamics (1) with friction, stops, brakes and external loads, and its integration.
 
-use crate::drives::Action;
+use crate::drives::Actuation;
 use upswing_config::{Config, FrictionSettings, StopSettings};
 use upswing_model::{ActuatedVector, JointVector, Model, N_UNACTUATED, NU, UnactuatedVector, Workspace};
 
-/// A force at the tip of the rod, world frame, N.
-pub(crate) type Force = [f64; 3];
+/// A force on the tip of the rod, world frame, N.
+pub(crate) type TipForce = [f64; 3];
 
-/// What acts on the bodies from outside over a period.
+/// A load that acts on the mechanism from outside, constant over a control period.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Outside {
-    pub force: Option<Force>,
-    /// On the joints, N m.
-    pub torque: Option<JointVector>,
+pub(crate) struct ExternalLoad {
+    pub tip_force: Option<TipForce>,
+    /// Torque on the joints, N m.
+    pub joint_torque: Option<JointVector>,
 }
 
 /// Speed below which a braked joint stands still, rad/s.
 const STANDSTILL: f64 = 1e-6;
 
-/// Arm and pendulum in motion.
+/// Arm and pendulum with their state.
 #[derive(Clone, Debug)]
-pub(crate) struct Body {
+pub(crate) struct Mechanism {
+    /// q, rad.
     pub q: JointVector,
+    /// qd, rad/s.
     pub qd: JointVector,
     model: Model,
     friction: Friction,
     stops: StopSettings,
-    /// s, at least one integration step: the integration must resolve it.
+    /// Time constant of the brakes, s; at least one integration step, so that the integration resolves it.
     brake_time_constant: f64,
     substeps: u32,
     /// Length of an integration step, s.
@@ -34,8 +36,8 @@ pub(crate) struct Body {
     work: Workspace,
 }
 
-impl Body {
-    /// Arm and pendulum in a state (rad, rad/s).
+impl Mechanism {
+    /// The mechanism in a state (rad, rad/s).
     pub(crate) fn new(config: &Config, model: Model, q: &JointVector, qd: &JointVector) -> Self {
         let settings = &config.plant;
         let step = config.daemon.cycle.period.seconds() / f64::from(settings.substeps);
@@ -52,31 +54,31 @@ impl Body {
         }
     }
 
-    /// Crosses one control period. None if the result is not a number: then the last state that was one remains.
-    pub(crate) fn advance(&mut self, action: &Action, outside: &Outside) -> Option<()> {
+    /// Integrates one control period. `None` if the state diverges: then its last finite value remains.
+    pub(crate) fn advance(&mut self, actuation: &Actuation, external: &ExternalLoad) -> Option<()> {
         for _ in 0..self.substeps {
-            self.integrate(action, outside)?;
+            self.integrate(actuation, external)?;
         }
         Some(())
     }
 
-    /// One step of classical Runge-Kutta.
-    fn integrate(&mut self, action: &Action, outside: &Outside) -> Option<()> {
+    /// One step of the classical Runge-Kutta method.
+    fn integrate(&mut self, actuation: &Actuation, external: &ExternalLoad) -> Option<()> {
         let h = self.step;
         let (q, v1) = (self.q, self.qd);
-        let a1 = self.acceleration(&q, &v1, action, outside)?;
+        let a1 = self.acceleration(&q, &v1, actuation, external)?;
         let v2 = v1 + a1 * (0.5 * h);
-        let a2 = self.acceleration(&(q + v1 * (0.5 * h)), &v2, action, outside)?;
+        let a2 = self.acceleration(&(q + v1 * (0.5 * h)), &v2, actuation, external)?;
         let v3 = v1 + a2 * (0.5 * h);
-        let a3 = self.acceleration(&(q + v2 * (0.5 * h)), &v3, action, outside)?;
+        let a3 = self.acceleration(&(q + v2 * (0.5 * h)), &v3, actuation, external)?;
         let v4 = v1 + a3 * h;
-        let a4 = self.acceleration(&(q + v3 * h), &v4, action, outside)?;
+        let a4 = self.acceleration(&(q + v3 * h), &v4, actuation, external)?;
         let q = q + (v1 + (v2 + v3) * 2.0 + v4) * (h / 6.0);
         let mut qd = v1 + (a1 + (a2 + a3) * 2.0 + a4) * (h / 6.0);
         if !q.iter().chain(qd.iter()).all(|v| v.is_finite()) {
             return None;
         }
-        if *action == Action::Brakes {
+        if *actuation == Actuation::Brakes {
             for i in 0..NU {
                 if qd[i].abs() < STANDSTILL {
                     qd[i] = 0.0;
@@ -92,39 +94,39 @@ impl Body {
         &mut self,
         q: &JointVector,
         qd: &JointVector,
-        action: &Action,
-        outside: &Outside,
+        actuation: &Actuation,
+        external: &ExternalLoad,
     ) -> Option<JointVector> {
-        let mut load = self.passive_load(q, qd, outside);
-        let Action::Torque(torque) = action else { return self.braked_acceleration(q, qd, &load) };
+        let mut load = self.passive_load(q, qd, external);
+        let Actuation::Torque(torque) = actuation else { return self.braked_acceleration(q, qd, &load) };
         for i in 0..NU {
             load[i] += torque[i];
         }
         self.model.forward_dynamics(q, qd, &load, &mut self.work)
     }
 
-    /// Torque of friction, stops and what acts from outside, N m.
-    fn passive_load(&self, q: &JointVector, qd: &JointVector, outside: &Outside) -> JointVector {
+    /// Torque of friction, stops and external load on the joints, N m.
+    fn passive_load(&self, q: &JointVector, qd: &JointVector, external: &ExternalLoad) -> JointVector {
         let mut load = -self.friction.torque(qd);
         for i in 0..load.len() {
             load[i] += stop_torque(&self.stops, i, q[i], qd[i]);
         }
-        if let Some(force) = outside.force {
+        if let Some(force) = external.tip_force {
             load += self.model.torque_of_tip_force(q, &force.into());
         }
-        if let Some(torque) = &outside.torque {
+        if let Some(torque) = &external.joint_torque {
             load += torque;
         }
         load
     }
 
-    /// Torque with which closed brakes hold an arm at rest, N m; `None` while it moves.
-    pub(crate) fn held_load(&mut self, outside: &Outside) -> Option<ActuatedVector> {
+    /// Torque with which closed brakes hold the arm at rest, N m; `None` while it moves.
+    pub(crate) fn held_load(&mut self, external: &ExternalLoad) -> Option<ActuatedVector> {
         let (q, qd) = (self.q, self.qd);
         if qd.fixed_rows::<NU>(0).amax() != 0.0 {
             return None;
         }
-        let load = self.passive_load(&q, &qd, outside);
+        let load = self.passive_load(&q, &qd, external);
         let qdd = self.braked_acceleration(&q, &qd, &load)?;
         let force = self.model.inverse_dynamics(&q, &qd, &qdd, &mut self.work) - load;
         Some(force.fixed_rows::<NU>(0).into())
@@ -151,7 +153,7 @@ impl Body {
     }
 }
 
-/// Torque of the stop of a joint, counted from 0, N m.
+/// Torque of the mechanical stop of a joint (counted from 0), N m.
 fn stop_torque(stops: &StopSettings, joint: usize, q: f64, qd: f64) -> f64 {
     let depth = q.abs() - stops.q[joint];
     if stops.stiffness[joint] == 0.0 || depth <= 0.0 {
@@ -161,7 +163,7 @@ fn stop_torque(stops: &StopSettings, joint: usize, q: f64, qd: f64) -> f64 {
     -q.signum() * back.max(0.0)
 }
 
-/// Torque against the motion, viscous qd + coulomb tanh(qd / smoothing), of what the drives do not remove.
+/// Joint friction, viscous qd + coulomb tanh(qd / smoothing), less what the drives compensate.
 #[derive(Clone, Debug)]
 struct Friction {
     /// N m s/rad
@@ -174,9 +176,9 @@ struct Friction {
 
 impl Friction {
     fn new(settings: &FrictionSettings) -> Self {
-        let felt = 1.0 - settings.arm_compensation;
+        let residual = 1.0 - settings.arm_compensation;
         let join = |arm: &[f64; NU], pendulum: &[f64; N_UNACTUATED]| {
-            JointVector::from_fn(|i, _| if i < NU { felt * arm[i] } else { pendulum[i - NU] })
+            JointVector::from_fn(|i, _| if i < NU { residual * arm[i] } else { pendulum[i - NU] })
         };
         Self {
             viscous: join(&settings.arm_viscous, &settings.pendulum_viscous),
@@ -185,11 +187,11 @@ impl Friction {
         }
     }
 
-    /// N m
+    /// Torque against the motion, N m.
     fn torque(&self, qd: &JointVector) -> JointVector {
         JointVector::from_fn(|i, _| {
             let viscous = self.viscous[i] * qd[i];
-            // Where the drives remove all of it, nothing is left to compute.
+            // Where the drives compensate all of it, nothing is left to compute.
             if self.coulomb[i] == 0.0 {
                 return viscous;
             }

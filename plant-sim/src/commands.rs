@@ -1,0 +1,59 @@
+//! The commands of the daemon, read from shared memory.
+
+use tracing::warn;
+use upswing_ipc::{Command, Commands, IpcError, Node, Reader, Search};
+
+/// The commands of the newest daemon. Nothing in them is trusted.
+pub(crate) struct DaemonCommands {
+    daemon: Option<Daemon>,
+    // Outlives the readers.
+    search: Search<Command>,
+}
+
+/// A daemon that was found.
+struct Daemon {
+    reader: Reader<Command>,
+    /// `seq` of the newest command that was looked at.
+    seq: u64,
+}
+
+impl DaemonCommands {
+    /// Waits until the first search has ended. To be called before the first measurement is published: a command that is
+    /// there already answers another plant, and is never taken.
+    ///
+    /// # Errors
+    /// If no thread can be started.
+    pub(crate) fn new(node: &Node) -> std::io::Result<Self> {
+        let search = Search::start(node)?;
+        let daemon = logged(search.first()).map(|reader| Daemon { seq: reader.read().seq, reader });
+        Ok(Self { daemon, search })
+    }
+}
+
+impl Commands for DaemonCommands {
+    /// No system call unless a new daemon was found.
+    fn take(&mut self, newest: u64) -> Option<Command> {
+        while let Some(reader) = logged(self.search.take()) {
+            self.daemon = Some(Daemon { reader, seq: 0 });
+        }
+        let daemon = self.daemon.as_mut()?;
+        let command = daemon.reader.read();
+        if command.seq <= daemon.seq {
+            return None;
+        }
+        daemon.seq = command.seq;
+        (1..=newest).contains(&command.measurement_seq).then_some(command)
+    }
+
+    fn daemon_lives(&self) -> bool {
+        self.search.lives()
+    }
+}
+
+/// The daemon that was found, if any; an error is logged.
+fn logged(found: Result<Option<Reader<Command>>, IpcError>) -> Option<Reader<Command>> {
+    found.unwrap_or_else(|e| {
+        warn!("cannot look for a daemon: {e}");
+        None
+    })
+}
