@@ -14,8 +14,8 @@ use std::time::Instant;
 use upswing_config::Config;
 use upswing_ipc::{Command, Measurement, Mode, OwnDomain};
 use upswing_model::{ActuatedVector, NQ, State, Workspace};
-use upswingd::controller::{Controller, Order};
-use upswingd::supervisor::Request;
+use upswingd::controller::Controller;
+use upswingd::step::{Request, StepInput};
 
 /// Swing-ups, about 17 000 cycles each.
 const SWINGS: usize = 12;
@@ -64,14 +64,13 @@ fn cycles(config: &Config) -> Vec<f64> {
     let mut times = Vec::new();
     for _ in 0..SWINGS {
         let (mut controller, mut arm) = (Controller::new(config), Arm::new(config, at_rest(&q)));
-        let mut orders =
-            [Order::Do(Request::Enable), Order::Load(plan.clone()), Order::Do(Request::Start(plan.id))]
-                .into_iter();
+        let mut requests =
+            [Request::Enable, Request::Load(plan.clone()), Request::Start(plan.id)].into_iter();
         loop {
             measurements.write(arm.measure());
-            let order = orders.next();
+            let request = requests.next();
             let begin = Instant::now();
-            let output = controller.step(&reader.read(), 0, order);
+            let output = controller.step(StepInput::new(reader.read(), 0, request));
             commands.write(output.command);
             let time = begin.elapsed();
             arm.advance(&output.command);

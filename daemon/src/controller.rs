@@ -10,7 +10,8 @@ use crate::law;
 use crate::observer::Observer;
 use crate::plan::Ending;
 use crate::standstill::Standstill;
-use crate::supervisor::{Event, Refusal, Request, is_braked, transition};
+use crate::step::{CycleRecord, Output, Request, StepInput};
+use crate::supervisor::{Event, Refusal, is_braked, transition};
 use crate::trip::{Trip, TripCause};
 use nalgebra::Vector3;
 use upswing_config::{Config, JointFriction, PlanWhileTracking};
@@ -19,78 +20,6 @@ use upswing_model::{
     ActuatedMatrix, ActuatedVector, JointVector, Model, NQ, NU, State, Workspace, position, velocity,
 };
 use upswing_trajectory::Plan;
-
-/// What the controller is told besides the measurement; at most one per cycle.
-#[derive(Debug)]
-pub enum Order {
-    /// Change the mode.
-    Do(Request),
-    /// Keep a checked plan for the next start.
-    Load(Box<Plan>),
-}
-
-impl Order {
-    /// The number that stands for the order in a [`Step`]; above 0.
-    pub fn code(&self) -> u64 {
-        match self {
-            Self::Load(_) => 1,
-            Self::Do(request) => 2 + request.index(),
-        }
-    }
-
-    /// Id of the plan that the order loads or starts, 0: none.
-    pub fn plan_id(&self) -> u64 {
-        match self {
-            Self::Load(plan) => plan.id,
-            Self::Do(Request::Start(id)) => *id,
-            Self::Do(_) => 0,
-        }
-    }
-
-    /// The order of a code and a plan's id; `plan` is for the one that loads a plan. `None` if there is no such order, or
-    /// no plan for it.
-    pub fn of(code: u64, plan_id: u64, plan: impl FnOnce() -> Option<Box<Plan>>) -> Option<Self> {
-        match code.checked_sub(2) {
-            None if code == 1 => plan().map(Self::Load),
-            None => None,
-            Some(index) => {
-                let request = usize::try_from(index).ok().and_then(|index| Request::ALL.get(index));
-                request.map(|request| match request {
-                    Request::Start(_) => Self::Do(Request::Start(plan_id)),
-                    request => Self::Do(*request),
-                })
-            }
-        }
-    }
-}
-
-/// What one cycle gives.
-#[derive(Debug)]
-pub struct Output {
-    /// For the drives.
-    pub command: Command,
-    /// For those who watch.
-    pub record: Record,
-    /// To the order of this cycle, if there was one.
-    pub answer: Option<Result<(), Refusal>>,
-    /// A plan that is no longer needed, to be freed elsewhere.
-    pub garbage: Option<Box<Plan>>,
-}
-
-/// What there is to know about one cycle.
-#[derive(Clone, Copy, Debug)]
-pub struct Record {
-    /// The published part.
-    pub telemetry: Telemetry,
-    /// What led to it.
-    pub step: Step,
-    /// Why the last mode was given up; kept until the next enable, start or reset.
-    pub trip: Option<Trip>,
-    /// Why an enable would be refused; `None` where it would not, and outside Idle.
-    pub unready: Option<Refusal>,
-    /// Cycles that ended too late since the start of the daemon; 0 from the controller, which knows no clock.
-    pub overruns: u64,
-}
 
 /// x_d, u_d and the input u after feedback.
 struct Target {
@@ -124,8 +53,8 @@ pub struct Controller {
     /// What exceeded its warning level in this cycle, [`TripCause::bit`].
     warnings: u64,
     cycle: u64,
-    /// What it was told since the last step, and the number of that step.
-    told: Step,
+    /// Number of the last step, counts from 1.
+    step: u64,
 
     observer: Observer,
     disturbance: Disturbance,
@@ -167,7 +96,7 @@ impl Controller {
             trip: None,
             warnings: 0,
             cycle: 0,
-            told: Step::default(),
+            step: 0,
             observer: Observer::new(&config.daemon.cycle),
             disturbance: Disturbance::new(
                 &config.daemon.disturbance,
@@ -209,40 +138,23 @@ impl Controller {
         &self.observer.x
     }
 
-    /// To be called when measurements do not come any more, which on the paced clock only the caller can tell.
-    pub fn lose_measurement(&mut self, cycles: u64) {
-        self.told.lost = cycles;
-        let trip = self.checks.lost(cycles);
-        self.observer.unfit = Some(trip);
-        self.give_up(Event::Fault, trip);
-    }
-
-    /// To be called before the first measurement of another plant, or of the same after a restart.
-    pub fn restart_measurement(&mut self) {
-        self.told.restarted = 1;
-        let trip = self.observer.restart();
-        self.senses = false;
-        self.give_up(Event::Fault, trip);
-    }
-
-    /// How many cycles in a row ended late before the next one; only the caller knows a clock.
-    pub fn report_late(&mut self, cycles: u64) {
-        self.told.late = cycles;
-    }
-
-    /// One cycle. `measurement` is the newest one, whether or not it is new; `now_ns` is the planned time of the
-    /// cycle on the wall clock, and ignored on the others: they advance one period per measurement.
+    /// Computes one cycle.
     #[cfg_attr(rtsan, sanitize(realtime = "nonblocking"))]
-    pub fn step(&mut self, measurement: &Measurement, now_ns: u64, order: Option<Order>) -> Output {
-        let told = Step {
-            number: self.told.number + 1,
-            now_ns,
-            order: order.as_ref().map_or(0, Order::code),
-            plan_id: order.as_ref().map_or(0, Order::plan_id),
-            measurement: *measurement,
-            ..self.told
-        };
-        self.told = Step { number: told.number, late: told.late, ..Step::default() };
+    pub fn step(&mut self, input: StepInput) -> Output {
+        self.step += 1;
+        let recorded = input.to_payload(self.step, 0);
+        let StepInput { measurement, now_ns, late_cycles, lost_cycles, restarted, request } = input;
+        let measurement = &measurement;
+        if restarted {
+            let trip = self.observer.restart();
+            self.senses = false;
+            self.give_up(Event::TripToFault, trip);
+        }
+        if lost_cycles > 0 {
+            let trip = self.checks.lost(lost_cycles);
+            self.observer.unfit = Some(trip);
+            self.give_up(Event::TripToFault, trip);
+        }
         // Before a plant shows its clock no time passes: that of a paced one will begin at 0.
         let wall = measurement.period_ns > 0 && measurement.clock() == Ok(Clock::Wall);
         let first = self.observer.is_new();
@@ -300,23 +212,20 @@ impl Controller {
         self.cycle += u64::from(fresh || wall);
 
         if let Some(trip) = restarted.or(self.observer.unfit).or(stuck).or(collision) {
-            self.give_up(Event::Fault, trip);
+            self.give_up(Event::TripToFault, trip);
         }
-        if let Some(trip) = self.checks.late(told.late, &mut self.warnings) {
-            self.give_up(Event::Lost, trip);
+        if let Some(trip) = self.checks.late(late_cycles, &mut self.warnings) {
+            self.give_up(Event::TripToStop, trip);
         }
         // The age of a plan matters where it could be started; what is too old is refused there.
         if let Some(kept) = &self.loaded
-            && transition(self.mode, Event::Asked(Request::Start(kept.plan.id))).is_ok()
+            && transition(self.mode, Event::Start).is_ok()
             && self.start_time(kept).is_ok()
         {
             let _ = self.checks.plan_age(age(kept, self.now), &mut self.warnings);
         }
         let mut garbage = None;
-        let answer = order.map(|order| match order {
-            Order::Do(request) => self.obey(request, &mut garbage),
-            Order::Load(plan) => self.load(plan, &mut garbage),
-        });
+        let answer = request.map(|request| self.obey(request, &mut garbage));
 
         let followed = if matches!(self.mode, Mode::Track | Mode::Balance) { self.follow() } else { None };
         let target = followed.unwrap_or_else(|| match self.mode {
@@ -343,15 +252,15 @@ impl Controller {
                 tau: telemetry.tau,
                 brake: is_braked(self.mode).into(),
             },
-            record: Record {
+            record: CycleRecord {
                 telemetry,
-                step: Step { cycle: self.cycle, ..told },
+                step: Step { cycle: self.cycle, ..recorded },
                 trip: self.trip,
                 unready: self.unready(),
                 overruns: 0,
             },
             answer,
-            garbage,
+            retired: [garbage, None],
         }
     }
 
@@ -440,10 +349,14 @@ impl Controller {
     }
 
     fn obey(&mut self, request: Request, garbage: &mut Option<Box<Plan>>) -> Result<(), Refusal> {
+        let request = match request {
+            Request::Load(plan) => return self.load(plan, garbage),
+            request => request,
+        };
         if self.shutting_down && request != Request::Shutdown {
             return Err(Refusal::ShuttingDown);
         }
-        let to = transition(self.mode, Event::Asked(request))?;
+        let to = request.event().map_or(Ok(self.mode), |event| transition(self.mode, event))?;
         match request {
             Request::Enable => {
                 if let Some(refusal) = self.unready() {
@@ -467,7 +380,7 @@ impl Controller {
             }
             Request::Reset => self.trip = None,
             Request::Shutdown => self.shutting_down = true,
-            Request::Hold | Request::Stop => {}
+            Request::Hold | Request::Stop | Request::Load(_) => {}
         }
         self.enter(to);
         Ok(())
@@ -536,7 +449,7 @@ impl Controller {
             lost = lost.or(self.checks.balance_speed(&v, &u, warnings));
         }
         if let Some(trip) = self.checks.pendulum(x, warnings).or(lost) {
-            self.give_up(Event::Lost, trip);
+            self.give_up(Event::TripToStop, trip);
             return None;
         }
         Some(Target { x_d: reference.x, u_d: reference.u, u, t_plan })
@@ -548,7 +461,7 @@ impl Controller {
         if self.mode == Mode::Stop {
             u_d = self.arm.decelerate(elapsed);
             if self.arm.is_settled(&self.observer.x, self.now) {
-                let event = if self.shutting_down { Event::AtRestForGood } else { Event::AtRest };
+                let event = if self.shutting_down { Event::AtRestAtShutdown } else { Event::AtRest };
                 if let Ok(to) = transition(self.mode, event) {
                     self.enter(to);
                 }
@@ -560,7 +473,7 @@ impl Controller {
         let x = &self.observer.x;
         let target = Target { x_d: self.arm.state(x), u_d, u: self.arm.input(x, &u_d), t_plan: 0.0 };
         if let Some(trip) = self.checks.hold(x, &target.x_d, &mut self.warnings) {
-            self.give_up(Event::Fault, trip);
+            self.give_up(Event::TripToFault, trip);
             return self.rest();
         }
         target
@@ -583,7 +496,7 @@ impl Controller {
                 Some(torque) => {
                     let (torque, rate) = self.begin(torque);
                     match rate {
-                        Some(trip) => self.give_up(Event::Fault, trip),
+                        Some(trip) => self.give_up(Event::TripToFault, trip),
                         None => {
                             self.inertia = self.model.reduced_inertia(&self.work);
                             self.expected = (!torque.limited).then_some(torque.qdd);
@@ -593,7 +506,7 @@ impl Controller {
                         }
                     }
                 }
-                None => self.give_up(Event::Fault, Trip::plain(TripCause::LawNotFinite)),
+                None => self.give_up(Event::TripToFault, Trip::plain(TripCause::LawNotFinite)),
             }
         }
         let none = ActuatedVector::zeros();

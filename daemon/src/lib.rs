@@ -13,7 +13,7 @@
 //! | `realtime` | the thread that runs the cycle on time |
 //! | [`os`] | scheduler and memory calls, and what the system refuses of them |
 //! | [`service`] | the thread that does all the rest |
-//! | `journal`, [`histogram`], `overrun`, [`flight`] | what it keeps of the cycles: statistics, causes of overruns, the flight recorder |
+//! | `cycle_log`, [`histogram`], `overrun`, [`flight`] | what it keeps of the cycles: statistics, causes of overruns, the flight recorder |
 //! | [`recovery`] | what follows a lost balance |
 
 // `.ci/rtsan` builds with this: the functions of the cycle then end the process if they allocate, lock or block.
@@ -22,11 +22,11 @@
 mod arm;
 mod checks;
 pub mod controller;
+mod cycle_log;
 mod disturbance;
 pub mod filter;
 pub mod flight;
 pub mod histogram;
-mod journal;
 mod law;
 mod loads;
 mod observer;
@@ -37,6 +37,7 @@ mod realtime;
 pub mod recovery;
 pub mod service;
 mod standstill;
+pub mod step;
 pub mod supervisor;
 pub mod trip;
 

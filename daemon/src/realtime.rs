@@ -1,9 +1,10 @@
 //! The real-time thread: waits for the next cycle, lets the controller compute it, writes the command.
 //!
 //! Once started it neither allocates nor frees, and its only system calls are those that read the clock and sleep.
-//! Everything comes and goes through wait-free rings ([`Ends`] holds the other ends).
+//! Everything comes and goes through wait-free rings ([`RealtimeLink`] holds the other ends).
 
-use crate::controller::{Controller, Order, Record};
+use crate::controller::Controller;
+use crate::step::{CycleRecord, Request, StepInput};
 use crate::supervisor::Refusal;
 use rtrb::{Consumer, Producer, RingBuffer};
 use std::sync::Arc;
@@ -15,10 +16,12 @@ use upswing_ipc::{
 };
 use upswing_trajectory::Plan;
 
-/// Cycles that the other thread may be late to fetch: one second.
+/// Cycles that the service thread may be late to fetch: one second.
 const RECORDS: usize = 8192;
-/// Orders, and what comes back from them.
-const ORDERS: usize = 64;
+/// Requests that may wait for the next cycle.
+const REQUESTS: usize = 64;
+/// Replies that one request can cause: an answer and two retired plans.
+const REPLIES_PER_REQUEST: usize = 3;
 /// Readers of restarted plants.
 const READERS: usize = 8;
 
@@ -38,33 +41,33 @@ const NAP_SHARE: u64 = 8;
 /// Longest time that one nap counts for, ns: a machine that has no time for this thread has none for the plant either.
 const LONGEST_NAP_NS: u64 = 1_000_000;
 
-/// An order with the number under which it will be answered.
-pub struct Ticket {
+/// A request on its way to the controller, with the number under which it will be answered.
+pub struct NumberedRequest {
     /// Unique for this daemon.
     pub number: u64,
-    /// The order.
-    pub order: Order,
+    /// The request.
+    pub request: Request,
 }
 
-/// What comes back from orders.
-pub enum Report {
-    /// The answer to an order.
+/// A message from the controller to the service thread.
+pub enum Reply {
+    /// The answer to a request.
     Answer {
-        /// Number of its ticket.
+        /// Number of the request.
         number: u64,
-        /// Whether it was done.
+        /// Why the request was refused, if it was.
         result: Result<(), Refusal>,
     },
     /// A plan to be freed.
-    Garbage(Box<Plan>),
+    Retired(Box<Plan>),
 }
 
-/// What both threads see of each other besides the rings.
+/// Flags and counters that the real-time thread and the service thread share.
 #[derive(Default)]
-pub struct Shared {
-    /// Tells the real-time thread to close the brakes and end.
+pub struct SharedFlags {
+    /// Makes the real-time thread close the brakes and end.
     pub exit: AtomicBool,
-    /// Whether orders wait for a measurement that may be long in coming (lockstep).
+    /// Whether requests wait for a measurement that may be long in coming (lockstep).
     pub stands_still: AtomicBool,
     /// Whether the plant is on clock `wall`: only then does the thread need real-time priority.
     pub real_time: AtomicBool,
@@ -76,32 +79,32 @@ pub struct Shared {
     pub beats: AtomicU64,
 }
 
-/// The other thread's ends of the rings.
-pub struct Ends {
-    /// Orders to the controller, in order of arrival.
-    pub orders: Producer<Ticket>,
+/// The service thread's connection to the real-time thread.
+pub struct RealtimeLink {
+    /// Requests to the controller, in order of arrival.
+    pub requests: Producer<NumberedRequest>,
     /// Readers of newly found plants.
     pub readers: Producer<Reader<Measurement>>,
-    /// What came back from orders.
-    pub reports: Consumer<Report>,
+    /// Answers to requests, and plans to be freed.
+    pub replies: Consumer<Reply>,
     /// One record per cycle.
-    pub records: Consumer<Record>,
-    /// Flags and counters.
-    pub shared: Arc<Shared>,
+    pub records: Consumer<CycleRecord>,
+    /// Flags and counters that both threads share.
+    pub shared: Arc<SharedFlags>,
 }
 
-/// All that the real-time thread owns.
-pub struct Cycle {
+/// The real-time thread with all that it owns.
+pub struct RealtimeThread {
     controller: Controller,
     command: WriterEntry<Command>,
     reader: Option<Reader<Measurement>>,
     /// The newest measurement.
     measurement: Measurement,
-    orders: Consumer<Ticket>,
+    requests: Consumer<NumberedRequest>,
     readers: Consumer<Reader<Measurement>>,
-    reports: Producer<Report>,
-    records: Producer<Record>,
-    shared: Arc<Shared>,
+    replies: Producer<Reply>,
+    records: Producer<CycleRecord>,
+    shared: Arc<SharedFlags>,
     period_ns: u64,
     /// How long the newest measurement has been waited for, not counting when this thread could not run, ns.
     waited_ns: u64,
@@ -111,28 +114,32 @@ pub struct Cycle {
     /// Bits of [`upswing_ipc::Degradation`].
     degraded: u64,
     command_seq: u64,
-    /// What the order of this cycle brought back.
+    /// Whether the plant has changed or restarted since the last step.
+    restarted: bool,
+    /// Cycles without a measurement, in the step in which the plant counts as lost; otherwise 0.
+    lost_cycles: u64,
+    /// Answer to the request of this cycle.
     answer: Option<(u64, Result<(), Refusal>)>,
-    garbage: Option<Box<Plan>>,
+    /// Plans that the controller does not need any more.
+    retired: [Option<Box<Plan>>; 2],
 }
 
-impl Cycle {
-    /// The real-time end of new rings, and the other one. Commands go to `command`.
-    pub fn new(config: &Config, command: WriterEntry<Command>) -> (Self, Ends) {
-        let (orders_in, orders) = RingBuffer::new(ORDERS);
+impl RealtimeThread {
+    /// The thread, not yet started, and the connection of the service thread to it. Commands go to `command`.
+    pub fn new(config: &Config, command: WriterEntry<Command>) -> (Self, RealtimeLink) {
+        let (requests_in, requests) = RingBuffer::new(REQUESTS);
         let (readers_in, readers) = RingBuffer::new(READERS);
-        // An order brings back at most an answer and a plan.
-        let (reports, reports_out) = RingBuffer::new(2 * ORDERS);
+        let (replies, replies_out) = RingBuffer::new(REPLIES_PER_REQUEST * REQUESTS);
         let (records, records_out) = RingBuffer::new(RECORDS);
-        let shared = Arc::new(Shared::default());
-        let cycle = Self {
+        let shared = Arc::new(SharedFlags::default());
+        let thread = Self {
             controller: Controller::new(config),
             command,
             reader: None,
             measurement: Measurement::default(),
-            orders,
+            requests,
             readers,
-            reports,
+            replies,
             records,
             shared: Arc::clone(&shared),
             period_ns: config.daemon.cycle.period.nanos(),
@@ -141,17 +148,19 @@ impl Cycle {
             late: 0,
             degraded: 0,
             command_seq: 0,
+            restarted: false,
+            lost_cycles: 0,
             answer: None,
-            garbage: None,
+            retired: [None, None],
         };
-        let ends = Ends {
-            orders: orders_in,
+        let link = RealtimeLink {
+            requests: requests_in,
             readers: readers_in,
-            reports: reports_out,
+            replies: replies_out,
             records: records_out,
             shared,
         };
-        (cycle, ends)
+        (thread, link)
     }
 
     /// Runs until it is told to exit; then closes the brakes. `degraded`: what the system refused, for the records.
@@ -163,7 +172,7 @@ impl Cycle {
             self.shared.beats.fetch_add(1, Ordering::Relaxed);
             self.adopt_reader();
             let clock = self.clock();
-            // Orders wait for the next measurement, in order of arrival: on lockstep, where time may stand still for
+            // Requests wait for the next measurement, in order of arrival: on lockstep, where time may stand still for
             // as long as it likes, and before the first one of a plant, which may be on lockstep.
             let stands_still =
                 clock == Some(Clock::Lockstep) || (self.reader.is_some() && self.measurement.seq == 0);
@@ -190,10 +199,10 @@ impl Cycle {
                 !lost && self.measurement.seq > 0 && is_lost(lives, Duration::from_nanos(self.waited_ns));
             if newly_lost {
                 lost = true;
-                self.controller.lose_measurement(self.waited_ns / self.period_ns);
+                self.lost_cycles = self.waited_ns / self.period_ns;
             }
-            // Who gave the order may know of a plant that was handed over just before.
-            if newly_lost || (!self.orders.is_empty() && self.readers.is_empty()) {
+            // The sender of a request may know of a plant that was handed over just before.
+            if newly_lost || (!self.requests.is_empty() && self.readers.is_empty()) {
                 self.compute(monotonic_ns());
             }
         }
@@ -215,13 +224,11 @@ impl Cycle {
     #[cfg_attr(rtsan, sanitize(realtime = "nonblocking"))]
     fn adopt_reader(&mut self) {
         while let Ok(reader) = self.readers.pop() {
-            if self.reader.is_some() {
-                self.controller.restart_measurement();
-            }
+            self.restarted |= self.reader.is_some();
             self.measurement = reader.read();
             // Its seq must count as new.
             self.measurement.seq = 0;
-            // The finder of the other thread has the old one open: this only counts down.
+            // The finder of the service thread has the old one open: this only counts down.
             self.reader = Some(reader);
             self.waited_ns = 0;
         }
@@ -265,7 +272,7 @@ impl Cycle {
         self.publish(record, late);
     }
 
-    /// A step between cycles, without a new measurement, to answer an order or to notice that the plant is lost.
+    /// A step between cycles, without a new measurement, to answer a request or to notice that the plant is lost.
     #[cfg_attr(rtsan, sanitize(realtime = "nonblocking"))]
     fn compute(&mut self, now: u64) {
         let (record, _) = self.compute_timed(now);
@@ -273,34 +280,38 @@ impl Cycle {
     }
 
     /// Steps the controller and writes the command; the record, and the time between the two.
-    fn compute_timed(&mut self, now: u64) -> (Record, u64) {
-        // An order is taken only if what it brings back has room.
-        let ticket = if self.reports.slots() >= 2 { self.orders.pop().ok() } else { None };
-        let (number, order) = ticket.map_or((0, None), |ticket| (ticket.number, Some(ticket.order)));
-        let output = self.controller.step(&self.measurement, now, order);
+    fn compute_timed(&mut self, now: u64) -> (CycleRecord, u64) {
+        // A request is taken only if its replies have room.
+        let next = if self.replies.slots() >= REPLIES_PER_REQUEST { self.requests.pop().ok() } else { None };
+        let (number, request) = next.map_or((0, None), |next| (next.number, Some(next.request)));
+        let output = self.controller.step(StepInput {
+            late_cycles: self.late,
+            lost_cycles: std::mem::take(&mut self.lost_cycles),
+            restarted: std::mem::take(&mut self.restarted),
+            ..StepInput::new(self.measurement, now, request)
+        });
         let computed = monotonic_ns();
         self.command.write(output.command);
         self.command_seq = output.command.seq;
         self.answer = output.answer.map(|result| (number, result));
-        self.garbage = output.garbage;
+        self.retired = output.retired;
         (output.record, computed)
     }
 
-    fn report(&mut self, report: Report) {
-        if let Err(rtrb::PushError::Full(report)) = self.reports.push(report) {
-            // Only if the other thread has not looked for many plans. Leaking one is better than freeing it here.
-            std::mem::forget(report);
+    fn reply(&mut self, reply: Reply) {
+        if let Err(rtrb::PushError::Full(reply)) = self.replies.push(reply) {
+            // Only if the service thread has not looked for many plans. Leaking one is better than freeing it here.
+            std::mem::forget(reply);
         }
     }
 
-    fn publish(&mut self, mut record: Record, overrun: bool) {
+    fn publish(&mut self, mut record: CycleRecord, overrun: bool) {
         if overrun {
             self.overruns += 1;
             record.telemetry.flags |= Telemetry::OVERRUN;
         }
         // Where the plant waits for the answer a slow machine does no harm.
         self.late = if overrun && self.clock() == Some(Clock::Wall) { self.late + 1 } else { 0 };
-        self.controller.report_late(self.late);
         record.telemetry.degraded = self.degraded;
         record.overruns = self.overruns;
         if self.records.push(record).is_err() {
@@ -308,10 +319,10 @@ impl Cycle {
         }
         // After the record: whoever sees the answer can see the state that followed.
         if let Some((number, result)) = self.answer.take() {
-            self.report(Report::Answer { number, result });
+            self.reply(Reply::Answer { number, result });
         }
-        if let Some(plan) = self.garbage.take() {
-            self.report(Report::Garbage(plan));
+        for plan in std::mem::take(&mut self.retired).into_iter().flatten() {
+            self.reply(Reply::Retired(plan));
         }
     }
 

@@ -1,7 +1,7 @@
 //! Recovery after a lost balance: wait until the pendulum hangs at rest, ask for a plan, wait until the plan is loaded and due,
 //! start it. Pure; the service thread performs the [`RecoveryAction`]s.
 
-use crate::controller::Record;
+use crate::step::CycleRecord;
 use crate::trip::TripCause;
 use upswing_config::RecoverySettings;
 use upswing_ipc::Mode;
@@ -66,7 +66,7 @@ impl Recovery {
     }
 
     /// Takes in the record of a cycle; `loaded` is the id of the loaded plan. Returns each action once.
-    pub fn note(&mut self, record: &Record, loaded: u64) -> Option<RecoveryAction> {
+    pub fn note(&mut self, record: &CycleRecord, loaded: u64) -> Option<RecoveryAction> {
         let telemetry = &record.telemetry;
         let before = self.mode;
         (self.mode, self.now) = (telemetry.mode().unwrap_or(Mode::Fault), telemetry.t_ns);

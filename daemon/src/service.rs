@@ -1,14 +1,14 @@
-//! The other thread: answers requests, checks plans, publishes telemetry, hands over plants. It never waits for other
-//! processes: those who stop the arm wait for it.
+//! The service thread of the daemon, which is not in real time: answers requests, checks plans, publishes telemetry, finds
+//! plants. It never waits for other processes, so that a request to stop the arm is answered at once.
 
-use crate::controller::{Order, Record};
-use crate::journal::Journal;
+use crate::cycle_log::CycleLog;
 use crate::loads::Loads;
 use crate::os::{self, Refused};
 use crate::plan;
-use crate::realtime::{Cycle, Ends, Report, Ticket};
+use crate::realtime::{NumberedRequest, RealtimeLink, RealtimeThread, Reply};
 use crate::recovery::{Recovery, RecoveryAction};
-use crate::supervisor::{Refusal, Request, is_braked};
+use crate::step::{CycleRecord, Request};
+use crate::supervisor::{Refusal, is_braked};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
@@ -52,31 +52,31 @@ pub fn serve(config: &Config, domain: &Domain, shutdown: &AtomicBool) -> Result<
     })?;
     // The ports outlive the entry in the real-time thread, which is joined below.
     let (command, _ports) = node.writer::<Command>().map_err(failed)?.split();
-    let (cycle, ends) = Cycle::new(config, command);
-    let mut desk = Desk::new(config, &node, ends)?;
-    let thread = start_thread(config, cycle, refused, &mut desk)?;
+    let (realtime, link) = RealtimeThread::new(config, command);
+    let mut service = ServiceThread::new(config, &node, link)?;
+    let thread = start_thread(config, realtime, refused, &mut service)?;
     info!("daemon ready in domain `{domain}`, model {:016x}", config.model.fingerprint());
 
-    let result = desk.work(&server, shutdown, &thread);
-    desk.manager.stopping();
-    desk.ends.shared.exit.store(true, Ordering::Release);
+    let result = service.run(&server, shutdown, &thread);
+    service.manager.stopping();
+    service.link.shared.exit.store(true, Ordering::Release);
     let joined = thread.join();
-    desk.closing.store(true, Ordering::Release);
-    if let Some(asker) = desk.asker.take() {
+    service.closing.store(true, Ordering::Release);
+    if let Some(asker) = service.asker.take() {
         let _ = asker.join();
     }
-    desk.fetch();
-    let flushed = desk.journal.flush(desk.dropped());
-    desk.complain_of(flushed);
+    service.fetch();
+    let flushed = service.log.flush(service.dropped());
+    service.complain_of(flushed);
     joined.map_err(|_| Failure::Failed("the real-time thread panicked".into())).and(result)
 }
 
 /// Starts the real-time thread; it has its priority and CPU when this returns. `refused`: what the system refused so far.
 fn start_thread(
     config: &Config,
-    cycle: Cycle,
+    realtime: RealtimeThread,
     mut refused: Vec<Refused>,
-    desk: &mut Desk<'_>,
+    service: &mut ServiceThread<'_>,
 ) -> Result<JoinHandle<()>, Failure> {
     let settings = config.daemon.realtime;
     let (tell, told) = mpsc::channel();
@@ -87,7 +87,7 @@ fn start_thread(
         let heard = tell.send((os::thread_id(), degraded, refused));
         drop(tell);
         if go && heard.is_ok() {
-            cycle.run(degraded);
+            realtime.run(degraded);
         }
     };
     let thread = Builder::new()
@@ -96,8 +96,9 @@ fn start_thread(
         .map_err(|e| Failure::Failed(format!("cannot start the real-time thread: {e}")))?;
     let (tid, degraded, refused) =
         told.recv().map_err(|_| Failure::Failed("the real-time thread did not start".into()))?;
-    desk.degraded = degraded;
-    desk.threads = [(tid, settings.priority), (os::thread_id(), settings.priority.saturating_sub(1).max(1))];
+    service.degraded = degraded;
+    service.threads =
+        [(tid, settings.priority), (os::thread_id(), settings.priority.saturating_sub(1).max(1))];
     if degraded != 0 {
         let reasons = refused.into_iter().map(|refused| refused.why).collect::<Vec<_>>().join(", ");
         if settings.mode == RealtimeMode::Strict {
@@ -107,7 +108,7 @@ fn start_thread(
         }
         warn!("degraded, cycles may be late: the system refuses {reasons}");
     }
-    desk.journal.watch(tid);
+    service.log.watch(tid);
     Ok(thread)
 }
 
@@ -115,11 +116,11 @@ fn failed(e: IpcError) -> Failure {
     Failure::Failed(e.to_string())
 }
 
-/// What the thread knows and has to hand.
-struct Desk<'a> {
+/// The service thread with all that it owns.
+struct ServiceThread<'a> {
     config: &'a Config,
     node: Node,
-    ends: Ends,
+    link: RealtimeLink,
     plants: Search<Measurement>,
     /// Whether a plant was found, and one that the real-time thread has no room for yet.
     found: bool,
@@ -127,7 +128,7 @@ struct Desk<'a> {
     /// The real-time thread and this one, with their priorities where time is real, and whether they have them.
     threads: [(u32, u8); 2],
     prioritised: bool,
-    journal: Journal<'a>,
+    log: CycleLog<'a>,
     manager: Notifier,
     /// The heartbeat of the real-time thread as the manager knows it.
     beats: u64,
@@ -140,8 +141,8 @@ struct Desk<'a> {
     closing: Arc<AtomicBool>,
     /// Bits of [`upswing_ipc::Degradation`].
     degraded: u64,
-    tickets: u64,
-    /// Number of the ticket that somebody waits for (0: nobody), and its answer.
+    requests: u64,
+    /// Number of the request whose answer an operator waits for (0: none), and the answer.
     awaited: u64,
     answer: Option<Result<(), Refusal>>,
     loads: Loads,
@@ -149,19 +150,19 @@ struct Desk<'a> {
     last_complaint: String,
 }
 
-impl<'a> Desk<'a> {
-    fn new(config: &'a Config, node: &Node, ends: Ends) -> Result<Self, Failure> {
+impl<'a> ServiceThread<'a> {
+    fn new(config: &'a Config, node: &Node, link: RealtimeLink) -> Result<Self, Failure> {
         Ok(Self {
             config,
             node: node.clone(),
-            ends,
+            link,
             plants: Search::start(node)
                 .map_err(|e| Failure::Failed(format!("cannot start a thread: {e}")))?,
             found: false,
             waiting: None,
             threads: [(0, 1); 2],
             prioritised: false,
-            journal: Journal::new(&config.daemon, node).map_err(failed)?,
+            log: CycleLog::new(&config.daemon, node).map_err(failed)?,
             manager: Notifier::new(),
             beats: 0,
             mode_told: None,
@@ -169,7 +170,7 @@ impl<'a> Desk<'a> {
             asker: None,
             closing: Arc::default(),
             degraded: 0,
-            tickets: 0,
+            requests: 0,
             awaited: 0,
             answer: None,
             loads: Loads::default(),
@@ -179,7 +180,7 @@ impl<'a> Desk<'a> {
     }
 
     /// The loop, until the process may end.
-    fn work(
+    fn run(
         &mut self,
         server: &upswing_ipc::Server<ControlRequest>,
         shutdown: &AtomicBool,
@@ -188,7 +189,7 @@ impl<'a> Desk<'a> {
         let plans = self.node.subscriber::<Plan>().map_err(failed)?;
         let mut shutdown_begin = None;
         while !thread.is_finished() {
-            self.look();
+            self.find_plant();
             self.set_priorities();
             match plans.receive() {
                 // A copy: the planner could change the plan while it is being checked.
@@ -201,7 +202,7 @@ impl<'a> Desk<'a> {
             }
             self.fetch();
             self.hear_planner();
-            let tended = self.journal.tend(self.dropped());
+            let tended = self.log.tend(self.dropped());
             self.complain_of(tended);
             self.tell_manager();
             if shutdown.load(Ordering::Acquire) && self.may_exit(&mut shutdown_begin) {
@@ -213,8 +214,8 @@ impl<'a> Desk<'a> {
     }
 
     /// Hands over a plant that was found, until there is room for it.
-    fn look(&mut self) {
-        self.ends.shared.plant_lives.store(self.plants.lives(), Ordering::Relaxed);
+    fn find_plant(&mut self) {
+        self.link.shared.plant_lives.store(self.plants.lives(), Ordering::Relaxed);
         match self.plants.take() {
             Ok(Some(reader)) => {
                 info!("found a plant, started at {} ns", reader.epoch());
@@ -226,7 +227,7 @@ impl<'a> Desk<'a> {
             Err(e) => self.complain(e.to_string()),
         }
         if let Some(reader) = self.waiting.take()
-            && let Err(rtrb::PushError::Full(reader)) = self.ends.readers.push(reader)
+            && let Err(rtrb::PushError::Full(reader)) = self.link.readers.push(reader)
         {
             self.waiting = Some(reader);
             self.complain("the real-time thread does not take the measurements of a new plant".into());
@@ -237,7 +238,7 @@ impl<'a> Desk<'a> {
     /// thread, beside which other programs want to run. This thread has it too, below: an operator's stop does not wait for
     /// them.
     fn set_priorities(&mut self) {
-        let wanted = self.ends.shared.real_time.load(Ordering::Relaxed);
+        let wanted = self.link.shared.real_time.load(Ordering::Relaxed);
         if wanted == self.prioritised || self.degraded & Degradation::Scheduler.bit() != 0 {
             return;
         }
@@ -251,40 +252,40 @@ impl<'a> Desk<'a> {
 
     /// Tells the service manager about the real-time thread: a heartbeat only while it has one.
     fn tell_manager(&mut self) {
-        let beats = self.ends.shared.beats.load(Ordering::Relaxed);
+        let beats = self.link.shared.beats.load(Ordering::Relaxed);
         if beats != self.beats {
             self.beats = beats;
             self.manager.alive();
         }
-        let good = |record: &Record| record.telemetry.measurement_seq > 0 && record.telemetry.fault == 0;
-        if self.journal.newest.as_ref().is_some_and(good) {
+        let good = |record: &CycleRecord| record.telemetry.measurement_seq > 0 && record.telemetry.fault == 0;
+        if self.log.newest.as_ref().is_some_and(good) {
             self.manager.ready();
         } else if self.mode_told.is_none() {
             self.manager.status("waits for a plant");
             return;
         }
-        let mode = self.journal.mode();
+        let mode = self.log.mode();
         if self.mode_told.replace(mode) != Some(mode) {
-            let remark = Some(self.journal.remark()).filter(|text| !text.is_empty());
+            let remark = Some(self.log.remark()).filter(|text| !text.is_empty());
             self.manager.status(&remark.map_or(mode.to_string(), |remark| format!("{mode}: {remark}")));
         }
     }
 
     /// Whether a process that shall end may do so: the brakes hold, or waiting is no use.
     fn may_exit(&mut self, begin: &mut Option<Instant>) -> bool {
-        if is_braked(self.journal.mode()) {
+        if is_braked(self.log.mode()) {
             return true;
         }
         let begin = *begin.get_or_insert_with(|| {
             info!("shutting down");
             self.manager.stopping();
             self.recovery.yield_to_operator();
-            if self.order(Order::Do(Request::Shutdown)).is_none() {
-                self.complain("the real-time thread does not take the order to shut down".into());
+            if self.send(Request::Shutdown).is_none() {
+                self.complain("the real-time thread does not take the request to shut down".into());
             }
             Instant::now()
         });
-        let why = if self.journal.sign_of_life.max(begin).elapsed() > SIGN_OF_LIFE {
+        let why = if self.log.sign_of_life.max(begin).elapsed() > SIGN_OF_LIFE {
             "the plant is gone, or stands still"
         } else if begin.elapsed() > SHUTDOWN {
             "the arm does not come to rest"
@@ -310,13 +311,13 @@ impl<'a> Desk<'a> {
             Err(unknown) => return self.respond(false, &unknown.to_string()),
         };
         self.recovery.yield_to_operator();
-        let asked = self.ask(request);
+        let asked = self.ask(&request);
         // A loss that was found meanwhile is the operator's, too.
         self.recovery.yield_to_operator();
         match asked {
             Ok(remark) => {
                 if matches!(request, Request::Enable | Request::Start(_) | Request::Reset) {
-                    self.journal.forget_warnings();
+                    self.log.forget_warnings();
                 }
                 self.respond(true, remark)
             }
@@ -328,15 +329,15 @@ impl<'a> Desk<'a> {
         }
     }
 
-    /// Orders `request` and waits for the answer of the real-time thread: a remark, or the reason of the refusal.
-    fn ask(&mut self, request: Request) -> Result<&'static str, String> {
+    /// Sends `request` and waits for the answer of the real-time thread: a remark, or the reason of the refusal.
+    fn ask(&mut self, request: &Request) -> Result<&'static str, String> {
         let begin = Instant::now();
         // Who starts a plant and enables at once means that plant.
-        while request == Request::Enable && !self.found && begin.elapsed() < ANSWER {
-            self.look();
+        while *request == Request::Enable && !self.found && begin.elapsed() < ANSWER {
+            self.find_plant();
             sleep(PAUSE);
         }
-        self.awaited = self.order(Order::Do(request)).ok_or("too many orders wait for the next cycle")?;
+        self.awaited = self.send(request.clone()).ok_or("too many requests wait for the next cycle")?;
         self.answer = None;
         let begin = Instant::now();
         loop {
@@ -349,7 +350,7 @@ impl<'a> Desk<'a> {
                 Some(Err(refusal)) => return Err(refusal.to_string()),
                 None => {}
             }
-            let stands_still = self.ends.shared.stands_still.load(Ordering::Acquire);
+            let stands_still = self.link.shared.stands_still.load(Ordering::Acquire);
             if stands_still && begin.elapsed() > ANSWER_IN_STANDSTILL {
                 self.awaited = 0;
                 return Ok("queued until the next cycle");
@@ -362,18 +363,18 @@ impl<'a> Desk<'a> {
         }
     }
 
-    /// Hands an order to the real-time thread: the number of its ticket, or `None` if it takes no more.
-    fn order(&mut self, order: Order) -> Option<u64> {
-        self.tickets += 1;
-        self.ends.orders.push(Ticket { number: self.tickets, order }).ok()?;
-        Some(self.tickets)
+    /// Sends a request to the real-time thread: the number of the request, or `None` if too many wait.
+    fn send(&mut self, request: Request) -> Option<u64> {
+        self.requests += 1;
+        self.link.requests.push(NumberedRequest { number: self.requests, request }).ok()?;
+        Some(self.requests)
     }
 
     fn load(&mut self, payload: &Plan) {
         let accepted = self.at_normal_priority(|| plan::accept(payload, self.config));
         let result = accepted.map_err(|refusal| refusal.to_string()).and_then(|plan| {
-            let number = self.order(Order::Load(plan));
-            number.ok_or_else(|| "too many orders wait for the next cycle".into())
+            let number = self.send(Request::Load(plan));
+            number.ok_or_else(|| "too many requests wait for the next cycle".into())
         });
         match result {
             Ok(number) => {
@@ -404,14 +405,14 @@ impl<'a> Desk<'a> {
         let refusal =
             Some(&self.last_refusal).filter(|text| !text.is_empty()).map(|text| format!("refused {text}"));
         let recovery = self.recovery.is_active().then(|| "waits for the next swing-up".to_owned());
-        let parts = [Some(self.journal.remark()), recovery, refusal];
+        let parts = [Some(self.log.remark()), recovery, refusal];
         parts.into_iter().flatten().filter(|text| !text.is_empty()).collect::<Vec<_>>().join("; ")
     }
 
     fn respond(&self, accepted: bool, reason: &str) -> ControlResponse {
-        let response = self.journal.respond();
+        let response = self.log.respond();
         // The daemon takes the next step by itself.
-        let recovers = self.recovery.is_active() && !is_braked(self.journal.mode());
+        let recovers = self.recovery.is_active() && !is_braked(self.log.mode());
         let next = if recovers { Text::new("wait for the recovery") } else { response.next };
         ControlResponse {
             accepted: u64::from(accepted),
@@ -424,36 +425,36 @@ impl<'a> Desk<'a> {
     }
 
     fn dropped(&self) -> u64 {
-        self.ends.shared.dropped.load(Ordering::Relaxed)
+        self.link.shared.dropped.load(Ordering::Relaxed)
     }
 
     /// Takes in all that came from the real-time thread.
     fn fetch(&mut self) {
-        // Reports first: the record that belongs to a report is in its ring before the report is.
-        while let Ok(report) = self.ends.reports.pop() {
-            match report {
-                Report::Answer { number, result } if number == self.awaited => self.answer = Some(result),
-                Report::Answer { number, result } => {
+        // Replies first: the record that belongs to a reply is in its ring before the reply is.
+        while let Ok(reply) = self.link.replies.pop() {
+            match reply {
+                Reply::Answer { number, result } if number == self.awaited => self.answer = Some(result),
+                Reply::Answer { number, result } => {
                     let plan = self.loads.answered(number, result.is_ok());
                     if let Err(refusal) = result {
-                        let order = plan.map_or("queued order".into(), |plan| format!("plan {plan}"));
-                        warn!("{order} refused: {refusal}");
-                        self.last_refusal = format!("{order}: {refusal}");
+                        let request = plan.map_or("queued request".into(), |plan| format!("plan {plan}"));
+                        warn!("{request} refused: {refusal}");
+                        self.last_refusal = format!("{request}: {refusal}");
                     }
                 }
-                Report::Garbage(plan) => drop(plan),
+                Reply::Retired(plan) => drop(plan),
             }
         }
-        while let Ok(record) = self.ends.records.pop() {
+        while let Ok(record) = self.link.records.pop() {
             let action = self.recovery.note(&record, self.loads.newest());
-            let noted = self.journal.note(record, self.dropped());
+            let noted = self.log.note(record, self.dropped());
             self.complain_of(noted);
             match action {
                 Some(RecoveryAction::AskPlanner) => self.ask_planner(),
                 Some(RecoveryAction::Start(plan_id)) => {
                     info!("recovery: swinging up again");
-                    if self.order(Order::Do(Request::Start(plan_id))).is_none() {
-                        self.complain("too many orders wait for the next cycle".into());
+                    if self.send(Request::Start(plan_id)).is_none() {
+                        self.complain("too many requests wait for the next cycle".into());
                     }
                 }
                 None => {}

@@ -1,4 +1,4 @@
-//! The mode machine. Pure.
+//! The table of modes: which mode follows which on which event, and why requests are refused. Pure.
 //!
 //! [`transition`] is the only place that says which mode follows which; [`crate::controller`] adds the guards
 //! (fresh measurement, plan that fits) and does what a mode does.
@@ -9,69 +9,55 @@ use std::fmt;
 use thiserror::Error;
 use upswing_ipc::Mode;
 
-/// What somebody asks of the controller.
+/// An event that can change the mode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Request {
-    /// Release the brakes and hold.
+pub enum Event {
+    /// Request: release the brakes and hold the arm.
     Enable,
-    /// Hold the pose of this moment.
+    /// Request: hold the present pose.
     Hold,
-    /// Follow the loaded plan if it is the one of this id.
-    Start(u64),
-    /// Decelerate, then hold.
+    /// Request: track the loaded plan.
+    Start,
+    /// Request: decelerate, then hold.
     Stop,
-    /// Leave a latched fault.
+    /// Request: leave Fault.
     Reset,
-    /// Come to rest, close the brakes and accept nothing more.
+    /// Request: come to rest, close the brakes, and refuse all later requests.
     Shutdown,
+    /// The plan has reached t_F, with the rod standing or hanging.
+    PlanEnded(Ending),
+    /// A limit of the class "stop" is beyond its trip level: tracking error, tilt of the rod, speed to keep it upright, range
+    /// of the pendulum, late cycles.
+    TripToStop,
+    /// A limit of the class "fault" is beyond its trip level: measurement, drives or control law cannot be trusted.
+    TripToFault,
+    /// All of q_A has come to rest in Stop.
+    AtRest,
+    /// All of q_A has come to rest in Stop, and the process shuts down.
+    AtRestAtShutdown,
 }
 
-impl Request {
-    /// Every request; the start is one of no plan.
-    pub const ALL: [Self; 6] =
-        [Self::Enable, Self::Hold, Self::Start(0), Self::Stop, Self::Reset, Self::Shutdown];
-
-    /// Where it is in [`Self::ALL`].
-    pub const fn index(self) -> u64 {
-        match self {
-            Self::Enable => 0,
-            Self::Hold => 1,
-            Self::Start(_) => 2,
-            Self::Stop => 3,
-            Self::Reset => 4,
-            Self::Shutdown => 5,
-        }
-    }
+impl Event {
+    /// The requests of an operator or of the daemon itself.
+    pub const REQUESTS: [Self; 6] =
+        [Self::Enable, Self::Hold, Self::Start, Self::Stop, Self::Reset, Self::Shutdown];
 }
 
-impl fmt::Display for Request {
+impl fmt::Display for Event {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.pad(match self {
             Self::Enable => "enable",
             Self::Hold => "hold",
-            Self::Start(_) => "start",
+            Self::Start => "start",
             Self::Stop => "stop",
             Self::Reset => "reset",
             Self::Shutdown => "shutdown",
+            Self::PlanEnded(_) => "end of the plan",
+            Self::TripToStop => "trip to Stop",
+            Self::TripToFault => "trip to Fault",
+            Self::AtRest | Self::AtRestAtShutdown => "rest",
         })
     }
-}
-
-/// What can change the mode.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Event {
-    /// Somebody asked.
-    Asked(Request),
-    /// t >= t_F, and what the plan ends in.
-    PlanEnded(Ending),
-    /// Tracking error, tilt of the rod, speed to keep it upright, range of the pendulum or late cycles beyond the trip level.
-    Lost,
-    /// All of q_A at rest.
-    AtRest,
-    /// All of q_A at rest, and the process shuts down.
-    AtRestForGood,
-    /// Measurement, drives or control law cannot be trusted.
-    Fault,
 }
 
 /// The table of modes: what follows `mode` on `event`.
@@ -87,19 +73,19 @@ pub enum Event {
 pub fn transition(mode: Mode, event: Event) -> Result<Mode, Refusal> {
     use Mode::{Balance, Fault, Hold, Idle, Stop, Track};
     match (mode, event) {
-        (Idle, Event::Asked(Request::Enable)) => Ok(Hold),
-        (Hold | Balance, Event::Asked(Request::Start(_))) => Ok(Track),
-        (Hold | Balance, Event::Asked(Request::Hold)) => Ok(Hold),
-        (Hold | Track | Balance, Event::Asked(Request::Stop)) => Ok(Stop),
-        (Fault, Event::Asked(Request::Reset)) => Ok(Idle),
-        (Hold | Track | Balance | Stop, Event::Asked(Request::Shutdown)) => Ok(Stop),
-        (Idle | Fault, Event::Asked(Request::Shutdown)) => Ok(mode),
+        (Idle, Event::Enable) => Ok(Hold),
+        (Hold | Balance, Event::Start) => Ok(Track),
+        (Hold | Balance, Event::Hold) => Ok(Hold),
+        (Hold | Track | Balance, Event::Stop) => Ok(Stop),
+        (Fault, Event::Reset) => Ok(Idle),
+        (Hold | Track | Balance | Stop, Event::Shutdown) => Ok(Stop),
+        (Idle | Fault, Event::Shutdown) => Ok(mode),
         (Track, Event::PlanEnded(Ending::Upright)) => Ok(Balance),
         (Track, Event::PlanEnded(Ending::Hanging)) => Ok(Hold),
-        (Track | Balance, Event::Lost) => Ok(Stop),
+        (Track | Balance, Event::TripToStop) => Ok(Stop),
         (Stop, Event::AtRest) => Ok(Hold),
-        (Stop, Event::AtRestForGood) => Ok(Idle),
-        (Hold | Track | Balance | Stop, Event::Fault) => Ok(Fault),
+        (Stop, Event::AtRestAtShutdown) => Ok(Idle),
+        (Hold | Track | Balance | Stop, Event::TripToFault) => Ok(Fault),
         _ => Err(Refusal::Mode { mode, event }),
     }
 }
@@ -113,11 +99,11 @@ pub fn is_braked(mode: Mode) -> bool {
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum Refusal {
     /// The mode does not allow it.
-    #[error("{} is not possible in mode {mode}; next: {}", event_name(.event), .mode.next_action())]
+    #[error("{event} is not possible in mode {mode}; next: {}", .mode.next_action())]
     Mode {
         /// The mode.
         mode: Mode,
-        /// What was asked.
+        /// The event, a request.
         event: Event,
     },
     /// The measurement cannot be trusted.
@@ -197,12 +183,5 @@ impl Refusal {
             Self::DrivesNotReady => Some(DRIVES_ON),
             _ => None,
         }
-    }
-}
-
-fn event_name(event: &Event) -> String {
-    match event {
-        Event::Asked(request) => request.to_string(),
-        other => format!("{other:?}"),
     }
 }

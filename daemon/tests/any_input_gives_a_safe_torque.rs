@@ -7,8 +7,9 @@ use common::{at_rest, config, measurement, rest_plan, rest_pose};
 use proptest::prelude::*;
 use upswing_ipc::{Measurement, Mode};
 use upswing_model::{NQ, NU};
-use upswingd::controller::{Controller, Order};
-use upswingd::supervisor::{Request, is_braked};
+use upswingd::controller::Controller;
+use upswingd::step::{Request, StepInput};
+use upswingd::supervisor::is_braked;
 
 #[derive(Clone, Debug)]
 enum Disturbance {
@@ -41,7 +42,7 @@ fn disturbances() -> impl Strategy<Value = Disturbance> {
     ]
 }
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 enum Told {
     Load,
     Do(Request),
@@ -71,10 +72,11 @@ proptest! {
         let mut q = rest_pose(&config);
         let plan = rest_plan(&config, &at_rest(&q), 1.0);
         let mut last = Measurement::default();
-        let mut seq = 0_u64;
+        let (mut seq, mut late_cycles) = (0_u64, 0);
         for (disturbance, told, cycles) in steps {
             seq = seq.saturating_add(cycles);
             let mut next = measurement(seq, &q);
+            let (mut lost_cycles, mut restarted) = (0, false);
             match disturbance {
                 Disturbance::None => {}
                 Disturbance::Angle(i, v) => {
@@ -85,19 +87,20 @@ proptest! {
                 Disturbance::Period(period) => next.period_ns = period,
                 Disturbance::Seq(other) => { seq = other; next.seq = other }
                 Disturbance::Repeat => next = last,
-                Disturbance::Lost => controller.lose_measurement(20),
-                Disturbance::Restart => controller.restart_measurement(),
-                Disturbance::Late(cycles) => controller.report_late(cycles),
+                Disturbance::Lost => lost_cycles = 20,
+                Disturbance::Restart => restarted = true,
+                Disturbance::Late(cycles) => late_cycles = cycles,
                 Disturbance::Torque(i, v) => next.tau_measured[i] = v,
             }
             last = next;
-            let order = told.map(|told| match told {
-                Told::Load => Order::Load(plan.clone()),
-                Told::Do(request) => Order::Do(request),
+            let request = told.map(|told| match told {
+                Told::Load => Request::Load(plan.clone()),
+                Told::Do(request) => request,
             });
-            let reset = matches!(order, Some(Order::Do(Request::Reset)));
+            let reset = matches!(request, Some(Request::Reset));
             let before = controller.mode();
-            let output = controller.step(&next, next.t_ns, order);
+            let input = StepInput::new(next, next.t_ns, request);
+            let output = controller.step(StepInput { late_cycles, lost_cycles, restarted, ..input });
             let mode = controller.mode();
             for i in 0..tau_max.len() {
                 let tau = output.command.tau[i];

@@ -88,7 +88,7 @@ fn on_lockstep_every_measurement_gets_one_cycle_and_requests_wait_for_the_next()
     assert_eq!(numbers, (1..=40).map(|n| (n, n)).collect::<Vec<_>>());
     let mode_at = |n: usize| records[n - 1].mode().unwrap();
     let seen = [1, 2, 3, 4, 40].map(mode_at);
-    assert_eq!(seen, [Mode::Idle, Mode::Hold, Mode::Hold, Mode::Track, Mode::Track], "one order per cycle");
+    assert_eq!(seen, [Mode::Idle, Mode::Hold, Mode::Hold, Mode::Track, Mode::Track], "one request per cycle");
     assert!(records.iter().all(|r| [r.wake_ns, r.read_ns, r.compute_ns, r.write_ns] == [0; 4]));
 
     daemon.shutdown.store(true, Ordering::Release);

@@ -7,8 +7,9 @@ use nalgebra::SMatrix;
 use upswing_config::{Config, Level};
 use upswing_ipc::{Clock, Measurement, Mode, Telemetry};
 use upswing_model::{ActuatedVector, JointVector, NU, Workspace};
-use upswingd::controller::{Controller, Order, Output};
-use upswingd::supervisor::{Refusal, Request};
+use upswingd::controller::Controller;
+use upswingd::step::{Output, Request, StepInput};
+use upswingd::supervisor::Refusal;
 use upswingd::trip::{Trip, TripCause};
 
 /// An enabled controller after its second measurement, and the pose it holds.
@@ -22,8 +23,8 @@ fn enabled_at(q: JointVector) -> (Controller, JointVector) {
 
 fn enabled_with(config: &Config, q: JointVector) -> (Controller, JointVector) {
     let mut controller = Controller::new(config);
-    controller.step(&measurement(1, &q), 0, Some(Order::Do(Request::Enable)));
-    controller.step(&measurement(2, &q), 0, None);
+    controller.step(StepInput::new(measurement(1, &q), 0, Some(Request::Enable)));
+    controller.step(StepInput::new(measurement(2, &q), 0, None));
     assert_eq!(controller.mode(), Mode::Hold);
     (controller, q)
 }
@@ -38,11 +39,11 @@ fn flickering(seq: u64, q: &JointVector) -> Measurement {
 fn balancing(config: &Config) -> (Controller, JointVector) {
     let (mut controller, q) = enabled_with(config, upright_pose());
     let plan = rest_plan(config, &at_rest(&q), 0.0005);
-    controller.step(&measurement(3, &q), 0, Some(Order::Load(plan)));
-    controller.step(&measurement(4, &q), 0, Some(Order::Do(Request::Start(7))));
+    controller.step(StepInput::new(measurement(3, &q), 0, Some(Request::Load(plan))));
+    controller.step(StepInput::new(measurement(4, &q), 0, Some(Request::Start(7))));
     assert_eq!(controller.mode(), Mode::Track);
     (5..=10).for_each(|seq| {
-        controller.step(&measurement(seq, &q), 0, None);
+        controller.step(StepInput::new(measurement(seq, &q), 0, None));
     });
     assert_eq!(controller.mode(), Mode::Balance);
     (controller, q)
@@ -61,14 +62,14 @@ fn faults_on(spoil: impl Fn(&mut Measurement), cause: TripCause, joint: usize) -
     let (mut controller, q) = enabled();
     let mut bad = measurement(3, &q);
     spoil(&mut bad);
-    let output = controller.step(&bad, 0, None);
+    let output = controller.step(StepInput::new(bad, 0, None));
     assert_eq!(trip(&controller), Some((Mode::Fault, cause, joint)));
     assert_eq!((output.command.brake, output.command.tau), (1, [0.0; 7]));
     assert_eq!(output.record.telemetry.fault, cause.code());
     // It stays, with its cause, until the reset.
-    controller.step(&measurement(4, &q), 0, None);
+    controller.step(StepInput::new(measurement(4, &q), 0, None));
     assert_eq!(trip(&controller), Some((Mode::Fault, cause, joint)));
-    controller.step(&measurement(5, &q), 0, Some(Order::Do(Request::Reset)));
+    controller.step(StepInput::new(measurement(5, &q), 0, Some(Request::Reset)));
     assert_eq!((controller.mode(), controller.trip()), (Mode::Idle, None));
     output
 }
@@ -87,11 +88,11 @@ fn an_angle_that_no_encoder_shows() {
 #[test]
 fn measurement_gap() {
     let (mut controller, q) = enabled();
-    let output = controller.step(&measurement(2 + 21, &q), 0, None);
+    let output = controller.step(StepInput::new(measurement(2 + 21, &q), 0, None));
     assert_eq!((controller.mode(), warns(&output, TripCause::MeasurementGap)), (Mode::Hold, true));
-    let output = controller.step(&measurement(23 + 1, &q), 0, None);
+    let output = controller.step(StepInput::new(measurement(23 + 1, &q), 0, None));
     assert!(!warns(&output, TripCause::MeasurementGap));
-    controller.step(&measurement(24 + 22, &q), 0, None);
+    controller.step(StepInput::new(measurement(24 + 22, &q), 0, None));
     assert_eq!(trip(&controller), Some((Mode::Fault, TripCause::MeasurementGap, 0)));
     assert_eq!(controller.trip().map(|trip| (trip.value, trip.limit)), Some((21.0, 20.0)));
 }
@@ -106,7 +107,7 @@ fn measured_torque() {
         seq += 1;
         let mut next = measurement(seq, &q);
         next.tau_measured[6] = tau;
-        let output = controller.step(&next, 0, None);
+        let output = controller.step(StepInput::new(next, 0, None));
         assert_eq!(
             (controller.mode(), warns(&output, TripCause::TorqueLimit)),
             (Mode::Hold, warned),
@@ -136,9 +137,9 @@ fn torque_rate() {
         change[0] = jump * config.robot.limits.tau_max[0];
         // u_d is linear between knots 10 ms apart.
         plan.trajectory.u[1] = mass.lu().solve(&change).unwrap() * (0.01 / common::PERIOD);
-        controller.step(&measurement(3, &q), 0, Some(Order::Load(plan)));
-        controller.step(&measurement(4, &q), 0, Some(Order::Do(Request::Start(7))));
-        let output = controller.step(&measurement(5, &q), 0, None);
+        controller.step(StepInput::new(measurement(3, &q), 0, Some(Request::Load(plan))));
+        controller.step(StepInput::new(measurement(4, &q), 0, Some(Request::Start(7))));
+        let output = controller.step(StepInput::new(measurement(5, &q), 0, None));
         assert_eq!((controller.mode(), warns(&output, TripCause::TorqueRate)), expected, "{jump}");
         if expected.0 == Mode::Fault {
             assert_eq!(trip(&controller), Some((Mode::Fault, TripCause::TorqueRate, 0)));
@@ -151,19 +152,18 @@ fn torque_rate() {
 fn late_cycles() {
     let config = config();
     let (mut controller, q) = enabled();
-    controller.report_late(1000);
-    let output = controller.step(&measurement(3, &q), 0, None);
+    let late = |seq, late_cycles| StepInput { late_cycles, ..StepInput::new(measurement(seq, &q), 0, None) };
+    let output = controller.step(late(3, 1000));
     assert_eq!(controller.mode(), Mode::Hold, "Hold is what a lateness leads to anyway");
     assert!(warns(&output, TripCause::LateCycles));
-    controller.report_late(0);
-    controller.step(&measurement(4, &q), 0, Some(Order::Load(rest_plan(&config, &at_rest(&q), 1.0))));
-    controller.step(&measurement(5, &q), 0, Some(Order::Do(Request::Start(7))));
-    for (seq, late, expected) in
+    let plan = rest_plan(&config, &at_rest(&q), 1.0);
+    controller.step(StepInput::new(measurement(4, &q), 0, Some(Request::Load(plan))));
+    controller.step(StepInput::new(measurement(5, &q), 0, Some(Request::Start(7))));
+    for (seq, late_cycles, expected) in
         [(6, 1, (Mode::Track, false)), (7, 20, (Mode::Track, true)), (8, 21, (Mode::Stop, true))]
     {
-        controller.report_late(late);
-        let output = controller.step(&measurement(seq, &q), 0, None);
-        assert_eq!((controller.mode(), warns(&output, TripCause::LateCycles)), expected, "{late}");
+        let output = controller.step(late(seq, late_cycles));
+        assert_eq!((controller.mode(), warns(&output, TripCause::LateCycles)), expected, "{late_cycles}");
     }
     assert_eq!(trip(&controller), Some((Mode::Stop, TripCause::LateCycles, 0)));
 }
@@ -176,7 +176,7 @@ fn encoder_jump() {
     let (mut controller, mut q) = enabled();
     q[0] += 0.0005;
     q[7] -= 0.004;
-    controller.step(&measurement(3, &q), 0, None);
+    controller.step(StepInput::new(measurement(3, &q), 0, None));
     assert_eq!(controller.mode(), Mode::Hold);
 }
 
@@ -185,9 +185,9 @@ fn a_jump_with_closed_brakes_is_no_fault() {
     let config = config();
     let mut q = rest_pose(&config);
     let mut controller = Controller::new(&config);
-    controller.step(&measurement(1, &q), 0, None);
+    controller.step(StepInput::new(measurement(1, &q), 0, None));
     q[0] = 1.0;
-    let output = controller.step(&measurement(2, &q), 0, Some(Order::Do(Request::Enable)));
+    let output = controller.step(StepInput::new(measurement(2, &q), 0, Some(Request::Enable)));
     assert_eq!((output.answer, controller.mode()), (Some(Ok(())), Mode::Hold));
 }
 
@@ -201,7 +201,7 @@ fn position_limit() {
     while controller.mode() == Mode::Hold {
         q[2] += 1e-4;
         seq += 1;
-        let output = controller.step(&flickering(seq, &q), 0, None);
+        let output = controller.step(StepInput::new(flickering(seq, &q), 0, None));
         warned = warned.or(warns(&output, TripCause::PositionLimit).then_some(q[2].to_degrees()));
     }
     assert!(warned.is_some_and(|deg| (deg - 171.0).abs() < 0.01), "{warned:?}");
@@ -227,7 +227,7 @@ fn distance_from_the_held_pose() {
         while controller.mode() == Mode::Hold {
             q[joint] += 1e-4;
             seq += 1;
-            let output = controller.step(&flickering(seq, &q), 0, None);
+            let output = controller.step(StepInput::new(flickering(seq, &q), 0, None));
             warned = warned.or(warns(&output, TripCause::TrackingError).then_some(q[joint] - before));
         }
         assert!(warned.is_some_and(|error| (error - 0.1).abs() < 1e-3), "{warned:?}");
@@ -246,7 +246,7 @@ fn distance_from_the_end_of_a_plan_in_balance() {
     while controller.mode() == Mode::Balance {
         q[0] += 1e-4;
         seq += 1;
-        let output = controller.step(&flickering(seq, &q), 0, None);
+        let output = controller.step(StepInput::new(flickering(seq, &q), 0, None));
         warned = warned.or(warns(&output, TripCause::TrackingError).then_some(q[0]));
     }
     assert!(warned.is_some_and(|error| (error - 0.25).abs() < 1e-3), "{warned:?}");
@@ -264,7 +264,7 @@ fn collision() {
         let t = (seq - 2) as f64 * common::PERIOD;
         let mut moved = q;
         moved[1] += 5.0 * t * t;
-        let output = controller.step(&flickering(seq, &moved), 0, None);
+        let output = controller.step(StepInput::new(flickering(seq, &moved), 0, None));
         warned = warned.or(warns(&output, TripCause::Collision).then_some(t));
     }
     assert_eq!(trip(&controller), Some((Mode::Fault, TripCause::Collision, 1)));
@@ -281,12 +281,12 @@ fn frozen_measurement() {
         let mut controller = Controller::new(&config());
         let mut first = measurement(1, &q);
         first.status |= Measurement::BRAKES_CLOSED | senses;
-        controller.step(&first, 0, Some(Order::Do(Request::Enable)));
-        controller.step(&measurement(2, &q), 0, None);
+        controller.step(StepInput::new(first, 0, Some(Request::Enable)));
+        controller.step(StepInput::new(measurement(2, &q), 0, None));
         // A step of an encoder away from the held pose: the command changes, nothing else does.
         let away = q.add_scalar(2e-5);
         for seq in 3..400 {
-            controller.step(&measurement(seq, &away), 0, None);
+            controller.step(StepInput::new(measurement(seq, &away), 0, None));
         }
         assert_eq!(controller.trip().map(|trip| trip.cause), expected);
     }
@@ -299,18 +299,18 @@ fn velocity_limit_of_the_arm_only() {
     // 1.1 times 75 deg/s is 1.44 rad/s; the pendulum may fall faster.
     for seq in 3..200 {
         q[7] += 20.0 * common::PERIOD;
-        controller.step(&flickering(seq, &q), 0, None);
+        controller.step(StepInput::new(flickering(seq, &q), 0, None));
     }
     assert_eq!(controller.mode(), Mode::Hold);
     for seq in 200..1000 {
         q[3] += 1.0 * common::PERIOD;
-        controller.step(&flickering(seq, &q), 0, None);
+        controller.step(StepInput::new(flickering(seq, &q), 0, None));
     }
     assert_eq!(controller.mode(), Mode::Hold);
     let mut warned = None;
     for seq in 1000..1500 {
         q[3] += 1.6 * common::PERIOD;
-        let output = controller.step(&flickering(seq, &q), 0, None);
+        let output = controller.step(StepInput::new(flickering(seq, &q), 0, None));
         warned = warned.or(warns(&output, TripCause::VelocityLimit).then_some(controller.mode()));
     }
     assert_eq!(warned, Some(Mode::Hold));
@@ -324,13 +324,13 @@ fn drive_fault_period_and_clock() {
     let (mut controller, q) = enabled();
     let mut bad = measurement(3, &q);
     bad.clock = 9;
-    controller.step(&bad, 0, None);
+    controller.step(StepInput::new(bad, 0, None));
     // A clock that changes is also a plant that restarted.
     assert_eq!(trip(&controller), Some((Mode::Fault, TripCause::MeasurementRestarted, 0)));
-    let answer = controller.step(&bad, 0, Some(Order::Do(Request::Reset))).answer;
+    let answer = controller.step(StepInput::new(bad, 0, Some(Request::Reset))).answer;
     assert_eq!(answer, Some(Ok(())));
     bad.seq = 4;
-    let answer = controller.step(&bad, 0, Some(Order::Do(Request::Enable))).answer;
+    let answer = controller.step(StepInput::new(bad, 0, Some(Request::Enable))).answer;
     assert!(
         matches!(answer, Some(Err(Refusal::Unfit(trip))) if trip.cause == TripCause::UnknownClock),
         "{answer:?}"
@@ -344,11 +344,11 @@ fn stale_measurement() {
     let mut controller = Controller::new(&config);
     let mut last = measurement(1, &q);
     last.clock = Clock::Wall.code();
-    let mut cycle = |now: u64, order| {
-        let output = controller.step(&last, now * PERIOD_NS, order);
+    let mut cycle = |now: u64, request| {
+        let output = controller.step(StepInput::new(last, now * PERIOD_NS, request));
         (controller.mode(), output.record.telemetry.flags & Telemetry::STALE != 0, output.record.trip)
     };
-    assert_eq!(cycle(1, Some(Order::Do(Request::Enable))), (Mode::Hold, false, None));
+    assert_eq!(cycle(1, Some(Request::Enable)), (Mode::Hold, false, None));
     for age in 1..=20 {
         assert_eq!(cycle(1 + age, None), (Mode::Hold, true, None));
     }
@@ -360,10 +360,10 @@ fn stale_measurement() {
     // Where time stands still nothing gets stale.
     let (mut controller, q) = enabled();
     for _ in 0..1000 {
-        controller.step(&measurement(2, &q), 0, None);
+        controller.step(StepInput::new(measurement(2, &q), 0, None));
     }
     assert_eq!(controller.mode(), Mode::Hold);
-    controller.lose_measurement(8000);
+    controller.step(StepInput { lost_cycles: 8000, ..StepInput::new(measurement(2, &q), 0, None) });
     assert_eq!(trip(&controller), Some((Mode::Fault, TripCause::StaleMeasurement, 0)));
 }
 
@@ -372,7 +372,7 @@ fn time_stamp_that_stands_still() {
     let (mut controller, q) = enabled();
     let stuck = measurement(2, &q).t_ns;
     let mut cycle = |seq, t_ns| {
-        controller.step(&Measurement { t_ns, ..measurement(seq, &q) }, 0, None);
+        controller.step(StepInput::new(Measurement { t_ns, ..measurement(seq, &q) }, 0, None));
         trip(&controller)
     };
     for seq in 3..=22 {
@@ -394,12 +394,12 @@ fn measurement_that_comes_late() {
     let q = rest_pose(&config());
     for (late, expected) in [(20, Mode::Hold), (21, Mode::Fault)] {
         let mut controller = Controller::new(&config());
-        let mut cycle = |seq: u64, now: u64, order| {
+        let mut cycle = |seq: u64, now: u64, request| {
             let measured = Measurement { clock: Clock::Wall.code(), ..measurement(seq, &q) };
-            controller.step(&measured, now * PERIOD_NS, order);
+            controller.step(StepInput::new(measured, now * PERIOD_NS, request));
             controller.mode()
         };
-        assert_eq!(cycle(1, 1, Some(Order::Do(Request::Enable))), Mode::Hold);
+        assert_eq!(cycle(1, 1, Some(Request::Enable)), Mode::Hold);
         assert_eq!(cycle(2, 2 + late, None), expected);
     }
 }
@@ -416,7 +416,7 @@ fn drives_stopped() {
             if spoiled {
                 spoil(&mut next);
             }
-            let output = controller.step(&next, 0, None);
+            let output = controller.step(StepInput::new(next, 0, None));
             (controller.mode(), warns(&output, TripCause::DrivesStopped))
         };
         for seq in 3..803 {
@@ -433,7 +433,7 @@ fn drives_stopped() {
     let q = rest_pose(&config());
     for seq in 1..2000 {
         let status = Measurement::BRAKES_CLOSED;
-        let output = controller.step(&Measurement { status, ..measurement(seq, &q) }, 0, None);
+        let output = controller.step(StepInput::new(Measurement { status, ..measurement(seq, &q) }, 0, None));
         assert!(!warns(&output, TripCause::DrivesStopped));
     }
 }
@@ -441,13 +441,14 @@ fn drives_stopped() {
 #[test]
 fn restarted_measurement() {
     let (mut controller, q) = enabled();
-    controller.step(&measurement(1, &q), 0, None);
+    controller.step(StepInput::new(measurement(1, &q), 0, None));
     assert_eq!(trip(&controller), Some((Mode::Fault, TripCause::MeasurementRestarted, 0)));
+    let another = StepInput { restarted: true, ..StepInput::new(measurement(1, &q), 0, None) };
     let (mut controller, _) = enabled();
-    controller.restart_measurement();
+    controller.step(another.clone());
     assert_eq!(trip(&controller), Some((Mode::Fault, TripCause::MeasurementRestarted, 0)));
     let mut controller = Controller::new(&config());
-    controller.restart_measurement();
+    controller.step(another);
     assert_eq!((controller.mode(), controller.trip()), (Mode::Idle, None), "Idle stays Idle");
 }
 
@@ -457,8 +458,8 @@ fn law_not_finite() {
     let (mut controller, q) = enabled();
     let mut plan = rest_plan(&config, &at_rest(&q), 1.0);
     plan.gains.iter_mut().for_each(|gain| gain.fill(f64::NAN));
-    controller.step(&measurement(3, &q), 0, Some(Order::Load(plan)));
-    let output = controller.step(&measurement(4, &q), 0, Some(Order::Do(Request::Start(7))));
+    controller.step(StepInput::new(measurement(3, &q), 0, Some(Request::Load(plan))));
+    let output = controller.step(StepInput::new(measurement(4, &q), 0, Some(Request::Start(7))));
     assert_eq!(trip(&controller), Some((Mode::Fault, TripCause::LawNotFinite, 0)));
     assert_eq!((output.command.brake, output.command.tau), (1, [0.0; 7]));
 }
@@ -469,11 +470,11 @@ fn the_limiter_cuts_and_says_so() {
     let (mut controller, q) = enabled();
     let mut plan = rest_plan(&config, &at_rest(&q), 1.0);
     plan.trajectory.u.iter_mut().for_each(|u| u[0] = 1e4);
-    controller.step(&measurement(3, &q), 0, Some(Order::Load(plan)));
-    controller.step(&measurement(4, &q), 0, Some(Order::Do(Request::Start(7))));
+    controller.step(StepInput::new(measurement(3, &q), 0, Some(Request::Load(plan))));
+    controller.step(StepInput::new(measurement(4, &q), 0, Some(Request::Start(7))));
     // The way there takes a ms.
-    (5..13).for_each(|seq| drop(controller.step(&measurement(seq, &q), 0, None)));
-    let output = controller.step(&measurement(13, &q), 0, None);
+    (5..13).for_each(|seq| drop(controller.step(StepInput::new(measurement(seq, &q), 0, None))));
+    let output = controller.step(StepInput::new(measurement(13, &q), 0, None));
     assert_eq!(output.command.tau[0], config.robot.limits.tau_max[0]);
     assert_ne!(output.record.telemetry.flags & Telemetry::LIMITED, 0);
 }
@@ -497,11 +498,11 @@ fn no_mode_begins_with_a_step() {
 
     let mut controller = Controller::new(&config);
     let (mut seq, mut last) = (0, ActuatedVector::zeros());
-    let mut cycles = |controller: &mut Controller, mut order: Option<Order>, n: usize| {
+    let mut cycles = |controller: &mut Controller, mut request: Option<Request>, n: usize| {
         let mut outputs = Vec::new();
         for _ in 0..n {
             seq += 1;
-            let output = controller.step(&measurement(seq, &away), 0, order.take());
+            let output = controller.step(StepInput::new(measurement(seq, &away), 0, request.take()));
             assert!(output.answer.as_ref().is_none_or(Result::is_ok), "{:?}", output.answer);
             let tau = ActuatedVector::from(output.command.tau);
             for i in 0..NU {
@@ -516,12 +517,12 @@ fn no_mode_begins_with_a_step() {
         (last, limited)
     };
     // The brakes held.
-    let order = Some(Order::Do(Request::Enable));
-    let (held, _) = cycles(&mut controller, order, 20);
+    let request = Some(Request::Enable);
+    let (held, _) = cycles(&mut controller, request, 20);
     let gravity = config.model.torque(&at_rest(&away), &ActuatedVector::zeros(), &mut work);
     assert!((held - gravity).amax() < 1e-6, "{held}");
-    cycles(&mut controller, Some(Order::Load(plan)), 1);
-    let (tracked, limited) = cycles(&mut controller, Some(Order::Do(Request::Start(7))), 20);
+    cycles(&mut controller, Some(Request::Load(plan)), 1);
+    let (tracked, limited) = cycles(&mut controller, Some(Request::Start(7)), 20);
     assert_eq!(controller.mode(), Mode::Track);
     assert!((tracked - gravity)[0] / tau_max[0] < -0.2, "{tracked}");
     // 12.5 % per cycle; what it takes is on its way in all of them but the last.
@@ -529,7 +530,7 @@ fn no_mode_begins_with_a_step() {
     assert!(steps > 2.0, "{steps}");
     let on_the_way = |limited: Vec<bool>| limited.iter().filter(|limited| **limited).count();
     assert_eq!(on_the_way(limited), steps.ceil() as usize - 1);
-    let (stopped, limited) = cycles(&mut controller, Some(Order::Do(Request::Stop)), 20);
+    let (stopped, limited) = cycles(&mut controller, Some(Request::Stop), 20);
     assert_eq!(controller.mode(), Mode::Stop);
     // But for what the estimate of disturbances makes of an arm that does not move.
     assert!((stopped - gravity).amax() < 5.0, "{stopped}");
@@ -543,14 +544,14 @@ fn a_mode_begins_for_two_milliseconds_at_most() {
     let (mut controller, mut q) = enabled();
     let mut plan = rest_plan(&config, &at_rest(&q), 1.0);
     plan.gains.iter_mut().for_each(|k| k[(0, 0)] = -1e7);
-    controller.step(&measurement(3, &q), 0, Some(Order::Load(plan)));
+    controller.step(StepInput::new(measurement(3, &q), 0, Some(Request::Load(plan))));
     q[0] += 1e-4;
-    controller.step(&measurement(4, &q), 0, Some(Order::Do(Request::Start(7))));
+    controller.step(StepInput::new(measurement(4, &q), 0, Some(Request::Start(7))));
     let mut seq = 4;
     while controller.mode() == Mode::Track {
         seq += 1;
         q[0] += if seq % 2 == 0 { 2e-4 } else { -2e-4 };
-        controller.step(&measurement(seq, &q), 0, None);
+        controller.step(StepInput::new(measurement(seq, &q), 0, None));
         assert!(seq < 30);
     }
     assert_eq!(trip(&controller), Some((Mode::Fault, TripCause::TorqueRate, 0)));
@@ -563,14 +564,14 @@ fn tracking_error() {
     let config = config();
     let (mut controller, mut q) = enabled();
     let plan = rest_plan(&config, &at_rest(&q), 10.0);
-    controller.step(&measurement(3, &q), 0, Some(Order::Load(plan)));
-    controller.step(&measurement(4, &q), 0, Some(Order::Do(Request::Start(7))));
+    controller.step(StepInput::new(measurement(3, &q), 0, Some(Request::Load(plan))));
+    controller.step(StepInput::new(measurement(4, &q), 0, Some(Request::Start(7))));
     let mut seq = 4;
     let mut warned = None;
     while controller.mode() == Mode::Track {
         seq += 1;
         q[8] += 1e-3;
-        let output = controller.step(&measurement(seq, &q), 0, None);
+        let output = controller.step(StepInput::new(measurement(seq, &q), 0, None));
         warned = warned.or(warns(&output, TripCause::TrackingError).then_some(q[8]));
     }
     assert!(warned.is_some_and(|error| (error - 0.25).abs() < 2e-3), "{warned:?}");
@@ -589,7 +590,7 @@ fn balance_lost() {
     while controller.mode() == Mode::Balance {
         seq += 1;
         q[8] += 1e-3;
-        let output = controller.step(&flickering(seq, &q), 0, None);
+        let output = controller.step(StepInput::new(flickering(seq, &q), 0, None));
         warned = warned.or(warns(&output, TripCause::BalanceLost).then_some((q[8] - before).to_degrees()));
     }
     assert!(warned.is_some_and(|deg| (deg - 10.0).abs() < 0.1), "{warned:?}");
@@ -609,7 +610,7 @@ fn balance_speed() {
         seq += 1;
         // 1 rad/s.
         q[8] += common::PERIOD;
-        let output = controller.step(&flickering(seq, &q), 0, None);
+        let output = controller.step(StepInput::new(flickering(seq, &q), 0, None));
         warned = warned.or(warns(&output, TripCause::BalanceSpeed).then_some(controller.mode()));
     }
     assert_eq!(warned, Some(Mode::Balance));
@@ -631,16 +632,16 @@ fn pendulum_range() {
     let mut q = upright_pose();
     let mut controller = Controller::new(&config);
     let plan = rest_plan(&config, &at_rest(&q), 0.0005);
-    let orders = [Order::Do(Request::Enable), Order::Load(plan), Order::Do(Request::Start(7))];
+    let requests = [Request::Enable, Request::Load(plan), Request::Start(7)];
     let mut seq = 0;
-    for order in orders {
+    for request in requests {
         seq += 1;
-        controller.step(&flickering(seq, &q), 0, Some(order));
+        controller.step(StepInput::new(flickering(seq, &q), 0, Some(request)));
     }
     while matches!(controller.mode(), Mode::Track | Mode::Balance) {
         seq += 1;
         q[7] += if controller.mode() == Mode::Balance { 1e-3 } else { 0.0 };
-        controller.step(&flickering(seq, &q), 0, None);
+        controller.step(StepInput::new(flickering(seq, &q), 0, None));
     }
     assert_eq!(trip(&controller), Some((Mode::Stop, TripCause::PendulumRange, 7)));
     assert!((q[7].to_degrees() - 205.0).abs() < 0.1, "{}", q[7].to_degrees());
@@ -650,8 +651,8 @@ fn pendulum_range() {
 fn no_measurement_and_unready_drives_refuse_enable() {
     let config = config();
     let mut controller = Controller::new(&config);
-    let enable = || Some(Order::Do(Request::Enable));
-    let output = controller.step(&Measurement::default(), 0, enable());
+    let enable = || Some(Request::Enable);
+    let output = controller.step(StepInput::new(Measurement::default(), 0, enable()));
     let answer = output.answer;
     assert!(
         matches!(answer, Some(Err(Refusal::Unfit(trip))) if trip.cause == TripCause::NoMeasurement),
@@ -666,13 +667,16 @@ fn no_measurement_and_unready_drives_refuse_enable() {
     told(output.record.unready.expect("a reason"), "start a plant");
     let mut unready = measurement(1, &rest_pose(&config));
     unready.status = 0;
-    let output = controller.step(&unready, 0, enable());
+    let output = controller.step(StepInput::new(unready, 0, enable()));
     assert_eq!(output.answer, Some(Err(Refusal::DrivesNotReady)));
     assert_eq!(controller.mode(), Mode::Idle);
     told(output.record.unready.expect("a reason"), "switch the drives on");
-    let ready = controller.step(&measurement(2, &rest_pose(&config)), 0, None);
+    let ready = controller.step(StepInput::new(measurement(2, &rest_pose(&config)), 0, None));
     assert_eq!(ready.record.unready, None);
-    assert_eq!(controller.step(&measurement(3, &rest_pose(&config)), 0, enable()).answer, Some(Ok(())));
+    assert_eq!(
+        controller.step(StepInput::new(measurement(3, &rest_pose(&config)), 0, enable())).answer,
+        Some(Ok(()))
+    );
 }
 
 #[test]
@@ -682,11 +686,11 @@ fn stuck_encoder() {
         let (mut controller, q) = enabled();
         let mut plan = rest_plan(&config, &at_rest(&q), 1.0);
         plan.trajectory.u.iter_mut().for_each(|u| u[0] = 10.0);
-        controller.step(&measurement(3, &q), 0, Some(Order::Load(plan)));
-        controller.step(&measurement(4, &q), 0, Some(Order::Do(Request::Start(7))));
+        controller.step(StepInput::new(measurement(3, &q), 0, Some(Request::Load(plan))));
+        controller.step(StepInput::new(measurement(4, &q), 0, Some(Request::Start(7))));
         for seq in 5..400 {
             let next = if stuck { measurement(seq, &q) } else { flickering(seq, &q) };
-            controller.step(&next, 0, None);
+            controller.step(StepInput::new(next, 0, None));
         }
         let expected = stuck.then_some((Mode::Fault, TripCause::StuckEncoder, 0));
         assert_eq!(trip(&controller), expected);
@@ -701,7 +705,7 @@ fn stuck_encoder() {
 fn a_robot_that_stands_has_no_stuck_encoder() {
     let (mut controller, q) = enabled();
     for seq in 3..80_000 {
-        controller.step(&measurement(seq, &q), 0, None);
+        controller.step(StepInput::new(measurement(seq, &q), 0, None));
     }
     assert_eq!((controller.mode(), controller.trip()), (Mode::Hold, None));
 }

@@ -3,22 +3,22 @@
 use upswing_ipc::Mode::{self, Balance, Fault, Hold, Idle, Stop, Track};
 use upswing_ipc::operator::{self, Manoeuvre, NextAction};
 use upswingd::plan::Ending;
-use upswingd::supervisor::{Event, Refusal, Request, transition};
+use upswingd::supervisor::{Event, Refusal, transition};
 
 /// Rows: modes in the order of [`Mode::ALL`]; columns: [`EVENTS`]. `None`: refused.
 const EVENTS: [Event; 12] = [
-    Event::Asked(Request::Enable),
-    Event::Asked(Request::Hold),
-    Event::Asked(Request::Start(0)),
-    Event::Asked(Request::Stop),
-    Event::Asked(Request::Reset),
-    Event::Asked(Request::Shutdown),
+    Event::Enable,
+    Event::Hold,
+    Event::Start,
+    Event::Stop,
+    Event::Reset,
+    Event::Shutdown,
     Event::PlanEnded(Ending::Upright),
     Event::PlanEnded(Ending::Hanging),
-    Event::Lost,
+    Event::TripToStop,
     Event::AtRest,
-    Event::AtRestForGood,
-    Event::Fault,
+    Event::AtRestAtShutdown,
+    Event::TripToFault,
 ];
 const NO: Option<Mode> = None;
 #[rustfmt::skip]
@@ -48,7 +48,7 @@ fn the_machine_follows_the_table() {
 
 #[test]
 fn every_request_is_in_the_table() {
-    assert!(Request::ALL.iter().all(|request| EVENTS.contains(&Event::Asked(*request))));
+    assert!(Event::REQUESTS.iter().all(|request| EVENTS.contains(request)));
 }
 
 #[test]
@@ -59,17 +59,17 @@ fn a_refusal_names_a_step_that_is_accepted() {
             NextAction::Make(operator::Request::Manoeuvre(manoeuvre)) => {
                 let needed = if manoeuvre == Manoeuvre::SwingUp { Hold } else { Balance };
                 assert_eq!(mode, needed);
-                transition(mode, Event::Asked(Request::Start(7)))
+                transition(mode, Event::Start)
             }
             NextAction::Make(request) | NextAction::WaitOr(request) => {
-                let asked = Request::ALL.into_iter().find(|r| r.to_string() == request.name());
-                transition(mode, Event::Asked(asked.expect("a request")))
+                let asked = Event::REQUESTS.into_iter().find(|r| r.to_string() == request.name());
+                transition(mode, asked.expect("a request"))
             }
             NextAction::WaitForRest => transition(mode, Event::AtRest),
         };
         let next = accepted.expect("it is accepted");
         assert_ne!(next, mode, "it leads somewhere");
-        let refused = Request::ALL.into_iter().filter_map(|r| transition(mode, Event::Asked(r)).err());
+        let refused = Event::REQUESTS.into_iter().filter_map(|r| transition(mode, r).err());
         for refusal in refused {
             let text = refusal.to_string();
             assert!(text.ends_with(&format!("next: {}", mode.next_action())), "{text}");
@@ -84,6 +84,6 @@ fn a_refusal_names_a_step_that_is_accepted() {
 
 #[test]
 fn a_refusal_names_mode_and_request() {
-    let refusal = transition(Idle, Event::Asked(Request::Start(7))).unwrap_err().to_string();
+    let refusal = transition(Idle, Event::Start).unwrap_err().to_string();
     assert!(refusal.contains("start") && refusal.contains("idle"), "{refusal}");
 }

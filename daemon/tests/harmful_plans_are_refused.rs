@@ -9,9 +9,9 @@ use upswing_config::Config;
 use upswing_ipc::{Mode, Plan as Payload};
 use upswing_model::{ActuatedVector, NQ, NU, NX, State, Workspace};
 use upswing_trajectory::{KNOTS, N};
-use upswingd::controller::{Controller, Order};
+use upswingd::controller::Controller;
 use upswingd::plan::accept;
-use upswingd::supervisor::Request;
+use upswingd::step::{Request, StepInput};
 
 /// Uniform numbers, the same in every run (SplitMix64).
 struct Random(u64);
@@ -114,9 +114,9 @@ fn fly(config: &Config, plan: &Payload, number: usize) -> Mode {
     }
     let cycles = ((plan.trajectory.t_f + 0.5) / common::PERIOD) as usize;
     let (mut controller, mut arm) = (Controller::new(config), Arm::new(config, x));
-    let mut orders = vec![Order::Do(Request::Start(plan.id)), Order::Load(plan), Order::Do(Request::Enable)];
+    let mut requests = vec![Request::Start(plan.id), Request::Load(plan), Request::Enable];
     for _ in 0..cycles {
-        let output = controller.step(&arm.measure(), 0, orders.pop());
+        let output = controller.step(StepInput::new(arm.measure(), 0, requests.pop()));
         if let Some(answer) = output.answer {
             answer.expect("tolerated");
         }

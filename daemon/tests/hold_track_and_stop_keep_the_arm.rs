@@ -6,8 +6,9 @@ use common::{Arm, at_rest, config, rest_plan, rest_pose, swing, upright_pose};
 use upswing_config::Config;
 use upswing_ipc::{Mode, Telemetry};
 use upswing_model::{ActuatedVector, JointVector, NQ, NU, State, position};
-use upswingd::controller::{Controller, Order};
-use upswingd::supervisor::{Request, is_braked};
+use upswingd::controller::Controller;
+use upswingd::step::{Request, StepInput};
+use upswingd::supervisor::is_braked;
 
 /// One second.
 const SECOND: usize = 8000;
@@ -18,15 +19,15 @@ struct Loop {
 }
 
 impl Loop {
-    fn cycle(&mut self, order: Option<Order>) -> Telemetry {
-        let output = self.controller.step(&self.arm.measure(), 0, order);
+    fn cycle(&mut self, request: Option<Request>) -> Telemetry {
+        let output = self.controller.step(StepInput::new(self.arm.measure(), 0, request));
         assert!(output.answer.is_none_or(|answer| answer.is_ok()), "{:?}", output.answer);
         self.arm.advance(&output.command);
         output.record.telemetry
     }
 
     fn ask(&mut self, request: Request) -> Telemetry {
-        self.cycle(Some(Order::Do(request)))
+        self.cycle(Some(request))
     }
 }
 
@@ -72,7 +73,7 @@ fn hold_returns_after_a_push() {
 fn a_plan_that_stands_is_tracked_and_then_balanced() {
     let (mut system, x) = enabled_at(&upright_pose());
     let config = config();
-    system.cycle(Some(Order::Load(rest_plan(&config, &x, 0.05))));
+    system.cycle(Some(Request::Load(rest_plan(&config, &x, 0.05))));
     let first = system.ask(Request::Start(7));
     assert_eq!((first.mode, first.plan_id, first.t_plan), (Mode::Track.code(), 7, 0.0));
     for k in 1..800 {
@@ -134,7 +135,7 @@ fn shutdown_comes_to_rest_before_the_brakes_close() {
     }
     assert_eq!(system.controller.mode(), Mode::Idle);
     assert!(system.arm.x.fixed_rows::<NU>(NQ).amax() < 0.02);
-    let output = system.controller.step(&system.arm.measure(), 0, Some(Order::Do(Request::Enable)));
+    let output = system.controller.step(StepInput::new(system.arm.measure(), 0, Some(Request::Enable)));
     assert!(output.answer.unwrap().is_err(), "nothing starts any more");
 }
 
@@ -143,14 +144,14 @@ fn a_pendulum_that_turned_over_hangs_at_zero_again() {
     let config = config();
     let q = rest_pose(&config);
     let mut controller = Controller::new(&config);
-    controller.step(&common::measurement(1, &q), 0, Some(Order::Do(Request::Enable)));
+    controller.step(StepInput::new(common::measurement(1, &q), 0, Some(Request::Enable)));
     let (mut turning, turn) = (q, std::f64::consts::TAU);
     let mut seq = 1;
     // A turn and a half, at 10 rad/s.
     while turning[7] < q[7] + 1.5 * turn {
         turning[7] += 10.0 * common::PERIOD;
         seq += 1;
-        let output = controller.step(&common::measurement(seq, &turning), 0, None);
+        let output = controller.step(StepInput::new(common::measurement(seq, &turning), 0, None));
         assert_eq!(output.record.telemetry.mode, Mode::Hold.code(), "{:?}", controller.trip());
         let shown = output.record.telemetry.q[7];
         assert!(shown.abs() < 0.5 * turn + 0.51, "{shown}");
@@ -162,18 +163,15 @@ fn a_pendulum_that_turned_over_hangs_at_zero_again() {
     turning[7] = q[7] + turn;
     (1..2000).for_each(|_| {
         seq += 1;
-        controller.step(&common::measurement(seq, &turning), 0, None);
+        controller.step(StepInput::new(common::measurement(seq, &turning), 0, None));
     });
-    for order in [
-        Order::Do(Request::Reset),
-        Order::Do(Request::Enable),
-        Order::Load(rest_plan(&config, &at_rest(&q), 1.0)),
-    ] {
+    for request in [Request::Reset, Request::Enable, Request::Load(rest_plan(&config, &at_rest(&q), 1.0))] {
         seq += 1;
-        let _ = controller.step(&common::measurement(seq, &turning), 0, Some(order)).answer;
+        let _ = controller.step(StepInput::new(common::measurement(seq, &turning), 0, Some(request))).answer;
     }
     seq += 1;
-    let output = controller.step(&common::measurement(seq, &turning), 0, Some(Order::Do(Request::Start(7))));
+    let output =
+        controller.step(StepInput::new(common::measurement(seq, &turning), 0, Some(Request::Start(7))));
     assert_eq!((output.answer, controller.mode()), (Some(Ok(())), Mode::Track));
 }
 
@@ -192,13 +190,13 @@ fn known_friction_is_added_at_the_speed_of_the_reference() {
         let measurement = arm.measure();
         // Both see the arm that the first one moves.
         let [(free, command), (known, _)] = controllers.each_mut().map(|controller| {
-            let order = match cycle {
-                0 => Some(Order::Do(Request::Enable)),
-                1 => Some(Order::Load(plan.clone())),
-                2 => Some(Order::Do(Request::Start(plan.id))),
+            let request = match cycle {
+                0 => Some(Request::Enable),
+                1 => Some(Request::Load(plan.clone())),
+                2 => Some(Request::Start(plan.id)),
                 _ => None,
             };
-            let output = controller.step(&measurement, 0, order);
+            let output = controller.step(StepInput::new(measurement, 0, request));
             (output.record.telemetry, output.command)
         });
         arm.advance(&command);

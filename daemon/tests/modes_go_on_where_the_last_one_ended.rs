@@ -6,8 +6,9 @@ use common::{Arm, PERIOD, PERIOD_NS, at_rest, config, measurement, rest_plan, re
 use upswing_config::PlanWhileTracking;
 use upswing_ipc::{Clock, Measurement, Mode, Telemetry};
 use upswing_model::{ActuatedVector, JointVector, NQ, NU, Workspace};
-use upswingd::controller::{Controller, Order, Output};
-use upswingd::supervisor::{Refusal, Request};
+use upswingd::controller::Controller;
+use upswingd::step::{Output, Request, StepInput};
+use upswingd::supervisor::Refusal;
 use upswingd::trip::TripCause;
 
 /// A controller that is told every next measurement.
@@ -23,13 +24,13 @@ impl Told {
         Self { controller: Controller::new(&config), q: rest_pose(&config), seq: 0 }
     }
 
-    fn step(&mut self, order: Option<Order>) -> Output {
+    fn step(&mut self, request: Option<Request>) -> Output {
         self.seq += 1;
-        self.controller.step(&measurement(self.seq, &self.q), 0, order)
+        self.controller.step(StepInput::new(measurement(self.seq, &self.q), 0, request))
     }
 
     fn ask(&mut self, request: Request) -> Output {
-        let output = self.step(Some(Order::Do(request)));
+        let output = self.step(Some(request));
         assert_eq!(output.answer, Some(Ok(())));
         output
     }
@@ -38,7 +39,7 @@ impl Told {
     fn tracking(mut self, t_f: f64) -> Self {
         let plan = rest_plan(&config(), &at_rest(&self.q), t_f);
         self.ask(Request::Enable);
-        self.step(Some(Order::Load(plan)));
+        self.step(Some(Request::Load(plan)));
         self.ask(Request::Start(7));
         self
     }
@@ -57,7 +58,7 @@ fn a_stop_that_is_asked_for_again_goes_on_and_ends_in_the_pose_of_its_reference(
     let mut arm = Arm::new(&config, at_rest(&rest_pose(&config)));
     let mut controller = Controller::new(&config);
     let mut cycle = |controller: &mut Controller, request: Option<Request>| {
-        let output = controller.step(&arm.measure(), 0, request.map(Order::Do));
+        let output = controller.step(StepInput::new(arm.measure(), 0, request.clone()));
         if request == Some(Request::Enable) {
             (0..NU).for_each(|i| arm.x[NQ + i] = 0.5);
         }
@@ -97,7 +98,7 @@ fn a_plan_that_hangs_ends_in_the_hold_of_its_end() {
     // Held elsewhere, within what a start tolerates.
     told.q[0] += 1e-4;
     told.ask(Request::Enable);
-    told.step(Some(Order::Load(rest_plan(&config(), &at_rest(&end), 0.001))));
+    told.step(Some(Request::Load(rest_plan(&config(), &at_rest(&end), 0.001))));
     told.ask(Request::Start(7));
     let mut last = told.step(None);
     while told.controller.mode() == Mode::Track {
@@ -114,10 +115,10 @@ fn cycles_are_counted_where_time_passes() {
         let mut controller = Controller::new(&config());
         let mut at = |seq, now: u64| {
             let measured = Measurement { clock: clock.code(), ..measurement(seq, &q) };
-            let output = controller.step(&measured, now * PERIOD_NS, None);
+            let output = controller.step(StepInput::new(measured, now * PERIOD_NS, None));
             (output.command.seq, output.record.telemetry.t_ns / PERIOD_NS)
         };
-        // The second time it is an order between cycles, or a cycle without a measurement.
+        // The second time it is a request between cycles, or a cycle without a measurement.
         let expected = if clock == Clock::Wall { [(1, 5), (2, 6), (3, 7)] } else { [(1, 1), (1, 1), (2, 2)] };
         assert_eq!([at(1, 5), at(1, 6), at(2, 7)], expected, "{clock}");
     }
@@ -130,7 +131,7 @@ fn the_time_of_a_plan_goes_on_with_the_measurements_whatever_their_stamps() {
     for cycle in 1..=8 {
         told.seq += 1;
         let next = Measurement { t_ns: stuck, ..measurement(told.seq, &told.q) };
-        let t_plan = told.controller.step(&next, 0, None).record.telemetry.t_plan;
+        let t_plan = told.controller.step(StepInput::new(next, 0, None)).record.telemetry.t_plan;
         assert!((t_plan - f64::from(cycle) * PERIOD).abs() < 1e-12, "{t_plan}");
     }
 }
@@ -139,7 +140,7 @@ fn the_time_of_a_plan_goes_on_with_the_measurements_whatever_their_stamps() {
 fn a_plan_that_waits_for_its_plant_does_not_age() {
     let mut told = Told::new();
     let plan = rest_plan(&config(), &at_rest(&told.q), 1.0);
-    told.controller.step(&Measurement::default(), 0, Some(Order::Load(plan)));
+    told.controller.step(StepInput::new(Measurement::default(), 0, Some(Request::Load(plan))));
     // Twenty minutes.
     told.seq = 10_000_000;
     told.ask(Request::Enable);
@@ -180,13 +181,17 @@ fn plans_are_taken_while_another_is_tracked_as_set() {
             let next = |id| {
                 let mut plan = rest_plan(&config, &at_rest(&q), 0.0005);
                 plan.id = id;
-                Some(Order::Load(plan))
+                Some(Request::Load(plan))
             };
             let mut told = Told { controller: Controller::new(&config), q, seq: 0 }.tracking(0.01);
             let output = told.step(next(8));
             let expected = if taken { Ok(()) } else { Err(Refusal::Tracking { running: 7 }) };
             assert_eq!(output.answer, Some(expected));
-            assert_eq!(output.garbage.map(|plan| plan.id), (!taken).then_some(8), "it is handed back");
+            assert_eq!(
+                output.retired[0].as_ref().map(|plan| plan.id),
+                (!taken).then_some(8),
+                "it is handed back"
+            );
             while told.controller.mode() == Mode::Track {
                 told.step(None);
             }
@@ -213,7 +218,7 @@ fn a_shutdown_can_be_asked_for_twice_and_nothing_else_after_it() {
     told.ask(Request::Shutdown);
     told.ask(Request::Shutdown);
     for request in [Request::Enable, Request::Hold, Request::Start(7), Request::Stop, Request::Reset] {
-        assert_eq!(told.step(Some(Order::Do(request))).answer, Some(Err(Refusal::ShuttingDown)), "{request}");
+        assert_eq!(told.step(Some(request.clone())).answer, Some(Err(Refusal::ShuttingDown)), "{request}");
     }
 }
 
@@ -233,15 +238,19 @@ fn only_a_load_that_is_sensed_behind_closed_brakes_is_an_offset() {
         tau_measured[0] += 1.0;
         for seq in 1..=10 {
             let status = Measurement::DRIVES_READY | status;
-            controller.step(&Measurement { status, tau_measured, ..measurement(seq, &q) }, 0, None);
+            controller.step(StepInput::new(
+                Measurement { status, tau_measured, ..measurement(seq, &q) },
+                0,
+                None,
+            ));
         }
         let last =
             Measurement { status: Measurement::DRIVES_READY | status, tau_measured, ..measurement(11, &q) };
-        let output = controller.step(&last, 0, Some(Order::Do(Request::Enable)));
+        let output = controller.step(StepInput::new(last, 0, Some(Request::Enable)));
         assert_eq!(output.answer, Some(Ok(())));
         let mut tau = ActuatedVector::zeros();
         for seq in 12..30 {
-            tau = controller.step(&measurement(seq, &q), 0, None).command.tau.into();
+            tau = controller.step(StepInput::new(measurement(seq, &q), 0, None)).command.tau.into();
         }
         // The sensor shows 1 N m too much: so much more is commanded.
         assert!(((tau - gravity)[0] - offset).abs() < 0.05, "{status:b}: {} N m", tau - gravity);

@@ -9,9 +9,10 @@ use upswing_ipc::{DamagedPlan, Measurement, Plan as Payload};
 use upswing_model::{ActuatedVector, NQ, NU, NX, State, Workspace};
 use upswing_planner::replan::{Effort, Planner};
 use upswing_trajectory::{Gain, KNOTS, N, Unfit};
-use upswingd::controller::{Controller, Order};
+use upswingd::controller::Controller;
 use upswingd::plan::{PlanRefusal, accept};
-use upswingd::supervisor::{Refusal, Request};
+use upswingd::step::{Request, StepInput};
+use upswingd::supervisor::Refusal;
 use upswingd::trip::TripCause;
 
 fn rest() -> (Config, State) {
@@ -536,14 +537,18 @@ fn an_old_plan() {
     let mut controller = Controller::new(&config);
     let q = upswing_model::position(&x);
     let seconds = |s: f64| (s / common::PERIOD) as u64;
-    controller.step(&common::measurement(1, &q), 0, Some(Order::Load(rest_plan(&config, &x, 1.0))));
+    controller.step(StepInput::new(
+        common::measurement(1, &q),
+        0,
+        Some(Request::Load(rest_plan(&config, &x, 1.0))),
+    ));
     let mut at = |s: f64| {
         let m = common::measurement(seconds(s), &q);
-        controller.step(&m, 0, Some(Order::Do(Request::Enable)));
+        controller.step(StepInput::new(m, 0, Some(Request::Enable)));
         let m = common::measurement(seconds(s) + 1, &q);
-        let output = controller.step(&m, 0, Some(Order::Do(Request::Start(7))));
+        let output = controller.step(StepInput::new(m, 0, Some(Request::Start(7))));
         let warned = output.record.telemetry.warnings & TripCause::PlanAge.bit() != 0;
-        controller.step(&m, 0, Some(Order::Do(Request::Stop)));
+        controller.step(StepInput::new(m, 0, Some(Request::Stop)));
         (output.answer.unwrap(), warned)
     };
     // The levels are 60 s and 600 s.
@@ -562,18 +567,20 @@ fn a_plan_ages_by_the_clock_of_the_plant_that_is_there() {
         let plan = rest_plan(&config, &x, 1.0);
         if loaded_at == 0 {
             // Before there is a plant, in the 1000th second of the machine.
-            controller.step(&Measurement::default(), 1_000_000_000_000, Some(Order::Load(plan)));
+            controller.step(StepInput::new(
+                Measurement::default(),
+                1_000_000_000_000,
+                Some(Request::Load(plan)),
+            ));
         } else {
-            controller.step(&common::measurement(loaded_at, &q), 0, Some(Order::Load(plan)));
+            controller.step(StepInput::new(common::measurement(loaded_at, &q), 0, Some(Request::Load(plan))));
         }
-        if restarts {
-            controller.restart_measurement();
-        }
-        controller.step(&common::measurement(1, &q), 0, None);
+        let first = StepInput::new(common::measurement(1, &q), 0, None);
+        controller.step(StepInput { restarted: restarts, ..first });
         let now = seconds(s);
-        controller.step(&common::measurement(now, &q), 0, Some(Order::Do(Request::Enable)));
+        controller.step(StepInput::new(common::measurement(now, &q), 0, Some(Request::Enable)));
         let output =
-            controller.step(&common::measurement(now + 1, &q), 0, Some(Order::Do(Request::Start(7))));
+            controller.step(StepInput::new(common::measurement(now + 1, &q), 0, Some(Request::Start(7))));
         output.answer.unwrap()
     };
     for (loaded_at, restarts) in [(0, false), (seconds(5000.0), true), (seconds(5000.0), false)] {
@@ -587,8 +594,8 @@ fn a_plan_ages_by_the_clock_of_the_plant_that_is_there() {
 fn no_time_passes_before_there_is_a_plant() {
     let (config, _) = rest();
     let mut controller = Controller::new(&config);
-    let order = Some(Order::Do(Request::Enable));
-    let output = controller.step(&Measurement::default(), 1_000_000_000_000, order);
+    let request = Some(Request::Enable);
+    let output = controller.step(StepInput::new(Measurement::default(), 1_000_000_000_000, request));
     assert!(output.answer.is_some_and(|answer| answer.is_err()));
     assert_eq!((output.record.telemetry.seq, output.record.telemetry.t_ns), (0, 0));
 }
@@ -601,18 +608,14 @@ fn a_plan_that_arrives_while_one_is_tracked() {
         config.daemon.plans.while_tracking = setting;
         let mut controller = Controller::new(&config);
         let mut arm = common::Arm::new(&config, x);
-        let mut step = |order| controller.step(&arm.measure(), 0, Some(order));
-        for order in [
-            Order::Do(Request::Enable),
-            Order::Load(rest_plan(&config, &x, 1.0)),
-            Order::Do(Request::Start(7)),
-        ] {
-            assert_eq!(step(order).answer, Some(Ok(())));
+        let mut step = |request| controller.step(StepInput::new(arm.measure(), 0, Some(request)));
+        for request in [Request::Enable, Request::Load(rest_plan(&config, &x, 1.0)), Request::Start(7)] {
+            assert_eq!(step(request).answer, Some(Ok(())));
         }
-        let output = step(Order::Load(rest_plan(&config, &x, 1.0)));
+        let output = step(Request::Load(rest_plan(&config, &x, 1.0)));
         let expected = if refused { Err(Refusal::Tracking { running: 7 }) } else { Ok(()) };
         assert_eq!(output.answer, Some(expected));
-        assert_eq!((output.garbage.is_some(), output.record.telemetry.plan_id), (refused, 7));
+        assert_eq!((output.retired[0].is_some(), output.record.telemetry.plan_id), (refused, 7));
     }
 }
 
@@ -682,13 +685,13 @@ fn start_elsewhere() {
     let (config, x) = rest();
     let mut controller = Controller::new(&config);
     let mut arm = common::Arm::new(&config, x);
-    let mut step = |order| controller.step(&arm.measure(), 0, Some(order)).answer.unwrap();
-    step(Order::Do(Request::Enable)).unwrap();
-    assert_eq!(step(Order::Do(Request::Start(7))), Err(Refusal::NoPlan));
+    let mut step = |request| controller.step(StepInput::new(arm.measure(), 0, Some(request))).answer.unwrap();
+    step(Request::Enable).unwrap();
+    assert_eq!(step(Request::Start(7)), Err(Refusal::NoPlan));
     let mut elsewhere = x;
     elsewhere[2] += 0.1;
-    step(Order::Load(rest_plan(&config, &elsewhere, 1.0))).unwrap();
-    let refusal = step(Order::Do(Request::Start(7))).unwrap_err();
+    step(Request::Load(rest_plan(&config, &elsewhere, 1.0))).unwrap();
+    let refusal = step(Request::Start(7)).unwrap_err();
     let expected = Refusal::StartMismatch {
         joint: 2,
         velocity: false,
@@ -704,7 +707,7 @@ fn start_elsewhere() {
     );
     let mut moving = rest_plan(&config, &x, 1.0);
     moving.trajectory.x[0][NQ] = 0.3;
-    step(Order::Load(moving)).unwrap();
-    let text = step(Order::Do(Request::Start(7))).unwrap_err().to_string();
+    step(Request::Load(moving)).unwrap();
+    let text = step(Request::Start(7)).unwrap_err().to_string();
     assert!(text.contains("joint 1") && text.contains("0.3000 rad/s"), "{text}");
 }

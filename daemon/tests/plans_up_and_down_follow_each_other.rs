@@ -5,8 +5,9 @@ mod common;
 use common::{Arm, PERIOD, at_rest, config, rest_pose, swing};
 use upswing_ipc::{Mode, Telemetry};
 use upswing_model::{NU, position};
-use upswingd::controller::{Controller, Order};
-use upswingd::supervisor::{Refusal, Request};
+use upswingd::controller::Controller;
+use upswingd::step::{Request, StepInput};
+use upswingd::supervisor::Refusal;
 
 /// Largest angle from the plan at its end, rad: the velocity filter lags.
 const CLOSE: f64 = 0.05;
@@ -17,14 +18,14 @@ struct Loop {
 }
 
 impl Loop {
-    fn cycle(&mut self, order: Option<Order>) -> (Telemetry, Option<Result<(), Refusal>>) {
-        let output = self.controller.step(&self.arm.measure(), 0, order);
+    fn cycle(&mut self, request: Option<Request>) -> (Telemetry, Option<Result<(), Refusal>>) {
+        let output = self.controller.step(StepInput::new(self.arm.measure(), 0, request));
         self.arm.advance(&output.command);
         (output.record.telemetry, output.answer)
     }
 
-    fn ask(&mut self, order: Order) {
-        assert_eq!(self.cycle(Some(order)).1, Some(Ok(())));
+    fn ask(&mut self, request: Request) {
+        assert_eq!(self.cycle(Some(request)).1, Some(Ok(())));
     }
 
     fn run(&mut self, seconds: f64) {
@@ -40,21 +41,21 @@ fn up_down_and_up_again() {
     let q = rest_pose(&config);
     let (up, down) = swing(&config, &q);
     let mut system = Loop { arm: Arm::new(&config, at_rest(&q)), controller: Controller::new(&config) };
-    system.ask(Order::Do(Request::Enable));
+    system.ask(Request::Enable);
 
-    system.ask(Order::Load(up.clone()));
-    system.ask(Order::Do(Request::Start(up.id)));
+    system.ask(Request::Load(up.clone()));
+    system.ask(Request::Start(up.id));
     system.run(up.trajectory.t_f + 1.0);
     assert_eq!(system.controller.mode(), Mode::Balance);
 
     // The same plan again starts elsewhere, and is refused without a change.
-    system.ask(Order::Load(up.clone()));
-    let (record, answer) = system.cycle(Some(Order::Do(Request::Start(up.id))));
+    system.ask(Request::Load(up.clone()));
+    let (record, answer) = system.cycle(Some(Request::Start(up.id)));
     assert!(matches!(answer, Some(Err(Refusal::StartMismatch { .. }))), "{answer:?}");
     assert_eq!((record.mode, record.plan_id), (Mode::Balance.code(), up.id));
 
-    system.ask(Order::Load(down.clone()));
-    system.ask(Order::Do(Request::Start(down.id)));
+    system.ask(Request::Load(down.clone()));
+    system.ask(Request::Start(down.id));
     assert_eq!(system.controller.mode(), Mode::Track);
     system.run(down.trajectory.t_f + 0.2);
     assert_eq!(system.controller.mode(), Mode::Hold);
@@ -66,8 +67,8 @@ fn up_down_and_up_again() {
     assert_eq!(record.q_d[..NU], down.trajectory.x[100].as_slice()[..NU]);
 
     system.run(1.0);
-    system.ask(Order::Load(up.clone()));
-    system.ask(Order::Do(Request::Start(up.id)));
+    system.ask(Request::Load(up.clone()));
+    system.ask(Request::Start(up.id));
     system.run(up.trajectory.t_f + 0.5);
     assert_eq!(system.controller.mode(), Mode::Balance);
 }

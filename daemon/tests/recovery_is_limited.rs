@@ -5,8 +5,8 @@ use std::time::Duration;
 use upswing_config::RecoverySettings;
 use upswing_ipc::operator::PublishedPlan;
 use upswing_ipc::{Mode, Step, Telemetry};
-use upswingd::controller::Record;
 use upswingd::recovery::{Recovery, RecoveryAction};
+use upswingd::step::CycleRecord;
 use upswingd::trip::{Trip, TripCause};
 
 const SECOND: u64 = 1_000_000_000;
@@ -16,10 +16,10 @@ fn settings(attempts: u32) -> RecoverySettings {
     RecoverySettings { attempts, rest_speed: 0.05, rest, patience }
 }
 
-fn record(mode: Mode, t_ns: u64, speed: f64, cause: Option<TripCause>) -> Record {
+fn record(mode: Mode, t_ns: u64, speed: f64, cause: Option<TripCause>) -> CycleRecord {
     let mut telemetry = Telemetry { mode: mode.code(), t_ns, ..Telemetry::default() };
     telemetry.qd[8] = speed;
-    Record { telemetry, step: Step::default(), trip: cause.map(Trip::plain), unready: None, overruns: 0 }
+    CycleRecord { telemetry, step: Step::default(), trip: cause.map(Trip::plain), unready: None, overruns: 0 }
 }
 
 /// Balances at 0 s and loses the rod at 1 s.

@@ -5,8 +5,8 @@ mod common;
 use allocation_counter::measure;
 use common::{Arm, at_rest, config, rest_plan, upright_pose};
 use upswing_ipc::Mode;
-use upswingd::controller::{Controller, Order};
-use upswingd::supervisor::Request;
+use upswingd::controller::Controller;
+use upswingd::step::{Request, StepInput};
 
 #[test]
 fn in_any_mode() {
@@ -19,25 +19,25 @@ fn in_any_mode() {
     let mut seen = Vec::with_capacity(8);
     for k in 0..4000_u64 {
         let mut measurement = arm.measure();
-        let order = match k {
-            1 => Some(Order::Do(Request::Start(7))),
-            2 => Some(Order::Do(Request::Enable)),
-            100 | 101 => plans.next().map(Order::Load),
-            102 => Some(Order::Do(Request::Start(7))),
-            400 => Some(Order::Do(Request::Stop)),
+        let request = match k {
+            1 => Some(Request::Start(7)),
+            2 => Some(Request::Enable),
+            100 | 101 => plans.next().map(Request::Load),
+            102 => Some(Request::Start(7)),
+            400 => Some(Request::Stop),
             _ => None,
         };
         if k == 3900 {
             measurement.q[0] = f64::NAN;
         }
         let mut output = None;
-        let heap = measure(|| output = Some(controller.step(&measurement, 0, order)));
+        let heap = measure(|| output = Some(controller.step(StepInput::new(measurement, 0, request))));
         assert_eq!((heap.count_total, heap.count_current), (0, 0), "cycle {k} in {}", controller.mode());
         let output = output.expect("it ran");
         if !seen.contains(&controller.mode()) {
             seen.push(controller.mode());
         }
-        garbage.extend(output.garbage);
+        garbage.extend(output.retired.into_iter().flatten());
         arm.advance(&output.command);
     }
     let expected = [Mode::Idle, Mode::Hold, Mode::Track, Mode::Balance, Mode::Stop, Mode::Fault];

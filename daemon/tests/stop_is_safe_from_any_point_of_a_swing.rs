@@ -7,8 +7,8 @@ use upswing_config::Config;
 use upswing_ipc::{Mode, Telemetry};
 use upswing_model::{NQ, NU, State};
 use upswing_trajectory::Plan;
-use upswingd::controller::{Controller, Order};
-use upswingd::supervisor::Request;
+use upswingd::controller::Controller;
+use upswingd::step::{Request, StepInput};
 
 /// Cycles between two stops: 25 ms.
 const STEP: usize = 200;
@@ -19,10 +19,8 @@ const BEGINNING: usize = 16;
 
 fn start(config: &Config, plan: &Plan, q: State) -> (Controller, Arm) {
     let (mut controller, mut arm) = (Controller::new(config), Arm::new(config, q));
-    for order in
-        [Order::Do(Request::Enable), Order::Load(Box::new(plan.clone())), Order::Do(Request::Start(plan.id))]
-    {
-        let output = controller.step(&arm.measure(), 0, Some(order));
+    for request in [Request::Enable, Request::Load(Box::new(plan.clone())), Request::Start(plan.id)] {
+        let output = controller.step(StepInput::new(arm.measure(), 0, Some(request)));
         assert_eq!(output.answer, Some(Ok(())));
         arm.advance(&output.command);
     }
@@ -32,9 +30,9 @@ fn start(config: &Config, plan: &Plan, q: State) -> (Controller, Arm) {
 fn stop(config: &Config, mut controller: Controller, mut arm: Arm, at: usize) {
     let limits = &config.robot.limits;
     let fastest = arm.x.fixed_rows::<NU>(NQ).abs();
-    let mut order = Some(Order::Do(Request::Stop));
+    let mut request = Some(Request::Stop);
     for cycle in 0..LONGEST {
-        let output = controller.step(&arm.measure(), 0, order.take());
+        let output = controller.step(StepInput::new(arm.measure(), 0, request.take()));
         arm.advance(&output.command);
         let (mode, flags) = (controller.mode(), output.record.telemetry.flags);
         assert!(
@@ -70,7 +68,7 @@ fn of_a_swing_up_and_of_a_swing_down() {
             if at % STEP == 0 {
                 stop(&config, controller.clone(), arm.clone(), at);
             }
-            let output = controller.step(&arm.measure(), 0, None);
+            let output = controller.step(StepInput::new(arm.measure(), 0, None));
             assert_eq!(controller.mode(), Mode::Track);
             arm.advance(&output.command);
         }

@@ -3,7 +3,7 @@
 //! | topic | type | rate | what |
 //! |---|---|---|---|
 //! | `/upswing/cycle` | `upswing_msgs/msg/Cycle` | every cycle | all fields of [`upswing_ipc::Telemetry`] |
-//! | `/upswing/step` | `upswing_msgs/msg/Step` | every step | what the controller was told, [`upswing_ipc::Step`] |
+//! | `/upswing/step` | `upswing_msgs/msg/Step` | every step | the input of the controller, [`upswing_ipc::Step`] |
 //! | `/upswing/plan` | `upswing_msgs/msg/Plan` | each plan | [`upswing_ipc::Plan`], before the step that loads it |
 //! | `/joint_states` | `sensor_msgs/msg/JointState` | 125 Hz | q, qd, measured torque |
 //! | `/tf` | `tf2_msgs/msg/TFMessage` | 125 Hz | frame of each link of the URDF in that of its parent |

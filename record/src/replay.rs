@@ -1,15 +1,16 @@
-//! Gives a controller once more what a recording says it was given, and compares.
+//! Replay: runs a controller on the recorded inputs of every step and compares its output with the recorded cycles.
 
 use crate::{Message, Recording, RecordingError, Window, cycle, scan};
 use std::collections::BTreeMap;
 use std::path::Path;
 use upswing_config::{Config, ConfigError};
-use upswing_ipc::{Plan, Step, Telemetry};
+use upswing_ipc::{Step, Telemetry, UnknownCode};
 use upswing_process::export;
 use upswing_process::output::{OutputError, Overwrite};
-use upswingd::controller::{Controller, Order};
+use upswingd::controller::Controller;
 use upswingd::os::flush_to_zero;
 use upswingd::plan::{PlanRefusal, accept};
+use upswingd::step::StepInput;
 
 /// Fields that tell of the thread, not of the controller.
 const OF_THE_THREAD: [&str; 5] = ["degraded", "wake_ns", "read_ns", "compute_ns", "write_ns"];
@@ -19,7 +20,7 @@ const OF_THE_THREAD: [&str; 5] = ["degraded", "wake_ns", "read_ns", "compute_ns"
 pub struct Run {
     /// The cycles, in the order of their recording; at least one.
     pub cycles: Vec<Telemetry>,
-    /// What led to them, in the order of their recording: steps and plans.
+    /// The inputs of the controller, in the order of their recording: steps and plans.
     pub inputs: Vec<Message>,
     /// What else is known of it.
     pub recording: Recording,
@@ -50,7 +51,7 @@ pub enum ReplayError {
     /// It has no steps.
     #[error("expected steps to replay, got none: the recording is of an older version")]
     NoSteps,
-    /// Nobody knows what the controller was told before.
+    /// Earlier steps are missing, so that the state of the controller is unknown.
     #[error(
         "expected step {expected}, got step {got}: a replay needs all steps from the start of the daemon; record with \
          `upswing demo --record`, or begin `upswing record` before the daemon"
@@ -61,17 +62,18 @@ pub enum ReplayError {
         /// Number of the one that comes instead.
         got: u64,
     },
-    /// An order that nobody gives, or the plan of one is missing.
-    #[error("step {number}: order {code} with plan {plan_id} cannot be given: {reason}")]
-    Order {
+    /// A step whose request does not exist, or whose plan is missing or refused.
+    #[error("step {number}: request {code} with plan {plan_id} cannot be given: {reason}")]
+    Request {
         /// Number of the step.
         number: u64,
-        /// Of the order.
+        /// Code of the request.
         code: u64,
         /// Plan to be loaded or started.
         plan_id: u64,
         /// What is wrong.
-        reason: String,
+        #[source]
+        reason: RequestError,
     },
     /// A settings file is not in it.
     #[error("expected the settings file {0} in the recording, got none")]
@@ -85,6 +87,20 @@ pub enum ReplayError {
     /// The embedded settings, which complete them, cannot be unpacked.
     #[error("cannot unpack the settings: {0}")]
     Export(#[from] OutputError),
+}
+
+/// Why the request of a recorded step cannot be given to a controller.
+#[derive(Debug, thiserror::Error)]
+pub enum RequestError {
+    /// No request has this code.
+    #[error(transparent)]
+    Unknown(#[from] UnknownCode),
+    /// The recording has no such plan before the step.
+    #[error("no such plan before it")]
+    NoPlan,
+    /// This version of the daemon refuses the plan.
+    #[error(transparent)]
+    Refused(#[from] PlanRefusal),
 }
 
 /// The first number that came out differently.
@@ -118,7 +134,7 @@ pub struct Replay {
 /// Replays with some settings; those of the recording are [`settings`].
 ///
 /// # Errors
-/// [`ReplayError`] if the recording does not hold all that the controller was told.
+/// [`ReplayError`] if the recording does not contain the complete input of the controller.
 pub fn replay(recorded: &Run, config: &Config) -> Result<Replay, ReplayError> {
     // As in the real-time thread: the replay has to round as that does. In a thread of its own, for the caller's sake.
     std::thread::scope(|threads| {
@@ -158,15 +174,13 @@ fn run(run: &Run, config: &Config) -> Result<Replay, ReplayError> {
         }
         number = step.number;
         replay.steps += 1;
-        let order = order(step, &plans, config)?;
-        if step.restarted != 0 {
-            controller.restart_measurement();
-        }
-        if step.lost != 0 {
-            controller.lose_measurement(step.lost);
-        }
-        controller.report_late(step.late);
-        let telemetry = controller.step(&step.measurement, step.now_ns, order).record.telemetry;
+        // Plans are checked as in the daemon.
+        let plan = |id| Ok(accept(plans.get(&id).ok_or(RequestError::NoPlan)?, config)?);
+        let input = StepInput::from_payload(step, plan).map_err(|reason| {
+            let Step { number, request: code, plan_id, .. } = *step;
+            ReplayError::Request { number, code, plan_id, reason }
+        })?;
+        let telemetry = controller.step(input).record.telemetry;
         if telemetry.seq == cycle {
             continue;
         }
@@ -178,20 +192,6 @@ fn run(run: &Run, config: &Config) -> Result<Replay, ReplayError> {
         }
     }
     if replay.steps == 0 { Err(ReplayError::NoSteps) } else { Ok(replay) }
-}
-
-fn order(step: &Step, plans: &BTreeMap<u64, &Plan>, config: &Config) -> Result<Option<Order>, ReplayError> {
-    let Step { number, order: code, plan_id, .. } = *step;
-    if code == 0 {
-        return Ok(None);
-    }
-    let bad = |reason: String| ReplayError::Order { number, code, plan_id, reason };
-    let mut refused: Option<PlanRefusal> = None;
-    let order = Order::of(code, plan_id, || {
-        accept(plans.get(&plan_id)?, config).map_err(|refusal| refused = Some(refusal)).ok()
-    });
-    let missing = || refused.map_or("no such order, or no such plan before it".into(), |r| r.to_string());
-    order.map(Some).ok_or_else(|| bad(missing()))
 }
 
 /// Notes the first differences of two records of the same cycle.

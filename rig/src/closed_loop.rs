@@ -10,9 +10,10 @@ use upswing_planner::replan::{Effort, NoPlan, Planner};
 use upswing_planner::service::describe;
 use upswing_plant::{Plant, SetEventError, StateError};
 use upswing_record::report::Report;
-use upswingd::controller::{Controller, Order, Output};
+use upswingd::controller::Controller;
 use upswingd::plan::{PlanRefusal, accept};
-use upswingd::supervisor::{Refusal, Request};
+use upswingd::step::{Output, Request, StepInput};
+use upswingd::supervisor::Refusal;
 use upswingd::trip::Trip;
 
 /// Cycles without a new measurement after which a run is given up: one second.
@@ -114,12 +115,12 @@ impl ClosedLoop {
     }
 
     /// One cycle of the plant: what the controller made of its measurement. Where a fault of the plant shows it nothing
-    /// new it makes nothing, as its process does, and the order waits.
-    pub fn cycle(&mut self, order: &mut Option<Order>) -> Option<Output> {
+    /// new it makes nothing, as its process does, and the request waits.
+    pub fn cycle(&mut self, request: &mut Option<Request>) -> Option<Output> {
         let measurement = self.plant.measure();
         let new = measurement.seq != self.measured;
         self.measured = measurement.seq;
-        let output = new.then(|| self.controller.step(&measurement, 0, order.take()));
+        let output = new.then(|| self.controller.step(StepInput::new(measurement, 0, request.take())));
         self.plant.step(output.as_ref().map(|output| &output.command));
         output
     }
@@ -140,16 +141,16 @@ struct SwingUpRun<'a, D> {
 }
 
 impl<D> SwingUpRun<'_, D> {
-    fn cycle(&mut self, order: Option<(&'static str, Order)>) -> Result<(), Aborted> {
+    fn cycle(&mut self, request: Option<Request>) -> Result<(), Aborted> {
         let before = self.system.controller.mode();
-        let (request, mut order) = order.unzip();
-        let output = (0..MOST_SILENT).find_map(|_| self.system.cycle(&mut order)).ok_or(Aborted::Silent)?;
+        let (name, mut request) = request.map(|request| (request.name(), request)).unzip();
+        let output = (0..MOST_SILENT).find_map(|_| self.system.cycle(&mut request)).ok_or(Aborted::Silent)?;
         let record = output.record.telemetry;
         self.records.push(record);
         if matches!(record.mode(), Ok(Mode::Track | Mode::Balance)) {
             self.fastest = self.fastest.sup(&self.system.plant.velocity().abs());
         }
-        if let (Some(request), Some(Err(refusal))) = (request, output.answer) {
+        if let (Some(request), Some(Err(refusal))) = (name, output.answer) {
             return Err(Aborted::Refused { request, refusal });
         }
         match output.record.trip {
@@ -191,7 +192,7 @@ impl<D: FnOnce(f64) -> Disturbances> Course for SwingUpRun<'_, D> {
     }
 
     fn hold(&mut self, cycles: u64) -> Result<(), Aborted> {
-        self.cycle(Some(("enable", Order::Do(Request::Enable))))?;
+        self.cycle(Some(Request::Enable))?;
         self.cycles(cycles - 1)
     }
 
@@ -203,8 +204,8 @@ impl<D: FnOnce(f64) -> Disturbances> Course for SwingUpRun<'_, D> {
         let replan = self.planner.replan_with(self.solver, manoeuvre, &start, &effort)?;
         let plan = accept(&Box::<upswing_ipc::Plan>::from(&replan.plan(self.config)), self.config)?;
         let id = plan.id;
-        self.cycle(Some(("load", Order::Load(plan))))?;
-        self.cycle(Some(("start", Order::Do(Request::Start(id)))))?;
+        self.cycle(Some(Request::Load(plan)))?;
+        self.cycle(Some(Request::Start(id)))?;
         if let Some(disturbances) = self.disturbances.take() {
             let Disturbances { pushes, missed } = disturbances(replan.trajectory.t_f);
             let now = self.system.plant.seq();

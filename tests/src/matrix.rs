@@ -10,9 +10,9 @@ use upswing_planner::replan::Planner;
 use upswing_plant::Plant;
 use upswing_rig::closed_loop::ClosedLoop;
 use upswing_rig::fault_args::FaultArgs;
-use upswingd::controller::{Order, Record};
 use upswingd::plan::accept;
-use upswingd::supervisor::{Request, is_braked};
+use upswingd::step::{CycleRecord, Request};
+use upswingd::supervisor::is_braked;
 use upswingd::trip::Trip;
 
 /// The page with the tables.
@@ -118,7 +118,7 @@ pub struct Case {
     /// The two.
     pub system: ClosedLoop,
     /// Every cycle since the start, if that is wanted.
-    pub records: Option<Vec<Record>>,
+    pub records: Option<Vec<CycleRecord>>,
     /// The plan that was followed.
     pub plan: Option<Box<Plan>>,
     config: Config,
@@ -169,7 +169,7 @@ impl Case {
     pub fn in_mode(mut self, mode: Mode) -> Self {
         self.run(1);
         if mode != Mode::Idle {
-            self.order(Order::Do(Request::Enable));
+            self.request(Request::Enable);
             self.run(SETTLE);
         }
         if matches!(mode, Mode::Track | Mode::Balance | Mode::Stop) {
@@ -182,7 +182,7 @@ impl Case {
         }
         match mode {
             Mode::Stop => {
-                self.order(Order::Do(Request::Stop));
+                self.request(Request::Stop);
                 self.run(STOPPING);
             }
             Mode::Fault => {
@@ -211,8 +211,8 @@ impl Case {
         let Ok(accepted) = accept(&plan, &self.config) else { return false };
         let id = accepted.id;
         self.plan = Some(plan);
-        self.order(Order::Load(accepted));
-        self.order(Order::Do(Request::Start(id)));
+        self.request(Request::Load(accepted));
+        self.request(Request::Start(id));
         self.system.controller.mode() == Mode::Track
     }
 
@@ -223,12 +223,12 @@ impl Case {
         }
     }
 
-    /// Gives an order; it waits for the next measurement, which a fault may keep back.
-    pub fn order(&mut self, order: Order) {
-        let mut order = Some(order);
+    /// Gives a request; it waits for the next measurement, which a fault may keep back.
+    pub fn request(&mut self, request: Request) {
+        let mut request = Some(request);
         for _ in 0..WATCHED {
-            self.cycle(&mut order);
-            if order.is_none() {
+            self.cycle(&mut request);
+            if request.is_none() {
                 return;
             }
         }
@@ -238,9 +238,9 @@ impl Case {
     ///
     /// # Panics
     /// If a torque is beyond its limit or not a number, or flows while the brakes are commanded closed.
-    fn cycle(&mut self, order: &mut Option<Order>) {
+    fn cycle(&mut self, request: &mut Option<Request>) {
         let mode = self.system.controller.mode();
-        let Some(output) = self.system.cycle(order) else { return };
+        let Some(output) = self.system.cycle(request) else { return };
         let command = &output.command;
         for i in 0..NU {
             let (tau, max) = (command.tau[i], self.config.robot.limits.tau_max[i]);

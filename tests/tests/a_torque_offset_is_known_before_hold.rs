@@ -6,8 +6,7 @@ use upswing_ipc::Mode;
 use upswing_model::{NU, position, velocity};
 use upswing_plant::Plant;
 use upswing_rig::closed_loop::ClosedLoop;
-use upswingd::controller::Order;
-use upswingd::supervisor::Request;
+use upswingd::step::Request;
 
 #[test]
 fn the_arm_stays_where_it_is_when_the_brakes_open() {
@@ -20,7 +19,7 @@ fn the_arm_stays_where_it_is_when_the_brakes_open() {
         let plant = Plant::at(&config, &position(&x), &velocity(&x)).expect("inside its limits");
         let mut system = ClosedLoop::new(&config, plant);
         system.cycle(&mut None);
-        let mut order = Some(Order::Do(Request::Enable));
+        let mut order = Some(Request::Enable);
         let mut fastest: f64 = 0.0;
         for _ in 0..4000 {
             system.cycle(&mut order);

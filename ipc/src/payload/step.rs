@@ -1,10 +1,10 @@
-//! What the controller was told, for replays.
+//! The recorded input of the controller, for replays.
 
 use super::{Measurement, WORD, Zeroable, batch, words};
 use iceoryx2::prelude::ZeroCopySend;
 
-/// What the controller was told in one step, daemon -> recordings. Together with the plans it is all that modes and
-/// commands depend on. Every cycle is a step; on the paced clock there are others, between two cycles.
+/// The input of the controller in one step, daemon -> recordings. Together with the plans it determines all modes and
+/// commands. Every cycle is a step; on the paced clock there are also steps between two cycles.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
 #[type_name("upswing.Step.v1")]
@@ -21,9 +21,9 @@ pub struct Step {
     pub lost: u64,
     /// 1: just before the step, the measurements of another plant began; 0: they did not.
     pub restarted: u64,
-    /// Code of the order, as the daemon numbers them; 0: none.
-    pub order: u64,
-    /// Id of the plan that the order loads or starts, 0: none.
+    /// Code of the request, as the daemon numbers them; 0: none.
+    pub request: u64,
+    /// Id of the plan that the request loads or starts, 0: none.
     pub plan_id: u64,
     /// The newest measurement.
     pub measurement: Measurement,

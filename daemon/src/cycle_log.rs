@@ -1,9 +1,9 @@
 //! What the other thread keeps of the cycles: telemetry to publish, statistics, warnings, the flight recorder.
 
-use crate::controller::Record;
 use crate::flight::Recorder;
 use crate::histogram::Histogram;
 use crate::overrun::{Overrun, Watch};
+use crate::step::CycleRecord;
 use crate::supervisor::Refusal;
 use crate::trip::{TripCause, warning_texts};
 use std::time::{Duration, Instant};
@@ -21,10 +21,10 @@ const FLIGHT: f64 = 2.0;
 const OVERRUN_LOG: Duration = Duration::from_secs(1);
 
 /// The cycles so far.
-pub struct Journal<'a> {
+pub struct CycleLog<'a> {
     settings: &'a DaemonSettings,
     /// The newest record.
-    pub newest: Option<Record>,
+    pub newest: Option<CycleRecord>,
     /// When a record last told of a new measurement.
     pub sign_of_life: Instant,
     telemetry: Publisher<TelemetryBatch>,
@@ -35,7 +35,7 @@ pub struct Journal<'a> {
     batch_begin: Instant,
     wake: Histogram,
     compute: Histogram,
-    /// Since the last [`Journal::forget_warnings`].
+    /// Since the last [`CycleLog::forget_warnings`].
     warnings: u64,
     watch: Option<Watch>,
     overrun: Option<(Overrun, Instant)>,
@@ -44,8 +44,8 @@ pub struct Journal<'a> {
     flight: String,
 }
 
-impl<'a> Journal<'a> {
-    /// A journal without a cycle.
+impl<'a> CycleLog<'a> {
+    /// A log without a cycle.
     ///
     /// # Errors
     /// If nothing can be published.
@@ -107,7 +107,7 @@ impl<'a> Journal<'a> {
     ///
     /// # Errors
     /// If telemetry cannot be published.
-    pub fn note(&mut self, record: Record, dropped: u64) -> Result<(), IpcError> {
+    pub fn note(&mut self, record: CycleRecord, dropped: u64) -> Result<(), IpcError> {
         let before = self.mode();
         let (last_seq, last_measured) =
             self.newest.map_or((0, 0), |r| (r.telemetry.seq, r.telemetry.measurement_seq));
@@ -185,7 +185,7 @@ impl<'a> Journal<'a> {
     }
 
     /// Logs a change of the mode; a fault is kept in a file.
-    fn tell(&mut self, before: Mode, record: &Record) {
+    fn tell(&mut self, before: Mode, record: &CycleRecord) {
         let mode = self.mode();
         if mode == before {
             return;

@@ -1,0 +1,169 @@
+//! Input and output of one step of the controller, and the recorded form of the input.
+
+use crate::supervisor::{Event, Refusal};
+use crate::trip::Trip;
+use std::fmt;
+use upswing_ipc::{Command, Measurement, Step, Telemetry, UnknownCode};
+use upswing_trajectory::Plan;
+
+/// A request to the controller, of an operator or of the daemon itself.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Request {
+    /// Release the brakes and hold the arm.
+    Enable,
+    /// Hold the present pose of the arm.
+    Hold,
+    /// Track the loaded plan, if it has this id.
+    Start(u64),
+    /// Decelerate the arm, then hold it.
+    Stop,
+    /// Leave Fault.
+    Reset,
+    /// Bring the arm to rest, close the brakes, and refuse all later requests.
+    Shutdown,
+    /// Keep this plan, which has passed the checks, for the next start.
+    Load(Box<Plan>),
+}
+
+impl Request {
+    /// The event that the request is to the table of modes; `None`: it does not concern the mode.
+    pub const fn event(&self) -> Option<Event> {
+        match self {
+            Self::Enable => Some(Event::Enable),
+            Self::Hold => Some(Event::Hold),
+            Self::Start(_) => Some(Event::Start),
+            Self::Stop => Some(Event::Stop),
+            Self::Reset => Some(Event::Reset),
+            Self::Shutdown => Some(Event::Shutdown),
+            Self::Load(_) => None,
+        }
+    }
+
+    /// The name of the request for operators.
+    pub const fn name(&self) -> &'static str {
+        match self {
+            Self::Enable => "enable",
+            Self::Hold => "hold",
+            Self::Start(_) => "start",
+            Self::Stop => "stop",
+            Self::Reset => "reset",
+            Self::Shutdown => "shutdown",
+            Self::Load(_) => "load",
+        }
+    }
+}
+
+impl fmt::Display for Request {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+/// Everything that the controller is given in one step. Equal inputs give equal outputs.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StepInput {
+    /// The newest measurement, whether or not it is new.
+    pub measurement: Measurement,
+    /// Planned time of the cycle on the wall clock, CLOCK_MONOTONIC, ns; ignored on the other clocks, whose time advances by
+    /// one period per measurement.
+    pub now_ns: u64,
+    /// Number of cycles in a row that ended late before this one.
+    pub late_cycles: u64,
+    /// Number of cycles for which no measurement has come, in the step in which they count as lost; otherwise 0. Only the
+    /// caller can tell on a clock on which the daemon waits for measurements.
+    pub lost_cycles: u64,
+    /// Whether the measurements are those of another plant than in the step before, or of the same after a restart.
+    pub restarted: bool,
+    /// A request of an operator or of the daemon itself.
+    pub request: Option<Request>,
+}
+
+impl StepInput {
+    /// A step in which no cycle was late and no measurement was lost. `now_ns`: planned time of the cycle, see
+    /// [`StepInput::now_ns`].
+    pub const fn new(measurement: Measurement, now_ns: u64, request: Option<Request>) -> Self {
+        Self { measurement, now_ns, late_cycles: 0, lost_cycles: 0, restarted: false, request }
+    }
+
+    /// The recorded form of the input of step `number`, which belongs to the cycle `cycle`. Of a plan only its id is recorded.
+    pub fn to_payload(&self, number: u64, cycle: u64) -> Step {
+        let (request, plan_id) = match &self.request {
+            None => (0, 0),
+            Some(Request::Load(plan)) => (1, plan.id),
+            Some(Request::Enable) => (2, 0),
+            Some(Request::Hold) => (3, 0),
+            Some(Request::Start(plan_id)) => (4, *plan_id),
+            Some(Request::Stop) => (5, 0),
+            Some(Request::Reset) => (6, 0),
+            Some(Request::Shutdown) => (7, 0),
+        };
+        Step {
+            number,
+            cycle,
+            now_ns: self.now_ns,
+            late: self.late_cycles,
+            lost: self.lost_cycles,
+            restarted: self.restarted.into(),
+            request,
+            plan_id,
+            measurement: self.measurement,
+        }
+    }
+
+    /// The input that was recorded as `step`. `plan` gives the checked plan of an id.
+    ///
+    /// # Errors
+    /// [`UnknownCode`] for a request that does not exist, otherwise what `plan` returns.
+    pub fn from_payload<E: From<UnknownCode>>(
+        step: &Step,
+        plan: impl FnOnce(u64) -> Result<Box<Plan>, E>,
+    ) -> Result<Self, E> {
+        let request = match step.request {
+            0 => None,
+            1 => Some(Request::Load(plan(step.plan_id)?)),
+            2 => Some(Request::Enable),
+            3 => Some(Request::Hold),
+            4 => Some(Request::Start(step.plan_id)),
+            5 => Some(Request::Stop),
+            6 => Some(Request::Reset),
+            7 => Some(Request::Shutdown),
+            got => return Err(UnknownCode { what: "recorded request", got, max: 7 }.into()),
+        };
+        Ok(Self {
+            measurement: step.measurement,
+            now_ns: step.now_ns,
+            late_cycles: step.late,
+            lost_cycles: step.lost,
+            restarted: step.restarted != 0,
+            request,
+        })
+    }
+}
+
+/// Output of one step of the controller.
+#[derive(Debug)]
+pub struct Output {
+    /// The command for the drives.
+    pub command: Command,
+    /// Mode, reference, torque and limits of this cycle.
+    pub record: CycleRecord,
+    /// The answer to the request of this step, if there was one.
+    pub answer: Option<Result<(), Refusal>>,
+    /// Plans that the controller does not need any more, to be freed outside of the real-time thread.
+    pub retired: [Option<Box<Plan>>; 2],
+}
+
+/// The published and recorded values of one cycle.
+#[derive(Clone, Copy, Debug)]
+pub struct CycleRecord {
+    /// The published telemetry.
+    pub telemetry: Telemetry,
+    /// The recorded input of the step.
+    pub step: Step,
+    /// The limit that led to the last Fault or Stop; kept until the next enable, start or reset.
+    pub trip: Option<Trip>,
+    /// The reason for which an enable would be refused; `None` where it would not, and outside Idle.
+    pub unready: Option<Refusal>,
+    /// Number of cycles that ended late since the start of the daemon; 0 from the controller, which knows no clock.
+    pub overruns: u64,
+}
