@@ -6,6 +6,7 @@ use upswing_config::Config;
 use upswing_ipc::operator::{Manoeuvre, Request};
 use upswing_ipc::{Clock, PlannerRequest, PlannerResponse};
 use upswing_model::State;
+use upswing_planner::database::DatabaseFile;
 use upswing_rig::session::{Role, Session};
 use upswing_tests::System;
 use upswing_trajectory::{Database, Outcome};
@@ -22,7 +23,7 @@ pub fn run(count: u64) {
     requests(&starts(&config(), count));
     let folder = tempfile::tempdir().expect("a folder");
     let settings = folder.path().join("config");
-    upswing_process::export(&settings, Default::default()).unwrap_or_else(|e| panic!("{e}"));
+    upswing_planner::export(&settings, Default::default()).unwrap_or_else(|e| panic!("{e}"));
     memory(&System::start_with(Clock::Paced, POSE_DEG, Some(&settings)), entries(&config()));
     shorten(&settings);
     let shortened = Config::load(Some(&settings)).unwrap_or_else(|e| panic!("{e}"));
@@ -78,7 +79,7 @@ fn request(session: &mut Session, request: PlannerRequest) -> (PlannerResponse, 
 }
 
 fn entries(config: &Config) -> usize {
-    let database = config.database().unwrap_or_else(|e| panic!("{e}"));
+    let database = DatabaseFile::of(config).unwrap_or_else(|e| panic!("{e}"));
     Database::decode(&database.bytes).map_or(0, |d| d.entries().count())
 }
 

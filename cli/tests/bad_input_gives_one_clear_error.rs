@@ -23,7 +23,7 @@ fn refused(args: &[&str], parts: &[&str]) {
 fn settings(change: impl FnOnce(&Path)) -> tempfile::TempDir {
     let dir = tempfile::tempdir().expect("a folder");
     let copy = dir.path().join("config");
-    upswing_process::export(&copy, Default::default()).expect("settings are exported");
+    upswing_planner::export(&copy, Default::default()).expect("settings are exported");
     change(&copy);
     dir
 }

@@ -165,7 +165,7 @@ fn of_a_folder_of_settings_too() {
     ];
     for name in names {
         let config = folder.path().join(name.replace('.', "-"));
-        upswing_process::export(&config, Default::default()).expect("settings are exported");
+        upswing_planner::export(&config, Default::default()).expect("settings are exported");
         let file = config.join(name);
         assert!(file.exists(), "{name}");
         std::fs::remove_file(&file).expect("removed");

@@ -10,7 +10,7 @@ fn from_a_database_made_for_them() {
     let dir = tempfile::tempdir().expect("a folder");
     let path = |name: &str| dir.path().join(name).to_str().expect("a plain path").to_owned();
     let config = dir.path().join("config");
-    upswing_process::export(&config, Default::default()).expect("settings are exported");
+    upswing_planner::export(&config, Default::default()).expect("settings are exported");
     let of = |file: &str| std::fs::read_to_string(config.join(file)).expect("a file of the set");
     let line = |text: &str| text.lines().find(|l| l.starts_with("rotor_inertia_kg_m2")).map(str::to_owned);
     let rotors = line(&of("scenarios/rotor-inertia.toml")).expect("the rotors of the scenario");

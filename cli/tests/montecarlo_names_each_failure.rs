@@ -9,7 +9,7 @@ use serde_json::Value;
 fn a_loop_that_is_given_up() {
     let dir = tempfile::tempdir().expect("a folder");
     let config = dir.path().join("config");
-    upswing_process::export(&config, Default::default()).expect("settings are exported");
+    upswing_planner::export(&config, Default::default()).expect("settings are exported");
     let file = config.join("daemon.toml");
     let (from, to) = (
         "tracking_error_rad = { warn = 0.25, trip = 0.5 }",

@@ -64,15 +64,6 @@ pub struct Config {
     dir: Option<PathBuf>,
 }
 
-/// A trajectory database as stored.
-#[derive(Clone, Debug)]
-pub struct DatabaseFile {
-    /// Contents of the file.
-    pub bytes: Cow<'static, [u8]>,
-    /// Where they come from, for messages.
-    pub origin: String,
-}
-
 struct EmbeddedFile {
     name: &'static str,
     bytes: &'static [u8],
@@ -92,7 +83,8 @@ const PLANT: EmbeddedFile = embedded!("plant.toml");
 const GRID: EmbeddedFile = embedded!("grid.toml");
 /// Not read with a set of settings: another grid to build a database from.
 const PAPER_GRID: EmbeddedFile = embedded!("grid-paper.toml");
-const DATABASE: EmbeddedFile = embedded!("database.bin");
+/// Name of the trajectory database in a folder of settings; the planner reads it.
+pub const DATABASE: &str = "database.bin";
 /// Not read with a set of settings unless the plant asks for it: the second model of the arm.
 const SECOND_URDF: EmbeddedFile = embedded!("robot-acin.urdf");
 const FILES: [EmbeddedFile; 8] = [URDF, ROBOT, PLANNER, DAEMON, PLANT, GRID, PAPER_GRID, SECOND_URDF];
@@ -116,8 +108,8 @@ const SCENARIOS: [EmbeddedFile; 16] = [
     embedded!("scenarios/worn-bearings.toml"),
 ];
 
-/// A file's contents and the name that messages give it.
-type Contents = (String, Cow<'static, [u8]>);
+/// The name that messages give a file, and its contents.
+pub type Contents = (String, Cow<'static, [u8]>);
 
 impl Config {
     /// The settings that the program was built with.
@@ -163,10 +155,9 @@ impl Config {
         }
     }
 
-    /// The embedded files with their comments: path below a folder of settings, and contents. `upswing_process::export`
-    /// writes them.
+    /// The embedded files with their comments: path below a folder of settings, and contents.
     pub fn files() -> impl Iterator<Item = (&'static str, &'static [u8])> {
-        FILES.iter().chain([&DATABASE]).chain(&SCENARIOS).map(|file| (file.name, file.bytes))
+        FILES.iter().chain(&SCENARIOS).map(|file| (file.name, file.bytes))
     }
 
     /// The state at standstill with the arm at `q_a` (7 angles, rad) and the pendulum as `pendulum` says.
@@ -250,13 +241,13 @@ impl Config {
         SCENARIOS.iter().map(scenario_name)
     }
 
-    /// The trajectory database, not yet decoded. Only who asks for it pays for it: daemon and plant need none.
+    /// A file that belongs to the settings but is not read with them: where it comes from, for messages, and its contents. That of the
+    /// settings' folder, or, of the embedded settings, `embedded`.
     ///
     /// # Errors
-    /// The file is unreadable.
-    pub fn database(&self) -> Result<DatabaseFile, ConfigError> {
-        let (origin, bytes) = contents(self.dir.as_deref(), &DATABASE)?;
-        Ok(DatabaseFile { bytes, origin })
+    /// [`ConfigError::Unreadable`]
+    pub fn file(&self, name: &'static str, embedded: &'static [u8]) -> Result<Contents, ConfigError> {
+        contents(self.dir.as_deref(), &EmbeddedFile { name, bytes: embedded })
     }
 
     /// Replaces the grid by that of a file.
@@ -451,6 +442,6 @@ fn check_agreement(file: &str, toml: &Limits, urdf_file: &str, model: &Model) ->
 /// Names of all files of a full set, for messages.
 fn file_names() -> String {
     let mut names = FILES.map(|file| file.name).to_vec();
-    names.push(DATABASE.name);
+    names.push(DATABASE);
     names.join(", ")
 }

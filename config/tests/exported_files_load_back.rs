@@ -18,10 +18,13 @@ fn the_same_settings() {
     assert_eq!(loaded.plant, embedded.plant);
     assert_eq!(loaded.plant_model.fingerprint(), embedded.plant_model.fingerprint());
     assert_eq!(loaded.grid, embedded.grid);
-    let (of_folder, of_program) =
-        (loaded.database().expect("a file"), embedded.database().expect("embedded"));
-    assert_eq!(of_folder.bytes, of_program.bytes);
-    assert!(of_folder.origin.ends_with("database.bin"));
+    std::fs::write(dir.path().join("other"), b"in the folder").expect("write");
+    let (of_folder, of_program) = (
+        loaded.file("other", b"embedded").expect("a file"),
+        embedded.file("other", b"embedded").expect("embedded"),
+    );
+    assert!(of_folder.0.ends_with("other") && of_folder.1 == b"in the folder".as_slice());
+    assert!(of_program.0 == "embedded other" && of_program.1 == b"embedded".as_slice());
 }
 
 #[test]

@@ -30,7 +30,7 @@ struct System {
 /// A full set of settings in which each `from` of daemon.toml is a `to`.
 fn settings(edits: &[(&str, &str)]) -> tempfile::TempDir {
     let dir = tempfile::tempdir().unwrap();
-    upswing_process::export(dir.path(), Default::default()).unwrap();
+    upswing_planner::export(dir.path(), Default::default()).unwrap();
     let file = dir.path().join("daemon.toml");
     let mut text = std::fs::read_to_string(&file).unwrap();
     for (from, to) in edits {

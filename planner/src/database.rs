@@ -4,11 +4,13 @@
 mod build;
 mod merge;
 mod nearest;
+mod stored;
 mod verify;
 
 pub use build::build;
 pub use merge::merge;
 pub use nearest::{NearestPose, Neighbour};
+pub use stored::{DatabaseFile, SHIPPED};
 pub use verify::{Discrepancy, Finding, verify};
 
 use crate::offline::problem_fingerprint;
@@ -199,11 +201,7 @@ fn same_origin(path: &Path, got: &Heading, expected: &Heading) -> Result<(), Bui
 /// # Errors
 /// [`BuildError::File`] or [`BuildError::Database`].
 pub fn read(path: &Path) -> Result<Database, BuildError> {
-    let bytes = upswing_config::read_file(path).map_err(|cause| BuildError::File {
-        action: "read",
-        path: path.to_owned(),
-        cause,
-    })?;
+    let DatabaseFile { bytes, .. } = DatabaseFile::read(path)?;
     Database::decode(&bytes).map_err(|cause| BuildError::Database { path: path.to_owned(), cause })
 }
 

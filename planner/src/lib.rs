@@ -6,7 +6,10 @@
 //! - [`service`]: the process that answers requests.
 
 pub mod database;
+mod export;
 pub mod offline;
 pub mod predict;
 pub mod replan;
 pub mod service;
+
+pub use export::export;

@@ -10,10 +10,10 @@ mod outcome;
 
 pub use outcome::{Attempt, Method, NoPlan, Refusal, Replan, Times};
 
-use crate::database::{NearestPose, Neighbour};
+use crate::database::{DatabaseFile, NearestPose, Neighbour};
 use crate::offline::{self, lqr_weights, problem, problem_fingerprint, qp_weights, torque_constraint};
 use std::time::Instant;
-use upswing_config::{Config, ConfigError, DatabaseFile, QpBackend};
+use upswing_config::{Config, ConfigError, QpBackend};
 use upswing_ipc::operator::Manoeuvre;
 use upswing_model::{NU, NX, State, Workspace, position, velocity};
 use upswing_ocp::interior_point;
@@ -115,7 +115,7 @@ impl Planner {
     /// # Errors
     /// [`PlannerError`] if the database is unreadable, damaged, or was made for another robot or other settings.
     pub fn new(config: Config) -> Result<Self, PlannerError> {
-        let database = config.database()?;
+        let database = DatabaseFile::of(&config)?;
         Self::with_database(config, database)
     }
 

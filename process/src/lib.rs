@@ -1,12 +1,9 @@
 //! What every program starts with: command-line options, logging, the shutdown flag, exit codes, messages to the service manager, and
 //! the files it writes.
 
-mod export;
 pub mod notify;
 pub mod number;
 pub mod output;
-
-pub use export::export;
 
 use std::path::PathBuf;
 use std::process::ExitCode;

@@ -5,8 +5,6 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use upswing_config::{Config, ConfigError};
 use upswing_ipc::{Step, Telemetry, UnknownCode};
-use upswing_process::export;
-use upswing_process::output::{OutputError, Overwrite};
 use upswingd::controller::Controller;
 use upswingd::os::flush_to_zero;
 use upswingd::plan::{PlanRefusal, accept};
@@ -84,9 +82,6 @@ pub enum ReplayError {
     /// Its settings cannot be unpacked.
     #[error("cannot unpack the settings: {0}")]
     Unpack(#[from] std::io::Error),
-    /// The embedded settings, which complete them, cannot be unpacked.
-    #[error("cannot unpack the settings: {0}")]
-    Export(#[from] OutputError),
 }
 
 /// Why the request of a recorded step cannot be given to a controller.
@@ -227,10 +222,14 @@ fn compare(recorded: &Telemetry, replayed: &Telemetry, replay: &mut Replay) {
 /// [`ReplayError`] if one is missing, or cannot be used by this version.
 pub fn settings(recording: &Recording) -> Result<Config, ReplayError> {
     let folder = tempfile::tempdir()?;
-    export(folder.path(), Overwrite::default())?;
+    let write = |name: &str, bytes: &[u8]| {
+        let path = folder.path().join(name);
+        path.parent().map_or(Ok(()), std::fs::create_dir_all).and_then(|()| std::fs::write(&path, bytes))
+    };
+    Config::files().try_for_each(|(name, bytes)| write(name, bytes))?;
     for (name, _) in Config::embedded()?.texts()? {
         let text = recording.file_text(name).ok_or(ReplayError::NoSettings(name))?;
-        std::fs::write(folder.path().join(name), text)?;
+        write(name, text.as_bytes())?;
     }
     Ok(Config::from_dir(folder.path())?)
 }

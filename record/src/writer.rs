@@ -12,7 +12,6 @@ use std::path::{Path, PathBuf};
 use upswing_config::Config;
 use upswing_ipc::{Plan, Step, Telemetry};
 use upswing_model::NQ;
-use xxhash_rust::xxh3::xxh3_64;
 
 /// Rate of the topics that are for looking at the robot, Hz: more than screens show.
 const VIEW_RATE: f64 = 125.0;
@@ -59,7 +58,6 @@ impl Recorder {
         let mut all = BTreeMap::from([
             ("version".into(), env!("CARGO_PKG_VERSION").into()),
             ("model_fingerprint".into(), format!("{:016x}", config.model.fingerprint())),
-            ("database_fingerprint".into(), format!("{:016x}", xxh3_64(&config.database()?.bytes))),
             ("period_us".into(), (period * 1e6).to_string()),
         ]);
         all.extend(details.into_iter().map(|(key, value)| (key.to_owned(), value)));

@@ -3,8 +3,9 @@
 use super::{CommonArgs, print};
 use serde::Serialize;
 use std::path::PathBuf;
+use upswing_planner::export;
+use upswing_process::Failure;
 use upswing_process::output::{Destination, Overwrite};
-use upswing_process::{Failure, export};
 
 /// Writes or checks settings.
 ///

@@ -4,8 +4,8 @@ use super::{CommonArgs, TrajectoryJson, failed, print_json, progress_bar};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
-use upswing_config::{Config, DatabaseFile};
-use upswing_planner::database::{self, BuildError, Shard, Summary};
+use upswing_config::Config;
+use upswing_planner::database::{self, BuildError, DatabaseFile, Shard, Summary};
 use upswing_process::number::whole;
 use upswing_process::output::{Destination, Output, OutputError, Overwrite};
 use upswing_process::{Failure, shutdown_flag};
@@ -226,7 +226,7 @@ fn read(config: &Config, file: Option<&Path>) -> Result<(Database, String), Fail
     match file {
         Some(path) => Ok((database::read(path).map_err(failure)?, path.display().to_string())),
         None => {
-            let DatabaseFile { bytes, origin } = config.database()?;
+            let DatabaseFile { bytes, origin } = DatabaseFile::of(config)?;
             let database =
                 Database::decode(&bytes).map_err(|e| Failure::BadInput(format!("{origin}: {e}")))?;
             Ok((database, origin))

@@ -7,6 +7,7 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use upswing_config::PendulumStart;
 use upswing_ipc::Clock;
+use upswing_planner::database::DatabaseFile;
 use upswing_process::number::within;
 use upswing_process::output::{Destination, Overwrite};
 use upswing_process::{Failure, note, shutdown_flag};
@@ -109,7 +110,9 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
     let period = config.daemon.cycle.period.seconds();
     let recorder = recording.map(|file| {
         file.clear().map_err(|e| Failure::BadInput(format!("--record: {e}")))?;
+        let database = DatabaseFile::of(&config)?.fingerprint();
         let mut details = vec![("clock", args.clock.to_string()), ("start_deg", start.to_string())];
+        details.push(("database_fingerprint", database));
         details.extend(args.scenario.clone().map(|scenario| ("scenario", scenario)));
         Recorder::create(file.path(), &config, details).map_err(Failure::from)
     });

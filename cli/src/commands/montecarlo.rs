@@ -8,9 +8,9 @@ use super::{CommonArgs, failed, progress_bar, writable};
 use clap::ValueEnum;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
-use upswing_config::{Config, DatabaseFile};
+use upswing_config::Config;
 use upswing_model::NU;
-use upswing_planner::database::{self, Shard};
+use upswing_planner::database::{self, DatabaseFile, Shard};
 use upswing_planner::replan::Planner;
 use upswing_process::Failure;
 use upswing_process::number::whole;
@@ -122,15 +122,16 @@ impl SamplingArgs {
         if let Some(iterations) = iterations {
             config.planner.replan.iterations = iterations as usize;
         }
+        let stored = |path: &Path| DatabaseFile::read(path).map_err(|e| Failure::BadInput(e.to_string()));
         match (&self.database, self.grid) {
-            (Some(path), _) => Planner::with_database(config, database_file(path)?),
+            (Some(path), _) => Planner::with_database(config, stored(path)?),
             (None, Grid::Paper) => {
                 config.use_paper_grid()?;
                 let dir =
                     tempfile::tempdir().map_err(|e| failed(format!("no folder for the database: {e}")))?;
                 let path = dir.path().join("paper.bin");
                 build_database(&config, &path, stop)?;
-                let database = DatabaseFile { origin: "the paper's grid".into(), ..database_file(&path)? };
+                let database = DatabaseFile { origin: "the paper's grid".into(), ..stored(&path)? };
                 Planner::with_database(config, database)
             }
             (None, Grid::Default) => Planner::new(config),
@@ -218,14 +219,6 @@ fn list_failures<'a>(
         }
     }
     if left > 0 { write!(f, "\n  and {left} more; --json lists all") } else { Ok(()) }
-}
-
-/// A database that is not that of the settings.
-fn database_file(path: &Path) -> Result<DatabaseFile, Failure> {
-    let origin = path.display().to_string();
-    let bytes = upswing_config::read_file(path)
-        .map_err(|e| Failure::BadInput(format!("cannot read {origin}: {e}")))?;
-    Ok(DatabaseFile { bytes: bytes.into(), origin })
 }
 
 /// Builds the database of the settings' grid.

@@ -6,6 +6,7 @@ use serde::Serialize;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
+use upswing_planner::database::DatabaseFile;
 use upswing_process::number::within;
 use upswing_process::output::{Destination, Overwrite};
 use upswing_process::{Failure, shutdown_flag};
@@ -67,7 +68,8 @@ pub fn run(args: &RecordArgs) -> Result<(), Failure> {
     let node = args.common.connect()?;
     let stop = shutdown_flag()?;
     let tap = Tap::new(&node).map_err(failed)?;
-    let details = [("domain", args.common.process.domain.clone())];
+    let database = DatabaseFile::of(&config)?.fingerprint();
+    let details = [("domain", args.common.process.domain.clone()), ("database_fingerprint", database)];
     if let Some(output) = output {
         output.clear().map_err(|e| Failure::BadInput(e.to_string()))?;
     }

@@ -1,7 +1,7 @@
 //! `export` writes the embedded settings to a folder, and replaces no file unless it is told to.
 
 use upswing_config::Config;
-use upswing_process::export;
+use upswing_planner::export;
 use upswing_process::output::{OutputError, Overwrite};
 
 #[test]

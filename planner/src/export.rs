@@ -1,16 +1,17 @@
-//! The embedded settings as files to edit.
+//! The embedded settings and the shipped database as files to edit.
 
-use crate::output::{OutputError, Overwrite};
+use crate::database::SHIPPED;
 use std::path::Path;
-use upswing_config::Config;
+use upswing_config::{Config, DATABASE};
+use upswing_process::output::{OutputError, Overwrite};
 
-/// Writes the embedded settings, with their comments, to the folder `dir`, which is created if need be.
+/// Writes the embedded settings, with their comments, and the shipped database to the folder `dir`, which is created if need be.
 ///
 /// # Errors
 /// [`OutputError`] if one of the files exists already and is not to be replaced (then nothing is written), or the folder cannot
 /// be written to.
 pub fn export(dir: &Path, overwrite: Overwrite) -> Result<(), OutputError> {
-    let files = || Config::files().map(|(name, bytes)| (dir.join(name), bytes));
+    let files = || Config::files().chain([(DATABASE, SHIPPED)]).map(|(name, bytes)| (dir.join(name), bytes));
     for (path, _) in files().filter(|(path, _)| path.exists()) {
         overwrite.output(&path).check()?;
     }
