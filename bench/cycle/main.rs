@@ -12,7 +12,7 @@ use common::{Arm, at_rest, config, rest_pose, swing};
 use std::hint::black_box;
 use std::time::Instant;
 use upswing_config::Config;
-use upswing_ipc::{Command, Measurement, Mode, OwnDomain};
+use upswing_ipc::{Command, Measurement, Mode, TempDomain};
 use upswing_model::{ActuatedVector, NQ, State, Workspace};
 use upswingd::controller::Controller;
 use upswingd::step::{Request, StepInput};
@@ -54,8 +54,8 @@ fn print(name: &str, mut ns: Vec<f64>) {
 }
 
 fn cycles(config: &Config) -> Vec<f64> {
-    let domain = OwnDomain::new("bench").expect("valid domain");
-    let node = domain.connect("bench").expect("shared memory");
+    let domain = TempDomain::new("bench").expect("valid domain");
+    let node = domain.join("bench").expect("shared memory");
     let (measurements, commands) =
         (node.writer::<Measurement>().expect("writer"), node.writer::<Command>().expect("writer"));
     let reader = node.finder::<Measurement>().poll().expect("shared memory").expect("the writer above");

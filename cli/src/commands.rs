@@ -27,7 +27,9 @@ pub(crate) use json::{MarginsJson, PlanFigures, TrajectoryJson};
 use progress::{byte_bar, progress_bar, spinner, time_bar};
 use serde::Serialize;
 use std::path::Path;
-use upswing_ipc::{CallError, Clock, ControlRequest, Domain, IpcError, Node, OwnDomain, Request as _};
+use upswing_ipc::{
+    CallError, Clock, ControlRequest, Domain, IpcError, Node, RequestPayload as _, TempDomain,
+};
 use upswing_process::output::{Destination, Output, OutputError, Overwrite};
 use upswing_process::{Failure, ProcessArgs};
 use upswing_rig::session::{Options, SessionError};
@@ -56,12 +58,12 @@ impl CommonArgs {
     ///
     /// # Errors
     /// [`Failure`] for a bad name, an unusable domain, or one that nobody has joined.
-    pub fn connect(&self) -> Result<Node, Failure> {
+    pub fn join_existing(&self) -> Result<Node, Failure> {
         let domain = self.domain()?;
         if !domain.exists() {
             return Err(failed(CallError::no_server(ControlRequest::SERVICE, &domain)));
         }
-        domain.connect("cli").map_err(failed)
+        domain.join("cli").map_err(failed)
     }
 
     /// Joins the domain, to wait for others there.
@@ -69,7 +71,7 @@ impl CommonArgs {
     /// # Errors
     /// [`Failure`] for a bad name or an unusable domain.
     pub fn join(&self) -> Result<Node, Failure> {
-        self.domain()?.connect("cli").map_err(failed)
+        self.domain()?.join("cli").map_err(failed)
     }
 
     fn domain(&self) -> Result<Domain, Failure> {
@@ -88,8 +90,8 @@ fn own_system(
     clock: Clock,
     start: String,
     scenario: Option<String>,
-) -> Result<(OwnDomain, Options), Failure> {
-    let domain = OwnDomain::new(&format!("{}-{what}", common.process.domain))
+) -> Result<(TempDomain, Options), Failure> {
+    let domain = TempDomain::new(&format!("{}-{what}", common.process.domain))
         .map_err(|e| Failure::BadInput(e.to_string()))?;
     let name = domain.name().to_owned();
     let logs = std::env::temp_dir().join(&name);

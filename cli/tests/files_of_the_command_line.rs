@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use std::time::{Duration, Instant};
 use upswing::cli::Cli;
-use upswing_ipc::OwnDomain;
+use upswing_ipc::TempDomain;
 use upswing_process::output::Destination;
 
 const START: &str = "0,-15,0,-95,0,10,0";
@@ -119,7 +119,7 @@ fn run(words: &[String], folder: &Path) -> (Option<i32>, String) {
 #[test]
 fn that_are_pipes_or_devices_are_refused() {
     let folder = tempfile::tempdir().expect("a folder");
-    let domain = OwnDomain::new("test-files").expect("a valid name");
+    let domain = TempDomain::new("test-files").expect("a valid name");
     let mut seen = 0;
     for extension in ["toml", "prom", "bin"] {
         let pipe = folder.path().join(format!("pipe.{extension}"));
@@ -187,7 +187,7 @@ fn contents(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
 
 #[test]
 fn that_exist_are_not_overwritten_and_that_is_told_before_the_work() {
-    let domain = OwnDomain::new("test-files").expect("a valid name");
+    let domain = TempDomain::new("test-files").expect("a valid name");
     let mut seen = 0;
     for (path, command) in leaves() {
         for arg in command.get_arguments().filter(|arg| is_written(arg)) {

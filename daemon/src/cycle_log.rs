@@ -219,7 +219,7 @@ impl<'a> CycleLog<'a> {
     }
 
     /// What the operator can do next.
-    pub fn next_step(&self) -> String {
+    pub fn next_action(&self) -> String {
         let remedy = match &self.newest {
             None => Some(TripCause::NoMeasurement.remedy()),
             Some(record) => record.unready.as_ref().and_then(Refusal::remedy),
@@ -243,7 +243,7 @@ impl<'a> CycleLog<'a> {
             wake: self.wake.percentiles(),
             compute: self.compute.percentiles(),
             overrun: Text::new(&overrun.unwrap_or_default()),
-            next: Text::new(&self.next_step()),
+            next: Text::new(&self.next_action()),
             ..ControlResponse::default()
         }
     }

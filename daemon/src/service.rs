@@ -18,8 +18,8 @@ use tracing::{info, warn};
 use upswing_config::{Config, RealtimeMode};
 use upswing_ipc::operator::{Manoeuvre, PublishedPlan, request_plan};
 use upswing_ipc::{
-    Command, ControlCommand, ControlRequest, ControlResponse, Degradation, Domain, IpcError, Measurement,
-    Mode, Node, Plan, PlannerRequest, Reader, Search, Text,
+    Command, ControlKind, ControlRequest, ControlResponse, Degradation, Domain, FinderThread, IpcError,
+    Measurement, Mode, Node, Plan, PlannerRequest, Reader, Text,
 };
 use upswing_process::Failure;
 use upswing_process::notify::Notifier;
@@ -44,7 +44,7 @@ pub fn serve(config: &Config, domain: &Domain, shutdown: &AtomicBool) -> Result<
     Domain::check_limits().map_err(failed)?;
     // Before anything is mapped, so that nothing of it faults later.
     let (_prepared, refused) = os::prepare_process();
-    let node = domain.connect("daemon").map_err(failed)?;
+    let node = domain.join("daemon").map_err(failed)?;
     // The only server of its kind, so it also keeps a second daemon out.
     let server = node.server::<ControlRequest>().map_err(|e| match e {
         IpcError::Taken { .. } => Failure::Failed(format!("domain `{domain}` has a daemon already ({e})")),
@@ -121,7 +121,7 @@ struct ServiceThread<'a> {
     config: &'a Config,
     node: Node,
     link: RealtimeLink,
-    plants: Search<Measurement>,
+    plants: FinderThread<Measurement>,
     /// Whether a plant was found, and one that the real-time thread has no room for yet.
     found: bool,
     waiting: Option<Reader<Measurement>>,
@@ -156,7 +156,7 @@ impl<'a> ServiceThread<'a> {
             config,
             node: node.clone(),
             link,
-            plants: Search::start(node)
+            plants: FinderThread::start(node)
                 .map_err(|e| Failure::Failed(format!("cannot start a thread: {e}")))?,
             found: false,
             waiting: None,
@@ -215,8 +215,8 @@ impl<'a> ServiceThread<'a> {
 
     /// Hands over a plant that was found, until there is room for it.
     fn find_plant(&mut self) {
-        self.link.shared.plant_lives.store(self.plants.lives(), Ordering::Relaxed);
-        match self.plants.take() {
+        self.link.shared.plant_lives.store(self.plants.writer_is_alive(), Ordering::Relaxed);
+        match self.plants.poll() {
             Ok(Some(reader)) => {
                 info!("found a plant, started at {} ns", reader.epoch());
                 // Its memory is mapped now, not in the real-time thread.
@@ -298,16 +298,16 @@ impl<'a> ServiceThread<'a> {
 
     /// Answers a request of the operator.
     fn handle(&mut self, request: &ControlRequest) -> ControlResponse {
-        let request = match request.command() {
-            Ok(ControlCommand::Status) => {
+        let request = match request.kind() {
+            Ok(ControlKind::Status) => {
                 self.fetch();
                 return self.respond(true, &self.remark());
             }
-            Ok(ControlCommand::Enable) => Request::Enable,
-            Ok(ControlCommand::Hold) => Request::Hold,
-            Ok(ControlCommand::Start) => Request::Start(request.plan_id),
-            Ok(ControlCommand::Stop) => Request::Stop,
-            Ok(ControlCommand::Reset) => Request::Reset,
+            Ok(ControlKind::Enable) => Request::Enable,
+            Ok(ControlKind::Hold) => Request::Hold,
+            Ok(ControlKind::Start) => Request::Start(request.plan_id),
+            Ok(ControlKind::Stop) => Request::Stop,
+            Ok(ControlKind::Reset) => Request::Reset,
             Err(unknown) => return self.respond(false, &unknown.to_string()),
         };
         self.recovery.yield_to_operator();

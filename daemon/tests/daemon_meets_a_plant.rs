@@ -10,7 +10,7 @@ use std::thread::{JoinHandle, sleep, spawn};
 use std::time::{Duration, Instant};
 use upswing_config::Config;
 use upswing_ipc::{
-    Clock, ControlCommand, ControlRequest, Domain, Mode, OwnDomain, Plan, Telemetry, TelemetryBatch,
+    Clock, ControlKind, ControlRequest, Domain, Mode, Plan, Telemetry, TelemetryBatch, TempDomain,
 };
 use upswing_process::Failure;
 use upswingd::service::serve;
@@ -40,39 +40,35 @@ impl Daemon {
 
 #[test]
 fn on_lockstep_every_measurement_gets_one_cycle_and_requests_wait_for_the_next() {
-    let domain = OwnDomain::new("daemon").unwrap();
-    let node = domain.connect("plant").unwrap();
+    let domain = TempDomain::new("daemon").unwrap();
+    let node = domain.join("plant").unwrap();
     let telemetry = node.subscriber::<TelemetryBatch>().unwrap();
     let plans = node.publisher::<Plan>().unwrap();
     let client = node.client::<ControlRequest>().unwrap();
     let mut plant = Plant::new(&node, Clock::Lockstep);
     let daemon = Daemon::start(&domain);
     // As far as the daemon can know by now, time stands still before the first measurement.
-    let answer = ask_until(&client, ControlCommand::Stop, |answer| answer.accepted == 1);
+    let answer = ask_until(&client, ControlKind::Stop, |answer| answer.accepted == 1);
     assert!(answer.reason.as_str().unwrap().contains("queued"), "{}", answer.reason);
     assert_eq!(plant.exchange().brake, 1);
-    ask_until(&client, ControlCommand::Status, |answer| {
-        answer.reason.as_str().unwrap().contains("stop is not")
-    });
+    ask_until(&client, ControlKind::Status, |answer| answer.reason.as_str().unwrap().contains("stop is not"));
 
-    let answer = ask(&client, ControlCommand::Enable);
+    let answer = ask(&client, ControlKind::Enable);
     assert_eq!((answer.accepted, answer.mode()), (1, Ok(Mode::Idle)), "{}", answer.reason);
     assert!(answer.reason.as_str().unwrap().contains("queued"), "{}", answer.reason);
     let q = plant.q;
     let mut payload = rest_payload(&config(), &common::at_rest(&q), 1.0);
     plans.publish(&payload).unwrap();
-    ask_until(&client, ControlCommand::Status, |answer| answer.plan_id == 7);
+    ask_until(&client, ControlKind::Status, |answer| answer.plan_id == 7);
     payload.fingerprint = 1;
     payload.seal();
     plans.publish(&payload).unwrap();
-    ask_until(&client, ControlCommand::Status, |answer| {
-        answer.reason.as_str().unwrap().contains("fingerprint")
-    });
+    ask_until(&client, ControlKind::Status, |answer| answer.reason.as_str().unwrap().contains("fingerprint"));
     client.call(&ControlRequest::start(7), LONG).unwrap();
 
     let modes: Vec<u64> = (2..=40).map(|_| plant.exchange().brake).collect();
     assert!(modes.iter().all(|brake| *brake == 0), "enable took effect at measurement 2");
-    let answer = ask_until(&client, ControlCommand::Status, |answer| answer.seq == 40);
+    let answer = ask_until(&client, ControlKind::Status, |answer| answer.seq == 40);
     assert_eq!((answer.mode(), answer.running_plan), (Ok(Mode::Track), 7));
 
     let mut records: Vec<Telemetry> = Vec::new();
@@ -102,32 +98,32 @@ fn on_lockstep_every_measurement_gets_one_cycle_and_requests_wait_for_the_next()
 #[test]
 fn a_plant_that_stops_or_restarts_is_a_fault() {
     for clock in [Clock::Paced, Clock::Wall] {
-        let domain = OwnDomain::new("daemon").unwrap();
-        let node = domain.connect("operator").unwrap();
+        let domain = TempDomain::new("daemon").unwrap();
+        let node = domain.join("operator").unwrap();
         let client = node.client::<ControlRequest>().unwrap();
         let daemon = Daemon::start(&domain);
         let stop = Arc::new(AtomicBool::new(false));
         let plant = running_plant(&domain, clock, &stop);
-        ask_until(&client, ControlCommand::Enable, |answer| answer.accepted == 1);
-        ask_until(&client, ControlCommand::Status, |answer| answer.mode() != Ok(Mode::Idle));
+        ask_until(&client, ControlKind::Enable, |answer| answer.accepted == 1);
+        ask_until(&client, ControlKind::Status, |answer| answer.mode() != Ok(Mode::Idle));
         stop.store(true, Ordering::Release);
-        let answer = ask_until(&client, ControlCommand::Status, |answer| answer.mode() == Ok(Mode::Fault));
+        let answer = ask_until(&client, ControlKind::Status, |answer| answer.mode() == Ok(Mode::Fault));
         // A plant on the wall clock may be late before it stops.
         let late = clock == Clock::Wall && answer.fault == TripCause::MeasurementGap.code();
         let told = answer.reason.as_str().unwrap();
         assert!(late || told.contains("no new measurement"), "{clock}: {told}");
-        let answer = ask(&client, ControlCommand::Enable);
+        let answer = ask(&client, ControlKind::Enable);
         assert_eq!(answer.accepted, 0);
         assert!(answer.reason.as_str().unwrap().contains("fault"), "{}", answer.reason);
-        assert_eq!(ask(&client, ControlCommand::Reset).mode(), Ok(Mode::Idle));
+        assert_eq!(ask(&client, ControlKind::Reset).mode(), Ok(Mode::Idle));
         plant.join().unwrap();
 
         // The next one is found, and has to be enabled again.
         let stop = Arc::new(AtomicBool::new(false));
         let plant = running_plant(&domain, clock, &stop);
-        ask_until(&client, ControlCommand::Enable, |answer| answer.accepted == 1);
+        ask_until(&client, ControlKind::Enable, |answer| answer.accepted == 1);
         let third = running_plant(&domain, clock, &stop);
-        ask_until(&client, ControlCommand::Status, |answer| answer.mode() == Ok(Mode::Fault));
+        ask_until(&client, ControlKind::Status, |answer| answer.mode() == Ok(Mode::Fault));
         stop.store(true, Ordering::Release);
         daemon.end().unwrap();
         plant.join().unwrap();
@@ -136,30 +132,30 @@ fn a_plant_that_stops_or_restarts_is_a_fault() {
 }
 
 /// The lock of all that create and clean up, held by somebody who does not give it back.
-fn hold_construction(domain: &Domain) -> std::fs::File {
-    let file = std::fs::File::options().write(true).open(domain.root().join("construction.lock")).unwrap();
+fn hold_creation_lock(domain: &Domain) -> std::fs::File {
+    let file = std::fs::File::options().write(true).open(domain.root().join("creation.lock")).unwrap();
     file.lock().unwrap();
     file
 }
 
 #[test]
 fn a_lock_that_is_not_given_back_delays_no_request_and_loses_no_cycle() {
-    let domain = OwnDomain::new("daemon").unwrap();
-    let node = domain.connect("operator").unwrap();
+    let domain = TempDomain::new("daemon").unwrap();
+    let node = domain.join("operator").unwrap();
     let client = node.client::<ControlRequest>().unwrap();
     let daemon = Daemon::start(&domain);
     let mut plant = Plant::new(&node, Clock::Lockstep);
     plant.exchange();
-    ask_until(&client, ControlCommand::Status, |answer| answer.seq == 1);
+    ask_until(&client, ControlKind::Status, |answer| answer.seq == 1);
     let telemetry = node.subscriber::<TelemetryBatch>().unwrap();
-    let held = hold_construction(&domain);
+    let held = hold_creation_lock(&domain);
     // More than the ring from the real-time thread has room for; the plant waits for what is fetched every now and then.
     for _ in 0..30 {
         for _ in 0..1000 {
             plant.exchange();
         }
         let seq = plant.seq;
-        ask_until(&client, ControlCommand::Status, |answer| answer.seq == seq);
+        ask_until(&client, ControlKind::Status, |answer| answer.seq == seq);
         while let Some(batch) = telemetry.receive().unwrap() {
             assert_eq!(batch.dropped, 0);
         }
@@ -171,22 +167,22 @@ fn a_lock_that_is_not_given_back_delays_no_request_and_loses_no_cycle() {
 
 #[test]
 fn requests_without_end_do_not_keep_it_from_ending() {
-    let domain = OwnDomain::new("daemon").unwrap();
-    let node = domain.connect("operator").unwrap();
+    let domain = TempDomain::new("daemon").unwrap();
+    let node = domain.join("operator").unwrap();
     let client = node.client::<ControlRequest>().unwrap();
     let daemon = Daemon::start(&domain);
-    ask_until(&client, ControlCommand::Status, |_| true);
+    ask_until(&client, ControlKind::Status, |_| true);
     // Without a plant each of these takes a while; two always wait.
     let busy: Vec<_> = (0..3)
         .map(|_| {
             let domain = domain.clone();
             spawn(move || {
-                let client = domain.connect("operator").unwrap().client::<ControlRequest>().unwrap();
-                while client.call(&ControlRequest::new(ControlCommand::Enable), LONG).is_ok() {}
+                let client = domain.join("operator").unwrap().client::<ControlRequest>().unwrap();
+                while client.call(&ControlRequest::new(ControlKind::Enable), LONG).is_ok() {}
             })
         })
         .collect();
-    ask(&client, ControlCommand::Status);
+    ask(&client, ControlKind::Status);
     daemon.shutdown.store(true, Ordering::Release);
     let begin = Instant::now();
     while !daemon.thread.is_finished() {
@@ -199,11 +195,11 @@ fn requests_without_end_do_not_keep_it_from_ending() {
 
 #[test]
 fn a_second_daemon_is_refused() {
-    let domain = OwnDomain::new("daemon").unwrap();
-    let node = domain.connect("operator").unwrap();
+    let domain = TempDomain::new("daemon").unwrap();
+    let node = domain.join("operator").unwrap();
     let client = node.client::<ControlRequest>().unwrap();
     let first = Daemon::start(&domain);
-    ask_until(&client, ControlCommand::Status, |_| true);
+    ask_until(&client, ControlKind::Status, |_| true);
     let refusal = Daemon::start(&domain).end().unwrap_err();
     assert!(matches!(&refusal, Failure::Failed(text) if text.contains("has a daemon already")), "{refusal}");
     first.end().unwrap();
@@ -211,8 +207,8 @@ fn a_second_daemon_is_refused() {
 
 #[test]
 fn the_cycles_before_a_fault_are_kept() {
-    let domain = OwnDomain::new("daemon").unwrap();
-    let node = domain.connect("plant").unwrap();
+    let domain = TempDomain::new("daemon").unwrap();
+    let node = domain.join("plant").unwrap();
     let client = node.client::<ControlRequest>().unwrap();
     let mut plant = Plant::new(&node, Clock::Lockstep);
     let folder = tempfile::tempdir().unwrap();
@@ -220,13 +216,13 @@ fn the_cycles_before_a_fault_are_kept() {
     config.daemon.recorder.directory = Some(folder.path().to_owned());
     let daemon = Daemon::start_with(&domain, config);
     plant.exchange();
-    ask(&client, ControlCommand::Enable);
+    ask(&client, ControlKind::Enable);
     (0..100).for_each(|_| {
         plant.exchange();
     });
     plant.q[3] = f64::NAN;
     plant.exchange();
-    let answer = ask_until(&client, ControlCommand::Status, |answer| answer.mode() == Ok(Mode::Fault));
+    let answer = ask_until(&client, ControlKind::Status, |answer| answer.mode() == Ok(Mode::Fault));
     let told = answer.reason.as_str().unwrap().to_owned();
     assert!(told.contains("joint 4 is NaN") && told.contains(folder.path().to_str().unwrap()), "{told}");
     let files: Vec<_> =

@@ -11,8 +11,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{JoinHandle, sleep};
 use std::time::{Duration, Instant};
 use upswing_ipc::{
-    Client, Clock, ControlCommand, ControlRequest, Degradation, Domain, Mode, Node, OwnDomain, Subscriber,
-    Telemetry, TelemetryBatch,
+    Client, Clock, ControlKind, ControlRequest, Degradation, Domain, Mode, Node, Subscriber, Telemetry,
+    TelemetryBatch, TempDomain,
 };
 
 /// The daemon as a process of its own.
@@ -24,7 +24,7 @@ struct System {
     telemetry: Subscriber<TelemetryBatch>,
     _node: Node,
     // Declared last: nobody may use it any more.
-    _domain: OwnDomain,
+    _domain: TempDomain,
 }
 
 /// A full set of settings in which each `from` of daemon.toml is a `to`.
@@ -54,8 +54,8 @@ impl System {
     }
 
     fn start_on(clock: Clock, edits: &[(&str, &str)]) -> Self {
-        let domain = OwnDomain::new("daemon").unwrap();
-        let node = domain.connect("operator").unwrap();
+        let domain = TempDomain::new("daemon").unwrap();
+        let node = domain.join("operator").unwrap();
         let (client, telemetry) =
             (node.client::<ControlRequest>().unwrap(), node.subscriber::<TelemetryBatch>().unwrap());
         let folder = settings(edits);
@@ -63,7 +63,7 @@ impl System {
         let stop = Arc::new(AtomicBool::new(false));
         let plant = Some(running_plant(&domain, clock, &stop));
         // Settings are read before it answers.
-        ask_until(&client, ControlCommand::Status, |answer| answer.seq > 100);
+        ask_until(&client, ControlKind::Status, |answer| answer.seq > 100);
         Self { daemon, plant, stop, client, telemetry, _node: node, _domain: domain }
     }
 
@@ -150,7 +150,7 @@ fn stat(text: &str, n: usize) -> u64 {
 #[test]
 fn what_is_not_refused_holds() {
     let system = System::start(&[]);
-    let degraded = ask(&system.client, ControlCommand::Status).degraded;
+    let degraded = ask(&system.client, ControlKind::Status).degraded;
     let granted = |what: Degradation| degraded & what.bit() == 0;
     if granted(Degradation::Scheduler) {
         system.wait_for_policy("realtime", libc::SCHED_FIFO, 80);
@@ -163,7 +163,7 @@ fn what_is_not_refused_holds() {
         assert!(number(&status, "VmLck") > 0, "{status}");
         let faults = || (stat(&system.thread("stat"), 10), stat(&system.thread("stat"), 12));
         let before = faults();
-        let seq = ask(&system.client, ControlCommand::Status).seq;
+        let seq = ask(&system.client, ControlKind::Status).seq;
         system.find(|record| record.seq > seq + 4000);
         assert_eq!(faults(), before, "page faults of the real-time thread in 4000 cycles");
     }
@@ -173,8 +173,8 @@ fn what_is_not_refused_holds() {
 #[test]
 fn real_time_priority_belongs_to_the_wall_clock() {
     let system = System::start_on(Clock::Paced, &[]);
-    ask_until(&system.client, ControlCommand::Enable, |answer| answer.accepted == 1);
-    let seq = ask(&system.client, ControlCommand::Status).seq;
+    ask_until(&system.client, ControlKind::Enable, |answer| answer.accepted == 1);
+    let seq = ask(&system.client, ControlKind::Status).seq;
     system.find(|record| record.seq > seq + 1000);
     for thread in ["realtime", "upswingd", "search"] {
         let line = system.thread_called(thread, "stat");
@@ -187,11 +187,11 @@ fn a_refusal_is_named_or_ends_a_strict_start() {
     // No machine has this CPU.
     let cpu = ("cpu = -1", "cpu = 1023");
     let system = System::start(&[cpu]);
-    let answer = ask(&system.client, ControlCommand::Status);
+    let answer = ask(&system.client, ControlKind::Status);
     assert_ne!(answer.degraded & Degradation::Cpu.bit(), 0);
     assert_eq!(system.find(|_| true).degraded, answer.degraded);
 
-    let domain = OwnDomain::new("daemon").unwrap();
+    let domain = TempDomain::new("daemon").unwrap();
     let folder = settings(&[cpu, ("mode = \"warn\"", "mode = \"strict\"")]);
     let output = daemon(folder.path(), &domain).output().unwrap();
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
@@ -202,7 +202,7 @@ fn a_refusal_is_named_or_ends_a_strict_start() {
 #[test]
 fn a_late_cycle_is_counted_and_attributed() {
     let system = System::start(&[]);
-    let before = ask(&system.client, ControlCommand::Status).overruns;
+    let before = ask(&system.client, ControlKind::Status).overruns;
     // For 20 ms the thread cannot run, whatever its priority.
     system.signal(libc::SIGSTOP);
     sleep(Duration::from_millis(20));
@@ -212,7 +212,7 @@ fn a_late_cycle_is_counted_and_attributed() {
             && record.wake_ns + record.read_ns + record.compute_ns + record.write_ns > 15_000_000
     });
     // It is counted with the statistics of its batch; another one, shorter, may come first.
-    let answer = ask_until(&system.client, ControlCommand::Status, |answer| {
+    let answer = ask_until(&system.client, ControlKind::Status, |answer| {
         answer.overruns > before && answer.wake.max.max(answer.compute.max) > 15_000_000
     });
     assert!(answer.compute.count > 0 && answer.wake.count > 0);
@@ -230,10 +230,10 @@ fn a_daemon_that_missed_the_plants_measurements_faults() {
         "age_cycles = { warn = 4, trip = 20 }",
         "age_cycles = { warn = 4, trip = 1000000 }",
     )]);
-    ask_until(&system.client, ControlCommand::Enable, |answer| answer.accepted == 1);
+    ask_until(&system.client, ControlKind::Enable, |answer| answer.accepted == 1);
     system.signal(libc::SIGSTOP);
     sleep(Duration::from_millis(50));
     system.signal(libc::SIGCONT);
-    let answer = ask_until(&system.client, ControlCommand::Status, |answer| answer.mode() == Ok(Mode::Fault));
+    let answer = ask_until(&system.client, ControlKind::Status, |answer| answer.mode() == Ok(Mode::Fault));
     assert!(answer.reason.as_str().unwrap().contains("measurements were missed"), "{}", answer.reason);
 }

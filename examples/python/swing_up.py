@@ -10,7 +10,7 @@ import time
 import numpy as np
 import upswing_layouts as layouts
 from upswing_ipc import Node, Refused, text
-from upswing_layouts import ControlCommand, Mode, PlannerKind
+from upswing_layouts import ControlKind, Mode, PlannerKind
 
 # For the daemon to load a plan, or to settle on its hold.
 PATIENCE_S = 30.0
@@ -47,10 +47,10 @@ def swing_up(node, seconds):
     control, planner = node.client(layouts.CONTROL), node.client(layouts.PLANNER)
     telemetry = Telemetry(node)
 
-    def ask(command, plan_id=0):
-        answer = control.call(layouts.ControlRequest(command=command, plan_id=plan_id))
+    def ask(kind, plan_id=0):
+        answer = control.call(layouts.ControlRequest(kind=kind, plan_id=plan_id))
         if not answer.accepted:
-            raise Refused(f"the daemon refused {command.name}: {text(answer.reason)}")
+            raise Refused(f"the daemon refused {kind.name}: {text(answer.reason)}")
         return answer
 
     def wait(duration):
@@ -63,24 +63,24 @@ def swing_up(node, seconds):
             time.sleep(0.02)
             telemetry.collect()
 
-    if ask(ControlCommand.Status).mode == Mode.Idle:
-        ask(ControlCommand.Enable)
+    if ask(ControlKind.Status).mode == Mode.Idle:
+        ask(ControlKind.Enable)
     wait(SETTLE_S)
     plan = planner.call(layouts.PlannerRequest(kind=PlannerKind.SwingUp, from_now=1, publish=1))
     if plan.plan_id == 0:
         raise Refused(f"the planner refused: {text(plan.reason)}")
     end = time.monotonic() + PATIENCE_S
     # The plan has arrived, and the moment that its first state was predicted for has come.
-    while (answer := ask(ControlCommand.Status)).plan_id != plan.plan_id or answer.t_ns < plan.activation_ns:
+    while (answer := ask(ControlKind.Status)).plan_id != plan.plan_id or answer.t_ns < plan.activation_ns:
         if time.monotonic() > end:
             raise Refused(f"the daemon did not load the plan: {text(answer.reason)}")
         telemetry.collect()
         time.sleep(0.001)
-    ask(ControlCommand.Start, plan.plan_id)
-    while (mode := Mode(ask(ControlCommand.Status).mode)) is Mode.Track:
+    ask(ControlKind.Start, plan.plan_id)
+    while (mode := Mode(ask(ControlKind.Status).mode)) is Mode.Track:
         wait(0.1)
     if mode is not Mode.Balance:
-        raise Refused(f"the swing-up ended in mode {mode.name}: {text(ask(ControlCommand.Status).reason)}")
+        raise Refused(f"the swing-up ended in mode {mode.name}: {text(ask(ControlKind.Status).reason)}")
     wait(seconds)
     return plan, telemetry
 

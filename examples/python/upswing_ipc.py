@@ -57,7 +57,7 @@ class Node:
         config.global_cfg.node.cleanup_dead_nodes_on_destruction = False
         config.global_cfg.service.cleanup_dead_nodes_on_open = False
         self.config = config
-        with self.construction():
+        with self.creation_lock():
             self._load_global_config(prefix)
             builder = iox2.NodeBuilder.new().name(iox2.NodeName.new(role)).config(config)
             builder = builder.signal_handling_mode(iox2.SignalHandlingMode.Disabled)
@@ -74,9 +74,9 @@ class Node:
         iox2.set_log_level(iox2.LogLevel.Error)
 
     @contextmanager
-    def construction(self):
-        """The right to create, list and clean up in the domain; upswing removes what is unfinished and not under it."""
-        lock = os.open(f"{self.root}/construction.lock", os.O_CREAT | os.O_WRONLY, 0o600)
+    def creation_lock(self):
+        """The lock for whoever creates, lists or cleans up in the domain; upswing removes unfinished files of others."""
+        lock = os.open(f"{self.root}/creation.lock", os.O_CREAT | os.O_WRONLY, 0o600)
         try:
             fcntl.flock(lock, fcntl.LOCK_EX)
             yield
@@ -84,7 +84,7 @@ class Node:
             os.close(lock)
 
     def clean_up(self):
-        """Removes what dead processes left; only under `construction`."""
+        """Removes what dead processes left; only under `creation_lock`."""
         self.iox.blocking_cleanup_dead_nodes(iox2.Duration.from_millis(200))
 
     def _service(self, name):
@@ -93,7 +93,7 @@ class Node:
     def _wait(self, what, attempt, patience):
         end = time.monotonic() + patience
         while True:
-            with self.construction():
+            with self.creation_lock():
                 self.clean_up()
                 if (found := attempt()) is not None:
                     return found
@@ -130,7 +130,7 @@ class Node:
 
     def writer(self, channel, payload):
         """A blackboard of this start of the writer, `channel/epoch`."""
-        with self.construction():
+        with self.creation_lock():
             name = f"{channel}/{time.monotonic_ns():0{EPOCH_DIGITS}}"
             builder = self._service(name).blackboard_creator(ctypes.c_uint64)
             builder = builder.max_readers(layouts.MAX_READERS).max_nodes(layouts.MAX_NODES)
@@ -139,7 +139,7 @@ class Node:
 
     def newest_reader(self, channel, payload, than=None):
         """A reader of the newest blackboard of a channel whose writer lives; None if that is `than`, or there is none."""
-        with self.construction():
+        with self.creation_lock():
             self.clean_up()
             listed = (service.name().to_string() for service in iox2.Service.list(self.config, iox2.ServiceType.Ipc))
             found = sorted((n for n in listed if re.fullmatch(rf"{channel}/\d{{{EPOCH_DIGITS}}}", n)), reverse=True)

@@ -208,11 +208,11 @@ class Plan(Structure):
 class ControlRequest(Structure):
     SIZE = 16
     OFFSETS = {
-        "command": 0,
+        "kind": 0,
         "plan_id": 8,
     }
     _fields_ = [
-        ("command", c_uint64),
+        ("kind", c_uint64),
         ("plan_id", c_uint64),
     ]
 
@@ -402,7 +402,7 @@ class Mode(IntEnum):
     Fault = 5
 
 
-class ControlCommand(IntEnum):
+class ControlKind(IntEnum):
     Enable = 0
     Hold = 1
     Stop = 2

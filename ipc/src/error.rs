@@ -1,6 +1,5 @@
-//! What can go wrong with a service, and what to do about it.
+//! Errors of domains, services and requests; their texts say what to do.
 
-use crate::domain::Domain;
 use std::path::PathBuf;
 use std::time::Duration;
 use thiserror::Error;
@@ -8,10 +7,10 @@ use thiserror::Error;
 /// The error of a lower layer (operating system or iceoryx2), kept for its message.
 pub type Cause = Box<dyn std::error::Error + Send + Sync>;
 
-/// A node, a service or a port could not be used.
+/// Why a domain, a node, a service or a port cannot be used.
 #[derive(Debug, Error)]
 pub enum IpcError {
-    /// The directory of the domain could not be used.
+    /// The directory of the domain, or a file in it, cannot be used.
     #[error(
         "cannot {action} `{path}` of the domain: {cause}; check its permissions and the free space of /dev/shm"
     )]
@@ -23,7 +22,7 @@ pub enum IpcError {
         /// Why it failed.
         cause: std::io::Error,
     },
-    /// The directory of the domain is somebody else's.
+    /// The directory of the domain belongs to another user, or is not a directory.
     #[error(
         "`{path}` is not a directory of user id {expected}; use the same user for every process of a domain, or \
          another domain"
@@ -31,10 +30,10 @@ pub enum IpcError {
     Foreign {
         /// The path.
         path: PathBuf,
-        /// The user id that it should belong to.
+        /// The user id of this process.
         expected: u32,
     },
-    /// No room for what a process needs.
+    /// The file system of shared memory is too full.
     #[error(
         "/dev/shm is too full: {needed} more bytes are needed now, {free} are free; remove what is not needed there, or \
          enlarge it (mount -o remount,size=...; a whole system takes up to {system} bytes)"
@@ -47,24 +46,24 @@ pub enum IpcError {
         /// Bytes of a whole system.
         system: u64,
     },
-    /// The operating system lets this process have too little of something.
+    /// A limit of the operating system on this process is too low.
     #[error("this process may have only {allowed} {what}, {needed} are needed; raise that limit ({setting})")]
     Limit {
-        /// Of what.
+        /// The limited quantity, for example "open files".
         what: &'static str,
-        /// How much it may have.
+        /// The limit.
         allowed: u64,
-        /// How much it needs.
+        /// The lowest limit that is enough.
         needed: u64,
-        /// Where that is set.
+        /// The settings that raise it.
         setting: &'static str,
     },
-    /// The node could not be created.
+    /// The node, with which a process joins a domain, cannot be created.
     #[error(
         "cannot join domain `{domain}` as `{role}`: {cause}; roles have at most 128 ASCII characters; check the free \
          space of /dev/shm and that all processes of the domain run as the same user"
     )]
-    Connect {
+    Join {
         /// Name of the domain.
         domain: String,
         /// Role of the process.
@@ -72,7 +71,7 @@ pub enum IpcError {
         /// Why it failed.
         cause: Cause,
     },
-    /// The nodes or services of the domain could not be listed.
+    /// The nodes or services of the domain cannot be listed.
     #[error("cannot list the {what} of domain `{domain}`: {cause}; check the permissions of its directory")]
     List {
         /// "nodes" or "services".
@@ -82,7 +81,7 @@ pub enum IpcError {
         /// Why it failed.
         cause: Cause,
     },
-    /// The service could neither be opened nor created.
+    /// The service can neither be opened nor created.
     #[error(
         "cannot open service `{service}`: {cause}; if a process of another version holds it, stop all processes of \
          the domain"
@@ -98,10 +97,10 @@ pub enum IpcError {
     Layout {
         /// Name of the service.
         service: String,
-        /// The payload that was expected.
+        /// Type of the payload that was expected.
         expected: &'static str,
     },
-    /// All places of this kind are taken by live processes.
+    /// Live processes have all ports of this kind that the service allows.
     #[error(
         "service `{service}` already has its {max} {port}(s) in live processes (pid {}); stop one of them, or use \
          another domain", .holders.iter().map(u32::to_string).collect::<Vec<_>>().join(", ")
@@ -109,24 +108,24 @@ pub enum IpcError {
     Taken {
         /// Name of the service.
         service: String,
-        /// Kind of end, for example "server".
+        /// Kind of port, for example "server".
         port: &'static str,
-        /// How many there can be.
+        /// The largest number of such ports.
         max: usize,
         /// Ids of the processes that have them.
         holders: Vec<u32>,
     },
-    /// An end of the service could not be created.
+    /// A port of the service cannot be created.
     #[error("cannot create a {port} of service `{service}`: {cause}; check the free space of /dev/shm")]
     Port {
         /// Name of the service.
         service: String,
-        /// Kind of end, for example "publisher".
+        /// Kind of port, for example "publisher".
         port: &'static str,
         /// Why it failed.
         cause: Cause,
     },
-    /// A sample, request or answer could not be sent.
+    /// A sample, request or response cannot be sent.
     #[error("cannot send over service `{service}`: {cause}; restart this process if it persists")]
     Send {
         /// Name of the service.
@@ -134,7 +133,7 @@ pub enum IpcError {
         /// Why it failed.
         cause: Cause,
     },
-    /// Receiving failed.
+    /// A sample, request or response cannot be received.
     #[error("cannot receive from service `{service}`: {cause}; restart this process if it persists")]
     Receive {
         /// Name of the service.
@@ -144,13 +143,13 @@ pub enum IpcError {
     },
 }
 
-/// A request got no answer.
+/// Why a request got no response.
 #[derive(Debug, Error)]
 pub enum CallError {
-    /// The process that serves does not run.
+    /// No process serves this service.
     #[error(
         "no {} in domain `{domain}`: start it with `upswing {} --domain {domain}`, or name another domain; running: {}",
-        server(.service), server(.service),
+        server_of(.service), server_of(.service),
         if .others.is_empty() { "none".to_owned() } else { .others.join(", ") }
     )]
     NoServer {
@@ -161,40 +160,33 @@ pub enum CallError {
         /// Other domains in which processes run.
         others: Vec<String>,
     },
-    /// The server went away, or dropped the request, before it answered.
+    /// The server went away, or dropped the request, before it responded.
     #[error("the server of `{service}` went away without an answer; see its log, then ask again")]
     ServerGone {
         /// Name of the service.
         service: &'static str,
     },
-    /// The server lives but did not answer in time; the request is withdrawn.
+    /// The server is alive but did not respond in time; the request is withdrawn.
     #[error("no answer from `{service}` within {waited:?}; see the log of that process, or allow more time")]
     Timeout {
         /// Name of the service.
         service: &'static str,
-        /// How long the call waited.
+        /// How long the client waited.
         waited: Duration,
     },
-    /// The caller gave up waiting; the request is withdrawn.
+    /// The caller of [`crate::Client::call_while`] stopped waiting; the request is withdrawn.
     #[error("gave up waiting for `{service}`; the request is withdrawn")]
     Interrupted {
         /// Name of the service.
         service: &'static str,
     },
-    /// The request could not be sent or the answer not received.
+    /// The request cannot be sent or the response not received.
     #[error(transparent)]
     Ipc(#[from] IpcError),
 }
 
-impl CallError {
-    /// Nobody serves `service` in `domain`.
-    pub fn no_server(service: &'static str, domain: &Domain) -> Self {
-        Self::NoServer { service, domain: domain.name().to_owned(), others: domain.others() }
-    }
-}
-
-/// The process that serves `service`.
-fn server(service: &'static str) -> &'static str {
+/// Name of the process that serves `service`.
+fn server_of(service: &'static str) -> &'static str {
     match service {
         "control" => "daemon",
         other => other,

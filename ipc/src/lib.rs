@@ -1,4 +1,4 @@
-//! Shared memory between the processes of upswing: payload layouts, services and how to join them.
+//! Communication between the processes of upswing over shared memory (iceoryx2): payloads, services and their ports.
 //!
 //! | service | pattern | from -> to | payload |
 //! |---|---|---|---|
@@ -11,14 +11,14 @@
 //! | `planner` | request/response | cli, daemon, harness -> planner | [`PlannerRequest`] -> [`PlannerResponse`] |
 //! | `plant` | request/response | cli, harness -> plant | [`PlantRequest`] -> [`PlantResponse`] |
 //!
-//! A process picks a [`Domain`], connects to it and asks its [`Node`] for the ends it needs:
+//! A process joins a [`Domain`], and its [`Node`] creates the ports of services:
 //!
 //! ```
-//! use upswing_ipc::{Command, OwnDomain};
+//! use upswing_ipc::{Command, TempDomain};
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
-//! let domain = OwnDomain::new("example")?;
-//! let node = domain.connect("daemon")?;
+//! let domain = TempDomain::new("example")?;
+//! let node = domain.join("daemon")?;
 //! let (command, _ports) = node.writer::<Command>()?.split();
 //! command.write(Command { seq: 1, ..Command::default() });
 //! # Ok(())
@@ -26,57 +26,49 @@
 //! ```
 //!
 //! # Two kinds of threads
-//! Two objects may enter the real-time thread: [`WriterEntry`] and [`Reader`]. Their methods
-//! neither allocate nor enter the kernel. All the rest (nodes, finders, publishers, clients, servers) opens
-//! files, maps memory and cleans up after dead peers; it stays in one other thread.
+//! Two objects may move to the real-time thread: [`WriterEntry`] and [`Reader`]. Their methods neither allocate nor make
+//! system calls. All other objects (nodes, finders, publishers, subscribers, clients, servers) open files, map memory and
+//! clean up after dead peers; they stay in another thread.
 //!
 //! # Trust
-//! Every process of a domain can write into what it shares with the others. The layouts therefore hold plain
-//! numbers only, codes become enums through checked conversions ([`UnknownCode`]), [`Text`] is checked when it
-//! is read, a [`Plan`] carries a checksum; sequence, age, range and finiteness are for the reader to check.
+//! Every process of a domain can write into the memory that it shares with the others. Payloads therefore hold numbers
+//! only, codes become enumerations through checked conversions ([`UnknownCode`]), [`Text`] is checked when it is read, and
+//! a [`Plan`] carries a checksum. The reader checks sequence, age, range and finiteness.
 //!
-//! This is the only crate that sees iceoryx2. Its version is exact, because every version of iceoryx2 has its
-//! own layout of shared memory; a payload whose layout changes gets a new version in its type name.
+//! # Layers
+//! From the bottom: `iox` (the private file layout of iceoryx2), domains and nodes, `services` (ports); beside them `payload`
+//! (messages). This is the only crate that sees iceoryx2. The version of iceoryx2 is pinned, because each version has its
+//! own layout of shared memory. A payload whose layout changes gets a new version in its type name.
 
-mod blackboard;
-mod codes;
-mod construction;
 mod domain;
 mod error;
-mod limits;
-mod messages;
+mod iox;
+mod membership;
 mod node;
 pub mod operator;
-mod own;
 mod pacing;
 mod payload;
-mod request;
-mod search;
+mod process_limits;
 mod services;
-mod space;
-mod text;
+mod temp_domain;
 mod time;
 
-pub use blackboard::{Finder, Reader, Writer, WriterEntry, WriterPorts};
-pub use codes::{
-    Clock, ControlCommand, Degradation, Mode, PlannerKind, PlannerStatus, PlantKind, UnknownClock,
-    UnknownCode,
-};
 pub use domain::{Domain, DomainError};
 pub use error::{CallError, Cause, IpcError};
-pub use messages::{Publisher, Received, Subscriber};
-pub use node::Node;
-pub use own::OwnDomain;
+pub use node::{MAX_NODES, Node};
 pub use pacing::{
     Commands, CycleBegin, CycleStart, CycleTimes, DaemonPacing, DaemonWake, GrantError, PlantPacing,
     PlantWake, Presence,
 };
 pub use payload::{
-    Command, ControlRequest, ControlResponse, DamagedPlan, Measurement, Percentiles, Plan, PlannerRequest,
-    PlannerResponse, PlantRequest, PlantResponse, Step, StepBatch, Telemetry, TelemetryBatch,
+    Clock, Command, ControlKind, ControlRequest, ControlResponse, DamagedPlan, Degradation, Measurement,
+    Mode, Percentiles, Plan, PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus, PlantKind,
+    PlantRequest, PlantResponse, Step, StepBatch, Telemetry, TelemetryBatch, Text, TextError, UnknownClock,
+    UnknownCode,
 };
-pub use request::{Client, Server};
-pub use search::{Search, is_lost};
-pub use services::{Latest, MAX_NODES, MAX_READERS, Request, Topic};
-pub use text::{Text, TextError};
+pub use services::{
+    BlackboardPayload, Client, Finder, FinderThread, MAX_READERS, Publisher, Reader, RequestPayload, Sample,
+    Server, Subscriber, TopicPayload, Writer, WriterEntry, WriterPorts, is_lost,
+};
+pub use temp_domain::TempDomain;
 pub use time::{monotonic_ns, sleep_until};

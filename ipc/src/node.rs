@@ -1,39 +1,40 @@
-//! A process' seat in a domain, and the ends of services that it can ask for.
+//! Nodes: what a process holds of a domain that it has joined.
 
-use crate::blackboard::{Finder, Writer};
-use crate::construction::{Site, fill_empty_connections};
-use crate::domain::{Domain, Presence};
-use crate::error::IpcError;
-use crate::messages::{Publisher, Subscriber};
-use crate::request::{Client, Server};
-use crate::services::{Latest, Request, Topic};
+use crate::domain::Domain;
+use crate::error::{Cause, IpcError};
+use crate::iox::{CreationLock, leftovers, open_regular_file, process_defaults, reservation};
+use crate::membership::Membership;
 use iceoryx2::identifiers::UniqueNodeId;
-use iceoryx2::prelude::{CallbackProgression, Node as IoxNode, NodeState, ipc};
+use iceoryx2::prelude::{
+    CallbackProgression, Node as IoxNode, NodeBuilder, NodeName, NodeState, SignalHandlingMode, ipc,
+};
 use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Attempts at what other processes may be creating or cleaning up at the same moment.
+/// Largest number of nodes (in practice: processes) that have one service open at a time.
+pub const MAX_NODES: usize = 24;
+/// Number of attempts to open what other processes may be creating or removing at the same moment.
 const ATTEMPTS: usize = 10;
-/// Pause between attempts; a clean-up takes a few milliseconds.
+/// Pause between two attempts; a clean-up takes a few milliseconds.
 const PAUSE: Duration = Duration::from_millis(10);
-/// How long to wait for another thread or another language that is cleaning up after the same dead process.
+/// How long a clean-up waits for another thread, or a program in another language, that cleans up after the same process.
 const CLEANUP_PATIENCE: Duration = Duration::from_millis(200);
 
-/// A process' seat in a domain. Clones are the same seat; it is vacated when the last clone and the last end of a
-/// service that came from it are dropped.
+/// Membership of this process in a domain; creates the ports of services.
 ///
-/// A node may move to another thread; the ends of services stay in the thread that created them. None of its
-/// methods are for the real-time thread.
+/// Clones are the same node. The process leaves the domain when the last clone and the last port that came from it are
+/// dropped. A node may move to another thread; ports stay in the thread that created them. None of its methods are for the
+/// real-time thread.
 #[derive(Clone)]
 pub struct Node {
     inner: Arc<Inner>,
 }
 
 struct Inner {
-    // Order of drop: the node goes before the look at who is left.
+    // Order of drop: the node goes before the membership, whose end may remove the domain.
     iox: IoxNode<ipc::Service>,
-    _presence: Presence,
+    _membership: Membership,
     domain: Domain,
 }
 
@@ -43,9 +44,45 @@ impl fmt::Debug for Node {
     }
 }
 
+impl Domain {
+    /// Joins the domain as `role` ("daemon", "planner", ...; for people and logs) and cleans up after processes of the
+    /// domain that died. The last process that leaves in good order removes all files of the domain.
+    ///
+    /// Installs no signal handlers and reads no configuration file but the one that it writes into the domain's own
+    /// directory.
+    ///
+    /// # Errors
+    /// [`IpcError::Root`] or [`IpcError::Foreign`] if the directory cannot be used, [`IpcError::Join`] if the node cannot
+    /// be created, [`IpcError::Full`] if there is no room for it, [`IpcError::Limit`] if a limit of the operating system on
+    /// this process is too low.
+    pub fn join(&self, role: &str) -> Result<Node, IpcError> {
+        Self::check_limits()?;
+        reservation::reserving(self.layout(), || Node::create(self, role))
+    }
+}
+
 impl Node {
-    pub(crate) fn new(iox: IoxNode<ipc::Service>, domain: Domain, presence: Presence) -> Self {
-        Self { inner: Arc::new(Inner { iox, _presence: presence, domain }) }
+    fn create(domain: &Domain, role: &str) -> Result<Self, IpcError> {
+        let membership = Membership::begin(domain)?;
+        let failed =
+            |cause: Cause| IpcError::Join { domain: domain.name().to_owned(), role: role.to_owned(), cause };
+        let name = NodeName::new(role).map_err(|e| failed(e.into()))?;
+        let path = domain.layout().creation_lock();
+        open_regular_file(&path).map_err(|cause| IpcError::Root { action: "use", path, cause })?;
+        let lock = CreationLock::acquire(domain.layout());
+        process_defaults::set(domain.layout())?;
+        let iox = NodeBuilder::new()
+            .name(&name)
+            .config(domain.config())
+            .signal_handling_mode(SignalHandlingMode::Disabled)
+            .create::<ipc::Service>()
+            .map_err(|e| failed(e.into()))?;
+        let inner = Inner { iox, _membership: membership, domain: domain.clone() };
+        let node = Self { inner: Arc::new(inner) };
+        if let Some(lock) = &lock {
+            node.clean_up_under(lock);
+        }
+        Ok(node)
     }
 
     pub(crate) fn iox(&self) -> &IoxNode<ipc::Service> {
@@ -57,102 +94,66 @@ impl Node {
         &self.inner.domain
     }
 
-    /// Removes what dead processes of the domain left behind; nobody does it in the background. Some 0.1 ms when
-    /// nobody died, milliseconds otherwise.
+    /// Removes the files of processes of the domain that died; iceoryx2 does not do so in the background. Takes about 0.1 ms
+    /// if none died, milliseconds otherwise. Does nothing if the creation lock cannot be acquired.
     pub fn clean_up(&self) {
-        self.clean_up_at(&Site::enter(self.domain()));
+        if let Some(lock) = CreationLock::acquire(self.domain().layout()) {
+            self.clean_up_under(&lock);
+        }
     }
 
-    /// As [`Node::clean_up`], for those who are on site already; does nothing beside somebody else's work.
-    pub(crate) fn clean_up_at(&self, site: &Site) {
-        if !site.is_own() {
-            return;
-        }
+    /// As [`Node::clean_up`], for callers that hold the creation lock.
+    pub(crate) fn clean_up_under(&self, _lock: &CreationLock) {
         let mut dead = Vec::new();
-        // What cannot be listed, or is being cleaned up by somebody else, is left to the next time.
+        // Nodes that cannot be listed now are left to the next clean-up.
         let _ = self.domain().for_each_node(|node| {
             if let NodeState::Dead(node) = node {
                 dead.push(node);
             }
         });
         if !dead.is_empty() {
-            // After they died: they make no more connections.
-            fill_empty_connections(self.domain());
+            // After the list: dead processes make no more connections.
+            leftovers::fill_empty_connections(self.domain().layout());
         }
         for node in dead {
+            // A node that another process is cleaning up is left to that process.
             let _ = node.blocking_remove_stale_resources(CLEANUP_PATIENCE);
         }
     }
 
-    /// The end of a channel that writes the latest value: a new blackboard at each start.
+    /// Runs `create` and reserves the shared memory that it created.
     ///
     /// # Errors
-    /// [`IpcError::Taken`] where there is no more place, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot be
-    /// used, [`IpcError::Full`] if there is no room; those of the other ends are the same.
-    pub fn writer<T: Latest>(&self) -> Result<Writer<T>, IpcError> {
-        T::writer(self)
+    /// [`IpcError::Full`] if there is no room; those of `create`.
+    pub(crate) fn reserving<T>(&self, create: impl FnOnce() -> Result<T, IpcError>) -> Result<T, IpcError> {
+        reservation::reserving(self.domain().layout(), create)
     }
 
-    /// Finds the newest blackboard of a channel, again whenever its writer has started anew. What must not wait for other
-    /// processes looks through [`crate::Search`].
-    pub fn finder<T: Latest>(&self) -> Finder<T> {
-        Finder::new(self)
-    }
-
-    /// The end of a topic that publishes: one process at a time has it.
-    ///
-    /// # Errors
-    /// As of [`Self::writer`].
-    pub fn publisher<T: Topic>(&self) -> Result<Publisher<T>, IpcError> {
-        T::publisher(self)
-    }
-
-    /// An end of a topic that receives.
-    ///
-    /// # Errors
-    /// As of [`Self::writer`].
-    pub fn subscriber<T: Topic>(&self) -> Result<Subscriber<T>, IpcError> {
-        T::subscriber(self)
-    }
-
-    /// An end of a service that asks, whether or not there is a server.
-    ///
-    /// # Errors
-    /// As of [`Self::writer`].
-    pub fn client<R: Request>(&self) -> Result<Client<R>, IpcError> {
-        R::client(self)
-    }
-
-    /// The end of a service that answers: one process at a time has it.
-    ///
-    /// # Errors
-    /// As of [`Self::writer`].
-    pub fn server<R: Request>(&self) -> Result<Server<R>, IpcError> {
-        R::server(self)
-    }
-
-    /// Repeats `attempt`, on site and cleaning up after dead processes: what one process opens another may be
-    /// dropping at the same moment, and the place of a dead process is taken until somebody cleans up.
-    pub(crate) fn persist<T, E>(&self, mut attempt: impl FnMut() -> Result<T, E>) -> Result<T, E> {
+    /// Repeats `attempt` until it succeeds, under the creation lock and with a clean-up in between: another process may be
+    /// dropping at that moment what this one opens, and a dead process keeps its port until somebody cleans up. Returns the
+    /// last error after [`ATTEMPTS`] attempts.
+    pub(crate) fn retry<T, E>(&self, mut attempt: impl FnMut() -> Result<T, E>) -> Result<T, E> {
         for _ in 1..ATTEMPTS {
-            let site = Site::enter(self.domain());
+            let lock = CreationLock::acquire(self.domain().layout());
             if let Ok(done) = attempt() {
                 return Ok(done);
             }
-            self.clean_up_at(&site);
+            if let Some(lock) = &lock {
+                self.clean_up_under(lock);
+            }
             if let Ok(done) = attempt() {
                 return Ok(done);
             }
-            drop(site);
+            drop(lock);
             std::thread::sleep(PAUSE);
         }
-        let _site = Site::enter(self.domain());
+        let _lock = CreationLock::acquire(self.domain().layout());
         attempt()
     }
 }
 
-/// Adds the id of the process that a node belongs to.
-pub(crate) fn note_pid(pids: &mut Vec<u32>, node: &UniqueNodeId) -> CallbackProgression {
+/// Appends the id of the process that a node belongs to.
+pub(crate) fn push_pid(pids: &mut Vec<u32>, node: &UniqueNodeId) -> CallbackProgression {
     pids.extend(node.pid::<ipc::Service>().ok().and_then(|pid| u32::try_from(pid.value()).ok()));
     CallbackProgression::Continue
 }

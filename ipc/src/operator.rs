@@ -4,7 +4,7 @@
 //! ([`PublishedPlan::is_due`]), start that plan by its id.
 
 use crate::{
-    CallError, Client, ControlCommand, ControlRequest, ControlResponse, IpcError, Mode, Node, PlannerKind,
+    CallError, Client, ControlKind, ControlRequest, ControlResponse, IpcError, Mode, Node, PlannerKind,
     PlannerRequest, PlannerResponse,
 };
 use serde::Serialize;
@@ -112,13 +112,13 @@ impl Request {
     ///
     /// # Errors
     /// The manoeuvre.
-    pub const fn command(self) -> Result<ControlCommand, Manoeuvre> {
+    pub const fn command(self) -> Result<ControlKind, Manoeuvre> {
         match self {
             Self::Manoeuvre(manoeuvre) => Err(manoeuvre),
-            Self::Hold => Ok(ControlCommand::Hold),
-            Self::Stop => Ok(ControlCommand::Stop),
-            Self::Enable => Ok(ControlCommand::Enable),
-            Self::Reset => Ok(ControlCommand::Reset),
+            Self::Hold => Ok(ControlKind::Hold),
+            Self::Stop => Ok(ControlKind::Stop),
+            Self::Enable => Ok(ControlKind::Enable),
+            Self::Reset => Ok(ControlKind::Reset),
         }
     }
 }
@@ -161,6 +161,13 @@ impl Mode {
             Self::Stop => NextAction::WaitForRest,
             Self::Fault => NextAction::Make(Request::Reset),
         }
+    }
+}
+
+impl PlannerRequest {
+    /// A request for a plan from the present state, to be published to the daemon.
+    pub fn from_now(manoeuvre: Manoeuvre) -> Self {
+        Self { kind: PlannerKind::from(manoeuvre).code(), from_now: 1, publish: 1, ..Self::default() }
     }
 }
 
@@ -319,7 +326,7 @@ impl Operator {
     /// # Errors
     /// [`OperatorError`] if no daemon responds.
     pub fn status(&self) -> Result<ControlResponse, OperatorError> {
-        self.control(&ControlRequest::new(ControlCommand::Status), &mut || true)
+        self.control(&ControlRequest::new(ControlKind::Status), &mut || true)
     }
 
     /// Sends a request to the daemon, which must accept it. `wanted` is called again and again during the wait; once it returns
@@ -337,9 +344,7 @@ impl Operator {
             return Ok(response);
         }
         Err(OperatorError::Daemon {
-            command: request
-                .command()
-                .map_or_else(|unknown| unknown.to_string(), |command| command.to_string()),
+            command: request.kind().map_or_else(|unknown| unknown.to_string(), |command| command.to_string()),
             reason: response.reason.to_string(),
             mode: response.mode_text(),
         })
@@ -390,7 +395,7 @@ impl Operator {
         let response = self.control(&ControlRequest::start(plan.plan_id), &mut || true)?;
         // Whoever interrupts a moment too late wants the arm to stand, too.
         if is_interrupted() {
-            self.control(&ControlRequest::new(ControlCommand::Stop), &mut || true)?;
+            self.control(&ControlRequest::new(ControlKind::Stop), &mut || true)?;
             return Err(OperatorError::Stopped);
         }
         Ok(Accepted {

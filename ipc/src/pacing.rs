@@ -23,7 +23,7 @@ mod plant;
 pub use daemon::{CycleStart, CycleTimes, DaemonPacing, DaemonWake};
 pub use plant::{Commands, CycleBegin, GrantError, PlantPacing, PlantWake, Presence};
 
-use crate::codes::Clock;
+use crate::payload::Clock;
 use std::time::Duration;
 use upswing_model::Period;
 
@@ -114,7 +114,7 @@ impl Patience {
 #[cfg(test)]
 mod tests {
     use super::{LONG_NAP_NS, Patience};
-    use crate::codes::Clock;
+    use crate::payload::Clock;
     use upswing_model::Period;
 
     /// Patience after so many looks, 1 ms apart.

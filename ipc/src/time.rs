@@ -1,6 +1,6 @@
-//! The clock that all processes share, and sleep by it.
+//! CLOCK_MONOTONIC, the clock that all processes share: reading it, and sleeping until a time.
 
-/// CLOCK_MONOTONIC, ns: the same for all processes since the machine started. Fit for the real-time thread.
+/// Time on CLOCK_MONOTONIC, ns since the machine started, the same for all processes. For the real-time thread too.
 pub fn monotonic_ns() -> u64 {
     let mut now = libc::timespec { tv_sec: 0, tv_nsec: 0 };
     // SAFETY: `now` is a valid place to write to; this clock always exists.
@@ -8,8 +8,8 @@ pub fn monotonic_ns() -> u64 {
     now.tv_sec.unsigned_abs() * 1_000_000_000 + now.tv_nsec.unsigned_abs()
 }
 
-/// Sleeps until `t_ns` (CLOCK_MONOTONIC, ns), whatever signals come; not at all if that is past. Fit for the real-time
-/// thread.
+/// Sleeps until `t_ns` (CLOCK_MONOTONIC, ns), also if signals arrive; returns at once if that is past. For the
+/// real-time thread too.
 pub fn sleep_until(t_ns: u64) {
     let seconds = libc::time_t::try_from(t_ns / 1_000_000_000).unwrap_or(libc::time_t::MAX);
     let until = libc::timespec { tv_sec: seconds, tv_nsec: (t_ns % 1_000_000_000) as libc::c_long };

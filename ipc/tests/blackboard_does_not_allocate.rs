@@ -1,12 +1,12 @@
 //! What the real-time thread calls uses no heap.
 
 use allocation_counter::measure;
-use upswing_ipc::{Command, Measurement, OwnDomain};
+use upswing_ipc::{Command, Measurement, TempDomain};
 
 #[test]
 fn neither_writing_nor_reading_nor_dropping_entries_uses_the_heap() {
-    let domain = OwnDomain::new("heap").unwrap();
-    let node = domain.connect("both").unwrap();
+    let domain = TempDomain::new("heap").unwrap();
+    let node = domain.join("both").unwrap();
     let (measurement_in, _measurement_ports) = node.writer::<Measurement>().unwrap().split();
     let mut measurements = node.finder::<Measurement>();
     let measurement_out = measurements.poll().unwrap().unwrap();

@@ -4,13 +4,13 @@ mod common;
 
 use common::{Victim, domain_of_child, until_killed, wait_for};
 use std::sync::atomic::{AtomicBool, Ordering};
-use upswing_ipc::{Command, Domain, Measurement, Node, OwnDomain, Reader, Search, WriterEntry};
+use upswing_ipc::{Command, Domain, FinderThread, Measurement, Node, Reader, TempDomain, WriterEntry};
 
 /// Entry of the child process: writes measurements until it is killed.
 #[test]
 fn child_writes() {
     let Some(domain) = domain_of_child() else { return };
-    let writer = domain.connect("plant").unwrap().writer::<Measurement>().unwrap();
+    let writer = domain.join("plant").unwrap().writer::<Measurement>().unwrap();
     let mut seq = 0;
     until_killed(|| {
         seq += 1;
@@ -20,8 +20,8 @@ fn child_writes() {
 
 #[test]
 fn each_start_of_a_killed_writer_is_adopted() {
-    let domain = OwnDomain::new("restart").unwrap();
-    let node = domain.connect("daemon").unwrap();
+    let domain = TempDomain::new("restart").unwrap();
+    let node = domain.join("daemon").unwrap();
     let mut finder = node.finder::<Measurement>();
     assert!(finder.poll().unwrap().is_none());
 
@@ -48,29 +48,29 @@ fn each_start_of_a_killed_writer_is_adopted() {
 
 #[test]
 fn a_search_tells_whether_the_writer_lives() {
-    let domain = OwnDomain::new("lives").unwrap();
-    let search = Search::<Measurement>::start(&domain.connect("daemon").unwrap()).unwrap();
-    assert!(search.first().unwrap().is_none() && !search.lives());
+    let domain = TempDomain::new("lives").unwrap();
+    let search = FinderThread::<Measurement>::start(&domain.join("daemon").unwrap()).unwrap();
+    assert!(search.first().unwrap().is_none() && !search.writer_is_alive());
     for _ in 0..2 {
         let plant = Victim::start("child_writes", &domain);
-        let reader = wait_for("a new writer", || search.take().unwrap());
-        assert!(search.lives());
+        let reader = wait_for("a new writer", || search.poll().unwrap());
+        assert!(search.writer_is_alive());
         plant.kill();
-        wait_for("its death", || (!search.lives()).then_some(()));
+        wait_for("its death", || (!search.writer_is_alive()).then_some(()));
         drop(reader);
     }
 }
 
 #[test]
 fn a_finder_that_comes_late_takes_the_newest_writer() {
-    let domain = OwnDomain::new("late").unwrap();
-    let node = domain.connect("daemon").unwrap();
+    let domain = TempDomain::new("late").unwrap();
+    let node = domain.join("daemon").unwrap();
     let older = node.writer::<Command>().unwrap();
     let newer = node.writer::<Command>().unwrap();
     older.write(Command { seq: 1, ..Command::default() });
     newer.write(Command { seq: 2, ..Command::default() });
 
-    let peer = domain.connect("plant").unwrap();
+    let peer = domain.join("plant").unwrap();
     let mut finder = peer.finder::<Command>();
     let reader = finder.poll().unwrap().unwrap();
     assert_eq!((reader.read().seq, reader.epoch()), (2, newer.epoch()));
@@ -83,17 +83,17 @@ fn a_finder_that_comes_late_takes_the_newest_writer() {
 
 #[test]
 fn a_writer_that_leaves_in_order_is_not_found() {
-    let domain = OwnDomain::new("left").unwrap();
-    let node = domain.connect("plant").unwrap();
+    let domain = TempDomain::new("left").unwrap();
+    let node = domain.join("plant").unwrap();
     drop(node.writer::<Measurement>().unwrap());
     assert!(node.finder::<Measurement>().poll().unwrap().is_none());
 }
 
 #[test]
 fn entries_work_in_other_threads_and_values_are_never_torn() {
-    let domain = OwnDomain::new("torn").unwrap();
-    let plant = domain.connect("plant").unwrap();
-    let daemon = domain.connect("daemon").unwrap();
+    let domain = TempDomain::new("torn").unwrap();
+    let plant = domain.join("plant").unwrap();
+    let daemon = domain.join("daemon").unwrap();
     let (entry, _ports) = plant.writer::<Measurement>().unwrap().split();
     let mut finder = daemon.finder::<Measurement>();
     let reader = finder.poll().unwrap().unwrap();
@@ -136,8 +136,8 @@ fn what_is_meant_to_move_between_threads_can() {
 
 #[test]
 fn entries_outlive_their_ports() {
-    let domain = OwnDomain::new("outlive").unwrap();
-    let node = domain.connect("both").unwrap();
+    let domain = TempDomain::new("outlive").unwrap();
+    let node = domain.join("both").unwrap();
     let mut finder = node.finder::<Command>();
     let (entry, ports) = node.writer::<Command>().unwrap().split();
     let reader = finder.poll().unwrap().unwrap();

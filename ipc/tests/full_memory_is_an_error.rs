@@ -51,7 +51,7 @@ fn expect_full<T>(result: Result<T, IpcError>) {
 #[test]
 fn too_small_for_anything() {
     if is_child() {
-        return expect_full(Domain::new("small").unwrap().connect("daemon"));
+        return expect_full(Domain::new("small").unwrap().join("daemon"));
     }
     check("1m", "too_small_for_anything");
 }
@@ -59,7 +59,7 @@ fn too_small_for_anything() {
 #[test]
 fn too_small_for_telemetry() {
     if is_child() {
-        let node = Domain::new("small").unwrap().connect("daemon").unwrap();
+        let node = Domain::new("small").unwrap().join("daemon").unwrap();
         return expect_full(node.publisher::<TelemetryBatch>());
     }
     check("32m", "too_small_for_telemetry");
@@ -68,7 +68,7 @@ fn too_small_for_telemetry() {
 #[test]
 fn full_later_does_no_harm() {
     if is_child() {
-        let node = Domain::new("later").unwrap().connect("daemon").unwrap();
+        let node = Domain::new("later").unwrap().join("daemon").unwrap();
         let telemetry = node.publisher::<TelemetryBatch>().unwrap();
         let plans = node.publisher::<Plan>().unwrap();
         let subscribers: Vec<_> = (0..8).map(|_| node.subscriber::<TelemetryBatch>().unwrap()).collect();

@@ -1,7 +1,7 @@
 //! A limit of the operating system that is too low is named, before something fails because of it.
 
 use std::process::Command;
-use upswing_ipc::{IpcError, OwnDomain};
+use upswing_ipc::{IpcError, TempDomain};
 
 const CHILD: &str = "UPSWING_TEST_LIMIT";
 
@@ -22,8 +22,8 @@ fn under(option: &str, value: &str) -> String {
 #[test]
 fn too_low_limits_are_refused_with_their_names() {
     if std::env::var_os(CHILD).is_some() {
-        let domain = OwnDomain::new("limits").unwrap();
-        match domain.connect("daemon") {
+        let domain = TempDomain::new("limits").unwrap();
+        match domain.join("daemon") {
             Ok(_) => println!("joined"),
             Err(e @ IpcError::Limit { .. }) => println!("{e}"),
             Err(e) => panic!("{e}"),

@@ -5,14 +5,14 @@ mod common;
 use common::{Victim, domain_of_child, until_killed, wait_for};
 use std::os::unix::fs::{PermissionsExt, symlink};
 use upswing_ipc::{
-    Command, ControlRequest, Domain, IpcError, Measurement, OwnDomain, Plan, PlantRequest, TelemetryBatch,
+    Command, ControlRequest, Domain, IpcError, Measurement, Plan, PlantRequest, TelemetryBatch, TempDomain,
 };
 
 /// Entry of the child process: holds every kind of end until it is killed.
 #[test]
 fn child_holds_everything() {
     let Some(domain) = domain_of_child() else { return };
-    let node = domain.connect("victim").unwrap();
+    let node = domain.join("victim").unwrap();
     let writer = node.writer::<Measurement>().unwrap();
     let publisher = node.publisher::<TelemetryBatch>().unwrap();
     let _subscriber = node.subscriber::<Plan>().unwrap();
@@ -33,8 +33,8 @@ fn traces(domain: &Domain) -> Vec<String> {
 
 #[test]
 fn after_an_orderly_end() {
-    let domain = OwnDomain::new("orderly").unwrap();
-    let node = domain.connect("daemon").unwrap();
+    let domain = TempDomain::new("orderly").unwrap();
+    let node = domain.join("daemon").unwrap();
     let writer = node.writer::<Command>().unwrap();
     writer.write(Command::default());
     let mut finder = node.finder::<Command>();
@@ -48,7 +48,7 @@ fn after_an_orderly_end() {
     assert!(!domain.remove_if_unused().unwrap(), "it is in use");
     drop(node);
     assert!(!domain.remove_if_unused().unwrap(), "ends of services count as well");
-    let other = domain.connect("cli").unwrap();
+    let other = domain.join("cli").unwrap();
     drop((writer, finder, reader, ends));
     assert!(domain.exists(), "somebody is still there");
     drop(other);
@@ -59,9 +59,9 @@ fn after_an_orderly_end() {
 
 #[test]
 fn after_processes_were_killed() {
-    let domain = OwnDomain::new("victims").unwrap();
+    let domain = TempDomain::new("victims").unwrap();
     {
-        let node = domain.connect("observer").unwrap();
+        let node = domain.join("observer").unwrap();
         for _ in 0..3 {
             let victim = Victim::start("child_holds_everything", &domain);
             let mut finder = node.finder::<Measurement>();
@@ -81,14 +81,14 @@ fn after_processes_were_killed() {
 
 #[test]
 fn after_processes_were_killed_while_they_started() {
-    let domain = OwnDomain::new("births").unwrap();
+    let domain = TempDomain::new("births").unwrap();
     for delay_us in (0..20_000).step_by(1000) {
         let victim = Victim::start("child_holds_everything", &domain);
         std::thread::sleep(std::time::Duration::from_micros(delay_us));
         victim.kill();
     }
     // A domain full of stillbirths still works.
-    let node = domain.connect("survivor").unwrap();
+    let node = domain.join("survivor").unwrap();
     let writer = node.writer::<Measurement>().unwrap();
     assert_eq!(node.finder::<Measurement>().poll().unwrap().unwrap().epoch(), writer.epoch());
     node.server::<PlantRequest>().unwrap();
@@ -100,9 +100,9 @@ fn after_processes_were_killed_while_they_started() {
 
 #[test]
 fn a_removed_domain_can_be_used_again() {
-    let domain = OwnDomain::new("again").unwrap();
+    let domain = TempDomain::new("again").unwrap();
     for seq in 1..=3 {
-        let node = domain.connect("daemon").unwrap();
+        let node = domain.join("daemon").unwrap();
         let writer = node.writer::<Command>().unwrap();
         writer.write(Command { seq, ..Command::default() });
         let reader = node.finder::<Command>().poll().unwrap().unwrap();
@@ -114,12 +114,12 @@ fn a_removed_domain_can_be_used_again() {
 
 #[test]
 fn joining_and_removing_at_the_same_time_is_safe() {
-    let domain = OwnDomain::new("race").unwrap();
+    let domain = TempDomain::new("race").unwrap();
     std::thread::scope(|threads| {
         for _ in 0..2 {
             threads.spawn(|| {
                 for seq in 1..=10 {
-                    let node = domain.connect("daemon").unwrap();
+                    let node = domain.join("daemon").unwrap();
                     let writer = node.writer::<Command>().unwrap();
                     writer.write(Command { seq, ..Command::default() });
                     assert!(domain.root().exists(), "a domain in use is not removed");
@@ -139,20 +139,20 @@ fn joining_and_removing_at_the_same_time_is_safe() {
 
 #[test]
 fn only_this_user_can_enter_the_directory() {
-    let domain = OwnDomain::new("private").unwrap();
+    let domain = TempDomain::new("private").unwrap();
     std::fs::create_dir(domain.root()).unwrap();
     std::fs::set_permissions(domain.root(), std::fs::Permissions::from_mode(0o777)).unwrap();
-    let _node = domain.connect("daemon").unwrap();
+    let _node = domain.join("daemon").unwrap();
     assert_eq!(domain.root().metadata().unwrap().permissions().mode() & 0o777, 0o700);
 }
 
 #[test]
 fn a_path_that_is_not_our_directory_is_refused() {
-    let domain = OwnDomain::new("foreign").unwrap();
+    let domain = TempDomain::new("foreign").unwrap();
     let link = domain.root();
     let target = std::env::temp_dir();
     symlink(&target, &link).unwrap();
-    let error = domain.connect("daemon").err().unwrap();
+    let error = domain.join("daemon").err().unwrap();
     assert!(matches!(error, IpcError::Foreign { .. }), "{error}");
     let error = domain.remove_if_unused().err().unwrap();
     assert!(matches!(error, IpcError::Foreign { .. }), "{error}");
@@ -162,8 +162,8 @@ fn a_path_that_is_not_our_directory_is_refused() {
 
 #[test]
 fn no_configuration_of_somebody_else_is_in_force() {
-    let domain = OwnDomain::new("config").unwrap();
-    let _node = domain.connect("daemon").unwrap();
+    let domain = TempDomain::new("config").unwrap();
+    let _node = domain.join("daemon").unwrap();
     // Where iceoryx2 falls back to the global configuration it must be that of a domain (the first one of this
     // process), not that of a file in the working directory.
     let global = &iceoryx2::prelude::Config::global_config().global;

@@ -4,7 +4,7 @@ mod common;
 
 use common::wait_for;
 use proptest::prelude::*;
-use upswing_ipc::{OwnDomain, Plan};
+use upswing_ipc::{Plan, TempDomain};
 
 /// A sealed plan without a zero byte pattern that a truncation could reproduce.
 fn plan(id: u64) -> Box<Plan> {
@@ -85,11 +85,11 @@ proptest! {
 
 #[test]
 fn plans_arrive_intact_also_late_and_from_a_restarted_planner() {
-    let domain = OwnDomain::new("plan").unwrap();
-    let daemon = domain.connect("daemon").unwrap();
+    let domain = TempDomain::new("plan").unwrap();
+    let daemon = domain.join("daemon").unwrap();
     let early = daemon.subscriber::<Plan>().unwrap();
     for id in 1..=3 {
-        let planner = domain.connect("planner").unwrap();
+        let planner = domain.join("planner").unwrap();
         let publisher = planner.publisher::<Plan>().unwrap();
         publisher.publish(&plan(id)).unwrap();
         let received = wait_for("the plan", || early.receive().unwrap());
@@ -99,7 +99,7 @@ fn plans_arrive_intact_also_late_and_from_a_restarted_planner() {
 
         let late = daemon.subscriber::<Plan>().unwrap();
         assert!(late.receive().unwrap().is_none());
-        publisher.greet().unwrap();
+        publisher.deliver_history().unwrap();
         let received = wait_for("the history", || late.receive().unwrap());
         assert!(received.is_intact());
         assert_eq!(received.id, id);
@@ -108,8 +108,8 @@ fn plans_arrive_intact_also_late_and_from_a_restarted_planner() {
 
 #[test]
 fn a_slow_subscriber_keeps_the_newest_plans() {
-    let domain = OwnDomain::new("newest").unwrap();
-    let node = domain.connect("both").unwrap();
+    let domain = TempDomain::new("newest").unwrap();
+    let node = domain.join("both").unwrap();
     let subscriber = node.subscriber::<Plan>().unwrap();
     let publisher = node.publisher::<Plan>().unwrap();
     for id in 1..=10 {

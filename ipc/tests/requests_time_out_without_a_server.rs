@@ -5,8 +5,8 @@ mod common;
 use common::{Victim, domain_of_child, until_killed, wait_for};
 use std::time::Duration;
 use upswing_ipc::{
-    CallError, ControlCommand, ControlRequest, ControlResponse, IpcError, Mode, OwnDomain, PlannerRequest,
-    PlantRequest, TelemetryBatch, Text,
+    CallError, ControlKind, ControlRequest, ControlResponse, IpcError, Mode, PlannerRequest, PlantRequest,
+    TelemetryBatch, TempDomain, Text,
 };
 
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -16,7 +16,7 @@ const BRIEF: Duration = Duration::from_millis(20);
 #[test]
 fn child_serves() {
     let Some(domain) = domain_of_child() else { return };
-    let server = domain.connect("daemon").unwrap().server::<ControlRequest>().unwrap();
+    let server = domain.join("daemon").unwrap().server::<ControlRequest>().unwrap();
     let mut seq = 0;
     until_killed(|| {
         server
@@ -32,17 +32,17 @@ fn child_serves() {
 #[test]
 fn child_is_deaf() {
     let Some(domain) = domain_of_child() else { return };
-    let _server = domain.connect("daemon").unwrap().server::<ControlRequest>().unwrap();
+    let _server = domain.join("daemon").unwrap().server::<ControlRequest>().unwrap();
     until_killed(|| {});
 }
 
 #[test]
 fn without_a_server_every_request_says_so() {
-    let domain = OwnDomain::new("absent").unwrap();
-    let node = domain.connect("cli").unwrap();
+    let domain = TempDomain::new("absent").unwrap();
+    let node = domain.join("cli").unwrap();
     let control = node.client::<ControlRequest>().unwrap();
     assert!(!control.has_server());
-    let error = control.call(&ControlRequest::new(ControlCommand::Enable), PATIENCE).unwrap_err();
+    let error = control.call(&ControlRequest::new(ControlKind::Enable), PATIENCE).unwrap_err();
     assert!(
         matches!(&error, CallError::NoServer { service: "control", domain: d, .. } if d == domain.name()),
         "{error}"
@@ -56,13 +56,13 @@ fn without_a_server_every_request_says_so() {
 
 #[test]
 fn a_server_that_does_not_poll_times_out_and_never_sees_the_withdrawn_request() {
-    let domain = OwnDomain::new("deaf").unwrap();
-    let node = domain.connect("cli").unwrap();
+    let domain = TempDomain::new("deaf").unwrap();
+    let node = domain.join("cli").unwrap();
     let server = node.server::<ControlRequest>().unwrap();
     let client = node.client::<ControlRequest>().unwrap();
     // More often than a client may have requests under way: the withdrawn ones must not count.
     for _ in 0..50 {
-        let error = client.call(&ControlRequest::new(ControlCommand::Enable), BRIEF).unwrap_err();
+        let error = client.call(&ControlRequest::new(ControlKind::Enable), BRIEF).unwrap_err();
         assert!(
             matches!(error, CallError::Timeout { service: "control", waited } if waited >= BRIEF),
             "{error}"
@@ -74,19 +74,19 @@ fn a_server_that_does_not_poll_times_out_and_never_sees_the_withdrawn_request() 
 
 #[test]
 fn answers_carry_the_request_and_the_reason() {
-    let domain = OwnDomain::new("answer").unwrap();
+    let domain = TempDomain::new("answer").unwrap();
     let serving = std::sync::atomic::AtomicBool::new(true);
-    let node = domain.connect("cli").unwrap();
+    let node = domain.join("cli").unwrap();
     std::thread::scope(|threads| {
         threads.spawn(|| {
-            let server = domain.connect("daemon").unwrap().server::<ControlRequest>().unwrap();
+            let server = domain.join("daemon").unwrap().server::<ControlRequest>().unwrap();
             let mut seq = 0;
             while serving.load(std::sync::atomic::Ordering::Relaxed) {
                 server
                     .poll(|request| {
                         seq += 1;
                         ControlResponse {
-                            accepted: u64::from(request.command() == Ok(ControlCommand::Hold)),
+                            accepted: u64::from(request.kind() == Ok(ControlKind::Hold)),
                             mode: Mode::Hold.code(),
                             seq,
                             reason: Text::new("asked for"),
@@ -100,7 +100,7 @@ fn answers_carry_the_request_and_the_reason() {
         let client = node.client::<ControlRequest>().unwrap();
         wait_for("the server", || client.has_server().then_some(()));
         for seq in 1..=1000 {
-            let command = if seq % 2 == 0 { ControlCommand::Hold } else { ControlCommand::Stop };
+            let command = if seq % 2 == 0 { ControlKind::Hold } else { ControlKind::Stop };
             let answer = client.call(&ControlRequest::new(command), PATIENCE).unwrap();
             assert_eq!((answer.accepted, answer.seq), (u64::from(seq % 2 == 0), seq));
             assert_eq!(answer.mode(), Ok(Mode::Hold));
@@ -112,10 +112,10 @@ fn answers_carry_the_request_and_the_reason() {
 
 #[test]
 fn a_killed_server_is_reported_and_its_successor_answers() {
-    let domain = OwnDomain::new("killed").unwrap();
-    let node = domain.connect("cli").unwrap();
+    let domain = TempDomain::new("killed").unwrap();
+    let node = domain.join("cli").unwrap();
     let client = node.client::<ControlRequest>().unwrap();
-    let request = ControlRequest::new(ControlCommand::Status);
+    let request = ControlRequest::new(ControlKind::Status);
     for _ in 0..3 {
         let daemon = Victim::start("child_serves", &domain);
         wait_for("the server", || client.has_server().then_some(()));
@@ -132,8 +132,8 @@ fn a_killed_server_is_reported_and_its_successor_answers() {
 
 #[test]
 fn a_server_killed_during_a_request_is_reported() {
-    let domain = OwnDomain::new("during").unwrap();
-    let node = domain.connect("cli").unwrap();
+    let domain = TempDomain::new("during").unwrap();
+    let node = domain.join("cli").unwrap();
     let client = node.client::<ControlRequest>().unwrap();
     let daemon = Victim::start("child_is_deaf", &domain);
     wait_for("the server", || client.has_server().then_some(()));
@@ -141,7 +141,7 @@ fn a_server_killed_during_a_request_is_reported() {
         std::thread::sleep(BRIEF);
         daemon.kill();
     });
-    let error = client.call(&ControlRequest::new(ControlCommand::Status), PATIENCE).unwrap_err();
+    let error = client.call(&ControlRequest::new(ControlKind::Status), PATIENCE).unwrap_err();
     // Where the kill is quicker than the request there is no server at all.
     assert!(matches!(error, CallError::ServerGone { .. } | CallError::NoServer { .. }), "{error}");
     killer.join().unwrap();
@@ -149,9 +149,9 @@ fn a_server_killed_during_a_request_is_reported() {
 
 #[test]
 fn a_second_server_and_a_second_publisher_are_refused() {
-    let domain = OwnDomain::new("second").unwrap();
-    let first = domain.connect("daemon").unwrap();
-    let second = domain.connect("daemon").unwrap();
+    let domain = TempDomain::new("second").unwrap();
+    let first = domain.join("daemon").unwrap();
+    let second = domain.join("daemon").unwrap();
 
     let server = first.server::<ControlRequest>().unwrap();
     let error = second.server::<ControlRequest>().err().unwrap();

@@ -10,8 +10,8 @@ use std::os::unix::ffi::OsStrExt;
 use std::sync::mpsc;
 use std::time::Duration;
 use upswing_ipc::{
-    Command, ControlCommand, ControlRequest, ControlResponse, Domain, IpcError, Latest, Measurement,
-    OwnDomain, Plan, Search,
+    BlackboardPayload, Command, ControlKind, ControlRequest, ControlResponse, Domain, FinderThread, IpcError,
+    Measurement, Plan, TempDomain,
 };
 
 /// Far beyond anything that is waited for.
@@ -25,14 +25,14 @@ fn ends<T: Send + 'static>(what: &str, body: impl FnOnce() -> T + Send + 'static
 }
 
 fn lock(domain: &Domain) -> std::path::PathBuf {
-    domain.root().join("construction.lock")
+    domain.root().join("creation.lock")
 }
 
 /// Entry of the child process: stops while it creates.
 #[test]
 fn child_stops_with_the_lock() {
     let Some(domain) = domain_of_child() else { return };
-    let _node = domain.connect("victim").unwrap();
+    let _node = domain.join("victim").unwrap();
     let file = std::fs::File::options().write(true).open(lock(&domain)).unwrap();
     file.lock().unwrap();
     std::fs::write(domain.root().join("locked"), "").unwrap();
@@ -43,13 +43,13 @@ fn child_stops_with_the_lock() {
 
 #[test]
 fn nobody_waits_for_a_lock_whose_holder_is_stopped() {
-    let domain = OwnDomain::new("stopped").unwrap();
-    let node = domain.connect("daemon").unwrap();
+    let domain = TempDomain::new("stopped").unwrap();
+    let node = domain.join("daemon").unwrap();
     let mut finder = node.finder::<Measurement>();
     let victim = Victim::start("child_stops_with_the_lock", &domain);
     wait_for("the lock", || domain.root().join("locked").exists().then_some(()));
     wait_for("the stop", || victim.is_stopped().then_some(()));
-    let plant = domain.connect("plant").unwrap();
+    let plant = domain.join("plant").unwrap();
     let _server = node.server::<ControlRequest>().unwrap();
     let client = plant.client::<ControlRequest>().unwrap();
     assert!(client.has_server());
@@ -61,17 +61,17 @@ fn nobody_waits_for_a_lock_whose_holder_is_stopped() {
 
 #[test]
 fn a_search_does_not_wait_for_the_lock() {
-    let domain = OwnDomain::new("search").unwrap();
-    let node = domain.connect("daemon").unwrap();
-    let search = Search::<Measurement>::start(&node).unwrap();
+    let domain = TempDomain::new("search").unwrap();
+    let node = domain.join("daemon").unwrap();
+    let search = FinderThread::<Measurement>::start(&node).unwrap();
     assert!(search.first().unwrap().is_none());
     let writer = node.writer::<Measurement>().unwrap();
-    let reader = wait_for("the writer", || search.take().unwrap());
+    let reader = wait_for("the writer", || search.poll().unwrap());
     assert_eq!(reader.epoch(), writer.epoch());
     // Nobody knows that this thread will give the lock back.
     let held = std::fs::File::options().write(true).open(lock(&domain)).unwrap();
     held.lock().unwrap();
-    assert!((0..1000).all(|_| search.take().unwrap().is_none()));
+    assert!((0..1000).all(|_| search.poll().unwrap().is_none()));
     drop(held);
 }
 
@@ -84,7 +84,10 @@ fn foreign_node(domain: &Domain) -> IoxNode<ipc::Service> {
 }
 
 /// A writer of `value` with an epoch of its choice lives for as long as `body` runs.
-fn with_writer<T: Latest, V: iceoryx2::prelude::ZeroCopySend + Copy + Default + std::fmt::Debug + 'static>(
+fn with_writer<
+    T: BlackboardPayload,
+    V: iceoryx2::prelude::ZeroCopySend + Copy + Default + std::fmt::Debug + 'static,
+>(
     domain: &Domain,
     epoch: u64,
     body: impl FnOnce(),
@@ -103,8 +106,8 @@ fn with_writer<T: Latest, V: iceoryx2::prelude::ZeroCopySend + Copy + Default + 
 
 #[test]
 fn an_epoch_of_the_future_is_not_looked_at() {
-    let domain = OwnDomain::new("future").unwrap();
-    let node = domain.connect("daemon").unwrap();
+    let domain = TempDomain::new("future").unwrap();
+    let node = domain.join("daemon").unwrap();
     let writer = node.writer::<Measurement>().unwrap();
     let (mut finder, mut late) = (node.finder::<Measurement>(), node.finder::<Measurement>());
     assert_eq!(finder.poll().unwrap().unwrap().epoch(), writer.epoch());
@@ -118,8 +121,8 @@ fn an_epoch_of_the_future_is_not_looked_at() {
 
 #[test]
 fn a_newer_writer_that_is_gone_gives_way_to_the_one_that_lives() {
-    let domain = OwnDomain::new("newer").unwrap();
-    let node = domain.connect("plant").unwrap();
+    let domain = TempDomain::new("newer").unwrap();
+    let node = domain.join("plant").unwrap();
     let writer = node.writer::<Command>().unwrap();
     let mut finder = node.finder::<Command>();
     assert_eq!(finder.poll().unwrap().unwrap().epoch(), writer.epoch());
@@ -133,8 +136,8 @@ fn a_newer_writer_that_is_gone_gives_way_to_the_one_that_lives() {
 
 #[test]
 fn a_writer_of_something_else_does_not_hide_the_others() {
-    let domain = OwnDomain::new("else").unwrap();
-    let node = domain.connect("plant").unwrap();
+    let domain = TempDomain::new("else").unwrap();
+    let node = domain.join("plant").unwrap();
     let writer = node.writer::<Command>().unwrap();
     with_writer::<Command, u64>(&domain, writer.epoch() + 1, || {
         let mut finder = node.finder::<Command>();
@@ -146,17 +149,17 @@ fn a_writer_of_something_else_does_not_hide_the_others() {
 
 #[test]
 fn clients_who_always_ask_let_the_server_do_other_things() {
-    let domain = OwnDomain::new("greedy").unwrap();
-    let node = domain.connect("daemon").unwrap();
+    let domain = TempDomain::new("greedy").unwrap();
+    let node = domain.join("daemon").unwrap();
     let server = node.server::<ControlRequest>().unwrap();
     let (tell, told) = mpsc::channel();
     let greedy: Vec<_> = (0..2)
         .map(|_| {
             let (domain, tell) = (domain.clone(), tell.clone());
             std::thread::spawn(move || {
-                let client = domain.connect("cli").unwrap().client::<ControlRequest>().unwrap();
+                let client = domain.join("cli").unwrap().client::<ControlRequest>().unwrap();
                 tell.send(()).unwrap();
-                while client.call(&ControlRequest::new(ControlCommand::Enable), LONG).is_ok() {}
+                while client.call(&ControlRequest::new(ControlKind::Enable), LONG).is_ok() {}
             })
         })
         .collect();
@@ -185,23 +188,23 @@ fn make_pipe(path: &std::path::Path) {
 
 #[test]
 fn a_pipe_in_place_of_a_file_is_refused_or_passed_over() {
-    for name in ["construction.lock", "iceoryx2.toml"] {
-        let domain = OwnDomain::new("pipe").unwrap();
+    for name in ["creation.lock", "iceoryx2.toml"] {
+        let domain = TempDomain::new("pipe").unwrap();
         std::fs::create_dir(domain.root()).unwrap();
         let path = domain.root().join(name);
         make_pipe(&path);
         let other = (*domain).clone();
-        let refused = ends(name, move || other.connect("daemon").err().map(|e| e.to_string()));
+        let refused = ends(name, move || other.join("daemon").err().map(|e| e.to_string()));
         // The settings are written once in a process, by the test that came first.
-        if name == "construction.lock" {
+        if name == "creation.lock" {
             let told = refused.expect("a refusal");
             assert!(told.contains(path.to_str().unwrap()) && told.contains("regular file"), "{told}");
         }
     }
-    let domain = OwnDomain::new("pipe").unwrap();
+    let domain = TempDomain::new("pipe").unwrap();
     let memory = format!("/dev/shm/upswing_{}_{}_1.data", domain.name(), "0".repeat(40));
     make_pipe(memory.as_ref());
     let other = (*domain).clone();
-    ends("memory", move || other.connect("daemon").unwrap().writer::<Command>().map(drop).unwrap());
+    ends("memory", move || other.join("daemon").unwrap().writer::<Command>().map(drop).unwrap());
     std::fs::remove_file(memory).unwrap();
 }

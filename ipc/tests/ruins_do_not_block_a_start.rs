@@ -7,15 +7,13 @@ use std::fs::Permissions;
 use std::os::unix::fs::PermissionsExt;
 use std::path::PathBuf;
 use std::time::{Duration, SystemTime};
-use upswing_ipc::{
-    CallError, ControlCommand, ControlRequest, Domain, Measurement, OwnDomain, TelemetryBatch,
-};
+use upswing_ipc::{CallError, ControlKind, ControlRequest, Domain, Measurement, TelemetryBatch, TempDomain};
 
 /// Entry of the child process: holds some ends until it is killed.
 #[test]
 fn child_holds_ends() {
     let Some(domain) = domain_of_child() else { return };
-    let node = domain.connect("victim").unwrap();
+    let node = domain.join("victim").unwrap();
     let _server = node.server::<ControlRequest>().unwrap();
     let _publisher = node.publisher::<TelemetryBatch>().unwrap();
     let writer = node.writer::<Measurement>().unwrap();
@@ -27,7 +25,7 @@ fn child_holds_ends() {
 #[test]
 fn child_publishes() {
     let Some(domain) = domain_of_child() else { return };
-    let publisher = domain.connect("victim").unwrap().publisher::<TelemetryBatch>().unwrap();
+    let publisher = domain.join("victim").unwrap().publisher::<TelemetryBatch>().unwrap();
     until_killed(|| {
         publisher.publish(&TelemetryBatch::boxed_zeroed()).unwrap();
     });
@@ -48,13 +46,13 @@ fn memory(domain: &Domain) -> Vec<PathBuf> {
 }
 
 /// A domain in which a process was killed after it had created its services.
-fn deserted(tag: &str) -> OwnDomain {
-    let domain = OwnDomain::new(tag).unwrap();
+fn deserted(tag: &str) -> TempDomain {
+    let domain = TempDomain::new(tag).unwrap();
     let victim = Victim::start("child_holds_ends", &domain);
     wait_for("its services", || {
         (domain.root().join("services").exists() && descriptions(&domain).len() == 3).then_some(())
     });
-    let node = domain.connect("observer").unwrap();
+    let node = domain.join("observer").unwrap();
     let mut finder = node.finder::<Measurement>();
     let reader = wait_for("its writer", || finder.poll().unwrap());
     wait_for("its data", || (reader.read().seq == 1).then_some(()));
@@ -65,10 +63,9 @@ fn deserted(tag: &str) -> OwnDomain {
 }
 
 fn all_can_start(domain: &Domain) {
-    let node = domain.connect("survivor").unwrap();
+    let node = domain.join("survivor").unwrap();
     let client = node.client::<ControlRequest>().unwrap();
-    let error =
-        client.call(&ControlRequest::new(ControlCommand::Status), Duration::from_secs(30)).unwrap_err();
+    let error = client.call(&ControlRequest::new(ControlKind::Status), Duration::from_secs(30)).unwrap_err();
     assert!(matches!(error, CallError::NoServer { .. }), "{error}");
     let _server = node.server::<ControlRequest>().unwrap();
     let _publisher = node.publisher::<TelemetryBatch>().unwrap();
@@ -106,8 +103,8 @@ fn unfinished_descriptions_of_services_do_not() {
 
 #[test]
 fn unfinished_nodes_and_connections_without_a_port_are_removed_when_they_are_old() {
-    let domain = OwnDomain::new("nodes").unwrap();
-    let node = domain.connect("first").unwrap();
+    let domain = TempDomain::new("nodes").unwrap();
+    let node = domain.join("first").unwrap();
     let nodes = domain.root().join("nodes");
     let complete = files(nodes.clone(), "").len();
     let prefix = format!("upswing_{}_", domain.name());
@@ -142,9 +139,9 @@ fn unfinished_nodes_and_connections_without_a_port_are_removed_when_they_are_old
 
 #[test]
 fn an_unfinished_connection_of_a_dead_port_does_not_stop_the_clean_up() {
-    let domain = OwnDomain::new("connection").unwrap();
+    let domain = TempDomain::new("connection").unwrap();
     let victim = Victim::start("child_publishes", &domain);
-    let node = domain.connect("observer").unwrap();
+    let node = domain.join("observer").unwrap();
     let subscriber = node.subscriber::<TelemetryBatch>().unwrap();
     wait_for("telemetry", || subscriber.receive().unwrap());
     victim.kill();
@@ -177,7 +174,7 @@ fn an_unfinished_tag_does_not_keep_a_dead_node() {
     std::fs::set_permissions(folder, Permissions::from_mode(0o700)).unwrap();
     std::fs::File::create(&tag).unwrap().set_modified(SystemTime::now() - Duration::from_secs(3)).unwrap();
     std::fs::set_permissions(&tag, Permissions::from_mode(0o600)).unwrap();
-    let node = domain.connect("survivor").unwrap();
+    let node = domain.join("survivor").unwrap();
     node.clean_up();
     assert!(!folder.exists(), "{:?}", files(folder.clone(), ""));
     drop(node);
@@ -186,7 +183,7 @@ fn an_unfinished_tag_does_not_keep_a_dead_node() {
 
 #[test]
 fn kills_at_any_moment_of_a_start_do_not() {
-    let domain = OwnDomain::new("moments").unwrap();
+    let domain = TempDomain::new("moments").unwrap();
     for delay_us in (0..15_000).step_by(500) {
         let victim = Victim::start("child_holds_ends", &domain);
         std::thread::sleep(Duration::from_micros(delay_us));

@@ -1,6 +1,6 @@
 //! Batches of telemetry reach every subscriber, in order, and a slow one loses the oldest.
 
-use upswing_ipc::{OwnDomain, Telemetry, TelemetryBatch};
+use upswing_ipc::{Telemetry, TelemetryBatch, TempDomain};
 
 #[test]
 fn a_batch_holds_what_was_pushed_and_no_more() {
@@ -21,9 +21,9 @@ fn a_batch_holds_what_was_pushed_and_no_more() {
 
 #[test]
 fn every_subscriber_gets_every_cycle_in_order() {
-    let domain = OwnDomain::new("telemetry").unwrap();
-    let node = domain.connect("daemon").unwrap();
-    let peer = domain.connect("monitor").unwrap();
+    let domain = TempDomain::new("telemetry").unwrap();
+    let node = domain.join("daemon").unwrap();
+    let peer = domain.join("monitor").unwrap();
     let publisher = node.publisher::<TelemetryBatch>().unwrap();
     let subscribers =
         [peer.subscriber::<TelemetryBatch>().unwrap(), node.subscriber::<TelemetryBatch>().unwrap()];
@@ -53,8 +53,8 @@ fn every_subscriber_gets_every_cycle_in_order() {
 
 #[test]
 fn a_slow_subscriber_loses_the_oldest_and_never_stops_the_publisher() {
-    let domain = OwnDomain::new("slow").unwrap();
-    let node = domain.connect("daemon").unwrap();
+    let domain = TempDomain::new("slow").unwrap();
+    let node = domain.join("daemon").unwrap();
     let publisher = node.publisher::<TelemetryBatch>().unwrap();
     let subscriber = node.subscriber::<TelemetryBatch>().unwrap();
     let mut batch = TelemetryBatch::boxed_zeroed();
@@ -73,6 +73,6 @@ fn a_slow_subscriber_loses_the_oldest_and_never_stops_the_publisher() {
     assert_eq!(*seqs.last().unwrap(), published);
 
     let late = node.subscriber::<TelemetryBatch>().unwrap();
-    publisher.greet().unwrap();
+    publisher.deliver_history().unwrap();
     assert!(late.receive().unwrap().is_none(), "telemetry has no history");
 }

@@ -3,7 +3,7 @@
 use proptest::prelude::*;
 use std::str::FromStr;
 use upswing_ipc::{
-    Clock, ControlCommand, ControlRequest, Degradation, Mode, PlannerKind, PlannerStatus, PlantKind, Text,
+    Clock, ControlKind, ControlRequest, Degradation, Mode, PlannerKind, PlannerStatus, PlantKind, Text,
     TextError, UnknownClock, UnknownCode,
 };
 
@@ -72,14 +72,14 @@ fn only_known_codes_become_variants() {
     codes_are_checked! {
         Clock: 3 "clock",
         Mode: 6 "mode",
-        ControlCommand: 6 "control command",
+        ControlKind: 6 "control request",
         Degradation: 5 "degradation",
         PlannerKind: 3 "planner request",
         PlannerStatus: 7 "planner status",
         PlantKind: 6 "plant request",
     }
-    let error = ControlRequest { command: 99, plan_id: 0 }.command().unwrap_err();
-    assert!(error.to_string().starts_with("unknown control command code 99: expected 0..=5"), "{error}");
+    let error = ControlRequest { kind: 99, plan_id: 0 }.kind().unwrap_err();
+    assert!(error.to_string().starts_with("unknown control request code 99: expected 0..=5"), "{error}");
 }
 
 #[test]

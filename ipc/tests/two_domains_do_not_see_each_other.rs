@@ -1,12 +1,12 @@
 //! Domains are separate worlds, also when the name of one begins with that of the other.
 
 use std::time::Duration;
-use upswing_ipc::{CallError, Command, ControlCommand, ControlRequest, Domain, DomainError, OwnDomain, Plan};
+use upswing_ipc::{CallError, Command, ControlKind, ControlRequest, Domain, DomainError, Plan, TempDomain};
 
 #[test]
 fn writers_plans_and_servers_stay_in_their_domain() {
-    let (here, there) = (OwnDomain::new("here").unwrap(), OwnDomain::new("there").unwrap());
-    let (near, far) = (here.connect("daemon").unwrap(), there.connect("daemon").unwrap());
+    let (here, there) = (TempDomain::new("here").unwrap(), TempDomain::new("there").unwrap());
+    let (near, far) = (here.join("daemon").unwrap(), there.join("daemon").unwrap());
 
     let writer = near.writer::<Command>().unwrap();
     writer.write(Command { seq: 1, ..Command::default() });
@@ -23,23 +23,23 @@ fn writers_plans_and_servers_stay_in_their_domain() {
 
     let _server = near.server::<ControlRequest>().unwrap();
     assert!(near.client::<ControlRequest>().unwrap().has_server());
-    let request = ControlRequest::new(ControlCommand::Enable);
+    let request = ControlRequest::new(ControlKind::Enable);
     let error = far.client::<ControlRequest>().unwrap().call(&request, Duration::from_secs(30)).unwrap_err();
     assert!(matches!(error, CallError::NoServer { .. }), "{error}");
 }
 
 #[test]
 fn a_peer_in_the_same_domain_is_seen() {
-    let domain = OwnDomain::new("same").unwrap();
+    let domain = TempDomain::new("same").unwrap();
     let twin = Domain::new(domain.name()).unwrap();
     assert_eq!(*domain, twin);
-    let _writer = domain.connect("daemon").unwrap().writer::<Command>().unwrap();
-    assert!(twin.connect("plant").unwrap().finder::<Command>().poll().unwrap().is_some());
+    let _writer = domain.join("daemon").unwrap().writer::<Command>().unwrap();
+    assert!(twin.join("plant").unwrap().finder::<Command>().poll().unwrap().is_some());
 }
 
 #[test]
 fn removing_a_domain_leaves_those_whose_names_begin_alike() {
-    let short = OwnDomain::new("alike").unwrap();
+    let short = TempDomain::new("alike").unwrap();
     // An ending like the hash in a file name is the worst case for telling the files apart.
     let longer: Vec<_> =
         ["_1", "_0123456789", "-c"].iter().map(|end| format!("{}{end}", short.name())).collect();
@@ -52,7 +52,7 @@ fn removing_a_domain_leaves_those_whose_names_begin_alike() {
         names.sort();
         names
     };
-    let nodes: Vec<_> = longer.iter().map(|domain| domain.connect("daemon").unwrap()).collect();
+    let nodes: Vec<_> = longer.iter().map(|domain| domain.join("daemon").unwrap()).collect();
     let ends: Vec<_> = nodes
         .iter()
         .map(|n| {
@@ -62,7 +62,7 @@ fn removing_a_domain_leaves_those_whose_names_begin_alike() {
     let before: Vec<_> = longer.iter().map(files).collect();
     assert!(before.iter().all(|names| names.iter().any(|n| n.ends_with(".connection"))), "{before:?}");
 
-    drop(short.connect("daemon").unwrap().publisher::<Plan>().unwrap());
+    drop(short.join("daemon").unwrap().publisher::<Plan>().unwrap());
     assert!(short.remove_if_unused().unwrap());
     let after: Vec<_> = longer.iter().map(files).collect();
     assert_eq!(before, after);

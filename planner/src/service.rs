@@ -10,7 +10,7 @@ use upswing_config::ReplanSettings;
 use upswing_ipc::operator::Manoeuvre;
 use upswing_ipc::{
     Clock, Domain, Mode, PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus, Subscriber, Telemetry,
-    TelemetryBatch, Text, Topic as _,
+    TelemetryBatch, Text, TopicPayload as _,
 };
 use upswing_model::{ActuatedVector, Model, NQ, NU, NX, State, Workspace};
 use upswing_ocp::qp::Solver;
@@ -52,7 +52,7 @@ pub fn run(args: &ProcessArgs) -> Result<(), Failure> {
 }
 
 fn serve(planner: &Planner, domain: &Domain, stop: &Arc<AtomicBool>) -> Result<(), upswing_ipc::IpcError> {
-    let node = domain.connect("planner")?;
+    let node = domain.join("planner")?;
     let server = node.server()?;
     let publisher = node.publisher::<upswing_ipc::Plan>()?;
     let telemetry = node.subscriber()?;
@@ -66,7 +66,7 @@ fn serve(planner: &Planner, domain: &Domain, stop: &Arc<AtomicBool>) -> Result<(
             desk.observe(record, Instant::now());
         }
         let mut published = Vec::new();
-        let answered = server.poll_while_wanted(|request, connected| {
+        let answered = server.poll_cancellable(|request, connected| {
             let wanted = &|| connected() && !stop.load(Ordering::Acquire);
             let begin = Instant::now();
             let mut attempts = 0;
@@ -99,7 +99,7 @@ fn serve(planner: &Planner, domain: &Domain, stop: &Arc<AtomicBool>) -> Result<(
             publisher.publish(&Box::<upswing_ipc::Plan>::from(plan))?;
             info!(id = format!("{:016x}", plan.id), t_f = plan.trajectory.t_f, "plan published");
         }
-        publisher.greet()?;
+        publisher.deliver_history()?;
         if answered == 0 {
             desk.prepare(&|| !stop.load(Ordering::Acquire));
             std::thread::sleep(PAUSE);

@@ -1,13 +1,13 @@
 //! The commands of the daemon, read from shared memory.
 
 use tracing::warn;
-use upswing_ipc::{Command, Commands, IpcError, Node, Reader, Search};
+use upswing_ipc::{Command, Commands, FinderThread, IpcError, Node, Reader};
 
 /// The commands of the newest daemon. Nothing in them is trusted.
 pub(crate) struct DaemonCommands {
     daemon: Option<Daemon>,
     // Outlives the readers.
-    search: Search<Command>,
+    finder: FinderThread<Command>,
 }
 
 /// A daemon that was found.
@@ -24,16 +24,16 @@ impl DaemonCommands {
     /// # Errors
     /// If no thread can be started.
     pub(crate) fn new(node: &Node) -> std::io::Result<Self> {
-        let search = Search::start(node)?;
-        let daemon = logged(search.first()).map(|reader| Daemon { seq: reader.read().seq, reader });
-        Ok(Self { daemon, search })
+        let finder = FinderThread::start(node)?;
+        let daemon = logged(finder.first()).map(|reader| Daemon { seq: reader.read().seq, reader });
+        Ok(Self { daemon, finder })
     }
 }
 
 impl Commands for DaemonCommands {
     /// No system call unless a new daemon was found.
     fn take(&mut self, newest: u64) -> Option<Command> {
-        while let Some(reader) = logged(self.search.take()) {
+        while let Some(reader) = logged(self.finder.poll()) {
             self.daemon = Some(Daemon { reader, seq: 0 });
         }
         let daemon = self.daemon.as_mut()?;
@@ -46,7 +46,7 @@ impl Commands for DaemonCommands {
     }
 
     fn daemon_lives(&self) -> bool {
-        self.search.lives()
+        self.finder.writer_is_alive()
     }
 }
 

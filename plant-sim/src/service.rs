@@ -31,7 +31,7 @@ pub(crate) fn serve(
     domain: &Domain,
     shutdown: &AtomicBool,
 ) -> Result<(), ServiceError> {
-    let node = domain.connect("plant")?;
+    let node = domain.join("plant")?;
     // The server first: it refuses a second plant before that disturbs the daemon.
     let requests = RequestServer::new(&node)?;
     let commands = DaemonCommands::new(&node)?;

@@ -3,14 +3,14 @@
 mod common;
 
 use common::{Answerer, Peer, PlantProcess, wait_for};
-use upswing_ipc::{Clock, Command, Measurement, OwnDomain};
+use upswing_ipc::{Clock, Command, Measurement, TempDomain};
 
 fn brakes_closed(measurement: &Measurement) -> bool {
     measurement.status & Measurement::BRAKES_CLOSED != 0
 }
 
-fn start(clock: Clock) -> (OwnDomain, PlantProcess, Peer) {
-    let domain = OwnDomain::new("live").unwrap();
+fn start(clock: Clock) -> (TempDomain, PlantProcess, Peer) {
+    let domain = TempDomain::new("live").unwrap();
     let plant = PlantProcess::start(&domain, &["--clock", &clock.to_string()]);
     let peer = Peer::join(&domain);
     if clock == Clock::Lockstep {

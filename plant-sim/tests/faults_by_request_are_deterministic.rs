@@ -5,7 +5,7 @@ mod common;
 
 use common::{Answerer, Peer, PlantProcess, settings, torque, wait_for};
 use upswing_config::{Config, Fault, FaultKind, Push};
-use upswing_ipc::{OwnDomain, PlantKind, PlantRequest};
+use upswing_ipc::{PlantKind, PlantRequest, TempDomain};
 use upswing_plant::Plant;
 
 const END: u64 = 120;
@@ -28,7 +28,7 @@ fn twin(config: &Config, disturb: impl Fn(&mut Plant)) -> Plant {
 }
 
 fn conforms(options: &[&str], config: &Config, request: PlantRequest, twin: &Plant, what: &str) {
-    let domain = OwnDomain::new("faulty").unwrap();
+    let domain = TempDomain::new("faulty").unwrap();
     let _plant = PlantProcess::start(&domain, &[&["--clock", "lockstep"], options].concat());
     let peer = Peer::join(&domain);
     let mut daemon = Answerer::join(&peer);
@@ -82,7 +82,7 @@ fn a_push_under_a_scenario() {
 
 #[test]
 fn a_request_in_the_middle_of_a_cycle_takes_effect_with_the_next() {
-    let domain = OwnDomain::new("middle").unwrap();
+    let domain = TempDomain::new("middle").unwrap();
     let _plant = PlantProcess::start(&domain, &["--clock", "paced"]);
     let peer = Peer::join(&domain);
     let mut daemon = Answerer::join(&peer);
@@ -107,7 +107,7 @@ fn a_request_in_the_middle_of_a_cycle_takes_effect_with_the_next() {
 #[test]
 fn faults_are_cleared() {
     let config = settings();
-    let domain = OwnDomain::new("cleared").unwrap();
+    let domain = TempDomain::new("cleared").unwrap();
     let _plant = PlantProcess::start(&domain, &["--clock", "lockstep"]);
     let peer = Peer::join(&domain);
     let mut daemon = Answerer::join(&peer);

@@ -5,7 +5,7 @@ mod common;
 use common::settings;
 use std::process::{Command as Process, Output};
 use upswing_config::PendulumStart;
-use upswing_ipc::OwnDomain;
+use upswing_ipc::TempDomain;
 use upswing_model::StartError;
 use upswing_plant::{Plant, StateError};
 
@@ -39,7 +39,7 @@ fn a_pose_whose_pendulum_rests_beyond_its_limit_is_refused() {
 }
 
 fn run(options: &[&str]) -> Output {
-    let domain = OwnDomain::new("start").unwrap();
+    let domain = TempDomain::new("start").unwrap();
     Process::new(env!("CARGO_BIN_EXE_upswing-plant"))
         .args(options)
         .args(if options.contains(&"--domain") { vec![] } else { vec!["--domain", domain.name()] })

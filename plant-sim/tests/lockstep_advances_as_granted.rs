@@ -5,14 +5,14 @@ mod common;
 use common::{Answerer, Peer, PlantProcess, settings, torque};
 use std::time::Duration;
 use upswing_config::FaultKind;
-use upswing_ipc::{Clock, Measurement, OwnDomain, PlantKind, PlantRequest};
+use upswing_ipc::{Clock, Measurement, PlantKind, PlantRequest, TempDomain};
 use upswing_plant::Plant;
 
 const LOCKSTEP: &[&str] = &["--clock", "lockstep"];
 
 #[test]
 fn granted_cycles_are_answered_one_by_one_and_equal_those_in_process() {
-    let domain = OwnDomain::new("granted").unwrap();
+    let domain = TempDomain::new("granted").unwrap();
     let plant = PlantProcess::start(&domain, LOCKSTEP);
     let peer = Peer::join(&domain);
     let mut daemon = Answerer::join(&peer);
@@ -41,7 +41,7 @@ fn granted_cycles_are_answered_one_by_one_and_equal_those_in_process() {
 
 #[test]
 fn cycle_one_waits_for_the_first_daemon() {
-    let domain = OwnDomain::new("first").unwrap();
+    let domain = TempDomain::new("first").unwrap();
     let _plant = PlantProcess::start(&domain, LOCKSTEP);
     let peer = Peer::join(&domain);
     let measurements = peer.measurements();
@@ -62,7 +62,7 @@ fn cycle_one_waits_for_the_first_daemon() {
 
 #[test]
 fn without_answers_the_brakes_close_and_granted_time_goes_on() {
-    let domain = OwnDomain::new("silent").unwrap();
+    let domain = TempDomain::new("silent").unwrap();
     let _plant = PlantProcess::start(&domain, LOCKSTEP);
     let peer = Peer::join(&domain);
     let mut daemon = Answerer::join(&peer);
@@ -85,7 +85,7 @@ fn without_answers_the_brakes_close_and_granted_time_goes_on() {
 
 #[test]
 fn a_state_is_set_only_with_closed_brakes() {
-    let domain = OwnDomain::new("reset").unwrap();
+    let domain = TempDomain::new("reset").unwrap();
     let _plant = PlantProcess::start(&domain, LOCKSTEP);
     let peer = Peer::join(&domain);
     let mut request = PlantRequest::new(PlantKind::ResetState);
@@ -113,7 +113,7 @@ fn a_state_is_set_only_with_closed_brakes() {
 
 #[test]
 fn what_cannot_be_is_refused_with_a_reason() {
-    let domain = OwnDomain::new("refused").unwrap();
+    let domain = TempDomain::new("refused").unwrap();
     let _plant = PlantProcess::start(&domain, LOCKSTEP);
     let peer = Peer::join(&domain);
     let nan = FaultKind::EncoderNan.code();

@@ -8,7 +8,7 @@ use process::Process;
 use std::time::{Duration, Instant};
 use upswing_ipc::operator::{Manoeuvre, Operator, OperatorError, PublishedPlan, Request};
 use upswing_ipc::{
-    CallError, Client, Clock, ControlCommand, ControlRequest, ControlResponse, Domain, IpcError, Node,
+    CallError, Client, Clock, ControlKind, ControlRequest, ControlResponse, Domain, IpcError, Node,
     PlannerResponse, PlantKind, PlantRequest, PlantResponse, Telemetry,
 };
 use upswing_record::{Recorder, RecordingError, Tally, Tap};
@@ -120,7 +120,7 @@ impl Session {
     ) -> Result<Self, SessionError> {
         let domain = Domain::new(&options.domain)
             .map_err(|e| SessionError::Refused { role: "domain", reason: e.to_string() })?;
-        let node = domain.connect("session")?;
+        let node = domain.join("session")?;
         let (operator, plant) = (Operator::with_patience(&node, RESPONSE_PATIENCE)?, node.client()?);
         let tap = Tap::new(&node)?;
         let start = |role| Process::start(role, &programs, options).map(Some);
@@ -244,7 +244,7 @@ impl Session {
     /// # Errors
     /// [`SessionError::Operator`] if the daemon does not respond.
     pub fn status(&mut self) -> Result<ControlResponse, SessionError> {
-        self.control(&ControlRequest::new(ControlCommand::Status))
+        self.control(&ControlRequest::new(ControlKind::Status))
     }
 
     /// Plans a manoeuvre from the present state, waits until the daemon has loaded the plan and the plan is due, and starts it.

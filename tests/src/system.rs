@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use upswing_config::Config;
 use upswing_ipc::operator::{Manoeuvre, Request};
-use upswing_ipc::{Clock, ControlResponse, Mode, OwnDomain, Telemetry};
+use upswing_ipc::{Clock, ControlResponse, Mode, Telemetry, TempDomain};
 use upswing_record::Recorder;
 use upswing_record::report::Report;
 use upswing_rig::course::{SessionCourse, swing_up};
@@ -30,7 +30,7 @@ pub struct System {
     pub config: Config,
     clock: Clock,
     folder: PathBuf,
-    _own: OwnDomain,
+    _own: TempDomain,
 }
 
 impl Drop for System {
@@ -76,7 +76,7 @@ impl System {
         settings: Option<&Path>,
         file: Option<&Path>,
     ) -> Self {
-        let own = OwnDomain::new("test").expect("a name");
+        let own = TempDomain::new("test").expect("a name");
         let domain = own.name().to_owned();
         let folder = std::env::temp_dir().join(format!("upswing-{domain}"));
         std::fs::create_dir_all(&folder).expect("folder for logs");

@@ -8,7 +8,7 @@ use std::fmt::Write;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use upswing_ipc::OwnDomain;
+use upswing_ipc::TempDomain;
 use upswing_tests::{programs, repository};
 
 /// Runs `upswing` in a domain of the test's own. Demos run as fast as they can. A request that comes too early for a machine
@@ -98,7 +98,7 @@ fn every_block_that_runs() {
         let (bin, scratch) = (folder.path().join("bin"), folder.path().join("scratch"));
         std::fs::create_dir(&bin).expect("bin");
         std::fs::create_dir(&scratch).expect("scratch");
-        let domain = OwnDomain::new("test").expect("a name");
+        let domain = TempDomain::new("test").expect("a name");
         let program = programs().join("upswing");
         let wrapper =
             UPSWING.replace("PROGRAM", program.to_str().expect("a path")).replace("DOMAIN", domain.name());

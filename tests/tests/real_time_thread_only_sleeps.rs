@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
-use upswing_ipc::{ControlCommand, ControlRequest, OwnDomain};
+use upswing_ipc::{ControlKind, ControlRequest, TempDomain};
 use upswing_tests::running::{LONG, Running, wait_for};
 
 const CYCLES: u64 = 100_000;
@@ -44,18 +44,18 @@ fn calls(text: &str) -> BTreeMap<&str, u64> {
 
 #[test]
 fn while_peers_come_and_go() {
-    let domain = OwnDomain::new("test").expect("a name");
+    let domain = TempDomain::new("test").expect("a name");
     let name = domain.name();
     let wall = |command: &mut Command| {
         command.args(["--clock", "wall"]);
     };
     let mut plant = Running::start("upswing-plant", name, wall);
     let daemon = Running::start("upswingd", name, |_| {});
-    let node = domain.connect("operator").expect("a node");
+    let node = domain.join("operator").expect("a node");
     let client = node.client::<ControlRequest>().expect("a client");
     let seq = || {
         wait_for("the daemon", || client.has_server().then_some(()));
-        client.call(&ControlRequest::new(ControlCommand::Status), LONG).expect("an answer").seq
+        client.call(&ControlRequest::new(ControlKind::Status), LONG).expect("an answer").seq
     };
     wait_for("the first cycles", || (seq() > 100).then_some(()));
 

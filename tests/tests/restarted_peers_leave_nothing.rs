@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 use upswing_ipc::{
-    ControlCommand, ControlRequest, ControlResponse, Domain, OwnDomain, PlannerRequest, PlantRequest,
+    ControlKind, ControlRequest, ControlResponse, Domain, PlannerRequest, PlantRequest, TempDomain,
 };
 use upswing_tests::programs;
 use upswing_tests::running::{LONG, Running, wait_for};
@@ -64,19 +64,19 @@ fn asks_for_status(client: &mut Command) {
 
 #[test]
 fn a_hundred_times() {
-    let domain = OwnDomain::new("test").expect("a name");
+    let domain = TempDomain::new("test").expect("a name");
     let name = domain.name();
     let start = |program: &str| Running::start(program, name, |_| {});
     let daemon = start("upswingd");
     let (mut plant, mut planner) = (start("upswing-plant"), start("upswing-planner"));
-    let node = domain.connect("operator").expect("a node");
+    let node = domain.join("operator").expect("a node");
     let (client, plants, planners) = (
         node.client::<ControlRequest>().expect("a client"),
         node.client::<PlantRequest>().expect("a client"),
         node.client::<PlannerRequest>().expect("a client"),
     );
     let status = || -> ControlResponse {
-        client.call(&ControlRequest::new(ControlCommand::Status), LONG).expect("an answer")
+        client.call(&ControlRequest::new(ControlKind::Status), LONG).expect("an answer")
     };
     // All three serve, and the cycle goes on: nothing is under construction.
     let settle = || {
@@ -131,10 +131,10 @@ fn a_hundred_times() {
 
 #[test]
 fn a_second_daemon_names_the_first() {
-    let domain = OwnDomain::new("test").expect("a name");
+    let domain = TempDomain::new("test").expect("a name");
     let name = domain.name();
     let first = Running::start("upswingd", name, |_| {});
-    let node = domain.connect("operator").expect("a node");
+    let node = domain.join("operator").expect("a node");
     let client = node.client::<ControlRequest>().expect("a client");
     wait_for("the first daemon", || client.has_server().then_some(()));
     let second = || {

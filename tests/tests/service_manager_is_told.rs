@@ -3,7 +3,7 @@
 
 use std::os::unix::net::UnixDatagram;
 use std::time::{Duration, Instant};
-use upswing_ipc::OwnDomain;
+use upswing_ipc::TempDomain;
 use upswing_tests::running::{LONG, Running};
 
 const WATCHDOG: Duration = Duration::from_millis(400);
@@ -67,7 +67,7 @@ impl Manager {
 #[test]
 fn by_planner_and_plant() {
     for (program, status) in [("upswing-planner", "STATUS="), ("upswing-plant", "STATUS=clock paced")] {
-        let domain = OwnDomain::new("test").expect("a name");
+        let domain = TempDomain::new("test").expect("a name");
         let manager = Manager::new();
         let mut process = manager.start(program, domain.name());
         assert_eq!(manager.wait_for("READY=1"), [""; 0], "{program}");
@@ -82,7 +82,7 @@ fn by_planner_and_plant() {
 
 #[test]
 fn by_the_daemon_once_a_plant_is_there() {
-    let domain = OwnDomain::new("test").expect("a name");
+    let domain = TempDomain::new("test").expect("a name");
     let manager = Manager::new();
     let mut daemon = manager.start("upswingd", domain.name());
     manager.wait_for("STATUS=waits for a plant");
@@ -126,7 +126,7 @@ impl Drop for Frozen {
 
 #[test]
 fn nothing_while_the_real_time_thread_hangs() {
-    let domain = OwnDomain::new("test").expect("a name");
+    let domain = TempDomain::new("test").expect("a name");
     let manager = Manager::new();
     let _plant = Running::start("upswing-plant", domain.name(), |command| {
         command.args(["--clock", "wall"]);

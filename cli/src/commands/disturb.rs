@@ -76,7 +76,7 @@ impl std::fmt::Display for Answer {
 /// [`Failure::BadInput`] for what cannot be, [`Failure::Failed`] with the reason if it is refused or nobody answers.
 pub fn run(args: &DisturbArgs) -> Result<(), Failure> {
     let request = request(&args.what)?;
-    let plant = args.common.connect()?.client::<PlantRequest>().map_err(failed)?;
+    let plant = args.common.join_existing()?.client::<PlantRequest>().map_err(failed)?;
     let answer = plant.call(&request, PATIENCE).map_err(failed)?;
     if answer.accepted == 0 {
         let reason = answer.reason.as_str().unwrap_or("no reason given");

@@ -65,7 +65,7 @@ impl std::fmt::Display for Answer<'_> {
 pub fn run(args: &RecordArgs) -> Result<(), Failure> {
     let config = args.common.process.load()?;
     let output = writable("FILE.mcap", Some(&args.file), args.overwrite)?;
-    let node = args.common.connect()?;
+    let node = args.common.join_existing()?;
     let stop = shutdown_flag()?;
     let tap = Tap::new(&node).map_err(failed)?;
     let database = DatabaseFile::of(&config)?.fingerprint();

@@ -32,7 +32,7 @@ fn requests() -> impl TypedValueParser<Value = Request> {
 /// # Errors
 /// [`Failure::Failed`] with the reason if it is refused or nobody answers.
 pub fn run(args: &RequestArgs) -> Result<(), Failure> {
-    let node = args.common.connect()?;
+    let node = args.common.join_existing()?;
     let interrupted = shutdown_flag()?;
     let operator = Operator::new(&node).map_err(failed)?;
     args.common.print(&operator.request(args.what, &interrupted).map_err(failed)?)

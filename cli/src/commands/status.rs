@@ -20,7 +20,7 @@ pub struct StatusArgs {
 /// # Errors
 /// [`Failure::Failed`] if no daemon answers.
 pub fn run(args: &StatusArgs) -> Result<(), Failure> {
-    let node = args.common.connect()?;
+    let node = args.common.join_existing()?;
     let answer = Operator::new(&node).and_then(|operator| operator.status()).map_err(failed)?;
     args.common.print(&Status::new(&answer))
 }

@@ -5,7 +5,7 @@ use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::OnceLock;
-use upswing_ipc::OwnDomain;
+use upswing_ipc::TempDomain;
 
 /// Runs `upswing` to its end.
 pub fn upswing(args: &[&str]) -> Output {
@@ -31,13 +31,13 @@ pub struct Place {
     pub domain: String,
     processes: Vec<Running>,
     // Declared last: the processes must be gone by then.
-    _own: OwnDomain,
+    _own: TempDomain,
 }
 
 impl Place {
     /// Nothing runs there yet.
     pub fn new() -> Self {
-        let own = OwnDomain::new("test-cli").expect("a valid name");
+        let own = TempDomain::new("test-cli").expect("a valid name");
         Self { domain: own.name().to_owned(), processes: Vec::new(), _own: own }
     }
 

@@ -6,8 +6,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{JoinHandle, sleep, spawn};
 use std::time::{Duration, Instant};
 use upswing_ipc::{
-    Client, Clock, Command, ControlCommand, ControlRequest, ControlResponse, Domain, Finder, Measurement,
-    Node, Reader, Writer, monotonic_ns,
+    Client, Clock, Command, ControlKind, ControlRequest, ControlResponse, Domain, Finder, Measurement, Node,
+    Reader, Writer, monotonic_ns,
 };
 use upswing_model::JointVector;
 
@@ -82,7 +82,7 @@ impl Plant {
 pub fn running_plant(domain: &Domain, clock: Clock, stop: &Arc<AtomicBool>) -> JoinHandle<()> {
     let (domain, stop) = (domain.clone(), Arc::clone(stop));
     spawn(move || {
-        let node = domain.connect("plant").unwrap();
+        let node = domain.join("plant").unwrap();
         let mut plant = Plant::new(&node, clock);
         while !stop.load(Ordering::Acquire) {
             if clock == Clock::Wall {
@@ -96,14 +96,14 @@ pub fn running_plant(domain: &Domain, clock: Clock, stop: &Arc<AtomicBool>) -> J
     })
 }
 
-pub fn ask(client: &Client<ControlRequest>, command: ControlCommand) -> ControlResponse {
+pub fn ask(client: &Client<ControlRequest>, command: ControlKind) -> ControlResponse {
     client.call(&ControlRequest::new(command), LONG).unwrap()
 }
 
 /// Repeats a request until its answer pleases.
 pub fn ask_until(
     client: &Client<ControlRequest>,
-    command: ControlCommand,
+    command: ControlKind,
     pleases: impl Fn(&ControlResponse) -> bool,
 ) -> ControlResponse {
     let begin = Instant::now();

@@ -4,9 +4,10 @@ use iceoryx2::prelude::ZeroCopySend;
 use std::fmt::{Debug, Write};
 use std::mem::offset_of;
 use upswing_ipc::{
-    Clock, Command, ControlCommand, ControlRequest, ControlResponse, Degradation, Domain, Latest, MAX_NODES,
-    MAX_READERS, Measurement, Mode, Percentiles, Plan, PlannerKind, PlannerRequest, PlannerResponse,
-    PlannerStatus, PlantKind, PlantRequest, PlantResponse, Request, Telemetry, TelemetryBatch, Text, Topic,
+    BlackboardPayload, Clock, Command, ControlKind, ControlRequest, ControlResponse, Degradation, Domain,
+    MAX_NODES, MAX_READERS, Measurement, Mode, Percentiles, Plan, PlannerKind, PlannerRequest,
+    PlannerResponse, PlannerStatus, PlantKind, PlantRequest, PlantResponse, RequestPayload, Telemetry,
+    TelemetryBatch, Text, TopicPayload,
 };
 
 const HEAD: &str = r#""""What crosses the shared memory of upswing: payloads, codes, services.
@@ -128,7 +129,7 @@ pub fn module() -> String {
     );
     class!(out, TelemetryBatch { count, dropped, records });
     class!(out, Plan { id, fingerprint, activation_ns, t_f, x, u, f, k, k_final, checksum });
-    class!(out, ControlRequest { command, plan_id });
+    class!(out, ControlRequest { kind, plan_id });
     class!(
         out,
         ControlResponse {
@@ -175,7 +176,7 @@ pub fn module() -> String {
     class!(out, PlantResponse { accepted, seq, q, qd, brakes_closed, tau_peak, reason });
     codes(out, "Clock", Clock::ALL);
     codes(out, "Mode", Mode::ALL);
-    codes(out, "ControlCommand", ControlCommand::ALL);
+    codes(out, "ControlKind", ControlKind::ALL);
     codes(out, "Degradation", Degradation::ALL);
     codes(out, "PlannerKind", PlannerKind::ALL);
     codes(out, "PlannerStatus", PlannerStatus::ALL);

@@ -1,9 +1,8 @@
 //! The daemon's side of a clock: when the real-time thread computes a cycle.
 
 use super::{LONG_NAP_NS, Patience};
-use crate::blackboard::Reader;
-use crate::codes::Clock;
-use crate::payload::Measurement;
+use crate::payload::{Clock, Measurement};
+use crate::services::Reader;
 use crate::time::{monotonic_ns, sleep_until};
 use std::sync::atomic::{AtomicBool, Ordering};
 use upswing_model::Period;

@@ -1,8 +1,7 @@
 //! The plant's side of a clock: when a cycle of the plant begins and ends, and under which command.
 
 use super::Patience;
-use crate::codes::Clock;
-use crate::payload::Command;
+use crate::payload::{Clock, Command};
 use crate::time::{monotonic_ns, sleep_until};
 use std::sync::atomic::{AtomicBool, Ordering};
 use upswing_model::Period;
@@ -319,8 +318,7 @@ impl PlantPacing {
 #[cfg(test)]
 mod tests {
     use super::{Commands, GrantError, PlantPacing, PlantWake, Presence};
-    use crate::codes::Clock;
-    use crate::payload::Command;
+    use crate::payload::{Clock, Command};
     use std::sync::atomic::AtomicBool;
     use upswing_model::Period;
 

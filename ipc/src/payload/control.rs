@@ -1,8 +1,8 @@
 //! Operator -> daemon.
 
-use super::WORD;
-use crate::codes::{ControlCommand, Mode, UnknownCode};
-use crate::text::Text;
+use super::codes::{ControlKind, Mode, UnknownCode};
+use super::text::Text;
+use super::words::WORD;
 use iceoryx2::prelude::ZeroCopySend;
 
 /// What the operator asks.
@@ -10,31 +10,31 @@ use iceoryx2::prelude::ZeroCopySend;
 #[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
 #[type_name("upswing.ControlRequest.v2")]
 pub struct ControlRequest {
-    /// Code of the [`ControlCommand`].
-    pub command: u64,
-    /// Id of the plan to start; without meaning for the other commands.
+    /// Code of the [`ControlKind`].
+    pub kind: u64,
+    /// Id of the plan to start; without meaning for the other kinds.
     pub plan_id: u64,
 }
 
 const _: () = assert!(size_of::<ControlRequest>() == WORD * 2);
 
 impl ControlRequest {
-    /// A request for `command`, which is not a start.
-    pub fn new(command: ControlCommand) -> Self {
-        Self { command: command.code(), plan_id: 0 }
+    /// A request of `kind`, other than a start.
+    pub fn new(kind: ControlKind) -> Self {
+        Self { kind: kind.code(), plan_id: 0 }
     }
 
     /// A request to start the plan `plan_id`.
     pub fn start(plan_id: u64) -> Self {
-        Self { command: ControlCommand::Start.code(), plan_id }
+        Self { kind: ControlKind::Start.code(), plan_id }
     }
 
-    /// The command.
+    /// The kind of request.
     ///
     /// # Errors
-    /// [`UnknownCode`] if `command` names none.
-    pub fn command(&self) -> Result<ControlCommand, UnknownCode> {
-        ControlCommand::try_from(self.command)
+    /// [`UnknownCode`] if `kind` names none.
+    pub fn kind(&self) -> Result<ControlKind, UnknownCode> {
+        ControlKind::try_from(self.kind)
     }
 }
 

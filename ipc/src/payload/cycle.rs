@@ -1,7 +1,7 @@
 //! What is exchanged or recorded every control cycle.
 
-use super::{WORD, Zeroable, batch, words};
-use crate::codes::{Clock, Mode, UnknownCode};
+use super::codes::{Clock, Mode, UnknownCode};
+use super::words::{WORD, Zeroable, batch, words};
 use iceoryx2::prelude::ZeroCopySend;
 use upswing_model::{NQ, NU};
 

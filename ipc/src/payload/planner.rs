@@ -1,9 +1,8 @@
 //! Whoever needs a plan -> planner.
 
-use super::WORD;
-use crate::codes::{PlannerKind, PlannerStatus, UnknownCode};
-use crate::operator::Manoeuvre;
-use crate::text::Text;
+use super::codes::{PlannerKind, PlannerStatus, UnknownCode};
+use super::text::Text;
+use super::words::WORD;
 use iceoryx2::prelude::ZeroCopySend;
 use upswing_model::NX;
 
@@ -29,11 +28,6 @@ pub struct PlannerRequest {
 const _: () = assert!(size_of::<PlannerRequest>() == WORD * (5 + NX));
 
 impl PlannerRequest {
-    /// A request for a plan from the present state, to be published to the daemon.
-    pub fn from_now(manoeuvre: Manoeuvre) -> Self {
-        Self { kind: PlannerKind::from(manoeuvre).code(), from_now: 1, publish: 1, ..Self::default() }
-    }
-
     /// The kind of request.
     ///
     /// # Errors

@@ -1,8 +1,8 @@
 //! Command line, harness -> simulated plant.
 
-use super::WORD;
-use crate::codes::{PlantKind, UnknownCode};
-use crate::text::Text;
+use super::codes::{PlantKind, UnknownCode};
+use super::text::Text;
+use super::words::WORD;
 use iceoryx2::prelude::ZeroCopySend;
 use upswing_model::{NQ, NU};
 

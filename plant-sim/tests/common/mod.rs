@@ -5,7 +5,7 @@ use std::process::{Child, Command as Process, Stdio};
 use std::time::{Duration, Instant};
 use upswing_config::Config;
 use upswing_ipc::{
-    Client, Command, Measurement, Node, OwnDomain, PlantKind, PlantRequest, PlantResponse, Reader, Writer,
+    Client, Command, Measurement, Node, PlantKind, PlantRequest, PlantResponse, Reader, TempDomain, Writer,
 };
 use upswing_model::{ActuatedVector, JointVector, Model, NU, Workspace, state};
 use upswing_plant::Plant;
@@ -55,7 +55,7 @@ pub fn holding_torque(model: &Model, plant: &Plant) -> ActuatedVector {
 pub struct PlantProcess(Child);
 
 impl PlantProcess {
-    pub fn start(domain: &OwnDomain, options: &[&str]) -> Self {
+    pub fn start(domain: &TempDomain, options: &[&str]) -> Self {
         let child = Process::new(env!("CARGO_BIN_EXE_upswing-plant"))
             .args(["--domain", domain.name()])
             .args(options)
@@ -93,8 +93,8 @@ pub struct Peer {
 }
 
 impl Peer {
-    pub fn join(domain: &OwnDomain) -> Self {
-        let node = domain.connect("daemon").unwrap();
+    pub fn join(domain: &TempDomain) -> Self {
+        let node = domain.join("daemon").unwrap();
         Self { client: node.client::<PlantRequest>().unwrap(), node }
     }
 

@@ -1,16 +1,17 @@
-//! Limits of the operating system on a process, named before something fails because of them.
+//! Limits of the operating system on a process (rlimits), checked before something fails because of them.
 
 use crate::domain::Domain;
 use crate::error::IpcError;
 
-/// Open files of a process to which all peers there may be are connected: the daemon has some 40 of its own, and two for each
-/// connection.
+/// Open files of a process that is connected to the largest number of peers: the daemon has about 40 of its own, and two for
+/// each connection.
 const OPEN_FILES: libc::rlim_t = 256;
-/// Address space of a process that has mapped what it shares with all of them, bytes.
+/// Address space of a process that has mapped the shared memory of all these peers, bytes.
 const ADDRESS_SPACE: libc::rlim_t = 512 << 20;
 
 impl Domain {
-    /// Whether the system lets this process have what it needs in a domain; where it may, the process raises its limits.
+    /// Checks that the limits of the operating system on this process are high enough for a domain; raises them where this
+    /// process may do so.
     ///
     /// # Errors
     /// [`IpcError::Limit`] names the limit that is too low.
@@ -27,7 +28,7 @@ fn require(
     setting: &'static str,
 ) -> Result<(), IpcError> {
     let mut limit = libc::rlimit { rlim_cur: libc::RLIM_INFINITY, rlim_max: libc::RLIM_INFINITY };
-    // SAFETY: `limit` is valid for the duration of the calls. If it cannot be read, what needs it will fail.
+    // SAFETY: `limit` is valid for the duration of the calls. A limit that cannot be read is not checked.
     unsafe {
         if libc::getrlimit(resource, &raw mut limit) == 0 && limit.rlim_cur < needed {
             limit.rlim_cur = needed.min(limit.rlim_max);

@@ -1,26 +1,26 @@
-//! Domains of one process' own: of a test, of a demonstration.
+//! Domains for one test or one demonstration.
 
 use crate::domain::{Domain, DomainError};
 use std::ops::Deref;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// A domain that no other process of this machine has; its traces go when it is dropped, unless somebody still uses it.
-/// Declare it before all that joins it.
+/// A domain with a name that no other process of the machine uses; its files are removed when it is dropped, unless a process
+/// still uses them. Declare it before everything that joins it.
 #[derive(Debug)]
-pub struct OwnDomain(Domain);
+pub struct TempDomain(Domain);
 
-impl OwnDomain {
-    /// A new domain, whose name begins with `what`.
+impl TempDomain {
+    /// A new domain whose name begins with `prefix`.
     ///
     /// # Errors
-    /// [`DomainError`] if that cannot be a name, or leaves no room for the rest.
-    pub fn new(what: &str) -> Result<Self, DomainError> {
+    /// [`DomainError`] if `prefix` cannot begin a name, or leaves no room for the rest.
+    pub fn new(prefix: &str) -> Result<Self, DomainError> {
         static COUNT: AtomicU32 = AtomicU32::new(0);
         loop {
             let id = std::process::id();
             let domain = Domain::new(&match COUNT.fetch_add(1, Ordering::Relaxed) {
-                0 => format!("{what}-{id}"),
-                number => format!("{what}-{id}-{number}"),
+                0 => format!("{prefix}-{id}"),
+                number => format!("{prefix}-{id}-{number}"),
             })?;
             // A process that was killed may have had the same id, and a child of it may live on.
             if !matches!(domain.remove_if_unused(), Ok(false)) {
@@ -30,7 +30,7 @@ impl OwnDomain {
     }
 }
 
-impl Deref for OwnDomain {
+impl Deref for TempDomain {
     type Target = Domain;
 
     fn deref(&self) -> &Domain {
@@ -38,7 +38,7 @@ impl Deref for OwnDomain {
     }
 }
 
-impl Drop for OwnDomain {
+impl Drop for TempDomain {
     fn drop(&mut self) {
         let _ = self.0.remove_if_unused();
     }

@@ -94,7 +94,7 @@ codes! {
 
 codes! {
     /// A command to the daemon.
-    ControlCommand is a "control command" {
+    ControlKind is a "control request" {
         /// Release the brakes and hold.
         Enable = "enable",
         /// Hold the joints where they are.

@@ -1,18 +1,18 @@
-//! Looking for writers in a thread of its own, for threads that must not wait for other processes.
+//! A finder of writers in a thread of its own, for threads that must not wait for other processes.
 
-use crate::blackboard::Reader;
+use super::blackboard::{BlackboardPayload, Reader};
 use crate::error::IpcError;
 use crate::node::Node;
-use crate::services::Latest;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver, TryRecvError};
 use std::thread::{Builder, JoinHandle};
 use std::time::{Duration, Instant};
 
-/// Pause between two looks; one costs some 0.5 to 1 ms.
+/// Pause between two looks for a writer; one takes 0.5 to 1 ms.
 const PERIOD: Duration = Duration::from_millis(50);
-/// How long to wait for the thread to end. It may hang in iceoryx2 if another process is stopped in the middle of its work.
+/// How long a drop waits for the thread to end. The thread may hang in iceoryx2 if another process is stopped in the middle
+/// of its work.
 const PATIENCE: Duration = Duration::from_millis(500);
 
 /// How long to wait for the next value of a writer that is gone, and of one that lives: its machine may have no time for it, or
@@ -20,21 +20,21 @@ const PATIENCE: Duration = Duration::from_millis(500);
 const LOST_AFTER: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(20));
 
 /// Whether a writer for which others wait is lost: `waited` is how long they have, not counting when they could not run
-/// themselves, `lives` what [`Search::lives`] says of it.
+/// themselves, `lives` what [`FinderThread::writer_is_alive`] says of it.
 pub fn is_lost(lives: bool, waited: Duration) -> bool {
     waited > if lives { LOST_AFTER.1 } else { LOST_AFTER.0 }
 }
 
-/// Looks for the newest living writer of a channel, again and again, until dropped. Outlives the readers that it hands out:
-/// then dropping one only counts down.
-pub struct Search<T: Latest> {
+/// Looks for the newest living writer of a channel every 50 ms, in a thread of its own, until dropped. Keep it longer than the
+/// readers that it returns: then dropping a reader unmaps no memory.
+pub struct FinderThread<T: BlackboardPayload> {
     found: Receiver<Result<Option<Reader<T>>, IpcError>>,
-    lives: Arc<AtomicBool>,
+    writer_is_alive: Arc<AtomicBool>,
     done: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
-impl<T: Latest> Search<T> {
+impl<T: BlackboardPayload> FinderThread<T> {
     /// Starts the thread.
     ///
     /// # Errors
@@ -43,35 +43,35 @@ impl<T: Latest> Search<T> {
         let (sender, found) = mpsc::channel();
         let done = Arc::new(AtomicBool::new(false));
         let ended = Arc::clone(&done);
-        let lives = Arc::new(AtomicBool::new(false));
-        let life = Arc::clone(&lives);
+        let writer_is_alive = Arc::new(AtomicBool::new(false));
+        let alive = Arc::clone(&writer_is_alive);
         let node = node.clone();
-        let search = move || {
-            let wanted = || !ended.load(Ordering::Acquire);
+        let look = move || {
+            let keep_waiting = || !ended.load(Ordering::Acquire);
             let mut finder = node.finder::<T>();
             let mut first = true;
             let mut failing = false;
-            while wanted() {
-                let look = finder.poll_while(&wanted);
-                // An error that persists is told once.
-                let news = match &look {
+            while keep_waiting() {
+                let outcome = finder.poll_while(&keep_waiting);
+                // An error that persists is reported once.
+                let news = match &outcome {
                     Ok(found) => first || found.is_some(),
                     Err(_) => first || !failing,
                 };
-                failing = look.is_err();
-                life.store(finder.lives(), Ordering::Relaxed);
+                failing = outcome.is_err();
+                alive.store(finder.writer_is_alive(), Ordering::Relaxed);
                 first = false;
-                if news && sender.send(look).is_err() {
+                if news && sender.send(outcome).is_err() {
                     break;
                 }
                 std::thread::park_timeout(PERIOD);
             }
         };
-        let thread = Builder::new().name("search".into()).spawn(search)?;
-        Ok(Self { found, lives, done, thread: Some(thread) })
+        let thread = Builder::new().name("finder".into()).spawn(look)?;
+        Ok(Self { found, writer_is_alive, done, thread: Some(thread) })
     }
 
-    /// Waits for the first look, and returns what it found.
+    /// Waits for the first look and returns the reader of the writer that it found, if any.
     ///
     /// # Errors
     /// As [`crate::Finder::poll`].
@@ -79,19 +79,21 @@ impl<T: Latest> Search<T> {
         self.found.recv().unwrap_or(Ok(None))
     }
 
-    /// Whether the writer found last lives; never waits. Some 50 ms late, or more where others hold up the cleaning up.
-    pub fn lives(&self) -> bool {
-        self.lives.load(Ordering::Relaxed)
+    /// Whether the writer found last is alive; never waits. Up to about 50 ms late, more while another process holds the
+    /// creation lock.
+    pub fn writer_is_alive(&self) -> bool {
+        self.writer_is_alive.load(Ordering::Relaxed)
     }
 
-    /// What was found, or went wrong, since the last call; never waits, no system call if that is nothing.
+    /// Returns a reader of the newest writer if one was found since the last call; never waits, makes no system call if none
+    /// was.
     ///
     /// # Errors
-    /// As [`crate::Finder::poll`]; one that persists comes once.
-    pub fn take(&self) -> Result<Option<Reader<T>>, IpcError> {
+    /// As [`crate::Finder::poll`]; an error that persists is returned once.
+    pub fn poll(&self) -> Result<Option<Reader<T>>, IpcError> {
         loop {
             match self.found.try_recv() {
-                // Of a first look that found nothing.
+                // The first look found nothing.
                 Ok(Ok(None)) => {}
                 Ok(news) => return news,
                 Err(TryRecvError::Empty | TryRecvError::Disconnected) => return Ok(None),
@@ -100,7 +102,7 @@ impl<T: Latest> Search<T> {
     }
 }
 
-impl<T: Latest> Drop for Search<T> {
+impl<T: BlackboardPayload> Drop for FinderThread<T> {
     fn drop(&mut self) {
         self.done.store(true, Ordering::Release);
         let Some(thread) = self.thread.take() else { return };

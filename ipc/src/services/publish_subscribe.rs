@@ -1,0 +1,216 @@
+//! Topics: samples from one publisher to several subscribers. Not for the real-time thread: when a peer joins or leaves,
+//! sending and receiving open files and map memory.
+
+use crate::error::{Cause, IpcError};
+use crate::node::{MAX_NODES, Node, push_pid};
+use iceoryx2::port::DegradationAction;
+use iceoryx2::port::publisher::{Publisher as IoxPublisher, PublisherCreateError};
+use iceoryx2::port::subscriber::{Subscriber as IoxSubscriber, SubscriberCreateError};
+use iceoryx2::port::update_connections::UpdateConnections;
+use iceoryx2::prelude::{BackpressureStrategy, PortFactory as _, ServiceName, ZeroCopySend, ipc};
+use iceoryx2::sample::Sample as IoxSample;
+use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
+use std::fmt::Debug;
+use std::ops::Deref;
+
+/// Largest number of subscribers of one topic.
+const MAX_SUBSCRIBERS: usize = 8;
+/// Samples of one topic that a subscriber may hold at a time.
+const MAX_HELD: usize = 2;
+
+/// A payload that one process publishes and several receive.
+pub trait TopicPayload: ZeroCopySend + Copy + Debug + 'static {
+    /// Name of the service.
+    const SERVICE: &'static str;
+    /// Samples that wait for a slow subscriber before the oldest is replaced.
+    const BUFFER: usize;
+    /// Samples that a late subscriber still gets.
+    const HISTORY: usize;
+
+    #[doc(hidden)]
+    fn publisher(node: &Node) -> Result<Publisher<Self>, IpcError>;
+    #[doc(hidden)]
+    fn subscriber(node: &Node) -> Result<Subscriber<Self>, IpcError>;
+    #[doc(hidden)]
+    fn publish(publisher: &Publisher<Self>, value: &Self) -> Result<(), IpcError>;
+    #[doc(hidden)]
+    fn deliver_history(publisher: &Publisher<Self>) -> Result<(), IpcError>;
+    #[doc(hidden)]
+    fn receive(subscriber: &Subscriber<Self>) -> Result<Option<Sample<Self>>, IpcError>;
+}
+
+impl Node {
+    /// Creates the publisher of a topic; one process at a time has it.
+    ///
+    /// # Errors
+    /// [`IpcError::Taken`] if another live process has it, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot
+    /// be used, [`IpcError::Full`] if there is no room.
+    pub fn publisher<T: TopicPayload>(&self) -> Result<Publisher<T>, IpcError> {
+        T::publisher(self)
+    }
+
+    /// Creates a subscriber of a topic, whether or not there is a publisher.
+    ///
+    /// # Errors
+    /// [`IpcError::Taken`] if there are too many, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot be used,
+    /// [`IpcError::Full`] if there is no room.
+    pub fn subscriber<T: TopicPayload>(&self) -> Result<Subscriber<T>, IpcError> {
+        T::subscriber(self)
+    }
+}
+
+/// The only publisher of a topic; stays in the thread that created it.
+pub struct Publisher<T: TopicPayload> {
+    port: IoxPublisher<ipc::Service, T, ()>,
+    _service: PortFactory<ipc::Service, T, ()>,
+    _node: Node,
+}
+
+impl<T: TopicPayload> Publisher<T> {
+    /// Publishes a copy of `value`, written directly into shared memory, to all subscribers.
+    ///
+    /// # Errors
+    /// [`IpcError::Send`].
+    pub fn publish(&self, value: &T) -> Result<(), IpcError> {
+        T::publish(self, value)
+    }
+
+    /// Delivers the history to subscribers that came after the last [`Publisher::publish`]. iceoryx2 does so only inside a
+    /// call of the publisher: a process that publishes rarely should call this regularly.
+    ///
+    /// # Errors
+    /// [`IpcError::Send`].
+    pub fn deliver_history(&self) -> Result<(), IpcError> {
+        T::deliver_history(self)
+    }
+}
+
+/// A subscriber of a topic; stays in the thread that created it.
+pub struct Subscriber<T: TopicPayload> {
+    port: IoxSubscriber<ipc::Service, T, ()>,
+    _service: PortFactory<ipc::Service, T, ()>,
+    _node: Node,
+}
+
+impl<T: TopicPayload> Subscriber<T> {
+    /// Receives the oldest sample not yet received, in shared memory. Hold at most two at a time; a sample outlives its
+    /// publisher. The publisher's process can still write into it: copy it before it is checked.
+    ///
+    /// # Errors
+    /// [`IpcError::Receive`], also if too many samples are held.
+    pub fn receive(&self) -> Result<Option<Sample<T>>, IpcError> {
+        T::receive(self)
+    }
+}
+
+/// A received sample; its place in shared memory is free again when it is dropped.
+pub struct Sample<T: TopicPayload>(IoxSample<ipc::Service, T, ()>);
+
+impl<T: TopicPayload> Deref for Sample<T> {
+    type Target = T;
+
+    fn deref(&self) -> &T {
+        self.0.payload()
+    }
+}
+
+// The functions below are compiled once for each payload: see `services`.
+
+/// As [`Node::publisher`].
+pub(super) fn publisher<T: TopicPayload>(node: &Node) -> Result<Publisher<T>, IpcError> {
+    node.reserving(|| {
+        let service = open_service::<T>(node)?;
+        let create = || {
+            service
+                .publisher_builder()
+                .max_loaned_samples(1)
+                // A slow subscriber loses its oldest samples; it never stops the publisher.
+                .backpressure_strategy(BackpressureStrategy::DiscardData)
+                .set_degradation_handler(|_, _| DegradationAction::Ignore)
+                .create()
+        };
+        let port = node.retry(create).map_err(|e| match e {
+            PublisherCreateError::ExceedsMaxSupportedPublishers => {
+                let mut holders = Vec::new();
+                service.dynamic_config().list_publishers(|p| push_pid(&mut holders, &p.node_id));
+                IpcError::Taken { service: T::SERVICE.to_owned(), port: "publisher", max: 1, holders }
+            }
+            e => IpcError::Port { service: T::SERVICE.to_owned(), port: "publisher", cause: e.into() },
+        })?;
+        Ok(Publisher { port, _service: service, _node: node.clone() })
+    })
+}
+
+/// As [`Node::subscriber`].
+pub(super) fn subscriber<T: TopicPayload>(node: &Node) -> Result<Subscriber<T>, IpcError> {
+    node.reserving(|| {
+        let service = open_service::<T>(node)?;
+        let create = || {
+            service
+                .subscriber_builder()
+                .buffer_size(T::BUFFER)
+                .set_degradation_handler(|_, _| DegradationAction::Ignore)
+                .create()
+        };
+        let port = node.retry(create).map_err(|e| match e {
+            SubscriberCreateError::ExceedsMaxSupportedSubscribers => {
+                let mut holders = Vec::new();
+                service.dynamic_config().list_subscribers(|s| push_pid(&mut holders, &s.node_id));
+                IpcError::Taken {
+                    service: T::SERVICE.to_owned(),
+                    port: "subscriber",
+                    max: MAX_SUBSCRIBERS,
+                    holders,
+                }
+            }
+            e => IpcError::Port { service: T::SERVICE.to_owned(), port: "subscriber", cause: e.into() },
+        })?;
+        Ok(Subscriber { port, _service: service, _node: node.clone() })
+    })
+}
+
+/// As [`Publisher::publish`].
+pub(super) fn publish<T: TopicPayload>(publisher: &Publisher<T>, value: &T) -> Result<(), IpcError> {
+    let mut sample = publisher.port.loan_uninit().map_err(|e| send_error::<T>(e.into()))?;
+    // SAFETY: the sample is memory for one `T` that nobody else uses yet; `T` is `Copy`.
+    let sample = unsafe {
+        std::ptr::copy_nonoverlapping(value, sample.payload_mut().as_mut_ptr(), 1);
+        sample.assume_init()
+    };
+    sample.send().map(drop).map_err(|e| send_error::<T>(e.into()))
+}
+
+/// As [`Publisher::deliver_history`].
+pub(super) fn deliver_history<T: TopicPayload>(publisher: &Publisher<T>) -> Result<(), IpcError> {
+    publisher.port.update_connections().map_err(|e| send_error::<T>(e.into()))
+}
+
+/// As [`Subscriber::receive`].
+pub(super) fn receive<T: TopicPayload>(subscriber: &Subscriber<T>) -> Result<Option<Sample<T>>, IpcError> {
+    let sample = subscriber.port.receive();
+    let sample = sample.map_err(|e| IpcError::Receive { service: T::SERVICE, cause: e.into() })?;
+    Ok(sample.map(Sample))
+}
+
+fn open_service<T: TopicPayload>(node: &Node) -> Result<PortFactory<ipc::Service, T, ()>, IpcError> {
+    let failed = |cause| IpcError::Open { service: T::SERVICE.to_owned(), cause };
+    let name = ServiceName::new(T::SERVICE).map_err(|e| failed(e.into()))?;
+    let open = || {
+        node.iox()
+            .service_builder(&name)
+            .publish_subscribe::<T>()
+            .max_publishers(1)
+            .max_subscribers(MAX_SUBSCRIBERS)
+            .max_nodes(MAX_NODES)
+            .subscriber_max_buffer_size(T::BUFFER)
+            .subscriber_max_borrowed_samples(MAX_HELD)
+            .history_size(T::HISTORY)
+            .enable_safe_overflow(true)
+            .open_or_create()
+    };
+    node.retry(open).map_err(|e| failed(e.into()))
+}
+
+fn send_error<T: TopicPayload>(cause: Cause) -> IpcError {
+    IpcError::Send { service: T::SERVICE, cause }
+}
