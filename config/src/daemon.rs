@@ -138,7 +138,7 @@ pub struct Levels {
     pub plan_age: Level,
 }
 
-/// Which plans are accepted, see [`crate::Config::gate`].
+/// Which plans are accepted, see [`crate::Config::plan_criteria`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlanSettings {
     /// What happens to plans that arrive while one is being tracked.

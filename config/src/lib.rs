@@ -39,7 +39,7 @@ use std::path::{Path, PathBuf};
 use upswing_model::{
     ActuatedVector, Limits, Model, NQ, NU, StartError, State, UnactuatedVector, Urdf, Workspace,
 };
-use upswing_trajectory::{Delays, Gate};
+use upswing_trajectory::{LoopDelays, PlanCriteria};
 
 /// One complete, checked set of settings.
 #[derive(Clone, Debug)]
@@ -136,15 +136,15 @@ impl Config {
         dir.map_or_else(Self::embedded, Self::from_dir)
     }
 
-    /// What a plan has to fulfil under these settings.
-    pub fn gate(&self) -> Gate {
+    /// The criteria that a plan has to meet under these settings.
+    pub fn plan_criteria(&self) -> PlanCriteria {
         let DaemonSettings { cycle, plans, start, .. } = &self.daemon;
-        Gate {
+        PlanCriteria {
             limits: self.robot.planning,
             tau_max: self.robot.limits.tau_max,
             defect: if self.planner.replan.iterations == 1 { plans.defect_of_one_qp } else { plans.defect },
             tolerance: (start.position, start.velocity),
-            delays: Delays {
+            delays: LoopDelays {
                 period: cycle.period.seconds(),
                 velocity_filter: match cycle.velocity {
                     VelocityEstimate::Filter => Some(cycle.velocity_filter),

@@ -17,7 +17,7 @@ use nalgebra::Vector3;
 use upswing_config::{Config, JointFriction, PlanWhileTracking};
 use upswing_ipc::{Clock, Command, Measurement, Mode, Step, Telemetry};
 use upswing_model::{
-    ActuatedMatrix, ActuatedVector, JointVector, Model, NQ, NU, State, Workspace, position, velocity,
+    ActuatedMatrix, ActuatedVector, JointVector, Model, NQ, NU, State, StateParts, Workspace,
 };
 use upswing_trajectory::Plan;
 
@@ -201,7 +201,7 @@ impl Controller {
             None
         } else if fresh {
             let elapsed = self.checks.period().seconds_of(self.observer.cycles());
-            let q = position(&self.observer.x);
+            let q = self.observer.x.q();
             let tau = measurement.tau_measured.into();
             let frozen = if self.senses { self.standstill.observe_all(&q, &tau, elapsed) } else { None };
             self.standstill.observe(&q, elapsed).or(frozen)
@@ -305,9 +305,9 @@ impl Controller {
                 | flag(is_braked(self.mode), Telemetry::BRAKE),
             t_plan: target.t_plan,
             q: self.observer.position(measurement).into(),
-            qd: velocity(&self.observer.x).into(),
-            q_d: position(&target.x_d).into(),
-            qd_d: velocity(&target.x_d).into(),
+            qd: self.observer.x.qd().into(),
+            q_d: target.x_d.q().into(),
+            qd_d: target.x_d.qd().into(),
             u_d: target.u_d.into(),
             u: target.u.into(),
             tau: torque.tau.into(),
@@ -371,7 +371,7 @@ impl Controller {
                 }
                 let begin = self.start_time(kept)?;
                 self.checks.plan_age(age(kept, self.now), &mut self.warnings)?;
-                self.rod_at_end = self.model.rod(&position(&kept.plan.end().x));
+                self.rod_at_end = self.model.rod(&kept.plan.end().x.q());
                 self.start = begin;
                 self.trip = None;
                 // From Balance another plan ran until now.
@@ -438,7 +438,7 @@ impl Controller {
             let reference = plan.reference(t_plan);
             (reference, self.checks.tracking(x, &reference.x, warnings))
         } else {
-            let rod = self.model.rod(&position(x));
+            let rod = self.model.rod(&x.q());
             let tilt = rod.cross(&self.rod_at_end).norm().atan2(rod.dot(&self.rod_at_end));
             (plan.end(), self.checks.balance(tilt, warnings))
         };

@@ -1,6 +1,6 @@
 //! The torque law (24) and the torque limiter.
 
-use upswing_model::{Accelerations, ActuatedVector, JointVector, Model, N_UNACTUATED, NU, State, Workspace};
+use upswing_model::{ActuatedVector, HybridDynamics, JointParts, JointVector, Model, NU, State, Workspace};
 
 /// Torque for the drives.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,14 +39,14 @@ pub fn torque(
     tau_max: &ActuatedVector,
     work: &mut Workspace,
 ) -> Option<Torque> {
-    let Accelerations { qdd_u, tau } = model.accelerations(x, u, work);
+    let HybridDynamics { qdd_u, tau } = model.hybrid_dynamics(x, u, work);
     let tau = tau - disturbance;
     if !tau.iter().all(|v| v.is_finite()) {
         return None;
     }
     let mut qdd = JointVector::zeros();
-    qdd.fixed_rows_mut::<NU>(0).copy_from(u);
-    qdd.fixed_rows_mut::<N_UNACTUATED>(NU).copy_from(&qdd_u);
+    qdd.actuated_mut().copy_from(u);
+    qdd.unactuated_mut().copy_from(&qdd_u);
     let within = ActuatedVector::from_fn(|i, _| tau[i].min(tau_max[i]).max(-tau_max[i]));
     Some(Torque { tau: within, cut: tau - within, limited: (0..NU).any(|i| within[i] != tau[i]), qdd })
 }
@@ -55,7 +55,7 @@ pub fn torque(
 mod tests {
     use super::{Torque, torque};
     use upswing_config::Config;
-    use upswing_model::{ActuatedVector, JointVector, NU, State, Workspace, position, state, velocity};
+    use upswing_model::{ActuatedVector, JointVector, NU, State, StateParts, Workspace, state};
 
     /// A state in motion, and an input.
     fn motion() -> (State, ActuatedVector) {
@@ -79,7 +79,7 @@ mod tests {
             let Torque { tau, limited, qdd, .. } = law(&x, &u, disturbance, 1e3).expect("finite");
             // What acts on the arm besides the drives, too.
             let load = JointVector::from_fn(|i, _| if i < NU { tau[i] + disturbance } else { 0.0 });
-            let got = model.forward_dynamics(&position(&x), &velocity(&x), &load, &mut Workspace::default());
+            let got = model.forward_dynamics(&x.q(), &x.qd(), &load, &mut Workspace::default());
             let error = (got.expect("a solution") - qdd).amax();
             // Rounding, with inertias of 0.001 to 10 kg m^2.
             assert!(error < 1e-9 && !limited, "{error:e} rad/s^2");

@@ -25,7 +25,7 @@ pub enum PlanRefusal {
     Unfit(#[from] Unfit),
 }
 
-/// Checks a plan: checksum, fingerprint, id, and what [`Config::gate`] asks. `payload` must be a copy that nobody else can
+/// Checks a plan: checksum, fingerprint, id, and what [`Config::plan_criteria`] asks. `payload` must be a copy that nobody else can
 /// write to.
 ///
 /// # Errors
@@ -36,6 +36,6 @@ pub fn accept(payload: &Payload, config: &Config) -> Result<Box<Plan>, PlanRefus
     if plan.fingerprint != expected {
         return Err(PlanRefusal::Fingerprint { expected, got: plan.fingerprint });
     }
-    config.gate().check(&config.model, &plan)?;
+    config.plan_criteria().check(&config.model, &plan)?;
     Ok(plan)
 }

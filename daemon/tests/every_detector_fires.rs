@@ -457,7 +457,7 @@ fn law_not_finite() {
     let config = config();
     let (mut controller, q) = enabled();
     let mut plan = rest_plan(&config, &at_rest(&q), 1.0);
-    plan.gains.iter_mut().for_each(|gain| gain.fill(f64::NAN));
+    plan.gains.knots.iter_mut().for_each(|gain| gain.fill(f64::NAN));
     controller.step(StepInput::new(measurement(3, &q), 0, Some(Request::Load(plan))));
     let output = controller.step(StepInput::new(measurement(4, &q), 0, Some(Request::Start(7))));
     assert_eq!(trip(&controller), Some((Mode::Fault, TripCause::LawNotFinite, 0)));
@@ -486,13 +486,13 @@ fn no_mode_begins_with_a_step() {
     let q = rest_pose(&config);
     // A gain that answers the start below with 25 % of the torque of joint 1.
     let mut work = Workspace::default();
-    config.model.accelerations(&at_rest(&q), &ActuatedVector::zeros(), &mut work);
+    config.model.hybrid_dynamics(&at_rest(&q), &ActuatedVector::zeros(), &mut work);
     let unit = ActuatedVector::from_fn(|i, _| f64::from(u8::from(i == 0)));
     let tau_max = config.robot.limits.tau_max;
     let inertia = config.model.reduced_inertia_times(&unit, &work)[0];
     let deviation = 0.04;
     let mut plan = rest_plan(&config, &at_rest(&q), 1.0);
-    plan.gains.iter_mut().for_each(|k| k[(0, 0)] = -0.25 * tau_max[0] / inertia / deviation);
+    plan.gains.knots.iter_mut().for_each(|k| k[(0, 0)] = -0.25 * tau_max[0] / inertia / deviation);
     let mut away = q;
     away[0] += deviation;
 
@@ -543,7 +543,7 @@ fn a_mode_begins_for_two_milliseconds_at_most() {
     let config = config();
     let (mut controller, mut q) = enabled();
     let mut plan = rest_plan(&config, &at_rest(&q), 1.0);
-    plan.gains.iter_mut().for_each(|k| k[(0, 0)] = -1e7);
+    plan.gains.knots.iter_mut().for_each(|k| k[(0, 0)] = -1e7);
     controller.step(StepInput::new(measurement(3, &q), 0, Some(Request::Load(plan))));
     q[0] += 1e-4;
     controller.step(StepInput::new(measurement(4, &q), 0, Some(Request::Start(7))));

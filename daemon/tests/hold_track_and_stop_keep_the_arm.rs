@@ -5,7 +5,7 @@ mod common;
 use common::{Arm, at_rest, config, rest_plan, rest_pose, swing, upright_pose};
 use upswing_config::Config;
 use upswing_ipc::{Mode, Telemetry};
-use upswing_model::{ActuatedVector, JointVector, NQ, NU, State, position};
+use upswing_model::{ActuatedVector, JointVector, NQ, NU, State, StateParts};
 use upswingd::controller::Controller;
 use upswingd::step::{Request, StepInput};
 use upswingd::supervisor::is_braked;
@@ -52,7 +52,7 @@ fn hold_keeps_the_pose() {
     for _ in 0..SECOND {
         let record = system.cycle(None);
         assert_eq!(record.mode, Mode::Hold.code());
-        assert!((position(&system.arm.x) - position(&x)).amax() < 1e-3);
+        assert!((system.arm.x.q() - x.q()).amax() < 1e-3);
     }
 }
 
@@ -82,7 +82,7 @@ fn a_plan_that_stands_is_tracked_and_then_balanced() {
         let expected = if t < 0.05 - 1e-9 { Mode::Track } else { Mode::Balance };
         assert_eq!((record.mode, record.plan_id), (expected.code(), 7), "cycle {k}");
         assert!((record.t_plan - t).abs() < 1e-9);
-        assert!((position(&system.arm.x) - position(&x)).amax() < 1e-3);
+        assert!((system.arm.x.q() - x.q()).amax() < 1e-3);
     }
     let held = system.ask(Request::Hold);
     assert_eq!((held.mode, held.plan_id), (Mode::Hold.code(), 0));

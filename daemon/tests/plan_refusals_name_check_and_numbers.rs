@@ -6,7 +6,7 @@ use common::{at_rest, config, rest_payload, rest_plan, rest_pose, upright_pose};
 use upswing_config::{Config, PendulumStart, PlanWhileTracking, VelocityEstimate};
 use upswing_ipc::operator::Manoeuvre;
 use upswing_ipc::{DamagedPlan, Measurement, Plan as Payload};
-use upswing_model::{ActuatedVector, NQ, NU, NX, State, Workspace};
+use upswing_model::{ActuatedVector, LimitKind, NQ, NU, NX, State, StateParts, Workspace};
 use upswing_planner::replan::{Effort, Planner};
 use upswing_trajectory::{Gain, KNOTS, N, Unfit};
 use upswingd::controller::Controller;
@@ -82,11 +82,11 @@ fn a_good_plan_keeps_its_numbers() {
         assert_eq!(plan.trajectory.u[k], ActuatedVector::from(payload.u[k]), "u at knot {k}");
         assert_eq!(plan.f[k], State::from(payload.f[k]), "f at knot {k}");
         for i in 0..NU {
-            assert!((0..NX).all(|j| plan.gains[k][(i, j)] == payload.k[k][i][j]), "K at knot {k}, row {i}");
             assert!(
-                (0..NX).all(|j| plan.final_gain[(i, j)] == payload.k_final[i][j]),
-                "the final K, row {i}"
+                (0..NX).all(|j| plan.gains.knots[k][(i, j)] == payload.k[k][i][j]),
+                "K at knot {k}, row {i}"
             );
+            assert!((0..NX).all(|j| plan.gains.end[(i, j)] == payload.k_final[i][j]), "the final K, row {i}");
         }
     }
 }
@@ -161,21 +161,21 @@ fn limits_at_a_knot() {
 fn every_limit_on_both_sides_up_to_its_slack() {
     let (config, x) = rest();
     let limits = &config.robot.planning;
-    let limit_of = |joint: usize, number: usize, what: &str, unfit: Option<Unfit>| {
-        matches!(unfit, Some(Unfit::Limit { what: w, joint: j, knot, .. })
-            if (w, j, knot) == (what, joint, number as f64))
+    let limit_of = |joint: usize, number: usize, kind: LimitKind, unfit: Option<Unfit>| {
+        matches!(unfit, Some(Unfit::Limit { kind: k, joint: j, knot, .. })
+            if (k, j, knot) == (kind, joint, number as f64))
     };
     for i in 0..NQ {
         for knot in [0, 57, N] {
             for (bound, out) in [(limits.q_min[i], -1.0), (limits.q_max[i], 1.0)] {
                 let at = |by: f64| verdict(&config, &x, |p| p.x[knot][i] = bound + out * by);
-                assert!(limit_of(i, knot, "position", at(1.1e-3)), "joint {i}, knot {knot}, {out}");
-                assert!(!limit_of(i, knot, "position", at(0.9e-3)), "joint {i}, knot {knot}, {out}");
+                assert!(limit_of(i, knot, LimitKind::Position, at(1.1e-3)), "joint {i}, knot {knot}, {out}");
+                assert!(!limit_of(i, knot, LimitKind::Position, at(0.9e-3)), "joint {i}, knot {knot}, {out}");
             }
             for out in [-1.0, 1.0] {
                 let at = |by| verdict(&config, &x, |p| p.x[knot][NQ + i] = out * (limits.qd_max[i] + by));
-                assert!(limit_of(i, knot, "velocity", at(1.1e-2)), "joint {i}, knot {knot}, {out}");
-                assert!(!limit_of(i, knot, "velocity", at(0.9e-2)), "joint {i}, knot {knot}, {out}");
+                assert!(limit_of(i, knot, LimitKind::Velocity, at(1.1e-2)), "joint {i}, knot {knot}, {out}");
+                assert!(!limit_of(i, knot, LimitKind::Velocity, at(0.9e-2)), "joint {i}, knot {knot}, {out}");
             }
         }
     }
@@ -200,7 +200,7 @@ fn every_torque_limit_on_both_sides_up_to_its_slack() {
                 verdict(&config, &x, |p| p.u[knot] = u.into())
             };
             let unfit = at(1.051);
-            let expected = matches!(unfit, Some(Unfit::Limit { what: "torque", joint, knot: k, .. })
+            let expected = matches!(unfit, Some(Unfit::Limit { kind: LimitKind::Torque, joint, knot: k, .. })
                 if joint == i && (k - knot as f64).abs() < 1.0);
             assert!(expected, "joint {i}, knot {knot}, {out}: {unfit:?}");
             let unfit = at(1.048);
@@ -222,7 +222,9 @@ fn positions_between_knots() {
                 p.x[k][NQ + 1] = out * velocity;
             }
         });
-        let Some(Unfit::Limit { what: "position", joint: 1, knot, .. }) = unfit else { panic!("{unfit:?}") };
+        let Some(Unfit::Limit { kind: LimitKind::Position, joint: 1, knot, .. }) = unfit else {
+            panic!("{unfit:?}")
+        };
         assert_eq!(knot, 4.5);
     }
 }
@@ -244,7 +246,7 @@ fn velocities_between_knots_to_their_extremum() {
                 p.x[5][NQ + 6] = out * (fastest - 0.1);
                 p.u[5][6] = -out * b;
             });
-            let found = matches!(unfit, Some(Unfit::Limit { what: "velocity", joint: 6, knot, .. })
+            let found = matches!(unfit, Some(Unfit::Limit { kind: LimitKind::Velocity, joint: 6, knot, .. })
                 if (knot - 4.0 - share).abs() < 1e-9);
             assert_eq!(found, beyond > 0.01, "{beyond} at {share}: {unfit:?}");
         }
@@ -265,7 +267,10 @@ fn a_limit_just_before_a_knot() {
         })
     };
     let unfit = before(0.0101);
-    assert!(matches!(unfit, Some(Unfit::Limit { what: "velocity", joint: 6, knot: 5.0, .. })), "{unfit:?}");
+    assert!(
+        matches!(unfit, Some(Unfit::Limit { kind: LimitKind::Velocity, joint: 6, knot: 5.0, .. })),
+        "{unfit:?}"
+    );
     assert_eq!(before(0.0099), None);
 }
 
@@ -289,7 +294,7 @@ fn torques_between_knots() {
     config.robot.planning.tau_max[1] = 0.5 * (at_knots + between) / 1.05;
     let unfit = verdict(&config, &x, spoil);
     assert!(
-        matches!(unfit, Some(Unfit::Limit { what: "torque", joint: 1, knot, .. }) if knot > 4.0 && knot < 5.0),
+        matches!(unfit, Some(Unfit::Limit { kind: LimitKind::Torque, joint: 1, knot, .. }) if knot > 4.0 && knot < 5.0),
         "{unfit:?}"
     );
 }
@@ -307,11 +312,11 @@ fn a_motion_that_jumps() {
         for (knot, sign) in [(1, 1.0), (50, -1.0), (N - 1, 1.0)] {
             let jumps = |by| verdict(&config, &x, |p| p.x[knot][row] += sign * by);
             let unfit = jumps(1.5e-3);
-            let Some(Unfit::Defect { what, joint, knot: at, got, .. }) = unfit else {
+            let Some(Unfit::Defect { kind, joint, knot: at, got, .. }) = unfit else {
                 panic!("row {row}: {unfit:?}")
             };
-            let expected = if row < NQ { "position" } else { "velocity" };
-            assert_eq!((what, joint, at), (expected, row % NQ, knot));
+            let expected = if row < NQ { LimitKind::Position } else { LimitKind::Velocity };
+            assert_eq!((kind, joint, at), (expected, row % NQ, knot));
             assert!((1.0e-3..2e-3).contains(&got), "{got}");
             assert_eq!(jumps(0.8e-3), None, "row {row}, knot {knot}");
         }
@@ -391,7 +396,7 @@ fn amplification(config: &Config, plan: &Payload, knot: usize, stands: bool) -> 
     let from = |row: usize| {
         let mut x = State::zeros();
         x[row] = tolerance(row);
-        let mut z = upswing_model::position(&x) - upswing_model::velocity(&x) * t_1;
+        let mut z = x.q() - x.qd() * t_1;
         let mut on_its_way = ActuatedVector::zeros();
         let mut sum = 0.0;
         for k in knot..=last {
@@ -399,7 +404,7 @@ fn amplification(config: &Config, plan: &Payload, knot: usize, stands: bool) -> 
             let halves = if k < N { [k, k + 1] } else { [KNOTS, KNOTS] };
             for (a, b, gain) in halves.map(|k| &loops[k]) {
                 for _ in 0..half {
-                    let q = upswing_model::position(&x);
+                    let q = x.q();
                     let u = gain * upswing_model::state(&q, &((q - z) / t_1));
                     z += (q - z) * (1.0 - (-ts / t_1).exp());
                     // Heun's method.
@@ -459,7 +464,7 @@ fn gains_that_answer_a_tolerated_start_with_a_blow() {
             let tolerance = if row < NQ { 0.05 } else { 0.2 };
             let mut work = Workspace::default();
             let x = State::from(good.x[knot]);
-            config.model.accelerations(&x, &ActuatedVector::from(good.u[knot]), &mut work);
+            config.model.hybrid_dynamics(&x, &ActuatedVector::from(good.u[knot]), &mut work);
             // Each joint has its own limit; towards either side.
             for (of, limits) in [(0, 6.0), (0, -6.0), (6, 6.0), (6, -6.0)] {
                 let limit = config.robot.limits.tau_max[of];
@@ -535,7 +540,7 @@ fn a_final_gain_is_judged_with_filter_and_delay() {
 fn an_old_plan() {
     let (config, x) = rest();
     let mut controller = Controller::new(&config);
-    let q = upswing_model::position(&x);
+    let q = x.q();
     let seconds = |s: f64| (s / common::PERIOD) as u64;
     controller.step(StepInput::new(
         common::measurement(1, &q),
@@ -560,7 +565,7 @@ fn an_old_plan() {
 #[test]
 fn a_plan_ages_by_the_clock_of_the_plant_that_is_there() {
     let (config, x) = rest();
-    let q = upswing_model::position(&x);
+    let q = x.q();
     let seconds = |s: f64| (s / common::PERIOD) as u64;
     let start_after = |loaded_at: u64, restarts: bool, s: f64| {
         let mut controller = Controller::new(&config);

@@ -4,7 +4,7 @@ mod common;
 
 use common::{Arm, PERIOD, at_rest, config, rest_pose, swing};
 use upswing_ipc::{Mode, Telemetry};
-use upswing_model::{NU, position};
+use upswing_model::{NU, StateParts};
 use upswingd::controller::Controller;
 use upswingd::step::{Request, StepInput};
 use upswingd::supervisor::Refusal;
@@ -59,7 +59,7 @@ fn up_down_and_up_again() {
     assert_eq!(system.controller.mode(), Mode::Track);
     system.run(down.trajectory.t_f + 0.2);
     assert_eq!(system.controller.mode(), Mode::Hold);
-    let off = position(&system.arm.x) - q;
+    let off = system.arm.x.q() - q;
     assert!(off.amax() < CLOSE, "{off}");
 
     // Held is the end of the plan, not where the arm happened to be.

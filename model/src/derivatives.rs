@@ -14,26 +14,26 @@
 use crate::dynamics::{solve_unactuated, state_derivative, unactuated_block};
 use crate::spatial::{Spatial, skew};
 use crate::{
-    Accelerations, ActuatedVector, JointMatrix, JointVector, Model, N_UNACTUATED, NQ, NU, NX, NZ, State,
-    UnactuatedVector, Workspace, position, velocity,
+    ActuatedVector, HybridDynamics, JointMatrix, JointParts, JointVector, Model, N_UNACTUATED, NQ, NU, NX,
+    NZ, State, StateParts, UnactuatedVector, Workspace,
 };
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
-/// Symmetric matrix of second derivatives with respect to z = [q, qd, u].
+/// Symmetric matrix of the second derivatives with respect to z = [q, qd, u].
 pub type Hessian = SMatrix<f64, NZ, NZ>;
 
-/// First derivatives of (3a) and (3b) at one state and input.
+/// First derivatives of the hybrid dynamics (3a), (3b) at one state and input.
 #[derive(Clone, Debug)]
 pub struct Derivatives {
-    /// The accelerations and torques themselves.
-    pub value: Accelerations,
-    /// d qdd_U / d x: the only rows of A = df/dx that are not constant.
+    /// qdd_U and tau_A at the point of the derivatives.
+    pub value: HybridDynamics,
+    /// d qdd_U / dx: the only rows of A = df/dx (19) that are not constant.
     pub qdd_u_x: SMatrix<f64, N_UNACTUATED, NX>,
-    /// d qdd_U / d u: the only rows of B = df/du that are not constant.
+    /// d qdd_U / du: the only rows of B = df/du (19) that are not constant.
     pub qdd_u_u: SMatrix<f64, N_UNACTUATED, NU>,
-    /// d tau / d x.
+    /// d tau_A / dx.
     pub tau_x: SMatrix<f64, NU, NX>,
-    /// d tau / d u = M~ (10).
+    /// d tau_A / du = M~ (10), kg m^2.
     pub tau_u: SMatrix<f64, NU, NU>,
 }
 
@@ -58,27 +58,26 @@ impl Derivatives {
         b
     }
 
-    /// f(x, u) at the point of the derivatives (5).
+    /// f(x, u) (5) at the point of the derivatives, rad/s and rad/s^2.
     pub fn f(&self, x: &State, u: &ActuatedVector) -> State {
         state_derivative(x, u, &self.value.qdd_u)
     }
 }
 
 impl Model {
-    /// First derivatives at (x, u); leaves `work` ready for [`Self::hessian`].
+    /// First derivatives of the hybrid dynamics at (x, u), and the state of `work` that [`Self::hessian`] needs.
     pub fn derivatives(&self, x: &State, u: &ActuatedVector, work: &mut Workspace) -> Derivatives {
-        self.derivatives_at(&position(x), &velocity(x), u, work)
+        self.derivatives_at(&x.q(), &x.qd(), u, work)
     }
 
-    /// As [`Self::derivatives`], of the dynamics with qd = 0: its `tau` is M~ u + g~ (11) and does not depend
-    /// on qd.
+    /// First derivatives of the hybrid dynamics at qd = 0, whose torque M~ u + g~ (11) does not depend on qd.
     pub fn derivatives_without_coriolis(
         &self,
         x: &State,
         u: &ActuatedVector,
         work: &mut Workspace,
     ) -> Derivatives {
-        let mut d = self.derivatives_at(&position(x), &JointVector::zeros(), u, work);
+        let mut d = self.derivatives_at(&x.q(), &JointVector::zeros(), u, work);
         d.qdd_u_x.fixed_columns_mut::<NQ>(NQ).fill(0.0);
         d.tau_x.fixed_columns_mut::<NQ>(NQ).fill(0.0);
         d
@@ -91,11 +90,11 @@ impl Model {
         u: &ActuatedVector,
         work: &mut Workspace,
     ) -> Derivatives {
-        let value = self.accelerations_at(q, qd, u, work);
+        let value = self.hybrid_dynamics_at(q, qd, u, work);
         let mut qdd = JointVector::zeros();
-        qdd.fixed_rows_mut::<NU>(0).copy_from(u);
-        qdd.fixed_rows_mut::<N_UNACTUATED>(NU).copy_from(&value.qdd_u);
-        self.accelerate_with(qd, &qdd, work);
+        qdd.actuated_mut().copy_from(u);
+        qdd.unactuated_mut().copy_from(&value.qdd_u);
+        self.update_accelerations(qd, &qdd, work);
 
         let m = work.mass_matrix();
         let m_au = m.fixed_view::<NU, N_UNACTUATED>(0, NU);
@@ -130,8 +129,8 @@ impl Model {
         let m_ua_mu = columns.fixed_rows::<NU>(0).transpose() * mu;
         let nu = -solve_unactuated(&unactuated_block(&columns), &(w + m_ua_mu));
         let mut eta = JointVector::zeros();
-        eta.fixed_rows_mut::<NU>(0).copy_from(mu);
-        eta.fixed_rows_mut::<N_UNACTUATED>(NU).copy_from(&nu);
+        eta.actuated_mut().copy_from(mu);
+        eta.unactuated_mut().copy_from(&nu);
 
         let second = work.second_derivatives(&eta);
         let mut h = Hessian::zeros();
@@ -158,7 +157,8 @@ impl Model {
         h
     }
 
-    /// As [`Self::hessian`], of `mu` . (M~ u + g~) (11) after [`Self::derivatives_without_coriolis`].
+    /// Second derivatives of `mu` . (M~ u + g~) (11) with respect to z = [q, qd, u]. `first` and `work` are the result and the
+    /// scratch memory of the last call of [`Self::derivatives_without_coriolis`].
     pub fn hessian_without_coriolis(
         &self,
         mu: &ActuatedVector,
@@ -182,7 +182,7 @@ struct SecondDerivatives {
     q_qdd: JointMatrix,
 }
 
-/// Velocity-product terms of bodies i..NQ: D p = [d1 p_ang, 2 p_ang x momentum] with
+/// Velocity-product terms of the bodies i..NQ together: D p = [d1 p_ang, 2 p_ang x momentum] with
 /// D_b p = I (p x V) + p x* I V + V x* I p, which does not depend on the linear part of p.
 #[derive(Clone, Copy)]
 struct Coriolis {
@@ -202,6 +202,7 @@ impl Coriolis {
 }
 
 impl Workspace {
+    /// The velocity-product terms for every i.
     fn coriolis(&self) -> [Coriolis; NQ] {
         let mut sum = Coriolis { d1: Matrix3::zeros(), momentum: Vector3::zeros() };
         let mut all = [sum; NQ];
@@ -248,6 +249,7 @@ impl Workspace {
         (r_q, r_qd)
     }
 
+    /// Second derivatives of eta . r at the state of the last [`Model::derivatives`].
     fn second_derivatives(&self, eta: &JointVector) -> SecondDerivatives {
         let coriolis = self.coriolis();
         let psi_dd: [Spatial; NQ] = std::array::from_fn(|i| self.psi_dd(i));

@@ -3,32 +3,34 @@
 use crate::positive;
 use crate::spatial::{Inertia, Spatial};
 use crate::{
-    ActuatedMatrix, ActuatedVector, JointMatrix, JointVector, Model, N_UNACTUATED, NQ, NU, NX, State,
-    UnactuatedVector, position, velocity,
+    ActuatedMatrix, ActuatedVector, JointMatrix, JointParts, JointVector, Model, N_UNACTUATED, NQ, NU, State,
+    StateParts, UnactuatedVector,
 };
-use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+use nalgebra::{Matrix3, SMatrix, Vector3};
 
 /// M_UU, the mass matrix of the unactuated joints.
 type UnactuatedMatrix = SMatrix<f64, N_UNACTUATED, N_UNACTUATED>;
 
-/// Scratch memory of the recursions, owned by the caller; holds the quantities of the state last evaluated.
+/// Scratch memory of the recursions over the chain, owned by the caller. It holds the quantities of the state that was
+/// evaluated last.
 ///
-/// Index i of a joint quantity is joint i; index i of `velocity` and `acceleration` is the body *before*
-/// joint i, so that index 0 is the base.
+/// Index i of a joint quantity is joint i; index i of `velocity` and `acceleration` is the body *before* joint i, so that
+/// index 0 is the base.
 #[derive(Clone, Debug)]
 pub struct Workspace {
-    /// S_i: joint axis.
+    /// S_i, axis of joint i.
     pub(crate) axis: [Spatial; NQ],
+    /// I_i, inertia of body i.
     pub(crate) body: [Inertia; NQ],
-    /// Inertia of bodies i..NQ.
+    /// I^C_i, inertia of the bodies i..NQ together.
     pub(crate) composite: [Inertia; NQ],
-    /// V
+    /// V_i, velocity.
     pub(crate) velocity: [Spatial; NQ + 1],
-    /// A, with gravity as an upward acceleration of the base.
+    /// A_i, acceleration, with gravity as an upward acceleration of the base.
     pub(crate) acceleration: [Spatial; NQ + 1],
     /// psi_i = V_{i-1} x S_i
     pub(crate) psi: [Spatial; NQ],
-    /// F_i: force that bodies i..NQ need.
+    /// F_i, force that the bodies i..NQ need for their motion.
     pub(crate) force: [Spatial; NQ],
 }
 
@@ -54,6 +56,7 @@ impl Workspace {
         self.composite[i].apply(&self.axis[i])
     }
 
+    /// M(q) of the bodies, without the rotors, kg m^2.
     pub(crate) fn mass_matrix(&self) -> JointMatrix {
         let mut m = JointMatrix::zeros();
         for j in 0..NQ {
@@ -66,7 +69,7 @@ impl Workspace {
         m
     }
 
-    /// Columns of M(q) that belong to the unactuated joints, [M_AU; M_UU], kg m^2, at the q of the last evaluation.
+    /// The columns [M_AU; M_UU] of M(q) (2) that belong to the unactuated joints, kg m^2, at the q that was evaluated last.
     pub fn unactuated_columns(&self) -> SMatrix<f64, NQ, N_UNACTUATED> {
         let mut m = SMatrix::<f64, NQ, N_UNACTUATED>::zeros();
         for c in 0..N_UNACTUATED {
@@ -83,17 +86,19 @@ impl Workspace {
     }
 }
 
-/// What the input u = qdd_A causes at a state: (3a) and (3b).
+/// The unknowns of the hybrid dynamics, in which the actuated joints have a given acceleration u = qdd_A and the unactuated
+/// ones have no torque (Featherstone, *Rigid Body Dynamics Algorithms*, chapter 9).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Accelerations {
-    /// qdd_U, rad/s^2 (3a).
+pub struct HybridDynamics {
+    /// qdd_U (3a), rad/s^2.
     pub qdd_u: UnactuatedVector,
-    /// tau_A, N m (3b), (9).
+    /// tau_A (3b), (9), N m.
     pub tau: ActuatedVector,
 }
 
 impl Model {
-    /// M(q) qdd + C(q, qd) qd + g(q), N m: the left-hand side of (1). `qdd` in rad/s^2.
+    /// Joint torques M(q) qdd + C(q, qd) qd + g(q), N m: the left-hand side of (1), for `q` in rad, `qd` in rad/s and `qdd`
+    /// in rad/s^2.
     pub fn inverse_dynamics(
         &self,
         q: &JointVector,
@@ -101,9 +106,9 @@ impl Model {
         qdd: &JointVector,
         work: &mut Workspace,
     ) -> JointVector {
-        self.place(q, work);
-        self.move_with(qd, work);
-        self.accelerate_with(qd, qdd, work);
+        self.update_positions(q, work);
+        self.update_velocities(qd, work);
+        self.update_accelerations(qd, qdd, work);
         let mut force = generalized_force(work);
         for i in 0..NU {
             force[i] += self.rotors[i] * qdd[i];
@@ -111,13 +116,13 @@ impl Model {
         force
     }
 
-    /// M(q), kg m^2 (1): symmetric, positive definite.
+    /// Mass matrix M(q) (1), kg m^2, symmetric and positive definite, for `q` in rad.
     pub fn mass_matrix(&self, q: &JointVector, work: &mut Workspace) -> JointMatrix {
-        self.place(q, work);
+        self.update_positions(q, work);
         self.with_rotor_inertia(work.mass_matrix())
     }
 
-    /// The mass matrix of bodies and rotors, given that of the bodies.
+    /// The mass matrix of bodies and rotors, for that of the bodies.
     fn with_rotor_inertia(&self, mut bodies: JointMatrix) -> JointMatrix {
         for i in 0..NU {
             bodies[(i, i)] += self.rotors[i];
@@ -125,27 +130,28 @@ impl Model {
         bodies
     }
 
-    /// C(q, qd) qd + g(q), N m (1); equal to [`Self::inverse_dynamics`] with qdd = 0.
+    /// Joint torques C(q, qd) qd + g(q) (1), N m: [`Self::inverse_dynamics`] with qdd = 0.
     pub fn nonlinear_effects(&self, q: &JointVector, qd: &JointVector, work: &mut Workspace) -> JointVector {
         self.inverse_dynamics(q, qd, &JointVector::zeros(), work)
     }
 
-    /// g(q), N m (1); equal to [`Self::nonlinear_effects`] with qd = 0.
+    /// Gravity vector g(q) (1), N m: [`Self::nonlinear_effects`] with qd = 0.
     pub fn gravity_torque(&self, q: &JointVector, work: &mut Workspace) -> JointVector {
         self.nonlinear_effects(q, &JointVector::zeros(), work)
     }
 
-    /// (3a) and (3b): acceleration of the unactuated joints and motor torque for the input `u` (rad/s^2).
-    pub fn accelerations(&self, x: &State, u: &ActuatedVector, work: &mut Workspace) -> Accelerations {
-        self.accelerations_at(&position(x), &velocity(x), u, work)
+    /// The hybrid dynamics (3a), (3b): acceleration of the unactuated joints and motor torque at the state `x` (rad, rad/s)
+    /// for the input `u` (rad/s^2).
+    pub fn hybrid_dynamics(&self, x: &State, u: &ActuatedVector, work: &mut Workspace) -> HybridDynamics {
+        self.hybrid_dynamics_at(&x.q(), &x.qd(), u, work)
     }
 
-    /// M~ u + C~ qd + g~ (9), N m; with u = u_d + K dx the torque law (24).
+    /// Motor torque tau_A = M~ u + C~ qd + g~ (9), N m; with u = u_d + K dx the torque law (24).
     pub fn torque(&self, x: &State, u: &ActuatedVector, work: &mut Workspace) -> ActuatedVector {
-        self.accelerations(x, u, work).tau
+        self.hybrid_dynamics(x, u, work).tau
     }
 
-    /// M~ (10), kg m^2, symmetric and positive definite, at the q of the last evaluation with `work`.
+    /// Reduced mass matrix M~ (10), kg m^2, symmetric and positive definite, at the q that was evaluated last with `work`.
     pub fn reduced_inertia(&self, work: &Workspace) -> ActuatedMatrix {
         let mass = self.with_rotor_inertia(work.mass_matrix());
         let columns = work.unactuated_columns();
@@ -154,51 +160,51 @@ impl Model {
             - m_au * solve_unactuated(&unactuated_block(&columns), &m_au.transpose())
     }
 
-    /// M~ a (10), N m, for `a` in rad/s^2, at the q of the last evaluation with `work`.
+    /// Torque M~ a (10), N m, of the accelerations `a` (rad/s^2), at the q that was evaluated last with `work`.
     pub fn reduced_inertia_times(&self, a: &ActuatedVector, work: &Workspace) -> ActuatedVector {
-        let mut carried = JointVector::zeros();
-        carried.fixed_rows_mut::<NU>(0).copy_from(a);
-        reduce(&(self.with_rotor_inertia(work.mass_matrix()) * carried), work).tau
+        let mut qdd = JointVector::zeros();
+        qdd.actuated_mut().copy_from(a);
+        reduce(&(self.with_rotor_inertia(work.mass_matrix()) * qdd), work).tau
     }
 
-    /// M~ u + g~ (11), N m: the torque without its Coriolis part; equal to [`Self::torque`] at qd = 0.
+    /// Motor torque without its Coriolis part M~ u + g~ (11), N m: [`Self::torque`] at qd = 0.
     pub fn torque_without_coriolis(
         &self,
         x: &State,
         u: &ActuatedVector,
         work: &mut Workspace,
     ) -> ActuatedVector {
-        self.accelerations_at(&position(x), &JointVector::zeros(), u, work).tau
+        self.hybrid_dynamics_at(&x.q(), &JointVector::zeros(), u, work).tau
     }
 
-    /// C~(q, qd) qd = C_A - M_AU M_U^-1 C_U with [C_A; C_U] = C(q, qd) qd (10), N m, q in rad, qd in rad/s; equal
-    /// to the difference of [`Self::torque`] and [`Self::torque_without_coriolis`] at any u, at the cost of one.
+    /// Coriolis part of the motor torque C~(q, qd) qd = C_A - M_AU M_U^-1 C_U with [C_A; C_U] = C(q, qd) qd (10), N m, for `q`
+    /// in rad and `qd` in rad/s: the difference of [`Self::torque`] and [`Self::torque_without_coriolis`] at any u.
     pub fn coriolis_torque(&self, q: &JointVector, qd: &JointVector, work: &mut Workspace) -> ActuatedVector {
-        self.place(q, work);
-        self.move_with(qd, work);
+        self.update_positions(q, work);
+        self.update_velocities(qd, work);
         // Without gravity and without qdd, C qd is what remains of (1).
-        accelerate(Spatial::ZERO, qd, &JointVector::zeros(), work);
+        accelerate_chain(Spatial::ZERO, qd, &JointVector::zeros(), work);
         reduce(&generalized_force(work), work).tau
     }
 
-    /// f(x, u) (4), (5): d/dt x = [qd, u, qdd_U] (rad/s, rad/s^2).
+    /// Dynamics f(x, u) (4), (5): the time derivative [qd, u, qdd_U] of the state, rad/s and rad/s^2.
     pub fn f(&self, x: &State, u: &ActuatedVector, work: &mut Workspace) -> State {
-        state_derivative(x, u, &self.accelerations(x, u, work).qdd_u)
+        state_derivative(x, u, &self.hybrid_dynamics(x, u, work).qdd_u)
     }
 
-    /// f(x, u) and the torque (9) of the same evaluation.
+    /// f(x, u) (5) and the motor torque (9), N m, of one evaluation.
     pub fn derivative_and_torque(
         &self,
         x: &State,
         u: &ActuatedVector,
         work: &mut Workspace,
     ) -> (State, ActuatedVector) {
-        let a = self.accelerations(x, u, work);
-        (state_derivative(x, u, &a.qdd_u), a.tau)
+        let HybridDynamics { qdd_u, tau } = self.hybrid_dynamics(x, u, work);
+        (state_derivative(x, u, &qdd_u), tau)
     }
 
-    /// qdd = M^-1 (tau - C qd - g), rad/s^2, of the whole chain under the torque `tau` (N m, one per joint,
-    /// friction of the unactuated joints included); `None` if M is not positive definite (corrupt q).
+    /// Forward dynamics: accelerations qdd = M^-1 (tau - C qd - g), rad/s^2, of all joints under the joint torques `tau` (N m,
+    /// including friction). `None` if M is not positive definite, which happens only for a `q` that is not finite.
     pub fn forward_dynamics(
         &self,
         q: &JointVector,
@@ -210,26 +216,27 @@ impl Model {
         positive::solve(&self.with_rotor_inertia(work.mass_matrix()), &(tau - bias))
     }
 
-    /// Kinetic plus potential energy, J.
+    /// Kinetic plus potential energy of the bodies and the rotors, J.
     pub fn energy(&self, x: &State, work: &mut Workspace) -> f64 {
-        let (q, qd) = (position(x), velocity(x));
+        let (q, qd) = (x.q(), x.qd());
         0.5 * qd.dot(&(self.mass_matrix(&q, work) * qd)) + self.potential_energy(&q)
     }
 
-    pub(crate) fn accelerations_at(
+    /// [`Self::hybrid_dynamics`] of a state given as `q` and `qd`.
+    pub(crate) fn hybrid_dynamics_at(
         &self,
         q: &JointVector,
         qd: &JointVector,
         u: &ActuatedVector,
         work: &mut Workspace,
-    ) -> Accelerations {
+    ) -> HybridDynamics {
         let mut qdd = JointVector::zeros();
-        qdd.fixed_rows_mut::<NU>(0).copy_from(u);
+        qdd.actuated_mut().copy_from(u);
         reduce(&self.inverse_dynamics(q, qd, &qdd, work), work)
     }
 
-    /// Joint axes and inertias at q.
-    pub(crate) fn place(&self, q: &JointVector, work: &mut Workspace) {
+    /// Computes joint axes and inertias at q.
+    pub(crate) fn update_positions(&self, q: &JointVector, work: &mut Workspace) {
         let mut parent = self.base;
         for (i, joint) in self.joints.iter().enumerate() {
             parent = joint.frame(&parent, q[i]);
@@ -243,8 +250,8 @@ impl Model {
         }
     }
 
-    /// Velocities at qd; needs [`Self::place`].
-    pub(crate) fn move_with(&self, qd: &JointVector, work: &mut Workspace) {
+    /// Computes velocities at qd, after [`Self::update_positions`].
+    pub(crate) fn update_velocities(&self, qd: &JointVector, work: &mut Workspace) {
         work.velocity[0] = Spatial::ZERO;
         for i in 0..NQ {
             work.psi[i] = work.velocity[i].cross_motion(&work.axis[i]);
@@ -252,14 +259,15 @@ impl Model {
         }
     }
 
-    /// Accelerations and forces at qdd; needs [`Self::move_with`].
-    pub(crate) fn accelerate_with(&self, qd: &JointVector, qdd: &JointVector, work: &mut Workspace) {
-        accelerate(Spatial::new(Vector3::zeros(), -self.gravity), qd, qdd, work);
+    /// Computes accelerations and forces at qdd, after [`Self::update_velocities`].
+    pub(crate) fn update_accelerations(&self, qd: &JointVector, qdd: &JointVector, work: &mut Workspace) {
+        accelerate_chain(Spatial::new(Vector3::zeros(), -self.gravity), qd, qdd, work);
     }
 }
 
-/// Accelerations and forces at qdd of a chain whose base accelerates with `base`; needs [`Model::move_with`].
-fn accelerate(base: Spatial, qd: &JointVector, qdd: &JointVector, work: &mut Workspace) {
+/// Computes accelerations and forces at qdd of a chain whose base accelerates with `base`, after
+/// [`Model::update_velocities`].
+fn accelerate_chain(base: Spatial, qd: &JointVector, qdd: &JointVector, work: &mut Workspace) {
     work.acceleration[0] = base;
     for i in 0..NQ {
         work.acceleration[i + 1] = work.acceleration[i] + work.axis[i] * qdd[i] + work.psi[i] * qd[i];
@@ -272,26 +280,26 @@ fn accelerate(base: Spatial, qd: &JointVector, qdd: &JointVector, work: &mut Wor
     }
 }
 
-/// (3a) and (3b) for the joint torques `r` that the motion with qdd_U = 0 needs: the unactuated joints, which have
-/// no motors, accelerate until their torques vanish.
-fn reduce(r: &JointVector, work: &Workspace) -> Accelerations {
+/// The hybrid dynamics (3a), (3b), for the joint torques `r` (N m) that the motion with qdd_U = 0 would need: the unactuated
+/// joints accelerate so that their torques vanish.
+fn reduce(r: &JointVector, work: &Workspace) -> HybridDynamics {
     let columns = work.unactuated_columns();
-    let qdd_u = -solve_unactuated(&unactuated_block(&columns), &r.fixed_rows::<N_UNACTUATED>(NU).into());
-    let tau = r.fixed_rows::<NU>(0) + columns.fixed_rows::<NU>(0) * qdd_u;
-    Accelerations { qdd_u, tau }
+    let qdd_u = -solve_unactuated(&unactuated_block(&columns), &r.unactuated());
+    let tau = r.actuated() + columns.fixed_rows::<NU>(0) * qdd_u;
+    HybridDynamics { qdd_u, tau }
 }
 
-/// S_i . F_i for every joint.
+/// Joint torques S_i . F_i, N m.
 fn generalized_force(work: &Workspace) -> JointVector {
     JointVector::from_fn(|i, _| work.axis[i].dot(&work.force[i]))
 }
 
-/// [qd, u, qdd_U] (4).
+/// The time derivative [qd, u, qdd_U] of the state (4).
 pub(crate) fn state_derivative(x: &State, u: &ActuatedVector, qdd_u: &UnactuatedVector) -> State {
-    let mut f = SVector::<f64, NX>::zeros();
-    f.fixed_rows_mut::<NQ>(0).copy_from(&x.fixed_rows::<NQ>(NQ));
-    f.fixed_rows_mut::<NU>(NQ).copy_from(u);
-    f.fixed_rows_mut::<N_UNACTUATED>(NQ + NU).copy_from(qdd_u);
+    let mut f = State::zeros();
+    f.q_mut().copy_from(&x.qd());
+    f.qd_a_mut().copy_from(u);
+    f.qd_u_mut().copy_from(qdd_u);
     f
 }
 
@@ -300,7 +308,7 @@ pub(crate) fn unactuated_block(columns: &SMatrix<f64, NQ, N_UNACTUATED>) -> Unac
     columns.fixed_view::<N_UNACTUATED, N_UNACTUATED>(NU, 0).into()
 }
 
-/// M_UU^-1 r by elimination in place: M_UU is positive definite, so no pivot vanishes.
+/// M_UU^-1 r by Gaussian elimination: M_UU is positive definite, so that no pivot vanishes.
 pub(crate) fn solve_unactuated<const C: usize>(
     m_u: &UnactuatedMatrix,
     r: &SMatrix<f64, N_UNACTUATED, C>,

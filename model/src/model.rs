@@ -1,27 +1,14 @@
-//! The constants of a robot.
+//! The model of a robot: its constants and its forward kinematics.
 
 use crate::description::Body;
 use crate::spatial::{Inertia, skew};
-use crate::{ActuatedVector, JointVector, NQ, NU};
+use crate::{ActuatedVector, JointVector, Limits, NQ, NU};
 use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion, Vector3};
 
-/// Bounds of positions (rad), velocities (rad/s, symmetric) and motor torques (N m, symmetric).
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Limits {
-    /// Lowest position of each joint, rad.
-    pub q_min: JointVector,
-    /// Highest position of each joint, rad.
-    pub q_max: JointVector,
-    /// Highest speed of each joint, rad/s.
-    pub qd_max: JointVector,
-    /// Highest torque of each motor, N m.
-    pub tau_max: ActuatedVector,
-}
-
-/// Position and orientation of a frame in the world frame.
+/// Pose of a frame in the world frame, m.
 pub type Pose = Isometry3<f64>;
 
-/// A frame in another: as rotation matrix, which is cheaper to apply than a quaternion.
+/// Pose of a frame in another frame, with a rotation matrix, which is cheaper to apply than a quaternion.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Frame {
     pub rotation: Matrix3<f64>,
@@ -40,22 +27,24 @@ impl Frame {
     }
 }
 
-/// One body with the revolute joint that carries it. Lengths in m, in the body's own frame.
+/// One body with the revolute joint that connects it to its parent. Vectors and inertia in the frame of the body.
 #[derive(Clone, Debug)]
 pub(crate) struct Joint {
     pub name: String,
-    /// The body's frame in the parent's frame at q = 0.
+    /// Frame of the body in the frame of its parent at q = 0.
     pub placement: Frame,
-    /// Joint axis in the body's frame, of length 1.
+    /// Joint axis in the frame of the body, of length 1.
     pub axis: Vector3<f64>,
+    /// kg
     pub mass: f64,
+    /// Centre of mass, m.
     pub com: Vector3<f64>,
     /// Rotational inertia about the centre of mass, kg m^2.
     pub inertia: Matrix3<f64>,
 }
 
 impl Joint {
-    /// Frame of the body at the joint angle `q` (rad), given its parent's.
+    /// Frame of the body at the joint angle `q` (rad), for the frame of its parent.
     #[inline]
     pub(crate) fn frame(&self, parent: &Frame, q: f64) -> Frame {
         let (sin, cos) = q.sin_cos();
@@ -67,7 +56,7 @@ impl Joint {
         }
     }
 
-    /// The body's inertia in the world frame.
+    /// Spatial inertia of the body in the world frame, for its `frame`.
     #[inline]
     pub(crate) fn world_inertia(&self, frame: &Frame) -> Inertia {
         let about_com = frame.rotation * self.inertia * frame.rotation.transpose();
@@ -75,13 +64,13 @@ impl Joint {
     }
 }
 
-/// A serial chain of revolute joints of which the last ones are unactuated.
+/// The model of a robot: a serial chain of revolute joints of which the last ones are unactuated.
 #[derive(Clone, Debug)]
 pub struct Model {
     pub(crate) joints: [Joint; NQ],
-    /// The world frame of the URDF, in which everything is expressed.
+    /// Frame of the base in the world frame, which is the root frame of the URDF.
     pub(crate) base: Frame,
-    /// Point on the last body farthest from its joint (the tip of the rod) for drawings, m.
+    /// Tip of the rod in the frame of the last body, m.
     pub(crate) tip: Vector3<f64>,
     /// Inertia of the rotors, reflected to the actuated joints, kg m^2.
     pub(crate) rotors: ActuatedVector,
@@ -91,27 +80,14 @@ pub struct Model {
     pub(crate) fingerprint: u64,
 }
 
-impl Limits {
-    /// These limits with half a turn (per second) where there is none: the scale of a drawing.
-    pub fn scale(&self) -> Self {
-        let finite = |v: f64| if v.is_finite() { v } else { std::f64::consts::PI.copysign(v) };
-        Self {
-            q_min: self.q_min.map(finite),
-            q_max: self.q_max.map(finite),
-            qd_max: self.qd_max.map(finite),
-            ..*self
-        }
-    }
-}
-
 impl Model {
-    /// Identifies the dynamics: two models with the same fingerprint (xxh3 over all kinematic and inertial
-    /// parameters) produce the same numbers. Limits are not part of it.
+    /// Fingerprint of the dynamics (XXH3, 64 bit, over all kinematic and inertial parameters): two models with the same
+    /// fingerprint give the same numbers. Limits do not enter.
     pub fn fingerprint(&self) -> u64 {
         self.fingerprint
     }
 
-    /// Limits printed in the URDF (100 %; the motor torque of unactuated joints does not exist); infinite where it states none.
+    /// Limits in the URDF (100 %); infinite where the URDF states none.
     pub fn rated_limits(&self) -> &Limits {
         &self.rated_limits
     }
@@ -121,7 +97,7 @@ impl Model {
         std::array::from_fn(|i| self.joints[i].name.as_str())
     }
 
-    /// Forward kinematics: pose of each body's frame O_1..O_9 in the world frame.
+    /// Forward kinematics: poses of the frames O_1..O_9 of the bodies in the world frame, for `q` in rad.
     pub fn poses(&self, q: &JointVector) -> [Pose; NQ] {
         self.frames(q).map(|frame| frame.pose())
     }
@@ -134,18 +110,18 @@ impl Model {
         })
     }
 
-    /// Position of the pendulum's tip in the world frame, m.
+    /// Position of the tip of the pendulum in the world frame, m, for `q` in rad.
     pub fn tip(&self, q: &JointVector) -> Vector3<f64> {
         let last = self.frames(q)[NQ - 1];
         last.rotation * self.tip + last.origin
     }
 
-    /// From the last joint to the pendulum's tip, world frame (z up), m.
+    /// Vector from the last joint to the tip of the pendulum in the world frame (z up), m, for `q` in rad.
     pub fn rod(&self, q: &JointVector) -> Vector3<f64> {
         self.frames(q)[NQ - 1].rotation * self.tip
     }
 
-    /// Potential energy, J; zero at the world origin.
+    /// Potential energy at `q` (rad), J; zero at the world origin.
     pub fn potential_energy(&self, q: &JointVector) -> f64 {
         let frames = self.frames(q);
         frames
@@ -155,8 +131,8 @@ impl Model {
             .sum()
     }
 
-    /// A copy whose masses and inertias are multiplied: those of the arm by `arm`, those of the unactuated
-    /// bodies by `pendulum` (dimensionless, positive). For runs with a mismatched plant.
+    /// A model with scaled masses and inertias: those of the arm times `arm`, those of the pendulum times `pendulum`
+    /// (dimensionless, above 0). For runs with a mismatched plant.
     pub fn with_scaled_masses(&self, arm: f64, pendulum: f64) -> Self {
         let mut scaled = self.clone();
         for (i, joint) in scaled.joints.iter_mut().enumerate() {
@@ -168,8 +144,8 @@ impl Model {
         scaled
     }
 
-    /// A copy whose last body, the rod, is `scale` times as long with the same mass: centre of mass and tip farther
-    /// from the joint by that factor, inertia larger by its square. For runs with a mismatched plant.
+    /// A model whose last body, the rod, is `scale` times as long with the same mass: the distances of centre of mass and tip
+    /// from the joint grow by that factor, the inertia by its square. For runs with a mismatched plant.
     pub fn with_scaled_rod_length(&self, scale: f64) -> Self {
         let mut scaled = self.clone();
         let rod = &mut scaled.joints[NQ - 1];
@@ -180,8 +156,8 @@ impl Model {
         scaled
     }
 
-    /// A copy that carries a point mass (kg, 0 or above) on its last actuated body, at `com` in that body's frame (m).
-    /// For runs with a mismatched plant.
+    /// A model with a point `mass` (kg, 0 or above) on its last actuated body, at `com` in the frame of that body (m). For
+    /// runs with a mismatched plant.
     pub fn with_payload(&self, mass: f64, com: Vector3<f64>) -> Self {
         let mut loaded = self.clone();
         // Joining nothing would still round.
@@ -196,8 +172,8 @@ impl Model {
         loaded
     }
 
-    /// A copy whose motors have rotors of the inertia `rotors`, reflected to the actuated joints (kg m^2, 0 or above): on the
-    /// diagonal of M, the usual approximation of a geared drive, without gyroscopic terms. f (5) stays as it is.
+    /// A model with the rotor inertias `rotors`, reflected to the actuated joints (kg m^2, 0 or above), on the diagonal of M:
+    /// the usual approximation of a geared drive, without gyroscopic terms. f (5) does not depend on them.
     pub fn with_rotors(&self, rotors: [f64; NU]) -> Self {
         let mut geared = self.clone();
         geared.rotors = rotors.into();
@@ -205,7 +181,7 @@ impl Model {
         geared
     }
 
-    /// Joint torques J^T F, N m, of a `force` (N, world frame) on the tip of the pendulum.
+    /// Joint torques J^T F, N m, of a `force` F (N, world frame) on the tip of the pendulum, for `q` in rad.
     pub fn torque_of_tip_force(&self, q: &JointVector, force: &Vector3<f64>) -> JointVector {
         let frames = self.frames(q);
         let last = &frames[NQ - 1];

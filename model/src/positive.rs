@@ -1,5 +1,5 @@
-//! The solution of M x = b for the mass matrix of the whole chain. Simulation spends a fifth of its time here if it leaves
-//! this to a decomposition for matrices of any size; the operations and their order are those of nalgebra's.
+//! Solves M x = b for the mass matrix M of the whole chain. A simulation with a decomposition for matrices of any size
+//! spends a fifth of its time in it; the operations and their order are those of nalgebra.
 
 use crate::{JointMatrix, JointVector, NQ};
 

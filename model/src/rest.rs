@@ -1,24 +1,24 @@
-//! The hanging equilibrium of the unactuated joints.
+//! Rest positions: the hanging equilibria of the unactuated joints.
 
-use crate::{JointVector, Model, N_UNACTUATED, NQ, NU, UnactuatedVector, Workspace};
+use crate::{JointParts, JointVector, Model, N_UNACTUATED, NU, UnactuatedVector, Workspace};
 
-/// No hanging equilibrium was found.
+/// The search for a rest position found none.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("no rest position of the unactuated joints: |g_U| stays at {residual:e} N m")]
 pub struct RestError {
-    /// What is left of |g_U|, N m.
+    /// |g_U| at the last iterate, N m.
     pub residual: f64,
 }
 
-/// Longest step of the iteration, rad: where the curvature nearly vanishes, a full step would lead many turns away.
+/// Longest step of the iteration, rad: where the curvature nearly vanishes, a full step would be many turns long.
 const LONGEST_STEP: f64 = 0.5;
 
 impl Model {
-    /// The pose q = [q_A, q_U] (rad) in which the unactuated joints hang at rest: g_U(q) = 0 with positive
-    /// curvature of the potential energy. Starts from the q_U given; joints q_A stay as they are.
+    /// A rest position q = [q_A, q_U], rad: the unactuated joints hang, g_U(q) = 0 with a positive curvature
+    /// of the potential energy. A damped Newton iteration from the q_U of `q`; q_A stays as it is.
     ///
     /// # Errors
-    /// [`RestError`] if the damped Newton iteration does not settle.
+    /// [`RestError`] if the iteration does not converge.
     pub fn rest_position(&self, q: &JointVector, work: &mut Workspace) -> Result<JointVector, RestError> {
         let mut q = *q;
         let mut energy = self.potential_energy(&q);
@@ -41,9 +41,8 @@ impl Model {
             let mut fraction = (LONGEST_STEP / step.norm()).min(1.0);
             loop {
                 let mut trial = q;
-                for i in 0..N_UNACTUATED {
-                    trial[NU + i] += fraction * step[i];
-                }
+                let mut q_u = trial.unactuated_mut();
+                q_u += step * fraction;
                 let trial_energy = self.potential_energy(&trial);
                 // The slack is the rounding of an energy of about 100 J.
                 if trial_energy <= energy + 1e-13 || fraction < 1e-6 {
@@ -56,7 +55,7 @@ impl Model {
         if residual < 1e-10 && q.iter().all(|v| v.is_finite()) { Ok(q) } else { Err(RestError { residual }) }
     }
 
-    /// g_U (N m) and its derivative with respect to q_U.
+    /// g_U (N m) and its derivative with respect to q_U (N m/rad).
     fn unactuated_gravity(
         &self,
         q: &JointVector,
@@ -65,9 +64,6 @@ impl Model {
         let zero = JointVector::zeros();
         let r = self.inverse_dynamics(q, &zero, &zero, work);
         let (dr_dq, _) = work.inverse_dynamics_derivatives();
-        (
-            r.fixed_rows::<N_UNACTUATED>(NU).into(),
-            dr_dq.fixed_view::<N_UNACTUATED, N_UNACTUATED>(NQ - N_UNACTUATED, NQ - N_UNACTUATED).into(),
-        )
+        (r.unactuated(), dr_dq.fixed_view::<N_UNACTUATED, N_UNACTUATED>(NU, NU).into())
     }
 }

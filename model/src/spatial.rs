@@ -5,8 +5,8 @@
 use nalgebra::{Matrix3, Vector3};
 use std::ops::{Add, AddAssign, Mul, Sub};
 
-/// A spatial motion (angular, linear velocity of the point at the origin) or force (moment about the
-/// origin, force).
+/// A spatial vector: a motion (angular velocity, linear velocity of the body point at the origin) or a force (moment about
+/// the origin, force).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Spatial {
     pub ang: Vector3<f64>,
@@ -71,12 +71,12 @@ impl Mul<f64> for Spatial {
     }
 }
 
-/// Inertia of one body, or of several joined ones, about the world origin.
+/// Spatial inertia of one rigid body, or of several joined ones, about the world origin.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Inertia {
-    /// m, kg
+    /// m, mass, kg.
     pub mass: f64,
-    /// m c, kg m
+    /// m c, mass times centre of mass, kg m.
     pub moment: Vector3<f64>,
     /// Rotational inertia about the origin, kg m^2.
     pub rotational: Matrix3<f64>,
@@ -89,7 +89,7 @@ impl Inertia {
         Self { mass, moment: com * mass, rotational: about_com + parallel_axis }
     }
 
-    /// Momentum of a motion, or force of an acceleration.
+    /// Momentum of the body in the motion `m`, or the force that the acceleration `m` needs.
     #[inline]
     pub(crate) fn apply(&self, m: &Spatial) -> Spatial {
         Spatial::new(

@@ -2,8 +2,8 @@
 //! them.
 
 use crate::description::{Urdf, UrdfJoint, UrdfJointKind};
-use crate::model::{Frame, Joint, Limits, Model};
-use crate::{ActuatedVector, JointVector, NQ, NU};
+use crate::model::{Frame, Joint, Model};
+use crate::{ActuatedVector, JointVector, Limits, NQ, NU};
 use nalgebra::{Isometry3, Matrix3, Vector3};
 
 /// Standard gravity as used by the paper, m/s^2, along -z of the URDF's root frame.

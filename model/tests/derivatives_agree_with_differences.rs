@@ -99,7 +99,7 @@ fn the_input_enters_linearly() {
         let (x, u) = (golden.x(), golden.u());
         let d = model.derivatives(&x, &u, &mut work);
         let step = ActuatedVector::repeat(0.5);
-        let moved = model.accelerations(&x, &(u + step), &mut work);
+        let moved = model.hybrid_dynamics(&x, &(u + step), &mut work);
         assert_close("tau", moved.tau.iter().copied(), (d.value.tau + d.tau_u * step).iter().copied(), 1e-11);
         let qdd_u = d.value.qdd_u + d.qdd_u_u * step;
         assert_close("qdd_U", moved.qdd_u.iter().copied(), qdd_u.iter().copied(), 1e-11);

@@ -4,11 +4,11 @@
 mod common;
 
 use common::{Golden, robot};
-use upswing_model::{JointVector, Model, State, Workspace, position, state, velocity};
+use upswing_model::{JointVector, Model, State, StateParts, Workspace, state};
 
 /// d/dt x = [qd, qdd] without torque.
 fn derivative(model: &Model, x: &State, work: &mut Workspace) -> State {
-    let (q, qd) = (position(x), velocity(x));
+    let (q, qd) = (x.q(), x.qd());
     let qdd = model.forward_dynamics(&q, &qd, &JointVector::zeros(), work).expect("M is positive definite");
     state(&qd, &qdd)
 }

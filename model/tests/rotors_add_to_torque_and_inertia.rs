@@ -4,7 +4,7 @@ mod common;
 
 use common::{Golden, assert_close, robot};
 use nalgebra::SMatrix;
-use upswing_model::{ActuatedVector, NQ, NU, Workspace, position, velocity};
+use upswing_model::{ActuatedVector, NQ, NU, StateParts, Workspace};
 
 const ROTORS: [f64; NU] = [10.8, 10.9, 4.8, 4.9, 1.4, 0.5, 0.4];
 
@@ -37,7 +37,7 @@ fn to_every_quantity_of_the_control_law() {
         assert_close("M~ a", flat(&carried), flat(&(inertia * a)), 1e-9);
 
         // Forward dynamics undo the torque law.
-        let (q, qd) = (position(&x), velocity(&x));
+        let (q, qd) = (x.q(), x.qd());
         let mut tau = upswing_model::JointVector::zeros();
         tau.fixed_rows_mut::<NU>(0).copy_from(&geared.torque(&x, &u, &mut work));
         let qdd = geared.forward_dynamics(&q, &qd, &tau, &mut work).expect("M is positive definite");

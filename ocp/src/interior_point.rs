@@ -10,13 +10,13 @@ mod conditions;
 mod filter;
 mod newton;
 
-use crate::problem::{LimitKind, Problem};
+use crate::problem::Problem;
 use bounded::Bounded;
 use filter::Filter;
 use nalgebra::SVector;
 use newton::{Direction, Linear};
 use std::time::{Duration, Instant};
-use upswing_model::{ActuatedVector, NU, NX, State, Workspace};
+use upswing_model::{ActuatedVector, LimitKind, NU, NX, State, Workspace};
 use upswing_trajectory::{KNOTS, Knots, N, Trajectory};
 
 /// When to stop.

@@ -3,7 +3,7 @@
 use crate::rows::{Pivot, STATE_ROW, StateRow, add_scaled};
 use nalgebra::SMatrix;
 use upswing_model::{ActuatedVector, Derivatives, Model, N_UNACTUATED, NQ, NU, NX, State, Workspace};
-use upswing_trajectory::{Gain, KNOTS, Knots, N, Trajectory};
+use upswing_trajectory::{Gain, Gains, KNOTS, N, Trajectory};
 
 type StateMatrix = SMatrix<f64, NX, NX>;
 
@@ -41,15 +41,6 @@ impl Rows {
         }
         out
     }
-}
-
-/// Gains of a trajectory.
-#[derive(Clone, Debug)]
-pub struct Gains {
-    /// K_k of (23) at the knots.
-    pub knots: Knots<Gain>,
-    /// The gain that holds x_N, for the weights of Balance.
-    pub end: Gain,
 }
 
 /// The Riccati equation (21) has no stabilising solution at the trajectory's end.

@@ -1,8 +1,8 @@
 //! Solves the nonlinear program from several initial guesses and keeps the cheapest solution: it has several local optima.
 
 use crate::interior_point::{self, Limit, Options, Solution, Status};
-use crate::problem::{LimitKind, Problem};
-use upswing_model::{NQ, NU, Workspace};
+use crate::problem::Problem;
+use upswing_model::{LimitKind, NQ, NU, StateParts, Workspace};
 use upswing_trajectory::Trajectory;
 
 /// Half waves (joint counted from 0, rad) on the lines from which an optimisation begins, near the mean of the optima of
@@ -110,10 +110,10 @@ fn most_exceeded(
         let (_, tau) = problem.knot(x, u, &mut work);
         let (tau_min, tau_max) = problem.torque.bounds(&limits.tau_max);
         for joint in joints.clone() {
-            let (value, lower, upper) = match kind {
-                LimitKind::Position => (x[joint], limits.q_min[joint], limits.q_max[joint]),
-                LimitKind::Velocity => (x[NQ + joint], -limits.qd_max[joint], limits.qd_max[joint]),
-                LimitKind::Torque => (tau[joint], tau_min[joint], tau_max[joint]),
+            let (value, (lower, upper)) = match kind {
+                LimitKind::Position => (x.q()[joint], limits.range(kind, joint)),
+                LimitKind::Velocity => (x.qd()[joint], limits.range(kind, joint)),
+                LimitKind::Torque => (tau[joint], (tau_min[joint], tau_max[joint])),
             };
             let excess = (lower - value).max(value - upper) / (upper - lower);
             if excess > worst.0 {

@@ -3,9 +3,10 @@
 use crate::kkt::TargetRow;
 use nalgebra::SVector;
 use upswing_model::{
-    ActuatedVector, Derivatives, Hessian, Limits, Model, NQ, NX, State, UnactuatedVector, Workspace, state,
+    ActuatedVector, Derivatives, Hessian, Limits, Model, NQ, NX, State, StateParts, UnactuatedVector,
+    Workspace, state,
 };
-use upswing_trajectory::{KNOTS, N, Spline, Trajectory};
+use upswing_trajectory::{KNOTS, N, Trajectory};
 
 /// Which form of the motor torque is kept within its limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,27 +30,6 @@ impl TorqueConstraint {
             Self::Exact => (-tau_max, *tau_max),
             Self::WithoutCoriolis { lower, upper } => (-tau_max - lower, tau_max - upper),
         }
-    }
-}
-
-/// What the limit of a joint bounds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum LimitKind {
-    /// q
-    Position,
-    /// qd
-    Velocity,
-    /// tau_A
-    Torque,
-}
-
-impl std::fmt::Display for LimitKind {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            Self::Position => "position",
-            Self::Velocity => "velocity",
-            Self::Torque => "torque",
-        })
     }
 }
 
@@ -119,8 +99,7 @@ impl Problem<'_> {
         /// The least, as a share of the range.
         const LEAST: f64 = 1e-4;
         let f = trajectory.f(self.model, &mut Workspace::default());
-        let Trajectory { t_f, x, u } = trajectory;
-        let spline = Spline { t_f: *t_f, x, u, f: &f };
+        let spline = trajectory.spline(&f);
         let (lowest, highest) =
             (state(&self.limits.q_min, &-self.limits.qd_max), state(&self.limits.q_max, &self.limits.qd_max));
         self.narrower.resize(KNOTS, State::zeros());
@@ -222,12 +201,12 @@ impl Problem<'_> {
             let covered = if s < 0.5 { covered } else { 1.0 - covered };
             let speed = SPEED * (edge / RAMP).min(1.0);
             for i in 0..NQ {
-                guess.x[k][i] = self.start[i] + way[i] * covered;
-                guess.x[k][NQ + i] = way[i] * speed / t_f;
+                guess.x[k].q_mut()[i] = self.start[i] + way[i] * covered;
+                guess.x[k].qd_mut()[i] = way[i] * speed / t_f;
             }
             for (joint, amplitude) in bends {
-                guess.x[k][*joint] += amplitude * (PI * s).sin();
-                guess.x[k][NQ + *joint] += amplitude * PI / t_f * (PI * s).cos();
+                guess.x[k].q_mut()[*joint] += amplitude * (PI * s).sin();
+                guess.x[k].qd_mut()[*joint] += amplitude * PI / t_f * (PI * s).cos();
             }
         }
         guess

@@ -13,11 +13,11 @@ mod clarabel;
 pub mod structured;
 
 use crate::kkt::{KnotDynamics, KnotVector, TargetRow};
-use crate::problem::{KnotDerivatives, LimitKind, Problem, TorqueConstraint};
+use crate::problem::{KnotDerivatives, Problem, TorqueConstraint};
 use nalgebra::SMatrix;
 use std::time::Instant;
 use structured::Structured;
-use upswing_model::{ActuatedVector, NU, NX, NZ, State, Workspace};
+use upswing_model::{ActuatedVector, LimitKind, NU, NX, NZ, State, Workspace};
 use upswing_trajectory::{N, Trajectory};
 
 /// Linearised torque of one knot within its bounds: `lower` <= J dz <= `upper`, N m.

@@ -16,7 +16,7 @@ pub use verify::{Discrepancy, Finding, verify};
 use crate::offline::problem_fingerprint;
 use std::path::{Path, PathBuf};
 use upswing_config::{Config, GridSettings};
-use upswing_model::{N_UNACTUATED, NU, State};
+use upswing_model::{State, StateParts};
 use upswing_process::output::OutputError;
 use upswing_trajectory::{Certificate, Database, DatabaseError, Heading, Outcome, Trajectory};
 use xxhash_rust::xxh3::Xxh3;
@@ -209,7 +209,7 @@ pub fn read(path: &Path) -> Result<Database, BuildError> {
 fn start_of(config: &Config, pose: usize) -> Option<State> {
     let grid = &config.grid;
     let start = config.start_state(&grid.pose(pose), grid.start).ok();
-    start.filter(|x| x.rows(NU, N_UNACTUATED).amax() <= grid.max_rest_angle)
+    start.filter(|x| x.q_u().amax() <= grid.max_rest_angle)
 }
 
 /// The certificate of a trajectory under the settings' limits and weights.

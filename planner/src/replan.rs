@@ -15,14 +15,14 @@ use crate::offline::{self, lqr_weights, problem, problem_fingerprint, qp_weights
 use std::time::Instant;
 use upswing_config::{Config, ConfigError, QpBackend};
 use upswing_ipc::operator::Manoeuvre;
-use upswing_model::{NU, NX, State, Workspace, position, velocity};
+use upswing_model::{LimitKind, NU, NX, State, StateParts, Workspace};
 use upswing_ocp::interior_point;
 use upswing_ocp::kkt::{KnotVector, TargetRow};
-use upswing_ocp::lqr::{self, Gains};
+use upswing_ocp::lqr;
 use upswing_ocp::multistart::{self, Search};
 use upswing_ocp::problem::Problem;
 use upswing_ocp::qp::{Backend, Options, Qp, Solver, Status};
-use upswing_trajectory::{Certificate, Database, DatabaseError, Entry, Margins, N, Trajectory, Unfit};
+use upswing_trajectory::{Database, DatabaseError, Entry, Gains, Margins, N, Trajectory, Unfit};
 
 /// Accuracy of each QP. A tenth of the defect that four linearisations reach.
 const QP_TOLERANCE: f64 = 1e-9;
@@ -347,10 +347,10 @@ impl Planner {
             let exceeds = problem.narrow(&found);
             match verdict {
                 Ok(plan) if exceeds && tolerable.is_none() => tolerable = Some(plan),
-                Err(Refusal::Unfit { unfit: Unfit::Limit { what, joint, got, highest, .. }, .. })
+                Err(Refusal::Unfit { unfit: Unfit::Limit { kind, joint, got, highest, .. }, .. })
                     if tolerable.is_none() && round < NARROWED =>
                 {
-                    if what == "torque" {
+                    if kind == LimitKind::Torque {
                         problem.limits.tau_max[joint] -= 1.5 * (got.abs() - highest);
                     }
                 }
@@ -377,18 +377,19 @@ impl Planner {
         let mut work = Workspace::default();
         let begin = Instant::now();
         let model = &self.config.model;
-        let gate = self.config.gate();
+        let criteria = self.config.plan_criteria();
         let unfit = |unfit| Refusal::Unfit { method, iterations, unfit };
-        gate.check_motion(model, &trajectory, &trajectory.f(model, &mut work)).map_err(unfit)?;
-        let defect = trajectory.defect(model, &mut work);
-        let margins = Margins::of(&trajectory, model, &self.config.robot.planning, Certificate::BETWEEN);
+        let f = trajectory.f(model, &mut work);
+        let spline = trajectory.spline(&f);
+        let margins = criteria.check_motion(model, &spline).map_err(unfit)?;
+        let defect = spline.defect();
         times.check += begin.elapsed();
         let begin = Instant::now();
         let ts = self.config.daemon.cycle.period.seconds();
         let gains = lqr::synthesize(model, &trajectory, &lqr_weights(&self.config.planner), ts, &mut work)?;
         times.lqr += begin.elapsed();
         let begin = Instant::now();
-        gate.check_feedback(model, &trajectory, &gains.knots, &gains.end).map_err(unfit)?;
+        criteria.check_feedback(model, &trajectory, &gains).map_err(unfit)?;
         times.check += begin.elapsed();
         Ok(Accepted { trajectory, gains, method, iterations, defect, margins })
     }
@@ -407,9 +408,9 @@ impl Planner {
         let share = 1.0 - knot_margin;
         l.tau_max *= share;
         // A start beyond these limits, or measured a hair outside, must not make the first step infeasible.
-        l.q_min = (middle - half * share).inf(&position(start));
-        l.q_max = (middle + half * share).sup(&position(start));
-        l.qd_max = (l.qd_max * share).sup(&velocity(start).abs());
+        l.q_min = (middle - half * share).inf(&start.q());
+        l.q_max = (middle + half * share).sup(&start.q());
+        l.qd_max = (l.qd_max * share).sup(&start.qd().abs());
         keep_target_within(&mut problem);
         problem
     }

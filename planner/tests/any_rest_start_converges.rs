@@ -2,10 +2,9 @@
 //! starts at q8 = q9 = 0 near the level flange do, too; what is infeasible is named with its limit.
 
 use upswing_config::{Config, PendulumStart};
-use upswing_model::{NQ, State, Workspace};
+use upswing_model::{LimitKind, NQ, State, Workspace};
 use upswing_ocp::interior_point::{Solution, Status};
 use upswing_ocp::multistart::Search;
-use upswing_ocp::problem::LimitKind;
 use upswing_planner::offline::{optimize, options};
 
 /// Enough to meet rare trouble, few enough for a test; 1000 were run while this was written.

@@ -1,5 +1,5 @@
 //! From every pose at rest from which the optimisation finds a swing-up the planner does, too, wherever the database's
-//! entries are: accepted by the daemon's gate, and hardly longer than the optimum.
+//! entries are: a plan that meets the criteria of the daemon, and is hardly longer than the optimum.
 
 use rayon::prelude::*;
 use upswing_config::{Config, PendulumStart};
@@ -38,7 +38,10 @@ fn plans_where_there_is_an_optimum(planner: &Planner, start: &State) -> bool {
     assert!((replan.trajectory.x[0] - start).amax() <= 1e-7, "from {q}: starts elsewhere");
     let longer = replan.trajectory.t_f / optimum.trajectory.t_f;
     assert!(longer <= LONGEST, "from {q}: {:.3} s, {longer:.4} of the optimum", replan.trajectory.t_f);
-    config.gate().check(&config.model, &replan.plan(config)).unwrap_or_else(|e| panic!("from {q}: {e}"));
+    config
+        .plan_criteria()
+        .check(&config.model, &replan.plan(config))
+        .unwrap_or_else(|e| panic!("from {q}: {e}"));
     true
 }
 

@@ -3,7 +3,7 @@
 
 use nalgebra::SMatrix;
 use upswing_config::Config;
-use upswing_model::{ActuatedVector, NQ, NU, NX, State, Workspace, position};
+use upswing_model::{ActuatedVector, NQ, NU, NX, State, StateParts, Workspace};
 use upswing_ocp::lqr::synthesize;
 use upswing_planner::offline::lqr_weights;
 use upswing_planner::replan::Planner;
@@ -28,7 +28,7 @@ fn dense_step(
 
 /// `a` of (19) at `x` with viscous friction in the bearings of the pendulum, N m s/rad.
 fn with_bearings(config: &Config, x: &State, a: &StateMatrix, friction: f64) -> StateMatrix {
-    let mass = config.model.mass_matrix(&position(x), &mut Workspace::default());
+    let mass = config.model.mass_matrix(&x.q(), &mut Workspace::default());
     let m_uu: SMatrix<f64, 2, 2> = mass.fixed_view::<2, 2>(7, 7).into();
     let mut a = *a;
     let mut block = a.fixed_view_mut::<2, 2>(16, 16);

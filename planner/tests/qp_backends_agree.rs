@@ -2,9 +2,8 @@
 //! infeasible.
 
 use upswing_config::{Config, PendulumStart};
-use upswing_model::{NQ, NU, NX, NZ, State, Workspace};
+use upswing_model::{LimitKind, NQ, NU, NX, NZ, State, Workspace};
 use upswing_ocp::kkt::KnotVector;
-use upswing_ocp::problem::LimitKind;
 use upswing_ocp::qp::{Backend, Bound, Options, Qp, Solver, Status};
 use upswing_planner::offline::{problem, qp_weights};
 use upswing_planner::replan::Planner;

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use upswing_config::{Config, PendulumStart};
 use upswing_ipc::operator::{Manoeuvre, NextAction, Request};
 use upswing_ipc::{Clock, Mode, PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus, Telemetry};
-use upswing_model::{NQ, State};
+use upswing_model::{NQ, State, StateParts};
 use upswing_planner::replan::Planner;
 use upswing_planner::service::Desk;
 use upswing_trajectory::{N, Plan};
@@ -149,7 +149,7 @@ fn a_swing_down_begins_upright_and_ends_hanging_at_rest() {
     assert!(answer.margin_q >= 0.0 && answer.margin_qd >= 0.0 && answer.margin_tau >= 0.0, "{answer:?}");
     let end = trajectory.x[N];
     assert!(end.fixed_rows::<NQ>(NQ).amax() < 1e-7, "not at rest");
-    let q = upswing_model::position(&end);
+    let q = end.q();
     let hanging = planner.config().model.rest_position(&q, &mut upswing_model::Workspace::default());
     assert!((hanging.expect("a rest pose") - q).amax() < 1e-6, "not hanging");
 }

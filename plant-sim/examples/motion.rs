@@ -8,7 +8,7 @@ use std::error::Error;
 use std::io::{BufRead, BufWriter, Write, stdin, stdout};
 use upswing_config::Config;
 use upswing_ipc::Command;
-use upswing_model::{NQ, NX, State, position, state, velocity};
+use upswing_model::{NQ, NX, State, StateParts, state};
 use upswing_plant::Plant;
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -23,7 +23,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         return Err(format!("expected {NX} numbers, {NQ} angles and velocities, got {}", first.len()).into());
     }
     let x = State::from_column_slice(&first);
-    let mut plant = Plant::at(&config, &position(&x), &velocity(&x))?;
+    let mut plant = Plant::at(&config, &x.q(), &x.qd())?;
     let mut output = BufWriter::new(stdout().lock());
     for line in lines {
         let tau = serde_json::from_str(&line?)?;

@@ -7,7 +7,7 @@ use crate::mechanism::{ExternalLoad, Mechanism, TipForce};
 use crate::start::{StateError, check_state};
 use upswing_config::{Config, Fault, Push, RobotSettings};
 use upswing_ipc::{Clock, Command, Measurement};
-use upswing_model::{ActuatedVector, JointVector, NU, Period, position, velocity};
+use upswing_model::{ActuatedVector, JointVector, NU, Period, StateParts};
 
 /// Simulated robot arm and pendulum with drives, encoders, brakes and faults.
 ///
@@ -39,7 +39,7 @@ impl Plant {
         let start = &config.plant.start;
         let model = config.plant.model.apply(&config.plant_model);
         let x = config.start_state_of(&model, &start.q, start.pendulum)?;
-        Self::at(config, &position(&x), &velocity(&x))
+        Self::at(config, &x.q(), &x.qd())
     }
 
     /// A plant in a given state (q in rad, qd in rad/s, joint frames), with closed brakes, before cycle 1.

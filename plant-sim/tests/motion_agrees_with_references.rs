@@ -4,7 +4,7 @@ mod common;
 
 use common::{frictionless, level_pose, torque};
 use upswing_config::Config;
-use upswing_model::{JointVector, Model, NU, State, Workspace, position, state, velocity};
+use upswing_model::{JointVector, Model, NU, State, StateParts, Workspace, state};
 use upswing_plant::Plant;
 
 /// Period of a pendulum over that of its small swings: 1 / agm(1, cos(amplitude / 2)).
@@ -74,7 +74,7 @@ fn the_rod_swings_like_a_uniform_rod_of_half_a_metre() {
 
 /// f of the free arm under a constant torque.
 fn free(model: &Model, x: &State, tau: &JointVector, work: &mut Workspace) -> State {
-    let (q, qd) = (position(x), velocity(x));
+    let (q, qd) = (x.q(), x.qd());
     state(&qd, &model.forward_dynamics(&q, &qd, tau, work).unwrap())
 }
 
@@ -122,7 +122,7 @@ fn one_second_under_changing_torques_agrees_with_order_twelve() {
         plant.step(Some(&torque(tau.fixed_rows::<NU>(0).into_owned().into())));
         x = extrapolated(&config.model, &x, &tau, h, work);
     }
-    let (moved, error) = ((position(&x) - q).amax(), (state(plant.position(), plant.velocity()) - x).amax());
+    let (moved, error) = ((x.q() - q).amax(), (state(plant.position(), plant.velocity()) - x).amax());
     println!("moved by {moved} rad, differs by {error:e} rad or rad/s");
     assert!(moved > 0.3);
     assert!(error < 1e-8, "{error:e} rad or rad/s");

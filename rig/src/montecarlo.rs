@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
 use upswing_config::{Config, PendulumStart};
 use upswing_ipc::Telemetry;
-use upswing_model::{N_UNACTUATED, NU, State};
+use upswing_model::{NU, State, StateParts};
 use upswing_ocp::qp::Solver;
 use upswing_planner::replan::Planner;
 use upswing_plant::Plant;
@@ -60,7 +60,7 @@ impl Starts<'_> {
                 q_a[axis.joint] = axis.from + (axis.to - axis.from) * unit(&mut rng);
             }
             if let Ok(x) = self.config.start_state(&q_a, PendulumStart::Rest)
-                && x.fixed_rows::<N_UNACTUATED>(NU).amax() <= LARGEST_REST_ANGLE
+                && x.q_u().amax() <= LARGEST_REST_ANGLE
             {
                 return Ok(x);
             }

@@ -15,7 +15,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use upswing_ipc::operator::{Manoeuvre, OperatorError, Request};
 use upswing_ipc::{Clock, ControlResponse, Mode, PlantKind, PlantRequest, Telemetry};
-use upswing_model::{JointVector, State};
+use upswing_model::{JointVector, State, StateParts};
 use upswing_record::report::tilt;
 
 /// Balance before the push and after it, and hold after the swing-down, s.
@@ -184,7 +184,7 @@ impl<'a> Soak<'a> {
         let angle = std::f64::consts::TAU * share();
 
         self.phase = "settle";
-        let q = upswing_model::position(start).into();
+        let q = start.q().into();
         let reset = PlantRequest { q, ..PlantRequest::new(PlantKind::ResetState) };
         self.session.plant(&reset)?;
         self.pass(SETTLE)?;

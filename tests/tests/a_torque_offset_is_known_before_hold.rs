@@ -3,7 +3,7 @@
 
 use upswing_config::{Config, PendulumStart};
 use upswing_ipc::Mode;
-use upswing_model::{NU, position, velocity};
+use upswing_model::{NU, StateParts};
 use upswing_plant::Plant;
 use upswing_rig::closed_loop::ClosedLoop;
 use upswingd::step::Request;
@@ -16,7 +16,7 @@ fn the_arm_stays_where_it_is_when_the_brakes_open() {
         let mut q = [0.0; NU];
         (q[1], q[3], q[5]) = (f64::to_radians(q2_deg), -1.5, 0.1);
         let x = config.start_state(&q, PendulumStart::Rest).expect("a pose with a rest");
-        let plant = Plant::at(&config, &position(&x), &velocity(&x)).expect("inside its limits");
+        let plant = Plant::at(&config, &x.q(), &x.qd()).expect("inside its limits");
         let mut system = ClosedLoop::new(&config, plant);
         system.cycle(&mut None);
         let mut order = Some(Request::Enable);
@@ -26,7 +26,7 @@ fn the_arm_stays_where_it_is_when_the_brakes_open() {
             fastest = fastest.max(system.plant.velocity().fixed_rows::<NU>(0).amax());
         }
         let mode = system.controller.mode();
-        let astray = (system.plant.position() - position(&x)).fixed_rows::<NU>(0).amax();
+        let astray = (system.plant.position() - x.q()).fixed_rows::<NU>(0).amax();
         let text = format!("q2 {q2_deg} deg: {mode}, {fastest:.4} rad/s at most, {astray:.5} rad astray");
         println!("{text}");
         assert!(mode == Mode::Hold && fastest < 0.05 && astray < 0.001, "{text}");

@@ -1,31 +1,30 @@
-//! What a database entry is worth: figures that anybody can compute again.
+//! The certificate of a database entry: figures of its trajectory that can be computed again from the trajectory alone.
 
-use crate::{Margins, N, Spline, Trajectory, largest};
+use crate::{Margins, N, Trajectory, largest};
 use upswing_model::{Limits, Model, State, Workspace};
 
-/// Figures of one trajectory, recomputable by [`Certificate::of`].
+/// Cost, accuracy and margins of one trajectory, which [`Certificate::of`] computes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Certificate {
-    /// J of (6a).
+    /// Cost J (6a), s.
     pub cost: f64,
-    /// Largest component of (6b), rad or rad/s.
+    /// Largest component of the defects (6b), rad or rad/s.
     pub defect: f64,
-    /// Smallest margin of a position on a dense time grid, as a share of half its range.
+    /// Smallest margin of a position, also between the knots, as a share of half the range.
     pub margin_q: f64,
     /// Smallest margin of a velocity, likewise.
     pub margin_qd: f64,
     /// Smallest margin of a motor torque, likewise.
     pub margin_tau: f64,
-    /// Largest component (rad or rad/s) by which the state at t_F misses x_N if the nonlinear dynamics follow the
-    /// spline's u from x_0 without feedback; an adaptive integrator of high accuracy. Infinite if that has no end.
+    /// Largest component (rad or rad/s) of [`open_loop_end`] less x_N. Infinite if the integration fails.
     pub end_error: f64,
 }
 
 impl Certificate {
-    /// Points between two knots at which limits are looked at.
+    /// Points between two knots at which margins are taken.
     pub const BETWEEN: usize = 9;
 
-    /// Computes all figures for R = `input_weight` I (s^4/rad^2) and `limits`.
+    /// The certificate of a trajectory, for R = `input_weight` I (s^4/rad^2) and `limits`.
     pub fn of(trajectory: &Trajectory, model: &Model, limits: &Limits, input_weight: f64) -> Self {
         let mut work = Workspace::default();
         let margins = Margins::of(trajectory, model, limits, Self::BETWEEN);
@@ -35,22 +34,23 @@ impl Certificate {
             margin_q: margins.q.share,
             margin_qd: margins.qd.share,
             margin_tau: margins.tau.share,
-            end_error: largest(&(follow(trajectory, model, &mut work) - trajectory.x[N])),
+            end_error: largest(&(open_loop_end(trajectory, model, &mut work) - trajectory.x[N])),
         }
     }
 
-    /// The figures in the order of the file.
+    /// The figures in the order of the database file.
     pub(crate) fn to_array(self) -> [f64; 6] {
         [self.cost, self.defect, self.margin_q, self.margin_qd, self.margin_tau, self.end_error]
     }
 
+    /// The certificate of the figures in the order of the database file.
     pub(crate) fn from_array(v: [f64; 6]) -> Self {
         let [cost, defect, margin_q, margin_qd, margin_tau, end_error] = v;
         Self { cost, defect, margin_q, margin_qd, margin_tau, end_error }
     }
 
-    /// Largest difference to `other`, relative to the larger of 1 and the figure: two computations of the same
-    /// trajectory differ by rounding only. Infinite if a figure is not finite.
+    /// Largest difference of a figure to that of `other`, relative to the larger of 1 and the figure. Two computations of
+    /// the same trajectory differ by rounding only. Infinite if a figure is not finite.
     pub fn difference(&self, other: &Self) -> f64 {
         self.to_array()
             .iter()
@@ -60,16 +60,17 @@ impl Certificate {
     }
 }
 
-/// x(t_F) of the dynamics (5) under the spline's u from x_0, by the method of Dormand and Prince (J. Comput. Appl.
-/// Math. 6, 1980) of order 5 with error control of order 4, restarted at each knot, where u has a kink. Not a number if
-/// the error cannot be kept small: then it is no trajectory.
-pub fn follow(trajectory: &Trajectory, model: &Model, work: &mut Workspace) -> State {
-    /// Largest local error, rad or rad/s.
+/// The state at t_F, rad and rad/s, that the dynamics (5) reach from x_0 without feedback under u(t) of the spline (12).
+///
+/// By the method of Dormand and Prince (J. Comput. Appl. Math. 6, 1980) of order 5 with error control of order 4, restarted
+/// at each knot, where u(t) has a kink. All components are NaN if the local error cannot be kept small.
+pub fn open_loop_end(trajectory: &Trajectory, model: &Model, work: &mut Workspace) -> State {
+    /// Largest local error of a step, rad or rad/s.
     const TOLERANCE: f64 = 1e-11;
-    /// Shortest step that is tried, s.
+    /// Shortest step, s.
     const SHORTEST: f64 = 1e-9;
     let f = trajectory.f(model, work);
-    let spline = Spline { t_f: trajectory.t_f, x: &trajectory.x, u: &trajectory.u, f: &f };
+    let spline = trajectory.spline(&f);
     let mut x = trajectory.x[0];
     let mut step = trajectory.h();
     for k in 0..N {
@@ -92,7 +93,7 @@ pub fn follow(trajectory: &Trajectory, model: &Model, work: &mut Workspace) -> S
     x
 }
 
-/// One step of length `h`: the new state and an estimate of its error.
+/// One step of length `h` (s) from `x` at `t`: the new state and an estimate of its error.
 fn dormand_prince(x: &State, t: f64, h: f64, mut f: impl FnMut(f64, &State) -> State) -> (State, State) {
     const C: [f64; 7] = [0.0, 0.2, 0.3, 0.8, 8.0 / 9.0, 1.0, 1.0];
     const A: [[f64; 6]; 7] = [
@@ -104,7 +105,7 @@ fn dormand_prince(x: &State, t: f64, h: f64, mut f: impl FnMut(f64, &State) -> S
         [9017.0 / 3168.0, -355.0 / 33.0, 46732.0 / 5247.0, 49.0 / 176.0, -5103.0 / 18656.0, 0.0],
         [35.0 / 384.0, 0.0, 500.0 / 1113.0, 125.0 / 192.0, -2187.0 / 6784.0, 11.0 / 84.0],
     ];
-    /// Weights of order 5 less those of order 4.
+    /// Weights of order 5 minus those of order 4.
     const E: [f64; 7] =
         [71.0 / 57600.0, 0.0, -71.0 / 16695.0, 71.0 / 1920.0, -17253.0 / 339200.0, 22.0 / 525.0, -1.0 / 40.0];
     let mut slopes = [State::zeros(); 7];

@@ -1,162 +1,164 @@
-//! The trajectory database as a file.
+//! The file format of the trajectory database.
 //!
-//! Little-endian words of 8 bytes. The header: magic, format version, dimensions, fingerprints, size of the grid,
-//! shard, number of records, checksum. Then one record per pose of the grid, in its order: number of the pose,
-//! outcome and, where that is a trajectory, its certificate, t_F, x_0, and (u_k, q_U,k, qd_U,k) at each knot; the arm's
-//! states follow from u by (6b), which is exact for its double integrators. Each record ends with its checksum (xxh3).
+//! A file consists of little-endian words of 8 bytes. The header holds: magic, format version, dimensions, fingerprints,
+//! number of poses in the grid, shard, number of records, checksum. One record per pose of the grid follows, in the order
+//! of the grid: number of the pose, outcome and, if a trajectory was found, its certificate, t_F, x_0, and
+//! (u_k, q_U,k, qd_U,k) at each knot. The states of the actuated joints follow from u by (6b), which is exact for double
+//! integrators. Each record ends with its checksum (XXH3, 64 bit).
 //!
-//! While a database is built its records are appended to a journal: the same file without the number of records.
+//! During a build, records are appended to a journal: the same file without the number of records.
 
 use crate::{Certificate, KNOTS, N, Trajectory};
-use upswing_model::{ActuatedVector, N_UNACTUATED, NQ, NU, NX, State};
+use upswing_model::{ActuatedVector, N_UNACTUATED, NU, NX, State, StateParts};
 use xxhash_rust::xxh3::xxh3_64;
 
 const MAGIC: &[u8; 8] = b"upswing\0";
 const VERSION: u64 = 2;
-/// Words of the header, the checksum included.
+/// Words of the header, including its checksum.
 const HEADER_WORDS: usize = 13;
 const HEADER: usize = 8 * HEADER_WORDS;
-/// Number of records of a journal.
+/// Number of records in the header of a journal, which is not known yet.
 const OPEN_END: u64 = u64::MAX;
-/// Pose, outcome, checksum.
+/// Bytes of a record without trajectory: pose, outcome, checksum.
 const SHORT_RECORD: usize = 3 * 8;
-/// Certificate, t_F, x_0, knots.
+/// Words of a trajectory: certificate, t_F, x_0, knots.
 const ENTRY_WORDS: usize = 6 + 1 + NX + KNOTS * (NU + 2 * N_UNACTUATED);
+/// Bytes of a record with a trajectory.
 const LONG_RECORD: usize = SHORT_RECORD + 8 * ENTRY_WORDS;
 
-/// One solved start.
+/// The optimal trajectory from one start state.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Entry {
-    /// The trajectory; its x_0 is the start.
+    /// The trajectory; its x_0 is the start state.
     pub trajectory: Trajectory,
-    /// Its figures.
+    /// The certificate of the trajectory.
     pub certificate: Certificate,
 }
 
-/// What became of one pose of the grid.
+/// The result for one pose of the grid.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Outcome {
-    /// Left out by the rules of the grid: no rest position within the limits.
+    /// The grid leaves the pose out, because the pendulum has no rest position within the limits there.
     Rejected,
-    /// No trajectory was found.
+    /// The optimisation found no trajectory.
     Failed,
-    /// Solved.
+    /// The optimisation found a trajectory.
     Solved(Box<Entry>),
 }
 
-/// One pose of the grid.
+/// One pose of the grid with its result.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Record {
     /// Number of the pose in the order of the grid, from 0.
     pub pose: u64,
-    /// What became of it.
+    /// The result for this pose.
     pub outcome: Outcome,
 }
 
-/// What a database was made for, and which part of it a file holds.
+/// The robot, the settings and the grid that a database was made for, and the part of it that a file holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Heading {
     /// Fingerprint of the model.
     pub model: u64,
-    /// Fingerprint of limits, weights and target of the optimisation.
+    /// Fingerprint of the limits, weights and target of the optimisation.
     pub problem: u64,
     /// Fingerprint of the grid.
     pub grid: u64,
-    /// Poses of the whole grid.
+    /// Number of poses in the whole grid.
     pub poses: u64,
     /// Number of this shard, from 1.
     pub shard: u64,
-    /// Number of shards; 1: the whole database.
+    /// Number of shards; 1: the file holds the whole database.
     pub shards: u64,
 }
 
-/// Trajectories of one robot under one set of limits and weights.
+/// Optimal trajectories of one robot under one set of limits and weights.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Database {
-    /// What it was made for.
+    /// The robot, settings and grid of the database.
     pub heading: Heading,
     /// One record per pose, in the order of the grid.
     pub records: Vec<Record>,
 }
 
-/// Why bytes are not a usable database.
+/// Why a file is not a usable database.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum DatabaseError {
-    /// Too short or too long.
+    /// The file is too short or too long.
     #[error("expected {expected} bytes for {what}, got {got}: the file is truncated or was appended to")]
     Length {
-        /// What the bytes should hold.
+        /// The part that the bytes should hold.
         what: String,
-        /// Bytes that belong there.
+        /// Expected number of bytes.
         expected: usize,
-        /// Bytes there.
+        /// Number of bytes in the file.
         got: usize,
     },
-    /// Another kind of file.
+    /// The file is of another kind.
     #[error("not an upswing database: it begins with {got:02x?}")]
     Magic {
-        /// The first bytes.
+        /// The first bytes of the file.
         got: Vec<u8>,
     },
-    /// Written by another version, or for other dimensions.
+    /// The file was written by another version, or for other dimensions.
     #[error("{what}: this build expects {expected}, the file has {got}; rebuild it with `upswing db build`")]
     Layout {
-        /// What differs.
+        /// Name of the number that differs.
         what: &'static str,
-        /// Of this build.
+        /// The number of this build.
         expected: u64,
-        /// Of the file.
+        /// The number in the file.
         got: u64,
     },
     /// A checksum does not match.
     #[error("{what} is damaged: checksum {expected:016x} is recorded, the bytes give {got:016x}")]
     Checksum {
-        /// Header or record.
+        /// The header, or a record by its number.
         what: String,
-        /// Recorded.
+        /// The checksum in the file.
         expected: u64,
-        /// Computed.
+        /// The checksum of the bytes.
         got: u64,
     },
-    /// A number that the format does not have.
+    /// A number is outside the range that the format allows.
     #[error("{what}: expected {expected}, got {got}")]
     Value {
-        /// Which number.
+        /// Name of the number.
         what: String,
-        /// What it may be.
+        /// The range that is allowed.
         expected: String,
-        /// What it is.
+        /// The number in the file.
         got: String,
     },
-    /// Made for another robot or other settings.
+    /// The database was made for another robot or other settings.
     #[error(
         "the database was made for another {what}: its fingerprint is {got:016x}, the settings give \
          {expected:016x}; rebuild it with `upswing db build`"
     )]
     Fingerprint {
-        /// Model, problem or grid.
+        /// The robot model, or the limits and weights.
         what: &'static str,
-        /// Of the settings.
+        /// The fingerprint of the settings.
         expected: u64,
-        /// Of the file.
+        /// The fingerprint in the file.
         got: u64,
     },
-    /// No entries.
+    /// The database has no entries.
     #[error("the database is empty; build one with `upswing db build`")]
     Empty,
-    /// Only a part.
+    /// The file holds only a part of a database.
     #[error("the file is shard {shard} of {shards}; join all of them with `upswing db merge`")]
     Shard {
-        /// Its number.
+        /// Number of the shard, from 1.
         shard: u64,
-        /// How many there are.
+        /// Number of shards.
         shards: u64,
     },
 }
 
 impl Entry {
-    /// An entry from a solver's trajectory. The arm's states are replaced by those that follow from x_0 and u by
-    /// (6b), which differ by the solver's tolerance: what is certified is what the file holds.
+    /// The entry of a trajectory that a solver found. The states of the actuated joints are replaced by those that follow
+    /// from x_0 and u by (6b), as when the file is read; they differ by the tolerance of the solver.
     pub fn new(trajectory: &Trajectory, certify: impl FnOnce(&Trajectory) -> Certificate) -> Self {
         let trajectory = integrate_arm(trajectory.clone());
         let certificate = certify(&trajectory);
@@ -164,21 +166,20 @@ impl Entry {
     }
 }
 
-/// Fills in q_A and qd_A of all knots but the first from u by (6b).
+/// Computes q_A and qd_A of all knots after the first from u by (6b).
 fn integrate_arm(mut t: Trajectory) -> Trajectory {
     let half_h = 0.5 * t.h();
     for k in 0..N {
-        for i in 0..NU {
-            let qd = t.x[k][NQ + i] + half_h * (t.u[k][i] + t.u[k + 1][i]);
-            t.x[k + 1][i] = t.x[k][i] + half_h * (t.x[k][NQ + i] + qd);
-            t.x[k + 1][NQ + i] = qd;
-        }
+        let (q_a, qd_a) = (t.x[k].q_a(), t.x[k].qd_a());
+        let next_qd_a = qd_a + (t.u[k] + t.u[k + 1]) * half_h;
+        t.x[k + 1].q_a_mut().copy_from(&(q_a + (qd_a + next_qd_a) * half_h));
+        t.x[k + 1].qd_a_mut().copy_from(&next_qd_a);
     }
     t
 }
 
 impl Heading {
-    /// The header of a file with so many records.
+    /// The bytes of the header of a file with this number of records.
     fn encode(&self, records: u64) -> Vec<u8> {
         let mut bytes = MAGIC.to_vec();
         let words = [
@@ -260,9 +261,9 @@ impl Record {
             t.x[0].iter().for_each(|v| put(*v));
             for (x, u) in t.knots() {
                 u.iter().for_each(|v| put(*v));
-                for i in 0..N_UNACTUATED {
-                    put(x[NU + i]);
-                    put(x[NQ + NU + i]);
+                for (q, qd) in x.q_u().iter().zip(&x.qd_u()) {
+                    put(*q);
+                    put(*qd);
                 }
             }
         }
@@ -270,7 +271,7 @@ impl Record {
         bytes
     }
 
-    /// Reads the record at the beginning of `bytes`; its length comes with it.
+    /// The record at the beginning of `bytes`, and its length in bytes.
     fn decode(bytes: &[u8], number: usize) -> Result<(Self, usize), DatabaseError> {
         let what = || format!("record {number}");
         let truncated = |expected| DatabaseError::Length { what: what(), expected, got: bytes.len() };
@@ -297,7 +298,7 @@ impl Record {
     }
 }
 
-/// An entry, whose certificate may be any.
+/// The entry in the bytes of a record after its outcome. The figures of its certificate may be any numbers.
 fn decode_entry(bytes: &[u8], what: impl Fn() -> String) -> Result<Entry, DatabaseError> {
     let mut values = bytes.chunks_exact(8).map(|c| f64::from_le_bytes(std::array::from_fn(|b| c[b])));
     let mut next = || values.next().unwrap_or(f64::NAN);
@@ -309,8 +310,8 @@ fn decode_entry(bytes: &[u8], what: impl Fn() -> String) -> Result<Entry, Databa
     for k in 0..KNOTS {
         u[k] = ActuatedVector::from_fn(|_, _| next());
         for i in 0..N_UNACTUATED {
-            x[k][NU + i] = next();
-            x[k][NQ + NU + i] = next();
+            x[k].q_u_mut()[i] = next();
+            x[k].qd_u_mut()[i] = next();
         }
     }
     let refuse = |name: &str, expected: String, got: f64| {
@@ -336,15 +337,15 @@ impl Database {
         bytes
     }
 
-    /// Reads the bytes of a file.
+    /// The database in the bytes of a file.
     ///
     /// # Errors
-    /// [`DatabaseError`] naming what does not fit; nothing of a damaged file is used.
+    /// [`DatabaseError`] if a part of the file is damaged or of another version.
     pub fn decode(bytes: &[u8]) -> Result<Self, DatabaseError> {
         let (heading, count) = Heading::decode(bytes)?;
         let mut records = Vec::new();
         let mut at = HEADER;
-        // A journal has no number of records; the last one must be whole here, too.
+        // A journal has no number of records; its last record must be complete, too.
         while if count == OPEN_END { at < bytes.len() } else { (records.len() as u64) < count } {
             let (record, length) = Record::decode(&bytes[at..], records.len())?;
             at += length;
@@ -357,10 +358,11 @@ impl Database {
         Ok(Self { heading, records })
     }
 
-    /// Reads a journal as far as it is whole: what a killed process left behind, and the length of that part.
+    /// The complete records of a journal, whose end a killed process may have left incomplete, and their length in bytes,
+    /// including the header.
     ///
     /// # Errors
-    /// [`DatabaseError`] if not even the header is whole.
+    /// [`DatabaseError`] if the header is damaged.
     pub fn recover(bytes: &[u8]) -> Result<(Self, usize), DatabaseError> {
         let (heading, _) = Heading::decode(bytes)?;
         let mut records = Vec::new();
@@ -380,7 +382,7 @@ impl Database {
         })
     }
 
-    /// Takes the entries of a database that was made for this robot and these settings.
+    /// The entries of a database that was made for the model and the problem with these fingerprints.
     ///
     /// # Errors
     /// [`DatabaseError::Fingerprint`] with both fingerprints, [`DatabaseError::Shard`] or [`DatabaseError::Empty`].
@@ -408,17 +410,18 @@ impl Database {
     }
 }
 
+/// Word number `i` of the bytes.
 fn word(bytes: &[u8], i: usize) -> u64 {
     u64::from_le_bytes(std::array::from_fn(|b| bytes[i * 8 + b]))
 }
 
-/// Appends the checksum of the bytes.
+/// Appends the checksum of the bytes to them.
 fn seal(bytes: &mut Vec<u8>) {
     let checksum = xxh3_64(bytes);
     bytes.extend_from_slice(&checksum.to_le_bytes());
 }
 
-/// Compares the checksum at the end of `bytes`.
+/// Checks the checksum at the end of `bytes`; `what` names the part for the error.
 fn check(bytes: &[u8], what: impl Fn() -> String) -> Result<(), DatabaseError> {
     let content = &bytes[..bytes.len() - 8];
     let (expected, got) = (word(bytes, bytes.len() / 8 - 1), xxh3_64(content));

@@ -1,7 +1,7 @@
-//! Swing-up trajectories xi (7): their spline (12), gain schedule, checks against limits, and the database
-//! file that holds them.
+//! Trajectories xi (7), the spline (12) through their knots, plans with their feedback gains, the criteria that a plan
+//! has to meet, and the database file.
 
-/// Number of collocation intervals, the paper's N.
+/// Number of collocation intervals, N of the paper.
 pub const N: usize = 100;
 /// Number of knots, x_0..x_N.
 pub const KNOTS: usize = N + 1;
@@ -9,20 +9,20 @@ pub const KNOTS: usize = N + 1;
 pub type Knots<T> = Box<[T; KNOTS]>;
 
 mod certificate;
+mod criteria;
 mod database;
-mod gate;
 mod margins;
 mod plan;
 mod trajectory;
 
-pub use certificate::{Certificate, follow};
+pub use certificate::{Certificate, open_loop_end};
+pub use criteria::{Ending, LoopDelays, PlanCriteria, Unfit};
 pub use database::{Database, DatabaseError, Entry, Heading, Outcome, Record};
-pub use gate::{Delays, Ending, Gate, Unfit};
 pub use margins::{Margin, Margins};
-pub use plan::{Gain, Plan, Reference};
+pub use plan::{Gain, Gains, Plan, Reference};
 pub use trajectory::{Spline, Trajectory};
 
-/// Largest absolute component; infinite if one is not a number.
-fn largest(v: &upswing_model::State) -> f64 {
-    v.iter().fold(0.0, |worst: f64, v| if v.is_nan() { f64::INFINITY } else { worst.max(v.abs()) })
+/// Largest absolute component of a state; infinite if a component is NaN.
+fn largest(x: &upswing_model::State) -> f64 {
+    x.iter().fold(0.0, |worst: f64, v| if v.is_nan() { f64::INFINITY } else { worst.max(v.abs()) })
 }

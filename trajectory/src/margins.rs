@@ -1,27 +1,26 @@
-//! How far a trajectory stays from its limits, between the knots too.
+//! Margins: how far a trajectory stays from its limits, also between the knots.
 
 use crate::{N, Spline, Trajectory};
-use upswing_model::{Limits, Model, NQ, NU, Workspace, position, velocity};
+use upswing_model::{ActuatedVector, LimitKind, Limits, Model, NQ, NU, State, StateParts, Workspace};
 
-/// The smallest distance to one kind of limit, as a share of that limit's range: 1 in the middle, 0 on the limit,
-/// negative beyond it.
+/// The smallest distance to the limits of one kind.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Margin {
-    /// Share of half the range.
+    /// Distance as a share of half the range: 1 in the middle, 0 on the limit, negative beyond it.
     pub share: f64,
-    /// The joint that comes closest, 0-based.
+    /// The joint that comes closest to its limit, from 0.
     pub joint: usize,
-    /// When, s.
+    /// Time of the smallest distance since the start of the trajectory, s.
     pub time: f64,
 }
 
 impl Margin {
     const NONE: Self = Self { share: f64::INFINITY, joint: 0, time: 0.0 };
 
-    fn update(&mut self, value: f64, lower: f64, upper: f64, joint: usize, time: f64) {
+    fn include(&mut self, value: f64, (lower, upper): (f64, f64), joint: usize, time: f64) {
         let half = 0.5 * (upper - lower);
         let share = (value - lower).min(upper - value) / half;
-        // A NaN is the worst of all.
+        // A NaN counts as the smallest margin.
         let share = if share.is_nan() { f64::NEG_INFINITY } else { share };
         if share < self.share {
             *self = Self { share, joint, time };
@@ -29,39 +28,67 @@ impl Margin {
     }
 }
 
-/// Smallest margins of a trajectory to its limits.
+/// One point of the spline (12) with the motor torque that it needs.
+pub(crate) struct Sample {
+    /// s since the start of the trajectory.
+    time: f64,
+    x: State,
+    /// tau_A (9), N m.
+    pub(crate) tau: ActuatedVector,
+}
+
+impl Sample {
+    /// Point number `i` of the `N * parts + 1` points that divide each interval into `parts` equal ones.
+    pub(crate) fn new(
+        spline: &Spline<'_>,
+        i: usize,
+        parts: usize,
+        model: &Model,
+        work: &mut Workspace,
+    ) -> Self {
+        let time = spline.t_f * i as f64 / (N * parts) as f64;
+        let x = spline.state(time);
+        let tau = model.torque(&x, &spline.input(time), work);
+        Self { time, x, tau }
+    }
+}
+
+/// The smallest margins of a trajectory to its limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Margins {
     /// Of the positions.
     pub q: Margin,
     /// Of the velocities.
     pub qd: Margin,
-    /// Of the motor torques (9) that the spline's x and u need.
+    /// Of the motor torques (9).
     pub tau: Margin,
 }
 
 impl Margins {
-    /// Samples the spline (12) at the knots and at `between` more points in each interval.
+    pub(crate) const NONE: Self = Self { q: Margin::NONE, qd: Margin::NONE, tau: Margin::NONE };
+
+    /// The margins of the spline (12) at its knots and at `between` more points in each interval.
     pub fn of(trajectory: &Trajectory, model: &Model, limits: &Limits, between: usize) -> Self {
         let mut work = Workspace::default();
         let f = trajectory.f(model, &mut work);
-        let spline = Spline { t_f: trajectory.t_f, x: &trajectory.x, u: &trajectory.u, f: &f };
-        let mut margins = Self { q: Margin::NONE, qd: Margin::NONE, tau: Margin::NONE };
-        let samples = N * (between + 1);
-        for i in 0..=samples {
-            let t = trajectory.t_f * i as f64 / samples as f64;
-            let (x, u) = (spline.state(t), spline.input(t));
-            let (q, qd) = (position(&x), velocity(&x));
-            for j in 0..NQ {
-                margins.q.update(q[j], limits.q_min[j], limits.q_max[j], j, t);
-                margins.qd.update(qd[j], -limits.qd_max[j], limits.qd_max[j], j, t);
-            }
-            let tau = model.torque(&x, &u, &mut work);
-            for j in 0..NU {
-                margins.tau.update(tau[j], -limits.tau_max[j], limits.tau_max[j], j, t);
-            }
+        let spline = trajectory.spline(&f);
+        let parts = between + 1;
+        let mut margins = Self::NONE;
+        for i in 0..=N * parts {
+            margins.include(&Sample::new(&spline, i, parts, model, &mut work), limits);
         }
         margins
+    }
+
+    pub(crate) fn include(&mut self, sample: &Sample, limits: &Limits) {
+        let (q, qd) = (sample.x.q(), sample.x.qd());
+        for joint in 0..NQ {
+            self.q.include(q[joint], limits.range(LimitKind::Position, joint), joint, sample.time);
+            self.qd.include(qd[joint], limits.range(LimitKind::Velocity, joint), joint, sample.time);
+        }
+        for joint in 0..NU {
+            self.tau.include(sample.tau[joint], limits.range(LimitKind::Torque, joint), joint, sample.time);
+        }
     }
 
     /// The smallest of the three shares.

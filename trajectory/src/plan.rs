@@ -1,45 +1,52 @@
-//! A plan: a trajectory with the gains that track it and hold its end.
+//! A plan: a trajectory with the feedback gains that track it and hold its end.
 
 use crate::{Knots, N, Spline, Trajectory};
 use upswing_model::{ActuatedVector, NU, NX, State};
 
-/// Feedback gain K of (22): du = K dx, rad/s^2 per rad and per rad/s; NU x NX.
+/// Feedback gain K (22), NU x NX: du = K dx, 1/s^2 for positions and 1/s for velocities.
 pub type Gain = nalgebra::SMatrix<f64, NU, NX>;
 
-/// What the controller follows at one moment.
+/// Feedback gains of a trajectory.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Gains {
+    /// K_k (23) at the knots.
+    pub knots: Knots<Gain>,
+    /// The gain that holds x_N after t_F, from the algebraic Riccati equation (21).
+    pub end: Gain,
+}
+
+/// The reference of the controller at one moment: u = u_d + K (x - x_d).
 #[derive(Clone, Copy, Debug)]
 pub struct Reference {
-    /// x^d = [q, qd], rad and rad/s.
+    /// x_d = [q, qd], rad and rad/s.
     pub x: State,
-    /// u^d, rad/s^2.
+    /// u_d, rad/s^2.
     pub u: ActuatedVector,
-    /// K
+    /// K, 1/s^2 and 1/s.
     pub gain: Gain,
 }
 
-/// A trajectory ready to be tracked: (12) for x^d and u^d, and the gains of (23) at its knots.
+/// A trajectory with its gains and its spline: what the daemon tracks.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plan {
-    /// Names the plan; never 0.
+    /// Identity of the plan, above 0.
     pub id: u64,
-    /// Fingerprint of the model it was made for.
+    /// Fingerprint of the model that the plan was made for.
     pub fingerprint: u64,
     /// Moment of t = 0, for which x_0 was predicted, ns on the daemon's clock. `None`: the plan begins whenever it is
     /// started, because the robot stays at x_0.
     pub activation_ns: Option<u64>,
-    /// x_k, u_k, t_F
+    /// t_F, x_k and u_k.
     pub trajectory: Trajectory,
-    /// f_k at the knots.
+    /// f_k = f(x_k, u_k), rad/s and rad/s^2.
     pub f: Knots<State>,
-    /// K_k at the knots.
-    pub gains: Knots<Gain>,
-    /// Gain of the balance at x_N (from the DARE).
-    pub final_gain: Gain,
+    /// K_k and the gain that holds x_N.
+    pub gains: Gains,
 }
 
 impl Plan {
-    /// The reference at `t` (s) after the plan's start; after t_F the target x_N with the final gain and u = 0.
-    /// Does not allocate.
+    /// The reference at the time `t` (s) since the start of the plan, K interpolated linearly between the knots; after
+    /// t_F that of [`Self::end`]. Does not allocate.
     pub fn reference(&self, t: f64) -> Reference {
         if t >= self.trajectory.t_f {
             return self.end();
@@ -47,20 +54,21 @@ impl Plan {
         let spline = self.spline();
         let (k, dt) = spline.locate(t);
         let share = dt / self.trajectory.h();
+        let gains = &self.gains.knots;
         Reference {
             x: spline.state(t),
             u: spline.input(t),
-            gain: self.gains[k] + (self.gains[k + 1] - self.gains[k]) * share,
+            gain: gains[k] + (gains[k + 1] - gains[k]) * share,
         }
     }
 
-    /// The target: x_N, u = 0 and the final gain.
+    /// The reference after t_F: x_N, u = 0 and the gain that holds x_N.
     pub fn end(&self) -> Reference {
-        Reference { x: self.trajectory.x[N], u: ActuatedVector::zeros(), gain: self.final_gain }
+        Reference { x: self.trajectory.x[N], u: ActuatedVector::zeros(), gain: self.gains.end }
     }
 
-    /// The plan's spline (12).
+    /// The spline (12) of the trajectory.
     pub fn spline(&self) -> Spline<'_> {
-        Spline { t_f: self.trajectory.t_f, x: &self.trajectory.x, u: &self.trajectory.u, f: &self.f }
+        self.trajectory.spline(&self.f)
     }
 }

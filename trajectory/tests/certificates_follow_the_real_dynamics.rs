@@ -2,7 +2,7 @@
 //! with the trapezoidal rule and finds the end that another one finds. What no integrator can follow has none.
 
 use upswing_model::{ActuatedVector, JointVector, Model, Workspace, state};
-use upswing_trajectory::{Certificate, KNOTS, N, Spline, Trajectory, follow};
+use upswing_trajectory::{Certificate, KNOTS, N, Trajectory, open_loop_end};
 
 fn robot() -> Model {
     Model::from_urdf(include_str!("../../config/robot.urdf")).expect("the shipped robot")
@@ -42,7 +42,7 @@ fn motion(model: &Model) -> Trajectory {
 fn two_integrators_find_the_same_end() {
     let model = robot();
     let trajectory = motion(&model);
-    let end = follow(&trajectory, &model, &mut Workspace::default());
+    let end = open_loop_end(&trajectory, &model, &mut Workspace::default());
     assert!((end - trajectory.x[N]).amax() < 1e-9, "they differ by {:e}", (end - trajectory.x[N]).amax());
 }
 
@@ -62,8 +62,7 @@ fn figures_are_those_of_the_trajectory() {
     assert_eq!(c.difference(&c), 0.0);
     assert!(c.difference(&Certificate { end_error: f64::NAN, ..c }).is_infinite());
     let f = trajectory.f(&model, &mut Workspace::default());
-    let spline = Spline { t_f: 1.0, x: &trajectory.x, u: &trajectory.u, f: &f };
-    assert_eq!(spline.state(0.0), trajectory.x[0]);
+    assert_eq!(trajectory.spline(&f).state(0.0), trajectory.x[0]);
 }
 
 #[test]

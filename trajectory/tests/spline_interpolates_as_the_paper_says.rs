@@ -2,7 +2,7 @@
 //! times outside [0, t_F], and NaN, give an end.
 
 use upswing_model::{ActuatedVector, State};
-use upswing_trajectory::{Gain, N, Plan, Trajectory};
+use upswing_trajectory::{Gain, Gains, N, Plan, Trajectory};
 
 /// Knots of x(t) = f0 t + c t^2 / 2, for which (12) is exact.
 fn plan() -> Plan {
@@ -18,9 +18,11 @@ fn plan() -> Plan {
             u: Box::new(std::array::from_fn(|k| ActuatedVector::repeat(k as f64))),
         },
         f: Box::new(std::array::from_fn(|k| f0 + c * time(k))),
-        gains: Box::new(std::array::from_fn(|k| Gain::repeat(k as f64))),
+        gains: Gains {
+            knots: Box::new(std::array::from_fn(|k| Gain::repeat(k as f64))),
+            end: Gain::repeat(-1.0),
+        },
         activation_ns: None,
-        final_gain: Gain::repeat(-1.0),
     }
 }
 
@@ -44,10 +46,7 @@ fn at_and_beyond_the_ends() {
     assert_eq!(plan.reference(-1.0).x, plan.trajectory.x[0]);
     for t in [2.0, 2.1, f64::INFINITY] {
         let end = plan.reference(t);
-        assert_eq!(
-            (end.x, end.u, end.gain),
-            (plan.trajectory.x[N], ActuatedVector::zeros(), plan.final_gain)
-        );
+        assert_eq!((end.x, end.u, end.gain), (plan.trajectory.x[N], ActuatedVector::zeros(), plan.gains.end));
     }
     assert!(plan.reference(f64::NAN).x.iter().all(|v| v.is_finite()));
 }

@@ -5,7 +5,7 @@ pub mod live;
 
 use upswing_config::Config;
 use upswing_ipc::{Clock, Command, Measurement, Plan as Payload};
-use upswing_model::{ActuatedVector, JointVector, NQ, NU, State, Workspace, position, state, velocity};
+use upswing_model::{ActuatedVector, JointVector, NQ, NU, State, StateParts, Workspace, state};
 use upswing_ocp::lqr;
 use upswing_planner::offline::lqr_weights;
 use upswing_planner::replan::Planner;
@@ -67,7 +67,7 @@ impl Arm {
 
     pub fn measure(&mut self) -> Measurement {
         self.seq += 1;
-        measurement(self.seq, &position(&self.x))
+        measurement(self.seq, &self.x.q())
     }
 
     /// One period under a constant torque, by one Runge-Kutta step of fourth order; with closed brakes none.
@@ -78,7 +78,7 @@ impl Arm {
         let mut tau = JointVector::zeros();
         tau.fixed_rows_mut::<NU>(0).copy_from_slice(&command.tau);
         let mut f = |x: &State| {
-            let (q, qd) = (position(x), velocity(x));
+            let (q, qd) = (x.q(), x.qd());
             state(&qd, &self.config.model.forward_dynamics(&q, &qd, &tau, &mut self.work).unwrap())
         };
         let k1 = f(&self.x);
@@ -128,8 +128,7 @@ pub fn swing(config: &Config, q: &JointVector) -> (Box<Plan>, Box<Plan>) {
         fingerprint: up.fingerprint,
         f: trajectory.f(&config.model, &mut work),
         trajectory,
-        gains: gains.knots,
-        final_gain: gains.end,
+        gains,
         activation_ns: None,
     };
     // Through shared memory and the checks, as in life.

@@ -3,7 +3,7 @@
 use super::{WORD, Zeroable, boxed_zeroed};
 use iceoryx2::prelude::ZeroCopySend;
 use upswing_model::{ActuatedVector, NU, NX, State};
-use upswing_trajectory::{self as trajectory, Gain, KNOTS, Trajectory};
+use upswing_trajectory::{self as trajectory, Gain, Gains, KNOTS, Trajectory};
 use xxhash_rust::xxh3::xxh3_64;
 
 /// A trajectory xi with its gain schedule, planner -> daemon; x = [q, qd], knots uniform over [0, t_F].
@@ -109,9 +109,9 @@ impl From<&trajectory::Plan> for Box<Plan> {
             message.x[k] = plan.trajectory.x[k].into();
             message.u[k] = plan.trajectory.u[k].into();
             message.f[k] = plan.f[k].into();
-            message.k[k] = rows(&plan.gains[k]);
+            message.k[k] = rows(&plan.gains.knots[k]);
         }
-        message.k_final = rows(&plan.final_gain);
+        message.k_final = rows(&plan.gains.end);
         message.seal();
         message
     }
@@ -154,8 +154,10 @@ impl TryFrom<&Plan> for Box<trajectory::Plan> {
                 u: Box::new(std::array::from_fn(|k| ActuatedVector::from(message.u[k]))),
             },
             f: Box::new(std::array::from_fn(|k| State::from(message.f[k]))),
-            gains: Box::new(std::array::from_fn(|k| gain(&message.k[k]))),
-            final_gain: gain(&message.k_final),
+            gains: Gains {
+                knots: Box::new(std::array::from_fn(|k| gain(&message.k[k]))),
+                end: gain(&message.k_final),
+            },
         }))
     }
 }

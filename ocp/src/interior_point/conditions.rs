@@ -2,8 +2,7 @@
 
 use super::newton::Linear;
 use super::{Bounded, Limit, Scalar, Solver};
-use crate::problem::LimitKind;
-use upswing_model::{NQ, NU, NX};
+use upswing_model::{LimitKind, NU, NX};
 use upswing_trajectory::{KNOTS, N};
 
 /// Multipliers up to this mean size leave the residuals unscaled.
@@ -84,8 +83,7 @@ impl Solver<'_> {
         for (k, b) in self.bound_x.iter().enumerate() {
             for i in 0..NX {
                 let pull = b.z_lower[i].max(b.z_upper[i]) * (b.upper[i] - b.lower[i]);
-                let (kind, joint) =
-                    if i < NQ { (LimitKind::Position, i) } else { (LimitKind::Velocity, i - NQ) };
+                let (kind, joint) = LimitKind::of_row(i);
                 consider(pull, kind, joint, k + 1);
             }
         }

@@ -11,9 +11,8 @@
 
 use super::{Bound, Conflict, Options, Qp, Solution, Stall, Status};
 use crate::kkt::{Factor, Kkt, KnotDynamics, KnotMatrix, KnotVector, Rhs, SolveWorkspace, Step, TargetRow};
-use crate::problem::LimitKind;
 use crate::rows::ROW;
-use upswing_model::{NQ, NU, NX, NZ, State};
+use upswing_model::{LimitKind, NU, NX, NZ, State};
 
 /// Number of bounded quantities: torques of knot 0, then states and torques of each knot, then dt.
 const fn bounded_quantities(intervals: usize) -> usize {
@@ -488,8 +487,10 @@ impl Structured {
             }
         }
         let bound = match heaviest {
-            i if i < NQ => Bound::Joint(LimitKind::Position, i),
-            i if i < NX => Bound::Joint(LimitKind::Velocity, i - NQ),
+            i if i < NX => {
+                let (kind, joint) = LimitKind::of_row(i);
+                Bound::Joint(kind, joint)
+            }
             i if i < NZ => Bound::Joint(LimitKind::Torque, i - NX),
             _ => Bound::Duration,
         };

@@ -5,9 +5,9 @@ use std::time::Duration;
 use upswing_config::Config;
 use upswing_model::Workspace;
 use upswing_ocp::interior_point;
-use upswing_ocp::lqr::{self, Gains};
+use upswing_ocp::lqr;
 use upswing_ocp::qp::{Conflict, Stall};
-use upswing_trajectory::{Margins, Plan, Trajectory, Unfit};
+use upswing_trajectory::{Gains, Margins, Plan, Trajectory, Unfit};
 
 /// A neighbour that was tried in vain.
 #[derive(Clone, Debug)]
@@ -160,8 +160,7 @@ impl Replan {
             fingerprint: config.model.fingerprint(),
             f: self.trajectory.f(&config.model, &mut work),
             trajectory: self.trajectory.clone(),
-            gains: self.gains.knots.clone(),
-            final_gain: self.gains.end,
+            gains: self.gains.clone(),
             activation_ns: None,
         }
     }

@@ -3,7 +3,7 @@
 use super::{Curve, Look, POINTS, draw_panels, write};
 use upswing_model::{ActuatedVector, Limits, Model, NQ, NU, State, Workspace};
 use upswing_process::output::Output;
-use upswing_trajectory::{Spline, Trajectory};
+use upswing_trajectory::Trajectory;
 
 /// The spline (12) of a trajectory with the torques (9) that it needs.
 struct Samples {
@@ -16,7 +16,7 @@ impl Samples {
     fn of(trajectory: &Trajectory, model: &Model) -> Self {
         let mut work = Workspace::default();
         let f = trajectory.f(model, &mut work);
-        let spline = Spline { t_f: trajectory.t_f, x: &trajectory.x, u: &trajectory.u, f: &f };
+        let spline = trajectory.spline(&f);
         let t: Vec<f64> = (0..=POINTS).map(|i| trajectory.t_f * i as f64 / POINTS as f64).collect();
         let x: Vec<State> = t.iter().map(|t| spline.state(*t)).collect();
         let tau = t.iter().zip(&x).map(|(t, x)| model.torque(x, &spline.input(*t), &mut work)).collect();

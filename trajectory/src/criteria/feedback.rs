@@ -1,29 +1,30 @@
-//! The gains of a plan: what they do to a deviation from it, with the delays of the loop that runs.
+//! Criteria for the gains of a plan: their torques, and the stability of the closed loop with its delays.
 
-use super::{Ending, Gate, MOST_AMPLIFIED, MOST_STEP, Unfit, finite};
-use crate::{Gain, KNOTS, N, Trajectory};
+use super::{Ending, MOST_AMPLIFIED, MOST_STEP, PlanCriteria, Unfit, finite};
+use crate::{Gain, Gains, N, Trajectory};
 use nalgebra::{DMatrix, DVector, SMatrix};
-use upswing_model::{ActuatedVector, Model, NQ, NU, NX, State, Workspace, position};
+use upswing_model::{ActuatedVector, Model, NQ, NU, NX, State, StateParts, Workspace};
 
-/// What delays the feedback.
+/// Delays of the feedback loop of the daemon.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Delays {
-    /// T_s, s.
+pub struct LoopDelays {
+    /// T_s, control period, s.
     pub period: f64,
-    /// T_1 of the differential filter, s; `None` where the model makes up for its lag.
+    /// T_1, time constant of the differential filter of the velocities, s; `None` where its lag is compensated.
     pub velocity_filter: Option<f64>,
-    /// Periods from a measurement until its torque acts; 0: it acts in the period that the measurement begins.
+    /// Periods from a measurement until its torque acts; 0: the torque acts in the period that begins with the
+    /// measurement.
     pub cycles: usize,
 }
 
-impl Delays {
+impl LoopDelays {
     /// Dimension of the state of the closed loop.
     fn dimension(&self) -> usize {
         NX + NQ + self.cycles * NU
     }
 
-    /// The closed loop over one period, for the deviation s = (x, z, u that is on its way, oldest first): x of (19) with
-    /// `a` and `b`, z of the differential filter, u = K [q, v] (22).
+    /// The matrix of the closed loop over one period, for the deviation s = (x, z, delayed inputs u, oldest first): x of (19)
+    /// with `a` and `b`, z the state of the differential filter, u = K [q, v] (22) with the filtered velocities v.
     fn closed_loop(&self, a: &SMatrix<f64, NX, NX>, b: &SMatrix<f64, NX, NU>, gain: &Gain) -> DMatrix<f64> {
         let ts = self.period;
         // Two terms of the exponential: one alone drives an undamped pendulum.
@@ -64,28 +65,23 @@ impl Delays {
     }
 }
 
-impl Gate {
-    /// The part of [`Gate::check`] about the gains, of a trajectory that has passed [`Gate::check_motion`].
+impl PlanCriteria {
+    /// The part of [`Self::check`] about the gains, for a trajectory that meets [`Self::check_motion`].
     ///
-    /// Each gain on its own: the torque by which it answers one deviation that the start tolerates. All together, and the
-    /// final one where the rod stands: the [amplification](Unfit::Amplification) of the closed loop from every knot on.
+    /// For each gain: the torque with which it answers a deviation of one row of the state by the start tolerance. For all
+    /// of them, with the gain that holds x_N where the rod stands: the [amplification](Unfit::Amplification) of the closed
+    /// loop from every knot on.
     ///
     /// # Errors
-    /// The first check that failed, with its numbers.
-    pub fn check_feedback(
-        &self,
-        model: &Model,
-        trajectory: &Trajectory,
-        gains: &[Gain; KNOTS],
-        final_gain: &Gain,
-    ) -> Result<(), Unfit> {
-        finite("K", gains.iter().map(|k| k.as_slice()))?;
-        finite("the final K", std::iter::once(final_gain.as_slice()))?;
+    /// The first criterion that the gains do not meet, with its numbers.
+    pub fn check_feedback(&self, model: &Model, trajectory: &Trajectory, gains: &Gains) -> Result<(), Unfit> {
+        finite("K", gains.knots.iter().map(|k| k.as_slice()))?;
+        finite("the final K", std::iter::once(gains.end.as_slice()))?;
         let mut work = Workspace::default();
         let x_n = &trajectory.x[N];
-        let stands = Ending::of(&model.rod(&position(x_n))) == Ending::Upright;
+        let stands = Ending::of(&model.rod(&x_n.q())) == Ending::Upright;
         let none = ActuatedVector::zeros();
-        let last = stands.then_some((x_n, &none, final_gain));
+        let last = stands.then_some((x_n, &none, &gains.end));
         for (knot, (x, u, gain)) in loops(trajectory, gains).chain(last).enumerate() {
             self.check_step(model, x, u, gain, knot, &mut work)?;
         }
@@ -113,7 +109,7 @@ impl Gate {
         Ok(())
     }
 
-    /// The torque M~ K dx by which a gain answers dx = the tolerance of one row at the start.
+    /// The torque M~ K dx with which a gain answers a deviation dx of one row by the start tolerance.
     fn check_step(
         &self,
         model: &Model,
@@ -123,7 +119,7 @@ impl Gate {
         knot: usize,
         work: &mut Workspace,
     ) -> Result<(), Unfit> {
-        model.accelerations(x, u, work);
+        model.hybrid_dynamics(x, u, work);
         for (row, column) in gain.column_iter().enumerate() {
             let tau = model.reduced_inertia_times(&column.into(), work) * self.tolerance(row);
             for joint in 0..NU {
@@ -136,7 +132,8 @@ impl Gate {
         Ok(())
     }
 
-    /// `p`: sum of the squares of the state, in units of the tolerance at the start, at a knot and all later ones.
+    /// `p`: quadratic form of the sum of the squares of the state, in units of the start tolerance, at `knot` and all later
+    /// knots.
     fn check_amplification(&self, p: &DMatrix<f64>, knot: usize) -> Result<(), Unfit> {
         let from = |row: usize| {
             let tolerance = self.tolerance(row);
@@ -156,12 +153,12 @@ impl Gate {
         if got <= MOST_AMPLIFIED { Ok(()) } else { Err(Unfit::Amplification { knot, got }) }
     }
 
-    /// How far a row of the state may be from the plan at its start, rad or rad/s.
+    /// Start tolerance of a row of the state, rad or rad/s.
     fn tolerance(&self, row: usize) -> f64 {
         if row < NQ { self.tolerance.0 } else { self.tolerance.1 }
     }
 
-    /// The quadratic form |x|^2 in units of the tolerance at the start, of a state of the closed loop.
+    /// Quadratic form |x|^2, in units of the start tolerance, of a state of the closed loop.
     fn square_of_state(&self) -> DMatrix<f64> {
         let mut unit = DMatrix::zeros(self.delays.dimension(), self.delays.dimension());
         for row in 0..NX {
@@ -171,15 +168,15 @@ impl Gate {
     }
 }
 
-/// x_k, u_k, K_k
+/// (x_k, u_k, K_k) of every knot.
 fn loops<'a>(
     trajectory: &'a Trajectory,
-    gains: &'a [Gain; KNOTS],
+    gains: &'a Gains,
 ) -> impl Iterator<Item = (&'a State, &'a ActuatedVector, &'a Gain)> {
-    trajectory.knots().zip(gains).map(|((x, u), gain)| (x, u, gain))
+    trajectory.knots().zip(gains.knots.iter()).map(|((x, u), gain)| (x, u, gain))
 }
 
-/// P = Q + M' P M, the sum of (M')^i Q M^i over all i, by doubling; `None` if it does not converge: M is not stable.
+/// P of the Lyapunov equation P = Q + M' P M, the sum of (M')^i Q M^i over all i, by doubling; `None` if M is not stable.
 fn lyapunov(m: &DMatrix<f64>, q: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     /// 2^40 intervals of 20 ms are seven hundred years.
     const DOUBLINGS: usize = 40;
@@ -199,7 +196,7 @@ fn lyapunov(m: &DMatrix<f64>, q: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     None
 }
 
-/// m to the power of `n`, at least 1.
+/// m^n for `n` of 1 or above.
 fn power(m: &DMatrix<f64>, n: u32) -> DMatrix<f64> {
     let mut result = m.clone();
     // The bits below the highest one, from the top.
@@ -212,7 +209,7 @@ fn power(m: &DMatrix<f64>, n: u32) -> DMatrix<f64> {
     result
 }
 
-/// The largest magnitude of an eigenvalue: the limit of |M^n|^(1/n) for n = 2^k by repeated squaring, each time scaled to
+/// The largest magnitude of an eigenvalue of `m`: the limit of |M^n|^(1/n) for n = 2^k by repeated squaring, each time scaled to
 /// norm 1. Infinite if it is not finite.
 fn spectral_radius(mut m: DMatrix<f64>) -> f64 {
     /// 2^40 periods of 125 us are four years.
@@ -306,7 +303,7 @@ mod tests {
         let gain = Gain::from_fn(|i, j| 40.0 * number(i, j + 99));
         for velocity_filter in [Some(0.012), None] {
             for cycles in [0, 1, 3] {
-                let delays = Delays { period: 1e-3, velocity_filter, cycles };
+                let delays = LoopDelays { period: 1e-3, velocity_filter, cycles };
                 let m = delays.closed_loop(&a, &b, &gain);
                 let mut s = DVector::zeros(delays.dimension());
                 let mut x = State::from_fn(|i, _| number(i, 7));

@@ -1,0 +1,75 @@
+//! Limits of the joints of a robot.
+
+use crate::{ActuatedVector, JointVector, NQ};
+
+/// Limits of positions, velocities and motor torques, joint by joint.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Limits {
+    /// Lowest position of each joint, rad.
+    pub q_min: JointVector,
+    /// Highest position of each joint, rad.
+    pub q_max: JointVector,
+    /// Highest speed of each joint in both directions, rad/s.
+    pub qd_max: JointVector,
+    /// Highest torque of each motor in both directions, N m.
+    pub tau_max: ActuatedVector,
+}
+
+/// The quantity that a limit bounds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LimitKind {
+    /// q, rad.
+    Position,
+    /// qd, rad/s.
+    Velocity,
+    /// tau_A, N m.
+    Torque,
+}
+
+impl Limits {
+    /// Lower and upper limit of one joint (from 0), in the unit of `kind`. Torques have limits for actuated joints only.
+    pub fn range(&self, kind: LimitKind, joint: usize) -> (f64, f64) {
+        match kind {
+            LimitKind::Position => (self.q_min[joint], self.q_max[joint]),
+            LimitKind::Velocity => (-self.qd_max[joint], self.qd_max[joint]),
+            LimitKind::Torque => (-self.tau_max[joint], self.tau_max[joint]),
+        }
+    }
+
+    /// These limits, with half a turn (or half a turn per second) instead of an infinite one: the scale of a drawing.
+    pub fn scale(&self) -> Self {
+        let finite = |v: f64| if v.is_finite() { v } else { std::f64::consts::PI.copysign(v) };
+        Self {
+            q_min: self.q_min.map(finite),
+            q_max: self.q_max.map(finite),
+            qd_max: self.qd_max.map(finite),
+            ..*self
+        }
+    }
+}
+
+impl LimitKind {
+    /// The kind of the limit of a row of the state x = [q, qd], and the joint of that row, from 0.
+    pub fn of_row(row: usize) -> (Self, usize) {
+        if row < NQ { (Self::Position, row) } else { (Self::Velocity, row - NQ) }
+    }
+
+    /// Unit of the quantity.
+    pub fn unit(self) -> &'static str {
+        match self {
+            Self::Position => "rad",
+            Self::Velocity => "rad/s",
+            Self::Torque => "N m",
+        }
+    }
+}
+
+impl std::fmt::Display for LimitKind {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Position => "position",
+            Self::Velocity => "velocity",
+            Self::Torque => "torque",
+        })
+    }
+}

@@ -1,0 +1,202 @@
+//! The criteria that a plan has to meet before a robot follows it. The planner checks them before it answers, the daemon
+//! again before it loads the plan: with the same code and the same settings.
+
+mod feedback;
+mod motion;
+
+pub use feedback::LoopDelays;
+
+use crate::{Plan, Trajectory};
+use nalgebra::Vector3;
+use upswing_model::{ActuatedVector, LimitKind, Limits, Model};
+
+/// How far a plan may exceed its limits, rad, rad/s and a share of the torque. A solver meets its limits up to a
+/// tolerance, a start may be measured just outside, and one QP around a database trajectory (14)-(17) meets the
+/// linearised torque limits only.
+const POSITION_SLACK: f64 = 1e-3;
+const VELOCITY_SLACK: f64 = 1e-2;
+const TORQUE_SLACK: f64 = 0.05;
+/// Largest difference between f_k and f(x_k, u_k) of the model, relative to 1 + |f|.
+const DERIVATIVE_TOLERANCE: f64 = 1e-6;
+/// Largest joint velocity at the end of a plan, rad/s, and largest angle of its rod from the vertical there, rad.
+const END_SPEED: f64 = 1e-2;
+const END_TILT: f64 = 2e-2;
+/// Largest torque with which a gain may answer a deviation of one row of the state by the start tolerance, as a multiple of
+/// the 100 % limit. With r of (20) at a hundredth of its setting it is 4; a larger one is a blow, not feedback.
+const MOST_STEP: f64 = 5.0;
+/// Largest amplification of such a deviation: root of the sum of the squares of all rows at this and all later knots, in
+/// units of the start tolerance. Plans of the planner have 13 to 30, because the arm has to move to catch the rod.
+const MOST_AMPLIFIED: f64 = 100.0;
+
+/// The criteria that a plan has to meet.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlanCriteria {
+    /// Limits of positions, velocities and torques that a plan may use.
+    pub limits: Limits,
+    /// Torque limits of the drives at 100 %, N m.
+    pub tau_max: ActuatedVector,
+    /// Largest defect (6b) of an interval, rad and rad/s.
+    pub defect: f64,
+    /// Start tolerance: largest deviation of each position (rad) and each velocity (rad/s) from the plan at its start.
+    pub tolerance: (f64, f64),
+    /// Delays of the feedback loop.
+    pub delays: LoopDelays,
+}
+
+/// The state in which a plan ends, on which the next mode of the daemon depends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ending {
+    /// The rod stands: the daemon balances it.
+    Upright,
+    /// The rod hangs: the daemon holds the arm.
+    Hanging,
+}
+
+impl Ending {
+    /// The ending of a plan whose rod points along `rod` (world frame, z up) at x_N.
+    pub fn of(rod: &Vector3<f64>) -> Self {
+        if rod.z > 0.0 { Self::Upright } else { Self::Hanging }
+    }
+}
+
+/// The first criterion that a plan does not meet.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum Unfit {
+    /// A number of the plan is NaN or infinite.
+    #[error("{what} at knot {knot} is {got}, expected a finite number")]
+    NotFinite {
+        /// Symbol of the quantity in the plan.
+        what: &'static str,
+        /// Number of the knot.
+        knot: usize,
+        /// The number.
+        got: f64,
+    },
+    /// t_F is not above 0, or above [`Trajectory::LONGEST`].
+    #[error("t_F is {got} s, expected more than 0 and at most {longest} s", longest = Trajectory::LONGEST)]
+    Duration {
+        /// t_F, s.
+        got: f64,
+    },
+    /// The trajectory exceeds a limit.
+    #[error(
+        "{kind} of joint {} at knot {knot:.2} is {got:.4}, expected {lowest:.4} to {highest:.4} {}",
+        .joint + 1,
+        .kind.unit()
+    )]
+    Limit {
+        /// The kind of the limit, which gives the unit of the numbers below.
+        kind: LimitKind,
+        /// The joint, from 0.
+        joint: usize,
+        /// Number of the knot; with a fraction between two knots.
+        knot: f64,
+        /// The value in the plan.
+        got: f64,
+        /// Lower limit, with the slack that plans are granted.
+        lowest: f64,
+        /// Upper limit, with the slack that plans are granted.
+        highest: f64,
+    },
+    /// f_k is not f(x_k, u_k) of the daemon's model.
+    #[error("f at knot {knot}, row {row} is {got}, the model gives {expected}")]
+    Derivative {
+        /// Number of the knot.
+        knot: usize,
+        /// Row of f.
+        row: usize,
+        /// The value in the plan, rad/s or rad/s^2.
+        got: f64,
+        /// The value of the model, rad/s or rad/s^2.
+        expected: f64,
+    },
+    /// The spline (12) jumps at a knot: the defect (6b) is too large.
+    #[error(
+        "{kind} of joint {} jumps by {got:.2e} {} before knot {knot}: its defect (6b) is expected to be at most {most:.0e}",
+        .joint + 1,
+        .kind.unit()
+    )]
+    Defect {
+        /// Position or velocity, which gives the unit of the numbers below.
+        kind: LimitKind,
+        /// The joint, from 0.
+        joint: usize,
+        /// Number of the knot at the end of the interval.
+        knot: usize,
+        /// Magnitude of the defect.
+        got: f64,
+        /// Largest accepted magnitude.
+        most: f64,
+    },
+    /// The plan does not end at rest with the rod standing or hanging.
+    #[error(
+        "the plan ends at {speed:.4} rad/s with the rod {upright:.4} rad from upright and {hanging:.4} rad from hanging, \
+         expected at most {END_SPEED} rad/s and {END_TILT} rad from one of both"
+    )]
+    End {
+        /// Largest joint velocity at x_N, rad/s.
+        speed: f64,
+        /// Angle of the rod from upright, rad.
+        upright: f64,
+        /// Angle of the rod from hanging, rad.
+        hanging: f64,
+    },
+    /// The final gain does not keep the rod upright.
+    #[error(
+        "the closed loop at the end of the plan is unstable: spectral radius {radius:.6}, expected below 1"
+    )]
+    Unstable {
+        /// Spectral radius of the discrete closed loop with its delays.
+        radius: f64,
+    },
+    /// A gain answers a deviation of one row of the state by the start tolerance with too much torque.
+    #[error(
+        "K at knot {knot} answers the tolerance at the start with {got:.3e} N m at joint {}, expected at most {most:.1} N m",
+        .joint + 1
+    )]
+    Step {
+        /// Number of the knot; N + 1 for the gain that holds x_N.
+        knot: usize,
+        /// The joint, from 0.
+        joint: usize,
+        /// The torque, N m.
+        got: f64,
+        /// Largest accepted torque, N m.
+        most: f64,
+    },
+    /// The closed loop amplifies a deviation from the plan too much.
+    #[error(
+        "the closed loop amplifies a deviation at knot {knot} {got:.3e} times, expected at most {MOST_AMPLIFIED} times"
+    )]
+    Amplification {
+        /// Number of the knot.
+        knot: usize,
+        /// Root of the sum of the squares of all rows at this and all later knots, in units of the start tolerance, for a
+        /// deviation of one row by its tolerance at this knot.
+        got: f64,
+    },
+}
+
+impl PlanCriteria {
+    /// Checks that a robot may follow the plan, in this order: all numbers finite; t_F; positions and velocities (at the
+    /// knots and at the extrema of the spline between them) and torques (9) (at the knots and at points between them); f_k
+    /// against the model; defects (6b); rest at the end, with the rod standing or hanging; the gains. Id and fingerprint of
+    /// the plan are not checked here.
+    ///
+    /// # Errors
+    /// The first criterion that the plan does not meet, with its numbers.
+    pub fn check(&self, model: &Model, plan: &Plan) -> Result<(), Unfit> {
+        self.check_motion(model, &plan.spline())?;
+        self.check_feedback(model, &plan.trajectory, &plan.gains)
+    }
+}
+
+/// Checks that all numbers of a quantity are finite, knot by knot.
+fn finite<'a>(what: &'static str, knots: impl Iterator<Item = &'a [f64]>) -> Result<(), Unfit> {
+    for (knot, values) in knots.enumerate() {
+        if let Some(got) = values.iter().find(|v| !v.is_finite()) {
+            return Err(Unfit::NotFinite { what, knot, got: *got });
+        }
+    }
+    Ok(())
+}
