@@ -6,9 +6,9 @@ use upswing_process::{Failure, ProcessArgs};
 
 /// Swings up and balances a spherical pendulum on a 7-DoF robot.
 ///
-/// Exit codes: 0 success, 1 it ran but the answer is no, 2 bad input. Results go to stdout, all else to stderr; colours
-/// and bars only to a terminal, colours not where NO_COLOR is set. --json prints one JSON document, in SI units. Existing files
-/// are not overwritten without --force, and then as a whole: a write that fails leaves the old one.
+/// Exit codes: 0 success, 1 the command ran but its result is negative, 2 invalid input. Results go to stdout, everything else to
+/// stderr; progress bars and colours are for terminals only, and NO_COLOR switches colours off. --json prints one JSON document, in SI
+/// units. Existing files are overwritten only with --force; if a write fails, the old file stays.
 ///
 /// Example: upswing demo
 #[derive(Parser)]
@@ -60,14 +60,14 @@ enum Command {
 }
 
 impl Cli {
-    /// Reads the command line; ends the process where there is nothing to run.
+    /// Reads the command line; exits the process after --help, --version or an invalid command line.
     pub fn read() -> Self {
         let matches = whole_command().get_matches();
         Self::from_arg_matches(&matches).unwrap_or_else(|e| e.exit())
     }
 }
 
-/// The command line. A negative number is the value of the option before it, which then says what it expects.
+/// The command line. A negative number is the value of the option before it.
 fn whole_command() -> clap::Command {
     fn with_negative(command: clap::Command) -> clap::Command {
         let numbers = |arg: clap::Arg| {
@@ -82,7 +82,7 @@ fn whole_command() -> clap::Command {
 /// Runs the command.
 ///
 /// # Errors
-/// [`Failure`], which says what to do.
+/// [`Failure`] of the command.
 pub fn run(cli: &Cli) -> Result<(), Failure> {
     match &cli.command {
         Command::Demo(args) => commands::demo::run(args),

@@ -34,10 +34,10 @@ use upswing_process::output::{Destination, Output, OutputError, Overwrite};
 use upswing_process::{Failure, ProcessArgs};
 use upswing_rig::session::{Options, SessionError};
 
-/// Options of every command but the processes.
+/// Options of every command except the three processes.
 #[derive(Clone, Debug, clap::Args)]
 pub struct CommonArgs {
-    /// Options that all processes have.
+    /// Options of every process.
     #[command(flatten)]
     pub process: ProcessArgs,
     /// Print one JSON document on stdout instead of text
@@ -46,7 +46,7 @@ pub struct CommonArgs {
 }
 
 impl CommonArgs {
-    /// Prints a result: as JSON where asked for, else as text.
+    /// Prints a result as JSON with --json, else as text.
     ///
     /// # Errors
     /// [`Failure::Failed`] if the result cannot be written as JSON.
@@ -54,10 +54,10 @@ impl CommonArgs {
         print(self.json, result)
     }
 
-    /// Joins the domain, where there is one: a client creates none.
+    /// Joins the domain if it exists; a client creates none.
     ///
     /// # Errors
-    /// [`Failure`] for a bad name, an unusable domain, or one that nobody has joined.
+    /// [`Failure`] for an invalid name, an unusable domain, or a domain without processes.
     pub fn join_existing(&self) -> Result<Node, Failure> {
         let domain = self.domain()?;
         if !domain.exists() {
@@ -66,10 +66,10 @@ impl CommonArgs {
         domain.join("cli").map_err(failed)
     }
 
-    /// Joins the domain, to wait for others there.
+    /// Joins the domain, which it creates if need be, to wait for its processes.
     ///
     /// # Errors
-    /// [`Failure`] for a bad name or an unusable domain.
+    /// [`Failure`] for an invalid name or an unusable domain.
     pub fn join(&self) -> Result<Node, Failure> {
         self.domain()?.join("cli").map_err(failed)
     }
@@ -79,11 +79,11 @@ impl CommonArgs {
     }
 }
 
-/// What to start as a system of this process's own, in a domain and with a folder for logs of its own; the plant starts
+/// A private domain for a system that this process starts, and the options of its session, with a folder for logs; the plant starts
 /// at `start`, deg, comma-separated.
 ///
 /// # Errors
-/// [`Failure::BadInput`] for a bad name, [`Failure::Failed`] if there is no place for the logs.
+/// [`Failure::BadInput`] for an invalid name, [`Failure::Failed`] if the folder cannot be created.
 fn own_system(
     common: &CommonArgs,
     what: &str,
@@ -100,17 +100,17 @@ fn own_system(
     Ok((domain, Options { config, domain: name, clock, start: Some(start), scenario, logs }))
 }
 
-/// A refusal of an input is the user's to mend; of everything else the `logs` tell more.
+/// Invalid inputs are [`Failure::BadInput`]; all other messages name the folder `logs`.
 fn session_failure(e: &SessionError, logs: &Path) -> Failure {
     match e {
         SessionError::Interrupted => {
-            // What somebody ends needs no explanation.
+            // An interrupted session needs no logs.
             let _ = std::fs::remove_dir_all(logs);
             failed(e)
         }
         SessionError::Ended { status, .. } if status.code() == Some(2) => Failure::BadInput(e.to_string()),
         SessionError::Ipc(IpcError::Taken { .. }) => {
-            failed(format!("{e}; is another system using this domain?"))
+            failed(format!("{e}; another system may use this domain"))
         }
         e => failed(format!("{e}; logs in {}", logs.display())),
     }
@@ -132,7 +132,7 @@ pub(crate) fn print_json(result: &impl Serialize) -> Result<(), Failure> {
     print_line(&serde_json::to_string(result).map_err(failed)?)
 }
 
-/// Prints a line on stdout; a reader that has gone away (`| head`) is no failure.
+/// Prints a line on stdout; a closed pipe (`| head`) is not a failure.
 ///
 /// # Errors
 /// [`Failure::Failed`] if stdout cannot be written.
@@ -144,7 +144,7 @@ pub(crate) fn print_line(line: &impl std::fmt::Display) -> Result<(), Failure> {
     }
 }
 
-/// The file of an option that is given, if it can be written: known before the work whose result it gets.
+/// The output file of an option, checked before the work begins: it must be writable.
 fn writable(
     option: &str,
     destination: Option<&Destination>,
@@ -158,7 +158,7 @@ fn writable(
     }
 }
 
-/// "Ran, but the answer is no."
+/// [`Failure::Failed`] with the text of `e`.
 pub(crate) fn failed(e: impl std::fmt::Display) -> Failure {
     Failure::Failed(e.to_string())
 }

@@ -46,10 +46,7 @@ fn starts() {
             &["expected 7", "deg", "0,-15,0,-95,0,10,0", "got 6"],
         );
         refused(&[command, "--start", "0,-15,x,-95,0,10,0"], &["deg", "0,-15,0,-95,0,10,0", "`x`"]);
-        refused(
-            &[command, "--start", "0,0,0,-10,0,0,0"],
-            &["rests at -80.0 deg", "joint 9", "-45.0 to 45.0 deg"],
-        );
+        refused(&[command, "--start", "0,0,0,-10,0,0,0"], &["joint 9 is -80.0 deg", "-45.0 to 45.0 deg"]);
     }
     let plan = ["plan", "--start", "0,-15,0,-95,0,10,0", "--reference"];
     refused(&[&plan[..], &["0,-150,0,-95,0,10,0"]].concat(), &["--reference", "joint 2", "-150.00"]);

@@ -27,7 +27,7 @@ fn a_loop_that_is_given_up() {
     assert_eq!((&answer["success"], &runs["succeeded"]), (&false.into(), &0.into()));
     for i in 0..2 {
         let failure = runs["results"][i]["reasons"][0].as_str().expect("a reason");
-        for part in ["track was given up", "from its reference, limit 0.0050 rad", "q [", "qd ["] {
+        for part in ["track tripped", "from its reference, limit 0.0050 rad", "q [", "qd ["] {
             assert!(failure.contains(part), "expected `{part}` in: {failure}");
         }
     }

@@ -51,7 +51,7 @@ pub struct CycleSettings {
 pub enum VelocityEstimate {
     /// The differential filter alone, as in the paper.
     Filter,
-    /// What the filter lags behind is taken from the model.
+    /// The filter, with its lag corrected by the model.
     Model,
 }
 

@@ -4,7 +4,7 @@ use crate::MAX_DELAY;
 use serde::Deserialize;
 use upswing_model::{NQ, NU};
 
-/// What breaks; the index of a variant is its code in shared memory. Faults at the same time act in this order.
+/// Kind of a fault; the index of a variant is its code in shared memory. Simultaneous faults act in this order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum FaultKind {
@@ -12,23 +12,23 @@ pub enum FaultKind {
     DropMeasurement,
     /// Each measurement arrives `amount` cycles late.
     DelayMeasurement,
-    /// The measurement before arrives again instead of every second one, beginning with the first.
+    /// Every second measurement, beginning with the first, is replaced by a copy of the previous one.
     DuplicateMeasurement,
-    /// Instead of every second measurement, an older one arrives after its successor.
+    /// Every second measurement is replaced by an older one, so that the order changes.
     ReorderMeasurement,
-    /// Angles and torques stay as they were; number and time go on.
+    /// Angles and torques keep their values; sequence number and time stamp advance.
     FreezeMeasurement,
-    /// The time stamp stays as it was; all else goes on.
+    /// The time stamp keeps its value; everything else advances.
     StaleTime,
-    /// The angle of `joint` stays as it was.
+    /// The angle of `joint` keeps its value.
     EncoderStuck,
     /// The angle of `joint` is off by `amount`, rad.
     EncoderJump,
-    /// The angle of `joint` is not a number.
+    /// The angle of `joint` is NaN.
     EncoderNan,
     /// No command reaches the drives.
     LoseCommand,
-    /// A torque of `amount`, N m, acts on `joint` of the arm from outside: somebody pushes, or is in the way.
+    /// An external torque of `amount`, N m, acts on `joint` of the arm, as in a push or a collision.
     ArmTorque,
 }
 

@@ -133,7 +133,7 @@ pub struct PlantStart {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum PendulumStart {
-    /// In its hanging equilibrium, g_U(q) = 0; poses without one inside the limits are refused.
+    /// In its rest position, g_U(q) = 0; poses without one inside the limits are refused.
     Rest,
     /// At q_U = 0 as in the paper's Section VI; an equilibrium only at a flange pitch of 90 deg.
     Zero,

@@ -213,7 +213,7 @@ impl<'a> CycleLog<'a> {
     /// Why the last mode was given up and where its record is; empty if there is nothing to say.
     pub fn remark(&self) -> String {
         let trip = self.newest.and_then(|record| record.trip);
-        let told = trip.map(|trip| format!("gave up: {trip}"));
+        let told = trip.map(|trip| format!("tripped: {trip}"));
         let flight = Some(&self.flight).filter(|text| self.mode() == Mode::Fault && !text.is_empty());
         told.into_iter().chain(flight.cloned()).collect::<Vec<_>>().join("; ")
     }

@@ -100,7 +100,7 @@ pub enum FlightError {
         got: u64,
     },
     /// The sizes in it disagree with the size of the file.
-    #[error("flight record of {got} bytes, its header promises {expected}")]
+    #[error("flight record of {got} bytes, its header states {expected}")]
     Size {
         /// By the header.
         expected: u64,

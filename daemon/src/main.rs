@@ -4,7 +4,7 @@ use clap::Parser;
 use std::process::ExitCode;
 use upswing_process::{ProcessArgs, finish, start_logging};
 
-/// Runs the control daemon of upswing until SIGINT or SIGTERM
+/// Runs the control daemon of upswing until SIGINT or SIGTERM.
 #[derive(Parser)]
 #[command(version, after_help = "Example:\n  upswingd --config /etc/upswing --domain upswing")]
 struct Args {

@@ -464,7 +464,7 @@ impl<'a> ServiceThread<'a> {
 
     /// Asks for a plan in a thread of its own: it may take a second.
     fn ask_planner(&mut self) {
-        info!("recovery: the pendulum rests, asking for a plan");
+        info!("recovery: the pendulum is at rest, requesting a plan");
         let (node, patience) = (self.node.clone(), self.config.daemon.recovery.patience);
         let closing = Arc::clone(&self.closing);
         let ask = move || {
@@ -491,7 +491,7 @@ impl<'a> ServiceThread<'a> {
             Err(reason) => {
                 self.recovery.planned(None);
                 self.last_refusal = format!("a plan for the recovery: {reason}");
-                warn!("recovery given up: {reason}");
+                warn!("recovery failed: {reason}");
             }
         }
     }

@@ -107,17 +107,17 @@ pub enum Refusal {
         event: Event,
     },
     /// The measurement cannot be trusted.
-    #[error("the robot is not fit to be enabled: {0}; next: {remedy}, then {enable}", remedy = .0.cause.remedy(), enable = Mode::Idle.next_action())]
+    #[error("the robot cannot be enabled: {0}; next: {remedy}, then {enable}", remedy = .0.cause.remedy(), enable = Mode::Idle.next_action())]
     Unfit(Trip),
     /// A drive is not powered.
     #[error("the drives are not ready; next: {DRIVES_ON}, then {}", Mode::Idle.next_action())]
     DrivesNotReady,
     /// No plan is loaded.
-    #[error("no plan is loaded: ask the planner for one")]
+    #[error("no plan is loaded: request one from the planner")]
     NoPlan,
     /// Another plan is loaded than the one that shall start.
     #[error(
-        "plan {asked:016x} is not loaded, but plan {loaded:016x} of another request: ask for a plan again"
+        "plan {asked:016x} is not loaded, but plan {loaded:016x} of another request: request a plan again"
     )]
     OtherPlan {
         /// Id that was asked for.
@@ -133,8 +133,8 @@ pub enum Refusal {
     },
     /// The measured state is not the plan's.
     #[error(
-        "the plan starts elsewhere: joint {} is at {measured:.4} {unit}, the plan at t = {t_plan:.3} s at \
-         {expected:.4} {unit} (tolerance {tolerance} {unit}): ask for a plan from now",
+        "the measured state is not the plan's: joint {} is at {measured:.4} {unit}, the plan at t = {t_plan:.3} s at \
+         {expected:.4} {unit} (tolerance {tolerance} {unit}): request a plan from the current state",
         .joint + 1, unit = if *.velocity { "rad/s" } else { "rad" }
     )]
     StartMismatch {
@@ -152,7 +152,7 @@ pub enum Refusal {
         tolerance: f64,
     },
     /// The loaded plan is too old.
-    #[error("the plan was loaded {age:.0} s ago, at most {limit:.0} s are allowed: ask for a new one")]
+    #[error("the plan was loaded {age:.0} s ago, at most {limit:.0} s are allowed: request a new one")]
     PlanExpired {
         /// Time since it was loaded, s.
         age: f64,

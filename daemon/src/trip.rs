@@ -27,7 +27,7 @@ macro_rules! causes {
 
 causes! {
     /// Nothing was measured yet.
-    NoMeasurement = 1, "nothing was measured yet: is the plant running?";
+    NoMeasurement = 1, "no measurement received yet: is the plant running?";
     /// The newest measurement is too old.
     StaleMeasurement = 2, "no new measurement";
     /// Too many measurements were missed between two that were seen.
@@ -96,10 +96,10 @@ impl TripCause {
         match self {
             Self::NoMeasurement => "start a plant",
             Self::StaleMeasurement | Self::MeasurementGap | Self::MeasurementRestarted => {
-                "let the plant run steadily"
+                "wait until measurements arrive regularly"
             }
             Self::PositionLimit | Self::PendulumRange => "move the joint into its range",
-            Self::PeriodMismatch | Self::UnknownClock => "start both with one version",
+            Self::PeriodMismatch | Self::UnknownClock => "start both with the same version",
             Self::DriveFault | Self::DrivesStopped => "clear the drives' fault",
             Self::NotFinite
             | Self::EncoderJump
@@ -107,7 +107,7 @@ impl TripCause {
             | Self::FrozenMeasurement
             | Self::VelocityLimit
             | Self::TorqueLimit => "check the joint's sensors",
-            Self::Collision => "clear the arm's way",
+            Self::Collision => "remove the obstacle",
             Self::TorqueRate
             | Self::LawNotFinite
             | Self::TrackingError
@@ -205,7 +205,7 @@ impl fmt::Display for Trip {
                 write!(f, "joint {joint} is {value:.4} rad from its reference, limit {limit:.4} rad")
             }
             TripCause::BalanceLost => {
-                write!(f, "the rod is {value:.4} rad from where the plan ends, limit {limit:.4} rad")
+                write!(f, "the rod is {value:.4} rad from the end of the plan, limit {limit:.4} rad")
             }
             TripCause::FrozenMeasurement => {
                 write!(
@@ -216,7 +216,7 @@ impl fmt::Display for Trip {
             TripCause::Collision => {
                 write!(
                     f,
-                    "a torque of {value:.2} N m acts on joint {joint} that nothing explains, limit {limit:.2} N m: is \
+                    "an unexplained torque of {value:.2} N m acts on joint {joint}, limit {limit:.2} N m: is \
                      something in its way?"
                 )
             }
@@ -233,7 +233,7 @@ impl fmt::Display for Trip {
                      by more than {limit} rad: its encoder is stuck, or something blocks it"
                 )
             }
-            TripCause::LateCycles => write!(f, "{value:.0} cycles in a row ended late, limit {limit:.0}"),
+            TripCause::LateCycles => write!(f, "{value:.0} late cycles in a row, limit {limit:.0}"),
             TripCause::NoMeasurement
             | TripCause::MeasurementRestarted
             | TripCause::DriveFault
@@ -264,8 +264,8 @@ mod tests {
         (TripCause::PeriodMismatch, "the plant has a period of 2 ns, the daemon one of 4 ns"),
         (TripCause::UnknownClock, "the plant names clock 2, the last known is 4"),
         (TripCause::TrackingError, "joint 3 is 1.5000 rad from its reference, limit 4.0000 rad"),
-        (TripCause::BalanceLost, "the rod is 1.5000 rad from where the plan ends, limit 4.0000 rad"),
-        (TripCause::LateCycles, "2 cycles in a row ended late, limit 4"),
+        (TripCause::BalanceLost, "the rod is 1.5000 rad from the end of the plan, limit 4.0000 rad"),
+        (TripCause::LateCycles, "2 late cycles in a row, limit 4"),
         (TripCause::PlanAge, "the loaded plan is old"),
         (
             TripCause::BalanceSpeed,
@@ -273,7 +273,7 @@ mod tests {
         ),
         (
             TripCause::Collision,
-            "a torque of 1.50 N m acts on joint 3 that nothing explains, limit 4.00 N m: is something in its way?",
+            "an unexplained torque of 1.50 N m acts on joint 3, limit 4.00 N m: is something in its way?",
         ),
         (
             TripCause::FrozenMeasurement,

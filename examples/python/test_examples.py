@@ -71,7 +71,7 @@ class SwingUps(unittest.TestCase):
         end = time.monotonic() + 60
         while True:
             run = subprocess.run([*client, "--plot", picture], capture_output=True, text=True, timeout=LONG_S)
-            if run.returncode == 0 or time.monotonic() > end or "nothing was measured" not in run.stderr:
+            if run.returncode == 0 or time.monotonic() > end or "no measurement received" not in run.stderr:
                 break
             time.sleep(0.5)
         self.assertEqual(run.returncode, 0, "\n".join([run.stderr, *system.logs()]))

@@ -93,7 +93,9 @@ pub enum IpcError {
         cause: Cause,
     },
     /// The service exists with another payload.
-    #[error("service `{service}` does not carry `{expected}`; run the same version of all processes")]
+    #[error(
+        "service `{service}` has another payload than `{expected}`; run the same version of all processes"
+    )]
     Layout {
         /// Name of the service.
         service: String,
@@ -160,8 +162,8 @@ pub enum CallError {
         /// Other domains in which processes run.
         others: Vec<String>,
     },
-    /// The server went away, or dropped the request, before it responded.
-    #[error("the server of `{service}` went away without an answer; see its log, then ask again")]
+    /// The server exited, or dropped the request, before it responded.
+    #[error("the server of `{service}` exited without an answer; see its log, then repeat the request")]
     ServerGone {
         /// Name of the service.
         service: &'static str,
@@ -174,8 +176,8 @@ pub enum CallError {
         /// How long the client waited.
         waited: Duration,
     },
-    /// The caller of [`crate::Client::call_while`] stopped waiting; the request is withdrawn.
-    #[error("gave up waiting for `{service}`; the request is withdrawn")]
+    /// The caller of [`crate::Client::call_while`] stopped waiting; the request is cancelled.
+    #[error("the request to `{service}` was cancelled before an answer")]
     Interrupted {
         /// Name of the service.
         service: &'static str,

@@ -92,14 +92,14 @@ impl Request {
     /// Purpose in one line.
     pub const fn purpose(self) -> &'static str {
         match self {
-            Self::Manoeuvre(Manoeuvre::SwingUp) => "Plan from the present state, then start the plan",
+            Self::Manoeuvre(Manoeuvre::SwingUp) => "Plan from the current state, then start the plan",
             Self::Manoeuvre(Manoeuvre::SwingDown) => {
                 "Plan from upright to hanging at rest, then start the plan"
             }
-            Self::Hold => "Hold the arm where it is",
+            Self::Hold => "Hold the current pose of the arm",
             Self::Stop => "Decelerate the arm, then hold",
             Self::Enable => "Open the brakes and hold",
-            Self::Reset => "Leave a fault; brakes stay closed",
+            Self::Reset => "Leave the mode Fault; brakes stay closed",
         }
     }
 

@@ -36,7 +36,7 @@ pub enum StartError {
     },
     /// The pendulum would rest outside its limits.
     #[error(
-        "in this pose the pendulum rests at {got_deg:.1} deg on joint {joint}, outside its {min_deg:.1} to \
+        "in this pose the rest position of joint {joint} is {got_deg:.1} deg, outside its range of {min_deg:.1} to \
          {max_deg:.1} deg; choose a pose whose flange is closer to horizontal (q2 - q4 + q6 near 90 deg)"
     )]
     RestOutsideLimits {

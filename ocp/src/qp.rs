@@ -242,11 +242,11 @@ pub enum Stall {
 impl std::fmt::Display for Stall {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(match self {
-            Self::Factorisation => "its linear system could not be factorised",
-            Self::ShortStep => "no step led on within the bounds",
-            Self::Iterations => "not solved within the most iterations",
-            Self::Inaccurate => "solved less accurately than asked for",
-            Self::Numerical => "the solver met numbers that it could not work with",
+            Self::Factorisation => "the linear system could not be factorised",
+            Self::ShortStep => "the step length within the bounds became too small",
+            Self::Iterations => "not solved within the largest number of iterations",
+            Self::Inaccurate => "the solution is less accurate than required",
+            Self::Numerical => "the solver failed numerically",
         })
     }
 }

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 use upswing_planner::service::run;
 use upswing_process::{ProcessArgs, finish, start_logging};
 
-/// Plans swing-ups on request: nearest database entry, constrained QP, gains.
+/// Plans swing-ups on request: selects the nearest database entry, adapts it by constrained QPs, computes gains.
 ///
 /// Example: upswing-planner --config /etc/upswing --domain robot
 #[derive(Parser)]

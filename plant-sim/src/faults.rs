@@ -16,7 +16,7 @@ pub enum SetEventError {
     #[error(transparent)]
     Impossible(#[from] EventError),
     /// It would begin in a cycle that is over.
-    #[error("expected a cycle from {next} on, got {got}: what is over cannot be changed")]
+    #[error("expected a cycle from {next} on, got {got}: past cycles cannot be changed")]
     Past {
         /// First cycle that can still change.
         next: u64,

@@ -52,16 +52,16 @@ pub struct PlantArgs {
     /// Options of every process.
     #[command(flatten)]
     pub process: ProcessArgs,
-    /// Clock: wall (real time), paced (real time, waits for the daemon), lockstep (as granted)
+    /// Clock: wall (real time), paced (real time, but waits for the daemon), lockstep (advances on request)
     #[arg(long, value_name = "CLOCK", default_value = "paced", value_parser = clock_parser())]
     pub clock: Clock,
     /// Start angles of joints 1 to 7, deg [default: start.q_deg of plant.toml]
     #[arg(long, value_name = "Q1,..,Q7", value_delimiter = ',', allow_hyphen_values = true)]
     pub start: Option<Vec<f64>>,
-    /// Start of the pendulum: hanging at rest, or q8 = q9 = 0 [default: start.pendulum of plant.toml]
+    /// Start of the pendulum: its rest position, or q8 = q9 = 0 [default: start.pendulum of plant.toml]
     #[arg(long, value_name = "START")]
     pub start_pendulum: Option<PendulumStart>,
-    /// Changes of the plant's settings: a scenario by name, or the path of a .toml file
+    /// Scenario of the plant: a name, or the path of a .toml file
     #[arg(long, value_name = "NAME|FILE")]
     pub scenario: Option<String>,
 }

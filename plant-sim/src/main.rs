@@ -5,7 +5,7 @@ use std::process::ExitCode;
 use upswing_plant::{PlantArgs, run};
 use upswing_process::{finish, start_logging};
 
-/// Simulates robot, pendulum, drives, encoders and brakes
+/// Simulates robot, pendulum, drives, encoders and brakes.
 #[derive(Parser)]
 #[command(name = "upswing-plant", version)]
 struct Arguments {

@@ -94,7 +94,7 @@ fn a_request_in_the_middle_of_a_cycle_takes_effect_with_the_next() {
         let out = wait_for("a measurement", || Some(daemon.measurements.read()).filter(|m| m.seq > 0));
         assert_eq!(peer.ask(drop).accepted, 1);
         let past = peer.ask(PlantRequest { seq: out.seq, ..drop });
-        assert!(past.reason.as_str().unwrap().contains("what is over cannot be changed"), "{}", past.reason);
+        assert!(past.reason.as_str().unwrap().contains("past cycles cannot be changed"), "{}", past.reason);
         let mut seen = vec![out.seq];
         while seen.len() < 30 {
             seen.extend(daemon.answer().map(|m| m.seq).filter(|seq| *seq != out.seq));

@@ -61,7 +61,10 @@ fn the_process_says_what_is_wrong_and_exits_with_2() {
             &["--start=0,0,0,0,0,0,0,0"],
             "--start: expected 7 joint angles in deg, separated by commas, as in 0,-15,0,-95,0,10,0; got 8",
         ),
-        (&["--start", "0,0,0,0,0,0,0"], "rests at -90.0 deg on joint 9, outside its -45.0 to 45.0 deg"),
+        (
+            &["--start", "0,0,0,0,0,0,0"],
+            "rest position of joint 9 is -90.0 deg, outside its range of -45.0 to 45.0 deg",
+        ),
         (&["--domain", "No Domain"], "domain name `No Domain`"),
         (&["--config", "/does/not/exist"], "/does/not/exist"),
     ] {

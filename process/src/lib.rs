@@ -18,10 +18,10 @@ use upswing_config::{Config, ConfigError};
 /// Options of every process.
 #[derive(Clone, Debug, clap::Args)]
 pub struct ProcessArgs {
-    /// Folder with a full set of settings [default: the embedded one; `upswing config export DIR` writes a copy]
+    /// Folder with a complete set of settings [default: the embedded settings; `upswing config export DIR` writes a copy]
     #[arg(long, value_name = "DIR")]
     pub config: Option<PathBuf>,
-    /// Name of the shared-memory world that daemon, planner, plant and clients meet in
+    /// Domain: daemon, planner, plant and clients with the same name share memory
     #[arg(long, value_name = "NAME", default_value = "upswing")]
     pub domain: String,
 }
@@ -36,13 +36,13 @@ impl ProcessArgs {
     }
 }
 
-/// Why a process ends without success; decides its exit code.
+/// Why a process failed; determines its exit code.
 #[derive(Debug, thiserror::Error)]
 pub enum Failure {
     /// An input (command line, file, request) cannot be used: exit code 2.
     #[error("{0}")]
     BadInput(String),
-    /// It ran, but the answer is no: exit code 1.
+    /// The program ran, but its result is negative: exit code 1.
     #[error("{0}")]
     Failed(String),
 }
@@ -75,7 +75,7 @@ pub fn finish(result: Result<(), Failure>) -> ExitCode {
     }
 }
 
-/// Writes a line on stderr; where that is full or nobody reads it, nothing is lost that anybody would see.
+/// Writes a line on stderr; errors are ignored, because they could be reported on stderr only.
 pub fn note(line: &str) {
     use std::io::Write;
     let _ = writeln!(std::io::stderr(), "{line}");
@@ -86,8 +86,8 @@ pub fn colours(stream: &impl std::io::IsTerminal) -> bool {
     stream.is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
 }
 
-/// Sends logs to stderr, one line each, from level `info` on or what RUST_LOG asks for (what cannot be read of it is named
-/// on stderr and left out); with levels as journald reads them where it does.
+/// Sends logs to stderr, one line each, from level `info` on or by the filter in RUST_LOG (invalid parts of it are reported
+/// on stderr and ignored). If journald reads stderr, lines begin with its levels.
 pub fn start_logging() {
     let filter = tracing_subscriber::EnvFilter::builder()
         .with_default_directive(tracing_subscriber::filter::LevelFilter::INFO.into())

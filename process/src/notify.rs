@@ -80,7 +80,7 @@ impl Notifier {
         if let Err(e) = sd_notify::notify(states)
             && !std::mem::replace(&mut self.failed, true)
         {
-            warn!("cannot tell the service manager how this process is: {e}; check NOTIFY_SOCKET");
+            warn!("cannot notify the service manager: {e}; check NOTIFY_SOCKET");
         }
     }
 }

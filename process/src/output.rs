@@ -13,12 +13,12 @@ use tempfile::NamedTempFile;
 /// The option of every command that writes files.
 #[derive(Clone, Copy, Debug, Default, clap::Args)]
 pub struct Overwrite {
-    /// Replace files that exist already; without it they are left as they are, and the command refuses before it begins
+    /// Overwrite existing files; without --force the command refuses them before it begins
     #[arg(long)]
     pub force: bool,
 }
 
-/// The value of an option or argument that names what a command writes, as opposed to what it reads.
+/// Path of an output file, as the value of an option or argument; input files have another type.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Destination(PathBuf);
 
@@ -46,18 +46,18 @@ impl Overwrite {
 /// Why a file cannot be written.
 #[derive(Debug, thiserror::Error)]
 pub enum OutputError {
-    /// It is there already.
+    /// The file exists already.
     #[error("{} exists already, and is not overwritten: choose another name, or --force", path.display())]
     Exists {
         /// The file.
         path: PathBuf,
     },
-    /// The place cannot be written.
+    /// The file cannot be written.
     #[error("cannot write {}: {cause}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         cause: io::Error,
     },
 }
@@ -69,7 +69,7 @@ pub struct Output {
     force: bool,
 }
 
-/// What is at the place of a file.
+/// Kind of an output file.
 enum Place {
     Free,
     Occupied,

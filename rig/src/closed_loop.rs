@@ -47,7 +47,7 @@ pub enum Aborted {
     Silent,
     /// The controller gave up its mode.
     #[error(
-        "{mode} was given up {time:.3} s after the plan's start: {trip}; q {:.3?} rad, qd {:.3?} rad/s",
+        "{mode} tripped {time:.3} s after the plan's start: {trip}; q {:.3?} rad, qd {:.3?} rad/s",
         .record.q, .record.qd
     )]
     GivenUp {
@@ -73,7 +73,7 @@ impl Aborted {
             Self::Push(_) => "the push cannot be".into(),
             Self::Silent => "no measurements".into(),
             Self::GivenUp { mode, trip, .. } => {
-                format!("{mode} was given up: {}, joint {}", trip.cause.text(), trip.joint + 1)
+                format!("{mode} tripped: {}, joint {}", trip.cause.text(), trip.joint + 1)
             }
         }
     }

@@ -4,30 +4,30 @@ use upswing_config::{EventError, Fault, FaultKind};
 use upswing_ipc::{PlantKind, PlantRequest};
 use upswing_process::number::whole;
 
-/// A fault as the command line states it.
+/// Arguments that describe a fault.
 #[derive(Clone, Debug, clap::Args)]
 pub struct FaultArgs {
-    /// What breaks
+    /// Kind of the fault
     pub kind: FaultKind,
-    /// Joint of an encoder, 1 to 9, or of a torque, 1 to 7
+    /// Joint: 1 to 9 for an encoder, 1 to 7 for a torque
     #[arg(long, value_parser = whole(0, u64::MAX))]
     pub joint: Option<u64>,
-    /// How far the encoder jumps, rad, how late measurements are, cycles, or the torque, N m
+    /// Size: jump of the encoder, rad; delay of measurements, cycles; or torque, N m
     #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
     pub amount: f64,
-    /// How many cycles it lasts; 0: until `clear`
+    /// Duration of the fault, cycles; 0: until `clear`
     #[arg(long, default_value_t = 0, value_parser = whole(0, u64::MAX))]
     pub cycles: u64,
-    /// First cycle of the plant [default: the next one]
+    /// Cycle of the plant in which it begins [default: the next one]
     #[arg(long, value_name = "CYCLE", value_parser = whole(0, u64::MAX))]
     pub from: Option<u64>,
 }
 
 impl FaultArgs {
-    /// The fault; one that begins in cycle 0 begins in the next one.
+    /// The fault; cycle 0 means the next cycle.
     ///
     /// # Errors
-    /// [`EventError`] if it cannot be.
+    /// [`EventError`] if its arguments are invalid.
     pub fn fault(&self) -> Result<Fault, EventError> {
         // Joint 0 is none; what counts from 0 here counts from 1 on the command line.
         let joint = usize::try_from(self.joint.unwrap_or_default()).unwrap_or(usize::MAX).wrapping_sub(1);
@@ -36,7 +36,7 @@ impl FaultArgs {
         fault.check().map(|()| fault)
     }
 
-    /// The request for it.
+    /// The request that sets the fault.
     ///
     /// # Errors
     /// As [`FaultArgs::fault`].

@@ -61,7 +61,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         );
     }
     if let Some(trip) = case.system.controller.trip() {
-        println!("\ngave up: {trip}");
+        println!("\ntripped: {trip}");
     }
     println!("\noutcome: {}", case.outcome());
 

@@ -151,7 +151,7 @@ pub enum Unfit {
     },
     /// A gain answers a deviation of one row of the state by the start tolerance with too much torque.
     #[error(
-        "K at knot {knot} answers the tolerance at the start with {got:.3e} N m at joint {}, expected at most {most:.1} N m",
+        "K at knot {knot} demands {got:.3e} N m at joint {} for a deviation by the start tolerance, expected at most {most:.1} N m",
         .joint + 1
     )]
     Step {

@@ -9,10 +9,10 @@ use upswing_process::output::{Destination, OutputError, Overwrite};
 
 /// Name of the program.
 const NAME: &str = "upswing";
-/// Date of the version in Cargo.toml, which man pages state.
+/// Date of the version in Cargo.toml, for man pages.
 const DATE: &str = "2026-11-28";
 
-/// Prints a script that completes commands and options in a shell.
+/// Prints a completion script for a shell.
 ///
 /// Example: upswing completions bash > ~/.local/share/bash-completion/completions/upswing
 #[derive(Clone, Debug, clap::Args)]
@@ -30,9 +30,9 @@ pub struct CompletionsArgs {
 /// Example: upswing man ~/.local/share/man/man1 && man upswing-demo
 #[derive(Clone, Debug, clap::Args)]
 pub struct ManArgs {
-    /// The folder, made if need be
+    /// Output folder, created if need be
     pub dir: Destination,
-    /// What becomes of an existing file.
+    /// Overwriting of existing files.
     #[command(flatten)]
     pub overwrite: Overwrite,
     /// Print one JSON document on stdout instead of text
@@ -75,7 +75,7 @@ pub fn completions(args: &CompletionsArgs, command: &mut clap::Command) -> Resul
     print(args.json, &Script { shell: args.shell.to_string(), script })
 }
 
-/// The pages of a command and of those in it: name of the file, and text.
+/// File names and texts of the man pages of a command and its subcommands.
 fn pages(command: &clap::Command, all: &mut Vec<(String, String)>) -> std::io::Result<()> {
     command.get_subcommands().try_for_each(|command| pages(command, all))?;
     let name = command.get_display_name().unwrap_or_else(|| command.get_name());

@@ -12,28 +12,28 @@ use upswing_process::output::{Destination, Overwrite};
 /// Example: upswing config export my-config && upswing config check --config my-config
 #[derive(Clone, Debug, clap::Args)]
 pub struct ConfigArgs {
-    /// What to do.
+    /// The action.
     #[command(subcommand)]
     pub command: ConfigCommand,
 }
 
-/// What to do with settings.
+/// Actions on settings.
 #[derive(Clone, Debug, clap::Subcommand)]
 pub enum ConfigCommand {
     /// Write the embedded settings, robot and database to a folder
     ///
     /// Example: upswing config export my-config
     Export {
-        /// The folder
+        /// Output folder
         dir: Destination,
-        /// What becomes of an existing file.
+        /// Overwriting of existing files.
         #[command(flatten)]
         overwrite: Overwrite,
         /// Print one JSON document on stdout instead of text
         #[arg(long)]
         json: bool,
     },
-    /// Read the settings and say whether they are valid
+    /// Read the settings and check whether they are valid
     ///
     /// Example: upswing config check --config my-config
     Check(CommonArgs),

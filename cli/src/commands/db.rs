@@ -16,15 +16,15 @@ use upswing_trajectory::{Certificate, Database, Entry, Outcome};
 /// Example: upswing db info
 #[derive(Clone, Debug, clap::Args)]
 pub struct DbArgs {
-    /// What to do.
+    /// The action.
     #[command(subcommand)]
     pub command: DbCommand,
 }
 
-/// What to do with a database.
+/// Actions on databases.
 #[derive(Clone, Debug, clap::Subcommand)]
 pub enum DbCommand {
-    /// Optimise every pose of a grid on all cores and write the database; goes on where an earlier build ended
+    /// Optimise every pose of a grid on all cores and write the database; resumes an interrupted build
     ///
     /// Example: upswing db build --grid my-grid.toml --output database.bin
     Build {
@@ -34,44 +34,44 @@ pub enum DbCommand {
         /// Grid file, or `paper` for the paper's 4 x 4 x 4 x 4 poses [default: grid.toml of the settings]
         #[arg(long, value_name = "FILE")]
         grid: Option<PathBuf>,
-        /// Only part i of n, to be joined by `upswing db merge`
+        /// Build only part i of n; `upswing db merge` joins the parts
         #[arg(long, value_name = "i/n", default_value = "1/1")]
         shard: Shard,
-        /// File to write; FILE.journal holds what is finished until then
+        /// Output file; during the build, FILE.journal holds the finished poses
         #[arg(long, value_name = "FILE", default_value = "database.bin")]
         output: Destination,
-        /// What becomes of an existing file.
+        /// Overwriting of existing files.
         #[command(flatten)]
         overwrite: Overwrite,
     },
-    /// Join the shards of one build; the result has the bytes of a build in one piece
+    /// Join the shards of one build; the result has the same bytes as a build without shards
     ///
     /// Example: upswing db merge --output database.bin shard-1.bin shard-2.bin
     Merge {
         /// Options of every command.
         #[command(flatten)]
         common: CommonArgs,
-        /// File to write
+        /// Output file
         #[arg(long, value_name = "FILE")]
         output: Destination,
-        /// What becomes of an existing file.
+        /// Overwriting of existing files.
         #[command(flatten)]
         overwrite: Overwrite,
-        /// The shards, in any order
+        /// Shard files, in any order
         #[arg(required = true)]
         shards: Vec<PathBuf>,
     },
-    /// Compute again what every record claims: start, target, limits, figures, and that poses without a trajectory have none
+    /// Recompute the certificate of every entry (start, target, limits, figures), and optimise the poses without a trajectory again
     ///
     /// Example: upswing db verify database.bin
     Verify {
         /// Options of every command.
         #[command(flatten)]
         common: CommonArgs,
-        /// The grid it was built from: a file, or `paper` [default: grid.toml of the settings]
+        /// Grid of the database: a file, or `paper` [default: grid.toml of the settings]
         #[arg(long, value_name = "FILE")]
         grid: Option<PathBuf>,
-        /// A database file instead of that of the settings
+        /// Database file [default: the database of the settings]
         file: Option<PathBuf>,
     },
     /// Describe the database of the settings, or a file; angles in deg, t_F in s
@@ -81,19 +81,19 @@ pub enum DbCommand {
         /// Options of every command.
         #[command(flatten)]
         common: CommonArgs,
-        /// A database file instead of that of the settings
+        /// Database file [default: the database of the settings]
         file: Option<PathBuf>,
     },
-    /// Print trajectories as JSON, one line per entry; s, rad, rad/s, rad/s^2
+    /// Print trajectories as JSON, one line per entry; units s, rad, rad/s, rad/s^2
     ///
     /// Example: upswing db export --entry 0 > trajectory.json
     Export {
         /// Options of every command.
         #[command(flatten)]
         common: CommonArgs,
-        /// A database file instead of that of the settings
+        /// Database file [default: the database of the settings]
         file: Option<PathBuf>,
-        /// Only this entry, counted from 0
+        /// Export only this entry, counted from 0
         #[arg(long, value_parser = whole(0, usize::MAX))]
         entry: Option<usize>,
     },
@@ -118,7 +118,7 @@ pub fn run(args: &DbArgs) -> Result<(), Failure> {
     }
 }
 
-/// Files that do not belong together are the user's to mend, a full disk is not.
+/// Shards that do not belong together are [`Failure::BadInput`], a full disk is [`Failure::Failed`].
 fn failure(e: BuildError) -> Failure {
     match e {
         BuildError::File { action: "read", .. }
@@ -199,7 +199,7 @@ fn use_grid(config: &mut Config, grid: Option<&Path>) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Says what has become of `output` since `begin`.
+/// Prints the result of a build or merge that began at `begin`.
 fn conclude(common: &CommonArgs, output: &Path, summary: Summary, begin: Instant) -> Result<(), Failure> {
     let Summary { poses, resumed, solved, rejected, failed: unsolved, left } = summary;
     let count = unsolved.len();
@@ -221,7 +221,7 @@ fn conclude(common: &CommonArgs, output: &Path, summary: Summary, begin: Instant
     }
 }
 
-/// The database of a file or of the settings, and where it comes from.
+/// The database of a file or of the settings, and its origin for messages.
 fn read(config: &Config, file: Option<&Path>) -> Result<(Database, String), Failure> {
     match file {
         Some(path) => Ok((database::read(path).map_err(failure)?, path.display().to_string())),
@@ -239,14 +239,14 @@ struct Verified {
     success: bool,
     origin: String,
     entries: usize,
-    /// Whether the grid is known from which it was built.
+    /// Whether the database was built from the known grid.
     starts_compared: bool,
     discrepancies: Vec<u64>,
     worst: Worst,
     time_s: f64,
 }
 
-/// The least favourable figure of all certificates.
+/// The worst figure of all certificates.
 #[derive(Serialize)]
 struct Worst {
     defect: f64,
@@ -383,7 +383,7 @@ fn start_deg(entry: &Entry, joint: usize) -> f64 {
     (entry.trajectory.x[0][joint].to_degrees() * 1e3).round() / 1e3
 }
 
-/// How the entries lie over two joints: a text map with one cell per pair of angles, darker with more entries.
+/// Distribution of the entries over two joints: a text map with one cell per pair of angles, darker with more entries.
 fn coverage_map(entries: &[&Entry], rows: &JointCoverage, columns: &JointCoverage) -> String {
     const SHADES: [char; 5] = ['·', '░', '▒', '▓', '█'];
     let count = |r: f64, c: f64| {

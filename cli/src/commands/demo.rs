@@ -32,19 +32,19 @@ pub struct DemoArgs {
     /// Clock: `paced` (real-time pace), `lockstep` (as fast as possible, deterministic) or `wall`
     #[arg(long, default_value = "paced", value_parser = upswing_plant::clock_parser())]
     pub clock: Clock,
-    /// What is different about the plant: a scenario of the settings, or the path of a .toml file
+    /// Scenario of the plant: a name, or the path of a .toml file
     #[arg(long, value_name = "NAME|FILE")]
     pub scenario: Option<String>,
-    /// How long to balance, s (2 to 600); the last second is judged, the one before it belongs to the transient
+    /// Duration of the balance, s (2 to 600); success is judged in the last second, after the transient
     #[arg(long, value_name = "S", default_value_t = 5.0, value_parser = within(2.0, 600.0))]
     pub seconds: f64,
-    /// Record every cycle in this new file (MCAP); look at it with `upswing report`, Foxglove or PlotJuggler
+    /// Record every cycle in this file (MCAP), for `upswing report`, Foxglove or PlotJuggler
     #[arg(long, value_name = "FILE.mcap")]
     pub record: Option<Destination>,
-    /// Where to write the picture (SVG) [default: upswing-demo.svg, or upswing-demo-2.svg, ... where that exists]
+    /// Picture to write (SVG) [default: upswing-demo.svg, or upswing-demo-2.svg, ... if it exists]
     #[arg(long, value_name = "FILE")]
     pub picture: Option<Destination>,
-    /// What becomes of an existing file.
+    /// Overwriting of existing files.
     #[command(flatten)]
     pub overwrite: Overwrite,
 }
@@ -71,7 +71,7 @@ impl std::fmt::Display for Answer {
     }
 }
 
-/// The picture where none is named: nobody has to think of a name to see another demo.
+/// The default picture: the first unused name.
 fn default_picture(overwrite: Overwrite) -> Destination {
     let name = |n: u32| match n {
         1 => "upswing-demo.svg".to_owned(),

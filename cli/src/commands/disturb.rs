@@ -9,10 +9,10 @@ use upswing_process::Failure;
 use upswing_process::number::whole;
 use upswing_rig::fault_args::FaultArgs;
 
-/// How long to wait for an answer.
+/// Longest time to wait for an answer.
 const PATIENCE: Duration = Duration::from_secs(10);
 
-/// Breaks something in the simulated plant, pushes the pendulum, or repairs everything.
+/// Injects faults into the simulated plant, or pushes the pendulum.
 ///
 /// Example: upswing disturb fault encoder-stuck --joint 9 && upswing disturb push --impulse 0.02,0,0
 #[derive(Clone, Debug, clap::Args)]
@@ -20,15 +20,15 @@ pub struct DisturbArgs {
     /// Options of every command.
     #[command(flatten)]
     pub common: CommonArgs,
-    /// What to do
+    /// The disturbance
     #[command(subcommand)]
     pub what: What,
 }
 
-/// What can be done to the plant.
+/// Disturbances of the plant.
 #[derive(Clone, Debug, clap::Subcommand)]
 pub enum What {
-    /// Break something
+    /// Inject a fault
     ///
     /// Example: upswing disturb fault encoder-jump --joint 9 --amount 0.1
     Fault(FaultArgs),
@@ -45,10 +45,10 @@ pub enum What {
             allow_hyphen_values = true
         )]
         impulse: Vec<f64>,
-        /// How many cycles it lasts
+        /// Duration of the push, cycles
         #[arg(long, default_value_t = 80, value_parser = whole(0, u64::MAX))]
         cycles: u64,
-        /// First cycle of the plant [default: the next one]
+        /// Cycle of the plant in which it begins [default: the next one]
         #[arg(long, value_name = "CYCLE", value_parser = whole(0, u64::MAX))]
         from: Option<u64>,
     },
@@ -73,7 +73,7 @@ impl std::fmt::Display for Answer {
 /// Sends the request to the plant.
 ///
 /// # Errors
-/// [`Failure::BadInput`] for what cannot be, [`Failure::Failed`] with the reason if it is refused or nobody answers.
+/// [`Failure::BadInput`] for invalid arguments, [`Failure::Failed`] with the reason if the plant refuses or does not answer.
 pub fn run(args: &DisturbArgs) -> Result<(), Failure> {
     let request = request(&args.what)?;
     let plant = args.common.join_existing()?.client::<PlantRequest>().map_err(failed)?;

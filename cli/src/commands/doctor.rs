@@ -17,10 +17,9 @@ use upswing_view::live::Times;
 use upswingd::histogram::Histogram;
 use upswingd::os;
 
-/// Checks this host for real time and measures how late a thread wakes up.
+/// Checks whether this host is suitable for real time, and measures its wake-up latency.
 ///
-/// Run it as the user and with the limits that the daemon will have. Exit code 1: something is refused that real time
-/// needs.
+/// Run it as the daemon's user and with the daemon's resource limits. Exit code 1: the system refuses a real-time setting.
 ///
 /// Example: upswing doctor --seconds 60
 #[derive(Clone, Debug, clap::Args)]
@@ -28,33 +27,33 @@ pub struct DoctorArgs {
     /// Options of every command.
     #[command(flatten)]
     pub common: CommonArgs,
-    /// How long to measure the wake-up latency, s (up to a day); 0: not at all
+    /// Duration of the latency measurement, s (up to a day); 0: no measurement
     #[arg(long, value_name = "S", default_value_t = 5.0, value_parser = within(0.0, 86_400.0))]
     pub seconds: f64,
 }
 
-/// How bad it is.
+/// Verdict on one property of the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Grade {
-    /// As it should be.
+    /// Suitable.
     Good,
-    /// The daemon runs, cycles may be late.
+    /// The daemon runs, but cycles may be late.
     Advice,
-    /// The daemon does not run, or without real time.
+    /// The daemon does not run, or not in real time.
     Bad,
 }
 
-/// One thing that was looked at.
+/// One checked property of the host.
 #[derive(Clone, Debug, Serialize)]
 pub struct Finding {
-    /// What was looked at.
+    /// The property.
     pub what: &'static str,
-    /// How bad it is.
+    /// The verdict.
     pub grade: Grade,
-    /// What is there.
+    /// The state found.
     pub found: String,
-    /// What to do; empty if nothing.
+    /// The remedy; empty if none is needed.
     pub fix: String,
 }
 
@@ -73,7 +72,7 @@ struct Report {
     verdict: Grade,
     findings: Vec<Finding>,
     wake_us: Option<Times>,
-    /// Lower ends, us, of the octaves, and how many wake-ups each has.
+    /// Lower end of each octave, us, and its number of wake-ups.
     histogram: Vec<(f64, u64)>,
 }
 
@@ -108,10 +107,10 @@ impl fmt::Display for Report {
     }
 }
 
-/// Looks, measures and reports.
+/// Checks the host, measures and reports.
 ///
 /// # Errors
-/// [`Failure::BadInput`] for options that cannot be used, [`Failure::Failed`] if something is bad.
+/// [`Failure::BadInput`] for invalid options, [`Failure::Failed`] if a property is bad.
 pub fn run(args: &DoctorArgs) -> Result<(), Failure> {
     let config = args.common.process.load()?;
     let domain = Domain::new(&args.common.process.domain).map_err(|e| Failure::BadInput(e.to_string()))?;
@@ -153,7 +152,7 @@ pub fn run(args: &DoctorArgs) -> Result<(), Failure> {
     if report.verdict == Grade::Bad { Err(failed("this host is not fit for real time")) } else { Ok(()) }
 }
 
-/// What the daemon asks of the system at its start.
+/// The real-time settings that the daemon requests at its start.
 fn granted(refused: &[os::Refused], settings: &RealtimeSettings) -> Vec<Finding> {
     const NAME: &str = "real-time set-up";
     if refused.is_empty() {
@@ -184,7 +183,7 @@ fn memory() -> Finding {
     }
 }
 
-/// Processes that died and that nobody cleaned up after.
+/// Dead processes whose files are still in shared memory.
 fn leftovers(domain: &Domain) -> Finding {
     const NAME: &str = "leftovers";
     match domain.count_dead() {
@@ -199,7 +198,7 @@ fn leftovers(domain: &Domain) -> Finding {
     }
 }
 
-/// Sleeps to absolute deadlines as the daemon does; how late each wake-up is, and how many by more than a period.
+/// Latencies of wake-ups at absolute deadlines, as in the daemon, and the number of those above a period.
 fn wake_up_latency(period: Period, duration: Duration) -> (Histogram, u64) {
     let period = period.nanos();
     let mut histogram = Histogram::default();

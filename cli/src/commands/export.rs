@@ -20,10 +20,10 @@ pub struct ExportArgs {
     /// Options of every command.
     #[command(flatten)]
     pub common: CommonArgs,
-    /// The recording, or a flight record of the daemon
+    /// Recording, or flight record of the daemon
     #[arg(value_name = "FILE")]
     pub file: PathBuf,
-    /// The table to write
+    /// CSV file to write
     #[arg(long, value_name = "FILE.csv")]
     pub csv: Destination,
     /// Begin, s after the first cycle
@@ -35,7 +35,7 @@ pub struct ExportArgs {
     /// Write only each n-th cycle
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = whole(1, u32::MAX))]
     pub every: u32,
-    /// What becomes of an existing file.
+    /// Overwriting of existing files.
     #[command(flatten)]
     pub overwrite: Overwrite,
 }
@@ -62,7 +62,7 @@ impl std::fmt::Display for Answer<'_> {
 /// Writes the table.
 ///
 /// # Errors
-/// [`Failure::BadInput`] if there is no such recording, [`Failure::Failed`] if the table cannot be written.
+/// [`Failure::BadInput`] if the recording cannot be read, [`Failure::Failed`] if the table cannot be written.
 pub fn run(args: &ExportArgs) -> Result<(), Failure> {
     let window = window(args.from, args.to)?;
     let output = writable("--csv", Some(&args.csv), args.overwrite)?;

@@ -22,11 +22,11 @@ pub struct PlanFigures {
     pub nearest_entry: usize,
     /// Distance of the start to that entry, rad.
     pub distance: f64,
-    /// Entries that were tried.
+    /// Number of entries tried.
     pub attempts: usize,
-    /// QPs, each linearised around the result before.
+    /// Number of QPs, each linearised around the previous result.
     pub iterations: usize,
-    /// Defect of the real dynamics, rad or rad/s per interval.
+    /// Defect of the nonlinear dynamics, rad or rad/s per interval.
     pub defect: f64,
     /// Smallest margins.
     #[serde(flatten)]
@@ -34,7 +34,7 @@ pub struct PlanFigures {
 }
 
 impl PlanFigures {
-    /// Of a replan.
+    /// The figures of a replan.
     pub fn new(replan: &Replan) -> Self {
         Self {
             nearest_entry: replan.entry.index,

@@ -14,15 +14,15 @@ use upswing_view::http::{self, Listener, Request, Response, Server};
 use upswing_view::live::Live;
 use upswing_view::metrics::{self, CONTENT_TYPE};
 
-/// Pause between two looks for telemetry; its buffer lasts for two seconds.
+/// Pause between two reads of telemetry, whose buffer holds two seconds.
 const PAUSE: Duration = Duration::from_millis(20);
 const TEXT: &str = "text/plain; charset=utf-8";
-/// Age of what a scrape gets at most.
+/// Largest age of the values that a scrape gets.
 const FRESH: Duration = Duration::from_millis(200);
 
-/// Gives what the monitor shows as OpenMetrics: once, at an address, or as a file; seconds, rad, N m.
+/// Exports the values of the monitor as OpenMetrics: once, over HTTP, or as a file; units s, rad, N m.
 ///
-/// With neither --listen nor --file the metrics are printed once. docs/grafana.json is a dashboard of them.
+/// Without --listen and --file the metrics are printed once. docs/grafana.json is a Grafana dashboard.
 ///
 /// Example: upswing metrics --listen 127.0.0.1:9464
 #[derive(Clone, Debug, clap::Args)]
@@ -30,16 +30,16 @@ pub struct MetricsArgs {
     /// Options of every command.
     #[command(flatten)]
     pub common: CommonArgs,
-    /// Answer GET /metrics at this address until Ctrl-C
+    /// Serve GET /metrics at this address until Ctrl-C
     #[arg(long, value_name = "ADDRESS:PORT")]
     pub listen: Option<SocketAddr>,
-    /// Renew this file until Ctrl-C, for node_exporter's textfile collector; it is removed in the end
+    /// Update this file until Ctrl-C, for node_exporter's textfile collector; it is removed at the end
     #[arg(long, value_name = "FILE.prom")]
     pub file: Option<Destination>,
-    /// Time between two renewals of the file, s, 0.1 to 3600
+    /// Time between two updates of the file, s, 0.1 to 3600
     #[arg(long, value_name = "S", default_value_t = 5.0, requires = "file", value_parser = within(0.1, 3600.0))]
     pub every: f64,
-    /// What becomes of an existing file.
+    /// Overwriting of existing files.
     #[command(flatten)]
     pub overwrite: Overwrite,
 }
@@ -63,7 +63,7 @@ impl std::fmt::Display for Begun {
     }
 }
 
-/// Exports.
+/// Exports the metrics.
 ///
 /// # Errors
 /// [`Failure::BadInput`] for an address or file that cannot be used, [`Failure::Failed`] if the file cannot be renewed

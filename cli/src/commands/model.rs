@@ -15,15 +15,15 @@ use upswing_process::{Failure, shutdown_flag};
 /// Example: upswing model bound --samples 1000000
 #[derive(Clone, Debug, clap::Args)]
 pub struct ModelArgs {
-    /// What to do.
+    /// The action.
     #[command(subcommand)]
     pub command: ModelCommand,
 }
 
-/// What to do with the model.
+/// Actions on the model.
 #[derive(Clone, Debug, clap::Subcommand)]
 pub enum ModelCommand {
-    /// Evaluate the dynamics for each JSON line on stdin; prints one JSON line each
+    /// Evaluate the dynamics for each JSON line on stdin; prints one JSON line for each
     #[command(after_help = "Input: {\"q\":[9],\"qd\":[9],\"u\":[7]} in rad, rad/s, rad/s^2.\n\
         Output: one JSON line each, with or without --json: M, nle (C qd + g), g, f, A, B, tau, tau_without_coriolis; rows first, SI units.\n\n\
         Example: echo '{\"q\":[0,0,0,-1.57,0,0,0,0,0],\"qd\":[0,0,0,0,0,0,0,0,0],\
@@ -42,16 +42,16 @@ pub enum ModelCommand {
     Bound(BoundArgs),
 }
 
-/// A fortnight on one core; the extremes have long stopped moving by then.
+/// Two weeks on one core; the extremes converge long before.
 const MOST: u64 = 1_000_000_000_000;
 
-/// How to sample the Coriolis torques.
+/// Options of the sampling.
 #[derive(Clone, Debug, clap::Args)]
 pub struct BoundArgs {
     /// Options of every command.
     #[command(flatten)]
     pub common: CommonArgs,
-    /// How many states [the paper: 100000000, half a minute on two cores]
+    /// Number of states [the paper: 100000000, half a minute on two cores]
     #[arg(long, value_name = "N", default_value_t = 100_000_000, value_parser = whole(1, MOST))]
     pub samples: u64,
     /// Seed of the random states

@@ -12,11 +12,11 @@ use upswing_view::monitor::{self, Look};
 use upswing_view::page::Setup;
 use upswing_view::web::{self, Token};
 
-/// Shows a running system live: modes, rod, joints between their limits, cycle times, plans, faults.
+/// Shows a running system live: modes, rod, joints and their limits, cycle times, plans, faults.
 ///
-/// In the terminal: e, u, d, h, r ask for enable, swing-up, swing-down, hold and reset once y confirms; s stops at
-/// once; q ends the monitor. Angles in deg on the screen. With --json: one look, as one document in SI units. With --web:
-/// a page for browsers at that address, read-only but for --allow-control.
+/// In the terminal: e, u, d, h, r request enable, swing-up, swing-down, hold and reset after confirmation with y; s stops at
+/// once; q quits the monitor. Angles on the screen are in deg. With --json: one snapshot, as one document in SI units. With --web:
+/// a page for browsers at that address, read-only unless --allow-control is given.
 ///
 /// Example: upswing monitor --web 127.0.0.1:8080
 #[derive(Clone, Debug, clap::Args)]
@@ -24,10 +24,10 @@ pub struct MonitorArgs {
     /// Options of every command.
     #[command(flatten)]
     pub common: CommonArgs,
-    /// Serve a page at this address instead; port 0: any that is free [default: 127.0.0.1:8080]
+    /// Serve a page at this address instead; port 0: any free port [default: 127.0.0.1:8080]
     #[arg(long, value_name = "ADDRESS:PORT", num_args = 0..=1, default_missing_value = "127.0.0.1:8080")]
     pub web: Option<SocketAddr>,
-    /// The page can make requests, with the token that is printed; only on this machine (127.0.0.1 or ::1)
+    /// Allow requests from the page, with the token that is printed; only on this machine (127.0.0.1 or ::1)
     #[arg(long, requires = "web")]
     pub allow_control: bool,
 }
@@ -70,7 +70,7 @@ pub fn run(args: &MonitorArgs) -> Result<(), Failure> {
     }
     if !(std::io::stdout().is_terminal() && std::io::stdin().is_terminal()) {
         return Err(Failure::BadInput(
-            "expected a terminal on stdin and stdout, got a pipe or a file; use --json for one look, or --web".into(),
+            "expected a terminal on stdin and stdout, got a pipe or a file; use --json for one snapshot, or --web".into(),
         ));
     }
     let stop = shutdown_flag()?;

@@ -21,23 +21,23 @@ pub use closed_loop::ClosedLoopArgs;
 pub use replan::ReplanArgs;
 pub use robustness::RobustnessArgs;
 
-/// Swings up from many random starts and counts what succeeds.
+/// Plans or swings up from many random starts and counts successes.
 ///
 /// Example: upswing montecarlo replan --samples 1000
 #[derive(Clone, Debug, clap::Args)]
 pub struct MonteCarloArgs {
-    /// What to do from each start.
+    /// The study.
     #[command(subcommand)]
     pub command: MonteCarloCommand,
 }
 
-/// What to do from each start.
+/// Studies.
 #[derive(Clone, Debug, clap::Subcommand)]
 pub enum MonteCarloCommand {
     /// Plan, and let the daemon check the plans
     ///
     /// Starts are uniform in the ranges of the grid (the paper's, Section VI), the pendulum hangs at rest within
-    /// 40 deg. The same seed gives the same results on any number of threads; times apart.
+    /// 40 deg. The same seed gives the same results on any number of threads, except for times.
     ///
     /// Example: upswing montecarlo replan --samples 1000 --seed 1 --svg margins.svg
     Replan(ReplanArgs),
@@ -47,37 +47,37 @@ pub enum MonteCarloCommand {
     ///
     /// Example: upswing montecarlo closed-loop --samples 100 --condition nominal,arm-mass,second-arm
     ClosedLoop(ClosedLoopArgs),
-    /// As closed-loop, over growing errors of one kind: how many swing-ups succeed, as a curve
+    /// Success rate of closed-loop over growing errors of one kind, as a curve
     ///
-    /// All values of all curves use the same starts, those of the other two commands with the same seed. A failed one is
-    /// repeated by naming it (--only) with its value.
+    /// All values of all curves use the same starts, those of the other two commands with the same seed. A failed start is
+    /// repeated with --only and its value.
     ///
     /// Example: upswing montecarlo robustness --over torque-delay,friction --samples 100 --svg curves.svg
     Robustness(RobustnessArgs),
 }
 
-/// Options of all.
+/// Options of every study.
 #[derive(Clone, Debug, clap::Args)]
 pub struct SamplingArgs {
     /// Options of every command.
     #[command(flatten)]
     pub common: CommonArgs,
-    /// How many starts
+    /// Number of starts
     #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = whole(1, MOST))]
     pub samples: u64,
     /// Seed of the random starts
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = whole(0, u64::MAX))]
     pub seed: u64,
-    /// Only start number INDEX, counted from 0: repeats one result of a longer run
+    /// Run only start number INDEX, counted from 0, to repeat one result of a longer run
     #[arg(long, value_name = "INDEX", conflicts_with = "samples", value_parser = whole(0, u64::MAX))]
     pub only: Option<u64>,
-    /// Database to plan from; `paper` is built first, which takes up to a minute
+    /// Database of the planner; `paper` is built first, which takes up to a minute
     #[arg(long, default_value = "default")]
     pub grid: Grid,
-    /// Database file to plan from, as `upswing db build` writes it
+    /// Database file of the planner, from `upswing db build`
     #[arg(long, value_name = "FILE", conflicts_with = "grid")]
     pub database: Option<PathBuf>,
-    /// Threads, 1 to 1024 [default: one per core]
+    /// Number of threads, 1 to 1024 [default: one per core]
     #[arg(long, value_name = "N", value_parser = whole(1_u16, 1024))]
     pub threads: Option<u16>,
 }
@@ -85,10 +85,10 @@ pub struct SamplingArgs {
 /// A month on two cores.
 const MOST: u64 = 100_000_000;
 
-/// A database that needs no file.
+/// Databases without a file.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub enum Grid {
-    /// The one of the settings
+    /// The database of the settings
     Default,
     /// The paper's 4 x 4 x 4 x 4 poses
     Paper,

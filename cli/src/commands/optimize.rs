@@ -14,7 +14,7 @@ use upswing_process::number::within;
 use upswing_process::{Failure, shutdown_flag};
 use upswing_trajectory::Margins;
 
-/// Optimises the swing-up (6), (8) from a start at rest; Ctrl-C prints what it has got.
+/// Optimises the swing-up (6), (8) from a start at rest; Ctrl-C prints the result so far.
 ///
 /// Example: upswing optimize --start 0,0,0,-90,0,0,0 --json > trajectory.json
 #[derive(Clone, Debug, clap::Args)]
@@ -25,10 +25,10 @@ pub struct OptimizeArgs {
     /// Start angles of joints 1-7, deg
     #[arg(long, value_name = "Q1,..,Q7", allow_hyphen_values = true)]
     pub start: Degrees,
-    /// Start the pendulum at q8 = q9 = 0 (the paper's database) instead of hanging at rest
+    /// Start the pendulum at q8 = q9 = 0 (as in the paper's database) instead of its rest position
     #[arg(long)]
     pub zero: bool,
-    /// Look for the best of several local optima
+    /// Search for the best of several local optima
     #[arg(long)]
     pub best: bool,
     /// Longest time for each attempt, s

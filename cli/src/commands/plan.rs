@@ -18,10 +18,10 @@ use upswing_process::output::{Destination, Overwrite};
 use upswing_trajectory::Entry;
 use upswing_view::picture;
 
-/// Plans a swing-up from a start at rest as the planner process does: adapts the nearest database entry, or optimises in full
-/// where none is near enough.
+/// Plans a swing-up from a start at rest as the planner process does: adapts the nearest database entry, or runs the full
+/// optimisation if no entry is near enough.
 ///
-/// Prints t_F in s, distances in rad, margins as shares; --json has the trajectory in s, rad, rad/s, rad/s^2.
+/// Prints t_F in s, distances in rad, margins as shares of half the range; --json adds the trajectory in s, rad, rad/s, rad/s^2.
 ///
 /// Example: upswing plan --start -15,-15,0,-95,0,10,0 --iterations 1 --svg plan.svg
 #[derive(Clone, Debug, clap::Args)]
@@ -32,19 +32,19 @@ pub struct PlanArgs {
     /// Start angles of joints 1-7, deg
     #[arg(long, value_name = "Q1,..,Q7", allow_hyphen_values = true)]
     pub start: Degrees,
-    /// Start the pendulum at q8 = q9 = 0 instead of hanging at rest
+    /// Start the pendulum at q8 = q9 = 0 instead of its rest position
     #[arg(long)]
     pub zero: bool,
-    /// QPs, each linearised around the result before; 1 is the paper's mode [default: the setting]
+    /// Largest number of QPs, each linearised around the previous result; 1 is the paper's mode [default: the setting]
     #[arg(long, value_parser = whole(1_u32, 100))]
     pub iterations: Option<u32>,
     /// Adapt the optimal trajectory from these angles of joints 1-7, deg, instead of a database entry
     #[arg(long, value_name = "Q1,..,Q7", allow_hyphen_values = true)]
     pub reference: Option<Degrees>,
-    /// Draw the plan solid and the trajectory it was adapted from dashed, each scaled by the 100 % limits (SVG)
+    /// Draw the plan (solid) and its reference trajectory (dashed), scaled by the 100 % limits (SVG)
     #[arg(long, value_name = "FILE")]
     pub svg: Option<Destination>,
-    /// What becomes of an existing file.
+    /// Overwriting of existing files.
     #[command(flatten)]
     pub overwrite: Overwrite,
 }

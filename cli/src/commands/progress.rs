@@ -3,22 +3,22 @@
 use indicatif::{ProgressBar, ProgressStyle};
 use std::time::Duration;
 
-/// Of things that are counted.
+/// A progress bar for counted items.
 pub(super) fn progress_bar(length: u64, what: &str) -> ProgressBar {
     styled(ProgressBar::new(length), &format!("{{bar:40}} {{human_pos}}/{{human_len}} {what}, {{eta}} left"))
 }
 
-/// Of time, in ms.
+/// A progress bar for time, in ms.
 pub(super) fn time_bar(seconds: f64, what: &str) -> ProgressBar {
     styled(ProgressBar::new((seconds * 1e3) as u64), &format!("{{bar:40}} {what}{{msg}}, {{eta}} left"))
 }
 
-/// Of bytes that are read.
+/// A progress bar for bytes read.
 pub(super) fn byte_bar() -> ProgressBar {
     styled(ProgressBar::new(0), "{bar:40} {bytes}/{total_bytes} read, {eta} left")
 }
 
-/// The time that has passed, for work whose end nobody knows.
+/// A spinner with the elapsed time, for work of unknown duration.
 pub(super) fn spinner(what: &'static str) -> ProgressBar {
     let bar = styled(ProgressBar::new_spinner().with_message(what), "{spinner} {elapsed} {msg}");
     bar.enable_steady_tick(Duration::from_millis(100));

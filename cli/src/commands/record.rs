@@ -12,14 +12,15 @@ use upswing_process::output::{Destination, Overwrite};
 use upswing_process::{Failure, shutdown_flag};
 use upswing_record::{Recorder, Tally, Tap};
 
-/// Pause between two looks for telemetry; its buffer lasts for two seconds.
+/// Pause between two reads of telemetry, whose buffer holds two seconds.
 const PAUSE: Duration = Duration::from_millis(2);
-/// How long to wait for a first cycle.
+/// Longest time to wait for the first cycle.
 const PATIENCE: Duration = Duration::from_secs(10);
 
 /// Records every cycle of the running system as MCAP, for Foxglove, PlotJuggler, Python and `upswing report`.
 ///
-/// Ends after --seconds or on Ctrl-C. Begun before the daemon, it can be replayed (`upswing replay`). A file whose recording was killed is readable up to its last quarter of a second.
+/// Ends after --seconds or on Ctrl-C. `upswing replay` needs a recording that began before the daemon. If the recording process is
+/// killed, at most the last quarter of a second is lost.
 ///
 /// Example: upswing record run.mcap --seconds 10
 #[derive(Clone, Debug, clap::Args)]
@@ -27,13 +28,13 @@ pub struct RecordArgs {
     /// Options of every command.
     #[command(flatten)]
     pub common: CommonArgs,
-    /// The file
+    /// Recording to write
     #[arg(value_name = "FILE.mcap")]
     pub file: Destination,
-    /// How long to record, s of the plant's time (0.001 to a week) [default: until Ctrl-C]
+    /// Duration, s of the plant's time (0.001 to a week) [default: until Ctrl-C]
     #[arg(long, value_name = "S", value_parser = within(1e-3, WEEK))]
     pub seconds: Option<f64>,
-    /// What becomes of an existing file.
+    /// Overwriting of existing files.
     #[command(flatten)]
     pub overwrite: Overwrite,
 }
@@ -57,7 +58,7 @@ impl std::fmt::Display for Answer<'_> {
     }
 }
 
-/// Records.
+/// Records the running system.
 ///
 /// # Errors
 /// [`Failure::BadInput`] if the file exists or cannot be made, [`Failure::Failed`] if no telemetry comes or the disk is
@@ -79,7 +80,7 @@ pub fn run(args: &RecordArgs) -> Result<(), Failure> {
     args.common.print(&Answer { file: &args.file, bytes, tally })
 }
 
-/// A file that cannot be used is the user's to mend; a disk that is full is not.
+/// Records until the duration, a signal, or the end of [`PATIENCE`] without a cycle.
 fn record(args: &RecordArgs, tap: &Tap, mut recorder: Recorder, stop: &AtomicBool) -> Result<Tally, Failure> {
     let end = args.seconds.unwrap_or(f64::INFINITY);
     let bar = match args.seconds {
@@ -91,7 +92,7 @@ fn record(args: &RecordArgs, tap: &Tap, mut recorder: Recorder, stop: &AtomicBoo
         tap.drain(Some(&mut recorder), |_| {})?;
         let tally = recorder.tally();
         if tally.cycles == 0 && begin.elapsed() > PATIENCE {
-            // Nothing in it that anybody would miss.
+            // The file has no cycles.
             drop(recorder);
             let _ = std::fs::remove_file(&*args.file);
             let domain = &args.common.process.domain;

@@ -1,4 +1,4 @@
-//! `upswing replay`: a recording once more through the controller.
+//! `upswing replay`: feeds a recording to the controller and compares its commands.
 
 use super::{CommonArgs, failed, writable};
 use serde::Serialize;
@@ -11,9 +11,9 @@ use upswing_record::{Message, Recorder, RecordingError};
 
 /// Replays a recording through the controller and compares every number of every cycle, bit for bit.
 ///
-/// The controller gets the recorded measurements, orders and plans, with the recorded settings. Exit code 1: something
-/// differs. With --keep the inputs, and what the controller of today decides with the settings of --config (modes and faults),
-/// go to a small recording: in tests/recordings it is a test from then on.
+/// The controller gets the recorded measurements, orders and plans, with the recorded settings. Exit code 1: a number
+/// differs. --keep writes a small recording of the inputs and of the modes and faults that the present controller computes with the
+/// settings of --config; in tests/recordings it is a regression test.
 ///
 /// Example: upswing replay run.mcap --keep tests/recordings/lost-encoder.mcap
 #[derive(Clone, Debug, clap::Args)]
@@ -21,13 +21,13 @@ pub struct ReplayArgs {
     /// Options of every command.
     #[command(flatten)]
     pub common: CommonArgs,
-    /// The recording, from the start of the daemon on
+    /// Recording that began before the daemon
     #[arg(value_name = "FILE.mcap")]
     pub file: PathBuf,
-    /// Where to keep inputs and decisions
+    /// Small recording to write
     #[arg(long, value_name = "FILE.mcap")]
     pub keep: Option<Destination>,
-    /// What becomes of an existing file.
+    /// Overwriting of existing files.
     #[command(flatten)]
     pub overwrite: Overwrite,
 }
@@ -52,7 +52,7 @@ impl std::fmt::Display for Answer<'_> {
                 write!(f, "first difference in {}", text(number))?;
                 match decision {
                     None => write!(f, "; modes and faults are the same")?,
-                    Some(decision) => write!(f, "; decides otherwise in {}", text(decision))?,
+                    Some(decision) => write!(f, "; modes or faults differ first in {}", text(decision))?,
                 }
             }
         }
@@ -68,10 +68,10 @@ fn text(difference: &Difference) -> String {
     format!("cycle {cycle}: {field} was {recorded}, is {replayed}")
 }
 
-/// Replays.
+/// Replays the recording.
 ///
 /// # Errors
-/// [`Failure::BadInput`] if the file cannot be replayed, [`Failure::Failed`] if something differs.
+/// [`Failure::BadInput`] if the file cannot be replayed, [`Failure::Failed`] if a number differs.
 pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
     let kept = writable("--keep", args.keep.as_ref(), args.overwrite)?;
     let recorded = Run::read(&args.file)?;
@@ -96,8 +96,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
     if success { Ok(()) } else { Err(failed("the replay differs from the recording")) }
 }
 
-/// Writes all inputs, and of the cycles as they came out those in which the controller decided something, the first and the
-/// last.
+/// Writes all inputs, and of the replayed cycles the first, the last, and those in which mode or fault changes.
 fn keep(file: &Output, config: &Config, recorded: &Run, replay: &Replay) -> Result<(), Failure> {
     file.clear().map_err(|e| Failure::BadInput(format!("--keep: {e}")))?;
     let details = [("kept", env!("CARGO_PKG_VERSION").to_owned())];

@@ -11,7 +11,7 @@ use upswing_record::{Message, RecordingError, Source, scan};
 use upswing_view::page::{self, Data, Digest};
 use upswing_view::picture::figures;
 
-/// Writes one HTML file that shows a recording in any browser, without network: the robot in motion with play, pause and
+/// Writes one HTML page that shows a recording in any browser, without network: the robot in motion with play, pause and
 /// scrub, positions, velocities and torques, modes, cycle times, summary and settings.
 ///
 /// Example: upswing demo --record run.mcap && upswing report run.mcap --svg
@@ -20,10 +20,10 @@ pub struct ReportArgs {
     /// Options of every command.
     #[command(flatten)]
     pub common: CommonArgs,
-    /// The recording, or a flight record of the daemon, which is shown with the settings of --config
+    /// Recording, or flight record of the daemon, which is shown with the settings of --config
     #[arg(value_name = "FILE")]
     pub file: PathBuf,
-    /// The page to write [default: the recording's name with .html]
+    /// Page to write [default: the recording's name with .html]
     #[arg(long, value_name = "FILE.html")]
     pub output: Option<Destination>,
     /// Begin, s after the first cycle
@@ -32,13 +32,13 @@ pub struct ReportArgs {
     /// End, s after the first cycle [default: the end of the recording]
     #[arg(long, value_name = "S", value_parser = within(0.0, 1e9))]
     pub to: Option<f64>,
-    /// Write each figure as SVG, too, beside the page
+    /// Also write each figure as SVG, beside the page
     #[arg(long)]
     pub svg: bool,
-    /// Write each figure as PNG, too, beside the page; needs a sans-serif font on this machine
+    /// Also write each figure as PNG, beside the page; needs a sans-serif font on this machine
     #[arg(long)]
     pub png: bool,
-    /// What becomes of an existing file.
+    /// Overwriting of existing files.
     #[command(flatten)]
     pub overwrite: Overwrite,
 }
@@ -65,7 +65,7 @@ impl std::fmt::Display for Answer {
 /// Writes the page and the figures.
 ///
 /// # Errors
-/// [`Failure::BadInput`] if there is no such recording, [`Failure::Failed`] if a file cannot be written.
+/// [`Failure::BadInput`] if the recording cannot be read, [`Failure::Failed`] if a file cannot be written.
 pub fn run(args: &ReportArgs) -> Result<(), Failure> {
     let unreadable = |cause| RecordingError::Read { path: args.file.clone(), cause };
     upswing_config::open_file(&args.file).map_err(unreadable)?;

@@ -1,13 +1,13 @@
-//! `upswing request`: what an operator asks of a running system.
+//! `upswing request`: sends an operator's request to a running system.
 
 use super::{CommonArgs, failed};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use upswing_ipc::operator::{Operator, Request};
 use upswing_process::{Failure, shutdown_flag};
 
-/// Asks the running system to do something.
+/// Sends a request to the running system.
 ///
-/// Ctrl-C withdraws a request that is still being planned.
+/// Ctrl-C during planning cancels the request.
 ///
 /// Example: upswing request enable && upswing request swing-up
 #[derive(Clone, Debug, clap::Args)]
@@ -15,7 +15,8 @@ pub struct RequestArgs {
     /// Options of every command.
     #[command(flatten)]
     pub common: CommonArgs,
-    /// What to do
+    /// The request
+    /// The request
     #[arg(value_parser = requests())]
     pub what: Request,
 }
@@ -30,7 +31,7 @@ fn requests() -> impl TypedValueParser<Value = Request> {
 /// Sends the request.
 ///
 /// # Errors
-/// [`Failure::Failed`] with the reason if it is refused or nobody answers.
+/// [`Failure::Failed`] with the reason if the request is refused or not answered.
 pub fn run(args: &RequestArgs) -> Result<(), Failure> {
     let node = args.common.join_existing()?;
     let interrupted = shutdown_flag()?;

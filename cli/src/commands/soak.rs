@@ -11,10 +11,10 @@ use upswing_rig::montecarlo::Starts;
 use upswing_rig::session::{Programs, Session, SessionError};
 use upswing_rig::soak::{Growth, Kill, Record, Soak};
 
-/// Swings up, balances, pushes, swings down and holds, over and over, from random starts
+/// Repeats swing-up, balance, push, swing-down and hold from random starts.
 ///
 /// Daemon, planner and plant run as three processes. In a share of the rounds one of them is killed (SIGKILL) at a random
-/// moment, started again, and the next round shows that the system has recovered. Exit code 1: a round failed by itself.
+/// moment and restarted, and the next round shows that the system has recovered. Exit code 1: a round failed without a kill.
 ///
 /// Example: upswing soak --seconds 1800 --clock wall --json
 #[derive(Clone, Debug, clap::Args)]
@@ -22,7 +22,7 @@ pub struct SoakArgs {
     /// Options of every command.
     #[command(flatten)]
     pub common: CommonArgs,
-    /// How long, s (1 to a week); the last round is brought to its end
+    /// Duration, s (1 to a week); the last round is completed
     #[arg(long, value_name = "S", default_value_t = 60.0, value_parser = within(1.0, WEEK))]
     pub seconds: f64,
     /// Clock: `paced` (real-time pace) or `wall`
@@ -64,7 +64,7 @@ impl std::fmt::Display for Answer {
             format!("{} {role} (ready after {most:.2} s at most)", of_role.len())
         };
         let each = ["daemon", "planner", "plant"].map(longest).join(", ");
-        writeln!(f, "  kills     {each}; {orderly_restarts} daemons ended in their own way")?;
+        writeln!(f, "  kills     {each}; {orderly_restarts} daemons shut down normally")?;
         let (stretches, missed) = cycles.misses();
         let longest = cycles.missed.last_key_value().map_or(0, |(length, _)| *length);
         writeln!(
@@ -86,8 +86,7 @@ impl std::fmt::Display for Answer {
 /// Runs the soak.
 ///
 /// # Errors
-/// [`Failure::BadInput`] for what cannot be, [`Failure::Failed`] if a round failed by itself or the system could not be
-/// brought back.
+/// [`Failure::BadInput`] for invalid options, [`Failure::Failed`] if a round failed without a kill or the system did not recover.
 pub fn run(args: &SoakArgs) -> Result<(), Failure> {
     if args.clock == Clock::Lockstep {
         return Err(Failure::BadInput(

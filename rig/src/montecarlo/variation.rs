@@ -25,11 +25,11 @@ pub enum Variation {
     PendulumLength,
     /// Resolution of the pendulum's encoders, bits per turn
     EncoderBits,
-    /// Cycles that a command spends on its way
+    /// Delay of commands, cycles
     TorqueDelay,
     /// Time constant T_1 of the velocity filter, ms (a setting of the controller)
     VelocityFilter,
-    /// Share of the arm's friction that the drives leave, %
+    /// Share of the arm's friction that the drives do not compensate, %
     Friction,
     /// Horizontal push on the tip of the rod in Balance, in a direction drawn for each start, N s
     Push,
@@ -37,7 +37,7 @@ pub enum Variation {
     MissedSwingUp,
     /// Cycles missed in a row in Balance
     MissedBalance,
-    /// Cycles missed now and then, as often and as many as recorded (--missed), times this factor in frequency
+    /// Random gaps of missed cycles from a recorded histogram (--missed), with their frequency times this factor
     Jitter,
 }
 

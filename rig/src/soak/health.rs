@@ -122,7 +122,7 @@ impl std::fmt::Display for Growth {
         let mib = |kib: u64| kib as f64 / 1024.0;
         write!(
             f,
-            "{:<9} {} processes, memory {:.1} to {:.1} MiB, the own of one grew by at most {:.1} MiB; handles {} to {}",
+            "{:<9} {} processes, memory {:.1} to {:.1} MiB, private memory of one grew by at most {:.1} MiB; handles {} to {}",
             self.role,
             self.processes,
             mib(self.resident_kib.0),

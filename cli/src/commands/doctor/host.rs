@@ -1,4 +1,4 @@
-//! What the files of the kernel say about a host.
+//! Real-time properties of a host, read from files of the kernel.
 
 use super::{Finding, Grade};
 use std::path::{Path, PathBuf};
@@ -24,7 +24,7 @@ impl Host {
         self.read(path)?.parse().ok()
     }
 
-    /// All that can be found out from files, for a real-time thread on `cpu` (`None`: on any).
+    /// All findings from files, for a real-time thread on `cpu` (`None`: on any CPU).
     pub fn findings(&self, cpu: Option<usize>) -> Vec<Finding> {
         vec![self.kernel(), self.throttling(), self.group(), self.governor(cpu), self.isolation(cpu)]
     }
@@ -65,7 +65,7 @@ impl Host {
         }
     }
 
-    /// What the cgroup of this process may use of real time: only with RT_GROUP_SCHED, and then 0 where nobody set it.
+    /// Real-time budget of this process's cgroup: exists only with RT_GROUP_SCHED, and is 0 by default.
     fn group(&self) -> Finding {
         const NAME: &str = "control group";
         let groups = self.read("proc/self/cgroup").unwrap_or_default();

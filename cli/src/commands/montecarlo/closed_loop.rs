@@ -10,24 +10,24 @@ use upswing_rig::montecarlo::closed_loop::{self, ConditionResult};
 use upswing_rig::montecarlo::condition::Condition;
 use upswing_view::picture;
 
-/// How to swing up.
+/// Options of `montecarlo closed-loop`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct ClosedLoopArgs {
-    /// Which starts, from which database.
+    /// Starts and database.
     #[command(flatten)]
     pub sampling: SamplingArgs,
-    /// In what the plant differs from what planner and controller believe, separated by commas: `nominal`;
+    /// Conditions, that is differences between the plant and the controller's model, separated by commas: `nominal`;
     /// `arm-mass`, `pendulum-mass`, `pendulum-length` (scaled by 0.9 to 1.1, drawn for each start); or scenarios of the
     /// plant, by name or as .toml files
     #[arg(long, value_name = "NAME|FILE,..", value_delimiter = ',', default_value = "nominal")]
     pub condition: Vec<String>,
-    /// How long to balance, s (2 to 600); the last second is judged
+    /// Duration of the balance, s (2 to 600); success is judged in the last second
     #[arg(long, value_name = "S", default_value_t = 4.0, value_parser = within(2.0, 600.0))]
     pub seconds: f64,
-    /// Draw the swing-up of --only as far as it came (SVG)
+    /// Draw the swing-up of --only, up to its failure (SVG)
     #[arg(long, value_name = "FILE", requires = "only")]
     pub picture: Option<Destination>,
-    /// What becomes of an existing file.
+    /// Overwriting of existing files.
     #[command(flatten)]
     pub overwrite: Overwrite,
 }

@@ -14,19 +14,19 @@ use upswing_process::{Failure, shutdown_flag};
 use upswing_rig::montecarlo::{NoStart, Spread, arm_degrees};
 use upswing_view::picture::map;
 
-/// How to plan.
+/// Options of `montecarlo replan`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct ReplanArgs {
-    /// Which starts, from which database.
+    /// Starts and database.
     #[command(flatten)]
     pub sampling: SamplingArgs,
-    /// Most linearisations per entry; 1 is the paper's mode [default: the setting]
+    /// Largest number of linearisations per entry; 1 is the paper's mode [default: the setting]
     #[arg(long, value_parser = whole(1_u32, 100))]
     pub iterations: Option<u32>,
     /// Draw the smallest margins over the ranges of the starts (SVG)
     #[arg(long, value_name = "FILE")]
     pub svg: Option<Destination>,
-    /// What becomes of an existing file.
+    /// Overwriting of existing files.
     #[command(flatten)]
     pub overwrite: Overwrite,
 }

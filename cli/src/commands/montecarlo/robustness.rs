@@ -13,37 +13,37 @@ use upswing_rig::montecarlo::robustness::{self, Case, Curve, Point};
 use upswing_rig::montecarlo::variation::{Misses, Variation};
 use upswing_view::picture::{self, curves};
 
-/// What to vary.
+/// Options of `montecarlo robustness`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct RobustnessArgs {
-    /// Which starts, from which database.
+    /// Starts and database.
     #[command(flatten)]
     pub sampling: SamplingArgs,
-    /// What to vary, one curve each
+    /// Quantities to vary, one curve each
     #[arg(long, value_name = "WHAT,..", value_delimiter = ',', required = true)]
     pub over: Vec<Variation>,
-    /// By how much, in the unit of --over [default: values that reach from harmless to lost]
+    /// Values, in the unit of --over [default: from harmless to certain failure]
     #[arg(long, value_name = "V,..", value_delimiter = ',', allow_hyphen_values = true)]
     pub values: Option<Vec<f64>>,
-    /// Where the controller takes velocities from, to compare [default: cycle.velocity of daemon.toml]
+    /// Sources of the controller's velocities, to compare [default: cycle.velocity of daemon.toml]
     #[arg(long, value_name = "HOW,..", value_delimiter = ',')]
     pub velocity: Option<Vec<VelocityEstimate>>,
-    /// What else is different about the plant: a scenario of the settings, or the path of a .toml file
+    /// Scenario of the plant, in addition: a name, or the path of a .toml file
     #[arg(long, value_name = "NAME|FILE")]
     pub scenario: Option<String>,
-    /// How often cycles were missed, for `--over jitter`: what `upswing soak --clock wall --json` printed
+    /// Histogram of missed cycles for `--over jitter`: the output of `upswing soak --clock wall --json`
     #[arg(long, value_name = "FILE")]
     pub missed: Option<PathBuf>,
-    /// How long to balance, s (2 to 600); the last second is judged. One second longer where the balance is disturbed
+    /// Duration of the balance, s (2 to 600); success is judged in the last second. A disturbed balance lasts one second longer
     #[arg(long, value_name = "S", default_value_t = 4.0, value_parser = within(2.0, 600.0))]
     pub seconds: f64,
     /// Draw the curves (SVG)
     #[arg(long, value_name = "FILE")]
     pub svg: Option<Destination>,
-    /// Draw the swing-up of --only as far as it came (SVG); one --over, --values and --velocity
+    /// Draw the swing-up of --only, up to its failure (SVG); needs one --over, --values and --velocity
     #[arg(long, value_name = "FILE", requires = "only")]
     pub picture: Option<Destination>,
-    /// What becomes of an existing file.
+    /// Overwriting of existing files.
     #[command(flatten)]
     pub overwrite: Overwrite,
 }
