@@ -1,7 +1,7 @@
-//! The reference of the arm in Hold and Stop: a pose, or the way to rest.
+//! The reference of the arm in Hold and Stop: a pose, or a motion that decelerates.
 
-use upswing_config::{DaemonSettings, HoldGains};
-use upswing_model::{ActuatedVector, NQ, NU, State};
+use upswing_config::HoldGains;
+use upswing_model::{ActuatedVector, NQ, NU, State, StateParts};
 
 /// Speed below which a joint counts as at rest, rad/s, and how long it has to stay there, ns. A pendulum that swings
 /// freely leaves joints 5 and 7 some 0.05 rad/s.
@@ -9,47 +9,31 @@ const REST_SPEED: f64 = 0.1;
 const REST_TIME_NS: u64 = 50_000_000;
 
 /// A pose of the arm to hold, or on its way to rest.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 pub struct ArmReference {
-    gains: HoldGains,
-    deceleration: [f64; NU],
     /// rad and rad/s.
     q: ActuatedVector,
     qd: ActuatedVector,
-    /// Since when the arm has been at rest, ns.
+    /// Time since which reference and arm have been at rest, ns.
     rest_since: Option<u64>,
 }
 
 impl ArmReference {
-    /// The zero pose, with the gains and decelerations of the settings.
-    pub fn new(settings: &DaemonSettings) -> Self {
-        Self {
-            gains: settings.hold,
-            deceleration: settings.stop_deceleration,
-            q: ActuatedVector::zeros(),
-            qd: ActuatedVector::zeros(),
-            rest_since: None,
-        }
-    }
-
     /// Stands still in the pose of `x` (rad, rad/s).
-    pub fn hold(&mut self, x: &State) {
-        self.q = x.fixed_rows::<NU>(0).into();
-        self.qd = ActuatedVector::zeros();
+    pub fn at_rest(x: &State) -> Self {
+        Self { q: x.q_a(), qd: ActuatedVector::zeros(), rest_since: None }
     }
 
-    /// Begins to decelerate from the pose and velocity of `x` (rad, rad/s).
-    pub fn stop(&mut self, x: &State) {
-        self.q = x.fixed_rows::<NU>(0).into();
-        self.qd = x.fixed_rows::<NU>(NQ).into();
-        self.rest_since = None;
+    /// Has the pose and the velocity of `x` (rad, rad/s).
+    pub fn moving(x: &State) -> Self {
+        Self { q: x.q_a(), qd: x.qd_a(), rest_since: None }
     }
 
-    /// Decelerates as set for `elapsed` s; returns u_d, rad/s^2.
-    pub fn decelerate(&mut self, elapsed: f64) -> ActuatedVector {
+    /// Decelerates with `deceleration` (rad/s^2, above 0) for `elapsed` s; returns u_d, rad/s^2.
+    pub fn decelerate(&mut self, deceleration: &[f64; NU], elapsed: f64) -> ActuatedVector {
         let mut u_d = ActuatedVector::zeros();
         for i in 0..NU {
-            let (v, a) = (self.qd[i], self.deceleration[i]);
+            let (v, a) = (self.qd[i], deceleration[i]);
             let braking = elapsed.min(v.abs() / a);
             self.qd[i] = if braking < elapsed { 0.0 } else { v - v.signum() * a * braking };
             self.q[i] += 0.5 * (v + self.qd[i]) * braking;
@@ -75,17 +59,15 @@ impl ArmReference {
     /// x_d; the pendulum has no reference: it is where it is.
     pub fn state(&self, x: &State) -> State {
         let mut x_d = *x;
-        x_d.fixed_rows_mut::<NU>(0).copy_from(&self.q);
-        x_d.fixed_rows_mut::<NU>(NQ).copy_from(&self.qd);
+        x_d.q_a_mut().copy_from(&self.q);
+        x_d.qd_a_mut().copy_from(&self.qd);
         x_d
     }
 
     /// u = u_d + stiffness (q_d - q) + damping (qd_d - qd), rad/s^2.
-    pub fn input(&self, x: &State, u_d: &ActuatedVector) -> ActuatedVector {
+    pub fn input(&self, gains: &HoldGains, x: &State, u_d: &ActuatedVector) -> ActuatedVector {
         ActuatedVector::from_fn(|i, _| {
-            u_d[i]
-                + self.gains.stiffness[i] * (self.q[i] - x[i])
-                + self.gains.damping[i] * (self.qd[i] - x[NQ + i])
+            u_d[i] + gains.stiffness[i] * (self.q[i] - x[i]) + gains.damping[i] * (self.qd[i] - x[NQ + i])
         })
     }
 }
@@ -121,10 +103,8 @@ mod tests {
     #[test]
     fn a_held_joint_is_pulled_to_its_pose_with_its_own_gains() {
         let settings = settings();
-        let (mut arm, pose) = (ArmReference::new(&settings), moving());
-        // Whatever was before.
-        arm.stop(&(pose * 2.0));
-        arm.hold(&pose);
+        let pose = moving();
+        let arm = ArmReference::at_rest(&pose);
         let x = State::from_fn(|i, _| 0.3 - 0.02 * i as f64);
         let x_d = arm.state(&x);
         for row in 0..NX {
@@ -137,7 +117,7 @@ mod tests {
             assert_eq!(x_d[row], expected, "row {row}");
         }
         let u_d = ActuatedVector::from_fn(|i, _| 7.0 - i as f64);
-        let u = arm.input(&x, &u_d);
+        let u = arm.input(&settings.hold, &x, &u_d);
         for i in 0..NU {
             let (stiffness, damping) = (settings.hold.stiffness[i], settings.hold.damping[i]);
             let expected = u_d[i] + stiffness * (pose[i] - x[i]) - damping * x[NQ + i];
@@ -150,10 +130,9 @@ mod tests {
         let (settings, x) = (settings(), moving());
         // In cycles, and where one cycle is longer than the way to rest.
         for elapsed in [125e-6, 7e-3, 0.05, 1.0] {
-            let mut arm = ArmReference::new(&settings);
-            arm.stop(&x);
+            let mut arm = ArmReference::moving(&x);
             for cycle in 1..=(0.4 / elapsed) as usize + 1 {
-                let u_d = arm.decelerate(elapsed);
+                let u_d = arm.decelerate(&settings.stop_deceleration, elapsed);
                 let x_d = arm.state(&State::zeros());
                 for i in 0..NU {
                     let (v, a) = (x[NQ + i], settings.stop_deceleration[i]);
@@ -171,8 +150,8 @@ mod tests {
             }
             // The feedback follows the way, not only its end.
             let x = State::zeros();
-            arm.stop(&moving());
-            let u = arm.input(&x, &ActuatedVector::zeros());
+            let arm = ArmReference::moving(&moving());
+            let u = arm.input(&settings.hold, &x, &ActuatedVector::zeros());
             for i in 0..NU {
                 let (q, qd) = (moving()[i], moving()[NQ + i]);
                 let expected = settings.hold.stiffness[i] * q + settings.hold.damping[i] * qd;
@@ -183,7 +162,6 @@ mod tests {
 
     #[test]
     fn the_arm_rests_when_it_and_its_reference_have_stood_for_50_ms() {
-        let mut arm = ArmReference::new(&settings());
         let slow = |joint: usize, speed: f64| {
             let mut x = at_rest();
             x[NQ + joint] = speed;
@@ -192,11 +170,11 @@ mod tests {
         // The pendulum may swing.
         let mut still = slow(6, -0.099);
         (still[NQ + 7], still[NQ + 8]) = (5.0, -5.0);
-        arm.stop(&moving());
+        let mut arm = ArmReference::moving(&moving());
         for ms in [0, 60, 120] {
             assert!(!arm.is_settled(&still, ms * MS), "the reference moves");
         }
-        arm.stop(&at_rest());
+        let mut arm = ArmReference::moving(&at_rest());
         let begin = 1000;
         for (ms, x, expected) in [
             (0, &still, false),
@@ -214,7 +192,7 @@ mod tests {
             assert_eq!(arm.is_settled(x, (begin + ms) * MS), expected, "after {ms} ms");
         }
         // Another stop begins anew.
-        arm.stop(&at_rest());
+        let mut arm = ArmReference::moving(&at_rest());
         assert!(!arm.is_settled(&still, (begin + 155) * MS));
         assert!(arm.is_settled(&still, (begin + 205) * MS));
     }

@@ -1,8 +1,8 @@
-//! What is checked every cycle, and at the start of a plan. Each check notes what exceeds its warning level in a word of
-//! bits ([`TripCause::bit`]) and returns the first that exceeds its trip level.
+//! The limits that are checked in every cycle and at the start of a plan. Each check collects a warning where a value exceeds its
+//! warning level, and returns the first value that exceeds its trip level.
 
 use crate::supervisor::Refusal;
-use crate::trip::{Trip, TripCause};
+use crate::trip::{Trip, TripCause, Warnings};
 use std::ops::Range;
 use upswing_config::{Config, Level, Levels, StartTolerance};
 use upswing_ipc::Measurement;
@@ -21,9 +21,10 @@ const STOP_DELAY: f64 = 8e-3;
 /// Angle that no encoder shows, rad: 16 turns.
 const ENCODER_RANGE: f64 = 100.0;
 
-/// The levels, in SI units.
+/// The levels of all limits, in SI units, and the warnings of the present cycle.
 #[derive(Clone, Debug)]
 pub struct Checks {
+    warnings: Warnings,
     levels: Levels,
     q_min: JointVector,
     q_max: JointVector,
@@ -43,6 +44,7 @@ impl Checks {
     pub fn new(config: &Config) -> Self {
         let (limits, planning) = (&config.robot.limits, &config.robot.planning);
         Self {
+            warnings: Warnings::default(),
             levels: config.daemon.limits,
             q_min: planning.q_min,
             q_max: planning.q_max,
@@ -62,8 +64,24 @@ impl Checks {
         self.period
     }
 
-    /// Whether a measurement can be used at all: clock, period, drives, angles, torques.
-    pub fn measurement(&self, measurement: &Measurement, warnings: &mut u64) -> Option<Trip> {
+    /// Begins a cycle, without warnings.
+    pub fn begin_cycle(&mut self) {
+        self.warnings = Warnings::default();
+    }
+
+    /// Adds a warning.
+    pub fn warn(&mut self, cause: TripCause) {
+        self.warnings.insert(cause);
+    }
+
+    /// The limits that have exceeded their warning levels in this cycle.
+    pub fn warnings(&self) -> Warnings {
+        self.warnings
+    }
+
+    /// Whether a measurement can be used: clock, period, drives, angles, torques. `not_finite` is the result of
+    /// [`Self::finite`] for the same measurement.
+    pub fn measurement(&mut self, measurement: &Measurement, not_finite: Option<Trip>) -> Option<Trip> {
         if let Err(unknown) = measurement.clock() {
             let (value, limit) = (unknown.got as f64, unknown.max as f64);
             return Some(Trip { cause: TripCause::UnknownClock, joint: 0, value, limit });
@@ -75,13 +93,13 @@ impl Checks {
         if measurement.status & Measurement::DRIVE_FAULT != 0 {
             return Some(Trip::plain(TripCause::DriveFault));
         }
-        self.finite(measurement).or_else(|| {
+        not_finite.or_else(|| {
             let level = scaled(self.levels.torque_fraction, |i| self.tau_max[i]);
-            beyond(TripCause::TorqueLimit, ARM, |i| measurement.tau_measured[i], level, warnings)
+            beyond(TripCause::TorqueLimit, ARM, |i| measurement.tau_measured[i], level, &mut self.warnings)
         })
     }
 
-    /// Whether all angles are numbers that an encoder can show.
+    /// The first angle that is no number that an encoder can show.
     pub fn finite(&self, measurement: &Measurement) -> Option<Trip> {
         let joint = measurement.q.iter().position(|q| exceeds(*q, ENCODER_RANGE))?;
         let value = measurement.q[joint];
@@ -89,8 +107,8 @@ impl Checks {
     }
 
     /// Age of the newest measurement, cycles.
-    pub fn age(&self, cycles: u64, warnings: &mut u64) -> Option<Trip> {
-        count(TripCause::StaleMeasurement, cycles as f64, self.levels.measurement_age, warnings)
+    pub fn age(&mut self, cycles: u64) -> Option<Trip> {
+        count(TripCause::StaleMeasurement, cycles as f64, self.levels.measurement_age, &mut self.warnings)
     }
 
     /// The trip for measurements that have not come for `cycles`.
@@ -100,67 +118,67 @@ impl Checks {
     }
 
     /// How many `cycles` the drives have not acted although the brakes were commanded open.
-    pub fn drives(&self, cycles: u64, warnings: &mut u64) -> Option<Trip> {
-        count(TripCause::DrivesStopped, cycles as f64, self.levels.drives_stopped, warnings)
+    pub fn drives(&mut self, cycles: u64) -> Option<Trip> {
+        count(TripCause::DrivesStopped, cycles as f64, self.levels.drives_stopped, &mut self.warnings)
     }
 
     /// Measurements `missed` since the one before.
-    pub fn gap(&self, missed: u64, warnings: &mut u64) -> Option<Trip> {
-        count(TripCause::MeasurementGap, missed as f64, self.levels.measurement_gap, warnings)
+    pub fn gap(&mut self, missed: u64) -> Option<Trip> {
+        count(TripCause::MeasurementGap, missed as f64, self.levels.measurement_gap, &mut self.warnings)
     }
 
     /// Cycles in a row that ended late.
-    pub fn late(&self, cycles: u64, warnings: &mut u64) -> Option<Trip> {
-        count(TripCause::LateCycles, cycles as f64, self.levels.late_cycles, warnings)
+    pub fn late(&mut self, cycles: u64) -> Option<Trip> {
+        count(TripCause::LateCycles, cycles as f64, self.levels.late_cycles, &mut self.warnings)
     }
 
     /// Whether the angles can have changed from `last` to `q` (rad) in `cycles` cycles.
-    pub fn jump(&self, last: &JointVector, q: &JointVector, cycles: u64, warnings: &mut u64) -> Option<Trip> {
+    pub fn jump(&mut self, last: &JointVector, q: &JointVector, cycles: u64) -> Option<Trip> {
         let elapsed = self.period.seconds_of(cycles);
         let level = |i: usize| {
             let moved = self.encoder_speed[i] * elapsed;
             let Level { warn, trip } = self.levels.encoder_jump;
             Level { warn: moved + warn, trip: moved + trip }
         };
-        beyond(TripCause::EncoderJump, 0..NQ, |i| q[i] - last[i], level, warnings)
+        beyond(TripCause::EncoderJump, 0..NQ, |i| q[i] - last[i], level, &mut self.warnings)
     }
 
     /// Positions and velocities of the arm. Those of a falling pendulum are nobody's fault.
-    pub fn arm(&self, x: &State, warnings: &mut u64) -> Option<Trip> {
+    pub fn arm(&mut self, x: &State) -> Option<Trip> {
         let level = scaled(self.levels.velocity_fraction, |i| self.qd_max[i]);
-        let fast = beyond(TripCause::VelocityLimit, ARM, |i| x[NQ + i], level, warnings);
-        self.range(TripCause::PositionLimit, ARM, x, warnings).or(fast)
+        let fast = beyond(TripCause::VelocityLimit, ARM, |i| x[NQ + i], level, &mut self.warnings);
+        self.range(TripCause::PositionLimit, ARM, x).or(fast)
     }
 
     /// Angles of the pendulum; they matter while it is being controlled.
-    pub fn pendulum(&self, x: &State, warnings: &mut u64) -> Option<Trip> {
-        self.range(TripCause::PendulumRange, PENDULUM, x, warnings)
+    pub fn pendulum(&mut self, x: &State) -> Option<Trip> {
+        self.range(TripCause::PendulumRange, PENDULUM, x)
     }
 
     /// Distance of every angle from the reference `x_d`.
-    pub fn tracking(&self, x: &State, x_d: &State, warnings: &mut u64) -> Option<Trip> {
+    pub fn tracking(&mut self, x: &State, x_d: &State) -> Option<Trip> {
         let level = |_| self.levels.tracking_error;
-        beyond(TripCause::TrackingError, 0..NQ, |i| x[i] - x_d[i], level, warnings)
+        beyond(TripCause::TrackingError, 0..NQ, |i| x[i] - x_d[i], level, &mut self.warnings)
     }
 
     /// Distance of the arm from the pose of `x_d`, which it holds or moves to.
-    pub fn hold(&self, x: &State, x_d: &State, warnings: &mut u64) -> Option<Trip> {
-        self.error_of_arm(self.levels.hold_error, x, x_d, warnings)
+    pub fn hold(&mut self, x: &State, x_d: &State) -> Option<Trip> {
+        self.error_of_arm(self.levels.hold_error, x, x_d)
     }
 
     /// Distance of the arm from the end `x_d` of a plan that it balances at.
-    pub fn balance_error(&self, x: &State, x_d: &State, warnings: &mut u64) -> Option<Trip> {
-        self.error_of_arm(self.levels.balance_error, x, x_d, warnings)
+    pub fn balance_error(&mut self, x: &State, x_d: &State) -> Option<Trip> {
+        self.error_of_arm(self.levels.balance_error, x, x_d)
     }
 
-    fn error_of_arm(&self, level: Level, x: &State, x_d: &State, warnings: &mut u64) -> Option<Trip> {
-        beyond(TripCause::TrackingError, ARM, |i| x[i] - x_d[i], |_| level, warnings)
+    fn error_of_arm(&mut self, level: Level, x: &State, x_d: &State) -> Option<Trip> {
+        beyond(TripCause::TrackingError, ARM, |i| x[i] - x_d[i], |_| level, &mut self.warnings)
     }
 
     /// `torque` on the arm that nothing explains, N m.
-    pub fn unexplained(&self, torque: &ActuatedVector, warnings: &mut u64) -> Option<Trip> {
+    pub fn unexplained(&mut self, torque: &ActuatedVector) -> Option<Trip> {
         let level = scaled(self.levels.collision_torque, |i| self.tau_max[i]);
-        beyond(TripCause::Collision, ARM, |i| torque[i], level, warnings)
+        beyond(TripCause::Collision, ARM, |i| torque[i], level, &mut self.warnings)
     }
 
     /// How long an unexplained torque lasts until it is a collision, s.
@@ -169,27 +187,28 @@ impl Checks {
     }
 
     /// `tilt` of the rod from where the plan ends, rad.
-    pub fn balance(&self, tilt: f64, warnings: &mut u64) -> Option<Trip> {
+    pub fn balance(&mut self, tilt: f64) -> Option<Trip> {
         let level = |_| self.levels.balance_tilt;
-        beyond(TripCause::BalanceLost, PENDULUM.start..NQ, |_| tilt, level, warnings)
+        beyond(TripCause::BalanceLost, PENDULUM.start..NQ, |_| tilt, level, &mut self.warnings)
     }
 
     /// Speeds of the arm that follow from the filtered speeds `v` (rad/s) under the input `u` (rad/s^2) of a balance.
-    pub fn balance_speed(&self, v: &ActuatedVector, u: &ActuatedVector, warnings: &mut u64) -> Option<Trip> {
+    pub fn balance_speed(&mut self, v: &ActuatedVector, u: &ActuatedVector) -> Option<Trip> {
         let level = scaled(self.levels.balance_speed, |i| self.qd_max[i]);
         let ahead = self.velocity_filter + STOP_DELAY;
-        beyond(TripCause::BalanceSpeed, ARM, |i| v[i] + ahead * u[i], level, warnings)
+        beyond(TripCause::BalanceSpeed, ARM, |i| v[i] + ahead * u[i], level, &mut self.warnings)
     }
 
     /// Change of the commanded torque from `last` to `tau` (N m) in one cycle.
-    pub fn torque_rate(
-        &self,
-        last: &ActuatedVector,
-        tau: &ActuatedVector,
-        warnings: &mut u64,
-    ) -> Option<Trip> {
+    pub fn torque_rate(&mut self, last: &ActuatedVector, tau: &ActuatedVector) -> Option<Trip> {
         let level = scaled(self.levels.torque_rate, |i| self.tau_max[i]);
-        beyond(TripCause::TorqueRate, ARM, |i| (tau[i] - last[i]) / self.period.seconds(), level, warnings)
+        beyond(
+            TripCause::TorqueRate,
+            ARM,
+            |i| (tau[i] - last[i]) / self.period.seconds(),
+            level,
+            &mut self.warnings,
+        )
     }
 
     /// Largest change of the commanded torque in one cycle, N m, while a mode begins: that of the warning level.
@@ -202,13 +221,18 @@ impl Checks {
         (2.0 / (self.levels.torque_rate.warn * self.period.seconds())).ceil() as u64
     }
 
-    /// Age of the loaded plan, s.
+    /// Whether a loaded plan of `age` (s) is beyond the warning level.
+    pub fn is_plan_old(&self, age: f64) -> bool {
+        exceeds(age, self.levels.plan_age.warn)
+    }
+
+    /// Age of a loaded plan at its start, s.
     ///
     /// # Errors
     /// [`Refusal::PlanExpired`] if it is too old to be started.
-    pub fn plan_age(&self, age: f64, warnings: &mut u64) -> Result<(), Refusal> {
+    pub fn plan_age(&mut self, age: f64) -> Result<(), Refusal> {
         let level = self.levels.plan_age;
-        match count(TripCause::PlanAge, age, level, warnings) {
+        match count(TripCause::PlanAge, age, level, &mut self.warnings) {
             Some(_) => Err(Refusal::PlanExpired { age, limit: level.trip }),
             None => Ok(()),
         }
@@ -237,14 +261,15 @@ impl Checks {
         Ok(())
     }
 
-    fn range(&self, cause: TripCause, joints: Range<usize>, x: &State, warnings: &mut u64) -> Option<Trip> {
+    /// The position of each of `joints` against the range open to plans.
+    fn range(&mut self, cause: TripCause, joints: Range<usize>, x: &State) -> Option<Trip> {
         let Level { warn, trip } = self.levels.position_margin;
         let mut first = None;
         for joint in joints {
             let (value, lowest, highest) = (x[joint], self.q_min[joint], self.q_max[joint]);
             // A NaN is in no range.
             if !(lowest - warn..=highest + warn).contains(&value) {
-                *warnings |= cause.bit();
+                self.warnings.insert(cause);
             }
             if first.is_none() && !(lowest - trip..=highest + trip).contains(&value) {
                 let limit = if value < lowest { lowest - trip } else { highest + trip };
@@ -266,13 +291,13 @@ fn beyond(
     joints: Range<usize>,
     value: impl Fn(usize) -> f64,
     level: impl Fn(usize) -> Level,
-    warnings: &mut u64,
+    warnings: &mut Warnings,
 ) -> Option<Trip> {
     let mut first = None;
     for joint in joints {
         let (value, Level { warn, trip }) = (value(joint), level(joint));
         if exceeds(value, warn) {
-            *warnings |= cause.bit();
+            warnings.insert(cause);
         }
         if first.is_none() && exceeds(value, trip) {
             first = Some(Trip { cause, joint, value, limit: trip });
@@ -282,7 +307,7 @@ fn beyond(
 }
 
 /// A count or a time that concerns no joint.
-fn count(cause: TripCause, value: f64, level: Level, warnings: &mut u64) -> Option<Trip> {
+fn count(cause: TripCause, value: f64, level: Level, warnings: &mut Warnings) -> Option<Trip> {
     beyond(cause, 0..1, |_| value, |_| level, warnings)
 }
 

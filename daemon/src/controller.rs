@@ -1,134 +1,120 @@
-//! One control cycle: a pure function of measurement, time and its own state. The same code runs on every clock,
-//! in the daemon and in-process.
+//! The controller: one control cycle as a pure function of its input and its own state. The same code runs on every clock, in the
+//! daemon, in replays and in simulations in one process.
 //!
-//! Nothing here allocates, frees, locks, logs, panics or enters the kernel. What has to be freed is handed back.
+//! ```text
+//! encoders -> velocity estimate -> x -> supervisor (limits, requests, mode) -> setpoint (x_d, u_d, u)
+//!          -> torque law (24) -> limiter -> command
+//! ```
+//!
+//! `mode_changes.rs` holds the supervisor. Nothing here allocates, frees, locks, logs, panics or enters the kernel. Plans to be freed are returned to the caller.
+
+mod mode_changes;
 
 use crate::arm::ArmReference;
 use crate::checks::Checks;
-use crate::disturbance::Disturbance;
-use crate::law;
-use crate::observer::Observer;
+use crate::disturbance::{CommandedMotion, Disturbance};
+use crate::law::{self, Torque};
+use crate::modes::{ActiveMode, LoadedPlan, Setpoint};
+use crate::observer::{Observation, Observer};
 use crate::plan::Ending;
 use crate::standstill::Standstill;
-use crate::step::{CycleRecord, Output, Request, StepInput};
-use crate::supervisor::{Event, Refusal, is_braked, transition};
+use crate::step::{CycleRecord, Output, StepInput};
+use crate::supervisor::Event;
 use crate::trip::{Trip, TripCause};
-use nalgebra::Vector3;
-use upswing_config::{Config, JointFriction, PlanWhileTracking};
+use upswing_config::{Config, HoldGains, JointFriction, PlanWhileTracking};
 use upswing_ipc::{Clock, Command, Measurement, Mode, Step, Telemetry};
-use upswing_model::{
-    ActuatedMatrix, ActuatedVector, JointVector, Model, NQ, NU, State, StateParts, Workspace,
-};
+use upswing_model::{ActuatedVector, JointParts, Model, NU, State, StateParts, Workspace};
 use upswing_trajectory::Plan;
 
-/// x_d, u_d and the input u after feedback.
-struct Target {
-    x_d: State,
-    u_d: ActuatedVector,
-    u: ActuatedVector,
-    t_plan: f64,
+/// The command of the last cycle; zero where the brakes were closed.
+#[derive(Clone, Debug, Default)]
+struct LastCommand {
+    /// N m.
+    tau: ActuatedVector,
+    /// The motion for which it was computed; none if the limiter cut it.
+    motion: Option<CommandedMotion>,
 }
 
-/// A plan that has been here since `since`, ns.
-#[derive(Clone, Debug)]
-struct Kept {
-    plan: Box<Plan>,
-    since: u64,
-}
-
-/// Filter, supervisor and control law.
+/// Observer, supervisor and control law.
 #[derive(Clone, Debug)]
 pub struct Controller {
     model: Model,
     work: Workspace,
-    checks: Checks,
     tau_max: ActuatedVector,
     friction: JointFriction,
+    hold: HoldGains,
+    stop_deceleration: [f64; NU],
     while_tracking: PlanWhileTracking,
 
-    mode: Mode,
-    shutting_down: bool,
-    /// Why the last mode was given up.
-    trip: Option<Trip>,
-    /// What exceeded its warning level in this cycle, [`TripCause::bit`].
-    warnings: u64,
-    cycle: u64,
-    /// Number of the last step, counts from 1.
+    /// Numbers of the last step and of the last cycle; both count from 1.
     step: u64,
+    cycle: u64,
+    /// Time of the last step on the plant's clock, ns.
+    now_ns: u64,
+    last: LastCommand,
 
     observer: Observer,
     disturbance: Disturbance,
     standstill: Standstill,
-    arm: ArmReference,
-    /// Time of this cycle and, while a plan runs, of its start, ns.
-    now: u64,
-    start: u64,
-    loaded: Option<Kept>,
-    running: Option<Kept>,
-    /// The rod at x_N, m.
-    rod_at_end: Vector3<f64>,
-    /// Torque of the last cycle, N m.
-    last: ActuatedVector,
-    /// For how many cycles the torque may still be on its way from the mode before to that of this mode.
-    begins: u64,
-    /// qdd that the torque of the last cycle is meant for, unless the limiter cut it.
-    expected: Option<JointVector>,
-    /// M~ of the last command, kg m^2.
-    inertia: ActuatedMatrix,
-    /// For how long a torque has acted on the arm that is enough for a collision, s.
+    checks: Checks,
+    /// How long a torque has acted on the arm that is large enough for a collision, s.
     pressed: f64,
-    /// Whether the robot measures the torque of its loads.
-    senses: bool,
+    /// Whether the plant measures the load behind closed brakes.
+    load_sensed: bool,
+
+    mode: ActiveMode,
+    /// The limit that led to the last Fault or Stop; kept until the next enable, start or reset.
+    trip: Option<Trip>,
+    shutting_down: bool,
+    /// Largest number of cycles in which the torque still approaches that of the mode.
+    blend_cycles: u64,
+    loaded: Option<LoadedPlan>,
+    /// Plans of this step that are not needed any more.
+    retired: [Option<Box<Plan>>; 2],
 }
 
 impl Controller {
     /// A controller in mode Idle that has measured nothing yet.
     pub fn new(config: &Config) -> Self {
+        let (robot, daemon) = (&config.robot, &config.daemon);
+        let tau_max = robot.limits.tau_max;
         Self {
             model: config.model.clone(),
             work: Workspace::default(),
-            checks: Checks::new(config),
-            tau_max: config.robot.limits.tau_max,
-            friction: config.robot.friction,
-            while_tracking: config.daemon.plans.while_tracking,
-            mode: Mode::Idle,
-            shutting_down: false,
-            trip: None,
-            warnings: 0,
-            cycle: 0,
+            tau_max,
+            friction: robot.friction,
+            hold: daemon.hold,
+            stop_deceleration: daemon.stop_deceleration,
+            while_tracking: daemon.plans.while_tracking,
             step: 0,
-            observer: Observer::new(&config.daemon.cycle),
+            cycle: 0,
+            now_ns: 0,
+            last: LastCommand::default(),
+            observer: Observer::new(&daemon.cycle),
             disturbance: Disturbance::new(
-                &config.daemon.disturbance,
-                config.robot.limits.tau_max * config.daemon.disturbance.most,
-                config.daemon.cycle.velocity_filter,
+                &daemon.disturbance,
+                tau_max * daemon.disturbance.most,
+                daemon.cycle.velocity_filter,
             ),
-            standstill: Standstill::new(
-                &config.daemon.standstill,
-                &config.robot.planning.q_max,
-                &config.robot.limits.tau_max,
-            ),
-            arm: ArmReference::new(&config.daemon),
-            now: 0,
-            start: 0,
-            loaded: None,
-            running: None,
-            rod_at_end: Vector3::zeros(),
-            last: ActuatedVector::zeros(),
-            begins: 0,
-            expected: None,
-            inertia: ActuatedMatrix::zeros(),
+            standstill: Standstill::new(&daemon.standstill, &robot.planning.q_max, &tau_max),
+            checks: Checks::new(config),
             pressed: 0.0,
-            senses: false,
+            load_sensed: false,
+            mode: ActiveMode::Idle,
+            trip: None,
+            shutting_down: false,
+            blend_cycles: 0,
+            loaded: None,
+            retired: [None, None],
         }
     }
 
     /// The mode after the last cycle.
     pub fn mode(&self) -> Mode {
-        self.mode
+        self.mode.mode()
     }
 
-    /// Why the last mode was given up; kept until the next enable, start or reset.
+    /// The limit that led to the last Fault or Stop; kept until the next enable, start or reset.
     pub fn trip(&self) -> Option<&Trip> {
         self.trip.as_ref()
     }
@@ -144,113 +130,45 @@ impl Controller {
         self.step += 1;
         let recorded = input.to_payload(self.step, 0);
         let StepInput { measurement, now_ns, late_cycles, lost_cycles, restarted, request } = input;
-        let measurement = &measurement;
-        if restarted {
-            let trip = self.observer.restart();
-            self.senses = false;
-            self.give_up(Event::TripToFault, trip);
-        }
-        if lost_cycles > 0 {
-            let trip = self.checks.lost(lost_cycles);
-            self.observer.unfit = Some(trip);
-            self.give_up(Event::TripToFault, trip);
-        }
+        self.checks.begin_cycle();
+        self.lose_plant(restarted, lost_cycles);
         // Before a plant shows its clock no time passes: that of a paced one will begin at 0.
         let wall = measurement.period_ns > 0 && measurement.clock() == Ok(Clock::Wall);
-        let first = self.observer.is_new();
-        let now = if wall { now_ns } else { measurement.seq.saturating_mul(measurement.period_ns) };
-        let elapsed = now.saturating_sub(self.now) as f64 * 1e-9;
-        self.now = now;
-        self.warnings = 0;
-        let braked = is_braked(self.mode);
-        let expected = self.expected.as_ref();
-        let (fresh, restarted) =
-            self.observer.observe(measurement, now_ns, &self.checks, expected, braked, &mut self.warnings);
-        if fresh && (first || restarted.is_some()) {
-            // Another plant, another time: plans age by its clock from here.
-            for kept in [&mut self.loaded, &mut self.running].into_iter().flatten() {
-                kept.since = now;
+        let plant_ns = if wall { now_ns } else { measurement.seq.saturating_mul(measurement.period_ns) };
+        let elapsed = plant_ns.saturating_sub(self.now_ns) as f64 * 1e-9;
+        self.now_ns = plant_ns;
+
+        let is_new = self.observe(&measurement, now_ns, elapsed);
+        // Without a new measurement it is a cycle on the wall clock only, on the others a request between cycles.
+        self.cycle += u64::from(is_new || wall);
+        if let Some(trip) = self.checks.late(late_cycles) {
+            self.trip_to_stop(trip);
+        }
+        self.warn_of_plan_age();
+        let answer = request.map(|request| self.obey(request));
+
+        let setpoint =
+            self.follow_plan().or_else(|| self.keep_arm(elapsed)).unwrap_or_else(|| self.no_motion());
+        let (setpoint, torque) = match self.torque(&setpoint) {
+            Ok(torque) => (setpoint, torque),
+            Err(trip) => {
+                self.trip_to_fault(trip);
+                (self.no_motion(), Torque::default())
             }
-        }
-        if matches!(self.mode, Mode::Idle | Mode::Hold) {
-            self.observer.drop_turns();
-        }
-        if restarted.is_some() {
-            self.senses = false;
-        }
-        let mut collision = None;
-        if braked {
-            self.weigh(measurement, fresh);
-            self.pressed = 0.0;
-        } else {
-            let v: ActuatedVector = self.observer.filtered.fixed_rows::<NU>(0).into();
-            let u: Option<ActuatedVector> = expected.map(|qdd| qdd.fixed_rows::<NU>(0).into());
-            self.disturbance.update(&v, u.as_ref(), elapsed, &self.inertia);
-            let unexplained = self.checks.unexplained(self.disturbance.unexplained(), &mut self.warnings);
-            // Drives that do not act leave all of the command unexplained; that has a limit of its own.
-            let pressed = unexplained.is_some() && self.observer.drives_act();
-            self.pressed = if pressed { self.pressed + elapsed } else { 0.0 };
-            collision = unexplained.filter(|_| self.pressed >= self.checks.collision_time());
-        }
-        if self.warnings & TripCause::EncoderJump.bit() != 0 {
-            self.standstill.jumped();
-        }
-        // What the brakes hold stands for good, and what was not measured says nothing.
-        let stuck = if braked || !self.observer.drives_act() {
-            self.standstill.reset();
-            None
-        } else if fresh {
-            let elapsed = self.checks.period().seconds_of(self.observer.cycles());
-            let q = self.observer.x.q();
-            let tau = measurement.tau_measured.into();
-            let frozen = if self.senses { self.standstill.observe_all(&q, &tau, elapsed) } else { None };
-            self.standstill.observe(&q, elapsed).or(frozen)
-        } else {
-            None
         };
-        // Without a new measurement it is a cycle on the wall clock only, on the others an order between cycles.
-        self.cycle += u64::from(fresh || wall);
-
-        if let Some(trip) = restarted.or(self.observer.unfit).or(stuck).or(collision) {
-            self.give_up(Event::TripToFault, trip);
-        }
-        if let Some(trip) = self.checks.late(late_cycles, &mut self.warnings) {
-            self.give_up(Event::TripToStop, trip);
-        }
-        // The age of a plan matters where it could be started; what is too old is refused there.
-        if let Some(kept) = &self.loaded
-            && transition(self.mode, Event::Start).is_ok()
-            && self.start_time(kept).is_ok()
-        {
-            let _ = self.checks.plan_age(age(kept, self.now), &mut self.warnings);
-        }
-        let mut garbage = None;
-        let answer = request.map(|request| self.obey(request, &mut garbage));
-
-        let followed = if matches!(self.mode, Mode::Track | Mode::Balance) { self.follow() } else { None };
-        let target = followed.unwrap_or_else(|| match self.mode {
-            Mode::Hold | Mode::Stop => self.hold(elapsed),
-            _ => self.rest(),
-        });
-        let (target, torque) = self.torque(target);
-        // Nothing runs any more: what ran is loaded again, unless something newer is.
-        if !matches!(self.mode, Mode::Track | Mode::Balance) {
-            if self.loaded.is_none() {
-                self.loaded = self.running.take();
-            } else if garbage.is_none() {
-                garbage = self.running.take().map(|kept| kept.plan);
-            }
+        if self.mode.is_braked() {
+            self.last = LastCommand::default();
         }
 
         let t_ns = if wall { now_ns } else { measurement.t_ns };
-        let telemetry = self.telemetry(measurement, t_ns, fresh, &target, &torque);
+        let telemetry = self.telemetry(&measurement, t_ns, is_new, &setpoint, &torque);
         Output {
             command: Command {
                 seq: self.cycle,
                 t_ns,
                 measurement_seq: measurement.seq,
                 tau: telemetry.tau,
-                brake: is_braked(self.mode).into(),
+                brake: self.mode.is_braked().into(),
             },
             record: CycleRecord {
                 telemetry,
@@ -260,287 +178,247 @@ impl Controller {
                 overruns: 0,
             },
             answer,
-            retired: [garbage, None],
+            retired: std::mem::take(&mut self.retired),
         }
     }
 
-    /// Closed brakes: where the robot measures the load that they hold, what gravity does not explain of it is the
-    /// disturbance that Hold begins with. `fresh`: the measurement is new.
-    fn weigh(&mut self, measurement: &Measurement, fresh: bool) {
+    // From encoders to x, and to the trips that follow from a measurement.
+
+    /// Trips to Fault if the plant has `restarted` or its measurements have not come for `lost_cycles`.
+    fn lose_plant(&mut self, restarted: bool, lost_cycles: u64) {
+        if restarted {
+            let trip = self.observer.restart();
+            self.load_sensed = false;
+            self.trip_to_fault(trip);
+        }
+        if lost_cycles > 0 {
+            let trip = self.checks.lost(lost_cycles);
+            self.observer.unfit = Some(trip);
+            self.trip_to_fault(trip);
+        }
+    }
+
+    /// Takes in the measurement, `elapsed` s after the last step, and trips to Fault where it, the drives or the motion of the arm
+    /// cannot be trusted. Returns whether the measurement is new.
+    fn observe(&mut self, measurement: &Measurement, now_ns: u64, elapsed: f64) -> bool {
+        let first = self.observer.is_new();
+        let braked = self.mode.is_braked();
+        let expected = self.last.motion.as_ref().map(|motion| &motion.qdd);
+        let Observation { is_new, restarted } =
+            self.observer.observe(measurement, now_ns, &mut self.checks, expected, braked);
+        if matches!(self.mode, ActiveMode::Idle | ActiveMode::Hold(_)) {
+            self.observer.drop_turns();
+        }
+        if restarted.is_some() {
+            self.load_sensed = false;
+        }
+        let collision = if braked {
+            self.weigh_load(measurement, is_new);
+            None
+        } else {
+            self.collision(elapsed)
+        };
+        let stuck = self.stuck_encoder(measurement, is_new, braked);
+        if let Some(trip) = restarted.or(self.observer.unfit).or(stuck).or(collision) {
+            self.trip_to_fault(trip);
+        }
+        // Another plant, another time: a plan ages by its clock from here.
+        if is_new
+            && (first || restarted.is_some())
+            && let Some(loaded) = &mut self.loaded
+        {
+            loaded.since_ns = self.now_ns;
+        }
+        is_new
+    }
+
+    /// Closed brakes: where the plant measures the load that they hold, the part of it that gravity does not explain is the
+    /// disturbance estimate with which Hold begins.
+    fn weigh_load(&mut self, measurement: &Measurement, is_new: bool) {
         const HELD: u64 = Measurement::BRAKES_CLOSED | Measurement::LOAD_SENSED;
-        self.senses |= measurement.status & Measurement::LOAD_SENSED != 0;
+        self.pressed = 0.0;
+        self.load_sensed |= measurement.status & Measurement::LOAD_SENSED != 0;
         if measurement.status & HELD != HELD || self.observer.unfit.is_some() {
             self.disturbance.reset();
-        } else if fresh {
+        } else if is_new {
             // The arm is at rest, whatever the encoders' noise is; the pendulum may swing.
             let mut x = self.observer.x;
-            x.fixed_rows_mut::<NU>(NQ).fill(0.0);
+            x.qd_a_mut().fill(0.0);
             let explained = self.model.torque(&x, &ActuatedVector::zeros(), &mut self.work);
             let elapsed = self.checks.period().seconds_of(self.observer.cycles());
             self.disturbance.weigh(&(explained - ActuatedVector::from(measurement.tau_measured)), elapsed);
         }
     }
 
-    /// What this cycle was; `fresh`: its measurement is new.
+    /// Open brakes: updates the disturbance estimate, `elapsed` s after the last step. Returns the trip for a large torque that has
+    /// acted on the arm for too long.
+    fn collision(&mut self, elapsed: f64) -> Option<Trip> {
+        let v = self.observer.filtered.actuated();
+        self.disturbance.update(&v, self.last.motion.as_ref(), elapsed);
+        let unexplained = self.checks.unexplained(self.disturbance.unexplained());
+        // Drives that do not act leave all of the command unexplained; that has a limit of its own.
+        let pressed = unexplained.is_some() && self.observer.drives_act();
+        self.pressed = if pressed { self.pressed + elapsed } else { 0.0 };
+        unexplained.filter(|_| self.pressed >= self.checks.collision_time())
+    }
+
+    /// The trip for an angle, or a whole measurement, that does not change although the command must have changed it.
+    fn stuck_encoder(&mut self, measurement: &Measurement, is_new: bool, braked: bool) -> Option<Trip> {
+        if self.checks.warnings().contains(TripCause::EncoderJump) {
+            self.standstill.jumped();
+        }
+        // Joints that the brakes hold have a reason to stand.
+        if braked || !self.observer.drives_act() {
+            self.standstill.reset();
+            return None;
+        }
+        if !is_new {
+            return None;
+        }
+        let elapsed = self.checks.period().seconds_of(self.observer.cycles());
+        let q = self.observer.x.q();
+        let tau = measurement.tau_measured.into();
+        let frozen = if self.load_sensed { self.standstill.observe_all(&q, &tau, elapsed) } else { None };
+        self.standstill.observe(&q, elapsed).or(frozen)
+    }
+
+    // Setpoint of the mode.
+
+    /// Track and Balance: u = u_d + K (x - x_d). `None` in other modes, and where the plan ends in Hold or trips to Stop.
+    fn follow_plan(&mut self) -> Option<Setpoint> {
+        self.finish_plan();
+        let setpoint = match &self.mode {
+            ActiveMode::Track(plan) => plan.track(self.now_ns, &self.observer.x, &mut self.checks),
+            ActiveMode::Balance(plan) => {
+                plan.balance(self.now_ns, &self.observer, &self.model, &mut self.checks)
+            }
+            _ => return None,
+        };
+        setpoint.map_err(|trip| self.trip_to_stop(trip)).ok()
+    }
+
+    /// Track, once t >= t_F: a plan that ends upright leads to Balance, one that ends hanging to Hold.
+    fn finish_plan(&mut self) {
+        let ActiveMode::Track(plan) = &self.mode else { return };
+        match plan.ending(self.now_ns) {
+            Some(Ending::Hanging) => {
+                let hold = ActiveMode::Hold(ArmReference::at_rest(&plan.end().x));
+                self.enter(Event::PlanEnded(Ending::Hanging), hold);
+            }
+            Some(Ending::Upright) => {
+                self.mode.balance();
+                self.blend_cycles = self.checks.torque_steps();
+            }
+            None => {}
+        }
+    }
+
+    /// Hold and Stop: the arm follows its reference, `elapsed` s after the last step. `None` in other modes, and where the arm comes to
+    /// rest for good or trips to Fault.
+    fn keep_arm(&mut self, elapsed: f64) -> Option<Setpoint> {
+        let x = self.observer.x;
+        let mut u_d = ActuatedVector::zeros();
+        if let ActiveMode::Stop(reference) = &mut self.mode {
+            u_d = reference.decelerate(&self.stop_deceleration, elapsed);
+            if reference.is_settled(&x, self.now_ns) {
+                let (event, next) = if self.shutting_down {
+                    (Event::AtRestAtShutdown, ActiveMode::Idle)
+                } else {
+                    (Event::AtRest, ActiveMode::Hold(*reference))
+                };
+                self.enter(event, next);
+            }
+        }
+        let (ActiveMode::Hold(reference) | ActiveMode::Stop(reference)) = &self.mode else { return None };
+        let x_d = reference.state(&x);
+        let u = reference.input(&self.hold, &x, &u_d);
+        match self.checks.hold(&x, &x_d) {
+            Some(trip) => {
+                self.trip_to_fault(trip);
+                None
+            }
+            None => Some(Setpoint { x_d, u_d, u, t_plan: 0.0 }),
+        }
+    }
+
+    /// Idle and Fault: the brakes hold the arm where it is.
+    fn no_motion(&self) -> Setpoint {
+        let none = ActuatedVector::zeros();
+        Setpoint { x_d: self.observer.x, u_d: none, u: none, t_plan: 0.0 }
+    }
+
+    // From the setpoint to the command.
+
+    /// (24) and the limiter; no torque with closed brakes.
+    ///
+    /// # Errors
+    /// The [`Trip`] for a torque that is not finite, or that no drive should follow.
+    fn torque(&mut self, setpoint: &Setpoint) -> Result<Torque, Trip> {
+        if self.mode.is_braked() {
+            return Ok(Torque::default());
+        }
+        let friction = self.friction.torque(&setpoint.x_d.qd_a());
+        let besides = self.disturbance.estimate() - friction;
+        let (x, u) = (&self.observer.x, &setpoint.u);
+        let law = law::torque(&self.model, x, u, &besides, &self.tau_max, &mut self.work);
+        let (torque, inertia) = law.ok_or(Trip::plain(TripCause::LawNotFinite))?;
+        let torque = self.blend(torque)?;
+        let motion = CommandedMotion { qdd: torque.qdd, reduced_inertia: inertia.reduced };
+        self.last = LastCommand { tau: torque.tau, motion: (!torque.limited).then_some(motion) };
+        if self.blend_cycles > 0 {
+            // The torque is not the one of u yet, and the brakes may still be opening.
+            self.standstill.reset();
+        } else {
+            let qd = self.observer.filtered.actuated();
+            self.standstill.command(u, &torque, self.disturbance.estimate(), &inertia, &qd);
+        }
+        Ok(torque)
+    }
+
+    /// A mode begins with the torque of the last one (none, where the brakes held) and approaches its own without a step;
+    /// from then on a step is a trip.
+    fn blend(&mut self, torque: Torque) -> Result<Torque, Trip> {
+        if self.blend_cycles > 0 {
+            let near = torque.near(&self.last.tau, &self.checks.torque_step());
+            self.blend_cycles = if near.tau == torque.tau { 0 } else { self.blend_cycles - 1 };
+            return Ok(near);
+        }
+        self.checks.torque_rate(&self.last.tau, &torque.tau).map_or(Ok(torque), Err)
+    }
+
+    /// The telemetry of this cycle.
     fn telemetry(
         &self,
         measurement: &Measurement,
         t_ns: u64,
-        fresh: bool,
-        target: &Target,
-        torque: &law::Torque,
+        is_new: bool,
+        setpoint: &Setpoint,
+        torque: &Torque,
     ) -> Telemetry {
-        let fault = self.trip.filter(|_| self.mode == Mode::Fault).map_or(0, |trip| trip.cause.code());
+        let fault = self.trip.filter(|_| self.mode() == Mode::Fault).map_or(0, |trip| trip.cause.code());
         let flag = |set: bool, bit: u64| if set { bit } else { 0 };
         Telemetry {
             seq: self.cycle,
             t_ns,
             measurement_seq: measurement.seq,
-            mode: self.mode.code(),
+            mode: self.mode().code(),
             fault,
-            warnings: self.warnings,
-            plan_id: self.running.as_ref().map_or(0, |kept| kept.plan.id),
-            flags: flag(!fresh, Telemetry::STALE)
+            warnings: self.checks.warnings().bits(),
+            plan_id: self.mode.plan_id(),
+            flags: flag(!is_new, Telemetry::STALE)
                 | flag(torque.limited, Telemetry::LIMITED)
-                | flag(is_braked(self.mode), Telemetry::BRAKE),
-            t_plan: target.t_plan,
-            q: self.observer.position(measurement).into(),
+                | flag(self.mode.is_braked(), Telemetry::BRAKE),
+            t_plan: setpoint.t_plan,
+            q: self.observer.position().into(),
             qd: self.observer.x.qd().into(),
-            q_d: target.x_d.q().into(),
-            qd_d: target.x_d.qd().into(),
-            u_d: target.u_d.into(),
-            u: target.u.into(),
+            q_d: setpoint.x_d.q().into(),
+            qd_d: setpoint.x_d.qd().into(),
+            u_d: setpoint.u_d.into(),
+            u: setpoint.u.into(),
             tau: torque.tau.into(),
             tau_measured: measurement.tau_measured,
             clock: measurement.clock,
             ..Telemetry::default()
         }
     }
-
-    /// Leaves the mode because of `trip`, where the table says so; from Fault it does not, so the first cause stays.
-    fn give_up(&mut self, event: Event, trip: Trip) {
-        if let Ok(to) = transition(self.mode, event) {
-            self.trip = Some(trip);
-            self.enter(to);
-        }
-    }
-
-    /// Why the robot cannot be enabled now.
-    fn unready(&self) -> Option<Refusal> {
-        if self.mode != Mode::Idle {
-            return None;
-        }
-        let unfit = self.observer.unfit.map(Refusal::Unfit);
-        unfit.or((!self.observer.drives_ready).then_some(Refusal::DrivesNotReady))
-    }
-
-    fn load(&mut self, plan: Box<Plan>, garbage: &mut Option<Box<Plan>>) -> Result<(), Refusal> {
-        let refusal = match &self.running {
-            Some(kept) if self.mode == Mode::Track && self.while_tracking == PlanWhileTracking::Refuse => {
-                Refusal::Tracking { running: kept.plan.id }
-            }
-            _ => {
-                *garbage = self.loaded.replace(Kept { plan, since: self.now }).map(|kept| kept.plan);
-                return Ok(());
-            }
-        };
-        *garbage = Some(plan);
-        Err(refusal)
-    }
-
-    fn obey(&mut self, request: Request, garbage: &mut Option<Box<Plan>>) -> Result<(), Refusal> {
-        let request = match request {
-            Request::Load(plan) => return self.load(plan, garbage),
-            request => request,
-        };
-        if self.shutting_down && request != Request::Shutdown {
-            return Err(Refusal::ShuttingDown);
-        }
-        let to = request.event().map_or(Ok(self.mode), |event| transition(self.mode, event))?;
-        match request {
-            Request::Enable => {
-                if let Some(refusal) = self.unready() {
-                    return Err(refusal);
-                }
-                self.trip = None;
-            }
-            Request::Start(id) => {
-                let kept = self.loaded.as_ref().ok_or(Refusal::NoPlan)?;
-                if kept.plan.id != id {
-                    return Err(Refusal::OtherPlan { asked: id, loaded: kept.plan.id });
-                }
-                let begin = self.start_time(kept)?;
-                self.checks.plan_age(age(kept, self.now), &mut self.warnings)?;
-                self.rod_at_end = self.model.rod(&kept.plan.end().x.q());
-                self.start = begin;
-                self.trip = None;
-                // From Balance another plan ran until now.
-                *garbage = self.running.take().map(|kept| kept.plan);
-                self.running = self.loaded.take();
-            }
-            Request::Reset => self.trip = None,
-            Request::Shutdown => self.shutting_down = true,
-            Request::Hold | Request::Stop | Request::Load(_) => {}
-        }
-        self.enter(to);
-        Ok(())
-    }
-
-    /// The time of a loaded plan's t = 0 (ns) if it is started now: its activation, otherwise this moment.
-    fn start_time(&self, kept: &Kept) -> Result<u64, Refusal> {
-        let begin = kept.plan.activation_ns.unwrap_or(self.now);
-        if begin > self.now {
-            return Err(Refusal::BeforeActivation { wait: (begin - self.now) as f64 * 1e-9 });
-        }
-        let t_plan = (self.now - begin) as f64 * 1e-9;
-        self.checks.start(&self.observer.x, &kept.plan.reference(t_plan).x, t_plan)?;
-        Ok(begin)
-    }
-
-    fn enter(&mut self, to: Mode) {
-        match (self.mode, to) {
-            // The pose is there already.
-            (Mode::Stop, Mode::Hold | Mode::Stop) => {}
-            (Mode::Track, Mode::Hold) => {
-                let end = self.running.as_ref().map_or(self.observer.x, |kept| kept.plan.end().x);
-                self.arm.hold(&end);
-            }
-            (_, Mode::Hold) => self.arm.hold(&self.observer.x),
-            (_, Mode::Stop) => self.arm.stop(&self.observer.x),
-            _ => {}
-        }
-        self.mode = to;
-        self.begins = self.checks.torque_steps();
-        if to == Mode::Track {
-            // How long a joint has stood in Hold says nothing of a motion that only begins.
-            self.standstill.reset();
-        }
-    }
-
-    /// Track and Balance: u = u_d + K (x - x_d). `None` if the plan ended in Hold or had to be given up.
-    fn follow(&mut self) -> Option<Target> {
-        let t_plan = self.now.saturating_sub(self.start) as f64 * 1e-9;
-        if self.running.as_ref().is_some_and(|kept| t_plan >= kept.plan.trajectory.t_f)
-            && let Ok(to) = transition(self.mode, Event::PlanEnded(Ending::of(&self.rod_at_end)))
-        {
-            self.enter(to);
-            if to == Mode::Hold {
-                return None;
-            }
-        }
-        let Some(Kept { plan, .. }) = &self.running else {
-            // Not reached: a start fills it, and only a start enters Track.
-            self.enter(Mode::Stop);
-            return None;
-        };
-        let (x, warnings) = (&self.observer.x, &mut self.warnings);
-        let (reference, mut lost) = if self.mode == Mode::Track {
-            let reference = plan.reference(t_plan);
-            (reference, self.checks.tracking(x, &reference.x, warnings))
-        } else {
-            let rod = self.model.rod(&x.q());
-            let tilt = rod.cross(&self.rod_at_end).norm().atan2(rod.dot(&self.rod_at_end));
-            (plan.end(), self.checks.balance(tilt, warnings))
-        };
-        let u = reference.u + reference.gain * (x - reference.x);
-        if self.mode == Mode::Balance {
-            lost = lost.or(self.checks.balance_error(x, &reference.x, warnings));
-            let v = self.observer.filtered.fixed_rows::<NU>(0).into();
-            lost = lost.or(self.checks.balance_speed(&v, &u, warnings));
-        }
-        if let Some(trip) = self.checks.pendulum(x, warnings).or(lost) {
-            self.give_up(Event::TripToStop, trip);
-            return None;
-        }
-        Some(Target { x_d: reference.x, u_d: reference.u, u, t_plan })
-    }
-
-    /// Hold and Stop: the arm keeps to its reference. `elapsed`: since the last cycle, s.
-    fn hold(&mut self, elapsed: f64) -> Target {
-        let mut u_d = ActuatedVector::zeros();
-        if self.mode == Mode::Stop {
-            u_d = self.arm.decelerate(elapsed);
-            if self.arm.is_settled(&self.observer.x, self.now) {
-                let event = if self.shutting_down { Event::AtRestAtShutdown } else { Event::AtRest };
-                if let Ok(to) = transition(self.mode, event) {
-                    self.enter(to);
-                }
-            }
-        }
-        if is_braked(self.mode) {
-            return self.rest();
-        }
-        let x = &self.observer.x;
-        let target = Target { x_d: self.arm.state(x), u_d, u: self.arm.input(x, &u_d), t_plan: 0.0 };
-        if let Some(trip) = self.checks.hold(x, &target.x_d, &mut self.warnings) {
-            self.give_up(Event::TripToFault, trip);
-            return self.rest();
-        }
-        target
-    }
-
-    /// Idle and Fault: the brakes hold whatever there is.
-    fn rest(&self) -> Target {
-        let none = ActuatedVector::zeros();
-        Target { x_d: self.observer.x, u_d: none, u: none, t_plan: 0.0 }
-    }
-
-    /// (24) and the limiter; no torque with closed brakes, and Fault if there is no finite one or one that no drive
-    /// should follow.
-    fn torque(&mut self, target: Target) -> (Target, law::Torque) {
-        if !is_braked(self.mode) {
-            let x = &self.observer.x;
-            let friction = self.friction.torque(&target.x_d.fixed_rows::<NU>(NQ).into());
-            let besides = self.disturbance.estimate() - friction;
-            match law::torque(&self.model, x, &target.u, &besides, &self.tau_max, &mut self.work) {
-                Some(torque) => {
-                    let (torque, rate) = self.begin(torque);
-                    match rate {
-                        Some(trip) => self.give_up(Event::TripToFault, trip),
-                        None => {
-                            self.inertia = self.model.reduced_inertia(&self.work);
-                            self.expected = (!torque.limited).then_some(torque.qdd);
-                            self.last = torque.tau;
-                            self.expect_motion(&target.u, &torque);
-                            return (target, torque);
-                        }
-                    }
-                }
-                None => self.give_up(Event::TripToFault, Trip::plain(TripCause::LawNotFinite)),
-            }
-        }
-        let none = ActuatedVector::zeros();
-        self.last = none;
-        self.expected = None;
-        (self.rest(), law::Torque { tau: none, cut: none, limited: false, qdd: JointVector::zeros() })
-    }
-
-    /// What the torque of this cycle must do to joints that seem to stand. While a mode begins it is not the one of `u`, and
-    /// the brakes may still be on their way.
-    fn expect_motion(&mut self, u: &ActuatedVector, torque: &law::Torque) {
-        if self.begins > 0 {
-            self.standstill.reset();
-            return;
-        }
-        let columns = self.work.unactuated_columns();
-        let qd = self.observer.filtered.fixed_rows::<NU>(0).into();
-        self.standstill.command(u, torque, self.disturbance.estimate(), (&self.inertia, &columns), &qd);
-    }
-
-    /// A mode begins with the torque of the last one (none, where the brakes held) and approaches its own without a step;
-    /// from then on a step is a trip.
-    fn begin(&mut self, torque: law::Torque) -> (law::Torque, Option<Trip>) {
-        if self.begins > 0 {
-            let near = torque.near(&self.last, &self.checks.torque_step());
-            self.begins = if near.tau == torque.tau { 0 } else { self.begins - 1 };
-            return (near, None);
-        }
-        let rate = self.checks.torque_rate(&self.last, &torque.tau, &mut self.warnings);
-        (torque, rate)
-    }
-}
-
-/// How long a plan has been here at the time `now` (ns), s.
-fn age(kept: &Kept, now: u64) -> f64 {
-    now.saturating_sub(kept.since) as f64 * 1e-9
 }

@@ -1,5 +1,5 @@
-//! What the model does not know: an estimate of the torque that acts on joints 1 to 7 besides the commanded one
-//! (friction, another mass, an offset of a torque sensor), to be taken off the command.
+//! The disturbance estimate: the torque that acts on joints 1 to 7 besides the commanded one and that the model does not explain
+//! (friction, another mass, an offset of a torque sensor). It is subtracted from the command.
 //!
 //! The torque law (24) with tau = M~ u + ... - tau^ makes the arm follow M~ (qdd_A - u) = tau_d - tau^ with an unknown
 //! tau_d. The filtered velocity v lags by T_1; with u and tau^ made to lag alike (u_f, tau^_f),
@@ -15,7 +15,16 @@
 
 use nalgebra::Cholesky;
 use upswing_config::DisturbanceSettings;
-use upswing_model::{ActuatedMatrix, ActuatedVector, NU};
+use upswing_model::{ActuatedMatrix, ActuatedVector, JointParts, JointVector, NU};
+
+/// The motion for which a command was computed.
+#[derive(Clone, Copy, Debug)]
+pub struct CommandedMotion {
+    /// qdd = [u, qdd_U], rad/s^2.
+    pub qdd: JointVector,
+    /// M~, kg m^2.
+    pub reduced_inertia: ActuatedMatrix,
+}
 
 /// The estimate and its memory.
 #[derive(Clone, Debug)]
@@ -89,28 +98,23 @@ impl Disturbance {
         (self.estimate, self.unlimited, self.lagging_estimate) = (estimate, estimate, estimate);
     }
 
-    /// Takes in the filtered velocity `v` (rad/s), `elapsed` (s) after the last one. `u` (rad/s^2) was the input to
-    /// (24) in between, and `inertia` its M~ (kg m^2); `None` if the torque limiter cut it: then the arm did something else,
-    /// and the estimate waits.
-    pub fn update(
-        &mut self,
-        v: &ActuatedVector,
-        u: Option<&ActuatedVector>,
-        elapsed: f64,
-        inertia: &ActuatedMatrix,
-    ) {
+    /// Takes in the filtered velocity `v` (rad/s), `elapsed` (s) after the last one. `motion`: the motion for which the command in
+    /// between was computed; `None` if the torque limiter cut the command, so that the arm moved otherwise: then the estimate
+    /// waits.
+    pub fn update(&mut self, v: &ActuatedVector, motion: Option<&CommandedMotion>, elapsed: f64) {
         if self.settings.bandwidth == 0.0 || !(elapsed > 0.0) {
             return;
         }
         let last = self.last.replace(*v);
-        let (Some(last), Some(u)) = (last, u) else { return };
+        let (Some(last), Some(CommandedMotion { qdd, reduced_inertia })) = (last, motion) else { return };
+        let u = qdd.actuated();
         let lag = -(-elapsed / self.time_constant).exp_m1();
         self.lagging_input += (u - self.lagging_input) * lag;
         self.lagging_estimate += (self.estimate - self.lagging_estimate) * lag;
         let unexplained = (v - last) / elapsed - self.lagging_input;
-        let torque = inertia * unexplained + self.lagging_estimate;
+        let torque = reduced_inertia * unexplained + self.lagging_estimate;
         self.unlimited += (torque - self.unlimited) * -(-elapsed * self.settings.bandwidth).exp_m1();
-        let estimate = self.estimate + self.share(inertia, &(torque - self.estimate), elapsed);
+        let estimate = self.estimate + self.share(reduced_inertia, &(torque - self.estimate), elapsed);
         self.estimate = estimate.inf(&self.most).sup(&-self.most);
     }
 
@@ -132,13 +136,22 @@ impl Disturbance {
 
 #[cfg(test)]
 mod tests {
-    use super::Disturbance;
+    use super::{CommandedMotion, Disturbance};
     use upswing_config::{Config, DisturbanceSettings, PendulumStart};
-    use upswing_model::{ActuatedMatrix, ActuatedVector, NQ, State, Workspace};
+    use upswing_model::{
+        ActuatedMatrix, ActuatedVector, JointParts, JointVector, State, StateParts, Workspace,
+    };
 
     const T_S: f64 = 125e-6;
     const T_1: f64 = 0.012;
     const L: f64 = 40.0;
+
+    /// The motion of the input `u` with the inertia M~.
+    fn motion(u: &ActuatedVector, reduced_inertia: ActuatedMatrix) -> CommandedMotion {
+        let mut qdd = JointVector::zeros();
+        qdd.actuated_mut().copy_from(u);
+        CommandedMotion { qdd, reduced_inertia }
+    }
 
     /// The same bandwidth in all directions.
     fn settings() -> DisturbanceSettings {
@@ -167,14 +180,14 @@ mod tests {
         let mut estimate = Disturbance::new(settings, ActuatedVector::repeat(30.0), T_1);
         let (mut filtered, mut u) = (ActuatedVector::zeros(), ActuatedVector::zeros());
         for i in 0..(seconds / T_S) as usize {
-            estimate.update(&filtered, Some(&u), T_S, &model.reduced_inertia(&work));
+            estimate.update(&filtered, Some(&motion(&u, model.reduced_inertia(&work))), T_S);
             u = ActuatedVector::from_fn(|j, _| (10.0 * i as f64 * T_S + j as f64).sin());
             let inverse = inertia_inverse(&x);
             model.torque(&x, &u, &mut work);
             let u_real = u + inverse * (d - estimate.estimate());
             let f = model.f(&x, &u_real, &mut Workspace::default());
             x += f * T_S;
-            let v: ActuatedVector = x.fixed_rows::<7>(NQ).into();
+            let v = x.qd_a();
             filtered += (v - filtered) * T_S / T_1;
         }
         ((estimate.estimate() - d).amax(), *estimate.estimate())
@@ -222,11 +235,15 @@ mod tests {
         let none = ActuatedVector::zeros();
         model.torque(&x, &none, &mut work);
         let mut estimate = Disturbance::new(&settings(), ActuatedVector::repeat(30.0), T_1);
-        estimate.update(&none, Some(&none), T_S, &model.reduced_inertia(&work));
-        estimate.update(&ActuatedVector::repeat(0.1), Some(&none), T_S, &model.reduced_inertia(&work));
+        estimate.update(&none, Some(&motion(&none, model.reduced_inertia(&work))), T_S);
+        estimate.update(
+            &ActuatedVector::repeat(0.1),
+            Some(&motion(&none, model.reduced_inertia(&work))),
+            T_S,
+        );
         let known = *estimate.estimate();
         assert!(known.amax() > 0.0);
-        estimate.update(&ActuatedVector::repeat(0.5), None, T_S, &model.reduced_inertia(&work));
+        estimate.update(&ActuatedVector::repeat(0.5), None, T_S);
         assert_eq!(*estimate.estimate(), known);
         estimate.reset();
         assert_eq!(*estimate.estimate(), none);
@@ -241,8 +258,12 @@ mod tests {
         model.torque(&x, &none, &mut work);
         let most = ActuatedVector::from_column_slice(&[3.0, 3.0, 2.0, 2.0, 1.0, 0.4, 0.4]);
         let mut estimate = Disturbance::new(&settings(), most, T_1);
-        estimate.update(&none, Some(&none), T_S, &model.reduced_inertia(&work));
-        estimate.update(&ActuatedVector::repeat(2.0), Some(&none), T_S, &model.reduced_inertia(&work));
+        estimate.update(&none, Some(&motion(&none, model.reduced_inertia(&work))), T_S);
+        estimate.update(
+            &ActuatedVector::repeat(2.0),
+            Some(&motion(&none, model.reduced_inertia(&work))),
+            T_S,
+        );
         let got = estimate.estimate();
         assert!((0..7).all(|i| got[i].abs() <= most[i]) && got[1].abs() == most[1], "{got}");
     }
@@ -283,7 +304,7 @@ mod tests {
         );
         for i in 0..10 {
             let v = ActuatedVector::repeat(f64::from(i));
-            estimate.update(&v, Some(&ActuatedVector::zeros()), T_S, &model.reduced_inertia(&work));
+            estimate.update(&v, Some(&motion(&ActuatedVector::zeros(), model.reduced_inertia(&work))), T_S);
         }
         estimate.weigh(&ActuatedVector::repeat(0.1), T_S);
         assert_eq!(*estimate.estimate(), ActuatedVector::zeros());

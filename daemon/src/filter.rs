@@ -1,4 +1,5 @@
-//! The differential filter of Section VI: joint velocities from joint angles; and what it lags behind, from the model.
+//! The differential filter of Section VI, which estimates joint velocities from joint angles, and the compensation of its lag by
+//! the accelerations of the model.
 
 use upswing_model::JointVector;
 
@@ -53,12 +54,12 @@ impl DifferentialFilter {
     }
 }
 
-/// What the differential filter lags behind: v = qd / (T_1 s + 1) and a = qdd / (T_1 s + 1) make v + T_1 a = qd.
+/// Compensates the lag of the differential filter: with v = qd / (T_1 s + 1) and a = qdd / (T_1 s + 1), v + T_1 a = qd.
 ///
 /// The acceleration is the one that the model expects. As far as that is wrong, the sum is wrong by T_1 times the error,
 /// where the filter alone is wrong by T_1 times the whole acceleration.
 #[derive(Clone, Debug)]
-pub struct Lead {
+pub struct LagCompensation {
     /// T_s, s.
     period: f64,
     /// T_1, s.
@@ -67,7 +68,7 @@ pub struct Lead {
     acceleration: JointVector,
 }
 
-impl Lead {
+impl LagCompensation {
     /// For a filter with the cycle T_s = `period` and the time constant T_1, both in s and above 0.
     pub fn new(period: f64, time_constant: f64) -> Self {
         Self { period, time_constant, acceleration: JointVector::zeros() }

@@ -1,9 +1,13 @@
 //! The torque law (24) and the torque limiter.
 
-use upswing_model::{ActuatedVector, HybridDynamics, JointParts, JointVector, Model, NU, State, Workspace};
+use nalgebra::SMatrix;
+use upswing_model::{
+    ActuatedMatrix, ActuatedVector, HybridDynamics, JointParts, JointVector, Model, N_UNACTUATED, NQ, NU,
+    State, Workspace,
+};
 
 /// Torque for the drives.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Torque {
     /// tau_A, N m; finite and within the limits.
     pub tau: ActuatedVector,
@@ -29,8 +33,18 @@ impl Torque {
     }
 }
 
+/// Inertia of the robot in the state for which a torque was computed, kg m^2.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Inertia {
+    /// M~ (10).
+    pub reduced: ActuatedMatrix,
+    /// The columns of M of the unactuated joints.
+    pub unactuated: SMatrix<f64, NQ, N_UNACTUATED>,
+}
+
 /// tau_A = M~ u + C~ qd + g~ (24) at the state `x` (rad, rad/s) for the input `u` (rad/s^2), less the torque that acts
-/// besides (`disturbance`, N m; the paper knows none), limited to +-`tau_max` (N m); `None` if it is not finite.
+/// besides (`disturbance`, N m; the paper knows none), limited to +-`tau_max` (N m), and the inertia in `x`; `None` if
+/// the torque is not finite.
 pub fn torque(
     model: &Model,
     x: &State,
@@ -38,7 +52,7 @@ pub fn torque(
     disturbance: &ActuatedVector,
     tau_max: &ActuatedVector,
     work: &mut Workspace,
-) -> Option<Torque> {
+) -> Option<(Torque, Inertia)> {
     let HybridDynamics { qdd_u, tau } = model.hybrid_dynamics(x, u, work);
     let tau = tau - disturbance;
     if !tau.iter().all(|v| v.is_finite()) {
@@ -48,7 +62,9 @@ pub fn torque(
     qdd.actuated_mut().copy_from(u);
     qdd.unactuated_mut().copy_from(&qdd_u);
     let within = ActuatedVector::from_fn(|i, _| tau[i].min(tau_max[i]).max(-tau_max[i]));
-    Some(Torque { tau: within, cut: tau - within, limited: (0..NU).any(|i| within[i] != tau[i]), qdd })
+    let limited = (0..NU).any(|i| within[i] != tau[i]);
+    let inertia = Inertia { reduced: model.reduced_inertia(work), unactuated: work.unactuated_columns() };
+    Some((Torque { tau: within, cut: tau - within, limited, qdd }, inertia))
 }
 
 #[cfg(test)]
@@ -68,7 +84,8 @@ mod tests {
     fn law(x: &State, u: &ActuatedVector, disturbance: f64, limit: f64) -> Option<Torque> {
         let config = Config::embedded().expect("settings");
         let [disturbance, limit] = [disturbance, limit].map(ActuatedVector::repeat);
-        torque(&config.model, x, u, &disturbance, &limit, &mut Workspace::default())
+        let law = torque(&config.model, x, u, &disturbance, &limit, &mut Workspace::default());
+        law.map(|(torque, _)| torque)
     }
 
     #[test]

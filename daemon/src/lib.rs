@@ -29,6 +29,7 @@ pub mod flight;
 pub mod histogram;
 mod law;
 mod loads;
+mod modes;
 mod observer;
 pub mod os;
 mod overrun;

@@ -1,7 +1,7 @@
-//! From measurements to the state x = [q, qd], and whether it can be trusted.
+//! The observer: the state x = [q, qd] from measurements, and the reason why it cannot be trusted, if there is one.
 
 use crate::checks::Checks;
-use crate::filter::{DifferentialFilter, Lead};
+use crate::filter::{DifferentialFilter, LagCompensation};
 use crate::trip::{Trip, TripCause};
 use std::f64::consts::{PI, TAU};
 use upswing_config::{CycleSettings, VelocityEstimate};
@@ -13,16 +13,27 @@ const Q8: usize = NU;
 /// How far past half a turn q8 may be before a turn is dropped, rad: so that a rod held upright does not flicker.
 const SLACK: f64 = 0.5;
 
+/// Result of taking in a measurement.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Observation {
+    /// Whether the measurement is another one than in the cycle before.
+    pub is_new: bool,
+    /// The trip for a plant that has restarted.
+    pub restarted: Option<Trip>,
+}
+
 /// The newest measurement, filtered and checked.
 #[derive(Clone, Debug)]
 pub struct Observer {
+    /// The angles of the newest measurement, rad.
+    measured: JointVector,
     filter: DifferentialFilter,
-    lead: Option<Lead>,
+    lag_compensation: Option<LagCompensation>,
     /// x = [q, qd], measured and filtered, rad and rad/s.
     pub x: State,
     /// Velocities of the filter alone, rad/s.
     pub filtered: JointVector,
-    /// What speaks against using the newest measurement.
+    /// The reason why the newest measurement cannot be used.
     pub unfit: Option<Trip>,
     /// Whether every drive is powered.
     pub drives_ready: bool,
@@ -47,9 +58,10 @@ impl Observer {
     /// An observer that has seen nothing.
     pub fn new(cycle: &CycleSettings) -> Self {
         Self {
+            measured: JointVector::zeros(),
             filter: DifferentialFilter::new(cycle.period.seconds(), cycle.velocity_filter),
-            lead: (cycle.velocity == VelocityEstimate::Model)
-                .then(|| Lead::new(cycle.period.seconds(), cycle.velocity_filter)),
+            lag_compensation: (cycle.velocity == VelocityEstimate::Model)
+                .then(|| LagCompensation::new(cycle.period.seconds(), cycle.velocity_filter)),
             x: State::zeros(),
             filtered: JointVector::zeros(),
             unfit: Some(Trip::plain(TripCause::NoMeasurement)),
@@ -80,30 +92,30 @@ impl Observer {
         self.seq == 0
     }
 
-    /// Takes in the newest measurement, whether or not it is new: whether it is, and whether a restart of the plant was
-    /// noticed. `now_ns`: the time of the cycle, which counts on the wall clock only. `expected`: qdd that the last command
-    /// was meant for, rad/s^2, where that is known. `braked`: the brakes hold; what the robot did then is no fault.
+    /// Takes in the newest measurement, whether or not it is new. `now_ns`: time of the cycle, which counts on the wall clock
+    /// only. `expected`: qdd for which the last command was computed, rad/s^2, unless the limiter cut it. `braked`: the brakes
+    /// were closed, so that the motion since the last measurement is no fault.
     pub fn observe(
         &mut self,
         measurement: &Measurement,
         now_ns: u64,
-        checks: &Checks,
+        checks: &mut Checks,
         expected: Option<&JointVector>,
         braked: bool,
-        warnings: &mut u64,
-    ) -> (bool, Option<Trip>) {
+    ) -> Observation {
+        self.measured = measurement.q.into();
         let wall = measurement.clock() == Ok(Clock::Wall);
         if measurement.seq == self.seq {
             if wall && self.seq > 0 {
                 self.age += 1;
-                self.unfit = checks.age(self.age, warnings).or(self.unfit);
+                self.unfit = checks.age(self.age).or(self.unfit);
             }
-            return (false, None);
+            return Observation { is_new: false, restarted: None };
         }
         let restarts = measurement.seq < self.seq || (self.seq > 0 && measurement.clock != self.clock);
         let restarted = restarts.then(|| self.restart());
         if measurement.seq == 0 {
-            return (false, restarted);
+            return Observation { is_new: false, restarted };
         }
         let elapsed = if self.seq == 0 { 1 } else { measurement.seq - self.seq };
         self.age = if measurement.t_ns > self.t_ns { 0 } else { self.age.saturating_add(elapsed) };
@@ -115,37 +127,39 @@ impl Observer {
         self.drives_ready = measurement.status & Measurement::DRIVES_READY != 0;
         let acts = self.drives_ready && measurement.status & Measurement::BRAKES_CLOSED == 0;
         self.stopped = if acts || braked { 0 } else { self.stopped.saturating_add(elapsed) };
+        let not_finite = checks.finite(measurement);
         self.unfit = checks
-            .measurement(measurement, warnings)
-            .or(checks.age(self.age, warnings))
-            .or(checks.drives(self.stopped, warnings));
-        if checks.finite(measurement).is_some() {
-            return (true, restarted);
+            .measurement(measurement, not_finite)
+            .or(checks.age(self.age))
+            .or(checks.drives(self.stopped));
+        if not_finite.is_some() {
+            return Observation { is_new: true, restarted };
         }
-        let gap = checks.gap(elapsed - 1, warnings).filter(|_| !braked);
+        let gap = checks.gap(elapsed - 1).filter(|_| !braked);
         self.unfit = self.unfit.or(gap);
-        let q = self.position(measurement);
+        let q = self.position();
         let cycles = self.seq - self.filtered_seq;
         let last = self.filter.last();
-        if let Some(trip) = last.and_then(|last| checks.jump(last, &q, cycles, warnings)) {
+        if let Some(trip) = last.and_then(|last| checks.jump(last, &q, cycles)) {
             self.forget();
             // Somebody may have moved the robot by other means.
             self.unfit = self.unfit.or(Some(trip).filter(|_| !braked));
         }
         self.filtered = self.filter.update(&q, cycles);
         let expected = expected.copied().unwrap_or_default();
-        let lead = self.lead.as_mut().map_or_else(JointVector::zeros, |lead| lead.update(&expected, cycles));
-        self.x = state(&q, &(self.filtered + lead));
+        let lag = self.lag_compensation.as_mut();
+        let lag = lag.map_or_else(JointVector::zeros, |lag| lag.update(&expected, cycles));
+        self.x = state(&q, &(self.filtered + lag));
         (self.filtered_seq, self.cycles) = (self.seq, cycles);
-        // What the arm really does, not what the model expects.
-        let arm = checks.arm(&state(&q, &self.filtered), warnings);
+        // The measured motion of the arm, without the accelerations of the model.
+        let arm = checks.arm(&state(&q, &self.filtered));
         self.unfit = self.unfit.or(arm);
-        (true, restarted)
+        Observation { is_new: true, restarted }
     }
 
     /// The measured angles, q8 without the turns that do not count, rad.
-    pub fn position(&self, measurement: &Measurement) -> JointVector {
-        let mut q = JointVector::from(measurement.q);
+    pub fn position(&self) -> JointVector {
+        let mut q = self.measured;
         q[Q8] -= self.turned;
         q
     }
@@ -174,8 +188,8 @@ impl Observer {
 
     fn forget(&mut self) {
         self.filter.reset();
-        if let Some(lead) = &mut self.lead {
-            lead.reset();
+        if let Some(lag) = &mut self.lag_compensation {
+            lag.reset();
         }
     }
 }
@@ -205,8 +219,8 @@ mod tests {
         /// Takes a measurement in, in time: the reason not to use it, and whether a restart was noticed.
         fn take(&mut self, measurement: &Measurement, braked: bool) -> (Option<TripCause>, bool) {
             let now = measurement.t_ns;
-            let (_, restarted) = self.observer.observe(measurement, now, &self.checks, None, braked, &mut 0);
-            (self.observer.unfit.map(|trip| trip.cause), restarted.is_some())
+            let seen = self.observer.observe(measurement, now, &mut self.checks, None, braked);
+            (self.observer.unfit.map(|trip| trip.cause), seen.restarted.is_some())
         }
     }
 
@@ -258,11 +272,7 @@ mod tests {
             for k in 0..30 {
                 let next = Measurement { t_ns: k, ..measured(seq + k, 0.2, clock) };
                 assert_eq!(seen.take(&next, false), (None, k == 0), "{clock}, measurement {k}");
-                assert_eq!(
-                    seen.observer.position(&next)[7],
-                    0.2,
-                    "its turns are not those of the one before"
-                );
+                assert_eq!(seen.observer.position()[7], 0.2, "its turns are not those of the one before");
                 assert_eq!(seen.observer.filtered, JointVector::zeros(), "nor is its motion");
                 assert_eq!(seen.observer.cycles(), if k == 0 { seq } else { 1 });
             }
@@ -290,7 +300,7 @@ mod tests {
             // Nothing moved.
             let next = Measurement { seq: 2, t_ns: 2 * PERIOD_NS, ..turned };
             assert_eq!(seen.take(&next, false), (None, false), "{turns}");
-            assert!((seen.observer.position(&next)[7] - 0.1).abs() < 1e-12);
+            assert!((seen.observer.position()[7] - 0.1).abs() < 1e-12);
             assert!(seen.observer.filtered.amax() < 1e-9, "{}", seen.observer.filtered);
         }
         // A rod near the top may be on either side of it.
@@ -307,10 +317,10 @@ mod tests {
         let mut config = Config::embedded().expect("settings");
         config.daemon.cycle.velocity = VelocityEstimate::Model;
         let mut observer = Observer::new(&config.daemon.cycle);
-        let checks = Checks::new(&config);
+        let mut checks = Checks::new(&config);
         for seq in 1..1000 {
             let next = measured(seq, 0.1, Clock::Paced);
-            observer.observe(&next, 0, &checks, Some(&JointVector::repeat(1e3)), false, &mut 0);
+            observer.observe(&next, 0, &mut checks, Some(&JointVector::repeat(1e3)), false);
             assert_eq!(observer.unfit, None);
         }
         assert!(observer.x[9] > 5.0, "what is expected enters the state: {}", observer.x[9]);

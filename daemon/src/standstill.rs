@@ -17,11 +17,10 @@
 //! Where torques are measured, measurements that freeze as a whole are noticed without a model: the commanded torque changes, and
 //! neither its sensors nor any angle show it.
 
-use crate::law::Torque;
+use crate::law::{Inertia, Torque};
 use crate::trip::{Trip, TripCause};
-use nalgebra::SMatrix;
 use upswing_config::StandstillSettings;
-use upswing_model::{ActuatedMatrix, ActuatedVector, JointVector, N_UNACTUATED, NQ, NU, UnactuatedVector};
+use upswing_model::{ActuatedVector, JointVector, N_UNACTUATED, NQ, NU, UnactuatedVector};
 
 /// Time after which a joint whose angle does not change is taken to stand, s: one that turns back stands for less.
 const STANDS: f64 = 0.01;
@@ -92,9 +91,9 @@ fn advance(y: &mut [f64; 2], torque: f64, inertia: f64, friction: f64, elapsed: 
     y[0] += elapsed * y[1];
 }
 
-/// What drives the joints over a cycle.
+/// Torques that drive the joints over a cycle, and their inertia.
 #[derive(Clone, Copy, Debug)]
-struct Drive {
+struct DrivingTorque {
     /// T in all cases without the estimate, N m.
     torque: [JointVector; CASES],
     /// M_i, kg m^2.
@@ -141,7 +140,7 @@ pub struct Standstill {
     /// The last estimate of other torques, N m.
     estimate: ActuatedVector,
     /// Of the last command; none while the brakes hold.
-    drive: Option<Drive>,
+    drive: Option<DrivingTorque>,
 }
 
 impl Standstill {
@@ -175,14 +174,13 @@ impl Standstill {
     }
 
     /// Takes in the torque of this cycle, which acts until the next measurement: `u` is the input that it is meant for (rad/s^2),
-    /// `estimate` the estimate of other torques (N m), `reduced` M~ and `columns` those of M of the unactuated joints (kg m^2), `qd` the
-    /// measured speeds of the arm (rad/s).
+    /// `estimate` the estimate of other torques (N m), `inertia` that of this cycle, `qd` the measured speeds of the arm (rad/s).
     pub fn command(
         &mut self,
         u: &ActuatedVector,
         torque: &Torque,
         estimate: &ActuatedVector,
-        (reduced, columns): (&ActuatedMatrix, &SMatrix<f64, NQ, N_UNACTUATED>),
+        Inertia { reduced, unactuated: columns }: &Inertia,
         qd: &ActuatedVector,
     ) {
         if let Some(unchanged) = &mut self.unchanged {
@@ -227,7 +225,7 @@ impl Standstill {
             torque[1][NU + i] = moving[i];
             torque[2][NU + i] = torque[0][NU + i];
         }
-        let drive = Drive { torque, inertia };
+        let drive = DrivingTorque { torque, inertia };
         self.drive = Some(drive);
     }
 

@@ -1,12 +1,12 @@
-//! The limits that the daemon watches: the reasons to warn, and to give up a mode.
+//! The limits that the daemon watches: causes of warnings and of trips to Fault or Stop.
 
 use std::fmt;
 
 /// Defines the causes, each with its code and its words.
 macro_rules! causes {
     ($($(#[$doc:meta])+ $name:ident = $code:literal, $text:literal;)+) => {
-        /// What can be beyond its limit. docs/daemon.md says which lead to Fault, which to Stop and which only keep a plan
-        /// from being started.
+        /// A limit that the daemon watches. docs/daemon.md says which limits trip to Fault, which trip to Stop, and which only
+        /// refuse the start of a plan.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         #[repr(u64)]
         pub enum TripCause {
@@ -135,16 +135,37 @@ pub fn warning_texts(warnings: u64) -> impl Iterator<Item = &'static str> {
     TripCause::ALL.into_iter().filter(move |cause| warnings & cause.bit() != 0).map(TripCause::text)
 }
 
-/// What was found beyond which limit.
+/// The limits that have exceeded their warning levels in one cycle.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Warnings(u64);
+
+impl Warnings {
+    /// Adds the warning of a limit.
+    pub const fn insert(&mut self, cause: TripCause) {
+        self.0 |= cause.bit();
+    }
+
+    /// Whether the limit has exceeded its warning level.
+    pub const fn contains(self, cause: TripCause) -> bool {
+        self.0 & cause.bit() != 0
+    }
+
+    /// The `warnings` word of telemetry: [`TripCause::bit`] of each limit.
+    pub const fn bits(self) -> u64 {
+        self.0
+    }
+}
+
+/// A limit beyond its trip level, with the numbers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Trip {
-    /// The kind of check.
+    /// The limit.
     pub cause: TripCause,
-    /// The joint, 0-based; 0 where none is concerned.
+    /// The joint, 0-based; 0 where no joint is concerned.
     pub joint: usize,
-    /// What was found: rad, rad/s, N m, N m/s, cycles or ns, as the cause says.
+    /// The value: rad, rad/s, N m, N m/s, cycles or ns, as the cause says.
     pub value: f64,
-    /// The limit that it was compared with, in the same unit.
+    /// The trip level, in the same unit.
     pub limit: f64,
 }
 

@@ -1,6 +1,7 @@
 //! Each check, for each joint, on both sides of both of its levels.
 
 use super::*;
+use std::sync::LazyLock;
 use upswing_ipc::Clock;
 
 /// Settings in which every joint and every limit has a number of its own.
@@ -16,6 +17,9 @@ fn config() -> Config {
     }
     config
 }
+
+/// The checks of these settings.
+static CHECKS: LazyLock<Checks> = LazyLock::new(|| Checks::new(&config()));
 
 /// A measurement of a healthy robot.
 fn healthy() -> Measurement {
@@ -38,17 +42,19 @@ fn but(joint: usize, value: f64, others: f64) -> JointVector {
 /// The trip that `check` says values lead to, and whether it warns.
 fn result(
     cause: TripCause,
-    check: &dyn Fn(&JointVector, &mut u64) -> Option<Trip>,
+    check: &dyn Fn(&mut Checks, &JointVector) -> Option<Trip>,
     values: &JointVector,
 ) -> (Option<Trip>, bool) {
-    let mut warnings = 1 << 63;
-    let trip = check(values, &mut warnings);
+    let mut checks = CHECKS.clone();
+    // Another limit, that no test of values concerns.
+    checks.warnings.insert(TripCause::UnknownClock);
+    let trip = check(&mut checks, values);
     assert_eq!(
-        warnings & !cause.bit(),
-        1 << 63,
+        checks.warnings.bits() & !cause.bit(),
+        TripCause::UnknownClock.bit(),
         "{cause:?} keeps the warnings of others and sets its own only"
     );
-    (trip, warnings & cause.bit() != 0)
+    (trip, checks.warnings.contains(cause))
 }
 
 /// Warns and trips beyond the levels of each of `joints` in both directions, and of no other; the first joint counts. What
@@ -57,7 +63,7 @@ fn is_a_level(
     cause: TripCause,
     joints: Range<usize>,
     level: impl Fn(usize) -> Level,
-    check: impl Fn(&JointVector, &mut u64) -> Option<Trip>,
+    check: impl Fn(&mut Checks, &JointVector) -> Option<Trip>,
 ) {
     let result = |values: &JointVector| result(cause, &check, values);
     for joint in 0..NQ {
@@ -92,7 +98,7 @@ fn is_a_level(
 }
 
 /// Warns and trips beyond the levels of a count.
-fn is_a_count(cause: TripCause, level: Level, check: impl Fn(u64, &mut u64) -> Option<Trip>) {
+fn is_a_count(cause: TripCause, level: Level, check: impl Fn(&mut Checks, u64) -> Option<Trip>) {
     let (warn, most) = (level.warn as u64, level.trip as u64);
     for (n, trips, warns) in [
         (0, false, false),
@@ -102,9 +108,9 @@ fn is_a_count(cause: TripCause, level: Level, check: impl Fn(u64, &mut u64) -> O
         (most + 1, true, true),
         (u64::MAX, true, true),
     ] {
-        let mut warnings = 0;
-        let trip = check(n, &mut warnings);
-        assert_eq!(warnings, if warns { cause.bit() } else { 0 }, "{cause:?}: {n}");
+        let mut checks = CHECKS.clone();
+        let trip = check(&mut checks, n);
+        assert_eq!(checks.warnings.bits(), if warns { cause.bit() } else { 0 }, "{cause:?}: {n}");
         let expected = trips.then_some(Trip { cause, joint: 0, value: n as f64, limit: level.trip });
         assert_eq!(trip, expected, "{cause:?}: {n}");
     }
@@ -115,13 +121,12 @@ fn is_a_range(
     cause: TripCause,
     joints: Range<usize>,
     config: &Config,
-    check: impl Fn(&State, &mut u64) -> Option<Trip>,
+    check: impl Fn(&mut Checks, &State) -> Option<Trip>,
 ) {
     let Level { warn, trip } = config.daemon.limits.position_margin;
     let planning = &config.robot.planning;
-    let check = |q: &JointVector, warnings: &mut u64| {
-        check(&upswing_model::state(q, &JointVector::zeros()), warnings)
-    };
+    let check =
+        |checks: &mut Checks, q: &JointVector| check(checks, &upswing_model::state(q, &JointVector::zeros()));
     for joint in 0..NQ {
         let at = |value| result(cause, &check, &but(joint, value, 0.0));
         if !joints.contains(&joint) {
@@ -156,12 +161,12 @@ fn is_a_range(
 #[test]
 fn counts() {
     let config = config();
-    let (checks, levels) = (Checks::new(&config), config.daemon.limits);
-    is_a_count(TripCause::StaleMeasurement, levels.measurement_age, |n, w| checks.age(n, w));
-    is_a_count(TripCause::DrivesStopped, levels.drives_stopped, |n, w| checks.drives(n, w));
-    is_a_count(TripCause::MeasurementGap, levels.measurement_gap, |n, w| checks.gap(n, w));
-    is_a_count(TripCause::LateCycles, levels.late_cycles, |n, w| checks.late(n, w));
-    let lost = checks.lost(8000);
+    let levels = config.daemon.limits;
+    is_a_count(TripCause::StaleMeasurement, levels.measurement_age, |checks, n| checks.age(n));
+    is_a_count(TripCause::DrivesStopped, levels.drives_stopped, |checks, n| checks.drives(n));
+    is_a_count(TripCause::MeasurementGap, levels.measurement_gap, |checks, n| checks.gap(n));
+    is_a_count(TripCause::LateCycles, levels.late_cycles, |checks, n| checks.late(n));
+    let lost = CHECKS.lost(8000);
     let limit = levels.measurement_age.trip;
     assert_eq!(lost, Trip { cause: TripCause::StaleMeasurement, joint: 0, value: 8000.0, limit });
 }
@@ -169,7 +174,7 @@ fn counts() {
 #[test]
 fn the_age_of_a_plan() {
     let config = config();
-    let checks = Checks::new(&config);
+    let mut checks = CHECKS.clone();
     let Level { warn, trip } = config.daemon.limits.plan_age;
     for (age, refused, warns) in [
         (0.0, false, false),
@@ -178,18 +183,19 @@ fn the_age_of_a_plan() {
         (trip, false, true),
         (trip + 0.1, true, true),
     ] {
-        let mut warnings = 0;
-        let got = checks.plan_age(age, &mut warnings);
+        checks.begin_cycle();
+        let got = checks.plan_age(age);
         let expected = if refused { Err(Refusal::PlanExpired { age, limit: trip }) } else { Ok(()) };
-        assert_eq!((got, warnings == TripCause::PlanAge.bit()), (expected, warns), "{age} s");
+        assert_eq!((got, checks.warnings.contains(TripCause::PlanAge)), (expected, warns), "{age} s");
+        assert_eq!(checks.is_plan_old(age), warns, "{age} s");
     }
-    assert!(checks.plan_age(f64::NAN, &mut 0).is_err());
+    assert!(checks.plan_age(f64::NAN).is_err());
 }
 
 #[test]
 fn levels_of_the_joints() {
     let config = config();
-    let (checks, levels) = (Checks::new(&config), config.daemon.limits);
+    let levels = config.daemon.limits;
     let (qd_max, tau_max) = (config.robot.limits.qd_max, config.robot.limits.tau_max);
     let share = |level: Level, full: f64| Level { warn: level.warn * full, trip: level.trip * full };
 
@@ -197,16 +203,16 @@ fn levels_of_the_joints() {
         TripCause::VelocityLimit,
         ARM,
         |i| share(levels.velocity_fraction, qd_max[i]),
-        |qd, w| checks.arm(&upswing_model::state(&JointVector::zeros(), qd), w),
+        |checks, qd| checks.arm(&upswing_model::state(&JointVector::zeros(), qd)),
     );
     is_a_level(
         TripCause::TorqueLimit,
         ARM,
         |i| share(levels.torque_fraction, tau_max[i]),
-        |tau, w| {
+        |checks, tau| {
             let mut measurement = healthy();
             measurement.tau_measured.copy_from_slice(&tau.as_slice()[..NU]);
-            checks.measurement(&measurement, w)
+            checks.measurement(&measurement, None)
         },
     );
     // From a torque to another one in 125 us.
@@ -214,9 +220,9 @@ fn levels_of_the_joints() {
         TripCause::TorqueRate,
         ARM,
         |i| share(levels.torque_rate, tau_max[i]),
-        |rate, w| {
+        |checks, rate| {
             let change = ActuatedVector::from_fn(|i, _| rate[i] * 125e-6);
-            checks.torque_rate(&ActuatedVector::zeros(), &change, w).map(|trip| Trip {
+            checks.torque_rate(&ActuatedVector::zeros(), &change).map(|trip| Trip {
                 // But for the rounding of the way back and forth.
                 value: if (trip.value / rate[trip.joint] - 1.0).abs() < 1e-12 {
                     rate[trip.joint]
@@ -232,7 +238,7 @@ fn levels_of_the_joints() {
         TripCause::TrackingError,
         0..NQ,
         |_| levels.tracking_error,
-        |q, w| checks.tracking(&upswing_model::state(q, &JointVector::repeat(9.0)), &zero, w),
+        |checks, q| checks.tracking(&upswing_model::state(q, &JointVector::repeat(9.0)), &zero),
     );
     for cycles in [1, 3, 100] {
         is_a_level(
@@ -244,48 +250,45 @@ fn levels_of_the_joints() {
                 let Level { warn, trip } = levels.encoder_jump;
                 Level { warn: moved + warn, trip: moved + trip }
             },
-            |q, w| checks.jump(&JointVector::zeros(), q, cycles, w),
+            |checks, q| checks.jump(&JointVector::zeros(), q, cycles),
         );
     }
 }
 
 #[test]
 fn differences_are_taken_the_right_way_round() {
-    let checks = Checks::new(&config());
+    let mut checks = CHECKS.clone();
     let (q, last) = (JointVector::repeat(2.0), JointVector::repeat(-1.0));
-    let trip = checks.jump(&last, &q, 1, &mut 0).expect("3 rad");
+    let trip = checks.jump(&last, &q, 1).expect("3 rad");
     assert_eq!(trip.value, 3.0);
     let [x, x_d] = [q, last].map(|q| upswing_model::state(&q, &JointVector::zeros()));
-    assert_eq!(checks.tracking(&x, &x_d, &mut 0).map(|trip| trip.value), Some(3.0));
+    assert_eq!(checks.tracking(&x, &x_d).map(|trip| trip.value), Some(3.0));
     let [tau, before] = [2.0, -1.0].map(ActuatedVector::repeat);
-    let rate = checks.torque_rate(&before, &(tau * 100.0), &mut 0).expect("a step").value;
+    let rate = checks.torque_rate(&before, &(tau * 100.0)).expect("a step").value;
     assert!((rate * 125e-6 - 201.0).abs() < 1e-9, "{rate}");
 }
 
 #[test]
 fn positions() {
     let config = config();
-    let checks = Checks::new(&config);
-    is_a_range(TripCause::PositionLimit, ARM, &config, |x, w| checks.arm(x, w));
-    is_a_range(TripCause::PendulumRange, PENDULUM, &config, |x, w| checks.pendulum(x, w));
+    let mut checks = CHECKS.clone();
+    is_a_range(TripCause::PositionLimit, ARM, &config, |checks, x| checks.arm(x));
+    is_a_range(TripCause::PendulumRange, PENDULUM, &config, |checks, x| checks.pendulum(x));
     // A position counts before a velocity.
     let x = State::repeat(1e9);
-    assert_eq!(checks.arm(&x, &mut 0).map(|trip| trip.cause), Some(TripCause::PositionLimit));
-    let mut warnings = 0;
-    checks.arm(&x, &mut warnings);
-    assert_eq!(warnings, TripCause::PositionLimit.bit() | TripCause::VelocityLimit.bit());
+    assert_eq!(checks.arm(&x).map(|trip| trip.cause), Some(TripCause::PositionLimit));
+    assert_eq!(checks.warnings.bits(), TripCause::PositionLimit.bit() | TripCause::VelocityLimit.bit());
 }
 
 #[test]
 fn the_tilt_of_the_rod() {
     let config = config();
-    let checks = Checks::new(&config);
     let Level { warn, trip } = config.daemon.limits.balance_tilt;
     let at = |tilt: f64| {
-        let mut warnings = 0;
-        let lost = checks.balance(tilt, &mut warnings);
+        let mut checks = CHECKS.clone();
+        let lost = checks.balance(tilt);
         assert!(lost.is_none_or(|t| t.cause == TripCause::BalanceLost && t.limit == trip));
-        (lost.is_some(), warnings == TripCause::BalanceLost.bit())
+        (lost.is_some(), checks.warnings.bits() == TripCause::BalanceLost.bit())
     };
     assert_eq!(at(warn - 1e-9), (false, false));
     assert_eq!(at(warn + 1e-9), (false, true));
@@ -297,47 +300,54 @@ fn the_tilt_of_the_rod() {
 #[test]
 fn the_speed_that_a_balance_asks_for() {
     let config = config();
-    let checks = Checks::new(&config);
+    let mut checks = CHECKS.clone();
     let Level { warn, trip } = config.daemon.limits.balance_speed;
     let level = |i: usize| Level { warn: warn * (1.0 + 0.1 * i as f64), trip: trip * (1.0 + 0.1 * i as f64) };
     let none = ActuatedVector::zeros();
     let arm = |q: &JointVector| q.fixed_rows::<NU>(0).into();
-    is_a_level(TripCause::BalanceSpeed, ARM, level, |v, w| checks.balance_speed(&arm(v), &none, w));
+    is_a_level(TripCause::BalanceSpeed, ARM, level, |checks, v| checks.balance_speed(&arm(v), &none));
     // T_1 of 12 ms, and 8 ms.
     for (u, trips) in [(49.9, false), (50.1, true), (f64::NAN, true)] {
         let input = ActuatedVector::from_fn(|i, _| if i == 0 { trip * u } else { 0.0 });
-        assert_eq!(checks.balance_speed(&none, &input, &mut 0).is_some(), trips, "{u} rad/s^2");
+        assert_eq!(checks.balance_speed(&none, &input).is_some(), trips, "{u} rad/s^2");
     }
     let (v, u) = (ActuatedVector::repeat(3.0), ActuatedVector::repeat(-150.0));
-    assert_eq!(checks.balance_speed(&v, &u, &mut 0), None, "one against the other");
+    assert_eq!(checks.balance_speed(&v, &u), None, "one against the other");
 }
 
 #[test]
 fn distances_of_the_arm_and_unexplained_torques() {
     let config = config();
-    let (checks, levels, zero) = (Checks::new(&config), &config.daemon.limits, State::zeros());
+    let (levels, zero) = (&config.daemon.limits, State::zeros());
     let moved = |q: &JointVector| upswing_model::state(q, &JointVector::repeat(9.0));
-    is_a_level(TripCause::TrackingError, ARM, |_| levels.hold_error, |q, w| checks.hold(&moved(q), &zero, w));
+    is_a_level(
+        TripCause::TrackingError,
+        ARM,
+        |_| levels.hold_error,
+        |checks, q| checks.hold(&moved(q), &zero),
+    );
     is_a_level(
         TripCause::TrackingError,
         ARM,
         |_| levels.balance_error,
-        |q, w| checks.balance_error(&moved(q), &zero, w),
+        |checks, q| checks.balance_error(&moved(q), &zero),
     );
     let Level { warn, trip } = levels.collision_torque;
     let level = |i: usize| Level { warn: warn * (10.0 + i as f64), trip: trip * (10.0 + i as f64) };
-    is_a_level(TripCause::Collision, ARM, level, |tau, w| {
-        checks.unexplained(&tau.fixed_rows::<NU>(0).into(), w)
+    is_a_level(TripCause::Collision, ARM, level, |checks, tau| {
+        checks.unexplained(&tau.fixed_rows::<NU>(0).into())
     });
 }
 
 #[test]
 fn measurements_that_cannot_be_used() {
-    let checks = Checks::new(&config());
+    let checks = &*CHECKS;
     let cause = |spoil: &dyn Fn(&mut Measurement)| {
         let mut measurement = healthy();
         spoil(&mut measurement);
-        checks.measurement(&measurement, &mut 0)
+        let mut checks = CHECKS.clone();
+        let not_finite = checks.finite(&measurement);
+        checks.measurement(&measurement, not_finite)
     };
     assert_eq!(cause(&|_| ()), None);
     for clock in [Clock::Wall, Clock::Paced, Clock::Lockstep] {

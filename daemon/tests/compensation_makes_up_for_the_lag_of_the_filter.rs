@@ -1,8 +1,8 @@
-//! With the right acceleration the lead makes up for what the differential filter lags behind; with a wrong one it is off by
+//! With the right acceleration the compensation makes up for what the differential filter lags behind; with a wrong one it is off by
 //! T_1 times the error.
 
 use upswing_model::{JointVector, NQ};
-use upswingd::filter::{DifferentialFilter, Lead};
+use upswingd::filter::{DifferentialFilter, LagCompensation};
 
 const TS: f64 = 125e-6;
 const T1: f64 = 12e-3;
@@ -12,10 +12,10 @@ fn motion(joint: usize) -> (f64, f64) {
     (0.1 + 0.02 * joint as f64, 30.0 + 10.0 * joint as f64)
 }
 
-/// Largest errors of the filter alone and with the lead after the transient, for `known` times the true acceleration, as
+/// Largest errors of the filter alone and with the compensation after the transient, for `known` times the true acceleration, as
 /// shares of T_1 times the largest acceleration; missing all but every `every`-th sample.
 fn errors(known: f64, every: u64) -> (f64, f64) {
-    let (mut filter, mut lead) = (DifferentialFilter::new(TS, T1), Lead::new(TS, T1));
+    let (mut filter, mut compensation) = (DifferentialFilter::new(TS, T1), LagCompensation::new(TS, T1));
     let (mut alone, mut both) = (0.0_f64, 0.0_f64);
     for k in (0..16_000).step_by(every as usize) {
         let t = k as f64 * TS;
@@ -27,7 +27,7 @@ fn errors(known: f64, every: u64) -> (f64, f64) {
         let qdd =
             JointVector::from_fn(|i, _| -motion(i).0 * motion(i).1.powi(2) * phase(i, before).sin() * known);
         let v = filter.update(&q, every);
-        let led = v + lead.update(&qdd, every);
+        let led = v + compensation.update(&qdd, every);
         if t > 10.0 * T1 {
             for i in 0..NQ {
                 let scale = T1 * motion(i).0 * motion(i).1.powi(2);
@@ -43,13 +43,13 @@ fn errors(known: f64, every: u64) -> (f64, f64) {
 fn with_the_right_acceleration() {
     let (alone, both) = errors(1.0, 1);
     assert!(alone > 0.9, "the filter alone lags by {alone}");
-    assert!(both < 0.02, "with the lead {both} are left");
+    assert!(both < 0.02, "with the compensation {both} are left");
 }
 
 #[test]
 fn with_missed_samples() {
     let (_, both) = errors(1.0, 4);
-    assert!(both < 0.1, "with the lead {both} are left");
+    assert!(both < 0.1, "with the compensation {both} are left");
 }
 
 #[test]
@@ -60,8 +60,8 @@ fn as_far_as_the_acceleration_is_right() {
 
 #[test]
 fn a_reset_forgets() {
-    let mut lead = Lead::new(TS, T1);
-    lead.update(&JointVector::repeat(3.0), 10);
-    lead.reset();
-    assert_eq!(lead.update(&JointVector::zeros(), 1), JointVector::zeros());
+    let mut compensation = LagCompensation::new(TS, T1);
+    compensation.update(&JointVector::repeat(3.0), 10);
+    compensation.reset();
+    assert_eq!(compensation.update(&JointVector::zeros(), 1), JointVector::zeros());
 }

@@ -1,0 +1,167 @@
+//! The modes of the controller, each with the data that only it needs: the reference of the arm in Hold and Stop, the plan in Track
+//! and Balance.
+
+use crate::arm::ArmReference;
+use crate::checks::Checks;
+use crate::observer::Observer;
+use crate::plan::Ending;
+use crate::supervisor::is_braked;
+use crate::trip::Trip;
+use nalgebra::Vector3;
+use upswing_ipc::Mode;
+use upswing_model::{ActuatedVector, JointParts, Model, State, StateParts};
+use upswing_trajectory::{Plan, Reference};
+
+/// The reference that the torque law (24) follows in one cycle, and the input after feedback.
+pub struct Setpoint {
+    /// x_d, rad and rad/s.
+    pub x_d: State,
+    /// u_d, rad/s^2.
+    pub u_d: ActuatedVector,
+    /// u = u_d + feedback, rad/s^2.
+    pub u: ActuatedVector,
+    /// Time since the start of the plan, s; 0 without a plan.
+    pub t_plan: f64,
+}
+
+/// The mode of the controller with its data.
+#[derive(Clone, Debug)]
+pub enum ActiveMode {
+    /// Brakes closed.
+    Idle,
+    /// The arm keeps a pose.
+    Hold(ArmReference),
+    /// Robot and pendulum follow a plan.
+    Track(RunningPlan),
+    /// The final gain of the plan keeps the rod upright.
+    Balance(RunningPlan),
+    /// The arm decelerates.
+    Stop(ArmReference),
+    /// Brakes closed after a trip, until a reset.
+    Fault,
+}
+
+impl ActiveMode {
+    /// The mode without its data.
+    pub fn mode(&self) -> Mode {
+        match self {
+            Self::Idle => Mode::Idle,
+            Self::Hold(_) => Mode::Hold,
+            Self::Track(_) => Mode::Track,
+            Self::Balance(_) => Mode::Balance,
+            Self::Stop(_) => Mode::Stop,
+            Self::Fault => Mode::Fault,
+        }
+    }
+
+    /// Whether the brakes hold the arm, without torque.
+    pub fn is_braked(&self) -> bool {
+        is_braked(self.mode())
+    }
+
+    /// Track becomes Balance with the same plan; other modes stay.
+    pub fn balance(&mut self) {
+        *self = match std::mem::replace(self, Self::Idle) {
+            Self::Track(plan) => Self::Balance(plan),
+            mode => mode,
+        };
+    }
+
+    /// Id of the running plan, 0: none.
+    pub fn plan_id(&self) -> u64 {
+        match self {
+            Self::Track(running) | Self::Balance(running) => running.loaded.plan.id,
+            _ => 0,
+        }
+    }
+}
+
+/// A plan that waits for its start.
+#[derive(Clone, Debug)]
+pub struct LoadedPlan {
+    /// The plan.
+    pub plan: Box<Plan>,
+    /// Time since which the controller has had the plan, ns on the plant's clock.
+    pub since_ns: u64,
+}
+
+impl LoadedPlan {
+    /// How long the controller has had the plan at the time `now_ns`, s.
+    pub fn age(&self, now_ns: u64) -> f64 {
+        now_ns.saturating_sub(self.since_ns) as f64 * 1e-9
+    }
+}
+
+/// A plan that has started.
+#[derive(Clone, Debug)]
+pub struct RunningPlan {
+    /// The plan.
+    pub loaded: LoadedPlan,
+    /// Time of the plan's t = 0, ns on the plant's clock.
+    start_ns: u64,
+    /// Direction of the rod at x_N, m.
+    rod_at_end: Vector3<f64>,
+}
+
+impl RunningPlan {
+    /// Starts a plan whose t = 0 is the time `start_ns`.
+    pub fn new(loaded: LoadedPlan, start_ns: u64, model: &Model) -> Self {
+        let rod_at_end = model.rod(&loaded.plan.end().x.q());
+        Self { loaded, start_ns, rod_at_end }
+    }
+
+    /// t at the time `now_ns`, s.
+    fn time(&self, now_ns: u64) -> f64 {
+        now_ns.saturating_sub(self.start_ns) as f64 * 1e-9
+    }
+
+    /// The reference at x_N.
+    pub fn end(&self) -> Reference {
+        self.loaded.plan.end()
+    }
+
+    /// How the plan ends, once t >= t_F at the time `now_ns`.
+    pub fn ending(&self, now_ns: u64) -> Option<Ending> {
+        (self.time(now_ns) >= self.loaded.plan.trajectory.t_f).then(|| Ending::of(&self.rod_at_end))
+    }
+
+    /// Track: the reference at the time `now_ns`.
+    ///
+    /// # Errors
+    /// The [`Trip`] where the robot is too far from the reference, or the pendulum beyond its range.
+    pub fn track(&self, now_ns: u64, x: &State, checks: &mut Checks) -> Result<Setpoint, Trip> {
+        let t_plan = self.time(now_ns);
+        let reference = self.loaded.plan.reference(t_plan);
+        let lost = checks.tracking(x, &reference.x);
+        let u = reference.u + reference.gain * (x - reference.x);
+        match checks.pendulum(x).or(lost) {
+            Some(trip) => Err(trip),
+            None => Ok(Setpoint { x_d: reference.x, u_d: reference.u, u, t_plan }),
+        }
+    }
+
+    /// Balance: the end of the plan with its final gain.
+    ///
+    /// # Errors
+    /// The [`Trip`] where the rod tilts too far, the arm is too far from x_N or would have to move too fast, or the pendulum is beyond
+    /// its range.
+    pub fn balance(
+        &self,
+        now_ns: u64,
+        observer: &Observer,
+        model: &Model,
+        checks: &mut Checks,
+    ) -> Result<Setpoint, Trip> {
+        let (x, end) = (&observer.x, self.end());
+        let rod = model.rod(&x.q());
+        let tilt = rod.cross(&self.rod_at_end).norm().atan2(rod.dot(&self.rod_at_end));
+        let tilted = checks.balance(tilt);
+        let u = end.u + end.gain * (x - end.x);
+        let astray = checks.balance_error(x, &end.x);
+        let fast = checks.balance_speed(&observer.filtered.actuated(), &u);
+        match checks.pendulum(x).or(tilted).or(astray).or(fast) {
+            Some(trip) => Err(trip),
+            None => Ok(Setpoint { x_d: end.x, u_d: end.u, u, t_plan: self.time(now_ns) }),
+        }
+    }
+}
