@@ -12,7 +12,7 @@ use std::path::Path;
 use std::time::Duration;
 use upswing_config::Config;
 use upswing_model::State;
-use upswing_rig::montecarlo::{Spread, Starts};
+use upswing_rig::montecarlo::{RandomStarts, Spread};
 
 /// Seed of the random starts.
 const SEED: u64 = 0;
@@ -32,7 +32,7 @@ fn main() {
 
 /// Settings and random starts, those of `upswing montecarlo` with the same seed.
 fn starts(config: &Config, count: u64) -> Vec<State> {
-    let starts = Starts { config, seed: SEED };
+    let starts = RandomStarts { config, seed: SEED };
     (0..count).map(|i| starts.start(i).unwrap_or_else(|e| panic!("{e}"))).collect()
 }
 

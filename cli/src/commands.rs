@@ -1,4 +1,7 @@
 //! The commands of the `upswing` program, one module each.
+//!
+//! Of each command `NAME`, `NameArgs` are its options, `run` runs it, and `NameResult` is what it prints: one JSON document with
+//! `--json`, else its text. A command that runs until Ctrl-C prints `NameStarted` instead.
 
 pub(crate) mod completions;
 pub(crate) mod config;
@@ -22,7 +25,7 @@ pub(crate) mod request;
 pub(crate) mod soak;
 pub(crate) mod status;
 
-pub(crate) use json::{MarginsJson, PlanFigures, TrajectoryJson};
+pub(crate) use json::{MarginsJson, PlanSummary, TrajectoryJson};
 
 use progress::{byte_bar, progress_bar, spinner, time_bar};
 use serde::Serialize;
@@ -32,7 +35,7 @@ use upswing_ipc::{
 };
 use upswing_process::output::{Destination, Output, OutputError, Overwrite};
 use upswing_process::{Failure, ProcessArgs};
-use upswing_rig::session::{Options, SessionError};
+use upswing_rig::session::{SessionError, SessionOptions};
 
 /// Options of every command except the three processes.
 #[derive(Clone, Debug, clap::Args)]
@@ -90,14 +93,14 @@ fn own_system(
     clock: Clock,
     start: String,
     scenario: Option<String>,
-) -> Result<(TempDomain, Options), Failure> {
+) -> Result<(TempDomain, SessionOptions), Failure> {
     let domain = TempDomain::new(&format!("{}-{what}", common.process.domain))
         .map_err(|e| Failure::BadInput(e.to_string()))?;
     let name = domain.name().to_owned();
     let logs = std::env::temp_dir().join(&name);
     std::fs::create_dir_all(&logs).map_err(|e| failed(format!("cannot create {}: {e}", logs.display())))?;
     let config = common.process.config.clone();
-    Ok((domain, Options { config, domain: name, clock, start: Some(start), scenario, logs }))
+    Ok((domain, SessionOptions { config, domain: name, clock, start: Some(start), scenario, logs }))
 }
 
 /// Invalid inputs are [`Failure::BadInput`]; all other messages name the folder `logs`.

@@ -8,7 +8,7 @@ use proptest::prelude::*;
 use serde_json::Value;
 use std::io::{Read, Write};
 use std::net::TcpStream;
-use upswing_view::web::{Head, Token, check};
+use upswing_view::web::{RequestHead, Token, check};
 
 /// Status and body of the answer to a request with these headers.
 fn ask(begun: &Value, line: &str, headers: &[(&str, &str)]) -> (u16, String) {
@@ -92,7 +92,7 @@ proptest! {
         authorization in prop::option::of("(Bearer )?[0-9a-f]{0,33}"),
     ) {
         let token = Token::new().expect("random numbers");
-        let head = Head {
+        let head = RequestHead {
             get: false,
             post: true,
             host: host.as_deref(),
@@ -101,7 +101,7 @@ proptest! {
         };
         prop_assert!(check(&head, Some(&token)).is_err());
         let own = format!("Bearer {}", token.text());
-        let head = Head { authorization: Some(&own), ..head };
+        let head = RequestHead { authorization: Some(&own), ..head };
         let from_here = origin.is_none() || origin == host.as_ref().map(|h| format!("http://{h}"));
         let name = host.as_deref().unwrap_or("").trim_end_matches(":80");
         let by_number = name == "localhost" || host.as_deref().is_some_and(|h| {

@@ -8,13 +8,13 @@ use upswing_process::{Failure, ProcessArgs};
 use upswingd::flight;
 
 /// A recording to read: a file, or what was made of a flight record.
-pub struct Source {
+pub struct RecordingFile {
     path: PathBuf,
     /// Vanishes with it.
     _folder: Option<TempDir>,
 }
 
-impl Source {
+impl RecordingFile {
     /// The recording in a file. A flight record holds nothing but cycles: the settings are those of `process`.
     ///
     /// # Errors

@@ -19,18 +19,18 @@
 
 mod cdr;
 pub mod cycle;
+pub mod evaluation;
 mod flight;
 mod messages;
 mod parts;
 mod reader;
 pub mod replay;
-pub mod report;
 pub mod robot;
 mod tally;
 mod tap;
 mod writer;
 
-pub use flight::Source;
+pub use flight::RecordingFile;
 pub use reader::{Message, Recording, Window, read, scan};
 pub use tally::{Elapsed, Tally};
 pub use tap::Tap;

@@ -94,7 +94,7 @@ pub fn scan<E: From<RecordingError>>(
     })?;
     let (schemas, channels) = (BTreeMap::new(), BTreeMap::new());
     let (settings, elapsed, clock) = (0, Elapsed::default(), u64::MAX);
-    let mut reader = Reader { path, window, schemas, channels, settings, elapsed, clock };
+    let mut reader = MessageReader { path, window, schemas, channels, settings, elapsed, clock };
     let mut recording = Recording::default();
     let (mut finished, mut seen) = (false, 0_u64);
     let mut damage = Damage::default();
@@ -168,7 +168,7 @@ impl Damage {
 
 /// What a message holds, of what is read here.
 #[derive(Clone, Copy)]
-enum Kind {
+enum MessageKind {
     Cycle,
     /// A cycle of the first version of the message: its clock is that of the step before it.
     CycleWithoutClock,
@@ -177,13 +177,13 @@ enum Kind {
 }
 
 /// What is known so far.
-struct Reader<'a> {
+struct MessageReader<'a> {
     path: &'a Path,
     window: Window,
     /// Name and definition by id.
     schemas: BTreeMap<u16, (String, String)>,
     /// What the messages of a channel are.
-    channels: BTreeMap<u16, Kind>,
+    channels: BTreeMap<u16, MessageKind>,
     /// Bytes of the settings so far.
     settings: usize,
     elapsed: Elapsed,
@@ -191,7 +191,7 @@ struct Reader<'a> {
     clock: u64,
 }
 
-impl Reader<'_> {
+impl MessageReader<'_> {
     /// Notes what a record says; the message, if it is one of the window.
     fn take(&mut self, record: Record<'_>, into: &mut Recording) -> Result<Option<Message>, RecordingError> {
         let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
@@ -210,20 +210,20 @@ impl Reader<'_> {
             Record::Channel(c) => {
                 let first = &cycle::first_definition();
                 if c.topic == CYCLE_TOPIC && self.check(c.schema_id, cycle::TYPE, first).is_ok() {
-                    self.channels.insert(c.id, Kind::CycleWithoutClock);
+                    self.channels.insert(c.id, MessageKind::CycleWithoutClock);
                     return Ok(None);
                 }
                 let known = [
-                    (CYCLE_TOPIC, Kind::Cycle, cycle::TYPE, cycle::definition()),
+                    (CYCLE_TOPIC, MessageKind::Cycle, cycle::TYPE, cycle::definition()),
                     (
                         messages::STEPS.name,
-                        Kind::Step,
+                        MessageKind::Step,
                         messages::STEPS.kind,
                         messages::STEPS.definition.into(),
                     ),
                     (
                         messages::PLANS.name,
-                        Kind::Plan,
+                        MessageKind::Plan,
                         messages::PLANS.kind,
                         messages::PLANS.definition.into(),
                     ),
@@ -237,25 +237,25 @@ impl Reader<'_> {
             Record::Message { header, data } => {
                 let Some(kind) = self.channels.get(&header.channel_id) else { return Ok(None) };
                 let mut words = cdr::words(&data);
-                if let (Kind::CycleWithoutClock, Some(words)) = (kind, &mut words) {
+                if let (MessageKind::CycleWithoutClock, Some(words)) = (kind, &mut words) {
                     words.push(self.clock);
                 }
                 let words = words.as_deref();
                 let what = || format!("message {} has {} bytes", header.sequence, data.len());
                 let other = || self.other_version(what());
                 return match kind {
-                    Kind::Cycle | Kind::CycleWithoutClock => {
+                    MessageKind::Cycle | MessageKind::CycleWithoutClock => {
                         let cycle = words.and_then(Telemetry::from_words).ok_or_else(other)?;
                         let t = self.elapsed.until(cycle.t_ns) as f64 * 1e-9;
                         let inside = t >= self.window.from && t <= self.window.to;
                         Ok(inside.then_some(Message::Cycle(cycle)))
                     }
-                    Kind::Step => {
+                    MessageKind::Step => {
                         let step = words.and_then(Step::from_words).ok_or_else(other)?;
                         self.clock = step.measurement.clock;
                         Ok(Some(Message::Step(step)))
                     }
-                    Kind::Plan => {
+                    MessageKind::Plan => {
                         let plan = words.and_then(Plan::from_words).ok_or_else(other)?;
                         Ok(Some(Message::Plan(plan)))
                     }

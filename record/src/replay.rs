@@ -15,7 +15,7 @@ const OF_THE_THREAD: [&str; 5] = ["degraded", "wake_ns", "read_ns", "compute_ns"
 
 /// A recorded run, all in memory: 10 MB per second at 8 kHz.
 #[derive(Clone, Debug, Default)]
-pub struct Run {
+pub struct RecordedRun {
     /// The cycles, in the order of their recording; at least one.
     pub cycles: Vec<Telemetry>,
     /// The inputs of the controller, in the order of their recording: steps and plans.
@@ -24,7 +24,7 @@ pub struct Run {
     pub recording: Recording,
 }
 
-impl Run {
+impl RecordedRun {
     /// Reads a recording.
     ///
     /// # Errors
@@ -130,7 +130,7 @@ pub struct Replay {
 ///
 /// # Errors
 /// [`ReplayError`] if the recording does not contain the complete input of the controller.
-pub fn replay(recorded: &Run, config: &Config) -> Result<Replay, ReplayError> {
+pub fn replay(recorded: &RecordedRun, config: &Config) -> Result<Replay, ReplayError> {
     // As in the real-time thread: the replay has to round as that does. In a thread of its own, for the caller's sake.
     std::thread::scope(|threads| {
         let run = threads.spawn(|| {
@@ -141,7 +141,7 @@ pub fn replay(recorded: &Run, config: &Config) -> Result<Replay, ReplayError> {
     })
 }
 
-fn run(run: &Run, config: &Config) -> Result<Replay, ReplayError> {
+fn run(run: &RecordedRun, config: &Config) -> Result<Replay, ReplayError> {
     // By daemon and cycle: a recording may go on over restarts of the daemon.
     let mut recorded = run.cycles.iter().peekable();
     let mut plans = BTreeMap::new();

@@ -4,7 +4,7 @@
 use upswing_config::Config;
 use upswing_ipc::{Mode, Telemetry};
 use upswing_model::JointVector;
-use upswing_record::report::{FigureCounter, tilt};
+use upswing_record::evaluation::{MotionStatisticsCounter, tilt};
 use upswing_record::{Recorder, Window, read};
 
 /// Cycles of each plant: more than the second that is judged.
@@ -45,10 +45,10 @@ fn in_a_recording() {
 #[test]
 fn in_the_figures() {
     let config = Config::embedded().expect("the settings load");
-    let mut counter = FigureCounter::default();
+    let mut counter = MotionStatisticsCounter::default();
     let cycles = cycles();
     cycles.iter().for_each(|cycle| counter.count(&config.model, &config.robot.limits, cycle));
-    let figures = counter.figures(PERIOD, 0);
+    let figures = counter.statistics(PERIOD, 0);
     let tilts = [&cycles[0], &cycles[cycles.len() - 1]].map(|c| tilt(&config.model, &JointVector::from(c.q)));
     assert!(tilts[0] > tilts[1], "{tilts:?}");
     assert!((figures.final_tilt_deg - tilts[1].to_degrees()).abs() < 1e-9, "{}", figures.final_tilt_deg);

@@ -9,7 +9,7 @@ use upswing_ocp::qp::Solver;
 use upswing_planner::replan::{Effort, NoPlan, Planner};
 use upswing_planner::service::describe;
 use upswing_plant::{Plant, SetEventError, StateError};
-use upswing_record::report::Report;
+use upswing_record::evaluation::SwingUpEvaluation;
 use upswingd::controller::Controller;
 use upswingd::plan::{PlanRefusal, accept};
 use upswingd::step::{Output, Request, StepInput};
@@ -81,7 +81,7 @@ impl Aborted {
 
 /// Cycles in a row in which the controller does not run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Missed {
+pub struct MissedCycles {
     /// The first one, counted from the start of the plan.
     pub from: u64,
     /// How many.
@@ -94,7 +94,7 @@ pub struct Disturbances {
     /// Pushes on the rod, their cycles counted from the start of the plan.
     pub pushes: Vec<Push>,
     /// In the order of time.
-    pub missed: Vec<Missed>,
+    pub missed: Vec<MissedCycles>,
 }
 
 /// A controller and a plant that answer each other, as on the clock `lockstep`.
@@ -134,7 +134,7 @@ struct SwingUpRun<'a, D> {
     solver: &'a mut Solver,
     disturbances: Option<D>,
     /// Missed cycles after the start of the plan.
-    missed: Vec<Missed>,
+    missed: Vec<MissedCycles>,
     records: &'a mut Vec<Telemetry>,
     /// Largest true speeds so far while a plan runs, rad/s.
     fastest: JointVector,
@@ -236,7 +236,7 @@ pub fn swing_up(
     seconds: f64,
     disturbances: impl FnOnce(f64) -> Disturbances,
     records: &mut Vec<Telemetry>,
-) -> Result<Report, Aborted> {
+) -> Result<SwingUpEvaluation, Aborted> {
     records.clear();
     let mut run = SwingUpRun {
         system: ClosedLoop::new(config, plant),
@@ -250,5 +250,5 @@ pub fn swing_up(
     };
     let period = config.daemon.cycle.period.seconds();
     let response = course::swing_up(&mut run, period, seconds)?;
-    Ok(Report::new(config, &response, run.records, 0, seconds, Some(&run.fastest)))
+    Ok(SwingUpEvaluation::new(config, &response, run.records, 0, seconds, Some(&run.fastest)))
 }

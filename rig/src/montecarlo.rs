@@ -19,7 +19,7 @@ use upswing_model::{NU, State, StateParts};
 use upswing_ocp::qp::Solver;
 use upswing_planner::replan::Planner;
 use upswing_plant::Plant;
-use upswing_record::report::Report;
+use upswing_record::evaluation::SwingUpEvaluation;
 
 /// Largest angle at which the pendulum hangs in a start, rad: 5 deg within the limit of joint 9, Table II.
 const LARGEST_REST_ANGLE: f64 = 40.0 * std::f64::consts::PI / 180.0;
@@ -40,14 +40,14 @@ pub struct NoStart;
 /// Starts at rest, uniform in the ranges of the grid's axes, Section VI of the paper; the pendulum hangs at rest
 /// within 40 deg.
 #[derive(Clone, Copy, Debug)]
-pub struct Starts<'a> {
+pub struct RandomStarts<'a> {
     /// Ranges, limits and model.
     pub config: &'a Config,
     /// Starts of different seeds have nothing in common.
     pub seed: u64,
 }
 
-impl Starts<'_> {
+impl RandomStarts<'_> {
     /// Start number `index`: depends on this number, the seed and the settings alone.
     ///
     /// # Errors
@@ -102,7 +102,7 @@ pub struct Study<'a> {
     /// Makes the plans; its settings are those of the controller.
     pub planner: &'a Planner,
     /// Where the runs start.
-    pub starts: Starts<'a>,
+    pub starts: RandomStarts<'a>,
     /// Numbers of the starts.
     pub indices: Vec<u64>,
     /// Threads to use.
@@ -171,7 +171,7 @@ impl Scratch {
         mut plant: Config,
         seconds: f64,
         disturbances: impl FnOnce(f64) -> Disturbances,
-    ) -> Result<Report, Aborted> {
+    ) -> Result<SwingUpEvaluation, Aborted> {
         plant.plant.start.q = std::array::from_fn(|i| start[i]);
         plant.plant.start.pendulum = PendulumStart::Rest;
         plant.plant.encoder.seed = plant.plant.encoder.seed.wrapping_add(index);

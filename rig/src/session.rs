@@ -2,7 +2,7 @@
 
 mod process;
 
-pub use process::{Options, Programs, Role};
+pub use process::{Programs, Role, SessionOptions};
 
 use process::Process;
 use std::time::{Duration, Instant};
@@ -95,7 +95,7 @@ impl From<OperatorError> for SessionError {
 /// A running system.
 pub struct Session {
     programs: Programs,
-    options: Options,
+    options: SessionOptions,
     processes: [Option<Process>; 3],
     operator: Operator,
     plant: Client<PlantRequest>,
@@ -115,7 +115,7 @@ impl Session {
     /// [`SessionError`] with the end of the log of the process that failed.
     pub fn start(
         programs: Programs,
-        options: &Options,
+        options: &SessionOptions,
         recorder: Option<Recorder>,
     ) -> Result<Self, SessionError> {
         let domain = Domain::new(&options.domain)

@@ -4,11 +4,11 @@
 mod cycles;
 mod health;
 
-pub use cycles::Cycles;
-pub use health::{Growth, Sample};
+pub use cycles::CycleCounts;
+pub use health::{ResourceGrowth, ResourceSample};
 
 use crate::course::SETTLE;
-use crate::montecarlo::{NoStart, Starts, arm_degrees};
+use crate::montecarlo::{NoStart, RandomStarts, arm_degrees};
 use crate::session::{Role, Session, SessionError};
 use serde::Serialize;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 use upswing_ipc::operator::{Manoeuvre, OperatorError, Request};
 use upswing_ipc::{Clock, ControlResponse, Mode, PlantKind, PlantRequest, Telemetry};
 use upswing_model::{JointVector, State, StateParts};
-use upswing_record::report::tilt;
+use upswing_record::evaluation::tilt;
 
 /// Balance before the push and after it, and hold after the swing-down, s.
 const BALANCE: (f64, f64) = (0.5, 2.0);
@@ -35,7 +35,7 @@ const HEALTH: Duration = Duration::from_secs(5);
 
 /// A round that did not come to its end although nobody was killed.
 #[derive(Clone, Debug, Serialize)]
-pub struct Loss {
+pub struct FailedRound {
     /// Number of the round.
     pub round: u64,
     /// What was being done.
@@ -59,7 +59,7 @@ pub struct Kill {
 
 /// What became of a soak.
 #[derive(Clone, Debug, Default, Serialize)]
-pub struct Record {
+pub struct SoakOutcome {
     /// Rounds that were begun, and those that came to their end: balanced after the push, hung at rest, and held.
     pub rounds: u64,
     /// See `rounds`.
@@ -67,26 +67,26 @@ pub struct Record {
     /// Processes that were killed, and recovered.
     pub kills: Vec<Kill>,
     /// Rounds that failed by themselves, and recovered.
-    pub losses: Vec<Loss>,
+    pub losses: Vec<FailedRound>,
     /// Daemons that were ended in their own way between two rounds.
     pub orderly_restarts: u64,
     /// Cycles, and those that were late or missed.
     #[serde(flatten)]
-    pub cycles: Cycles,
+    pub cycles: CycleCounts,
     /// What the daemon said about the last late cycle of each completed round that had one.
     pub late_causes: Vec<String>,
     /// Memory and handles over time.
-    pub samples: Vec<Sample>,
+    pub samples: Vec<ResourceSample>,
 }
 
 /// Why a round ended early.
-enum End {
+enum RoundEnd {
     Killed(Role),
     Lost(String),
     Broken(SessionError),
 }
 
-impl From<SessionError> for End {
+impl From<SessionError> for RoundEnd {
     fn from(e: SessionError) -> Self {
         match e {
             // What a system that runs may answer; all else is a system that does not.
@@ -104,13 +104,13 @@ pub struct Soak<'a> {
     /// The system.
     pub session: Session,
     /// Where rounds begin, and their random numbers.
-    pub starts: Starts<'a>,
+    pub starts: RandomStarts<'a>,
     /// The plant's clock.
     pub clock: Clock,
     /// Share of the rounds in which a process is killed.
     pub kills: f64,
     /// What became of it so far.
-    pub record: Record,
+    pub record: SoakOutcome,
     begin: Instant,
     looked: Option<Instant>,
     newest: Option<Telemetry>,
@@ -121,13 +121,13 @@ pub struct Soak<'a> {
 
 impl<'a> Soak<'a> {
     /// A soak of a system that has just been started.
-    pub fn new(session: Session, starts: Starts<'a>, clock: Clock, kills: f64) -> Self {
+    pub fn new(session: Session, starts: RandomStarts<'a>, clock: Clock, kills: f64) -> Self {
         Self {
             session,
             starts,
             clock,
             kills,
-            record: Record::default(),
+            record: SoakOutcome::default(),
             begin: Instant::now(),
             looked: None,
             newest: None,
@@ -160,12 +160,12 @@ impl<'a> Soak<'a> {
                     self.record.completed += 1;
                     None
                 }
-                Err(End::Killed(role)) => Some(role.name()),
-                Err(End::Lost(reason)) => {
-                    self.record.losses.push(Loss { round, phase, reason });
+                Err(RoundEnd::Killed(role)) => Some(role.name()),
+                Err(RoundEnd::Lost(reason)) => {
+                    self.record.losses.push(FailedRound { round, phase, reason });
                     None
                 }
-                Err(End::Broken(e)) => return Err(e),
+                Err(RoundEnd::Broken(e)) => return Err(e),
             };
             self.recover()?;
             if let Some(role) = killed {
@@ -176,7 +176,7 @@ impl<'a> Soak<'a> {
         Ok(())
     }
 
-    fn round(&mut self, round: u64, start: &State, overruns: u64) -> Result<(), End> {
+    fn round(&mut self, round: u64, start: &State, overruns: u64) -> Result<(), RoundEnd> {
         let mut shares = self.starts.shares(round);
         let mut share = || shares.next().unwrap_or_default();
         let role = Role::ALL[((share() * 3.0) as usize).min(2)];
@@ -206,7 +206,7 @@ impl<'a> Soak<'a> {
         if let Some(record) = &self.newest {
             let deg = tilt(&self.starts.config.model, &JointVector::from(record.q)).to_degrees();
             if !(deg <= UPRIGHT_DEG) {
-                return Err(End::Lost(format!("the rod is {deg:.2} deg from upright after the push")));
+                return Err(RoundEnd::Lost(format!("the rod is {deg:.2} deg from upright after the push")));
             }
         }
 
@@ -224,7 +224,7 @@ impl<'a> Soak<'a> {
 
     /// Lets time pass, s of the daemon's cycles, and kills who is to be killed meanwhile. A planner is started again on the
     /// spot: the daemon goes on without it.
-    fn pass(&mut self, seconds: f64) -> Result<(), End> {
+    fn pass(&mut self, seconds: f64) -> Result<(), RoundEnd> {
         /// So that telemetry never fills up.
         const SLICE: f64 = 0.05;
         let period = self.starts.config.daemon.cycle.period.seconds();
@@ -238,7 +238,7 @@ impl<'a> Soak<'a> {
             while self.record.cycles.cycles < before + cycles {
                 self.look()?;
                 if begin.elapsed() > PATIENCE {
-                    return Err(End::Lost(format!("no telemetry for {PATIENCE:.0?}")));
+                    return Err(RoundEnd::Lost(format!("no telemetry for {PATIENCE:.0?}")));
                 }
                 std::thread::sleep(Duration::from_millis(1));
             }
@@ -247,7 +247,7 @@ impl<'a> Soak<'a> {
         Ok(())
     }
 
-    fn kill_in(&mut self, slice: f64) -> Result<(), End> {
+    fn kill_in(&mut self, slice: f64) -> Result<(), RoundEnd> {
         let Some((role, time)) = &mut self.kill else { return Ok(()) };
         *time -= slice;
         if *time > 0.0 {
@@ -257,7 +257,7 @@ impl<'a> Soak<'a> {
         self.kill = None;
         self.session.kill(role);
         if role != Role::Planner {
-            return Err(End::Killed(role));
+            return Err(RoundEnd::Killed(role));
         }
         let begin = Instant::now();
         self.session.restart(role)?;
@@ -276,20 +276,23 @@ impl<'a> Soak<'a> {
         self.newest = records.last().copied().or(self.newest);
         if self.looked.is_none_or(|looked| looked.elapsed() >= HEALTH) {
             self.looked = Some(Instant::now());
-            let sample = Sample::take(&self.session, self.begin.elapsed().as_secs_f64());
+            let sample = ResourceSample::take(&self.session, self.begin.elapsed().as_secs_f64());
             self.record.samples.push(sample);
         }
         Ok(())
     }
 
-    fn expect(&mut self, mode: Mode) -> Result<ControlResponse, End> {
+    fn expect(&mut self, mode: Mode) -> Result<ControlResponse, RoundEnd> {
         let status = self.session.status()?;
         if status.mode() == Ok(mode) {
             return Ok(status);
         }
         let got = status.mode_text();
         let late = if status.overrun.to_string().is_empty() { "" } else { "; last late cycle: " };
-        Err(End::Lost(format!("mode {got} instead of {mode}: {}{late}{}", status.reason, status.overrun)))
+        Err(RoundEnd::Lost(format!(
+            "mode {got} instead of {mode}: {}{late}{}",
+            status.reason, status.overrun
+        )))
     }
 
     /// Brings the system to closed brakes, with all processes, ready for the next round.
@@ -350,7 +353,7 @@ impl<'a> Soak<'a> {
     ///
     /// # Errors
     /// [`NoStart`].
-    pub fn first_start(starts: &Starts<'_>) -> Result<String, NoStart> {
+    pub fn first_start(starts: &RandomStarts<'_>) -> Result<String, NoStart> {
         Ok(arm_degrees(&starts.start(0)?).map(|deg| deg.to_string()).join(","))
     }
 }

@@ -5,7 +5,7 @@ use upswing_ipc::{Mode, PlannerResponse, Telemetry};
 use upswing_model::JointVector;
 use upswing_planner::replan::Planner;
 use upswing_plant::Plant;
-use upswing_record::report::Report;
+use upswing_record::evaluation::SwingUpEvaluation;
 use upswing_rig::closed_loop::{Disturbances, swing_up};
 
 /// Time in Balance, s.
@@ -15,7 +15,7 @@ const SECONDS: f64 = 2.0;
 fn failures(config: &Config, good: &[Telemetry], change: impl Fn(&mut Vec<Telemetry>)) -> Vec<String> {
     let mut records = good.to_vec();
     change(&mut records);
-    Report::new(config, &PlannerResponse::default(), &records, 0, SECONDS, None).failures
+    SwingUpEvaluation::new(config, &PlannerResponse::default(), &records, 0, SECONDS, None).failures
 }
 
 fn in_mode(records: &mut [Telemetry], mode: Mode) -> impl Iterator<Item = &mut Telemetry> {
@@ -84,10 +84,10 @@ fn each_alone() {
         let mut fastest = JointVector::zeros();
         fastest[joint] = 1.2 * limits.qd_max[joint];
         let response = PlannerResponse::default();
-        only(Report::new(&config, &response, &good, 0, SECONDS, Some(&fastest)).failures, words);
+        only(SwingUpEvaluation::new(&config, &response, &good, 0, SECONDS, Some(&fastest)).failures, words);
     }
     only(
-        Report::new(&config, &PlannerResponse::default(), &good, 3, SECONDS, None).failures,
+        SwingUpEvaluation::new(&config, &PlannerResponse::default(), &good, 3, SECONDS, None).failures,
         "3 telemetry records were lost",
     );
 }

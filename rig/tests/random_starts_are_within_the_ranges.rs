@@ -2,7 +2,7 @@
 
 use upswing_config::{Config, GridAxis};
 use upswing_model::{JointVector, StateParts, Workspace};
-use upswing_rig::montecarlo::{NoStart, Spread, Starts};
+use upswing_rig::montecarlo::{NoStart, RandomStarts, Spread};
 
 fn config() -> Config {
     Config::embedded().expect("embedded settings")
@@ -11,7 +11,7 @@ fn config() -> Config {
 #[test]
 fn starts_are_at_rest_within_40_degrees() {
     let config = config();
-    let starts = Starts { config: &config, seed: 7 };
+    let starts = RandomStarts { config: &config, seed: 7 };
     let mut work = Workspace::default();
     for index in 0..500 {
         let x = starts.start(index).expect("a start");
@@ -30,7 +30,7 @@ fn starts_are_at_rest_within_40_degrees() {
 #[test]
 fn joint_1_which_no_rule_restricts_is_uniform() {
     let config = config();
-    let starts = Starts { config: &config, seed: 0 };
+    let starts = RandomStarts { config: &config, seed: 0 };
     let GridAxis { from, to, .. } = config.grid.axes[0];
     let mut tenths = [0; 10];
     for index in 0..5000 {
@@ -45,11 +45,11 @@ fn joint_1_which_no_rule_restricts_is_uniform() {
 #[test]
 fn seed_and_number_are_all_that_matters() {
     let config = config();
-    let starts = Starts { config: &config, seed: 1 };
+    let starts = RandomStarts { config: &config, seed: 1 };
     let first: Vec<_> = (0..20).map(|i| starts.start(i)).collect();
     let backwards: Vec<_> = (0..20).rev().map(|i| starts.start(i)).collect();
     assert!(first.iter().eq(backwards.iter().rev()));
-    let other = Starts { config: &config, seed: 2 };
+    let other = RandomStarts { config: &config, seed: 2 };
     assert!((0..20).all(|i| other.start(i) != first[i as usize]));
     assert!((1..20).all(|i| first[i] != first[0]));
 }
@@ -61,7 +61,7 @@ fn ranges_without_a_rest_position_are_refused() {
     for a in &mut config.grid.axes {
         (a.from, a.to) = (0.0, 0.0);
     }
-    assert_eq!(Starts { config: &config, seed: 0 }.start(0), Err(NoStart));
+    assert_eq!(RandomStarts { config: &config, seed: 0 }.start(0), Err(NoStart));
 }
 
 #[test]

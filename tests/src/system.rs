@@ -8,9 +8,9 @@ use upswing_config::Config;
 use upswing_ipc::operator::{Manoeuvre, Request};
 use upswing_ipc::{Clock, ControlResponse, Mode, Telemetry, TempDomain};
 use upswing_record::Recorder;
-use upswing_record::report::Report;
+use upswing_record::evaluation::SwingUpEvaluation;
 use upswing_rig::course::{SessionCourse, swing_up};
-use upswing_rig::session::{Options, Programs, Role, Session, SessionError};
+use upswing_rig::session::{Programs, Role, Session, SessionError, SessionOptions};
 
 /// Start of the arm in the paper's experiment, deg.
 pub const START: [f64; 7] = [0.0, -15.0, 0.0, -95.0, 0.0, 10.0, 0.0];
@@ -84,7 +84,7 @@ impl System {
         let details = [("clock", clock.to_string())];
         let recorder =
             file.map(|file| Recorder::create(file, &config, details).unwrap_or_else(|e| panic!("{e}")));
-        let options = Options {
+        let options = SessionOptions {
             config: settings.map(Path::to_owned),
             domain,
             clock,
@@ -106,11 +106,18 @@ impl System {
     ///
     /// # Panics
     /// If the system refuses or leaves the modes of a swing-up.
-    pub fn swing_up(&mut self, seconds: f64) -> Report {
+    pub fn swing_up(&mut self, seconds: f64) -> SwingUpEvaluation {
         let period = self.period();
         let plan = swing_up(&mut SessionCourse::new(&mut self.session, period), period, seconds);
         let plan = self.must(plan);
-        Report::new(&self.config, &plan, &self.session.records, self.session.dropped(), seconds, None)
+        SwingUpEvaluation::new(
+            &self.config,
+            &plan,
+            &self.session.records,
+            self.session.dropped(),
+            seconds,
+            None,
+        )
     }
 
     /// Lets time pass until so many more cycles are recorded.

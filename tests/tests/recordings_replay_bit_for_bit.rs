@@ -7,15 +7,15 @@ use upswing_config::Config;
 use upswing_ipc::operator::Request;
 use upswing_ipc::{Clock, Mode};
 use upswing_record::Message;
-use upswing_record::replay::{Replay, ReplayError, Run, settings};
+use upswing_record::replay::{RecordedRun, Replay, ReplayError, settings};
 use upswing_tests::{START, System, programs};
 
-fn replay(recording: &Run) -> Result<Replay, ReplayError> {
+fn replay(recording: &RecordedRun) -> Result<Replay, ReplayError> {
     upswing_record::replay::replay(recording, &settings(&recording.recording)?)
 }
 
 /// A run on the way to a mode, then with a lost encoder and a reset.
-fn recorded(folder: &Path, clock: Clock, goal: Mode) -> (PathBuf, Run) {
+fn recorded(folder: &Path, clock: Clock, goal: Mode) -> (PathBuf, RecordedRun) {
     let file = folder.join("run.mcap");
     let mut system = System::start_recorded(clock, START, None, Some(&file));
     system.bring_to(goal);
@@ -25,7 +25,7 @@ fn recorded(folder: &Path, clock: Clock, goal: Mode) -> (PathBuf, Run) {
     system.request(Request::Reset);
     system.advance(400);
     system.end();
-    let recording = Run::read(&file).unwrap_or_else(|e| panic!("{e}"));
+    let recording = RecordedRun::read(&file).unwrap_or_else(|e| panic!("{e}"));
     (file, recording)
 }
 
@@ -63,13 +63,13 @@ fn from_a_run_on_the_wall_clock() {
     let _ = system.session.request(Request::Enable);
     system.advance(2000);
     system.end();
-    let recording = Run::read(&file).unwrap_or_else(|e| panic!("{e}"));
+    let recording = RecordedRun::read(&file).unwrap_or_else(|e| panic!("{e}"));
     let result = replay(&recording).unwrap_or_else(|e| panic!("{e}"));
     assert_eq!(result.difference, None);
     assert!(result.compared >= 2000, "only {} cycles", result.compared);
 }
 
-fn a_changed_input_is_found(recording: &Run) {
+fn a_changed_input_is_found(recording: &RecordedRun) {
     let mut changed = recording.clone();
     let cycle = recording.cycles.len() as u64 / 2;
     for input in &mut changed.inputs {
@@ -84,7 +84,7 @@ fn a_changed_input_is_found(recording: &Run) {
     assert_eq!((difference.cycle, difference.field.as_str()), (cycle, "q7"));
 }
 
-fn a_missing_step_is_told(recording: &Run) {
+fn a_missing_step_is_told(recording: &RecordedRun) {
     let mut cut = recording.clone();
     cut.inputs.retain(|input| !matches!(input, Message::Step(step) if step.number == 5));
     let error = replay(&cut).expect_err("a step is missing");
@@ -112,7 +112,7 @@ fn kept_by_one_command(file: &Path) {
 
 /// Replays a kept recording with the default settings: the modes in it, which must be those of the controller.
 fn decisions(file: &Path) -> Vec<Mode> {
-    let recording = Run::read(file).unwrap_or_else(|e| panic!("{e}"));
+    let recording = RecordedRun::read(file).unwrap_or_else(|e| panic!("{e}"));
     let config = Config::embedded().expect("settings");
     let result = upswing_record::replay::replay(&recording, &config);
     let result = result.unwrap_or_else(|e| panic!("{}: {e}", file.display()));

@@ -3,7 +3,7 @@
 
 use upswing_config::Config;
 use upswing_ipc::Mode;
-use upswing_record::report::tilt;
+use upswing_record::evaluation::tilt;
 use upswing_tests::matrix::Case;
 
 /// Four seconds in Balance, and the rod within 2 deg of upright throughout the last one.

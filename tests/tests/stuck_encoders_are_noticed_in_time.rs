@@ -4,7 +4,7 @@
 use upswing_config::{Config, Fault, FaultKind};
 use upswing_ipc::Mode;
 use upswing_model::{NQ, NU};
-use upswing_rig::montecarlo::Starts;
+use upswing_rig::montecarlo::RandomStarts;
 use upswing_tests::matrix::Case;
 use upswingd::trip::TripCause;
 
@@ -47,7 +47,7 @@ fn broken(config: &Config, before: &Case, fault: Fault) -> Ending {
 /// From each pose, with each plant.
 fn each(mode: Mode, check: impl Fn(&Config, &Case, &str)) {
     let config = Config::embedded().expect("settings");
-    let starts = Starts { config: &config, seed: SEED };
+    let starts = RandomStarts { config: &config, seed: SEED };
     for scenario in [None, Some("everyday")] {
         for start in 0..=POSES {
             let x = (start > 0).then(|| starts.start(start).expect("a start"));

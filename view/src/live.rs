@@ -1,32 +1,32 @@
-//! A running system as an operator sees it: the same [`View`] for the terminal, the page and the metrics.
+//! A running system as an operator sees it: one [`View`] for the terminal, the web page and the metrics.
 
-mod desk;
+mod request_thread;
 mod status;
 mod view;
-mod watch;
+mod view_builder;
 
-pub use desk::{Asker, Reply};
-pub use status::{Status, Times};
-pub use view::{Cycle, Event, Joint, Kind, PlanView, View};
-pub use watch::Watch;
+pub use request_thread::{RequestResult, RequestSender};
+pub use status::{DaemonStatus, LatencyPercentiles};
+pub use view::{CycleView, Event, JointView, PlanView, Severity, View};
+pub use view_builder::ViewBuilder;
 
-use desk::Desk;
+use request_thread::RequestThread;
 use std::time::{Duration, Instant};
 use upswing_config::Config;
 use upswing_ipc::operator::OperatorError;
 use upswing_ipc::{IpcError, Node, Plan, Subscriber, Telemetry, TelemetryBatch};
 
-/// Without a cycle for so long nothing is known of the present one.
+/// Time without telemetry after which the newest cycle no longer counts as the present state.
 const SILENCE: Duration = Duration::from_secs(1);
 
-/// A connection to a system, which need not run yet; stays in its thread.
+/// A client of a system, which need not be running yet. It stays in the thread that opened it.
 pub struct Live {
     telemetry: Subscriber<TelemetryBatch>,
     plans: Subscriber<Plan>,
-    desk: Desk,
-    watch: Watch,
+    request_thread: RequestThread,
+    builder: ViewBuilder,
     begin: Instant,
-    /// When the newest cycle came.
+    /// When the newest telemetry arrived.
     heard: Instant,
 }
 
@@ -39,51 +39,51 @@ impl Live {
         Ok(Self {
             telemetry: node.subscriber()?,
             plans: node.subscriber()?,
-            desk: Desk::open(node)?,
-            watch: Watch::new(config, node.domain().name()),
+            request_thread: RequestThread::open(node)?,
+            builder: ViewBuilder::new(config, node.domain().name()),
             begin: Instant::now(),
             heard: Instant::now(),
         })
     }
 
-    /// Takes in all that came since the last call, and shows `each` cycle.
+    /// Takes in what has arrived since the last call; `each` gets every cycle.
     ///
     /// # Errors
     /// [`IpcError`]
     pub fn poll(&mut self, mut each: impl FnMut(&Telemetry)) -> Result<(), IpcError> {
-        self.watch.now(self.begin.elapsed().as_secs_f64());
+        self.builder.now(self.begin.elapsed().as_secs_f64());
         while let Some(batch) = self.telemetry.receive()? {
             self.heard = Instant::now();
             for record in batch.used() {
                 // A copy: the daemon's process could still write into what is shared.
                 let record = *record;
-                self.watch.cycle(&record);
+                self.builder.cycle(&record);
                 each(&record);
             }
         }
         if self.heard.elapsed() > SILENCE {
-            self.watch.silence();
+            self.builder.silence();
         }
         while let Some(plan) = self.plans.receive()? {
-            self.watch.plan(&plan.boxed_copy());
+            self.builder.plan(&plan.boxed_copy());
         }
-        for news in self.desk.news() {
-            self.watch.news(news);
+        for update in self.request_thread.updates() {
+            self.builder.update(update);
         }
         Ok(())
     }
 
-    /// What there is to see.
+    /// The present state of the system.
     pub fn view(&self) -> View {
-        self.watch.view()
+        self.builder.view()
     }
 
-    /// Polls until the daemon answered once, or said nothing for a while; a first view is complete then.
+    /// Polls until cycles and status have arrived, or for 1.5 s: then a first view is as complete as it can be.
     ///
     /// # Errors
     /// [`IpcError`]
     pub fn settle(&mut self) -> Result<(), IpcError> {
-        /// Two answers of the desk, and telemetry of a daemon that is slow.
+        /// Time for two reports of the request thread, and for telemetry of a slow daemon.
         const PATIENCE: Duration = Duration::from_millis(1500);
         let complete = |view: &View| view.cycle.is_some() && view.status.is_some();
         while self.begin.elapsed() < PATIENCE && !complete(&self.view()) {
@@ -93,8 +93,8 @@ impl Live {
         Ok(())
     }
 
-    /// Where requests can be made, also from other threads.
-    pub fn asker(&self) -> Asker {
-        self.desk.asker()
+    /// A sender of requests, also for other threads.
+    pub fn request_sender(&self) -> RequestSender {
+        self.request_thread.request_sender()
     }
 }

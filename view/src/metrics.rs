@@ -1,7 +1,7 @@
 //! A [`View`] as OpenMetrics, <https://prometheus.io/docs/specs/om/open_metrics_spec/>. Only types that the older text
 //! format of node_exporter's textfile collector knows, too.
 
-use crate::live::{Cycle, Status, Times, View};
+use crate::live::{CycleView, DaemonStatus, LatencyPercentiles, View};
 use serde::Serialize;
 use std::fmt::Write;
 use upswing_ipc::{Degradation, Mode};
@@ -13,7 +13,7 @@ pub const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; cha
 /// Type of a family.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Kind {
+pub enum MetricType {
     /// Goes up and down.
     Gauge,
     /// Goes up; 0 after a restart.
@@ -24,22 +24,22 @@ pub enum Kind {
 
 /// Metrics of one name.
 #[derive(Clone, Debug, Serialize)]
-pub struct Family {
+pub struct MetricFamily {
     /// With the unit, without the suffix of a sample.
     pub name: String,
     /// Its type.
-    pub kind: Kind,
+    pub kind: MetricType,
     /// Base unit, empty where there is none.
     pub unit: &'static str,
     /// What it means.
     pub help: &'static str,
     /// Its samples.
-    pub samples: Vec<Sample>,
+    pub samples: Vec<MetricSample>,
 }
 
 /// One number.
 #[derive(Clone, Debug, Serialize)]
-pub struct Sample {
+pub struct MetricSample {
     /// What follows the family's name: `_total`, `_count`, or nothing.
     pub suffix: &'static str,
     /// Names and values.
@@ -50,20 +50,27 @@ pub struct Sample {
 
 /// Families in the making.
 #[derive(Default)]
-struct Families(Vec<Family>);
+struct Families(Vec<MetricFamily>);
 
 impl Families {
-    fn add(&mut self, kind: Kind, name: &str, unit: &'static str, help: &'static str, samples: Vec<Sample>) {
+    fn add(
+        &mut self,
+        kind: MetricType,
+        name: &str,
+        unit: &'static str,
+        help: &'static str,
+        samples: Vec<MetricSample>,
+    ) {
         let end = if unit.is_empty() { String::new() } else { format!("_{unit}") };
-        self.0.push(Family { name: format!("upswing_{name}{end}"), kind, unit, help, samples });
+        self.0.push(MetricFamily { name: format!("upswing_{name}{end}"), kind, unit, help, samples });
     }
 
     fn gauge(&mut self, name: &str, unit: &'static str, help: &'static str, value: f64) {
-        self.add(Kind::Gauge, name, unit, help, vec![sample("", vec![], value)]);
+        self.add(MetricType::Gauge, name, unit, help, vec![sample("", vec![], value)]);
     }
 
     fn counter(&mut self, name: &str, help: &'static str, value: u64) {
-        self.add(Kind::Counter, name, "", help, vec![sample("_total", vec![], value as f64)]);
+        self.add(MetricType::Counter, name, "", help, vec![sample("_total", vec![], value as f64)]);
     }
 
     /// One gauge for each value of a label.
@@ -76,23 +83,23 @@ impl Families {
         values: impl IntoIterator<Item = (String, f64)>,
     ) {
         let samples = values.into_iter().map(|(of, value)| sample("", vec![(label, of)], value)).collect();
-        self.add(Kind::Gauge, name, unit, help, samples);
+        self.add(MetricType::Gauge, name, unit, help, samples);
     }
 
-    fn percentiles(&mut self, name: &str, help: &'static str, us: &Times) {
+    fn percentiles(&mut self, name: &str, help: &'static str, us: &LatencyPercentiles) {
         let quantiles = [("0.5", us.p50), ("0.99", us.p99), ("0.999", us.p99_9), ("0.9999", us.p99_99)];
         let mut samples: Vec<_> = quantiles
             .into_iter()
             .map(|(of, value)| sample("", vec![("quantile", of.into())], value * 1e-6))
             .collect();
         samples.push(sample("_count", vec![], us.count as f64));
-        self.add(Kind::Summary, name, "seconds", help, samples);
+        self.add(MetricType::Summary, name, "seconds", help, samples);
         self.gauge(&format!("{name}_max"), "seconds", "Longest since the start of the daemon", us.max * 1e-6);
     }
 }
 
-fn sample(suffix: &'static str, labels: Vec<(&'static str, String)>, value: f64) -> Sample {
-    Sample { suffix, labels, value }
+fn sample(suffix: &'static str, labels: Vec<(&'static str, String)>, value: f64) -> MetricSample {
+    MetricSample { suffix, labels, value }
 }
 
 fn flag(is: bool) -> f64 {
@@ -100,7 +107,7 @@ fn flag(is: bool) -> f64 {
 }
 
 /// What there is to measure: of cycles and status only what has arrived.
-pub fn families(view: &View) -> Vec<Family> {
+pub fn families(view: &View) -> Vec<MetricFamily> {
     let mut f = Families::default();
     let here = [("daemon", view.daemon), ("planner", view.planner), ("plant", view.plant)];
     let here = here.map(|(name, here)| (name.to_owned(), flag(here)));
@@ -122,7 +129,7 @@ pub fn families(view: &View) -> Vec<Family> {
     f.0
 }
 
-fn of_status(f: &mut Families, status: &Status) {
+fn of_status(f: &mut Families, status: &DaemonStatus) {
     f.counter("cycles", "Control cycles since the start of the daemon", status.cycles);
     f.counter("cycles_late", "Cycles that ended late since the start of the daemon", status.overruns);
     f.percentiles("wake_up", "Lateness of wake-ups since the start of the daemon", &status.wake_us);
@@ -135,7 +142,7 @@ fn of_status(f: &mut Families, status: &Status) {
     f.each("degraded", "", help, "what", Degradation::ALL.iter().map(refused));
 }
 
-fn of_cycle(f: &mut Families, cycle: &Cycle) {
+fn of_cycle(f: &mut Families, cycle: &CycleView) {
     let fault = |cause: &TripCause| (cause.text().to_owned(), flag(cycle.fault == Some(cause.text())));
     f.each("fault", "", "1 for the latched fault", "cause", TripCause::ALL.iter().map(fault));
     f.gauge("brakes_closed", "", "Whether the brakes are closed", flag(cycle.brakes));
@@ -162,13 +169,13 @@ fn of_cycle(f: &mut Families, cycle: &Cycle) {
 }
 
 /// The families as text.
-pub fn text(families: &[Family]) -> String {
+pub fn text(families: &[MetricFamily]) -> String {
     let mut text = String::new();
-    for Family { name, kind, unit, help, samples } in families {
+    for MetricFamily { name, kind, unit, help, samples } in families {
         let kind = match kind {
-            Kind::Gauge => "gauge",
-            Kind::Counter => "counter",
-            Kind::Summary => "summary",
+            MetricType::Gauge => "gauge",
+            MetricType::Counter => "counter",
+            MetricType::Summary => "summary",
         };
         // Writing to a string does not fail.
         let _ = writeln!(text, "# TYPE {name} {kind}");
@@ -176,7 +183,7 @@ pub fn text(families: &[Family]) -> String {
             let _ = writeln!(text, "# UNIT {name} {unit}");
         }
         let _ = writeln!(text, "# HELP {name} {help}");
-        for Sample { suffix, labels, value } in samples {
+        for MetricSample { suffix, labels, value } in samples {
             let labels: Vec<_> =
                 labels.iter().map(|(name, value)| format!("{name}=\"{}\"", escape(value))).collect();
             let labels = if labels.is_empty() { String::new() } else { format!("{{{}}}", labels.join(",")) };

@@ -1,11 +1,11 @@
-//! The monitor in the terminal.
+//! The monitor in the terminal (`upswing monitor`).
 
 mod draw;
 mod keys;
 mod rows;
 
-pub use draw::{Look, draw};
-pub use keys::{Keys, Wish};
+pub use draw::{Theme, draw};
+pub use keys::{KeyAction, KeyState};
 
 use crate::live::Live;
 use ratatui::crossterm::event::{self, Event};
@@ -13,28 +13,28 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-/// Time between two pictures.
+/// Time between two frames.
 const FRAME: Duration = Duration::from_millis(40);
-/// How long the monitor has to end in good order once it shall.
+/// Time that an orderly end of the monitor may take.
 const GRACE: Duration = Duration::from_millis(900);
 
 /// Why the monitor ended.
 #[derive(Debug, thiserror::Error)]
 pub enum MonitorError {
-    /// The terminal.
+    /// The terminal cannot be used.
     #[error("the terminal cannot be used: {0}; `upswing monitor --web` needs none")]
     Terminal(#[from] std::io::Error),
-    /// Shared memory.
+    /// Shared memory cannot be used.
     #[error(transparent)]
     Ipc(#[from] upswing_ipc::IpcError),
 }
 
-/// Shows the system until a key, `stop` or the end of the terminal ends it. The terminal is as before then, also after a
-/// panic. Where nobody reads what the terminal shall show, drawing does not return: then the process ends without.
+/// Shows the system until a key, `stop` or the end of the terminal ends the monitor. Afterwards the terminal is restored, also
+/// after a panic. If nobody reads the output of the terminal, drawing blocks: then the process ends without restoring it.
 ///
 /// # Errors
 /// [`MonitorError`]
-pub fn run(live: &mut Live, look: Look, stop: &Arc<AtomicBool>) -> Result<(), MonitorError> {
+pub fn run(live: &mut Live, theme: Theme, stop: &Arc<AtomicBool>) -> Result<(), MonitorError> {
     let mut terminal = ratatui::try_init()?;
     let stopped = Arc::clone(stop);
     std::thread::spawn(move || {
@@ -44,7 +44,7 @@ pub fn run(live: &mut Live, look: Look, stop: &Arc<AtomicBool>) -> Result<(), Mo
         std::thread::sleep(GRACE);
         std::process::exit(1);
     });
-    let result = watch(live, look, stop, &mut terminal);
+    let result = watch(live, theme, stop, &mut terminal);
     let restored = ratatui::try_restore();
     if is_hung_up() {
         return Ok(());
@@ -62,26 +62,26 @@ fn is_hung_up() -> bool {
 
 fn watch(
     live: &mut Live,
-    look: Look,
+    theme: Theme,
     stop: &AtomicBool,
     terminal: &mut ratatui::DefaultTerminal,
 ) -> Result<(), MonitorError> {
-    let asker = live.asker();
-    let mut keys = Keys::default();
-    // Asked before each look for keys: crossterm spins on a terminal that is gone.
+    let requests = live.request_sender();
+    let mut keys = KeyState::default();
+    // Checked before each poll for keys: crossterm spins on a terminal that is gone.
     while !stop.load(Ordering::Acquire) && !is_hung_up() {
         live.poll(|_| ())?;
         let view = live.view();
-        terminal.draw(|frame| draw(frame, &view, &keys, look))?;
+        terminal.draw(|frame| draw(frame, &view, &keys, theme))?;
         if !event::poll(FRAME)? {
             continue;
         }
         if let Event::Key(key) = event::read()? {
             match keys.press(&key) {
-                Wish::Nothing => {}
-                Wish::Quit => break,
-                // What comes of it is among the events.
-                Wish::Ask(action) => drop(asker.ask(action)),
+                KeyAction::Nothing => {}
+                KeyAction::Quit => break,
+                // Its result is an event of the view.
+                KeyAction::Ask(action) => drop(requests.ask(action)),
             }
         }
     }

@@ -6,10 +6,10 @@ mod digest;
 pub mod times;
 
 pub(crate) use data::round;
-pub use data::{Data, Span};
-pub use digest::Digest;
+pub use data::{ModeSpan, PageData};
+pub use digest::RecordingDigest;
 
-use data::Body;
+use data::RobotDrawing;
 use serde::Serialize;
 use std::io::{self, Write};
 use upswing_config::Config;
@@ -25,24 +25,24 @@ const DRAWING: &str = concat!(include_str!("page/scene.js"), include_str!("page/
 ///
 /// # Errors
 /// Those of the writer.
-pub fn write(data: &Data, to: &mut impl Write) -> io::Result<()> {
+pub fn write(data: &PageData, to: &mut impl Write) -> io::Result<()> {
     let script = include_str!("page/page.js");
     fill(include_str!("page/page.html"), script, &serde_json::to_string(data)?, to)
 }
 
 /// What the page of a running system has to know before its first frame.
 #[derive(Debug, Serialize)]
-pub struct Setup {
+pub struct LivePageSetup {
     domain: String,
     /// Whether requests can be made, and which.
     control: bool,
     requests: [&'static str; Request::ALL.len()],
     period_us: f64,
     #[serde(flatten)]
-    body: Body,
+    body: RobotDrawing,
 }
 
-impl Setup {
+impl LivePageSetup {
     /// Of the robot of the settings.
     ///
     /// # Errors
@@ -53,13 +53,13 @@ impl Setup {
             control,
             requests: Request::ALL.map(Request::name),
             period_us: config.daemon.cycle.period.seconds() * 1e6,
-            body: Body::new(Robot::from_urdf(&config.urdf, &config.model)?, &config.robot.limits),
+            body: RobotDrawing::new(Robot::from_urdf(&config.urdf, &config.model)?, &config.robot.limits),
         })
     }
 }
 
 /// The page of a running system.
-pub fn live(setup: &Setup) -> String {
+pub fn live(setup: &LivePageSetup) -> String {
     let mut page = Vec::new();
     let data = serde_json::to_string(setup).unwrap_or_default();
     // A vector takes everything.

@@ -27,13 +27,13 @@ const COLUMNS: [&str; 3] = ["position / 100 % limit", "velocity / 100 % limit", 
 const COLOURS: [RGBColor; 3] = [RGBColor(0, 114, 178), RGBColor(213, 94, 0), RGBColor(0, 158, 115)];
 
 /// One curve, and one to compare with: scaled values over time, s.
-struct Curve {
+struct CurvePair {
     solid: Vec<(f64, f64)>,
     dashed: Vec<(f64, f64)>,
 }
 
 /// Times that a picture shows, s, and the colour of its dashed curves; `None`: that of the solid ones.
-struct Look {
+struct PanelStyle {
     begin: f64,
     end: f64,
     dashes: Option<RGBColor>,
@@ -85,21 +85,23 @@ fn swing_up(records: &[Telemetry], limits: &Limits, period: f64) -> Result<Strin
         shown.iter().filter(|t| moving(t)).map(|t| (time(t), value(t))).collect()
     };
     let end = shown.last().map_or(1.0, |t| time(t));
-    draw_panels(&Look { begin: -LEAD, end, dashes: Some(BLACK) }, |i| {
+    draw_panels(&PanelStyle { begin: -LEAD, end, dashes: Some(BLACK) }, |i| {
         let (q, qd) = (limits.q_max[i], limits.qd_max[i]);
         [
-            Some(Curve { solid: measured(&|t| t.q[i] / q), dashed: desired(&|t| t.q_d[i] / q) }),
-            Some(Curve { solid: measured(&|t| t.qd[i] / qd), dashed: desired(&|t| t.qd_d[i] / qd) }),
-            (i < NU)
-                .then(|| Curve { solid: measured(&|t| t.tau[i] / limits.tau_max[i]), dashed: Vec::new() }),
+            Some(CurvePair { solid: measured(&|t| t.q[i] / q), dashed: desired(&|t| t.q_d[i] / q) }),
+            Some(CurvePair { solid: measured(&|t| t.qd[i] / qd), dashed: desired(&|t| t.qd_d[i] / qd) }),
+            (i < NU).then(|| CurvePair {
+                solid: measured(&|t| t.tau[i] / limits.tau_max[i]),
+                dashed: Vec::new(),
+            }),
         ]
     })
 }
 
 /// `curves` gives the curves of a joint (0-based) in the order of [`COLUMNS`].
 fn draw_panels(
-    look: &Look,
-    curves: impl Fn(usize) -> [Option<Curve>; COLUMNS.len()],
+    look: &PanelStyle,
+    curves: impl Fn(usize) -> [Option<CurvePair>; COLUMNS.len()],
 ) -> Result<String, String> {
     svg(SIZE, |root| {
         let panels = root.split_evenly((ROWS.len(), COLUMNS.len()));
@@ -125,7 +127,13 @@ fn shown((t, value): &(f64, f64)) -> (f64, f64) {
     (*t, value.clamp(-SHOWN, SHOWN))
 }
 
-fn draw_panel(area: &Area<'_>, title: &str, bottom: bool, look: &Look, curves: &[(usize, Curve)]) -> Drawn {
+fn draw_panel(
+    area: &Area<'_>,
+    title: &str,
+    bottom: bool,
+    look: &PanelStyle,
+    curves: &[(usize, CurvePair)],
+) -> Drawn {
     let mut chart = ChartBuilder::on(area)
         .margin(8)
         .caption(title, ("sans-serif", 18))

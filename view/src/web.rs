@@ -1,14 +1,14 @@
 //! The monitor as a page: [`crate::live::View`]s and the motion between them, as server-sent events.
 
-mod feed;
+mod frames;
 mod guard;
 
-pub use guard::{Head, Refusal, Token, check};
+pub use guard::{HttpRefusal, RequestHead, Token, check};
 
 use crate::http::{self, Listener, Response, ServeError};
-use crate::live::{Asker, Live};
+use crate::live::{Live, RequestSender};
 use crate::page;
-use feed::{Feed, Sampler};
+use frames::{FrameBuffer, MotionSampler};
 use hyper::Method;
 use hyper::header::{AUTHORIZATION, HOST, ORIGIN};
 use serde::Serialize;
@@ -30,21 +30,21 @@ const PATIENCE: Duration = Duration::from_secs(30);
 const HTML: &str = "text/html; charset=utf-8";
 const JSON: &str = "application/json";
 
-struct Site {
+struct LivePage {
     page: String,
-    feed: Arc<Feed>,
+    feed: Arc<FrameBuffer>,
     token: Option<Token>,
-    asker: Asker,
+    requests: RequestSender,
     open: AtomicUsize,
 }
 
 #[derive(Serialize)]
-struct No {
+struct ErrorDocument {
     success: bool,
     error: String,
 }
 
-impl No {
+impl ErrorDocument {
     fn because(error: String) -> Self {
         Self { success: false, error }
     }
@@ -68,20 +68,20 @@ pub enum WebError {
 pub fn run(
     live: &mut Live,
     listener: Listener,
-    setup: &page::Setup,
+    setup: &page::LivePageSetup,
     token: Option<Token>,
     stop: &Arc<AtomicBool>,
 ) -> Result<(), WebError> {
-    let site = Arc::new(Site {
+    let site = Arc::new(LivePage {
         page: page::live(setup),
-        feed: Feed::new(),
+        feed: FrameBuffer::new(),
         token,
-        asker: live.asker(),
+        requests: live.request_sender(),
         open: AtomicUsize::new(0),
     });
     let served = Arc::clone(&site);
     let mut server = listener.serve(stop, move |request| Arc::clone(&served).answer(request));
-    let mut sampler = Sampler::default();
+    let mut sampler = MotionSampler::default();
     let mut next = Instant::now();
     let mut watch = || -> Result<(), WebError> {
         while !stop.load(Ordering::Acquire) {
@@ -100,9 +100,9 @@ pub fn run(
     result.and(Ok(server.end()?))
 }
 
-impl Site {
+impl LivePage {
     async fn answer(self: Arc<Self>, request: http::Request) -> Response {
-        let head = Head {
+        let head = RequestHead {
             post: *request.method() == Method::POST,
             get: http::reads(&request),
             host: http::header(&request, HOST),
@@ -111,8 +111,12 @@ impl Site {
         };
         match check(&head, self.token.as_ref()) {
             Ok(()) => {}
-            Err(Refusal { status: 405, why }) => {
-                return http::refuse_method(JSON, json(&No::because(why.into())), "GET, HEAD, POST");
+            Err(HttpRefusal { status: 405, why }) => {
+                return http::refuse_method(
+                    JSON,
+                    json(&ErrorDocument::because(why.into())),
+                    "GET, HEAD, POST",
+                );
             }
             Err(refusal) => return refuse(refusal.status, refusal.why.into()),
         }
@@ -132,7 +136,7 @@ impl Site {
     }
 
     fn stream(self: Arc<Self>) -> Response {
-        let Some(page) = Page::open(&self) else {
+        let Some(page) = OpenPage::open(&self) else {
             return refuse(503, format!("{PAGES} pages are open already; close one"));
         };
         let mut reader = self.feed.reader();
@@ -147,7 +151,7 @@ impl Site {
     }
 
     async fn ask(&self, request: Request) -> Response {
-        let answer = self.asker.ask(request);
+        let answer = self.requests.ask(request);
         match tokio::task::spawn_blocking(move || answer.recv_timeout(PATIENCE)).await {
             Ok(Ok(Ok(accepted))) => http::respond(200, JSON, json(&accepted)),
             Ok(Ok(Err(why))) => refuse(409, why),
@@ -157,16 +161,16 @@ impl Site {
 }
 
 /// One of the pages that are open.
-struct Page(Arc<Site>);
+struct OpenPage(Arc<LivePage>);
 
-impl Page {
-    fn open(site: &Arc<Site>) -> Option<Self> {
+impl OpenPage {
+    fn open(site: &Arc<LivePage>) -> Option<Self> {
         let page = Self(Arc::clone(site));
         (site.open.fetch_add(1, Ordering::AcqRel) < PAGES).then_some(page)
     }
 }
 
-impl Drop for Page {
+impl Drop for OpenPage {
     fn drop(&mut self) {
         self.0.open.fetch_sub(1, Ordering::AcqRel);
     }
@@ -177,7 +181,7 @@ fn names() -> String {
 }
 
 fn refuse(status: u16, error: String) -> Response {
-    http::respond(status, JSON, json(&No::because(error)))
+    http::respond(status, JSON, json(&ErrorDocument::because(error)))
 }
 
 fn json(value: &impl Serialize) -> String {

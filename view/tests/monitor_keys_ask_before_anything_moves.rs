@@ -4,7 +4,7 @@
 use proptest::prelude::*;
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyEventKind};
 use upswing_ipc::operator::{Manoeuvre, Request};
-use upswing_view::monitor::{Keys, Wish};
+use upswing_view::monitor::{KeyAction, KeyState};
 
 fn action_of(key: char) -> Option<Request> {
     let keys = "eudhr".chars();
@@ -23,19 +23,19 @@ proptest! {
 
     #[test]
     fn any_keys(typed in prop::collection::vec(prop::sample::select("eudhrsyqnxYS ".chars().collect::<Vec<_>>()), 1..60)) {
-        let mut keys = Keys::default();
+        let mut keys = KeyState::default();
         // What our own reading of the rule says waits for `y`.
         let mut waiting = None;
         for key in typed {
             let wish = keys.press(&KeyEvent::from(KeyCode::Char(key)));
             let expected = match (key, waiting.take()) {
-                ('s', _) => Wish::Ask(Request::Stop),
-                ('y', Some(request)) => Wish::Ask(request),
-                ('q', None) => Wish::Quit,
-                (_, Some(_)) => Wish::Nothing,
+                ('s', _) => KeyAction::Ask(Request::Stop),
+                ('y', Some(request)) => KeyAction::Ask(request),
+                ('q', None) => KeyAction::Quit,
+                (_, Some(_)) => KeyAction::Nothing,
                 (key, None) => {
                     waiting = action_of(key);
-                    Wish::Nothing
+                    KeyAction::Nothing
                 }
             };
             prop_assert_eq!(wish, expected);
@@ -46,8 +46,8 @@ proptest! {
 
 #[test]
 fn a_key_that_is_let_go_does_nothing() {
-    let mut keys = Keys::default();
+    let mut keys = KeyState::default();
     let mut key = KeyEvent::from(KeyCode::Char('s'));
     key.kind = KeyEventKind::Release;
-    assert_eq!(keys.press(&key), Wish::Nothing);
+    assert_eq!(keys.press(&key), KeyAction::Nothing);
 }

@@ -11,8 +11,8 @@ use upswing_ipc::{Mode, Telemetry};
 use upswing_planner::replan::Planner;
 use upswing_plant::Plant;
 use upswing_rig::closed_loop::{Disturbances, swing_up};
-use upswing_view::live::{Event, Kind, Status, Times, View, Watch};
-use upswing_view::monitor::{Keys, Look, Wish, draw};
+use upswing_view::live::{DaemonStatus, Event, LatencyPercentiles, Severity, View, ViewBuilder};
+use upswing_view::monitor::{KeyAction, KeyState, Theme, draw};
 
 static CONFIG: LazyLock<Config> = LazyLock::new(|| Config::embedded().expect("embedded settings"));
 /// The cycles of a swing-up.
@@ -28,14 +28,14 @@ static CYCLES: LazyLock<Vec<Telemetry>> = LazyLock::new(|| {
 });
 
 fn view(records: &[Telemetry]) -> View {
-    let mut watch = Watch::new(&CONFIG, "here");
+    let mut watch = ViewBuilder::new(&CONFIG, "here");
     records.iter().for_each(|record| watch.cycle(record));
     watch.view()
 }
 
-fn picture(view: &View, keys: &Keys, width: u16, height: u16) -> String {
+fn picture(view: &View, keys: &KeyState, width: u16, height: u16) -> String {
     let mut terminal = Terminal::new(TestBackend::new(width, height)).expect("a terminal");
-    let look = Look { colours: width.is_multiple_of(2) };
+    let look = Theme { colours: width.is_multiple_of(2) };
     terminal.draw(|frame| draw(frame, view, keys, look)).expect("drawn");
     terminal.backend().to_string()
 }
@@ -49,7 +49,7 @@ fn upto(mode: Mode) -> &'static [Telemetry] {
 fn in_each_mode() {
     for (mode, name) in [(Mode::Hold, "HOLD"), (Mode::Track, "TRACK"), (Mode::Balance, "BALANCE")] {
         let records = upto(mode);
-        let text = picture(&view(records), &Keys::default(), 120, 34);
+        let text = picture(&view(records), &KeyState::default(), 120, 34);
         assert!(text.contains(name), "{text}");
         let newest = records.last().expect("a record");
         for (i, q) in newest.q.iter().enumerate() {
@@ -58,7 +58,7 @@ fn in_each_mode() {
         }
         assert!(text.contains("mode hold") && text.contains("enable"), "{text}");
     }
-    let text = picture(&view(upto(Mode::Balance)), &Keys::default(), 120, 34);
+    let text = picture(&view(upto(Mode::Balance)), &KeyState::default(), 120, 34);
     assert!(text.contains("Rod: 0.0 deg from upright"), "{text}");
 }
 
@@ -68,16 +68,16 @@ fn a_fault_with_its_cause_and_nothing_without_a_daemon() {
     let cause = upswingd::trip::TripCause::EncoderJump;
     let last = records.last_mut().expect("a record");
     (last.mode, last.fault) = (Mode::Fault.code(), cause.code());
-    let text = picture(&view(&records), &Keys::default(), 120, 34);
+    let text = picture(&view(&records), &KeyState::default(), 120, 34);
     assert!(text.contains("FAULT") && text.contains("fault: an angle jumped"), "{text}");
-    let text = picture(&view(&[]), &Keys::default(), 120, 34);
+    let text = picture(&view(&[]), &KeyState::default(), 120, 34);
     assert!(text.contains("NO DAEMON") && text.contains("no cycles arrive"), "{text}");
 }
 
 #[test]
 fn on_80x24_nothing_is_cut() {
-    let times = |max| Times { count: 9, p50: 1.2, p99: 3.4, p99_9: 5.6, p99_99: 7.8, max };
-    let status = Status {
+    let times = |max| LatencyPercentiles { count: 9, p50: 1.2, p99: 3.4, p99_9: 5.6, p99_99: 7.8, max };
+    let status = DaemonStatus {
         mode: "balance".into(),
         fault: None,
         loaded_plan: None,
@@ -94,24 +94,24 @@ fn on_80x24_nothing_is_cut() {
     };
     let balanced = view(upto(Mode::Balance));
     let view = View { status: Some(status.clone()), ..balanced.clone() };
-    let text = picture(&view, &Keys::default(), 80, 24);
+    let text = picture(&view, &KeyState::default(), 80, 24);
     for shown in
         ["54321.9", "98765.4", "max", "p99.9", "123456789 cycles, none late, 0 lost", "q quit", "? help"]
     {
         assert!(text.contains(shown), "no {shown} in\n{text}");
     }
-    assert!(picture(&view, &Keys::default(), 120, 34).contains("p99.99"));
+    assert!(picture(&view, &KeyState::default(), 120, 34).contains("p99.99"));
 
     // With late cycles: how many and the last one, with its cause among the events.
     let cause = "cycle 123456789 late in compute: wake 12.3 read 1.2 compute 312.3 write 0.4 us; 2 preemptions, \
                  212.3 us ready without a CPU, 0 page faults in the last 50 ms";
-    let status = Status { overruns: 98_765, last_overrun: Some(cause.into()), ..status };
-    let late = Event { t: 12.3, kind: Kind::Warning, text: format!("late: {cause}") };
+    let status = DaemonStatus { overruns: 98_765, last_overrun: Some(cause.into()), ..status };
+    let late = Event { t: 12.3, kind: Severity::Warning, text: format!("late: {cause}") };
     let events = [balanced.events.clone(), vec![late]].concat();
     assert!(status.to_string().ends_with("\nnext       upswing request swing-down"), "{status}");
     let view = View { status: Some(status), lost: 12_345, events, ..balanced };
     // Events go on in the next line.
-    let text = picture(&view, &Keys::default(), 80, 24).replace("\"\n\"", "");
+    let text = picture(&view, &KeyState::default(), 80, 24).replace("\"\n\"", "");
     for shown in [
         "98765 of 123456789 late, 12345 lost",
         "last: cycle 123456789 late in compute",
@@ -127,7 +127,7 @@ fn what_to_do_next_in_every_mode() {
     for mode in Mode::ALL {
         let record = Telemetry { mode: mode.code(), ..*last };
         for view in [view(&[record]), View { status: None, ..view(&[record]) }] {
-            let text = picture(&view, &Keys::default(), 80, 24);
+            let text = picture(&view, &KeyState::default(), 80, 24);
             let next = mode.next_action().to_string();
             assert_eq!(view.next.as_ref(), Some(&next));
             assert!(text.contains(&next), "{mode}: no `{next}` in\n{text}");
@@ -135,19 +135,19 @@ fn what_to_do_next_in_every_mode() {
     }
     let nobody = view(&[]);
     assert_eq!(nobody.next, None);
-    assert!(picture(&nobody, &Keys::default(), 80, 24).contains("start a daemon"));
+    assert!(picture(&nobody, &KeyState::default(), 80, 24).contains("start a daemon"));
 }
 
 #[test]
 fn a_question_mark_explains_the_keys() {
     let view = view(upto(Mode::Balance));
-    let mut keys = Keys::default();
+    let mut keys = KeyState::default();
     let mut press = |key| keys.press(&KeyEvent::from(KeyCode::Char(key)));
-    assert_eq!(press('?'), Wish::Nothing);
+    assert_eq!(press('?'), KeyAction::Nothing);
     // Nothing but a stop is asked for while it is shown.
-    assert_eq!(press('y'), Wish::Nothing);
-    assert_eq!((press('?'), press('s')), (Wish::Nothing, Wish::Ask(Request::Stop)));
-    assert_eq!(press('?'), Wish::Nothing);
+    assert_eq!(press('y'), KeyAction::Nothing);
+    assert_eq!((press('?'), press('s')), (KeyAction::Nothing, KeyAction::Ask(Request::Stop)));
+    assert_eq!(press('?'), KeyAction::Nothing);
     let text = picture(&view, &keys, 80, 24);
     for shown in ["swing-down", "The brakes open", "any other key no", "s still stops"] {
         assert!(text.contains(shown), "no {shown} in\n{text}");
@@ -158,7 +158,7 @@ fn a_question_mark_explains_the_keys() {
 
 #[test]
 fn what_waits_to_be_confirmed() {
-    let mut keys = Keys::default();
+    let mut keys = KeyState::default();
     keys.press(&KeyEvent::from(KeyCode::Char('u')));
     let text = picture(&view(&CYCLES[..1]), &keys, 80, 24);
     assert!(text.contains("swing-up?") && text.contains("y: yes"), "{text}");
@@ -174,7 +174,7 @@ proptest! {
     ) {
         let record = Telemetry::from_words(&words).expect("78 words");
         let view = view(&[record]);
-        picture(&view, &Keys::default(), width, height);
+        picture(&view, &KeyState::default(), width, height);
         prop_assert!(serde_json::to_string(&view).is_ok());
     }
 }

@@ -41,24 +41,24 @@ pub struct ManArgs {
 }
 
 #[derive(Serialize)]
-struct Script {
+struct CompletionsResult {
     shell: String,
     script: String,
 }
 
-impl std::fmt::Display for Script {
+impl std::fmt::Display for CompletionsResult {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(&self.script)
     }
 }
 
 #[derive(Serialize)]
-struct Written {
+struct ManResult {
     dir: PathBuf,
     pages: usize,
 }
 
-impl std::fmt::Display for Written {
+impl std::fmt::Display for ManResult {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{} pages in {}", self.pages, self.dir.display())
     }
@@ -72,7 +72,7 @@ pub fn completions(args: &CompletionsArgs, command: &mut clap::Command) -> Resul
     let mut script = Vec::new();
     clap_complete::generate(args.shell, command, NAME, &mut script);
     let script = String::from_utf8(script).map_err(failed)?;
-    print(args.json, &Script { shell: args.shell.to_string(), script })
+    print(args.json, &CompletionsResult { shell: args.shell.to_string(), script })
 }
 
 /// File names and texts of the man pages of a command and its subcommands.
@@ -106,5 +106,5 @@ pub fn man(args: &ManArgs, command: clap::Command) -> Result<(), Failure> {
         all.iter().try_for_each(|(name, text)| output(name).write(text.as_bytes()))
     };
     write().map_err(|e| bad(&e))?;
-    print(args.json, &Written { dir: args.dir.to_path_buf(), pages: all.len() })
+    print(args.json, &ManResult { dir: args.dir.to_path_buf(), pages: all.len() })
 }

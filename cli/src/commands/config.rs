@@ -47,22 +47,22 @@ pub fn run(args: &ConfigArgs) -> Result<(), Failure> {
     match &args.command {
         ConfigCommand::Export { dir, overwrite, json } => {
             export(dir, *overwrite).map_err(|e| Failure::BadInput(e.to_string()))?;
-            print(*json, &Done { success: true, dir: Some(dir.to_path_buf()) })
+            print(*json, &ConfigResult { success: true, dir: Some(dir.to_path_buf()) })
         }
         ConfigCommand::Check(common) => {
             common.process.load()?;
-            print(common.json, &Done { success: true, dir: None })
+            print(common.json, &ConfigResult { success: true, dir: None })
         }
     }
 }
 
 #[derive(Serialize)]
-struct Done {
+struct ConfigResult {
     success: bool,
     dir: Option<PathBuf>,
 }
 
-impl std::fmt::Display for Done {
+impl std::fmt::Display for ConfigResult {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match &self.dir {
             Some(dir) => write!(f, "wrote {}", dir.display()),

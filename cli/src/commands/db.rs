@@ -131,7 +131,7 @@ fn failure(e: BuildError) -> Failure {
 }
 
 #[derive(Serialize)]
-struct Built {
+struct DbBuildResult {
     success: bool,
     file: PathBuf,
     poses: usize,
@@ -143,7 +143,7 @@ struct Built {
     time_s: f64,
 }
 
-impl std::fmt::Display for Built {
+impl std::fmt::Display for DbBuildResult {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(
             f,
@@ -203,7 +203,7 @@ fn use_grid(config: &mut Config, grid: Option<&Path>) -> Result<(), Failure> {
 fn conclude(common: &CommonArgs, output: &Path, summary: Summary, begin: Instant) -> Result<(), Failure> {
     let Summary { poses, resumed, solved, rejected, failed: unsolved, left } = summary;
     let count = unsolved.len();
-    common.print(&Built {
+    common.print(&DbBuildResult {
         success: count == 0 && left == 0,
         file: output.to_owned(),
         poses,
@@ -235,20 +235,20 @@ fn read(config: &Config, file: Option<&Path>) -> Result<(Database, String), Fail
 }
 
 #[derive(Serialize)]
-struct Verified {
+struct DbVerifyResult {
     success: bool,
     origin: String,
     entries: usize,
     /// Whether the database was built from the known grid.
     starts_compared: bool,
     discrepancies: Vec<u64>,
-    worst: Worst,
+    worst: WorstCertificate,
     time_s: f64,
 }
 
 /// The worst figure of all certificates.
 #[derive(Serialize)]
-struct Worst {
+struct WorstCertificate {
     defect: f64,
     margin_q: f64,
     margin_qd: f64,
@@ -256,7 +256,7 @@ struct Worst {
     end_error: f64,
 }
 
-impl Worst {
+impl WorstCertificate {
     fn of<'a>(certificates: impl Iterator<Item = &'a Certificate>) -> Self {
         let start = Self { defect: 0.0, margin_q: 1.0, margin_qd: 1.0, margin_tau: 1.0, end_error: 0.0 };
         certificates.fold(start, |w, c| Self {
@@ -269,7 +269,7 @@ impl Worst {
     }
 }
 
-impl std::fmt::Display for Worst {
+impl std::fmt::Display for WorstCertificate {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(
             f,
@@ -280,7 +280,7 @@ impl std::fmt::Display for Worst {
     }
 }
 
-impl std::fmt::Display for Verified {
+impl std::fmt::Display for DbVerifyResult {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let verdict = if self.success { "every record holds" } else { "RECORDS DO NOT HOLD" };
         writeln!(f, "{}: {} entries, {verdict} ({:.1} s)", self.origin, self.entries, self.time_s)?;
@@ -315,20 +315,20 @@ fn verify(common: &CommonArgs, grid: Option<&Path>, file: Option<&Path>) -> Resu
         tracing::warn!("pose {}: {}", d.pose, d.finding);
     }
     let success = discrepancies.is_empty();
-    common.print(&Verified {
+    common.print(&DbVerifyResult {
         success,
         origin,
         entries,
         starts_compared,
         discrepancies: discrepancies.iter().map(|d| d.pose).collect(),
-        worst: Worst::of(database.entries().map(|e| &e.certificate)),
+        worst: WorstCertificate::of(database.entries().map(|e| &e.certificate)),
         time_s: begin.elapsed().as_secs_f64(),
     })?;
     if success { Ok(()) } else { Err(failed(format!("{} records do not hold", discrepancies.len()))) }
 }
 
 #[derive(Serialize)]
-struct Info {
+struct DbInfoResult {
     origin: String,
     poses: u64,
     shard: u64,
@@ -344,7 +344,7 @@ struct Info {
     t_f_max: f64,
     cost_min: f64,
     cost_max: f64,
-    worst: Worst,
+    worst: WorstCertificate,
     joints: Vec<JointCoverage>,
     #[serde(skip)]
     map: String,
@@ -357,7 +357,7 @@ struct JointCoverage {
     entries: Vec<usize>,
 }
 
-impl std::fmt::Display for Info {
+impl std::fmt::Display for DbInfoResult {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         writeln!(f, "{}: {} entries of {} poses", self.origin, self.entries, self.poses)?;
         if self.shards > 1 {
@@ -434,7 +434,7 @@ fn info(common: &CommonArgs, file: Option<&Path>) -> Result<(), Failure> {
     };
     let count = |outcome: Outcome| database.records.iter().filter(|r| r.outcome == outcome).count();
     let (h, settings) = (database.heading, database::heading(&config, Shard::WHOLE));
-    common.print(&Info {
+    common.print(&DbInfoResult {
         origin,
         poses: h.poses,
         shard: h.shard,
@@ -450,14 +450,14 @@ fn info(common: &CommonArgs, file: Option<&Path>) -> Result<(), Failure> {
         t_f_max,
         cost_min,
         cost_max,
-        worst: Worst::of(entries.iter().map(|e| &e.certificate)),
+        worst: WorstCertificate::of(entries.iter().map(|e| &e.certificate)),
         joints,
         map,
     })
 }
 
 #[derive(Serialize)]
-struct EntryJson {
+struct DbExportResult {
     entry: usize,
     #[serde(flatten)]
     trajectory: TrajectoryJson,
@@ -481,7 +481,7 @@ fn export(common: &CommonArgs, file: Option<&Path>, only: Option<usize>) -> Resu
     for (entry, e) in database.entries().enumerate() {
         if only.is_none_or(|o| o == entry) {
             let c = &e.certificate;
-            print_json(&EntryJson {
+            print_json(&DbExportResult {
                 entry,
                 trajectory: (&e.trajectory).into(),
                 status: "solved",

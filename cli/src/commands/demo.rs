@@ -12,7 +12,7 @@ use upswing_process::number::within;
 use upswing_process::output::{Destination, Overwrite};
 use upswing_process::{Failure, note, shutdown_flag};
 use upswing_record::Recorder;
-use upswing_record::report::Report;
+use upswing_record::evaluation::SwingUpEvaluation;
 use upswing_rig::course::{SessionCourse, swing_up};
 use upswing_rig::session::{Programs, Session, SessionError};
 use upswing_view::picture;
@@ -50,9 +50,9 @@ pub struct DemoArgs {
 }
 
 #[derive(Serialize)]
-struct Answer {
+struct DemoResult {
     #[serde(flatten)]
-    report: Report,
+    evaluation: SwingUpEvaluation,
     clock: String,
     start_deg: Vec<f64>,
     scenario: Option<String>,
@@ -60,9 +60,9 @@ struct Answer {
     recording: Option<PathBuf>,
 }
 
-impl std::fmt::Display for Answer {
+impl std::fmt::Display for DemoResult {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        writeln!(f, "{}", self.report)?;
+        writeln!(f, "{}", self.evaluation)?;
         write!(f, "  picture   {}", self.picture.display())?;
         match &self.recording {
             Some(file) => write!(f, "\n  recording {}", file.display()),
@@ -138,10 +138,10 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
         Ok((plan, records, dropped))
     };
     let (plan, records, dropped) = swing().map_err(|e| session_failure(&e, &options.logs))?;
-    let report = Report::new(&config, &plan, &records, dropped, args.seconds, None);
-    let success = report.success;
-    let answer = Answer {
-        report,
+    let evaluation = SwingUpEvaluation::new(&config, &plan, &records, dropped, args.seconds, None);
+    let success = evaluation.success;
+    let result = DemoResult {
+        evaluation,
         clock: args.clock.to_string(),
         start_deg: start.0,
         scenario: args.scenario.clone(),
@@ -150,7 +150,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
     };
     let draw = |output| picture::draw(&output, &records, &config.robot.limits, period);
     let drawn = picture.map_or(Ok(()), draw);
-    args.common.print(&answer)?;
+    args.common.print(&result)?;
     if !success {
         let logs = options.logs.display();
         return Err(failed(format!("the pendulum was not swung up and balanced; logs in {logs}")));

@@ -59,12 +59,12 @@ pub enum What {
 }
 
 #[derive(Serialize)]
-struct Answer {
+struct DisturbResult {
     success: bool,
     cycle: u64,
 }
 
-impl std::fmt::Display for Answer {
+impl std::fmt::Display for DisturbResult {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "accepted after cycle {}", self.cycle)
     }
@@ -82,7 +82,7 @@ pub fn run(args: &DisturbArgs) -> Result<(), Failure> {
         let reason = answer.reason.as_str().unwrap_or("no reason given");
         return Err(failed(format!("the plant refused: {reason}")));
     }
-    args.common.print(&Answer { success: true, cycle: answer.seq })
+    args.common.print(&DisturbResult { success: true, cycle: answer.seq })
 }
 
 fn request(what: &What) -> Result<PlantRequest, Failure> {

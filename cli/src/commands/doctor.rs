@@ -13,7 +13,7 @@ use upswing_ipc::{Domain, monotonic_ns, sleep_until};
 use upswing_model::Period;
 use upswing_process::Failure;
 use upswing_process::number::within;
-use upswing_view::live::Times;
+use upswing_view::live::LatencyPercentiles;
 use upswingd::histogram::Histogram;
 use upswingd::os;
 
@@ -68,15 +68,15 @@ impl Finding {
 }
 
 #[derive(Serialize)]
-struct Report {
+struct DoctorResult {
     verdict: Grade,
     findings: Vec<Finding>,
-    wake_us: Option<Times>,
+    wake_us: Option<LatencyPercentiles>,
     /// Lower end of each octave, us, and its number of wake-ups.
     histogram: Vec<(f64, u64)>,
 }
 
-impl fmt::Display for Report {
+impl fmt::Display for DoctorResult {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for Finding { what, grade, found, fix } in &self.findings {
             let sign = match grade {
@@ -142,10 +142,10 @@ pub fn run(args: &DoctorArgs) -> Result<(), Failure> {
         let fix = "see the advice above, and what else runs on this machine";
         findings.push(Finding::new("wake-up", Grade::Advice, found, fix));
     }
-    let report = Report {
+    let report = DoctorResult {
         verdict: findings.iter().map(|finding| finding.grade).max().unwrap_or(Grade::Good),
         findings,
-        wake_us: (percentiles.count > 0).then(|| Times::new(&percentiles)),
+        wake_us: (percentiles.count > 0).then(|| LatencyPercentiles::new(&percentiles)),
         histogram: histogram.octaves().into_iter().map(|(ns, n)| (ns as f64 * 1e-3, n)).collect(),
     };
     args.common.print(&report)?;

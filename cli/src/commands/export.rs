@@ -10,7 +10,7 @@ use upswing_process::Failure;
 use upswing_process::number::{whole, within};
 use upswing_process::output::{Destination, Overwrite, Pending};
 use upswing_record::cycle::FIELDS;
-use upswing_record::{Message, Source, scan};
+use upswing_record::{Message, RecordingFile, scan};
 
 /// Writes the cycles of a recording as CSV: one line per cycle, one column per number, in SI units.
 ///
@@ -41,7 +41,7 @@ pub struct ExportArgs {
 }
 
 #[derive(Serialize)]
-struct Answer<'a> {
+struct ExportResult<'a> {
     csv: &'a Path,
     lines: usize,
     columns: usize,
@@ -49,7 +49,7 @@ struct Answer<'a> {
     damage: Option<String>,
 }
 
-impl std::fmt::Display for Answer<'_> {
+impl std::fmt::Display for ExportResult<'_> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{}: {} cycles, {} columns", self.csv.display(), self.lines, self.columns)?;
         if let Some(why) = &self.cut {
@@ -75,7 +75,7 @@ pub fn run(args: &ExportArgs) -> Result<(), Failure> {
         bar.set_length(total);
         bar.set_position(done);
     };
-    let source = Source::open(&args.file, &args.common.process)?;
+    let source = RecordingFile::open(&args.file, &args.common.process)?;
     let recording = scan(source.path(), window, progress, |_, message| -> Result<(), Failure> {
         let Message::Cycle(cycle) = message else { return Ok(()) };
         if let (None, Some(output)) = (&table, &output) {
@@ -96,7 +96,7 @@ pub fn run(args: &ExportArgs) -> Result<(), Failure> {
     bar.finish_and_clear();
     let recording = recording?;
     table.map_or(Ok(()), Pending::finish).map_err(failed)?;
-    args.common.print(&Answer {
+    args.common.print(&ExportResult {
         csv: &args.csv,
         lines,
         columns: columns().len(),

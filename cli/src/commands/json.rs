@@ -17,7 +17,7 @@ pub struct TrajectoryJson {
 
 /// Figures of a replan, beside its t_F.
 #[derive(Clone, Debug, Serialize)]
-pub struct PlanFigures {
+pub struct PlanSummary {
     /// Index of the database entry it was adapted from.
     pub nearest_entry: usize,
     /// Distance of the start to that entry, rad.
@@ -33,7 +33,7 @@ pub struct PlanFigures {
     pub margins: MarginsJson,
 }
 
-impl PlanFigures {
+impl PlanSummary {
     /// The figures of a replan.
     pub fn new(replan: &Replan) -> Self {
         Self {

@@ -45,17 +45,17 @@ pub struct MetricsArgs {
 }
 
 #[derive(Serialize)]
-struct Answer {
-    metrics: Vec<metrics::Family>,
+struct MetricsResult {
+    metrics: Vec<metrics::MetricFamily>,
 }
 
 #[derive(Serialize)]
-struct Begun {
+struct MetricsStarted {
     url: Option<String>,
     file: Option<PathBuf>,
 }
 
-impl std::fmt::Display for Begun {
+impl std::fmt::Display for MetricsStarted {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let file = self.file.as_ref().map(|file| file.display().to_string());
         let places: Vec<_> = self.url.iter().cloned().chain(file).collect();
@@ -80,7 +80,7 @@ pub fn run(args: &MetricsArgs) -> Result<(), Failure> {
         live.settle().map_err(failed)?;
         let metrics = metrics::families(&live.view());
         return if args.common.json {
-            print_json(&Answer { metrics })
+            print_json(&MetricsResult { metrics })
         } else {
             print_line(&metrics::text(&metrics).trim_end())
         };
@@ -97,7 +97,7 @@ pub fn run(args: &MetricsArgs) -> Result<(), Failure> {
     // From here on it is this process's own.
     let file = file.map(|file| Overwrite { force: true }.output(file.path()));
     let newest = Arc::new(Mutex::new(text(&live)));
-    args.common.print(&Begun {
+    args.common.print(&MetricsStarted {
         url: listener.as_ref().map(|l| format!("http://{}/metrics", l.address)),
         file: args.file.as_deref().map(Path::to_path_buf),
     })?;

@@ -60,13 +60,13 @@ pub struct BoundArgs {
 }
 
 #[derive(Serialize)]
-struct UrdfJson {
+struct ModelUrdfResult {
     urdf: String,
 }
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Query {
+struct EvalInput {
     q: Vec<f64>,
     qd: Vec<f64>,
     u: Vec<f64>,
@@ -74,7 +74,7 @@ struct Query {
 
 #[derive(Serialize)]
 #[allow(non_snake_case)]
-struct Evaluation {
+struct ModelEvalResult {
     M: Vec<Vec<f64>>,
     nle: Vec<f64>,
     g: Vec<f64>,
@@ -94,7 +94,7 @@ pub fn run(args: &ModelArgs) -> Result<(), Failure> {
     match &args.command {
         ModelCommand::Urdf(common) => {
             let urdf = common.process.load()?.urdf;
-            if common.json { print_json(&UrdfJson { urdf }) } else { print_line(&urdf.trim_end()) }
+            if common.json { print_json(&ModelUrdfResult { urdf }) } else { print_line(&urdf.trim_end()) }
         }
         ModelCommand::Bound(args) => sample_bound(args),
         ModelCommand::Eval(common) => {
@@ -106,7 +106,7 @@ pub fn run(args: &ModelArgs) -> Result<(), Failure> {
                 if line.trim().is_empty() {
                     continue;
                 }
-                let query: Query = serde_json::from_str(&line).map_err(|e| at(e.to_string()))?;
+                let query: EvalInput = serde_json::from_str(&line).map_err(|e| at(e.to_string()))?;
                 print_json(&evaluate(&config.model, &query, &mut work).map_err(at)?)?;
             }
             Ok(())
@@ -116,7 +116,7 @@ pub fn run(args: &ModelArgs) -> Result<(), Failure> {
 
 /// Range of the Coriolis torques, N m, one number per motor.
 #[derive(Serialize)]
-struct Bound {
+struct ModelBoundResult {
     samples: u64,
     complete: bool,
     seed: u64,
@@ -127,7 +127,7 @@ struct Bound {
     time_s: f64,
 }
 
-impl std::fmt::Display for Bound {
+impl std::fmt::Display for ModelBoundResult {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let part = if self.complete { "" } else { " (interrupted)" };
         writeln!(
@@ -164,7 +164,7 @@ fn sample_bound(args: &BoundArgs) -> Result<(), Failure> {
     bar.finish_and_clear();
     let complete = range.samples == samples;
     if range.samples > 0 {
-        args.common.print(&Bound {
+        args.common.print(&ModelBoundResult {
             samples: range.samples,
             complete,
             seed: args.seed,
@@ -182,7 +182,7 @@ fn sample_bound(args: &BoundArgs) -> Result<(), Failure> {
     }
 }
 
-fn evaluate(model: &Model, query: &Query, work: &mut Workspace) -> Result<Evaluation, String> {
+fn evaluate(model: &Model, query: &EvalInput, work: &mut Workspace) -> Result<ModelEvalResult, String> {
     for (name, values, expected) in [("q", &query.q, NQ), ("qd", &query.qd, NQ), ("u", &query.u, NU)] {
         if values.len() != expected {
             return Err(format!("`{name}`: expected {expected} numbers, got {}", values.len()));
@@ -192,7 +192,7 @@ fn evaluate(model: &Model, query: &Query, work: &mut Workspace) -> Result<Evalua
     let qd = JointVector::from_column_slice(&query.qd);
     let (x, u) = (state(&q, &qd), ActuatedVector::from_column_slice(&query.u));
     let d = model.derivatives(&x, &u, work);
-    Ok(Evaluation {
+    Ok(ModelEvalResult {
         A: rows(&d.a()),
         B: rows(&d.b()),
         f: vector(&d.f(&x, &u)),

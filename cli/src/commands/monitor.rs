@@ -8,8 +8,8 @@ use upswing_config::Config;
 use upswing_process::{Failure, colours, shutdown_flag};
 use upswing_view::http::Listener;
 use upswing_view::live::Live;
-use upswing_view::monitor::{self, Look};
-use upswing_view::page::Setup;
+use upswing_view::monitor::{self, Theme};
+use upswing_view::page::LivePageSetup;
 use upswing_view::web::{self, Token};
 
 /// Shows a running system live: modes, rod, joints and their limits, cycle times, plans, faults.
@@ -33,12 +33,12 @@ pub struct MonitorArgs {
 }
 
 #[derive(Serialize)]
-struct Begun {
+struct MonitorStarted {
     url: String,
     token: Option<String>,
 }
 
-impl std::fmt::Display for Begun {
+impl std::fmt::Display for MonitorStarted {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match &self.token {
             None => write!(f, "{} (read-only); Ctrl-C ends it", self.url),
@@ -75,7 +75,7 @@ pub fn run(args: &MonitorArgs) -> Result<(), Failure> {
     }
     let stop = shutdown_flag()?;
     let mut live = Live::open(&args.common.join()?, &config).map_err(failed)?;
-    monitor::run(&mut live, Look { colours: colours(&std::io::stdout()) }, &stop).map_err(failed)
+    monitor::run(&mut live, Theme { colours: colours(&std::io::stdout()) }, &stop).map_err(failed)
 }
 
 fn serve(args: &MonitorArgs, config: &Config, address: SocketAddr) -> Result<(), Failure> {
@@ -91,10 +91,10 @@ fn serve(args: &MonitorArgs, config: &Config, address: SocketAddr) -> Result<(),
     let token = token.map_err(|e| failed(format!("no random numbers for the token: {e}")))?;
     let listener = Listener::bind(address).map_err(|e| Failure::BadInput(format!("--web: {e}")))?;
     let domain = &args.common.process.domain;
-    let setup = Setup::new(domain, config, args.allow_control)
+    let setup = LivePageSetup::new(domain, config, args.allow_control)
         .map_err(|e| Failure::BadInput(format!("robot.urdf: {e}")))?;
     let mut live = Live::open(&args.common.join()?, config).map_err(failed)?;
     let url = format!("http://{}/", listener.address);
-    args.common.print(&Begun { url, token: token.as_ref().map(|t| t.text().to_owned()) })?;
+    args.common.print(&MonitorStarted { url, token: token.as_ref().map(|t| t.text().to_owned()) })?;
     web::run(&mut live, listener, &setup, token, &stop).map_err(failed)
 }

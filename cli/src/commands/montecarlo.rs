@@ -15,7 +15,7 @@ use upswing_planner::replan::Planner;
 use upswing_process::Failure;
 use upswing_process::number::whole;
 use upswing_process::output::Output;
-use upswing_rig::montecarlo::{Spread, Starts, Study, StudyError};
+use upswing_rig::montecarlo::{RandomStarts, Spread, Study, StudyError};
 
 pub use closed_loop::ClosedLoopArgs;
 pub use replan::ReplanArgs;
@@ -170,7 +170,7 @@ impl SamplingArgs {
         let bar = progress_bar(runs as u64, "runs");
         let study = Study {
             planner,
-            starts: Starts { config: planner.config(), seed: self.seed },
+            starts: RandomStarts { config: planner.config(), seed: self.seed },
             indices: self.indices(),
             threads: self.threads(),
             stop,

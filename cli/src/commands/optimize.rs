@@ -37,7 +37,7 @@ pub struct OptimizeArgs {
 }
 
 #[derive(Serialize)]
-struct Answer {
+struct OptimizeResult {
     #[serde(flatten)]
     trajectory: TrajectoryJson,
     status: String,
@@ -71,7 +71,7 @@ pub fn run(args: &OptimizeArgs) -> Result<(), Failure> {
     let time_s = begin.elapsed().as_secs_f64();
     let status = solution.status.to_string();
     let margins = Margins::of(&solution.trajectory, &config.model, &config.robot.planning, 0);
-    let answer = Answer {
+    let result = OptimizeResult {
         trajectory: (&solution.trajectory).into(),
         status: status.clone(),
         cost: solution.cost,
@@ -82,19 +82,19 @@ pub fn run(args: &OptimizeArgs) -> Result<(), Failure> {
         time_s,
     };
     if args.common.json {
-        print_json(&answer)?;
+        print_json(&result)?;
     } else {
         print_line(&format!(
             "{status}: t_F {:.4} s, cost {:.5}, {} iterations in {:.2} s\n\
              largest violation {:.1e}, stationarity {:.1e}\n\
              smallest margin at the knots (share of half the range): {}",
-            answer.trajectory.t_f,
-            answer.cost,
-            answer.iterations,
+            result.trajectory.t_f,
+            result.cost,
+            result.iterations,
             time_s,
-            answer.violation,
-            answer.stationarity,
-            answer.margins
+            result.violation,
+            result.stationarity,
+            result.margins
         ))?;
     }
     if solution.status == Status::Solved { Ok(()) } else { Err(failed(format!("no solution: {status}"))) }

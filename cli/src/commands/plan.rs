@@ -1,6 +1,6 @@
 //! `upswing plan`: one replan, without a running system.
 
-use super::{CommonArgs, PlanFigures, TrajectoryJson, failed, print_json, print_line, writable};
+use super::{CommonArgs, PlanSummary, TrajectoryJson, failed, print_json, print_line, writable};
 use crate::parse::{Degrees, start_state};
 use serde::Serialize;
 use upswing_config::{Config, PendulumStart};
@@ -50,13 +50,13 @@ pub struct PlanArgs {
 }
 
 #[derive(Serialize)]
-struct Answer {
+struct PlanResult {
     #[serde(flatten)]
     trajectory: TrajectoryJson,
     status: String,
     cost: f64,
     #[serde(flatten)]
-    figures: PlanFigures,
+    figures: PlanSummary,
     time_nearest_s: f64,
     time_qp_s: f64,
     time_optimisation_s: f64,
@@ -98,11 +98,11 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
         picture::plan::draw(output, &config.model, &config.robot.limits, &replan.trajectory, reference)
             .map_err(failed)?;
     }
-    let answer = Answer {
+    let result = PlanResult {
         trajectory: (&replan.trajectory).into(),
         status: status.to_string(),
         cost: replan.trajectory.cost(settings.offline.input_weight),
-        figures: PlanFigures::new(&replan),
+        figures: PlanSummary::new(&replan),
         time_nearest_s: replan.times.nearest.as_secs_f64(),
         time_qp_s: replan.times.qp.as_secs_f64(),
         time_optimisation_s: replan.times.optimisation.as_secs_f64(),
@@ -110,9 +110,9 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
         time_s: replan.times.total.as_secs_f64(),
     };
     if args.common.json {
-        return print_json(&answer);
+        return print_json(&result);
     }
-    let f = &answer.figures;
+    let f = &result.figures;
     let way = match replan.method {
         Method::Quadratic if args.reference.is_some() => {
             format!("from the reference ({:.3} rad away), {} QPs", f.distance, f.iterations)
@@ -129,15 +129,15 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
         "{}: t_F {:.4} s, cost {:.5}, {way}\n\
          defect of the real dynamics {:.1e}; smallest margin (share of half the range): {}\n\
          {:.0} ms: QPs {:.0} ms, full optimisation {:.0} ms, gains {:.0} ms",
-        answer.status,
-        answer.trajectory.t_f,
-        answer.cost,
+        result.status,
+        result.trajectory.t_f,
+        result.cost,
         f.defect,
         f.margins,
-        1e3 * answer.time_s,
-        1e3 * answer.time_qp_s,
-        1e3 * answer.time_optimisation_s,
-        1e3 * answer.time_lqr_s
+        1e3 * result.time_s,
+        1e3 * result.time_qp_s,
+        1e3 * result.time_optimisation_s,
+        1e3 * result.time_lqr_s
     ))
 }
 

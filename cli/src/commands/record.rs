@@ -40,14 +40,14 @@ pub struct RecordArgs {
 }
 
 #[derive(Serialize)]
-struct Answer<'a> {
+struct RecordResult<'a> {
     file: &'a Path,
     bytes: u64,
     #[serde(flatten)]
     tally: Tally,
 }
 
-impl std::fmt::Display for Answer<'_> {
+impl std::fmt::Display for RecordResult<'_> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Tally { cycles, lost, seconds, restarts, .. } = self.tally;
         write!(f, "{}: {seconds:.3} s, {cycles} cycles, {lost} lost", self.file.display())?;
@@ -77,7 +77,7 @@ pub fn run(args: &RecordArgs) -> Result<(), Failure> {
     let recorder = Recorder::create(&args.file, &config, details)?;
     let tally = record(args, &tap, recorder, &stop)?;
     let bytes = std::fs::metadata(&*args.file).map_or(0, |file| file.len());
-    args.common.print(&Answer { file: &args.file, bytes, tally })
+    args.common.print(&RecordResult { file: &args.file, bytes, tally })
 }
 
 /// Records until the duration, a signal, or the end of [`PATIENCE`] without a cycle.

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use upswing_config::Config;
 use upswing_process::Failure;
 use upswing_process::output::{Destination, Output, Overwrite};
-use upswing_record::replay::{Difference, Replay, Run, replay, settings};
+use upswing_record::replay::{Difference, RecordedRun, Replay, replay, settings};
 use upswing_record::{Message, Recorder, RecordingError};
 
 /// Replays a recording through the controller and compares every number of every cycle, bit for bit.
@@ -33,7 +33,7 @@ pub struct ReplayArgs {
 }
 
 #[derive(Serialize)]
-struct Answer<'a> {
+struct ReplayResult<'a> {
     success: bool,
     file: &'a Path,
     steps: u64,
@@ -43,7 +43,7 @@ struct Answer<'a> {
     kept: Option<&'a Path>,
 }
 
-impl std::fmt::Display for Answer<'_> {
+impl std::fmt::Display for ReplayResult<'_> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{}: {} steps, {} cycles compared: ", self.file.display(), self.steps, self.compared)?;
         match (self.difference, self.decision) {
@@ -74,7 +74,7 @@ fn text(difference: &Difference) -> String {
 /// [`Failure::BadInput`] if the file cannot be replayed, [`Failure::Failed`] if a number differs.
 pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
     let kept = writable("--keep", args.keep.as_ref(), args.overwrite)?;
-    let recorded = Run::read(&args.file)?;
+    let recorded = RecordedRun::read(&args.file)?;
     let bad = |e: &dyn std::fmt::Display| Failure::BadInput(format!("{}: {e}", args.file.display()));
     let result =
         settings(&recorded.recording).and_then(|config| replay(&recorded, &config)).map_err(|e| bad(&e))?;
@@ -84,7 +84,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
         keep(file, &config, &recorded, &today)?;
     }
     let success = result.difference.is_none();
-    args.common.print(&Answer {
+    args.common.print(&ReplayResult {
         success,
         file: &args.file,
         steps: result.steps,
@@ -97,7 +97,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
 }
 
 /// Writes all inputs, and of the replayed cycles the first, the last, and those in which mode or fault changes.
-fn keep(file: &Output, config: &Config, recorded: &Run, replay: &Replay) -> Result<(), Failure> {
+fn keep(file: &Output, config: &Config, recorded: &RecordedRun, replay: &Replay) -> Result<(), Failure> {
     file.clear().map_err(|e| Failure::BadInput(format!("--keep: {e}")))?;
     let details = [("kept", env!("CARGO_PKG_VERSION").to_owned())];
     let write = || -> Result<_, RecordingError> {

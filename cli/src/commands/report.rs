@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 use upswing_process::Failure;
 use upswing_process::number::within;
 use upswing_process::output::{Destination, Overwrite};
-use upswing_record::{Message, RecordingError, Source, scan};
-use upswing_view::page::{self, Data, Digest};
+use upswing_record::{Message, RecordingError, RecordingFile, scan};
+use upswing_view::page::{self, PageData, RecordingDigest};
 use upswing_view::picture::figures;
 
 /// Writes one HTML page that shows a recording in any browser, without network: the robot in motion with play, pause and
@@ -44,14 +44,14 @@ pub struct ReportArgs {
 }
 
 #[derive(Serialize)]
-struct Answer {
+struct ReportResult {
     page: PathBuf,
     figures: Vec<PathBuf>,
     cut: Option<String>,
     damage: Option<String>,
 }
 
-impl std::fmt::Display for Answer {
+impl std::fmt::Display for ReportResult {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{}", self.page.display())?;
         self.figures.iter().try_for_each(|figure| write!(f, "\n{}", figure.display()))?;
@@ -80,12 +80,12 @@ pub fn run(args: &ReportArgs) -> Result<(), Failure> {
         bar.set_position(done);
     };
     let window = window(args.from, args.to)?;
-    let source = Source::open(&args.file, &args.common.process)?;
+    let source = RecordingFile::open(&args.file, &args.common.process)?;
     let recording = scan(source.path(), window, progress, |head, message| -> Result<(), Failure> {
         let Message::Cycle(cycle) = message else { return Ok(()) };
         let digest = match &mut digest {
             Some(digest) => digest,
-            none => none.insert(Digest::new(&args.file, head)?),
+            none => none.insert(RecordingDigest::new(&args.file, head)?),
         };
         digest.take(&cycle);
         Ok(())
@@ -94,7 +94,7 @@ pub fn run(args: &ReportArgs) -> Result<(), Failure> {
     let recording = recording?;
     // A recording has at least one cycle.
     let digest = digest.ok_or_else(|| failed("no cycle"))?;
-    let data = Data::new(&args.file, &recording, &digest)?;
+    let data = PageData::new(&args.file, &recording, &digest)?;
     let mut file = page.begin().map_err(failed)?;
     let written = page::write(&data, &mut file);
     written.map_err(|e| failed(format!("cannot write {}: {e}", page.path().display())))?;
@@ -105,5 +105,5 @@ pub fn run(args: &ReportArgs) -> Result<(), Failure> {
         Vec::new()
     };
     let page = page.path().to_owned();
-    args.common.print(&Answer { page, figures, cut: recording.cut, damage: recording.damage })
+    args.common.print(&ReportResult { page, figures, cut: recording.cut, damage: recording.damage })
 }

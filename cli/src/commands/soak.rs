@@ -7,9 +7,9 @@ use std::time::Instant;
 use upswing_ipc::Clock;
 use upswing_process::number::{whole, within};
 use upswing_process::{Failure, shutdown_flag};
-use upswing_rig::montecarlo::Starts;
+use upswing_rig::montecarlo::RandomStarts;
 use upswing_rig::session::{Programs, Session, SessionError};
-use upswing_rig::soak::{Growth, Kill, Record, Soak};
+use upswing_rig::soak::{Kill, ResourceGrowth, Soak, SoakOutcome};
 
 /// Repeats swing-up, balance, push, swing-down and hold from random starts.
 ///
@@ -37,19 +37,19 @@ pub struct SoakArgs {
 }
 
 #[derive(Serialize)]
-struct Answer {
+struct SoakResult {
     success: bool,
     clock: String,
     seed: u64,
     seconds: f64,
     #[serde(flatten)]
-    record: Record,
-    growth: Vec<Growth>,
+    record: SoakOutcome,
+    growth: Vec<ResourceGrowth>,
 }
 
-impl std::fmt::Display for Answer {
+impl std::fmt::Display for SoakResult {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Record { rounds, completed, kills, losses, orderly_restarts, cycles, .. } = &self.record;
+        let SoakOutcome { rounds, completed, kills, losses, orderly_restarts, cycles, .. } = &self.record;
         writeln!(f, "Soak: {}", if self.success { "passed" } else { "FAILED" })?;
         writeln!(f, "  clock     {}, {:.0} s, seed {}", self.clock, self.seconds, self.seed)?;
         writeln!(
@@ -94,12 +94,12 @@ pub fn run(args: &SoakArgs) -> Result<(), Failure> {
         ));
     }
     let config = args.common.process.load()?;
-    let starts = Starts { config: &config, seed: args.seed };
+    let starts = RandomStarts { config: &config, seed: args.seed };
     let start = Soak::first_start(&starts).map_err(|e| Failure::BadInput(e.to_string()))?;
     let stop = shutdown_flag()?;
     let (_clean, options) = own_system(&args.common, "soak", args.clock, start, None)?;
     let begin = Instant::now();
-    let soak = || -> Result<Record, SessionError> {
+    let soak = || -> Result<SoakOutcome, SessionError> {
         let session = Session::start(Programs::own()?, &options, None)?;
         let mut soak = Soak::new(session, starts, args.clock, args.kills);
         let bar = time_bar(args.seconds, "soak");
@@ -116,10 +116,10 @@ pub fn run(args: &SoakArgs) -> Result<(), Failure> {
         let _ = std::fs::remove_dir_all(&options.logs);
     }
     let lost = record.losses.len();
-    let growth = Growth::of(&record.samples);
+    let growth = ResourceGrowth::of(&record.samples);
     let seconds = begin.elapsed().as_secs_f64();
     let clock = args.clock.to_string();
-    args.common.print(&Answer { success, clock, seed: args.seed, seconds, record, growth })?;
+    args.common.print(&SoakResult { success, clock, seed: args.seed, seconds, record, growth })?;
     match (success, lost) {
         (true, _) => Ok(()),
         (false, 0) => Err(failed("no round was completed: allow more time")),

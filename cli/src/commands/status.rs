@@ -3,7 +3,7 @@
 use super::{CommonArgs, failed};
 use upswing_ipc::operator::Operator;
 use upswing_process::Failure;
-use upswing_view::live::Status;
+use upswing_view::live::DaemonStatus;
 
 /// Shows the mode of the running daemon, its plan, faults and overruns; times in us.
 ///
@@ -22,5 +22,5 @@ pub struct StatusArgs {
 pub fn run(args: &StatusArgs) -> Result<(), Failure> {
     let node = args.common.join_existing()?;
     let answer = Operator::new(&node).and_then(|operator| operator.status()).map_err(failed)?;
-    args.common.print(&Status::new(&answer))
+    args.common.print(&DaemonStatus::new(&answer))
 }

@@ -1,6 +1,6 @@
 //! Swing-ups with controller and simulated plant in one process, under conditions that planner and controller do not know.
 
-use super::condition::Condition;
+use super::condition::PlantCondition;
 use super::{ENDED_BADLY, NoStart, Scratch, Spread, Study, StudyError, arm_degrees};
 use crate::closed_loop::{Aborted, Disturbances};
 use serde::Serialize;
@@ -8,17 +8,17 @@ use std::collections::BTreeMap;
 use std::time::Instant;
 use upswing_ipc::Telemetry;
 use upswing_model::{NU, State};
-use upswing_record::report::Report;
+use upswing_record::evaluation::SwingUpEvaluation;
 
 /// What became of one start. All but the time depends on settings, condition, seed and index alone.
 #[derive(Clone, Debug, Serialize)]
-pub struct Sample {
+pub struct RunResult {
     /// Number of the start.
     pub index: u64,
     /// Angles of joints 1-7, deg.
     pub start_deg: [f64; NU],
     /// Figures of a run that came to its end.
-    pub end: Option<Figures>,
+    pub end: Option<RunStatistics>,
     /// The kind of failure; `None`: it ended balanced.
     pub failure: Option<String>,
     /// What exactly was wrong.
@@ -28,9 +28,9 @@ pub struct Sample {
     pub time_s: f64,
 }
 
-/// Some of the figures of a [`Report`].
+/// Some of the figures of a [`SwingUpEvaluation`].
 #[derive(Clone, Debug, Serialize)]
-pub struct Figures {
+pub struct RunStatistics {
     /// Duration of the plan t_F, s.
     pub t_f: f64,
     /// Largest |q - q_d| of joints 1-7 in Track, rad.
@@ -53,19 +53,19 @@ pub struct Figures {
     pub final_speed: f64,
 }
 
-impl From<&Report> for Figures {
-    fn from(r: &Report) -> Self {
+impl From<&SwingUpEvaluation> for RunStatistics {
+    fn from(r: &SwingUpEvaluation) -> Self {
         Self {
             t_f: r.t_f,
-            tracking_error_arm: r.figures.tracking_error_arm,
-            tracking_error_pendulum: r.figures.tracking_error_pendulum,
-            peak_position: r.figures.peak_position,
-            peak_velocity: r.figures.peak_velocity,
-            peak_velocity_pendulum: r.figures.peak_velocity_pendulum,
-            peak_torque: r.figures.peak_torque,
-            limited_share: r.figures.limited_share,
-            final_tilt_deg: r.figures.final_tilt_deg,
-            final_speed: r.figures.final_speed,
+            tracking_error_arm: r.statistics.tracking_error_arm,
+            tracking_error_pendulum: r.statistics.tracking_error_pendulum,
+            peak_position: r.statistics.peak_position,
+            peak_velocity: r.statistics.peak_velocity,
+            peak_velocity_pendulum: r.statistics.peak_velocity_pendulum,
+            peak_torque: r.statistics.peak_torque,
+            limited_share: r.statistics.limited_share,
+            final_tilt_deg: r.statistics.final_tilt_deg,
+            final_speed: r.statistics.final_speed,
         }
     }
 }
@@ -102,14 +102,14 @@ pub struct ConditionResult {
     /// Largest speed of joints 1-7 in the last second, rad/s.
     pub final_speed: Option<Spread>,
     /// How long it took.
-    pub times: Times,
+    pub times: RunTimes,
     /// Each run.
-    pub results: Vec<Sample>,
+    pub results: Vec<RunResult>,
 }
 
 /// All in s; the only part that differs from run to run.
 #[derive(Serialize)]
-pub struct Times {
+pub struct RunTimes {
     /// One run.
     pub run: Option<Spread>,
     /// All runs.
@@ -120,15 +120,20 @@ pub struct Times {
 ///
 /// # Errors
 /// [`StudyError`]
-pub fn run(study: &Study<'_>, condition: &Condition, seconds: f64) -> Result<ConditionResult, StudyError> {
+pub fn run(
+    study: &Study<'_>,
+    condition: &PlantCondition,
+    seconds: f64,
+) -> Result<ConditionResult, StudyError> {
     let begin = Instant::now();
     let results = study.each(
         &study.indices,
         || Scratch::new(study.planner),
         |scratch, index| sample(study, condition, seconds, scratch, index),
     )?;
-    let spread =
-        |value: fn(&Figures) -> f64| Spread::of(results.iter().filter_map(|s| s.end.as_ref()).map(value));
+    let spread = |value: fn(&RunStatistics) -> f64| {
+        Spread::of(results.iter().filter_map(|s| s.end.as_ref()).map(value))
+    };
     Ok(ConditionResult {
         condition: condition.name.clone(),
         purpose: condition.purpose.clone(),
@@ -147,7 +152,7 @@ pub fn run(study: &Study<'_>, condition: &Condition, seconds: f64) -> Result<Con
         limited_share: spread(|e| e.limited_share),
         final_tilt_deg: spread(|e| e.final_tilt_deg),
         final_speed: spread(|e| e.final_speed),
-        times: Times {
+        times: RunTimes {
             run: Spread::of(results.iter().map(|s| s.time_s)),
             total: begin.elapsed().as_secs_f64(),
         },
@@ -161,7 +166,7 @@ pub fn run(study: &Study<'_>, condition: &Condition, seconds: f64) -> Result<Con
 /// [`NoStart`]
 pub fn records(
     study: &Study<'_>,
-    condition: &Condition,
+    condition: &PlantCondition,
     seconds: f64,
     index: u64,
 ) -> Result<Vec<Telemetry>, NoStart> {
@@ -173,32 +178,32 @@ pub fn records(
 
 fn sample(
     study: &Study<'_>,
-    condition: &Condition,
+    condition: &PlantCondition,
     seconds: f64,
     scratch: &mut Scratch,
     index: u64,
-) -> Result<Sample, NoStart> {
+) -> Result<RunResult, NoStart> {
     let begin = Instant::now();
     let start = study.starts.start(index)?;
     let (end, failure, reasons) = match swing_up(study, condition, seconds, scratch, index, &start) {
         Ok(report) => {
             let failure = (!report.success).then(|| ENDED_BADLY.into());
-            (Some(Figures::from(&report)), failure, report.failures)
+            (Some(RunStatistics::from(&report)), failure, report.failures)
         }
         Err(e) => (None, Some(e.kind()), vec![e.to_string()]),
     };
     let time_s = begin.elapsed().as_secs_f64();
-    Ok(Sample { index, start_deg: arm_degrees(&start), end, failure, reasons, time_s })
+    Ok(RunResult { index, start_deg: arm_degrees(&start), end, failure, reasons, time_s })
 }
 
 fn swing_up(
     study: &Study<'_>,
-    condition: &Condition,
+    condition: &PlantCondition,
     seconds: f64,
     scratch: &mut Scratch,
     index: u64,
     start: &State,
-) -> Result<Report, Aborted> {
+) -> Result<SwingUpEvaluation, Aborted> {
     let (planner, plant) = (study.planner, condition.plant(&study.starts, index));
     let undisturbed = |_| Disturbances::default();
     scratch.swing_up(planner, (index, start), planner.config(), plant, seconds, undisturbed)

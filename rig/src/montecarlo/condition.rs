@@ -1,6 +1,6 @@
 //! In what the plant differs from what planner and controller believe.
 
-use crate::montecarlo::Starts;
+use crate::montecarlo::RandomStarts;
 use upswing_config::{Config, ConfigError};
 
 /// By how much a drawn scale may differ from 1.
@@ -8,7 +8,7 @@ const SPREAD: f64 = 0.1;
 
 /// A plant that planner and controller do not know.
 #[derive(Clone, Debug)]
-pub struct Condition {
+pub struct PlantCondition {
     /// As on the command line.
     pub name: String,
     /// What it is for.
@@ -26,7 +26,7 @@ enum Drawn {
     PendulumLength,
 }
 
-impl Condition {
+impl PlantCondition {
     /// The condition of this name: `nominal`, `arm-mass`, `pendulum-mass`, `pendulum-length`, or a scenario of the
     /// plant.
     ///
@@ -47,7 +47,7 @@ impl Condition {
     }
 
     /// Settings of the plant for start number `index`.
-    pub fn plant(&self, starts: &Starts<'_>, index: u64) -> Config {
+    pub fn plant(&self, starts: &RandomStarts<'_>, index: u64) -> Config {
         let mut config = self.plant.clone();
         let scale = 1.0 - SPREAD + 2.0 * SPREAD * starts.share(index);
         let model = &mut config.plant.model;

@@ -1,6 +1,6 @@
 //! How many swing-ups succeed over growing errors of one kind, as curves.
 
-use super::variation::{Misses, ValueError, Variation};
+use super::variation::{MissedCycleCounts, ValueError, Variation};
 use super::{ENDED_BADLY, NoStart, Scratch, Study, StudyError, arm_degrees, wilson};
 use crate::closed_loop::Aborted;
 use serde::Serialize;
@@ -8,10 +8,10 @@ use std::collections::BTreeMap;
 use upswing_config::{Config, VelocityEstimate};
 use upswing_ipc::Telemetry;
 use upswing_model::{NU, State};
-use upswing_record::report::Report;
+use upswing_record::evaluation::SwingUpEvaluation;
 
 /// One value of one curve.
-pub struct Case {
+pub struct RobustnessCase {
     /// What is varied.
     pub over: Variation,
     /// By how much, in the unit of `over`.
@@ -22,7 +22,7 @@ pub struct Case {
     config: Config,
 }
 
-impl Case {
+impl RobustnessCase {
     /// The settings `base` with an error of `value`, in the unit of `over`.
     ///
     /// # Errors
@@ -43,7 +43,7 @@ impl Case {
 
 /// A start that did not end balanced.
 #[derive(Clone, Debug, Serialize)]
-pub struct Failed {
+pub struct FailedStart {
     /// Number of the start.
     pub index: u64,
     /// Angles of joints 1-7, deg.
@@ -56,7 +56,7 @@ pub struct Failed {
 
 /// Success over the values of one variation.
 #[derive(Serialize)]
-pub struct Curve {
+pub struct SuccessCurve {
     /// What is varied.
     pub over: Variation,
     /// For the axis, with the unit.
@@ -64,12 +64,12 @@ pub struct Curve {
     /// Where the controller takes velocities from.
     pub velocity: &'static str,
     /// In the order of the cases.
-    pub points: Vec<Point>,
+    pub points: Vec<SuccessPoint>,
 }
 
 /// Success at one value.
 #[derive(Serialize)]
-pub struct Point {
+pub struct SuccessPoint {
     /// By how much, in the unit of the variation.
     pub value: f64,
     /// Runs.
@@ -81,7 +81,7 @@ pub struct Point {
     /// How often each kind of failure occurred.
     pub failures: BTreeMap<String, usize>,
     /// Each run that did not end balanced.
-    pub failed: Vec<Failed>,
+    pub failed: Vec<FailedStart>,
 }
 
 /// Swing-ups from every start of the study in every case, each balanced for `seconds`; `misses` for [`Variation::Jitter`].
@@ -90,10 +90,10 @@ pub struct Point {
 /// [`StudyError`]
 pub fn run(
     study: &Study<'_>,
-    cases: &[Case],
-    misses: &Misses,
+    cases: &[RobustnessCase],
+    misses: &MissedCycleCounts,
     seconds: f64,
-) -> Result<Vec<Curve>, StudyError> {
+) -> Result<Vec<SuccessCurve>, StudyError> {
     let jobs: Vec<u64> = (0..(cases.len() * study.indices.len()) as u64).collect();
     // In the order of the starts, so that the values of a curve take turns and the estimate of the time left is fair.
     let place = |job: u64| (job as usize % cases.len(), job as usize / cases.len());
@@ -115,8 +115,8 @@ pub fn run(
 /// [`NoStart`]
 pub fn records(
     study: &Study<'_>,
-    case: &Case,
-    misses: &Misses,
+    case: &RobustnessCase,
+    misses: &MissedCycleCounts,
     seconds: f64,
     index: u64,
 ) -> Result<Vec<Telemetry>, NoStart> {
@@ -129,30 +129,30 @@ pub fn records(
 /// What became of one start; `None`: it ended balanced.
 fn sample(
     study: &Study<'_>,
-    case: &Case,
-    misses: &Misses,
+    case: &RobustnessCase,
+    misses: &MissedCycleCounts,
     seconds: f64,
     scratch: &mut Scratch,
     index: u64,
-) -> Result<Option<Failed>, NoStart> {
+) -> Result<Option<FailedStart>, NoStart> {
     let start = study.starts.start(index)?;
     let (kind, reasons) = match swing_up(study, case, misses, seconds, scratch, index, &start) {
         Ok(report) if report.success => return Ok(None),
         Ok(report) => (ENDED_BADLY.into(), report.failures),
         Err(e) => (e.kind(), vec![e.to_string()]),
     };
-    Ok(Some(Failed { index, start_deg: arm_degrees(&start), kind, reasons }))
+    Ok(Some(FailedStart { index, start_deg: arm_degrees(&start), kind, reasons }))
 }
 
 fn swing_up(
     study: &Study<'_>,
-    case: &Case,
-    misses: &Misses,
+    case: &RobustnessCase,
+    misses: &MissedCycleCounts,
     seconds: f64,
     scratch: &mut Scratch,
     index: u64,
     start: &State,
-) -> Result<Report, Aborted> {
+) -> Result<SwingUpEvaluation, Aborted> {
     let config = &case.config;
     let seconds = case.over.seconds(seconds);
     let period = config.daemon.cycle.period.seconds();
@@ -169,10 +169,10 @@ fn name(velocity: VelocityEstimate) -> &'static str {
 }
 
 /// The results, which name their case, as curves.
-fn curves_of(cases: &[Case], results: Vec<(usize, Option<Failed>)>) -> Vec<Curve> {
-    let mut points: Vec<Point> = cases
+fn curves_of(cases: &[RobustnessCase], results: Vec<(usize, Option<FailedStart>)>) -> Vec<SuccessCurve> {
+    let mut points: Vec<SuccessPoint> = cases
         .iter()
-        .map(|case| Point {
+        .map(|case| SuccessPoint {
             value: case.value,
             samples: 0,
             succeeded: 0,
@@ -190,7 +190,7 @@ fn curves_of(cases: &[Case], results: Vec<(usize, Option<Failed>)>) -> Vec<Curve
             point.failed.push(failed);
         }
     }
-    let mut curves: Vec<Curve> = Vec::new();
+    let mut curves: Vec<SuccessCurve> = Vec::new();
     for (case, mut point) in cases.iter().zip(points) {
         point.interval = wilson(point.succeeded, point.samples);
         let velocity = name(case.velocity);
@@ -198,7 +198,7 @@ fn curves_of(cases: &[Case], results: Vec<(usize, Option<Failed>)>) -> Vec<Curve
             Some(curve) => curve.points.push(point),
             None => {
                 let label = case.over.label();
-                curves.push(Curve { over: case.over, label, velocity, points: vec![point] });
+                curves.push(SuccessCurve { over: case.over, label, velocity, points: vec![point] });
             }
         }
     }

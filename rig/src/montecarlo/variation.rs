@@ -1,6 +1,6 @@
 //! What a robustness curve is drawn over: one thing that planner and controller do not know, by how much.
 
-use crate::closed_loop::{Disturbances, Missed};
+use crate::closed_loop::{Disturbances, MissedCycles};
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -54,16 +54,16 @@ pub struct ValueError {
 
 /// How often cycles were missed somewhere: a part of what `upswing soak --json` prints.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
-pub struct Misses {
+pub struct MissedCycleCounts {
     /// Cycles that were looked at.
     pub cycles: u64,
     /// How often how many were missed in a row.
     pub missed: BTreeMap<u64, u64>,
 }
 
-impl Misses {
+impl MissedCycleCounts {
     /// Stretches in `count` cycles, `factor` times as frequent. `shares`: random numbers in [0, 1).
-    fn draw(&self, factor: f64, count: u64, shares: &mut impl Iterator<Item = f64>) -> Vec<Missed> {
+    fn draw(&self, factor: f64, count: u64, shares: &mut impl Iterator<Item = f64>) -> Vec<MissedCycles> {
         let stretches: u64 = self.missed.values().sum();
         let probability = factor * stretches as f64 / self.cycles as f64;
         let mut drawn = Vec::new();
@@ -76,7 +76,7 @@ impl Misses {
                     rank = rank.saturating_sub(*n);
                     found.then_some(*length)
                 });
-                let missed = Missed { from: cycle, cycles: length.unwrap_or(1) };
+                let missed = MissedCycles { from: cycle, cycles: length.unwrap_or(1) };
                 cycle = cycle.saturating_add(missed.cycles);
                 drawn.push(missed);
             }
@@ -174,12 +174,12 @@ impl Variation {
         t_f: f64,
         seconds: f64,
         period: f64,
-        misses: &Misses,
+        misses: &MissedCycleCounts,
         mut shares: impl Iterator<Item = f64>,
     ) -> Disturbances {
         let cycle = |time: f64| (time / period).round() as u64;
         let mut share = || shares.next().unwrap_or(0.0);
-        let stretch = |from: f64| vec![Missed { from: cycle(from), cycles: value as u64 }];
+        let stretch = |from: f64| vec![MissedCycles { from: cycle(from), cycles: value as u64 }];
         let mut disturbances = Disturbances::default();
         match self {
             Self::Push => {

@@ -65,7 +65,7 @@ impl Programs {
 
 /// What to start.
 #[derive(Clone, Debug)]
-pub struct Options {
+pub struct SessionOptions {
     /// Folder with settings; `None`: the embedded ones.
     pub config: Option<PathBuf>,
     /// Name of the domain.
@@ -88,7 +88,11 @@ pub(super) struct Process {
 }
 
 impl Process {
-    pub(super) fn start(role: Role, programs: &Programs, options: &Options) -> Result<Self, SessionError> {
+    pub(super) fn start(
+        role: Role,
+        programs: &Programs,
+        options: &SessionOptions,
+    ) -> Result<Self, SessionError> {
         let mut command = programs.command(role);
         let program = command.get_program().to_string_lossy().into_owned();
         let spawn = |cause| SessionError::Spawn { role: role.name(), program: program.clone(), cause };

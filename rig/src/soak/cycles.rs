@@ -6,7 +6,7 @@ use upswing_ipc::{Clock, Telemetry};
 
 /// Counts of a long run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Cycles {
+pub struct CycleCounts {
     /// Cycles of all daemons that arrived here.
     pub cycles: u64,
     /// Cycles that the daemon ran but that did not arrive here.
@@ -21,7 +21,7 @@ pub struct Cycles {
     last: Option<Telemetry>,
 }
 
-impl Cycles {
+impl CycleCounts {
     /// Counts records in their order, on `clock`.
     pub fn count(&mut self, records: &[Telemetry], clock: Clock) {
         for record in records {
@@ -59,7 +59,7 @@ fn longest_phase(t: &Telemetry) -> &'static str {
 
 #[cfg(test)]
 mod tests {
-    use super::Cycles;
+    use super::CycleCounts;
     use upswing_ipc::{Clock, Telemetry};
 
     fn record(seq: u64, measurement_seq: u64, flags: u64) -> Telemetry {
@@ -68,7 +68,7 @@ mod tests {
 
     #[test]
     fn misses_are_those_of_the_daemon() {
-        let mut cycles = Cycles::default();
+        let mut cycles = CycleCounts::default();
         let first = [record(1, 10, 0), record(2, 14, Telemetry::OVERRUN), record(3, 14, Telemetry::STALE)];
         cycles.count(&first, Clock::Wall);
         // Two records lost on the way here, then another daemon, then another plant.

@@ -5,7 +5,7 @@ use serde::Serialize;
 
 /// What a process holds at one moment.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Holdings {
+pub struct ProcessResources {
     /// Process id.
     pub pid: u32,
     /// Resident memory, KiB: its own, that of files, and the pages of shared memory that it has touched so far.
@@ -18,7 +18,7 @@ pub struct Holdings {
     pub threads: usize,
 }
 
-impl Holdings {
+impl ProcessResources {
     /// Of a process of this user; `None` if there is none.
     pub fn of(pid: u32) -> Option<Self> {
         let folder = |name: &str| std::fs::read_dir(format!("/proc/{pid}/{name}")).ok().map(Iterator::count);
@@ -39,36 +39,36 @@ impl Holdings {
 
 /// All processes at one moment.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct Sample {
+pub struct ResourceSample {
     /// Time since the beginning, s.
     pub t_s: f64,
     /// upswingd
-    pub daemon: Option<Holdings>,
+    pub daemon: Option<ProcessResources>,
     /// upswing-planner
-    pub planner: Option<Holdings>,
+    pub planner: Option<ProcessResources>,
     /// upswing-plant
-    pub plant: Option<Holdings>,
+    pub plant: Option<ProcessResources>,
     /// The program that drives the system.
-    pub operator: Option<Holdings>,
+    pub operator: Option<ProcessResources>,
 }
 
-impl Sample {
+impl ResourceSample {
     /// Looks at the processes of a session, `t_s` (s) after the beginning.
     pub fn take(session: &Session, t_s: f64) -> Self {
-        let of = |role| session.pid(role).and_then(Holdings::of);
+        let of = |role| session.pid(role).and_then(ProcessResources::of);
         Self {
             t_s,
             daemon: of(Role::Daemon),
             planner: of(Role::Planner),
             plant: of(Role::Plant),
-            operator: Holdings::of(std::process::id()),
+            operator: ProcessResources::of(std::process::id()),
         }
     }
 }
 
 /// What became of a role over all samples.
 #[derive(Clone, Debug, Serialize)]
-pub struct Growth {
+pub struct ResourceGrowth {
     /// daemon, planner, plant or operator.
     pub role: &'static str,
     /// Processes that played it.
@@ -81,10 +81,10 @@ pub struct Growth {
     pub grown_kib: i64,
 }
 
-impl Growth {
+impl ResourceGrowth {
     /// Of each role that was seen.
-    pub fn of(samples: &[Sample]) -> Vec<Self> {
-        type Of = fn(&Sample) -> Option<Holdings>;
+    pub fn of(samples: &[ResourceSample]) -> Vec<Self> {
+        type Of = fn(&ResourceSample) -> Option<ProcessResources>;
         let roles: [(_, Of); 4] = [
             ("daemon", |s| s.daemon),
             ("planner", |s| s.planner),
@@ -97,7 +97,7 @@ impl Growth {
             .collect()
     }
 
-    fn of_role(role: &'static str, mut samples: impl Iterator<Item = Holdings>) -> Option<Self> {
+    fn of_role(role: &'static str, mut samples: impl Iterator<Item = ProcessResources>) -> Option<Self> {
         let mut first = samples.next()?;
         let (kib, handles) = (first.resident_kib, first.handles);
         let mut growth =
@@ -117,7 +117,7 @@ impl Growth {
     }
 }
 
-impl std::fmt::Display for Growth {
+impl std::fmt::Display for ResourceGrowth {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let mib = |kib: u64| kib as f64 / 1024.0;
         write!(
@@ -136,12 +136,12 @@ impl std::fmt::Display for Growth {
 
 #[cfg(test)]
 mod tests {
-    use super::{Growth, Holdings};
+    use super::{ProcessResources, ResourceGrowth};
 
     #[test]
     fn growth_is_that_of_one_process() {
         // Shared memory that is touched is no growth.
-        let held = |pid, own_kib, handles| Holdings {
+        let held = |pid, own_kib, handles| ProcessResources {
             pid,
             resident_kib: own_kib + 10 * handles as u64,
             own_kib,
@@ -149,14 +149,14 @@ mod tests {
             threads: 1,
         };
         let samples = [held(1, 100, 5), held(1, 130, 7), held(2, 90, 4), held(2, 95, 4)];
-        let growth = Growth::of_role("plant", samples.into_iter()).expect("samples");
+        let growth = ResourceGrowth::of_role("plant", samples.into_iter()).expect("samples");
         assert_eq!((growth.processes, growth.grown_kib), (2, 30));
         assert_eq!((growth.resident_kib, growth.handles), ((130, 200), (4, 7)));
     }
 
     #[test]
     fn this_process_holds_something() {
-        let own = Holdings::of(std::process::id()).expect("this process");
+        let own = ProcessResources::of(std::process::id()).expect("this process");
         assert!(
             own.resident_kib > own.own_kib && own.own_kib > 0 && own.handles > 2 && own.threads > 0,
             "{own:?}"

@@ -1,14 +1,14 @@
-//! What the daemon says about itself.
+//! The status of the daemon for display.
 
 use serde::Serialize;
 use upswing_ipc::{ControlResponse, Degradation, Percentiles};
 
-/// Answer of the daemon to a request for its status.
+/// Status of the daemon.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Status {
-    /// Its mode.
+pub struct DaemonStatus {
+    /// Mode of the daemon.
     pub mode: String,
-    /// The latched fault.
+    /// Latched fault.
     pub fault: Option<String>,
     /// Id of the plan that waits for its start.
     pub loaded_plan: Option<String>,
@@ -18,48 +18,48 @@ pub struct Status {
     pub cycles: u64,
     /// Cycles that ended late.
     pub overruns: u64,
-    /// When, which phase and why.
+    /// Time, phase and cause of the last late cycle.
     pub last_overrun: Option<String>,
     /// Limits beyond their warning level since the last enable, start or reset.
     pub warnings: Vec<&'static str>,
-    /// What the system refused of the real-time set-up.
+    /// Parts of the real-time set-up that the operating system refused.
     pub degraded: Vec<String>,
-    /// Lateness of wake-ups.
-    pub wake_us: Times,
-    /// Computing times.
-    pub compute_us: Times,
-    /// Cause of a fault or stop, the last refusal.
+    /// Latency of wake-ups.
+    pub wake_us: LatencyPercentiles,
+    /// Computing time of a cycle.
+    pub compute_us: LatencyPercentiles,
+    /// Cause of a fault or stop, and the last refusal.
     pub remark: String,
-    /// What the operator can do next.
+    /// Next action of the operator.
     pub next: String,
 }
 
-/// Percentiles of all cycles since the start of the daemon, us.
+/// Percentiles of a duration over all cycles since the start of the daemon, us.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Times {
-    /// How many durations.
+pub struct LatencyPercentiles {
+    /// Number of durations.
     pub count: u64,
-    /// 50 % were at most this.
+    /// Median.
     pub p50: f64,
-    /// 99 %
+    /// 99th percentile.
     pub p99: f64,
-    /// 99.9 %
+    /// 99.9th percentile.
     pub p99_9: f64,
-    /// 99.99 %
+    /// 99.99th percentile.
     pub p99_99: f64,
-    /// 100 %
+    /// Maximum.
     pub max: f64,
 }
 
-impl Times {
-    /// From ns.
+impl LatencyPercentiles {
+    /// Converts percentiles from ns to us.
     pub fn new(p: &Percentiles) -> Self {
         let [p50, p99, p99_9, p99_99, max] =
             [p.p50, p.p99, p.p99_9, p.p99_99, p.max].map(|ns| ns as f64 * 1e-3);
         Self { count: p.count, p50, p99, p99_9, p99_99, max }
     }
 
-    /// One line without its end.
+    /// Writes one line of text, without a line end.
     pub fn line(&self, f: &mut std::fmt::Formatter<'_>, name: &str) -> std::fmt::Result {
         let Self { p50, p99, p99_9, p99_99, max, .. } = self;
         write!(
@@ -69,8 +69,8 @@ impl Times {
     }
 }
 
-impl Status {
-    /// Reads an answer, of which nothing is trusted.
+impl DaemonStatus {
+    /// Converts the response of the daemon, of which nothing is trusted.
     pub fn new(s: &ControlResponse) -> Self {
         let id = |id: u64| (id != 0).then(|| format!("{id:016x}"));
         Self {
@@ -83,15 +83,15 @@ impl Status {
             last_overrun: Some(s.overrun.to_string()).filter(|text| !text.is_empty()),
             warnings: upswingd::warning_texts(s.warnings).collect(),
             degraded: Degradation::of(s.degraded).map(|d| d.to_string()).collect(),
-            wake_us: Times::new(&s.wake),
-            compute_us: Times::new(&s.compute),
+            wake_us: LatencyPercentiles::new(&s.wake),
+            compute_us: LatencyPercentiles::new(&s.compute),
             remark: s.reason.to_string(),
             next: s.next.to_string(),
         }
     }
 }
 
-impl std::fmt::Display for Status {
+impl std::fmt::Display for DaemonStatus {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let or_none = |v: &Option<String>| v.clone().unwrap_or_else(|| "none".into());
         writeln!(f, "mode       {}", self.mode)?;

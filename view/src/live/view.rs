@@ -1,50 +1,50 @@
-//! What there is to see. SI units; numbers come from shared memory as they are and need not be finite.
+//! The state of a running system for display. SI units; numbers are those of shared memory and need not be finite.
 
-use super::Status;
+use super::DaemonStatus;
 use serde::Serialize;
 use upswing_model::NQ;
 
-/// A running system at one moment.
+/// State of a running system at one moment.
 #[derive(Clone, Debug, Serialize)]
 pub struct View {
-    /// Its domain.
+    /// Domain of the system.
     pub domain: String,
-    /// Time since this process began to watch, s.
+    /// Time since the start of this process, s.
     pub t: f64,
-    /// Whether there is a daemon.
+    /// Whether a daemon is running.
     pub daemon: bool,
-    /// Whether there is a planner.
+    /// Whether a planner is running.
     pub planner: bool,
-    /// Whether there is a simulated plant.
+    /// Whether a simulated plant is running.
     pub plant: bool,
     /// Mode of the newest cycle, or else of the status.
     pub mode: Option<String>,
     /// What the operator can do next; `None` where the mode is unknown.
     pub next: Option<String>,
-    /// The daemon's last answer.
-    pub status: Option<Status>,
+    /// Newest status of the daemon.
+    pub status: Option<DaemonStatus>,
     /// The newest cycle.
-    pub cycle: Option<Cycle>,
+    pub cycle: Option<CycleView>,
     /// The newest plan.
     pub plan: Option<PlanView>,
-    /// Cycles that were lost on the way here.
+    /// Number of cycles whose telemetry did not arrive here.
     pub lost: u64,
-    /// Faults seen since `t` = 0.
+    /// Number of faults since `t` = 0.
     pub faults: u64,
-    /// Plans seen since `t` = 0.
+    /// Number of plans since `t` = 0.
     pub plans: u64,
-    /// A request that is being answered.
+    /// Name of the request that is in progress.
     pub asking: Option<&'static str>,
-    /// What happened, oldest first.
+    /// Events, oldest first.
     pub events: Vec<Event>,
 }
 
 /// One control cycle.
 #[derive(Clone, Debug, Serialize)]
-pub struct Cycle {
-    /// Its number since the start of the daemon.
+pub struct CycleView {
+    /// Number of the cycle since the start of the daemon.
     pub seq: u64,
-    /// Begin, s on the clock of the plant.
+    /// Start of the cycle, s on the clock of the plant.
     pub t: f64,
     /// The latched fault.
     pub fault: Option<&'static str>,
@@ -67,12 +67,12 @@ pub struct Cycle {
     /// See `error_arm`.
     pub error_pendulum: f64,
     /// Joints 1-9.
-    pub joints: [Joint; NQ],
+    pub joints: [JointView; NQ],
 }
 
-/// One joint with its 100 % limits; those of the position are wider where plans may use more.
+/// State of one joint with its 100 % limits; position limits are those of plans where these are wider.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
-pub struct Joint {
+pub struct JointView {
     /// Position, rad.
     pub q: f64,
     /// Velocity, rad/s.
@@ -92,38 +92,38 @@ pub struct Joint {
 /// A plan that the planner published.
 #[derive(Clone, Debug, Serialize)]
 pub struct PlanView {
-    /// Its id.
+    /// Id of the plan.
     pub id: String,
     /// Duration t_F, s.
     pub t_f: f64,
-    /// Whether the rod stands in the end; else it hangs.
+    /// Whether the rod stands at the end of the plan; otherwise it hangs.
     pub stands: bool,
 }
 
-/// Something that happened.
+/// An event of the system or of a request.
 #[derive(Clone, Debug, Serialize)]
 pub struct Event {
-    /// When, as in [`View::t`], s.
+    /// Time of the event, as [`View::t`], s.
     pub t: f64,
-    /// How much it matters.
-    pub kind: Kind,
-    /// What.
+    /// Severity of the event.
+    pub kind: Severity,
+    /// Description for people.
     pub text: String,
 }
 
-/// How much an event matters.
+/// Severity of an event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Kind {
-    /// Good to know.
+pub enum Severity {
+    /// Information.
     Note,
-    /// A limit's warning level, a late cycle, a refusal.
+    /// A limit beyond its warning level, a late cycle, or a refused request.
     Warning,
     /// A fault.
     Fault,
 }
 
-impl Joint {
+impl JointView {
     /// Position from -1 (lower limit) over 0 (middle of the range) to 1.
     pub fn position(&self) -> f64 {
         let (middle, half) = (0.5 * (self.q_min + self.q_max), 0.5 * (self.q_max - self.q_min));

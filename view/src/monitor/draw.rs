@@ -1,8 +1,8 @@
-//! One picture of a [`View`].
+//! Draws a [`View`] in the terminal.
 
 use super::keys::REQUESTS;
-use super::{Keys, rows};
-use crate::live::{Cycle, Joint, Kind, Times, View};
+use super::{KeyState, rows};
+use crate::live::{CycleView, JointView, LatencyPercentiles, Severity, View};
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Flex, Layout, Rect};
 use ratatui::style::{Color, Modifier, Style};
@@ -12,15 +12,15 @@ use ratatui::widgets::{Block, Borders, Clear, Paragraph};
 use std::collections::VecDeque;
 use upswing_ipc::operator::Request;
 
-/// Whether to use colours; without them what matters is reversed or bold.
+/// Style of the drawing: with colours, or with reversed and bold text instead.
 #[derive(Clone, Copy, Debug)]
-pub struct Look {
-    /// Colours.
+pub struct Theme {
+    /// Whether to use colours.
     pub colours: bool,
 }
 
 /// Name and value of a column of the cycle times.
-type Quantile = (&'static str, fn(&Times) -> f64);
+type Quantile = (&'static str, fn(&LatencyPercentiles) -> f64);
 
 const QUANTILES: [Quantile; 5] = [
     ("p50", |t| t.p50),
@@ -29,16 +29,16 @@ const QUANTILES: [Quantile; 5] = [
     (LEAST, |t| t.p99_99),
     ("max", |t| t.max),
 ];
-/// It gives way where not all have room.
+/// The column that is left out where not all have room.
 const LEAST: &str = "p99.99";
 /// Columns of the names of the cycle times, and of a number.
 const NAME: usize = 8;
 const NUMBER: usize = 7;
 
-/// Share of a limit from which on a bar warns.
+/// Share of a limit from which a bar has the colour of a warning.
 const HIGH: f64 = 0.8;
 
-impl Look {
+impl Theme {
     fn ink(self, colour: Color) -> Style {
         if self.colours { Style::new().fg(colour) } else { Style::new() }
     }
@@ -66,8 +66,8 @@ impl Look {
     }
 }
 
-/// Draws everything; what does not fit a small terminal is cut off.
-pub fn draw(frame: &mut Frame, view: &View, keys: &Keys, look: Look) {
+/// Draws the view; parts that do not fit into a small terminal are cut off.
+pub fn draw(frame: &mut Frame, view: &View, keys: &KeyState, theme: Theme) {
     let [head, upper, lower, events, foot] = Layout::vertical([
         Constraint::Length(1),
         Constraint::Length(12),
@@ -78,41 +78,41 @@ pub fn draw(frame: &mut Frame, view: &View, keys: &Keys, look: Look) {
     .areas(frame.area());
     let [joints, pendulum] = Layout::horizontal([Constraint::Min(44), Constraint::Length(34)]).areas(upper);
     let [times, plan] = Layout::horizontal([Constraint::Fill(1), Constraint::Fill(1)]).areas(lower);
-    frame.render_widget(heading(view, look), head);
-    draw_joints(frame, joints, view.cycle.as_ref(), look);
-    draw_pendulum(frame, pendulum, view.cycle.as_ref(), look);
-    draw_times(frame, times, view, look);
-    draw_plan(frame, plan, view, look);
-    draw_events(frame, events, view, look);
-    frame.render_widget(footer(look), foot);
+    frame.render_widget(heading(view, theme), head);
+    draw_joints(frame, joints, view.cycle.as_ref(), theme);
+    draw_pendulum(frame, pendulum, view.cycle.as_ref(), theme);
+    draw_times(frame, times, view, theme);
+    draw_plan(frame, plan, view, theme);
+    draw_events(frame, events, view, theme);
+    frame.render_widget(footer(theme), foot);
     if let Some(request) = keys.waiting() {
-        confirm(frame, request, look);
+        confirm(frame, request, theme);
     } else if keys.help() {
-        help(frame, look);
+        help(frame, theme);
     }
 }
 
-fn heading(view: &View, look: Look) -> Line<'_> {
+fn heading(view: &View, theme: Theme) -> Line<'_> {
     let mode = view.mode.as_deref().unwrap_or("no daemon");
     let mut spans = vec![
         Span::styled(" upswing ", Style::new().add_modifier(Modifier::BOLD)),
         Span::raw(format!(" domain {}  ", view.domain)),
-        Span::styled(format!(" {} ", mode.to_uppercase()), look.mode(mode)),
+        Span::styled(format!(" {} ", mode.to_uppercase()), theme.mode(mode)),
         Span::raw("  "),
     ];
     for (name, here) in [("daemon", view.daemon), ("planner", view.planner), ("plant", view.plant)] {
         let (sign, style) =
-            if here { ("●", look.ink(Color::Green)) } else { ("○", look.ink(Color::Red)) };
+            if here { ("●", theme.ink(Color::Green)) } else { ("○", theme.ink(Color::Red)) };
         spans.push(Span::styled(format!("{sign} "), style));
         spans.push(Span::raw(format!("{name}  ")));
     }
     if let Some(asking) = view.asking {
-        spans.push(Span::styled(format!("{asking} ..."), look.ink(Color::Yellow)));
+        spans.push(Span::styled(format!("{asking} ..."), theme.ink(Color::Yellow)));
     }
     Line::from(spans)
 }
 
-fn draw_joints(frame: &mut Frame, area: Rect, cycle: Option<&Cycle>, look: Look) {
+fn draw_joints(frame: &mut Frame, area: Rect, cycle: Option<&CycleView>, theme: Theme) {
     let block = Block::bordered().title(" Joints: position, velocity, torque ");
     let inner = block.inner(area);
     frame.render_widget(block, area);
@@ -125,33 +125,33 @@ fn draw_joints(frame: &mut Frame, area: Rect, cycle: Option<&Cycle>, look: Look)
     let each = narrow + 5;
     let mut lines = vec![Line::styled(
         format!("    angle, deg  {:wide$} {:>each$} {:>each$}", "", "velocity", "torque"),
-        look.ink(Color::DarkGray),
+        theme.ink(Color::DarkGray),
     )];
-    lines.extend(cycle.joints.iter().enumerate().map(|(i, joint)| joint_line(i, joint, wide, narrow, look)));
+    lines.extend(cycle.joints.iter().enumerate().map(|(i, joint)| joint_line(i, joint, wide, narrow, theme)));
     frame.render_widget(Paragraph::new(lines), inner);
 }
 
-fn joint_line(i: usize, joint: &Joint, wide: usize, narrow: usize, look: Look) -> Line<'static> {
+fn joint_line(i: usize, joint: &JointView, wide: usize, narrow: usize, theme: Theme) -> Line<'static> {
     let (position, velocity) = (joint.position(), joint.velocity());
     let percent = |share: f64| format!("{:>4.0}%", 100.0 * share.abs());
     let mut spans = vec![
         Span::raw(format!(" q{}", i + 1)),
         Span::raw(format!("{:>10.2}  ", joint.q.to_degrees())),
-        Span::styled(rows::mark(position, wide), look.share(position)),
+        Span::styled(rows::mark(position, wide), theme.share(position)),
         Span::raw(percent(velocity)),
         Span::raw(" "),
-        Span::styled(rows::bar(velocity, narrow), look.share(velocity)),
+        Span::styled(rows::bar(velocity, narrow), theme.share(velocity)),
     ];
     if let Some(torque) = joint.torque() {
         spans.push(Span::raw(percent(torque)));
         spans.push(Span::raw(" "));
-        spans.push(Span::styled(rows::bar(torque, narrow), look.share(torque)));
+        spans.push(Span::styled(rows::bar(torque, narrow), theme.share(torque)));
     }
     Line::from(spans)
 }
 
 /// The rod seen along the world's x and y axes; up is up.
-fn draw_pendulum(frame: &mut Frame, area: Rect, cycle: Option<&Cycle>, look: Look) {
+fn draw_pendulum(frame: &mut Frame, area: Rect, cycle: Option<&CycleView>, theme: Theme) {
     let tilt = cycle.map_or_else(String::new, |c| format!(": {:.1} deg from upright ", c.tilt.to_degrees()));
     let block = Block::bordered().title(format!(" Rod{tilt}"));
     let inner = block.inner(area);
@@ -164,7 +164,7 @@ fn draw_pendulum(frame: &mut Frame, area: Rect, cycle: Option<&Cycle>, look: Loo
         return;
     }
     let [x, y, z] = cycle.rod;
-    let colour = |colour: Color| if look.colours { colour } else { Color::Reset };
+    let colour = |colour: Color| if theme.colours { colour } else { Color::Reset };
     let canvas = Canvas::default()
         .x_bounds([-width / unit / 2.0, width / unit / 2.0])
         .y_bounds([-height / unit / 2.0, height / unit / 2.0])
@@ -180,7 +180,7 @@ fn draw_pendulum(frame: &mut Frame, area: Rect, cycle: Option<&Cycle>, look: Loo
     frame.render_widget(canvas, inner);
 }
 
-fn draw_times(frame: &mut Frame, area: Rect, view: &View, look: Look) {
+fn draw_times(frame: &mut Frame, area: Rect, view: &View, theme: Theme) {
     let block = Block::bordered().title(" Cycle times, us ");
     let Some(status) = &view.status else {
         return frame.render_widget(nothing("the daemon does not answer").block(block), area);
@@ -188,7 +188,7 @@ fn draw_times(frame: &mut Frame, area: Rect, view: &View, look: Look) {
     let all = usize::from(block.inner(area).width) >= NAME + QUANTILES.len() * NUMBER;
     let quantiles = || QUANTILES.into_iter().filter(move |(name, _)| all || *name != LEAST);
     let heading: String = quantiles().map(|(name, _)| format!("{name:>NUMBER$}")).collect();
-    let row = |name: &str, t: &Times| {
+    let row = |name: &str, t: &LatencyPercentiles| {
         let numbers: String = quantiles().map(|(_, of)| format!("{:>NUMBER$.1}", of(t))).collect();
         Line::raw(if t.count > 0 {
             format!("{name:<NAME$}{numbers}")
@@ -197,14 +197,14 @@ fn draw_times(frame: &mut Frame, area: Rect, view: &View, look: Look) {
         })
     };
     let mut lines = vec![
-        Line::styled(format!("{:NAME$}{heading}", ""), look.ink(Color::DarkGray)),
+        Line::styled(format!("{:NAME$}{heading}", ""), theme.ink(Color::DarkGray)),
         row("wake-up", &status.wake_us),
         row("compute", &status.compute_us),
     ];
     if status.overruns == 0 {
         lines.push(Line::raw(format!("{} cycles, none late, {} lost", status.cycles, view.lost)));
     } else {
-        let late = look.ink(Color::Yellow);
+        let late = theme.ink(Color::Yellow);
         let counts = format!("{} of {} late, {} lost", status.overruns, status.cycles, view.lost);
         // In front of the colon: which cycle, and in which phase. The rest is an event.
         let last = status.last_overrun.as_deref().and_then(|text| text.split(':').next());
@@ -214,7 +214,7 @@ fn draw_times(frame: &mut Frame, area: Rect, view: &View, look: Look) {
     frame.render_widget(Paragraph::new(lines).block(block), area);
 }
 
-fn draw_plan(frame: &mut Frame, area: Rect, view: &View, look: Look) {
+fn draw_plan(frame: &mut Frame, area: Rect, view: &View, theme: Theme) {
     let plan = match &view.plan {
         None => "none seen yet".into(),
         Some(plan) => {
@@ -231,7 +231,7 @@ fn draw_plan(frame: &mut Frame, area: Rect, view: &View, look: Look) {
     let lines = vec![
         Line::raw(format!("{:<9}{plan}", "plan")),
         match fault {
-            Some(fault) => Line::styled(format!("{:<9}{fault}", "fault"), look.alarm()),
+            Some(fault) => Line::styled(format!("{:<9}{fault}", "fault"), theme.alarm()),
             None => Line::raw(format!("{:<9}none", "fault")),
         },
         Line::raw(format!("{:<9}{}", "warnings", warnings.unwrap_or_else(none))),
@@ -241,7 +241,7 @@ fn draw_plan(frame: &mut Frame, area: Rect, view: &View, look: Look) {
     frame.render_widget(Paragraph::new(lines).block(Block::bordered().title(" Plan and limits ")), area);
 }
 
-fn draw_events(frame: &mut Frame, area: Rect, view: &View, look: Look) {
+fn draw_events(frame: &mut Frame, area: Rect, view: &View, theme: Theme) {
     let block = Block::new().borders(Borders::TOP).title(" Events, s since the monitor began ");
     let inner = block.inner(area);
     frame.render_widget(block, area);
@@ -250,9 +250,9 @@ fn draw_events(frame: &mut Frame, area: Rect, view: &View, look: Look) {
     // The newest stands at the bottom; of what does not fit the begin is cut.
     for event in view.events.iter().rev() {
         let style = match event.kind {
-            Kind::Note => Style::new(),
-            Kind::Warning => look.ink(Color::Yellow),
-            Kind::Fault => look.alarm(),
+            Severity::Note => Style::new(),
+            Severity::Warning => theme.ink(Color::Yellow),
+            Severity::Fault => theme.alarm(),
         };
         let text: Vec<char> = format!("{:>8.1}  {}", event.t, event.text).chars().collect();
         for part in text.chunks(width).rev() {
@@ -265,7 +265,7 @@ fn draw_events(frame: &mut Frame, area: Rect, view: &View, look: Look) {
     frame.render_widget(Paragraph::new(Vec::from(lines)), inner);
 }
 
-fn footer(look: Look) -> Line<'static> {
+fn footer(theme: Theme) -> Line<'static> {
     // Of 80 columns it takes 77.
     let keys = REQUESTS
         .into_iter()
@@ -273,11 +273,11 @@ fn footer(look: Look) -> Line<'static> {
         .chain([('q', "quit"), ('?', "help")]);
     let key = Style::new().add_modifier(Modifier::REVERSED);
     Line::from_iter(keys.flat_map(|(c, name)| {
-        [Span::styled(format!(" {c} "), key), Span::styled(format!("{name} "), look.ink(Color::Gray))]
+        [Span::styled(format!(" {c} "), key), Span::styled(format!("{name} "), theme.ink(Color::Gray))]
     }))
 }
 
-fn help(frame: &mut Frame, look: Look) {
+fn help(frame: &mut Frame, theme: Theme) {
     let lines: Vec<_> = REQUESTS
         .into_iter()
         .map(|(key, request)| format!(" {key}  {:<11}{}", request.name(), effect(request)))
@@ -290,10 +290,10 @@ fn help(frame: &mut Frame, look: Look) {
         ])
         .map(Line::raw)
         .collect();
-    popup(frame, 66, " Keys ", lines, false, look);
+    popup(frame, 66, " Keys ", lines, false, theme);
 }
 
-/// What a request does to the robot.
+/// Effect of a request on the robot.
 fn effect(request: Request) -> &'static str {
     match request {
         Request::Enable => "The brakes open and the arm holds its pose.",
@@ -305,23 +305,23 @@ fn effect(request: Request) -> &'static str {
 }
 
 /// A box in the middle.
-fn popup(frame: &mut Frame, width: u16, title: &str, lines: Vec<Line<'_>>, centered: bool, look: Look) {
+fn popup(frame: &mut Frame, width: u16, title: &str, lines: Vec<Line<'_>>, centered: bool, theme: Theme) {
     let height = u16::try_from(lines.len() + 2).unwrap_or(u16::MAX);
     let [row] = Layout::vertical([Constraint::Length(height)]).flex(Flex::Center).areas(frame.area());
     let [area] = Layout::horizontal([Constraint::Length(width)]).flex(Flex::Center).areas(row);
-    let block = Block::bordered().title(title).style(look.ink(Color::Yellow));
+    let block = Block::bordered().title(title).style(theme.ink(Color::Yellow));
     let text = Paragraph::new(lines).block(block);
     frame.render_widget(Clear, area);
     frame.render_widget(if centered { text.centered() } else { text }, area);
 }
 
-fn confirm(frame: &mut Frame, request: Request, look: Look) {
+fn confirm(frame: &mut Frame, request: Request, theme: Theme) {
     let lines = vec![
         Line::raw(effect(request)),
         Line::raw(""),
         Line::styled("y: yes   any other key: no", Style::new().add_modifier(Modifier::BOLD)),
     ];
-    popup(frame, 56, &format!(" {}? ", request.name()), lines, true, look);
+    popup(frame, 56, &format!(" {}? ", request.name()), lines, true, theme);
 }
 
 fn nothing(text: &str) -> Paragraph<'_> {

@@ -1,9 +1,9 @@
-//! What the keys mean.
+//! The keys of the monitor.
 
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 use upswing_ipc::operator::{Manoeuvre, Request};
 
-/// Key, name and request, in the order of the bottom line.
+/// Key and request, in the order of the bottom line.
 pub(super) const REQUESTS: [(char, Request); 6] = [
     ('e', Request::Enable),
     ('u', Request::Manoeuvre(Manoeuvre::SwingUp)),
@@ -13,59 +13,59 @@ pub(super) const REQUESTS: [(char, Request); 6] = [
     ('r', Request::Reset),
 ];
 
-/// What a key asks for.
+/// Action that a key leads to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Wish {
-    /// Nothing yet.
+pub enum KeyAction {
+    /// None.
     Nothing,
-    /// The end.
+    /// End the monitor.
     Quit,
-    /// A request.
+    /// Make a request.
     Ask(Request),
 }
 
-/// All but a stop has to be confirmed: it waits here for `y`, and any other key forgets it. Likewise any key ends the help.
+/// State of the keys. Each request but a stop has to be confirmed by `y`; any other key cancels it. Any key closes the help.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Keys {
+pub struct KeyState {
     waiting: Option<Request>,
     help: bool,
 }
 
-impl Keys {
-    /// What waits for `y`.
+impl KeyState {
+    /// The request that waits for `y`.
     pub fn waiting(&self) -> Option<Request> {
         self.waiting
     }
 
-    /// Whether what the keys do is explained.
+    /// Whether the help is shown.
     pub fn help(&self) -> bool {
         self.help
     }
 
-    /// A key was pressed.
-    pub fn press(&mut self, key: &KeyEvent) -> Wish {
+    /// Takes in a key.
+    pub fn press(&mut self, key: &KeyEvent) -> KeyAction {
         if key.kind != KeyEventKind::Press {
-            return Wish::Nothing;
+            return KeyAction::Nothing;
         }
         let waiting = self.waiting.take();
         let helped = std::mem::take(&mut self.help);
         match (key.code, waiting) {
-            (KeyCode::Char('c'), _) if key.modifiers.contains(KeyModifiers::CONTROL) => Wish::Quit,
-            (KeyCode::Char('s'), _) => Wish::Ask(Request::Stop),
-            (KeyCode::Char('y'), Some(request)) => Wish::Ask(request),
-            // Any other key forgets what waits, and does nothing else.
-            (_, Some(_)) => Wish::Nothing,
-            _ if helped => Wish::Nothing,
+            (KeyCode::Char('c'), _) if key.modifiers.contains(KeyModifiers::CONTROL) => KeyAction::Quit,
+            (KeyCode::Char('s'), _) => KeyAction::Ask(Request::Stop),
+            (KeyCode::Char('y'), Some(request)) => KeyAction::Ask(request),
+            // Any other key cancels the waiting request, and does nothing else.
+            (_, Some(_)) => KeyAction::Nothing,
+            _ if helped => KeyAction::Nothing,
             (KeyCode::Char('?') | KeyCode::F(1), None) => {
                 self.help = true;
-                Wish::Nothing
+                KeyAction::Nothing
             }
-            (KeyCode::Char('q') | KeyCode::Esc, None) => Wish::Quit,
+            (KeyCode::Char('q') | KeyCode::Esc, None) => KeyAction::Quit,
             (KeyCode::Char(c), None) => {
                 self.waiting = REQUESTS.into_iter().find(|(key, _)| *key == c).map(|(_, request)| request);
-                Wish::Nothing
+                KeyAction::Nothing
             }
-            _ => Wish::Nothing,
+            _ => KeyAction::Nothing,
         }
     }
 }

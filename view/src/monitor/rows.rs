@@ -1,6 +1,6 @@
 //! Bars made of characters.
 
-/// A number in [-1, 1] as a mark on a line; what lies beyond stands at its end.
+/// Draws a number in [-1, 1] as a mark on a line; a number outside is at the end of the line.
 pub(super) fn mark(value: f64, width: usize) -> String {
     let Some(place) = place(value, width) else { return unknown(width) };
     (0..width)
@@ -13,7 +13,7 @@ pub(super) fn mark(value: f64, width: usize) -> String {
         .collect()
 }
 
-/// A number in [-1, 1] as a bar from the middle.
+/// Draws a number in [-1, 1] as a bar from the middle.
 pub(super) fn bar(value: f64, width: usize) -> String {
     let Some(place) = place(value, width) else { return unknown(width) };
     let middle = width / 2;

@@ -1,7 +1,7 @@
 //! What the page shows, as the JSON that its script reads.
 
-use super::Digest;
-use super::times::Times;
+use super::RecordingDigest;
+use super::times::LatencyHistogram;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -13,7 +13,7 @@ use xxhash_rust::xxh3::xxh3_64;
 
 /// Everything on the page. Times in s from the start of the first plan, or else from the first cycle.
 #[derive(Debug, Serialize)]
-pub struct Data {
+pub struct PageData {
     name: String,
     /// Name and value.
     summary: Vec<(&'static str, String)>,
@@ -21,7 +21,7 @@ pub struct Data {
     /// Name, fingerprint, text.
     settings: Vec<(String, String, String)>,
     #[serde(flatten)]
-    body: Body,
+    body: RobotDrawing,
     /// Times of the samples.
     t: Vec<f64>,
     /// Angles of one joint each, rad.
@@ -31,16 +31,16 @@ pub struct Data {
     qd_d: Vec<Vec<f64>>,
     /// Torques of one joint each, N m.
     tau: Vec<Vec<f64>>,
-    modes: Vec<Span>,
+    modes: Vec<ModeSpan>,
     /// Times of cycles that ended late.
     late: Vec<f64>,
-    times: Vec<Times>,
+    times: Vec<LatencyHistogram>,
     period_us: f64,
 }
 
 /// A stretch of time in one mode.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Span {
+pub struct ModeSpan {
     /// The mode, or the cause of a fault.
     pub name: String,
     /// Begin, s.
@@ -51,12 +51,12 @@ pub struct Span {
 
 /// The robot as both pages draw it.
 #[derive(Debug, Serialize)]
-pub(super) struct Body {
+pub(super) struct RobotDrawing {
     links: Vec<LinkJson>,
     limits: LimitsJson,
 }
 
-impl Body {
+impl RobotDrawing {
     /// `limits`: 100 %.
     pub(super) fn new(robot: Robot, limits: &Limits) -> Self {
         Self {
@@ -109,12 +109,12 @@ pub(crate) fn round(value: f64, per_unit: f64) -> f64 {
     (value * per_unit).round() / per_unit
 }
 
-impl Data {
+impl PageData {
     /// What is to be shown of a recording, whose file is `path`.
     ///
     /// # Errors
     /// [`RecordingError`] if the recording does not hold a robot that can be drawn.
-    pub fn new(path: &Path, recording: &Recording, digest: &Digest) -> Result<Self, RecordingError> {
+    pub fn new(path: &Path, recording: &Recording, digest: &RecordingDigest) -> Result<Self, RecordingError> {
         let robot = Robot::from_urdf(urdf(path, recording)?, &digest.model)
             .map_err(|cause| RecordingError::Robot { path: path.to_owned(), cause })?;
         let samples = &digest.samples;
@@ -126,7 +126,7 @@ impl Data {
             summary: summary(digest, recording),
             details: recording.details.clone(),
             settings: settings(recording),
-            body: Body::new(robot, &digest.model.rated_limits().scale()),
+            body: RobotDrawing::new(robot, &digest.model.rated_limits().scale()),
             t: samples.iter().map(|t| digest.seconds(t.t_ns)).collect(),
             q: columns(NQ, |t, i| t.q[i]),
             qd: columns(NQ, |t, i| t.qd[i]),
@@ -161,8 +161,8 @@ fn settings(recording: &Recording) -> Vec<(String, String, String)> {
         .collect()
 }
 
-fn summary(digest: &Digest, recording: &Recording) -> Vec<(&'static str, String)> {
-    let (f, tally) = (digest.figures(), &digest.tally);
+fn summary(digest: &RecordingDigest, recording: &Recording) -> Vec<(&'static str, String)> {
+    let (f, tally) = (digest.statistics(), &digest.tally);
     let percent = |share: f64| format!("{:.0} %", 100.0 * share);
     let degraded: Vec<_> = Degradation::of(digest.degraded).map(|d| d.to_string()).collect();
     let warnings: Vec<_> = upswingd::warning_texts(digest.warnings).collect();

@@ -1,11 +1,11 @@
 //! What of any number of cycles a page and its figures show; its size does not grow with their number.
 
-use super::Span;
-use super::times::CycleTimes;
+use super::ModeSpan;
+use super::times::LatencyHistograms;
 use std::path::Path;
 use upswing_ipc::{Mode, Telemetry};
 use upswing_model::Model;
-use upswing_record::report::{FigureCounter, Figures};
+use upswing_record::evaluation::{MotionStatistics, MotionStatisticsCounter};
 use upswing_record::{Elapsed, Recording, RecordingError, Tally};
 
 /// Shortest time between two samples, ns: 250 per second are smooth on a screen.
@@ -14,7 +14,7 @@ const STEP_NS: u64 = 4_000_000;
 const SAMPLES: usize = 30_000;
 
 /// Made of one cycle after the other.
-pub struct Digest {
+pub struct RecordingDigest {
     /// The robot.
     pub model: Model,
     /// Cycles at least `step` apart, their times counted from the first cycle.
@@ -22,7 +22,7 @@ pub struct Digest {
     /// Counts of all cycles.
     pub tally: Tally,
     /// Distribution of the times of all cycles.
-    pub times: CycleTimes,
+    pub times: LatencyHistograms,
     /// Warnings of all cycles, bits as in [`Telemetry`].
     pub warnings: u64,
     /// Degradations of all cycles, bits as in [`Telemetry`].
@@ -30,7 +30,7 @@ pub struct Digest {
     /// Control period, s.
     pub period: f64,
     step_ns: u64,
-    figures: FigureCounter,
+    statistics: MotionStatisticsCounter,
     /// Name, begin and end, ns, of each stretch in one mode.
     spans: Vec<(String, u64, u64)>,
     state: Option<(u64, u64)>,
@@ -39,7 +39,7 @@ pub struct Digest {
     plan_ns: Option<u64>,
 }
 
-impl Digest {
+impl RecordingDigest {
     /// Of no cycle yet; `recording` holds what stands before the first one in the file `path`.
     ///
     /// # Errors
@@ -49,12 +49,12 @@ impl Digest {
             model: super::data::model(path, recording)?,
             samples: Vec::new(),
             tally: Tally::default(),
-            times: CycleTimes::default(),
+            times: LatencyHistograms::default(),
             warnings: 0,
             degraded: 0,
             period: period(recording),
             step_ns: STEP_NS,
-            figures: FigureCounter::default(),
+            statistics: MotionStatisticsCounter::default(),
             spans: Vec::new(),
             state: None,
             late_ns: Vec::new(),
@@ -69,7 +69,7 @@ impl Digest {
         let record = &Telemetry { t_ns: t, ..*record };
         self.tally.count(record);
         self.times.count(record);
-        self.figures.count(&self.model, self.model.rated_limits(), record);
+        self.statistics.count(&self.model, self.model.rated_limits(), record);
         self.warnings |= record.warnings;
         self.degraded |= record.degraded;
         if record.mode() == Ok(Mode::Track) {
@@ -103,13 +103,13 @@ impl Digest {
     }
 
     /// Figures of all cycles.
-    pub fn figures(&self) -> Figures {
-        self.figures.figures(self.period, self.tally.lost)
+    pub fn statistics(&self) -> MotionStatistics {
+        self.statistics.statistics(self.period, self.tally.lost)
     }
 
     /// The modes one after the other, s.
-    pub fn spans(&self) -> Vec<Span> {
-        let span = |(name, from, to): &(String, u64, u64)| Span {
+    pub fn spans(&self) -> Vec<ModeSpan> {
+        let span = |(name, from, to): &(String, u64, u64)| ModeSpan {
             name: name.clone(),
             from: self.seconds(*from),
             to: self.seconds(*to),

@@ -10,7 +10,7 @@ const BINS_PER_OCTAVE: f64 = 4.0;
 
 /// Distribution of one duration, us.
 #[derive(Clone, Debug, Serialize)]
-pub struct Times {
+pub struct LatencyHistogram {
     /// What took so long.
     pub name: &'static str,
     /// 50, 99, 99.9 and 100 %, us; all but the last at most 7 % too large.
@@ -25,19 +25,19 @@ pub struct Times {
 
 /// Counts wake-up and computing times as they come.
 #[derive(Clone, Debug, Default)]
-pub struct CycleTimes {
-    wake: Counter,
-    compute: Counter,
+pub struct LatencyHistograms {
+    wake: LatencyCounter,
+    compute: LatencyCounter,
 }
 
 #[derive(Clone, Debug, Default)]
-struct Counter {
+struct LatencyCounter {
     histogram: Histogram,
     /// Cycles by bin.
     bins: BTreeMap<u32, u64>,
 }
 
-impl CycleTimes {
+impl LatencyHistograms {
     /// The next cycle.
     pub fn count(&mut self, t: &Telemetry) {
         let clock = t.clock();
@@ -50,12 +50,12 @@ impl CycleTimes {
     }
 
     /// The distributions so far: none on `lockstep`, where nothing is measured, and no wake-ups on `paced`.
-    pub fn times(&self) -> Vec<Times> {
+    pub fn times(&self) -> Vec<LatencyHistogram> {
         [self.wake.times("wake-up"), self.compute.times("compute")].into_iter().flatten().collect()
     }
 }
 
-impl Counter {
+impl LatencyCounter {
     fn count(&mut self, ns: u64) {
         self.histogram.add(ns);
         // The scale of the bins is logarithmic and begins at 1 ns.
@@ -63,10 +63,10 @@ impl Counter {
         *self.bins.entry(bin.floor() as u32).or_default() += 1;
     }
 
-    fn times(&self, name: &'static str) -> Option<Times> {
+    fn times(&self, name: &'static str) -> Option<LatencyHistogram> {
         let (first, last) = (*self.bins.keys().next()?, *self.bins.keys().next_back()?);
         let p = self.histogram.percentiles();
-        Some(Times {
+        Some(LatencyHistogram {
             name,
             percentiles: [p.p50, p.p99, p.p99_9, p.max].map(|ns| ns as f64 * 1e-3),
             first: (f64::from(first) / BINS_PER_OCTAVE).exp2() * 1e-3,

@@ -12,7 +12,7 @@ const TICK: f64 = 0.012;
 
 /// One value of what is varied.
 #[derive(Clone, Copy, Debug)]
-pub struct Point {
+pub struct CurvePoint {
     /// The value.
     pub x: f64,
     /// Share of the runs that succeeded.
@@ -27,7 +27,7 @@ pub struct Panel {
     /// What is varied, and its unit.
     pub label: String,
     /// Name and points of each curve.
-    pub series: Vec<(String, Vec<Point>)>,
+    pub series: Vec<(String, Vec<CurvePoint>)>,
 }
 
 /// Draws the panels as an SVG.

@@ -1,8 +1,8 @@
 //! The figures of a recording as files: trajectories, modes, cycle times.
 
 use super::{Area, Drawn, svg, swing_up};
-use crate::page::times::Times;
-use crate::page::{Digest, Span};
+use crate::page::times::LatencyHistogram;
+use crate::page::{ModeSpan, RecordingDigest};
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use std::path::PathBuf;
@@ -44,7 +44,12 @@ pub fn check(page: &Output, as_svg: bool, as_png: bool) -> Result<(), OutputErro
 ///
 /// # Errors
 /// A text that says which file could not be written.
-pub fn draw(page: &Output, digest: &Digest, as_svg: bool, as_png: bool) -> Result<Vec<PathBuf>, String> {
+pub fn draw(
+    page: &Output,
+    digest: &RecordingDigest,
+    as_svg: bool,
+    as_png: bool,
+) -> Result<Vec<PathBuf>, String> {
     let mut written = Vec::new();
     let mut finish = |name: &str, drawing: &str| -> Result<(), String> {
         let mut write = |extension: &str, bytes: &[u8]| {
@@ -102,11 +107,11 @@ fn rasterise(svg: &str) -> Result<Vec<u8>, String> {
 }
 
 /// Modes as bars over time.
-fn modes(spans: &[Span]) -> Result<String, String> {
+fn modes(spans: &[ModeSpan]) -> Result<String, String> {
     svg(MODES_SIZE, |root| draw_modes(root, spans))
 }
 
-fn draw_modes(root: &Area<'_>, spans: &[Span]) -> Drawn {
+fn draw_modes(root: &Area<'_>, spans: &[ModeSpan]) -> Drawn {
     let (from, to) =
         (spans.first().map_or(0.0, |s| s.from), spans.last().map_or(1.0, |s| s.to).max(f64::MIN_POSITIVE));
     let rows = Mode::ALL.len();
@@ -138,7 +143,7 @@ fn draw_modes(root: &Area<'_>, spans: &[Span]) -> Drawn {
 }
 
 /// Wake-up and computing times as steps on logarithmic axes, with the period.
-fn cycle_times(all: &[Times], period_us: f64) -> Result<String, String> {
+fn cycle_times(all: &[LatencyHistogram], period_us: f64) -> Result<String, String> {
     svg(TIMES_SIZE, |root| draw_times(root, all, period_us))
 }
 
@@ -153,8 +158,8 @@ fn short(value: f64) -> String {
     format!("{}{letter}", (value / scale * 1e3).round() / 1e3)
 }
 
-fn draw_times(root: &Area<'_>, all: &[Times], period_us: f64) -> Drawn {
-    let ends = |t: &Times| (t.first, t.first * t.ratio.powi(t.counts.len() as i32));
+fn draw_times(root: &Area<'_>, all: &[LatencyHistogram], period_us: f64) -> Drawn {
+    let ends = |t: &LatencyHistogram| (t.first, t.first * t.ratio.powi(t.counts.len() as i32));
     let from = all.iter().map(|t| ends(t).0).fold(period_us, f64::min);
     let to = all.iter().map(|t| ends(t).1).fold(period_us * 1.3, f64::max);
     let most = all.iter().flat_map(|t| &t.counts).max().map_or(1.0, |n| *n as f64 * 1.5);

@@ -20,7 +20,7 @@ const NO_PLAN: RGBColor = RGBColor(213, 94, 0);
 
 /// A start and the margins of its plan.
 #[derive(Clone, Copy, Debug)]
-pub struct Point {
+pub struct MapPoint {
     /// q_A, deg.
     pub q_deg: [f64; NU],
     /// Smallest margins of position, velocity and torque, as shares of half the range; `None` without a plan.
@@ -29,7 +29,7 @@ pub struct Point {
 
 /// What is known about a cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Cell {
+enum MapCell {
     Empty,
     NoPlan,
     Margin(f64),
@@ -37,14 +37,14 @@ enum Cell {
 
 /// One joint's range, deg, cut into cells.
 #[derive(Clone, Copy)]
-struct Side {
+struct MapAxis {
     joint: usize,
     from: f64,
     to: f64,
     cells: usize,
 }
 
-impl Side {
+impl MapAxis {
     fn cell(&self, q_deg: &[f64; NU]) -> usize {
         let share = (q_deg[self.joint] - self.from) / (self.to - self.from);
         ((share * self.cells as f64) as usize).min(self.cells - 1)
@@ -59,14 +59,14 @@ impl Side {
 ///
 /// # Errors
 /// A text that says why the file could not be drawn.
-pub fn draw(output: &Output, axes: &[GridAxis], points: &[Point]) -> Result<(), String> {
+pub fn draw(output: &Output, axes: &[GridAxis], points: &[MapPoint]) -> Result<(), String> {
     let cells = (points.len() as f64 / STARTS_PER_CELL).sqrt().clamp(CELLS.0, CELLS.1) as usize;
-    let sides: Vec<Side> = axes
+    let sides: Vec<MapAxis> = axes
         .iter()
         .filter(|a| a.to > a.from)
-        .map(|a| Side { joint: a.joint, from: a.from.to_degrees(), to: a.to.to_degrees(), cells })
+        .map(|a| MapAxis { joint: a.joint, from: a.from.to_degrees(), to: a.to.to_degrees(), cells })
         .collect();
-    let pairs: Vec<(Side, Side)> = (0..sides.len())
+    let pairs: Vec<(MapAxis, MapAxis)> = (0..sides.len())
         .flat_map(|i| (i + 1..sides.len()).map(move |j| (i, j)))
         .map(|(i, j)| (sides[i], sides[j]))
         .collect();
@@ -90,14 +90,14 @@ pub fn draw(output: &Output, axes: &[GridAxis], points: &[Point]) -> Result<(), 
 }
 
 /// Cells of a panel, `x` running fastest.
-fn smallest(points: &[Point], kind: usize, x: &Side, y: &Side) -> Vec<Cell> {
-    let mut cells = vec![Cell::Empty; x.cells * y.cells];
+fn smallest(points: &[MapPoint], kind: usize, x: &MapAxis, y: &MapAxis) -> Vec<MapCell> {
+    let mut cells = vec![MapCell::Empty; x.cells * y.cells];
     for p in points {
         let cell = &mut cells[y.cell(&p.q_deg) * x.cells + x.cell(&p.q_deg)];
         *cell = match (*cell, p.margins) {
-            (_, None) | (Cell::NoPlan, _) => Cell::NoPlan,
-            (Cell::Empty, Some(m)) => Cell::Margin(m[kind]),
-            (Cell::Margin(known), Some(m)) => Cell::Margin(known.min(m[kind])),
+            (_, None) | (MapCell::NoPlan, _) => MapCell::NoPlan,
+            (MapCell::Empty, Some(m)) => MapCell::Margin(m[kind]),
+            (MapCell::Margin(known), Some(m)) => MapCell::Margin(known.min(m[kind])),
         };
     }
     cells
@@ -112,7 +112,7 @@ fn shade(share: f64) -> RGBColor {
     RGBColor(mix(0), mix(1), mix(2))
 }
 
-fn draw_panel(area: &Area<'_>, x: &Side, y: &Side, cells: &[Cell], range: (f64, f64)) -> Drawn {
+fn draw_panel(area: &Area<'_>, x: &MapAxis, y: &MapAxis, cells: &[MapCell], range: (f64, f64)) -> Drawn {
     let mut chart = ChartBuilder::on(area)
         .margin(6)
         .x_label_area_size(34)
@@ -132,10 +132,10 @@ fn draw_panel(area: &Area<'_>, x: &Side, y: &Side, cells: &[Cell], range: (f64, 
     chart.draw_series(cells.iter().enumerate().filter_map(|(i, cell)| {
         let (column, row) = (i % x.cells, i / x.cells);
         let fill = match cell {
-            Cell::Empty => return None,
-            Cell::NoPlan => NO_PLAN,
-            Cell::Margin(m) if range.1 > range.0 => shade((m - range.0) / (range.1 - range.0)),
-            Cell::Margin(_) => shade(1.0),
+            MapCell::Empty => return None,
+            MapCell::NoPlan => NO_PLAN,
+            MapCell::Margin(m) if range.1 > range.0 => shade((m - range.0) / (range.1 - range.0)),
+            MapCell::Margin(_) => shade(1.0),
         };
         let corners = [(x.edge(column), y.edge(row)), (x.edge(column + 1), y.edge(row + 1))];
         Some(Rectangle::new(corners, fill.filled()))

@@ -1,6 +1,6 @@
 //! A plan and the trajectory it was adapted from, as in the paper's Fig. 4.
 
-use super::{Curve, Look, POINTS, draw_panels, write};
+use super::{CurvePair, POINTS, PanelStyle, draw_panels, write};
 use upswing_model::{ActuatedVector, Limits, Model, NQ, NU, State, Workspace};
 use upswing_process::output::Output;
 use upswing_trajectory::Trajectory;
@@ -43,10 +43,10 @@ pub fn draw(
     plan: &Trajectory,
     reference: &Trajectory,
 ) -> Result<(), String> {
-    let look = Look { begin: 0.0, end: plan.t_f.max(reference.t_f), dashes: None };
+    let look = PanelStyle { begin: 0.0, end: plan.t_f.max(reference.t_f), dashes: None };
     let (plan, reference) = (Samples::of(plan, model), Samples::of(reference, model));
     let drawing = draw_panels(&look, |i| {
-        let curve = |values: &dyn Fn(&Samples) -> Vec<(f64, f64)>| Curve {
+        let curve = |values: &dyn Fn(&Samples) -> Vec<(f64, f64)>| CurvePair {
             solid: values(&plan),
             dashed: values(&reference),
         };

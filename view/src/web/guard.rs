@@ -5,7 +5,7 @@ use std::net::{IpAddr, SocketAddr};
 
 /// What counts of a request.
 #[derive(Clone, Copy, Debug)]
-pub struct Head<'a> {
+pub struct RequestHead<'a> {
     /// Method GET.
     pub get: bool,
     /// Method POST: it may change something.
@@ -20,7 +20,7 @@ pub struct Head<'a> {
 
 /// Why not.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Refusal {
+pub struct HttpRefusal {
     /// HTTP status.
     pub status: u16,
     /// For people.
@@ -58,9 +58,9 @@ impl Token {
 /// Whether the request may be answered.
 ///
 /// # Errors
-/// [`Refusal`]
-pub fn check(head: &Head<'_>, token: Option<&Token>) -> Result<(), Refusal> {
-    let refuse = |status, why| Err(Refusal { status, why });
+/// [`HttpRefusal`]
+pub fn check(head: &RequestHead<'_>, token: Option<&Token>) -> Result<(), HttpRefusal> {
+    let refuse = |status, why| Err(HttpRefusal { status, why });
     if !head.host.is_some_and(is_address) {
         return refuse(403, "expected an address or localhost as host: open the page as it was printed");
     }

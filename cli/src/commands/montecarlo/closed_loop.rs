@@ -7,7 +7,7 @@ use upswing_process::output::{Destination, Overwrite};
 use upswing_process::{Failure, shutdown_flag};
 use upswing_rig::montecarlo::StudyError;
 use upswing_rig::montecarlo::closed_loop::{self, ConditionResult};
-use upswing_rig::montecarlo::condition::Condition;
+use upswing_rig::montecarlo::condition::PlantCondition;
 use upswing_view::picture;
 
 /// Options of `montecarlo closed-loop`.
@@ -33,7 +33,7 @@ pub struct ClosedLoopArgs {
 }
 
 #[derive(Serialize)]
-struct Answer {
+struct ClosedLoopResult {
     success: bool,
     complete: bool,
     database: String,
@@ -41,7 +41,7 @@ struct Answer {
     conditions: Vec<ConditionResult>,
 }
 
-impl std::fmt::Display for Answer {
+impl std::fmt::Display for ClosedLoopResult {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let part = if self.complete { "" } else { " (interrupted)" };
         write!(f, "seed {}, {}{part}", self.seed, self.database)?;
@@ -86,14 +86,14 @@ pub fn run(args: &ClosedLoopArgs) -> Result<(), Failure> {
     let stop = shutdown_flag()?;
     let planner = args.sampling.planner(None, &stop)?;
     let config = planner.config();
-    let conditions: Vec<Condition> =
-        args.condition.iter().map(|name| Condition::new(name, config)).collect::<Result<_, _>>()?;
+    let conditions: Vec<PlantCondition> =
+        args.condition.iter().map(|name| PlantCondition::new(name, config)).collect::<Result<_, _>>()?;
     if args.picture.is_some() && conditions.len() != 1 {
         let got = conditions.len();
         return Err(Failure::BadInput(format!("--picture: expected one --condition, got {got}")));
     }
     let expected = args.sampling.indices().len() * conditions.len();
-    let study_of = |condition: Condition| -> Result<ConditionResult, Failure> {
+    let study_of = |condition: PlantCondition| -> Result<ConditionResult, Failure> {
         args.sampling.study(&planner, args.sampling.indices().len(), &stop, |study| {
             if let (Some(output), Some(index)) = (&picture, args.sampling.only) {
                 let records = closed_loop::records(study, &condition, args.seconds, index)
@@ -109,7 +109,7 @@ pub fn run(args: &ClosedLoopArgs) -> Result<(), Failure> {
     let samples = answers.iter().map(|c| c.samples).sum();
     let succeeded = answers.iter().map(|c| c.succeeded).sum();
     let complete = samples == expected;
-    args.sampling.common.print(&Answer {
+    args.sampling.common.print(&ClosedLoopResult {
         success: complete && succeeded == samples,
         complete,
         database: planner.origin().to_owned(),

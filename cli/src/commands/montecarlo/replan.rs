@@ -1,7 +1,7 @@
 //! `upswing montecarlo replan`.
 
 use super::{SamplingArgs, failed, list_failures, study_failure, writable, write_heading, write_row};
-use crate::commands::PlanFigures;
+use crate::commands::PlanSummary;
 use serde::Serialize;
 use std::time::Instant;
 use upswing_ipc::operator::Manoeuvre;
@@ -36,33 +36,39 @@ const CLOSED_DEFECT: f64 = 1e-6;
 
 /// What became of one start. All but the times depends on settings, seed and index alone.
 #[derive(Clone, Debug, Serialize)]
-struct Sample {
+struct StartResult {
     index: u64,
     start_deg: [f64; NU],
-    plan: Option<Figures>,
+    plan: Option<PlanStatistics>,
     /// Why it is no success.
     failure: Option<String>,
     #[serde(skip)]
-    times: Times,
+    times: StartTimes,
 }
 
 /// A plan's t_F, s, and the rest.
 #[derive(Clone, Debug, Serialize)]
-struct Figures {
+struct PlanStatistics {
     t_f: f64,
     #[serde(flatten)]
-    plan: PlanFigures,
+    plan: PlanSummary,
 }
 
 /// s; QPs and gains of a start without a plan: 0.
 #[derive(Clone, Copy, Debug, Default)]
-struct Times {
+struct StartTimes {
     qp: f64,
     lqr: f64,
     total: f64,
 }
 
-fn sample(planner: &Planner, solver: &mut Solver, iterations: usize, index: u64, start: &State) -> Sample {
+fn sample(
+    planner: &Planner,
+    solver: &mut Solver,
+    iterations: usize,
+    index: u64,
+    start: &State,
+) -> StartResult {
     let begin = Instant::now();
     let result = planner.replan_with(solver, Manoeuvre::SwingUp, start, &Effort::iterations(iterations));
     let total = begin.elapsed().as_secs_f64();
@@ -72,17 +78,17 @@ fn sample(planner: &Planner, solver: &mut Solver, iterations: usize, index: u64,
             let message = Box::<upswing_ipc::Plan>::from(&replan.plan(config));
             let refused = upswingd::plan::accept(&message, config).err();
             let failure = refused.map(|e| format!("the daemon refused the plan: {e}"));
-            let figures = Figures { t_f: replan.trajectory.t_f, plan: PlanFigures::new(replan) };
+            let figures = PlanStatistics { t_f: replan.trajectory.t_f, plan: PlanSummary::new(replan) };
             let (qp, lqr) = (replan.times.qp.as_secs_f64(), replan.times.lqr.as_secs_f64());
-            (Some(figures), failure, Times { qp, lqr, total })
+            (Some(figures), failure, StartTimes { qp, lqr, total })
         }
-        Err(e) => (None, Some(e.to_string()), Times { total, ..Times::default() }),
+        Err(e) => (None, Some(e.to_string()), StartTimes { total, ..StartTimes::default() }),
     };
-    Sample { index, start_deg: arm_degrees(start), plan, failure, times }
+    StartResult { index, start_deg: arm_degrees(start), plan, failure, times }
 }
 
 #[derive(Serialize)]
-struct Answer {
+struct ReplanResult {
     success: bool,
     complete: bool,
     database: String,
@@ -105,22 +111,22 @@ struct Answer {
     margin_tau: Option<Spread>,
     t_f: Option<Spread>,
     distance: Option<Spread>,
-    times: AnswerTimes,
-    results: Vec<Sample>,
+    times: ReplanTimes,
+    results: Vec<StartResult>,
     #[serde(skip)]
     threads: usize,
 }
 
 /// All in s; the only part that differs from run to run.
 #[derive(Serialize)]
-struct AnswerTimes {
+struct ReplanTimes {
     replan: Option<Spread>,
     qp: Option<Spread>,
     lqr: Option<Spread>,
     total: f64,
 }
 
-impl std::fmt::Display for Answer {
+impl std::fmt::Display for ReplanResult {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let part = if self.complete { "" } else { " (interrupted)" };
         let (n, seed) = (self.samples, self.seed);
@@ -168,33 +174,34 @@ pub fn run(args: &ReplanArgs) -> Result<(), Failure> {
     let config = planner.config();
     let iterations = config.planner.replan.iterations;
     let results = args.sampling.study(&planner, args.sampling.indices().len(), &stop, |study| {
-        let work = |solver: &mut Solver, index: u64| -> Result<Sample, NoStart> {
+        let work = |solver: &mut Solver, index: u64| -> Result<StartResult, NoStart> {
             Ok(sample(&planner, solver, iterations, index, &study.starts.start(index)?))
         };
         study.each(&study.indices, || planner.solver(), work).map_err(study_failure)
     })?;
     let complete = results.len() == args.sampling.indices().len();
     let plans = || results.iter().filter_map(|s| s.plan.as_ref());
-    let spread = |value: fn(&Figures) -> f64| Spread::of(plans().map(value));
-    let time = |value: fn(&Times) -> f64| Spread::of(results.iter().map(|s| value(&s.times)));
+    let spread = |value: fn(&PlanStatistics) -> f64| Spread::of(plans().map(value));
+    let time = |value: fn(&StartTimes) -> f64| Spread::of(results.iter().map(|s| value(&s.times)));
     // Of a start without a plan they are not known.
-    let part = |value: fn(&Times) -> f64| {
+    let part = |value: fn(&StartTimes) -> f64| {
         Spread::of(results.iter().filter(|s| s.plan.is_some()).map(|s| value(&s.times)))
     };
     let most = plans().map(|p| p.plan.attempts).max().unwrap_or(0);
     let succeeded = results.iter().filter(|s| s.failure.is_none()).count();
     let success = complete && succeeded == results.len();
     if let Some(output) = &svg {
-        let margins =
-            |p: &Figures| [p.plan.margins.margin_q, p.plan.margins.margin_qd, p.plan.margins.margin_tau];
+        let margins = |p: &PlanStatistics| {
+            [p.plan.margins.margin_q, p.plan.margins.margin_qd, p.plan.margins.margin_tau]
+        };
         let points: Vec<_> = results
             .iter()
-            .map(|s| map::Point { q_deg: s.start_deg, margins: s.plan.as_ref().map(margins) })
+            .map(|s| map::MapPoint { q_deg: s.start_deg, margins: s.plan.as_ref().map(margins) })
             .collect();
         map::draw(output, &config.grid.axes, &points).map_err(failed)?;
     }
     let samples = results.len();
-    args.sampling.common.print(&Answer {
+    args.sampling.common.print(&ReplanResult {
         success,
         complete,
         database: planner.origin().to_owned(),
@@ -212,7 +219,7 @@ pub fn run(args: &ReplanArgs) -> Result<(), Failure> {
         margin_tau: spread(|p| p.plan.margins.margin_tau),
         t_f: spread(|p| p.t_f),
         distance: spread(|p| p.plan.distance),
-        times: AnswerTimes {
+        times: ReplanTimes {
             replan: time(|t| t.total),
             qp: part(|t| t.qp),
             lqr: part(|t| t.lqr),

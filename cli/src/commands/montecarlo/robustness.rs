@@ -9,8 +9,8 @@ use upswing_process::number::within;
 use upswing_process::output::{Destination, Overwrite};
 use upswing_process::{Failure, shutdown_flag};
 use upswing_rig::montecarlo::StudyError;
-use upswing_rig::montecarlo::robustness::{self, Case, Curve, Point};
-use upswing_rig::montecarlo::variation::{Misses, Variation};
+use upswing_rig::montecarlo::robustness::{self, RobustnessCase, SuccessCurve, SuccessPoint};
+use upswing_rig::montecarlo::variation::{MissedCycleCounts, Variation};
 use upswing_view::picture::{self, curves};
 
 /// Options of `montecarlo robustness`.
@@ -49,22 +49,22 @@ pub struct RobustnessArgs {
 }
 
 #[derive(Serialize)]
-struct Answer {
+struct RobustnessResult {
     success: bool,
     complete: bool,
     database: String,
     seed: u64,
-    curves: Vec<Curve>,
-    times: Times,
+    curves: Vec<SuccessCurve>,
+    times: RobustnessTimes,
 }
 
 /// In s; the only part that differs from run to run.
 #[derive(Serialize)]
-struct Times {
+struct RobustnessTimes {
     total: f64,
 }
 
-impl std::fmt::Display for Answer {
+impl std::fmt::Display for RobustnessResult {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let part = if self.complete { "" } else { " (interrupted)" };
         write!(f, "seed {}, {}{part}, {:.0} s", self.seed, self.database, self.times.total)?;
@@ -72,12 +72,12 @@ impl std::fmt::Display for Answer {
     }
 }
 
-fn write_curve(f: &mut std::fmt::Formatter<'_>, c: &Curve) -> std::fmt::Result {
+fn write_curve(f: &mut std::fmt::Formatter<'_>, c: &SuccessCurve) -> std::fmt::Result {
     write!(f, "\n{}, velocities from the {}:", c.label, c.velocity)?;
     c.points.iter().try_for_each(|p| write_point(f, p))
 }
 
-fn write_point(f: &mut std::fmt::Formatter<'_>, p: &Point) -> std::fmt::Result {
+fn write_point(f: &mut std::fmt::Formatter<'_>, p: &SuccessPoint) -> std::fmt::Result {
     const SHOWN: usize = 10;
     let (low, high) = (100.0 * p.interval.0, 100.0 * p.interval.1);
     let (value, succeeded, samples) = (p.value, p.succeeded, p.samples);
@@ -98,7 +98,7 @@ fn write_point(f: &mut std::fmt::Formatter<'_>, p: &Point) -> std::fmt::Result {
 /// `--only` did not end balanced.
 pub fn run(args: &RobustnessArgs) -> Result<(), Failure> {
     let begin = Instant::now();
-    let misses = args.missed.as_deref().map_or_else(|| Ok(Misses::default()), misses)?;
+    let misses = args.missed.as_deref().map_or_else(|| Ok(MissedCycleCounts::default()), misses)?;
     if args.over.contains(&Variation::Jitter) && args.missed.is_none() {
         return Err(Failure::BadInput("--over jitter: expected a file by --missed, got none".into()));
     }
@@ -130,13 +130,13 @@ pub fn run(args: &RobustnessArgs) -> Result<(), Failure> {
     }
     let succeeded = curves.iter().flat_map(|c| &c.points).all(|p| p.succeeded == p.samples);
     let success = complete && (succeeded || args.sampling.only.is_none());
-    args.sampling.common.print(&Answer {
+    args.sampling.common.print(&RobustnessResult {
         success,
         complete,
         database: planner.origin().to_owned(),
         seed: args.sampling.seed,
         curves,
-        times: Times { total: begin.elapsed().as_secs_f64() },
+        times: RobustnessTimes { total: begin.elapsed().as_secs_f64() },
     })?;
     match (complete, success) {
         (true, true) => Ok(()),
@@ -146,7 +146,7 @@ pub fn run(args: &RobustnessArgs) -> Result<(), Failure> {
 }
 
 /// All values of all curves: the values of a curve one after the other.
-fn cases(args: &RobustnessArgs, config: &Config) -> Result<Vec<Case>, Failure> {
+fn cases(args: &RobustnessArgs, config: &Config) -> Result<Vec<RobustnessCase>, Failure> {
     let mut base = config.clone();
     if let Some(scenario) = &args.scenario {
         base.use_scenario(scenario)?;
@@ -157,7 +157,7 @@ fn cases(args: &RobustnessArgs, config: &Config) -> Result<Vec<Case>, Failure> {
         let values = args.values.as_deref().unwrap_or(over.values());
         for velocity in &velocities {
             for value in values {
-                let case = Case::new(*over, *value, *velocity, &base);
+                let case = RobustnessCase::new(*over, *value, *velocity, &base);
                 cases.push(case.map_err(|e| Failure::BadInput(format!("--values: {e}")))?);
             }
         }
@@ -166,10 +166,10 @@ fn cases(args: &RobustnessArgs, config: &Config) -> Result<Vec<Case>, Failure> {
 }
 
 /// How often cycles were missed, as `upswing soak --json` prints it.
-fn misses(path: &Path) -> Result<Misses, Failure> {
+fn misses(path: &Path) -> Result<MissedCycleCounts, Failure> {
     let refuse = |text: String| Failure::BadInput(format!("--missed {}: {text}", path.display()));
     let text = upswing_config::read_file(path).map_err(|e| refuse(e.to_string()))?;
-    let misses: Misses = serde_json::from_slice(&text).map_err(|e| {
+    let misses: MissedCycleCounts = serde_json::from_slice(&text).map_err(|e| {
         refuse(format!("expected {{\"cycles\": N, \"missed\": {{\"LENGTH\": COUNT, ..}}}}: {e}"))
     })?;
     if misses.cycles == 0 || misses.missed.values().all(|n| *n == 0) || misses.missed.contains_key(&0) {
@@ -179,10 +179,10 @@ fn misses(path: &Path) -> Result<Misses, Failure> {
 }
 
 /// One panel for each thing that is varied.
-fn panels(all: &[Curve]) -> Vec<curves::Panel> {
+fn panels(all: &[SuccessCurve]) -> Vec<curves::Panel> {
     let mut panels: Vec<curves::Panel> = Vec::new();
     for curve in all {
-        let points = curve.points.iter().map(|p| curves::Point {
+        let points = curve.points.iter().map(|p| curves::CurvePoint {
             x: p.value,
             share: p.succeeded as f64 / p.samples.max(1) as f64,
             interval: p.interval,

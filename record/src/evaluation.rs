@@ -9,7 +9,7 @@ use upswing_model::{JointVector, Limits, Model, NQ, NU};
 
 /// Figures of any stretch of records.
 #[derive(Clone, Debug, Serialize)]
-pub struct Figures {
+pub struct MotionStatistics {
     /// Largest difference between a joint angle and its reference while tracking, rad, of joints 1-7 and 8-9.
     pub tracking_error_arm: f64,
     /// See `tracking_error_arm`.
@@ -40,7 +40,7 @@ pub struct Figures {
 
 /// A swing-up and whether it was one.
 #[derive(Clone, Debug, Serialize)]
-pub struct Report {
+pub struct SwingUpEvaluation {
     /// Balanced to the end, all limits kept.
     pub success: bool,
     /// Why not, for people.
@@ -57,7 +57,7 @@ pub struct Report {
     pub defect: f64,
     /// What the records show.
     #[serde(flatten)]
-    pub figures: Figures,
+    pub statistics: MotionStatistics,
 }
 
 /// Tilt up to which the pendulum counts as balanced, deg.
@@ -81,13 +81,13 @@ pub fn tilt(model: &Model, q: &JointVector) -> f64 {
 }
 
 /// How far an angle was past its limit, and when.
-struct Beyond<'a> {
+struct LimitExcess<'a> {
     rad: f64,
     joint: usize,
     record: Option<&'a Telemetry>,
 }
 
-impl std::fmt::Display for Beyond<'_> {
+impl std::fmt::Display for LimitExcess<'_> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "joint {} went {:.5} rad past its position limit", self.joint + 1, self.rad)?;
         if let Some((record, mode)) = self.record.and_then(|r| Some((r, r.mode().ok()?))) {
@@ -97,9 +97,9 @@ impl std::fmt::Display for Beyond<'_> {
     }
 }
 
-/// Makes [`Figures`] of one record after the other.
+/// Makes [`MotionStatistics`] of one record after the other.
 #[derive(Clone, Debug, Default)]
-pub struct FigureCounter {
+pub struct MotionStatisticsCounter {
     tracking_error_arm: f64,
     tracking_error_pendulum: f64,
     peak_position: f64,
@@ -122,7 +122,7 @@ pub struct FigureCounter {
     end: VecDeque<(u64, f64, f64)>,
 }
 
-impl FigureCounter {
+impl MotionStatisticsCounter {
     /// The next record.
     pub fn count(&mut self, model: &Model, limits: &Limits, t: &Telemetry) {
         /// ns
@@ -171,12 +171,12 @@ impl FigureCounter {
     }
 
     /// The figures of all records so far, of which `dropped` were lost. `period` in s.
-    pub fn figures(&self, period: f64, dropped: u64) -> Figures {
+    pub fn statistics(&self, period: f64, dropped: u64) -> MotionStatistics {
         let most = |of: fn(&(u64, f64, f64)) -> f64| match self.end.is_empty() {
             true => f64::NAN,
             false => self.end.iter().map(of).fold(0.0, f64::max),
         };
-        Figures {
+        MotionStatistics {
             tracking_error_arm: self.tracking_error_arm,
             tracking_error_pendulum: self.tracking_error_pendulum,
             peak_position: self.peak_position,
@@ -194,7 +194,7 @@ impl FigureCounter {
     }
 }
 
-impl<'a> Beyond<'a> {
+impl<'a> LimitExcess<'a> {
     fn most(limits: &Limits, records: &'a [Telemetry]) -> Self {
         let mut most = Self { rad: f64::NEG_INFINITY, joint: 0, record: None };
         for t in records {
@@ -209,7 +209,7 @@ impl<'a> Beyond<'a> {
     }
 }
 
-impl Report {
+impl SwingUpEvaluation {
     /// Evaluates the records of a swing-up that shall balance for `seconds`. `fastest`: the largest true speeds of all
     /// joints, rad/s, where a simulated plant knows them; they count besides the estimated ones, which the filter smooths.
     pub fn new(
@@ -222,18 +222,18 @@ impl Report {
     ) -> Self {
         let limits = &config.robot.limits;
         let period = config.daemon.cycle.period.seconds();
-        let mut counter = FigureCounter::default();
+        let mut counter = MotionStatisticsCounter::default();
         records.iter().for_each(|record| counter.count(&config.model, limits, record));
-        let mut figures = counter.figures(period, dropped);
+        let mut statistics = counter.statistics(period, dropped);
         if let Some(fastest) = fastest {
             let shares = fastest.component_div(&limits.qd_max);
-            figures.peak_velocity = shares.fixed_rows::<NU>(0).max().max(figures.peak_velocity);
-            figures.peak_velocity_pendulum =
-                shares.fixed_rows::<{ NQ - NU }>(NU).max().max(figures.peak_velocity_pendulum);
+            statistics.peak_velocity = shares.fixed_rows::<NU>(0).max().max(statistics.peak_velocity);
+            statistics.peak_velocity_pendulum =
+                shares.fixed_rows::<{ NQ - NU }>(NU).max().max(statistics.peak_velocity_pendulum);
         }
-        let beyond = Beyond::most(limits, records);
+        let beyond = LimitExcess::most(limits, records);
         let mut failures = Vec::new();
-        let f = &figures;
+        let f = &statistics;
         let mut fail = |bad: bool, text: String| {
             if bad {
                 failures.push(text);
@@ -283,12 +283,12 @@ impl Report {
             nearest_entry: plan.nearest_entry,
             distance: plan.distance,
             defect: plan.defect,
-            figures,
+            statistics,
         }
     }
 }
 
-impl std::fmt::Display for Report {
+impl std::fmt::Display for SwingUpEvaluation {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         writeln!(f, "{}", if self.success { "Swing-up: balanced" } else { "Swing-up: FAILED" })?;
         for reason in &self.failures {
@@ -306,24 +306,24 @@ impl std::fmt::Display for Report {
         writeln!(
             f,
             "  tracking  within {:.3} rad (joints 1-7), {:.3} rad (pendulum)",
-            self.figures.tracking_error_arm, self.figures.tracking_error_pendulum
+            self.statistics.tracking_error_arm, self.statistics.tracking_error_pendulum
         )?;
         writeln!(
             f,
             "  balance   {:.2} s, rod within {:.2} deg of upright and arm below {:.3} rad/s in the last second",
-            self.figures.balance_s, self.figures.final_tilt_deg, self.figures.final_speed
+            self.statistics.balance_s, self.statistics.final_tilt_deg, self.statistics.final_speed
         )?;
         writeln!(
             f,
             "  peaks     position {:.0} %, velocity {:.0} %, torque {:.0} % of the 100 % limits of joints 1-7",
-            100.0 * self.figures.peak_position,
-            100.0 * self.figures.peak_velocity,
-            100.0 * self.figures.peak_torque
+            100.0 * self.statistics.peak_position,
+            100.0 * self.statistics.peak_velocity,
+            100.0 * self.statistics.peak_torque
         )?;
         write!(
             f,
             "  cycles    {} recorded, {} lost, {} late",
-            self.figures.cycles, self.figures.dropped, self.figures.overruns
+            self.statistics.cycles, self.statistics.dropped, self.statistics.overruns
         )
     }
 }

@@ -1,18 +1,18 @@
-//! Makes a [`View`] of what arrives.
+//! Builds a [`View`] from telemetry, plans and the reports of the request thread.
 
-use super::desk::News;
-use super::{Cycle, Event, Joint, Kind, PlanView, Status, View};
+use super::request_thread::LiveUpdate;
+use super::{CycleView, DaemonStatus, Event, JointView, PlanView, Severity, View};
 use std::collections::VecDeque;
 use upswing_config::Config;
 use upswing_ipc::{Mode, Plan, Telemetry};
 use upswing_model::{JointVector, Limits, Model, NQ, NU};
 use upswing_record::Tally;
-use upswing_record::report::tilt;
+use upswing_record::evaluation::tilt;
 
-/// Events that are remembered.
+/// Number of events kept.
 const EVENTS: usize = 100;
 
-/// The 100 % limits, with the positions open to plans where those reach farther: q8 swings past its target.
+/// The 100 % limits; positions have the limits of plans where these are wider: q8 swings past its target.
 fn widest(rated: &Limits, planning: &Limits) -> Limits {
     Limits {
         q_min: rated.q_min.zip_map(&planning.q_min, f64::min),
@@ -21,19 +21,19 @@ fn widest(rated: &Limits, planning: &Limits) -> Limits {
     }
 }
 
-/// All that is known about a running system.
-pub struct Watch {
+/// State of a running system, as far as it is known from what has arrived.
+pub struct ViewBuilder {
     domain: String,
     model: Model,
     limits: Limits,
     t: f64,
     tally: Tally,
     newest: Option<Telemetry>,
-    /// Mode and fault, whose change is an event.
+    /// Codes of mode and fault of the newest cycle; a change is an event.
     state: Option<(u64, u64)>,
-    /// Warnings that were told since the last change of mode.
+    /// Warnings reported since the last change of mode, bits as in the telemetry.
     warned: u64,
-    status: Option<Status>,
+    status: Option<DaemonStatus>,
     plan: Option<PlanView>,
     present: Option<[bool; 3]>,
     asking: Option<&'static str>,
@@ -42,8 +42,8 @@ pub struct Watch {
     events: VecDeque<Event>,
 }
 
-impl Watch {
-    /// Nothing is known yet.
+impl ViewBuilder {
+    /// A builder to which nothing has arrived yet.
     pub fn new(config: &Config, domain: &str) -> Self {
         Self {
             domain: domain.to_owned(),
@@ -64,18 +64,18 @@ impl Watch {
         }
     }
 
-    /// Time passes; s.
+    /// Sets the time since the start of the view, s.
     pub fn now(&mut self, t: f64) {
         self.t = t;
     }
 
-    /// A cycle arrived.
+    /// Takes in the record of a cycle.
     pub fn cycle(&mut self, record: &Telemetry) {
         let lost = self.tally.lost;
         self.tally.count(record);
         if self.tally.lost > lost {
             let lost = self.tally.lost - lost;
-            self.tell(Kind::Warning, format!("{lost} cycles were lost on the way here"));
+            self.tell(Severity::Warning, format!("{lost} cycles were lost on the way here"));
         }
         if self.state != Some((record.mode, record.fault)) {
             self.state = Some((record.mode, record.fault));
@@ -83,87 +83,87 @@ impl Watch {
             match upswingd::fault_text(record.fault).filter(|_| record.mode() == Ok(Mode::Fault)) {
                 Some(cause) => {
                     self.faults += 1;
-                    self.tell(Kind::Fault, format!("fault: {cause}"));
+                    self.tell(Severity::Fault, format!("fault: {cause}"));
                 }
-                None => self.tell(Kind::Note, format!("mode {}", record.mode_text())),
+                None => self.tell(Severity::Note, format!("mode {}", record.mode_text())),
             }
         }
         let new = record.warnings & !self.warned;
         self.warned |= record.warnings;
         for text in upswingd::warning_texts(new) {
-            self.tell(Kind::Warning, format!("warning: {text}"));
+            self.tell(Severity::Warning, format!("warning: {text}"));
         }
         self.newest = Some(*record);
     }
 
-    /// No cycle came lately.
+    /// Takes in that no cycle has arrived for a while.
     pub fn silence(&mut self) {
         if self.newest.take().is_some() {
-            self.tell(Kind::Warning, "no cycles arrive any more".into());
+            self.tell(Severity::Warning, "no cycles arrive any more".into());
         }
         self.state = None;
     }
 
-    /// A plan arrived; a damaged one is the daemon's to refuse.
+    /// Takes in a plan. The daemon refuses a damaged plan; here it is only an event.
     pub fn plan(&mut self, plan: &Plan) {
         if !plan.is_intact() {
-            return self.tell(Kind::Warning, "a damaged plan was published".into());
+            return self.tell(Severity::Warning, "a damaged plan was published".into());
         }
         let q = JointVector::from_fn(|i, _| plan.x[plan.x.len() - 1][i]);
         let stands = tilt(&self.model, &q) < std::f64::consts::FRAC_PI_2;
         let view = PlanView { id: format!("{:016x}", plan.id), t_f: plan.t_f, stands };
         let end = if stands { "standing" } else { "hanging" };
-        self.tell(Kind::Note, format!("plan of {:.3} s that ends {end}", plan.t_f));
+        self.tell(Severity::Note, format!("plan of {:.3} s that ends {end}", plan.t_f));
         self.plan = Some(view);
         self.plans += 1;
     }
 
-    /// The desk has something to say.
-    pub(super) fn news(&mut self, news: News) {
-        match news {
-            News::Present(present) => {
+    /// Takes in a report of the request thread.
+    pub(super) fn update(&mut self, update: LiveUpdate) {
+        match update {
+            LiveUpdate::Processes(present) => {
                 let before = self.present.replace(present);
                 for (i, name) in ["daemon", "planner", "plant"].into_iter().enumerate() {
                     if before.is_some_and(|before| before[i] != present[i]) {
                         let text = if present[i] { "has started" } else { "is gone" };
-                        self.tell(Kind::Note, format!("the {name} {text}"));
+                        self.tell(Severity::Note, format!("the {name} {text}"));
                     }
                 }
             }
-            News::Status(answer) => {
-                let status = answer.map(|answer| Status::new(&answer));
-                let told = |s: &Option<Status>| s.as_ref().and_then(|s| s.last_overrun.clone());
+            LiveUpdate::Status(answer) => {
+                let status = answer.map(|answer| DaemonStatus::new(&answer));
+                let told = |s: &Option<DaemonStatus>| s.as_ref().and_then(|s| s.last_overrun.clone());
                 if let Some(late) =
                     told(&status).filter(|_| self.status.is_some() && told(&status) != told(&self.status))
                 {
-                    self.tell(Kind::Warning, format!("late: {late}"));
+                    self.tell(Severity::Warning, format!("late: {late}"));
                 }
                 self.status = status;
             }
-            News::Asked(request) => {
+            LiveUpdate::Sent(request) => {
                 self.asking = Some(request.name());
-                self.tell(Kind::Note, format!("asked: {}", request.name()));
+                self.tell(Severity::Note, format!("asked: {}", request.name()));
             }
-            News::Answer(request, answer) => {
+            LiveUpdate::Answered(request, answer) => {
                 if self.asking == Some(request.name()) {
                     self.asking = None;
                 }
                 match answer {
-                    Ok(accepted) => self.tell(Kind::Note, format!("{}: {accepted}", request.name())),
-                    Err(why) => self.tell(Kind::Warning, format!("{}: {why}", request.name())),
+                    Ok(accepted) => self.tell(Severity::Note, format!("{}: {accepted}", request.name())),
+                    Err(why) => self.tell(Severity::Warning, format!("{}: {why}", request.name())),
                 }
             }
         }
     }
 
-    fn tell(&mut self, kind: Kind, text: String) {
+    fn tell(&mut self, kind: Severity, text: String) {
         if self.events.len() == EVENTS {
             self.events.pop_front();
         }
         self.events.push_back(Event { t: self.t, kind, text });
     }
 
-    /// What there is to see.
+    /// The view of the present state.
     pub fn view(&self) -> View {
         let [daemon, planner, plant] = self.present.unwrap_or_default();
         let cycle = self.newest.as_ref();
@@ -191,13 +191,13 @@ impl Watch {
         }
     }
 
-    fn show(&self, r: &Telemetry) -> Cycle {
+    fn show(&self, r: &Telemetry) -> CycleView {
         let q = JointVector::from(r.q);
         let rod = self.model.rod(&q);
         let error =
             |joints: std::ops::Range<usize>| joints.map(|i| (r.q[i] - r.q_d[i]).abs()).fold(0.0, f64::max);
         let follows = matches!(r.mode(), Ok(Mode::Track | Mode::Balance));
-        Cycle {
+        CycleView {
             seq: r.seq,
             t: r.t_ns as f64 * 1e-9,
             fault: upswingd::fault_text(r.fault),
@@ -210,7 +210,7 @@ impl Watch {
             rod: (rod / rod.norm()).into(),
             error_arm: if follows { error(0..NU) } else { 0.0 },
             error_pendulum: if follows { error(NU..NQ) } else { 0.0 },
-            joints: std::array::from_fn(|i| Joint {
+            joints: std::array::from_fn(|i| JointView {
                 q: r.q[i],
                 qd: r.qd[i],
                 tau: if i < NU { r.tau[i] } else { 0.0 },

@@ -2,7 +2,7 @@
 
 use crate::live::View;
 use crate::page::round;
-use crate::page::times::{CycleTimes, Times};
+use crate::page::times::{LatencyHistogram, LatencyHistograms};
 use serde::Serialize;
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -19,9 +19,9 @@ const EVENTS: usize = 30;
 
 /// Picks samples of the motion.
 #[derive(Default)]
-pub(super) struct Sampler {
+pub(super) struct MotionSampler {
     frame: Motion,
-    times: CycleTimes,
+    times: LatencyHistograms,
     sampled_ns: Option<u64>,
 }
 
@@ -59,10 +59,10 @@ impl Default for Motion {
 struct Frame {
     view: View,
     motion: Motion,
-    times: Vec<Times>,
+    times: Vec<LatencyHistogram>,
 }
 
-impl Sampler {
+impl MotionSampler {
     /// The next cycle.
     pub fn take(&mut self, record: &Telemetry) {
         let t = record.t_ns as f64 * 1e-9;
@@ -102,7 +102,7 @@ impl Sampler {
 }
 
 /// The newest frames.
-pub(super) struct Feed {
+pub(super) struct FrameBuffer {
     frames: Mutex<Frames>,
     /// Number of the next frame.
     next: watch::Sender<u64>,
@@ -116,13 +116,13 @@ struct Frames {
 }
 
 /// Follows the feed.
-pub(super) struct Reader {
-    feed: Arc<Feed>,
+pub(super) struct FrameReader {
+    feed: Arc<FrameBuffer>,
     pushed: watch::Receiver<u64>,
     next: u64,
 }
 
-impl Feed {
+impl FrameBuffer {
     pub fn new() -> Arc<Self> {
         Arc::new(Self { frames: Mutex::default(), next: watch::Sender::default() })
     }
@@ -140,8 +140,8 @@ impl Feed {
     }
 
     /// Begins with the oldest frame.
-    pub fn reader(self: &Arc<Self>) -> Reader {
-        Reader { feed: Arc::clone(self), pushed: self.next.subscribe(), next: 0 }
+    pub fn reader(self: &Arc<Self>) -> FrameReader {
+        FrameReader { feed: Arc::clone(self), pushed: self.next.subscribe(), next: 0 }
     }
 
     /// Nothing is left half done by a thread that panics.
@@ -158,7 +158,7 @@ impl Feed {
     }
 }
 
-impl Reader {
+impl FrameReader {
     /// Waits for the next frame; `None`: none follows.
     pub async fn next(&mut self) -> Option<Arc<str>> {
         loop {

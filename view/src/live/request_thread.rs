@@ -1,4 +1,4 @@
-//! Makes requests while the picture goes on.
+//! The thread that makes the requests of an operator, so that views of the system are not held up by them.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,58 +11,58 @@ use upswing_ipc::{ControlResponse, Node};
 /// Time between two requests for the daemon's status.
 const PERIOD: Duration = Duration::from_millis(200);
 
-/// What became of a request, for people.
-pub type Reply = Result<Accepted, String>;
+/// Result of a request; an error is text for people.
+pub type RequestResult = Result<Accepted, String>;
 
-/// What the desk has found out.
-pub(super) enum News {
-    /// Whether there are daemon, planner and plant.
-    Present([bool; 3]),
-    /// The daemon's status; `None`: no answer.
+/// What the request thread reports to the view.
+pub(super) enum LiveUpdate {
+    /// Whether daemon, planner and plant are running.
+    Processes([bool; 3]),
+    /// State of the daemon; `None` if it does not respond.
     Status(Option<Box<ControlResponse>>),
-    /// A request was made.
-    Asked(Request),
+    /// A request was sent.
+    Sent(Request),
     /// A request was answered.
-    Answer(Request, Reply),
+    Answered(Request, RequestResult),
 }
 
-struct Order {
+struct PendingRequest {
     request: Request,
-    reply: Sender<Reply>,
+    reply: Sender<RequestResult>,
 }
 
-/// Makes requests; for any thread.
+/// Sends requests to the request thread; usable from any thread.
 #[derive(Clone)]
-pub struct Asker(Sender<Order>);
+pub struct RequestSender(Sender<PendingRequest>);
 
-impl Asker {
-    /// Asks; the answer comes through the returned end, and is an event of the view.
-    pub fn ask(&self, request: Request) -> Receiver<Reply> {
+impl RequestSender {
+    /// Sends a request. Its result arrives in the returned receiver and as an event of the view.
+    pub fn ask(&self, request: Request) -> Receiver<RequestResult> {
         let (reply, answer) = channel();
-        // Where the desk is gone, the other end of `reply` goes with the order, and the receiver sees it.
-        let _ = self.0.send(Order { request, reply });
+        // If the request thread has ended, `reply` is dropped with the request, and the receiver reports that.
+        let _ = self.0.send(PendingRequest { request, reply });
         answer
     }
 }
 
-/// The thread that asks.
-pub(super) struct Desk {
-    asker: Asker,
-    news: Receiver<News>,
+/// Handle of the request thread; dropping it ends the thread.
+pub(super) struct RequestThread {
+    requests: RequestSender,
+    updates: Receiver<LiveUpdate>,
     thread: Option<JoinHandle<()>>,
     closing: Arc<AtomicBool>,
 }
 
-impl Desk {
+impl RequestThread {
     pub fn open(node: &Node) -> Result<Self, OperatorError> {
         let (orders_in, orders) = channel();
-        let (news_in, news) = channel();
+        let (news_in, updates) = channel();
         let (node, closing) = (node.clone(), Arc::new(AtomicBool::new(false)));
         let closed = Arc::clone(&closing);
-        // Ends of services stay in the thread that made them, so it says whether it could.
+        // Ports stay in the thread that opened them, so the thread reports whether it could open them.
         let (opened, is_open) = channel();
         let thread = std::thread::spawn(move || {
-            let (work, result) = match Work::new(node, news_in) {
+            let (work, result) = match RequestWorker::new(node, news_in) {
                 Ok(work) => (Some(work), Ok(())),
                 Err(e) => (None, Err(e)),
             };
@@ -72,25 +72,25 @@ impl Desk {
             }
         });
         let Ok(opened) = is_open.recv() else {
-            // It panicked: a desk of which nothing is ever heard would look like a system that is not there.
+            // It panicked: a thread that reports nothing would look like a system that is not running.
             let panic = thread.join().err();
             std::panic::resume_unwind(panic.unwrap_or_else(|| Box::new("the desk ended at its start")));
         };
         opened?;
-        Ok(Self { asker: Asker(orders_in), news, thread: Some(thread), closing })
+        Ok(Self { requests: RequestSender(orders_in), updates, thread: Some(thread), closing })
     }
 
-    pub fn asker(&self) -> Asker {
-        self.asker.clone()
+    pub fn request_sender(&self) -> RequestSender {
+        self.requests.clone()
     }
 
-    pub fn news(&self) -> impl Iterator<Item = News> + '_ {
-        self.news.try_iter()
+    pub fn updates(&self) -> impl Iterator<Item = LiveUpdate> + '_ {
+        self.updates.try_iter()
     }
 }
 
-impl Drop for Desk {
-    /// Withdraws what is being planned.
+impl Drop for RequestThread {
+    /// Withdraws a manoeuvre that is being planned.
     fn drop(&mut self) {
         self.closing.store(true, Ordering::Release);
         if let Some(thread) = self.thread.take() {
@@ -99,26 +99,26 @@ impl Drop for Desk {
     }
 }
 
-/// A plan that is being made.
+/// A manoeuvre that is being planned, in a thread of its own.
 struct Planning {
     thread: JoinHandle<()>,
     withdrawn: Arc<AtomicBool>,
 }
 
-struct Work {
+struct RequestWorker {
     node: Node,
     operator: Operator,
     plant: upswing_ipc::Client<upswing_ipc::PlantRequest>,
-    news: Sender<News>,
+    updates: Sender<LiveUpdate>,
     planning: Option<Planning>,
 }
 
-impl Work {
-    fn new(node: Node, news: Sender<News>) -> Result<Self, OperatorError> {
-        Ok(Self { operator: Operator::new(&node)?, plant: node.client()?, node, news, planning: None })
+impl RequestWorker {
+    fn new(node: Node, updates: Sender<LiveUpdate>) -> Result<Self, OperatorError> {
+        Ok(Self { operator: Operator::new(&node)?, plant: node.client()?, node, updates, planning: None })
     }
 
-    fn run(&mut self, orders: &Receiver<Order>, closing: &AtomicBool) {
+    fn run(&mut self, orders: &Receiver<PendingRequest>, closing: &AtomicBool) {
         let mut looked: Option<Instant> = None;
         while !closing.load(Ordering::Acquire) {
             if looked.is_none_or(|t| t.elapsed() >= PERIOD) {
@@ -141,16 +141,16 @@ impl Work {
         let status = self.operator.status();
         let planner = self.operator.has_planner().is_ok_and(|present| present);
         let present = [status.is_ok(), planner, self.plant.has_server()];
-        let _ = self.news.send(News::Present(present));
-        let _ = self.news.send(News::Status(status.ok().map(Box::new)));
+        let _ = self.updates.send(LiveUpdate::Processes(present));
+        let _ = self.updates.send(LiveUpdate::Status(status.ok().map(Box::new)));
     }
 
-    /// Plans are made beside, so that a stop is never kept waiting.
-    fn serve(&mut self, Order { request, reply }: Order) {
-        let _ = self.news.send(News::Asked(request));
-        let news = self.news.clone();
-        let answer = move |result: Reply| {
-            let _ = news.send(News::Answer(request, result.clone()));
+    /// A manoeuvre gets a thread of its own, so that a stop never waits for a plan.
+    fn serve(&mut self, PendingRequest { request, reply }: PendingRequest) {
+        let _ = self.updates.send(LiveUpdate::Sent(request));
+        let updates = self.updates.clone();
+        let answer = move |result: RequestResult| {
+            let _ = updates.send(LiveUpdate::Answered(request, result.clone()));
             let _ = reply.send(result);
         };
         match request {
