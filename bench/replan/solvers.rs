@@ -106,9 +106,9 @@ fn replans(planner: &Planner, starts: &[State]) {
         })
         .collect();
     print_both("whole replan", &times);
-    print("  its linearisations and QPs, wall", plans.iter().map(|p| p.times.qp));
-    print("  its checks, wall", plans.iter().map(|p| p.times.check));
-    print("  its gains, wall", plans.iter().map(|p| p.times.lqr));
+    print("  its linearisations and QPs, wall", plans.iter().map(|p| p.statistics.qp));
+    print("  its checks, wall", plans.iter().map(|p| p.statistics.check));
+    print("  its gains, wall", plans.iter().map(|p| p.statistics.lqr));
     let mut iterations: Vec<usize> = plans.iter().map(|p| p.iterations).collect();
     iterations.sort_unstable();
     println!(

@@ -6,8 +6,8 @@
 //!   - dt (f_k + f_{k+1}) / (2 N) + r_k = 0 (14), dx_0 given (15), the rows of the target (8),
 //! - bounds of dx_1..dx_N and dt, and the linearised torque (9) or (11) of every knot within its bounds.
 //!
-//! [`Solver`] hides which back end works: [`structured`] knows these stages and is the one for daily use; Clarabel,
-//! which was written by others and knows nothing of them, is there to compare with.
+//! [`Solver`] has two back ends. [`structured`] uses the stages and is fast. Clarabel, a general sparse solver of other authors, is
+//! slower and scales the program; it is a second opinion where [`structured`] makes no progress, and the reference of the tests.
 
 mod clarabel;
 pub mod structured;
@@ -222,6 +222,18 @@ pub enum Status {
     Cancelled,
     /// Neither solved nor found infeasible.
     Stalled(Stall),
+}
+
+impl std::fmt::Display for Status {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Solved => f.write_str("solved"),
+            Self::Infeasible(_) => f.write_str("infeasible"),
+            Self::Deadline => f.write_str("the deadline passed"),
+            Self::Cancelled => f.write_str("cancelled"),
+            Self::Stalled(stall) => stall.fmt(f),
+        }
+    }
 }
 
 /// Why a solver stopped before it knew the answer.

@@ -8,7 +8,7 @@
 
 mod outcome;
 
-pub use outcome::{Attempt, Method, NoPlan, Refusal, Replan, Times};
+pub use outcome::{Attempt, Method, NoPlan, Refusal, Replan, SecondOpinion, Statistics};
 
 use crate::database::{DatabaseFile, NearestPose, Neighbour};
 use crate::offline::{self, lqr_weights, problem, problem_fingerprint, qp_weights, torque_constraint};
@@ -21,7 +21,7 @@ use upswing_ocp::kkt::{KnotVector, TargetRow};
 use upswing_ocp::lqr;
 use upswing_ocp::multistart::{self, Search};
 use upswing_ocp::problem::Problem;
-use upswing_ocp::qp::{Backend, Options, Qp, Solver, Status};
+use upswing_ocp::qp::{Backend, Options, Qp, Solution, Solver, Status};
 use upswing_trajectory::{Database, DatabaseError, Entry, Gains, Margins, N, Trajectory, Unfit};
 
 /// Accuracy of each QP. A tenth of the defect that four linearisations reach.
@@ -207,14 +207,14 @@ impl Planner {
     ) -> Result<Replan, NoPlan> {
         let begin = Instant::now();
         let neighbours = self.nearest(manoeuvre, start);
-        let mut times = Times { nearest: begin.elapsed(), ..Times::default() };
+        let mut statistics = Statistics { nearest: begin.elapsed(), ..Statistics::default() };
         let mut refused = Vec::new();
         let mut adapted = None;
         for entry in &neighbours {
             if effort.optimise && entry.distance > REACH {
                 break;
             }
-            match self.adapt(manoeuvre, start, entry.index, effort, solver, &mut times) {
+            match self.adapt(manoeuvre, start, entry.index, effort, solver, &mut statistics) {
                 Ok(accepted) => {
                     adapted = Some((*entry, accepted));
                     break;
@@ -223,7 +223,7 @@ impl Planner {
                     let no_time = matches!(refusal, Refusal::Deadline { .. } | Refusal::Cancelled { .. });
                     refused.push(Attempt { entry: *entry, refusal });
                     if no_time {
-                        return Err(NoPlan { refused, optimisation: None });
+                        return Err(NoPlan { refused, optimisation: None, statistics });
                     }
                 }
             }
@@ -243,15 +243,17 @@ impl Planner {
             && !adapted.as_ref().is_some_and(good)
             && let Some(nearest) = neighbours.first()
         {
-            match self.optimise(manoeuvre, start, nearest.index, effort, &mut times) {
+            match self.optimise(manoeuvre, start, nearest.index, effort, &mut statistics) {
                 Ok(optimised) => adapted = Some((*nearest, optimised)),
                 Err(refusal) => optimisation = Some(refusal),
             }
         }
-        let Some((entry, accepted)) = adapted else { return Err(NoPlan { refused, optimisation }) };
-        times.total = begin.elapsed();
+        let Some((entry, accepted)) = adapted else {
+            return Err(NoPlan { refused, optimisation, statistics });
+        };
+        statistics.total = begin.elapsed();
         let Accepted { trajectory, gains, method, iterations, defect, margins } = accepted;
-        Ok(Replan { trajectory, gains, method, entry, refused, iterations, defect, margins, times })
+        Ok(Replan { trajectory, gains, method, entry, refused, iterations, defect, margins, statistics })
     }
 
     /// The trajectory of an entry, backwards for a swing-down.
@@ -287,7 +289,7 @@ impl Planner {
         entry: usize,
         effort: &Effort<'_>,
         solver: &mut Solver,
-        times: &mut Times,
+        statistics: &mut Statistics,
     ) -> Result<Accepted, Refusal> {
         let iterations = effort.iterations.max(1);
         let reference = self.reference(manoeuvre, entry);
@@ -300,11 +302,18 @@ impl Planner {
         while done < iterations && !(defect <= self.config.planner.replan.defect) {
             done += 1;
             let qp = Qp::new(&problem, &reference, &trajectory, &weights, &mut work);
-            self.step(&qp, solver, done, effort, &mut trajectory)?;
+            self.move_by_qp(
+                &qp,
+                solver,
+                (entry, done),
+                effort,
+                &mut trajectory,
+                &mut statistics.second_opinions,
+            )?;
             defect = trajectory.defect(&self.config.model, &mut work);
         }
-        times.qp += begin.elapsed();
-        self.accept(trajectory, Method::Quadratic, done, times)
+        statistics.qp += begin.elapsed();
+        self.accept(trajectory, Method::Quadratic, done, statistics)
     }
 
     /// Finds the optimum (6) as for a database entry, or from the nearest `entry`, and narrows the bounds where it exceeds a
@@ -315,7 +324,7 @@ impl Planner {
         start: &State,
         entry: usize,
         effort: &Effort<'_>,
-        times: &mut Times,
+        statistics: &mut Statistics,
     ) -> Result<Accepted, Refusal> {
         use interior_point::Status as Ending;
         let mut begin = Instant::now();
@@ -331,7 +340,7 @@ impl Planner {
         // A plan that exceeds limits between its knots by no more than the daemon tolerates.
         let mut tolerable = None;
         for round in 0.. {
-            times.optimisation += begin.elapsed();
+            statistics.optimisation += begin.elapsed();
             iterations += solution.iterations;
             // Of a stalled one all constraints are kept, too.
             if !matches!(solution.status, Ending::Solved | Ending::Stalled) {
@@ -343,7 +352,7 @@ impl Planner {
                 return tolerable.ok_or(Refusal::Optimisation(ending));
             }
             let found = solution.trajectory;
-            let verdict = self.accept(found.clone(), Method::Optimisation, iterations, times);
+            let verdict = self.accept(found.clone(), Method::Optimisation, iterations, statistics);
             let exceeds = problem.narrow(&found);
             match verdict {
                 Ok(plan) if exceeds && tolerable.is_none() => tolerable = Some(plan),
@@ -372,7 +381,7 @@ impl Planner {
         trajectory: Trajectory,
         method: Method,
         iterations: usize,
-        times: &mut Times,
+        statistics: &mut Statistics,
     ) -> Result<Accepted, Refusal> {
         let mut work = Workspace::default();
         let begin = Instant::now();
@@ -383,14 +392,14 @@ impl Planner {
         let spline = trajectory.spline(&f);
         let margins = criteria.check_motion(model, &spline).map_err(unfit)?;
         let defect = spline.defect();
-        times.check += begin.elapsed();
+        statistics.check += begin.elapsed();
         let begin = Instant::now();
         let ts = self.config.daemon.cycle.period.seconds();
         let gains = lqr::synthesize(model, &trajectory, &lqr_weights(&self.config.planner), ts, &mut work)?;
-        times.lqr += begin.elapsed();
+        statistics.lqr += begin.elapsed();
         let begin = Instant::now();
         criteria.check_feedback(model, &trajectory, &gains).map_err(unfit)?;
-        times.check += begin.elapsed();
+        statistics.check += begin.elapsed();
         Ok(Accepted { trajectory, gains, method, iterations, defect, margins })
     }
 
@@ -415,14 +424,17 @@ impl Planner {
         problem
     }
 
-    /// Solves one QP, or its sub-horizons one after the other, and moves the trajectory by the solution.
-    fn step(
+    /// Solves one QP, or its sub-horizons one after the other, and moves the trajectory by the solution. Where the structured
+    /// solver makes no progress, Clarabel solves the QP: it scales the program and compares objectives relatively, so that it
+    /// also solves programs whose numbers are very large or very different.
+    fn move_by_qp(
         &self,
         qp: &Qp,
         solver: &mut Solver,
-        iteration: usize,
+        (entry, iteration): (usize, usize),
         effort: &Effort<'_>,
         trajectory: &mut Trajectory,
+        second_opinions: &mut Vec<SecondOpinion>,
     ) -> Result<(), Refusal> {
         let options = Options {
             deadline: effort.deadline,
@@ -432,13 +444,13 @@ impl Planner {
         };
         let mut solve = |qp: &Qp, again: bool| {
             let status = if again { solver.solve_again(qp, &options) } else { solver.solve(qp, &options) };
-            match status {
-                Status::Solved => Ok(solver.solution().clone()),
-                Status::Infeasible(conflict) => Err(Refusal::Infeasible { iteration, conflict }),
-                Status::Deadline => Err(Refusal::Deadline { iteration }),
-                Status::Cancelled => Err(Refusal::Cancelled { iteration }),
-                Status::Stalled(stall) => Err(Refusal::Stalled { iteration, stall }),
+            if let (Status::Stalled(stall), Solver::Structured(_)) = (status, &*solver) {
+                let mut second = Solver::new(Backend::Clarabel, qp.defects.len());
+                let clarabel = second.solve(qp, &options);
+                second_opinions.push(SecondOpinion { entry, iteration, stall, clarabel });
+                return solution_of(&second, clarabel, iteration);
             }
+            solution_of(solver, status, iteration)
         };
         let parts = self.config.planner.replan.sub_horizons;
         let length = N / parts;
@@ -461,6 +473,17 @@ impl Planner {
             trajectory.u[k] += dz.fixed_rows::<NU>(NX);
         }
         Ok(())
+    }
+}
+
+/// What `solver` found in the linearisation `iteration`, or why it found nothing.
+fn solution_of(solver: &Solver, status: Status, iteration: usize) -> Result<Solution, Refusal> {
+    match status {
+        Status::Solved => Ok(solver.solution().clone()),
+        Status::Infeasible(conflict) => Err(Refusal::Infeasible { iteration, conflict }),
+        Status::Deadline => Err(Refusal::Deadline { iteration }),
+        Status::Cancelled => Err(Refusal::Cancelled { iteration }),
+        Status::Stalled(stall) => Err(Refusal::Stalled { iteration, stall }),
     }
 }
 

@@ -1,7 +1,7 @@
 //! The planner process: answers requests with plans.
 
 use crate::predict;
-use crate::replan::{Effort, Method, Planner, Replan};
+use crate::replan::{Effort, Method, NoPlan, Planner, Replan};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -132,6 +132,8 @@ pub struct Desk<'a> {
     /// From a request to the start of its plan, while something moves: at least the setting, and more on a machine that
     /// needs more.
     lead: Duration,
+    /// QPs on which Clarabel was asked, since the start of the process.
+    second_opinions: usize,
     /// The last plan was made, but too late for its start; the next one will begin later.
     late: bool,
 }
@@ -152,7 +154,15 @@ impl<'a> Desk<'a> {
     /// Nothing observed, nothing prepared.
     pub fn new(planner: &'a Planner) -> Self {
         let lead = planner.config().planner.replan.lead;
-        Self { planner, solver: planner.solver(), newest: None, prepared: None, lead, late: false }
+        Self {
+            planner,
+            solver: planner.solver(),
+            newest: None,
+            prepared: None,
+            lead,
+            second_opinions: 0,
+            late: false,
+        }
     }
 
     /// Takes note of the daemon's newest record, which came at `seen`.
@@ -181,6 +191,7 @@ impl<'a> Desk<'a> {
         let cancelled = || !wanted();
         let effort = Effort { cancelled: Some(&cancelled), ..Effort::iterations(iterations) };
         let replan = self.planner.replan_with(&mut self.solver, Manoeuvre::SwingUp, &start, &effort);
+        self.second_opinions += log_second_opinions(&replan);
         if !wanted() {
             return;
         }
@@ -201,8 +212,12 @@ impl<'a> Desk<'a> {
         let mut answer = match request.kind() {
             Err(e) => Err(No(PlannerStatus::BadRequest, e.to_string())),
             Ok(PlannerKind::Status) => {
-                let reason =
-                    Text::new(&format!("ready with {} database entries", self.planner.entries().len()));
+                let mut reason = format!("ready with {} database entries", self.planner.entries().len());
+                if self.second_opinions > 0 {
+                    let count = self.second_opinions;
+                    reason += &format!("; Clarabel was asked for a second opinion on {count} QPs");
+                }
+                let reason = Text::new(&reason);
                 let status = PlannerStatus::Solved.code();
                 Ok((PlannerResponse { status, reason, ..Default::default() }, None))
             }
@@ -260,7 +275,11 @@ impl<'a> Desk<'a> {
         }
         let cancelled = || !wanted();
         let effort = Effort { deadline, cancelled: Some(&cancelled), ..Effort::iterations(iterations) };
-        let mut replan = |effort| self.planner.replan_with(&mut self.solver, manoeuvre, &start, effort);
+        let mut replan = |effort| {
+            let replan = self.planner.replan_with(&mut self.solver, manoeuvre, &start, effort);
+            self.second_opinions += log_second_opinions(&replan);
+            replan
+        };
         // For a moving start, which is due soon, a somewhat longer motion is better than one that comes late.
         let replan = if due.is_some() {
             replan(&Effort { optimise: false, ..effort }).or_else(|_| replan(&effort))
@@ -409,6 +428,16 @@ fn check_start(planner: &Planner, start: &State) -> Result<(), No> {
     Ok(())
 }
 
+/// Logs the QPs of a replan on which Clarabel was asked; their number.
+fn log_second_opinions(replan: &Result<Replan, NoPlan>) -> usize {
+    let statistics = match replan {
+        Ok(replan) => &replan.statistics,
+        Err(no_plan) => &no_plan.statistics,
+    };
+    statistics.second_opinions.iter().for_each(|opinion| warn!("{opinion}"));
+    statistics.second_opinions.len()
+}
+
 /// What an answer says of a plan, but for its id and the time in all.
 pub fn describe(replan: &Replan, settings: &ReplanSettings) -> PlannerResponse {
     let micros = |d: Duration| d.as_secs_f64() * 1e6;
@@ -419,7 +448,10 @@ pub fn describe(replan: &Replan, settings: &ReplanSettings) -> PlannerResponse {
         _ if !closed => {
             Text::new(&format!("defect {:.1e}, the setting is {:.0e}", replan.defect, settings.defect))
         }
-        Method::Quadratic => Text::default(),
+        Method::Quadratic => match replan.statistics.second_opinions.len() {
+            0 => Text::default(),
+            n => Text::new(&format!("{n} QPs solved by Clarabel: the structured solver made no progress")),
+        },
         Method::Optimisation => Text::new("optimised in full: no database entry is near enough"),
     };
     PlannerResponse {
@@ -433,9 +465,9 @@ pub fn describe(replan: &Replan, settings: &ReplanSettings) -> PlannerResponse {
         margin_q: replan.margins.q.share,
         margin_qd: replan.margins.qd.share,
         margin_tau: replan.margins.tau.share,
-        time_nearest_us: micros(replan.times.nearest),
-        time_qp_us: micros(replan.times.qp + replan.times.optimisation),
-        time_lqr_us: micros(replan.times.lqr),
+        time_nearest_us: micros(replan.statistics.nearest),
+        time_qp_us: micros(replan.statistics.qp + replan.statistics.optimisation),
+        time_lqr_us: micros(replan.statistics.lqr),
         ..Default::default()
     }
 }

@@ -214,7 +214,7 @@ impl<D: FnOnce(f64) -> Disturbances> Course for SwingUpRun<'_, D> {
             }
             self.missed = missed;
         }
-        let time_total_us = replan.times.total.as_secs_f64() * 1e6;
+        let time_total_us = replan.statistics.total.as_secs_f64() * 1e6;
         Ok(PlannerResponse { time_total_us, ..describe(&replan, settings) })
     }
 

@@ -103,11 +103,11 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
         status: status.to_string(),
         cost: replan.trajectory.cost(settings.offline.input_weight),
         figures: PlanSummary::new(&replan),
-        time_nearest_s: replan.times.nearest.as_secs_f64(),
-        time_qp_s: replan.times.qp.as_secs_f64(),
-        time_optimisation_s: replan.times.optimisation.as_secs_f64(),
-        time_lqr_s: replan.times.lqr.as_secs_f64(),
-        time_s: replan.times.total.as_secs_f64(),
+        time_nearest_s: replan.statistics.nearest.as_secs_f64(),
+        time_qp_s: replan.statistics.qp.as_secs_f64(),
+        time_optimisation_s: replan.statistics.optimisation.as_secs_f64(),
+        time_lqr_s: replan.statistics.lqr.as_secs_f64(),
+        time_s: replan.statistics.total.as_secs_f64(),
     };
     if args.common.json {
         return print_json(&result);

@@ -6,7 +6,7 @@ use upswing_config::Config;
 use upswing_model::Workspace;
 use upswing_ocp::interior_point;
 use upswing_ocp::lqr;
-use upswing_ocp::qp::{Conflict, Stall};
+use upswing_ocp::qp::{self, Conflict, Stall};
 use upswing_trajectory::{Gains, Margins, Plan, Trajectory, Unfit};
 
 /// A neighbour that was tried in vain.
@@ -67,9 +67,29 @@ pub enum Refusal {
     Gain(#[from] lqr::NotStabilisable),
 }
 
-/// Times of the steps of a replan.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Times {
+/// A quadratic program on which the structured solver made no progress and Clarabel was asked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SecondOpinion {
+    /// Index of the database entry that was being adapted.
+    pub entry: usize,
+    /// The linearisation, counted from 1.
+    pub iteration: usize,
+    /// How the structured solver ended.
+    pub stall: Stall,
+    /// How Clarabel ended.
+    pub clarabel: qp::Status,
+}
+
+impl std::fmt::Display for SecondOpinion {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { entry, iteration, stall, clarabel } = self;
+        write!(f, "QP {iteration} of entry {entry}: {stall}; second opinion of Clarabel: {clarabel}")
+    }
+}
+
+/// Durations of the steps of a replan, and its second opinions.
+#[derive(Clone, Debug, Default)]
+pub struct Statistics {
     /// Search of the database.
     pub nearest: Duration,
     /// All QPs, with their linearisations.
@@ -82,6 +102,8 @@ pub struct Times {
     pub lqr: Duration,
     /// Everything.
     pub total: Duration,
+    /// The QPs, of all entries tried, on which Clarabel was asked.
+    pub second_opinions: Vec<SecondOpinion>,
 }
 
 /// How a trajectory was found.
@@ -112,8 +134,8 @@ pub struct Replan {
     pub defect: f64,
     /// Margins to the limits, between knots too.
     pub margins: Margins,
-    /// How long it took.
-    pub times: Times,
+    /// How long it took, and the second opinions.
+    pub statistics: Statistics,
 }
 
 /// Nothing led to a plan.
@@ -123,6 +145,8 @@ pub struct NoPlan {
     pub refused: Vec<Attempt>,
     /// Why the full optimisation gave no plan, where it was tried.
     pub optimisation: Option<Refusal>,
+    /// How long it took, and the second opinions.
+    pub statistics: Statistics,
 }
 
 impl std::fmt::Display for NoPlan {
@@ -136,7 +160,11 @@ impl std::fmt::Display for NoPlan {
         f.write_str(" nearest database entries could be adapted")?;
         self.refused.iter().try_for_each(|Attempt { entry, refusal }| {
             write!(f, "; entry {} ({:.3} rad away): {refusal}", entry.index, entry.distance)
-        })
+        })?;
+        match self.statistics.second_opinions.len() {
+            0 => Ok(()),
+            n => write!(f, "; Clarabel was asked for a second opinion on {n} QPs"),
+        }
     }
 }
 

@@ -79,7 +79,7 @@ fn sample(
             let refused = upswingd::plan::accept(&message, config).err();
             let failure = refused.map(|e| format!("the daemon refused the plan: {e}"));
             let figures = PlanStatistics { t_f: replan.trajectory.t_f, plan: PlanSummary::new(replan) };
-            let (qp, lqr) = (replan.times.qp.as_secs_f64(), replan.times.lqr.as_secs_f64());
+            let (qp, lqr) = (replan.statistics.qp.as_secs_f64(), replan.statistics.lqr.as_secs_f64());
             (Some(figures), failure, StartTimes { qp, lqr, total })
         }
         Err(e) => (None, Some(e.to_string()), StartTimes { total, ..StartTimes::default() }),
