@@ -169,10 +169,10 @@ proptest! {
 
     #[test]
     fn any_bits_on_any_size(
-        words in prop::collection::vec(any::<u64>(), 78),
+        words in prop::collection::vec(any::<u64>(), Telemetry::default().words().count()),
         width in 1_u16..200, height in 1_u16..60,
     ) {
-        let record = Telemetry::from_words(&words).expect("78 words");
+        let record = Telemetry::from_words(&words).expect("as many words as a record has");
         let view = view(&[record]);
         picture(&view, &KeyState::default(), width, height);
         prop_assert!(serde_json::to_string(&view).is_ok());
