@@ -133,7 +133,7 @@ impl Controller {
         self.checks.begin_cycle();
         self.lose_plant(restarted, lost_cycles);
         // Before a plant shows its clock no time passes: that of a paced one will begin at 0.
-        let wall = measurement.period_ns > 0 && measurement.clock() == Ok(Clock::Wall);
+        let wall = measurement.shown_clock().is_some_and(Clock::is_real_time);
         let plant_ns = if wall { now_ns } else { measurement.seq.saturating_mul(measurement.period_ns) };
         let elapsed = plant_ns.saturating_sub(self.now_ns) as f64 * 1e-9;
         self.now_ns = plant_ns;

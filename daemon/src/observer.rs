@@ -104,7 +104,7 @@ impl Observer {
         braked: bool,
     ) -> Observation {
         self.measured = measurement.q.into();
-        let wall = measurement.clock() == Ok(Clock::Wall);
+        let wall = measurement.clock().is_ok_and(Clock::is_real_time);
         if measurement.seq == self.seq {
             if wall && self.seq > 0 {
                 self.age += 1;

@@ -68,7 +68,7 @@ pub use payload::{
 };
 pub use services::{
     BlackboardPayload, Client, Finder, FinderThread, MAX_READERS, Publisher, Reader, RequestPayload, Sample,
-    Server, Subscriber, TopicPayload, Writer, WriterEntry, WriterPorts, is_lost,
+    Server, Subscriber, TopicPayload, Writer, WriterEntry, WriterPorts,
 };
 pub use temp_domain::TempDomain;
 pub use time::{monotonic_ns, sleep_until};

@@ -23,7 +23,7 @@ mod plant;
 pub use daemon::{CycleStart, CycleTimes, DaemonPacing, DaemonWake};
 pub use plant::{Commands, CycleBegin, GrantError, PlantPacing, PlantWake, Presence};
 
-use crate::payload::Clock;
+use crate::payload::{Clock, Measurement};
 use std::time::Duration;
 use upswing_model::Period;
 
@@ -48,6 +48,13 @@ impl Clock {
     /// telemetry.
     pub const fn is_timed(self) -> bool {
         !self.stands_still()
+    }
+}
+
+impl Measurement {
+    /// The clock of the plant; `None` before the plant has shown one that there is.
+    pub fn shown_clock(&self) -> Option<Clock> {
+        if self.period_ns == 0 { None } else { self.clock().ok() }
     }
 }
 

@@ -10,7 +10,7 @@ mod publish_subscribe;
 mod request_response;
 
 pub use blackboard::{BlackboardPayload, Finder, MAX_READERS, Reader, Writer, WriterEntry, WriterPorts};
-pub use finder_thread::{FinderThread, is_lost};
+pub use finder_thread::FinderThread;
 pub use publish_subscribe::{Publisher, Sample, Subscriber, TopicPayload};
 pub use request_response::{Client, RequestPayload, Server};
 

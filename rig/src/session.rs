@@ -8,8 +8,8 @@ use process::Process;
 use std::time::{Duration, Instant};
 use upswing_ipc::operator::{Manoeuvre, Operator, OperatorError, PublishedPlan, Request};
 use upswing_ipc::{
-    CallError, Client, Clock, ControlKind, ControlRequest, ControlResponse, Domain, IpcError, Node,
-    PlannerResponse, PlantKind, PlantRequest, PlantResponse, Telemetry,
+    CallError, Client, ControlKind, ControlRequest, ControlResponse, Domain, IpcError, Node, PlannerResponse,
+    PlantKind, PlantRequest, PlantResponse, Telemetry,
 };
 use upswing_record::{Recorder, RecordingError, Tally, Tap};
 
@@ -192,7 +192,7 @@ impl Session {
         let begin = Instant::now();
         loop {
             self.collect()?;
-            if self.options.clock == Clock::Lockstep && role == Role::Daemon {
+            if self.options.clock.stands_still() && role == Role::Daemon {
                 // The daemon needs cycles to stop the arm in.
                 if let Ok(now) = self.plant_status() {
                     let seq = now.seq + 100;
@@ -320,7 +320,7 @@ impl Session {
     pub fn now(&mut self) -> Result<u64, SessionError> {
         let plant = self.plant_status()?.seq;
         // What was recorded may be far behind.
-        Ok(if self.options.clock == Clock::Lockstep { plant } else { self.last_measurement().max(plant) })
+        Ok(if self.options.clock.stands_still() { plant } else { self.last_measurement().max(plant) })
     }
 
     /// As [`Self::advance`], until the plant has completed cycle `end`; returns at once if it has.
@@ -333,7 +333,7 @@ impl Session {
         let mut goal = self.now()?;
         while goal < end {
             goal = end.min(goal + PORTION);
-            if self.options.clock == Clock::Lockstep {
+            if self.options.clock.stands_still() {
                 self.plant(&PlantRequest { seq: goal, ..PlantRequest::new(PlantKind::AdvanceTo) })?;
             }
             let begin = Instant::now();

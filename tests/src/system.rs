@@ -209,7 +209,7 @@ impl System {
             seen = session.records.len();
             found
         };
-        if self.clock == Clock::Lockstep {
+        if self.clock.stands_still() {
             for _ in 0..LONGEST / STEP {
                 if let Some(found) = find(&self.session) {
                     return found;

@@ -88,7 +88,7 @@ impl std::fmt::Display for SoakResult {
 /// # Errors
 /// [`Failure::BadInput`] for invalid options, [`Failure::Failed`] if a round failed without a kill or the system did not recover.
 pub fn run(args: &SoakArgs) -> Result<(), Failure> {
-    if args.clock == Clock::Lockstep {
+    if args.clock.stands_still() {
         return Err(Failure::BadInput(
             "--clock: expected paced or wall, got lockstep, which stands still between requests".into(),
         ));

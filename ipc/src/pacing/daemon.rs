@@ -166,9 +166,8 @@ impl DaemonPacing {
         }
     }
 
-    /// The clock of the plant, once it has shown one that there is.
     fn clock(&self) -> Option<Clock> {
-        if self.measurement.period_ns == 0 { None } else { self.measurement.clock().ok() }
+        self.measurement.shown_clock()
     }
 
     fn wait_for_deadline(&mut self) -> CycleStart {

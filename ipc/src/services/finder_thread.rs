@@ -15,16 +15,6 @@ const PERIOD: Duration = Duration::from_millis(50);
 /// of its work.
 const PATIENCE: Duration = Duration::from_millis(500);
 
-/// How long to wait for the next value of a writer that is gone, and of one that lives: its machine may have no time for it, or
-/// fetch its program from a disk that is busy.
-const LOST_AFTER: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(20));
-
-/// Whether a writer for which others wait is lost: `waited` is how long they have, not counting when they could not run
-/// themselves, `lives` what [`FinderThread::writer_is_alive`] says of it.
-pub fn is_lost(lives: bool, waited: Duration) -> bool {
-    waited > if lives { LOST_AFTER.1 } else { LOST_AFTER.0 }
-}
-
 /// Looks for the newest living writer of a channel every 50 ms, in a thread of its own, until dropped. Keep it longer than the
 /// readers that it returns: then dropping a reader unmaps no memory.
 pub struct FinderThread<T: BlackboardPayload> {
@@ -114,21 +104,6 @@ impl<T: BlackboardPayload> Drop for FinderThread<T> {
         if thread.is_finished() {
             // A panic in it was reported by the panic hook.
             let _ = thread.join();
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::is_lost;
-    use std::time::Duration;
-
-    #[test]
-    fn who_lives_is_waited_for_longer_than_who_is_gone() {
-        for (lives, ms, lost) in
-            [(false, 999, false), (false, 1001, true), (true, 19_999, false), (true, 20_001, true)]
-        {
-            assert_eq!(is_lost(lives, Duration::from_millis(ms)), lost, "{lives}, {ms} ms");
         }
     }
 }

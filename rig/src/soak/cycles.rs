@@ -30,7 +30,7 @@ impl CycleCounts {
             let stale = record.flags & Telemetry::STALE != 0;
             // Without a plant, or before the first measurement, nothing can be new.
             self.without_measurement +=
-                u64::from(stale && clock == Clock::Wall && record.measurement_seq > 0);
+                u64::from(stale && clock.is_real_time() && record.measurement_seq > 0);
             if record.flags & Telemetry::OVERRUN != 0 {
                 *self.late.entry(longest_phase(record)).or_default() += 1;
             }
