@@ -101,9 +101,9 @@ pub struct Solution {
 
 type Scalar = SVector<f64, 1>;
 
-/// Primal variables.
+/// Primal variables of an iterate.
 #[derive(Clone, Debug)]
-struct Point {
+struct Primal {
     t: f64,
     x: Knots<State>,
     u: Knots<ActuatedVector>,
@@ -111,10 +111,11 @@ struct Point {
     s: Vec<ActuatedVector>,
 }
 
-/// Constraint values at a point.
+/// Residuals of the constraints.
 #[derive(Clone, Debug)]
 struct Residuals {
-    dynamics: Vec<State>,
+    /// Defects: the residuals of the dynamics (6b).
+    defects: Vec<State>,
     target: Vec<f64>,
     /// tau_k - s_k, scaled.
     torque: Vec<ActuatedVector>,
@@ -124,13 +125,13 @@ impl Residuals {
     /// Sum of absolute values.
     fn total(&self) -> f64 {
         let sum = |v: &[f64]| v.iter().map(|a| a.abs()).sum::<f64>();
-        self.dynamics.iter().map(|d| d.lp_norm(1)).sum::<f64>()
+        self.defects.iter().map(|d| d.lp_norm(1)).sum::<f64>()
             + sum(&self.target)
             + self.torque.iter().map(|d| d.lp_norm(1)).sum::<f64>()
     }
 
     fn largest(&self) -> f64 {
-        let d = self.dynamics.iter().map(|d| d.amax()).fold(0.0, f64::max);
+        let d = self.defects.iter().map(|d| d.amax()).fold(0.0, f64::max);
         let t = self.target.iter().fold(0.0, |m: f64, t| m.max(t.abs()));
         self.torque.iter().map(|d| d.amax()).fold(d.max(t), f64::max)
     }
@@ -138,11 +139,20 @@ impl Residuals {
     /// self * a + other
     fn scaled_plus(&self, a: f64, other: &Self) -> Self {
         Self {
-            dynamics: self.dynamics.iter().zip(&other.dynamics).map(|(p, q)| p * a + q).collect(),
+            defects: self.defects.iter().zip(&other.defects).map(|(p, q)| p * a + q).collect(),
             target: self.target.iter().zip(&other.target).map(|(p, q)| p * a + q).collect(),
             torque: self.torque.iter().zip(&other.torque).map(|(p, q)| p * a + q).collect(),
         }
     }
+}
+
+/// A point that the filter accepts: primal variables, their residuals, and the step that led there.
+struct Trial {
+    primal: Primal,
+    residuals: Residuals,
+    direction: Direction,
+    /// Share of the primal and of the equalities' dual step.
+    alpha: f64,
 }
 
 struct Solver<'a> {
@@ -151,10 +161,11 @@ struct Solver<'a> {
     /// Centre and half range of the constrained torque.
     torque_centre: ActuatedVector,
     torque_half: ActuatedVector,
-    point: Point,
-    dynamics: Vec<State>,
-    target: Vec<f64>,
-    y: Vec<ActuatedVector>,
+    primal: Primal,
+    /// Multipliers of the defects, of the target rows, and of tau_k = s_k.
+    lambda: Vec<State>,
+    lambda_target: Vec<f64>,
+    lambda_torque: Vec<ActuatedVector>,
     /// Bounds of x_1..x_N (x_0 is given).
     bound_x: Vec<Bounded<NX>>,
     bound_s: Vec<Bounded<NU>>,
@@ -181,31 +192,31 @@ impl<'a> Solver<'a> {
         let (torque_centre, torque_half) = ((low + high) * 0.5, (high - low) * 0.5);
         let mut t = Scalar::new(guess.t_f);
         let bound_t = Bounded::new(Scalar::new(problem.t_f.0), Scalar::new(problem.t_f.1), &mut t, mu);
-        let mut point = Point { t: t[0], x: guess.x.clone(), u: guess.u.clone(), s: Vec::new() };
-        point.x[0] = problem.start;
+        let mut primal = Primal { t: t[0], x: guess.x.clone(), u: guess.u.clone(), s: Vec::new() };
+        primal.x[0] = problem.start;
         let bound_x = (1..KNOTS)
             .map(|k| {
                 let (lowest, highest) = problem.bounds(k);
-                Bounded::new(lowest, highest, &mut point.x[k], mu)
+                Bounded::new(lowest, highest, &mut primal.x[k], mu)
             })
             .collect();
         let one = ActuatedVector::repeat(1.0);
         let mut bound_s = Vec::with_capacity(KNOTS);
         for k in 0..KNOTS {
-            let (_, tau) = problem.knot(&point.x[k], &point.u[k], &mut work);
+            let (_, tau) = problem.knot(&primal.x[k], &primal.u[k], &mut work);
             let mut s = (tau - torque_centre).component_div(&torque_half);
             bound_s.push(Bounded::new(-one, one, &mut s, mu));
-            point.s.push(s);
+            primal.s.push(s);
         }
         Self {
             problem,
             work,
             torque_centre,
             torque_half,
-            point,
-            dynamics: vec![State::zeros(); N],
-            target: vec![0.0; problem.target.len()],
-            y: vec![ActuatedVector::zeros(); KNOTS],
+            primal,
+            lambda: vec![State::zeros(); N],
+            lambda_target: vec![0.0; problem.target.len()],
+            lambda_torque: vec![ActuatedVector::zeros(); KNOTS],
             bound_x,
             bound_s,
             bound_t,
@@ -214,7 +225,7 @@ impl<'a> Solver<'a> {
         }
     }
 
-    fn residuals(&mut self, p: &Point) -> Residuals {
+    fn residuals(&mut self, p: &Primal) -> Residuals {
         let half_h = 0.5 * p.t / N as f64;
         let mut f = Vec::with_capacity(KNOTS);
         let mut torque = Vec::with_capacity(KNOTS);
@@ -224,14 +235,14 @@ impl<'a> Solver<'a> {
             torque.push((tau - self.torque_centre).component_div(&self.torque_half) - p.s[k]);
         }
         Residuals {
-            dynamics: (0..N).map(|k| p.x[k + 1] - p.x[k] - (f[k] + f[k + 1]) * half_h).collect(),
+            defects: (0..N).map(|k| p.x[k + 1] - p.x[k] - (f[k] + f[k + 1]) * half_h).collect(),
             target: self.problem.target.iter().map(|r| r.coefficients.dot(&p.x[N]) - r.value).collect(),
             torque,
         }
     }
 
     /// Barrier function of the primal variables.
-    fn barrier_function(&self, p: &Point) -> f64 {
+    fn barrier_function(&self, p: &Primal) -> f64 {
         let mut phi = self.problem.cost(p.t, &*p.u) + self.bound_t.barrier(&Scalar::new(p.t), self.mu);
         for (b, x) in self.bound_x.iter().zip(&p.x[1..]) {
             phi += b.barrier(x, self.mu);
@@ -242,8 +253,8 @@ impl<'a> Solver<'a> {
         phi
     }
 
-    fn moved(&self, d: &Direction, alpha: f64) -> Point {
-        let mut p = self.point.clone();
+    fn moved(&self, d: &Direction, alpha: f64) -> Primal {
+        let mut p = self.primal.clone();
         p.t += alpha * d.step.t;
         for k in 0..KNOTS {
             p.x[k] += d.step.z[k].fixed_rows::<NX>(0) * alpha;
@@ -255,44 +266,28 @@ impl<'a> Solver<'a> {
 
     /// Derivative of the barrier function along the primal step.
     fn slope(&self, d: &Direction) -> f64 {
-        let (h, r) = (self.point.t / N as f64, self.problem.input_weight);
-        let t = Scalar::new(self.point.t);
+        let (h, r) = (self.primal.t / N as f64, self.problem.input_weight);
+        let t = Scalar::new(self.primal.t);
         let mut slope = (self.objective_on_t() + self.bound_t.gradient(&t, self.mu)[0]) * d.step.t;
         for k in 0..KNOTS {
-            slope += self.point.u[k].dot(&d.step.z[k].fixed_rows::<NU>(NX)) * (h * r);
-            slope += self.bound_s[k].gradient(&self.point.s[k], self.mu).dot(&d.s[k]);
+            slope += self.primal.u[k].dot(&d.step.z[k].fixed_rows::<NU>(NX)) * (h * r);
+            slope += self.bound_s[k].gradient(&self.primal.s[k], self.mu).dot(&d.s[k]);
             if k > 0 {
                 let dx = d.step.z[k].fixed_rows::<NX>(0);
-                slope += self.bound_x[k - 1].gradient(&self.point.x[k], self.mu).dot(&dx);
+                slope += self.bound_x[k - 1].gradient(&self.primal.x[k], self.mu).dot(&dx);
             }
         }
         slope
     }
 
-    fn accept(&mut self, p: Point, d: &Direction, alpha: f64) {
-        self.point = p;
-        self.dynamics.iter_mut().zip(&d.step.dynamics).for_each(|(l, new)| *l += (new - *l) * alpha);
-        self.target.iter_mut().zip(&d.step.target).for_each(|(l, new)| *l += (new - *l) * alpha);
-        self.y.iter_mut().zip(&d.y).for_each(|(y, dy)| *y += dy * alpha);
-        for k in 0..KNOTS {
-            self.bound_s[k].advance(&self.point.s[k], &d.bound_s[k], d.alpha.1, self.mu);
-            if k > 0 {
-                self.bound_x[k - 1].advance(&self.point.x[k], &d.bound_x[k - 1], d.alpha.1, self.mu);
-            }
-        }
-        self.bound_t.advance(&Scalar::new(self.point.t), &d.bound_t, d.alpha.1, self.mu);
-    }
-
+    /// The solver's loop: check convergence, update the barrier, compute the search direction, find an acceptable trial point,
+    /// accept it.
     fn run(mut self, options: &Options<'_>) -> Solution {
         let begin = Instant::now();
-        const THETA_MU: f64 = 1.5;
-        const KAPPA_MU: f64 = 0.2;
-        /// The publication's 10 takes 5 % more iterations on the paper's grid.
-        const KAPPA_EPSILON: f64 = 30.0;
         let mut filter = Filter::default();
         let mut iterations = 0;
         let mut c = {
-            let p = self.point.clone();
+            let p = self.primal.clone();
             self.residuals(&p)
         };
         filter.set_scale(c.total());
@@ -301,31 +296,11 @@ impl<'a> Solver<'a> {
             self.linearise(&mut linear);
             let violation = c.largest();
             let stationarity = self.stationarity(&mut linear);
-            let complementarity = self.complementarity(0.0);
-            if stationarity.max(complementarity).max(violation) <= options.tolerance {
-                break (Status::Solved, stationarity);
+            let infeasibility = stationarity.max(violation);
+            if let Some(status) = self.check_convergence(infeasibility, iterations, begin, options) {
+                break (status, stationarity);
             }
-            if iterations >= options.max_iterations {
-                break (Status::MaxIterations, stationarity);
-            }
-            if options.time_budget.is_some_and(|budget| begin.elapsed() >= budget) {
-                break (Status::OutOfTime, stationarity);
-            }
-            if options.cancelled.is_some_and(|cancelled| cancelled()) {
-                break (Status::Interrupted, stationarity);
-            }
-            // A barrier problem solved well enough gives way to the next.
-            loop {
-                let complementarity = self.complementarity(self.mu);
-                let smallest = options.tolerance / 10.0;
-                if stationarity.max(complementarity).max(violation) > KAPPA_EPSILON * self.mu
-                    || self.mu <= smallest
-                {
-                    break;
-                }
-                self.mu = (KAPPA_MU * self.mu).min(self.mu.powf(THETA_MU)).max(smallest);
-                filter.clear();
-            }
+            self.update_barrier(infeasibility, options.tolerance, &mut filter);
             iterations += 1;
             self.condense(&mut linear);
             match self.iterate(&mut linear, &c, &mut filter) {
@@ -334,9 +309,9 @@ impl<'a> Solver<'a> {
                 None => break (Status::Infeasible(self.blocking_limit()), stationarity),
             }
         };
-        let cost = self.problem.cost(self.point.t, &*self.point.u);
+        let cost = self.problem.cost(self.primal.t, &*self.primal.u);
         Solution {
-            trajectory: Trajectory { t_f: self.point.t, x: self.point.x, u: self.point.u },
+            trajectory: Trajectory { t_f: self.primal.t, x: self.primal.x, u: self.primal.u },
             status,
             cost,
             iterations,
@@ -345,39 +320,94 @@ impl<'a> Solver<'a> {
         }
     }
 
-    /// One step: direction, line search, acceptance. `None` if no direction leads on.
+    /// Why no further iteration is needed or allowed; `infeasibility` is the largest residual of stationarity and constraints.
+    fn check_convergence(
+        &self,
+        infeasibility: f64,
+        iterations: usize,
+        begin: Instant,
+        options: &Options<'_>,
+    ) -> Option<Status> {
+        if infeasibility.max(self.complementarity(0.0)) <= options.tolerance {
+            Some(Status::Solved)
+        } else if iterations >= options.max_iterations {
+            Some(Status::MaxIterations)
+        } else if options.time_budget.is_some_and(|budget| begin.elapsed() >= budget) {
+            Some(Status::OutOfTime)
+        } else if options.cancelled.is_some_and(|cancelled| cancelled()) {
+            Some(Status::Interrupted)
+        } else {
+            None
+        }
+    }
+
+    /// Reduces mu as long as the barrier problem is solved well enough.
+    fn update_barrier(&mut self, infeasibility: f64, tolerance: f64, filter: &mut Filter) {
+        const THETA_MU: f64 = 1.5;
+        const KAPPA_MU: f64 = 0.2;
+        /// The publication's 10 takes 5 % more iterations on the paper's grid.
+        const KAPPA_EPSILON: f64 = 30.0;
+        let smallest = tolerance / 10.0;
+        while !(infeasibility.max(self.complementarity(self.mu)) > KAPPA_EPSILON * self.mu
+            || self.mu <= smallest)
+        {
+            self.mu = (KAPPA_MU * self.mu).min(self.mu.powf(THETA_MU)).max(smallest);
+            filter.clear();
+        }
+    }
+
+    /// Moves to the next iterate and returns its residuals; `None` if no search direction leads to an acceptable point.
     fn iterate(&mut self, linear: &mut Linear, c: &Residuals, filter: &mut Filter) -> Option<Residuals> {
-        let (theta, phi) = (c.total(), self.barrier_function(&self.point));
-        let mut least = 0.0;
-        // A direction that fails is tried again shorter, and closer to the shortest one to feasibility.
+        /// A direction that fails is tried again with more damping: shorter, and closer to the shortest one to feasibility.
         const RETRIES: usize = 12;
+        let mut least = 0.0;
         for _ in 0..RETRIES {
-            let damping = self.factor(linear, least)?;
-            let d = self.direction(linear, damping, c);
-            let slope = self.slope(&d);
-            let mut alpha = d.alpha.0;
-            let smallest = alpha * 1e-4;
-            let mut first = true;
-            while alpha >= smallest {
-                let p = self.moved(&d, alpha);
-                let residuals = self.residuals(&p);
-                let (theta_p, phi_p) = (residuals.total(), self.barrier_function(&p));
-                if filter.accepts(theta, phi, theta_p, phi_p, alpha, slope) {
-                    self.accept(p, &d, alpha);
-                    return Some(residuals);
-                }
-                if first && theta_p >= theta {
-                    let trial = (residuals, alpha, slope);
-                    let current = (theta, phi);
-                    let next = self.correct(linear, damping, c, trial, current, filter);
-                    if next.is_some() {
-                        return next;
-                    }
-                }
-                first = false;
-                alpha *= 0.5;
+            let d = self.search_direction(linear, least, c)?;
+            let damping = d.damping;
+            if let Some(trial) = self.acceptable_trial_point(linear, d, c, filter) {
+                return Some(self.accept(trial));
             }
             least = if damping == 0.0 { self.last_damping.max(1e-4) } else { damping * 10.0 };
+        }
+        None
+    }
+
+    /// The primal-dual step, with at least the damping `least`; `None` if the matrix cannot be factorised.
+    fn search_direction(&mut self, linear: &mut Linear, least: f64, c: &Residuals) -> Option<Direction> {
+        let damping = self.factor(linear, least)?;
+        Some(self.direction(linear, damping, c))
+    }
+
+    /// Filter line search: the longest step along `d`, halved until the filter accepts it, or a second-order correction of the full
+    /// step.
+    fn acceptable_trial_point(
+        &mut self,
+        linear: &mut Linear,
+        d: Direction,
+        c: &Residuals,
+        filter: &mut Filter,
+    ) -> Option<Trial> {
+        let (theta, phi) = (c.total(), self.barrier_function(&self.primal));
+        let slope = self.slope(&d);
+        let mut alpha = d.alpha.0;
+        let smallest = alpha * 1e-4;
+        let mut first = true;
+        while alpha >= smallest {
+            let primal = self.moved(&d, alpha);
+            let residuals = self.residuals(&primal);
+            let (theta_p, phi_p) = (residuals.total(), self.barrier_function(&primal));
+            if filter.accepts(theta, phi, theta_p, phi_p, alpha, slope) {
+                return Some(Trial { primal, residuals, direction: d, alpha });
+            }
+            if first && theta_p >= theta {
+                let full = (residuals, alpha, slope);
+                let corrected = self.correct(linear, d.damping, c, full, (theta, phi), filter);
+                if corrected.is_some() {
+                    return corrected;
+                }
+            }
+            first = false;
+            alpha *= 0.5;
         }
         None
     }
@@ -391,19 +421,18 @@ impl<'a> Solver<'a> {
         (first, alpha, slope): (Residuals, f64, f64),
         (theta, phi): (f64, f64),
         filter: &mut Filter,
-    ) -> Option<Residuals> {
+    ) -> Option<Trial> {
         const CORRECTIONS: usize = 4;
         const KAPPA_SOC: f64 = 0.99;
         let mut theta_old = first.total();
         let mut corrected = c.scaled_plus(alpha, &first);
         for _ in 0..CORRECTIONS {
             let d = self.direction(linear, damping, &corrected);
-            let p = self.moved(&d, d.alpha.0);
-            let residuals = self.residuals(&p);
-            let (theta_p, phi_p) = (residuals.total(), self.barrier_function(&p));
+            let primal = self.moved(&d, d.alpha.0);
+            let residuals = self.residuals(&primal);
+            let (theta_p, phi_p) = (residuals.total(), self.barrier_function(&primal));
             if filter.accepts(theta, phi, theta_p, phi_p, alpha, slope) {
-                self.accept(p, &d, d.alpha.0);
-                return Some(residuals);
+                return Some(Trial { primal, residuals, alpha: d.alpha.0, direction: d });
             }
             if theta_p > KAPPA_SOC * theta_old || !theta_p.is_finite() {
                 return None;
@@ -412,5 +441,23 @@ impl<'a> Solver<'a> {
             corrected = corrected.scaled_plus(d.alpha.0, &residuals);
         }
         None
+    }
+
+    /// Makes the trial point the iterate, moves the multipliers along, and returns its residuals.
+    fn accept(&mut self, trial: Trial) -> Residuals {
+        let Trial { primal, residuals, direction: d, alpha } = trial;
+        self.primal = primal;
+        self.lambda.iter_mut().zip(&d.step.lambda).for_each(|(l, new)| *l += (new - *l) * alpha);
+        let targets = self.lambda_target.iter_mut().zip(&d.step.lambda_target);
+        targets.for_each(|(l, new)| *l += (new - *l) * alpha);
+        self.lambda_torque.iter_mut().zip(&d.lambda_torque).for_each(|(l, dl)| *l += dl * alpha);
+        for k in 0..KNOTS {
+            self.bound_s[k].advance(&self.primal.s[k], &d.bound_s[k], d.alpha.1, self.mu);
+            if k > 0 {
+                self.bound_x[k - 1].advance(&self.primal.x[k], &d.bound_x[k - 1], d.alpha.1, self.mu);
+            }
+        }
+        self.bound_t.advance(&Scalar::new(self.primal.t), &d.bound_t, d.alpha.1, self.mu);
+        residuals
     }
 }

@@ -109,8 +109,8 @@ pub struct Rhs {
     pub g: Vec<KnotVector>,
     /// g_t
     pub g_t: f64,
-    /// r_k: defects of the dynamics, N of them.
-    pub dynamics: Vec<State>,
+    /// r_k: defects, the residuals of the dynamics (6b), N of them.
+    pub defects: Vec<State>,
     /// r_0: what dx_0 shall be.
     pub start: State,
     /// r_N: residual of each target row.
@@ -122,7 +122,7 @@ impl Rhs {
         Self {
             g: vec![KnotVector::zeros(); n + 1],
             g_t: 0.0,
-            dynamics: vec![State::zeros(); n],
+            defects: vec![State::zeros(); n],
             start: State::zeros(),
             target: vec![0.0; targets],
         }
@@ -132,7 +132,7 @@ impl Rhs {
     pub(crate) fn copy_from(&mut self, other: &Self) {
         self.g.copy_from_slice(&other.g);
         self.g_t = other.g_t;
-        self.dynamics.copy_from_slice(&other.dynamics);
+        self.defects.copy_from_slice(&other.defects);
         self.start = other.start;
         self.target.copy_from_slice(&other.target);
     }
@@ -140,47 +140,47 @@ impl Rhs {
     /// Largest entry.
     fn norm(&self) -> f64 {
         let g = self.g.iter().map(|g| g.amax()).fold(self.g_t.abs(), f64::max);
-        let d = self.dynamics.iter().map(|d| d.amax()).fold(self.start.amax(), f64::max);
+        let d = self.defects.iter().map(|d| d.amax()).fold(self.start.amax(), f64::max);
         self.target.iter().map(|t| t.abs()).fold(g.max(d), f64::max)
     }
 }
 
-/// Step and multipliers that solve the system.
+/// Newton step that solves the system, and the multipliers of its constraints.
 #[derive(Clone, Debug)]
-pub struct Step {
+pub struct NewtonStep {
     /// dz_k
     pub z: Vec<KnotVector>,
     /// dt
     pub t: f64,
-    /// Multipliers of the dynamics, N of them.
-    pub dynamics: Vec<State>,
+    /// lambda_k: multipliers of the defects, N of them.
+    pub lambda: Vec<State>,
     /// Multipliers of the target rows.
-    pub target: Vec<f64>,
+    pub lambda_target: Vec<f64>,
 }
 
-impl Step {
+impl NewtonStep {
     /// A step of the right size, all zero.
     pub fn zeros(n: usize, targets: usize) -> Self {
         Self {
             z: vec![KnotVector::zeros(); n + 1],
             t: 0.0,
-            dynamics: vec![State::zeros(); n],
-            target: vec![0.0; targets],
+            lambda: vec![State::zeros(); n],
+            lambda_target: vec![0.0; targets],
         }
     }
 
     fn copy_from(&mut self, other: &Self) {
         self.z.copy_from_slice(&other.z);
         self.t = other.t;
-        self.dynamics.copy_from_slice(&other.dynamics);
-        self.target.copy_from_slice(&other.target);
+        self.lambda.copy_from_slice(&other.lambda);
+        self.lambda_target.copy_from_slice(&other.lambda_target);
     }
 
     fn add(&mut self, other: &Self) {
         self.z.iter_mut().zip(&other.z).for_each(|(a, b)| *a += b);
         self.t += other.t;
-        self.dynamics.iter_mut().zip(&other.dynamics).for_each(|(a, b)| *a += b);
-        self.target.iter_mut().zip(&other.target).for_each(|(a, b)| *a += b);
+        self.lambda.iter_mut().zip(&other.lambda).for_each(|(a, b)| *a += b);
+        self.lambda_target.iter_mut().zip(&other.lambda_target).for_each(|(a, b)| *a += b);
     }
 }
 
@@ -209,8 +209,8 @@ pub struct SolveWorkspace {
     feedforward: Vec<ActuatedVector>,
     left: Rhs,
     next_left: Rhs,
-    correction: Step,
-    refined: Step,
+    correction: NewtonStep,
+    refined: NewtonStep,
 }
 
 impl SolveWorkspace {
@@ -221,8 +221,8 @@ impl SolveWorkspace {
             feedforward: vec![ActuatedVector::zeros(); n],
             left: Rhs::zeros(n, targets),
             next_left: Rhs::zeros(n, targets),
-            correction: Step::zeros(n, targets),
-            refined: Step::zeros(n, targets),
+            correction: NewtonStep::zeros(n, targets),
+            refined: NewtonStep::zeros(n, targets),
         }
     }
 }
@@ -234,7 +234,7 @@ impl Kkt {
 
     /// Adds to `left` what the constraints contribute to the conditions of a solution: their multipliers' forces
     /// on z and t, and their residuals at z and t.
-    pub(crate) fn add_constraints(&self, step: &Step, left: &mut Rhs) {
+    pub(crate) fn add_constraints(&self, step: &NewtonStep, left: &mut Rhs) {
         let n = self.intervals();
         let half_h = 0.5 * self.h;
         for k in 0..=n {
@@ -242,21 +242,21 @@ impl Kkt {
             let mut sum = State::zeros();
             let g = &mut left.g[k];
             if k < n {
-                sum += step.dynamics[k];
+                sum += step.lambda[k];
                 for i in 0..NX {
-                    g[i] -= step.dynamics[k][i];
+                    g[i] -= step.lambda[k][i];
                 }
             }
             if k > 0 {
-                sum += step.dynamics[k - 1];
+                sum += step.lambda[k - 1];
                 for i in 0..NX {
-                    g[i] += step.dynamics[k - 1][i];
+                    g[i] += step.lambda[k - 1][i];
                 }
             }
             *g -= self.dynamics[k].apply_transposed(&sum) * half_h;
             left.g_t -= sum.dot(&self.dynamics[k].f) / (2.0 * n as f64);
         }
-        for (row, m) in self.target.iter().zip(&step.target) {
+        for (row, m) in self.target.iter().zip(&step.lambda_target) {
             for i in 0..NX {
                 left.g[n][i] += row.coefficients[i] * m;
             }
@@ -266,7 +266,7 @@ impl Kkt {
             let far = self.dynamics[k + 1].apply(&step.z[k + 1]);
             let share = step.t / (2.0 * n as f64);
             for i in 0..NX {
-                left.dynamics[k][i] += step.z[k + 1][i]
+                left.defects[k][i] += step.z[k + 1][i]
                     - step.z[k][i]
                     - (near[i] + far[i]) * half_h
                     - (self.dynamics[k].f[i] + self.dynamics[k + 1].f[i]) * share;
@@ -284,7 +284,7 @@ impl Kkt {
     }
 
     /// What is left of the right-hand side at `step`, with the damping of the factorisation.
-    fn residual(&self, rhs: &Rhs, step: &Step, damping: f64, input_damping: f64, left: &mut Rhs) {
+    fn residual(&self, rhs: &Rhs, step: &NewtonStep, damping: f64, input_damping: f64, left: &mut Rhs) {
         left.copy_from(rhs);
         left.g_t += (self.t_t + damping) * step.t;
         for (k, z) in step.z.iter().enumerate() {
@@ -308,7 +308,7 @@ impl Kkt {
         damping: (f64, f64),
         (refinements, accuracy): (usize, f64),
         work: &mut SolveWorkspace,
-        step: &mut Step,
+        step: &mut NewtonStep,
     ) {
         let SolveWorkspace { gradient, feedforward, left, next_left, correction, refined } = work;
         self.sweep(factor, rhs, gradient, feedforward, step);

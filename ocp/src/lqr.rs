@@ -108,14 +108,14 @@ pub fn synthesize(
 }
 
 /// The factors of K in (23).
-struct Step {
+struct GainFactors {
     /// L L' = R + Gamma' P Gamma
     pivot: Pivot,
     /// L^-1 Gamma' P Phi
     g: [StateRow; NU],
 }
 
-impl Step {
+impl GainFactors {
     /// K = -(R + Gamma' P Gamma)^-1 Gamma' P Phi
     fn gain(&self) -> Gain {
         let mut k = self.g;
@@ -126,7 +126,7 @@ impl Step {
 
 /// One step of (23): moves the weight P one period back. With `Phi = I + Ts A` and `A = [[0, I], [0], [a]]`,
 /// `Gamma = Ts [[0], [I], [b]]` all products are a few row operations.
-fn riccati_step(p: &mut Weight, rows: &Rows, q: &State, r: f64, ts: f64) -> Option<Step> {
+fn riccati_step(p: &mut Weight, rows: &Rows, q: &State, r: f64, ts: f64) -> Option<GainFactors> {
     /// First row of the unactuated velocities.
     const V_U: usize = NX - N_UNACTUATED;
     // R + Gamma' P Gamma
@@ -183,7 +183,7 @@ fn riccati_step(p: &mut Weight, rows: &Rows, q: &State, r: f64, ts: f64) -> Opti
             p[j][i] = p[i][j];
         }
     }
-    Some(Step { pivot, g })
+    Some(GainFactors { pivot, g })
 }
 
 /// The first W entries of row i of Phi' (P Phi) - G' G, for P Phi in `p` (its rows up to i) and in `v_u` (those of the

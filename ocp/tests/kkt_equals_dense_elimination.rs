@@ -4,7 +4,7 @@
 use nalgebra::{DMatrix, DVector, SMatrix};
 use upswing_model::{N_UNACTUATED, NU, NX, NZ, State};
 use upswing_ocp::kkt::{
-    Factor, Kkt, KnotDynamics, KnotMatrix, KnotVector, Rhs, SolveWorkspace, Step, TargetRow,
+    Factor, Kkt, KnotDynamics, KnotMatrix, KnotVector, NewtonStep, Rhs, SolveWorkspace, TargetRow,
 };
 
 /// Intervals of the test system.
@@ -46,15 +46,15 @@ fn system(random: &mut Random) -> (Kkt, Rhs) {
     let kkt = Kkt { h: 0.1, hessian, with_t, t_t: 3.0, dynamics, target };
     let mut rhs = kkt.zero_rhs();
     rhs.g.iter_mut().for_each(|g| *g = KnotVector::from_fn(|_, _| random.next()));
-    rhs.dynamics.iter_mut().for_each(|d| *d = State::from_fn(|_, _| random.next()));
+    rhs.defects.iter_mut().for_each(|d| *d = State::from_fn(|_, _| random.next()));
     rhs.target.iter_mut().for_each(|t| *t = random.next());
     rhs.start = State::from_fn(|_, _| random.next());
     rhs.g_t = random.next();
     (kkt, rhs)
 }
 
-/// dz, dt and multipliers of dynamics and target, by elimination of the full matrix.
-fn dense(kkt: &Kkt, rhs: &Rhs, damping: f64, input_damping: f64) -> Step {
+/// dz, dt and multipliers of defects and target rows, by elimination of the full matrix.
+fn dense(kkt: &Kkt, rhs: &Rhs, damping: f64, input_damping: f64) -> NewtonStep {
     const T: usize = (N + 1) * NZ;
     let targets = kkt.target.len();
     let rows = N * NX + NX + targets;
@@ -88,7 +88,7 @@ fn dense(kkt: &Kkt, rhs: &Rhs, damping: f64, input_damping: f64) -> Step {
         }
         let along_t = (kkt.dynamics[k].f + kkt.dynamics[k + 1].f) / (-2.0 * N as f64);
         constraints.view_mut((k * NX, T), (NX, 1)).copy_from(&along_t);
-        b.rows_mut(T + 1 + k * NX, NX).copy_from(&-rhs.dynamics[k]);
+        b.rows_mut(T + 1 + k * NX, NX).copy_from(&-rhs.defects[k]);
     }
     for i in 0..NX {
         constraints[(N * NX + i, i)] = 1.0;
@@ -102,18 +102,18 @@ fn dense(kkt: &Kkt, rhs: &Rhs, damping: f64, input_damping: f64) -> Step {
     m.view_mut((T + 1, 0), (rows, T + 1)).copy_from(&constraints);
     m.view_mut((0, T + 1), (T + 1, rows)).copy_from(&constraints.transpose());
     let y = m.lu().solve(&b).expect("a regular matrix");
-    Step {
+    NewtonStep {
         z: (0..=N).map(|k| KnotVector::from_fn(|i, _| y[k * NZ + i])).collect(),
         t: y[T],
-        dynamics: (0..N).map(|k| State::from_fn(|i, _| y[T + 1 + k * NX + i])).collect(),
-        target: (0..targets).map(|i| y[T + 1 + N * NX + NX + i]).collect(),
+        lambda: (0..N).map(|k| State::from_fn(|i, _| y[T + 1 + k * NX + i])).collect(),
+        lambda_target: (0..targets).map(|i| y[T + 1 + N * NX + NX + i]).collect(),
     }
 }
 
-fn difference(a: &Step, b: &Step) -> f64 {
+fn difference(a: &NewtonStep, b: &NewtonStep) -> f64 {
     let z = a.z.iter().zip(&b.z).map(|(a, b)| (a - b).amax()).fold((a.t - b.t).abs(), f64::max);
-    let dynamics = a.dynamics.iter().zip(&b.dynamics).map(|(a, b)| (a - b).amax()).fold(z, f64::max);
-    a.target.iter().zip(&b.target).map(|(a, b)| (a - b).abs()).fold(dynamics, f64::max)
+    let lambda = a.lambda.iter().zip(&b.lambda).map(|(a, b)| (a - b).amax()).fold(z, f64::max);
+    a.lambda_target.iter().zip(&b.lambda_target).map(|(a, b)| (a - b).abs()).fold(lambda, f64::max)
 }
 
 #[test]
@@ -121,7 +121,7 @@ fn with_and_without_damping() {
     let mut random = Random(1);
     let mut factor = Factor::new(N);
     let mut work = SolveWorkspace::new(N, 3);
-    let mut step = Step::zeros(N, 3);
+    let mut step = NewtonStep::zeros(N, 3);
     for round in 0..20 {
         let (kkt, rhs) = system(&mut random);
         for (damping, input_damping) in [(0.0, 0.0), (0.5, 0.1)] {

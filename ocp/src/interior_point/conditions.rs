@@ -23,22 +23,22 @@ impl Solver<'_> {
             on_t -= w.dot(&kkt.dynamics[k].f) * (0.5 / N as f64);
             for i in 0..NX {
                 if k > 0 {
-                    grad[i] += self.dynamics[k - 1][i];
+                    grad[i] += self.lambda[k - 1][i];
                 }
                 if k < N {
-                    grad[i] -= self.dynamics[k][i];
+                    grad[i] -= self.lambda[k][i];
                 }
             }
             if k == N {
-                for (row, m) in kkt.target.iter().zip(&self.target) {
+                for (row, m) in kkt.target.iter().zip(&self.lambda_target) {
                     for i in 0..NX {
                         grad[i] += row.coefficients[i] * m;
                     }
                 }
             }
-            grad += torque[k] * self.y[k];
+            grad += torque[k] * self.lambda_torque[k];
             let b = &self.bound_s[k];
-            worst = worst.max((-self.y[k] - b.z_lower + b.z_upper).amax());
+            worst = worst.max((-self.lambda_torque[k] - b.z_lower + b.z_upper).amax());
             if k > 0 {
                 let b = &self.bound_x[k - 1];
                 for i in 0..NX {
@@ -50,17 +50,17 @@ impl Solver<'_> {
                 worst = worst.max(grad.fixed_rows::<NU>(NX).amax());
             }
         }
-        let equalities: f64 = self.y.iter().map(|y| y.lp_norm(1)).sum::<f64>()
-            + self.dynamics.iter().map(|l| l.lp_norm(1)).sum::<f64>();
+        let equalities: f64 = self.lambda_torque.iter().map(|y| y.lp_norm(1)).sum::<f64>()
+            + self.lambda.iter().map(|l| l.lp_norm(1)).sum::<f64>();
         let count = BOUNDS + (N * NX + KNOTS * NU) as f64;
         worst.max(on_t.abs()) / ((self.multiplier_sum() + equalities) / count).max(S_MAX) * S_MAX
     }
 
     /// Largest |z gap - mu| of all bounds, scaled by the size of their multipliers.
     pub(super) fn complementarity(&self, mu: f64) -> f64 {
-        let t = self.bound_t.complementarity(&Scalar::new(self.point.t), mu);
-        let x = self.bound_x.iter().zip(&self.point.x[1..]).map(|(b, x)| b.complementarity(x, mu));
-        let s = self.bound_s.iter().zip(&self.point.s).map(|(b, s)| b.complementarity(s, mu));
+        let t = self.bound_t.complementarity(&Scalar::new(self.primal.t), mu);
+        let x = self.bound_x.iter().zip(&self.primal.x[1..]).map(|(b, x)| b.complementarity(x, mu));
+        let s = self.bound_s.iter().zip(&self.primal.s).map(|(b, s)| b.complementarity(s, mu));
         x.chain(s).fold(t, f64::max) / (self.multiplier_sum() / BOUNDS).max(S_MAX) * S_MAX
     }
 
@@ -73,7 +73,7 @@ impl Solver<'_> {
     /// The limit with the largest multiplier, as a share of its range: at a point where the constraints contradict
     /// each other it is the one that yields most if it is moved.
     pub(super) fn blocking_limit(&self) -> Limit {
-        let h = self.point.t / N as f64;
+        let h = self.primal.t / N as f64;
         let mut worst = (0.0, Limit { kind: LimitKind::Position, joint: 0, time: 0.0 });
         let mut consider = |pull: f64, kind, joint, knot: usize| {
             if pull > worst.0 {

@@ -1,7 +1,9 @@
 //! The linear system of an iteration, its factorisation and the step that it gives.
 
 use super::{Residuals, Scalar, Solver};
-use crate::kkt::{Factor, Kkt, KnotDynamics, KnotMatrix, KnotVector, Rhs, SolveWorkspace, Step, TargetRow};
+use crate::kkt::{
+    Factor, Kkt, KnotDynamics, KnotMatrix, KnotVector, NewtonStep, Rhs, SolveWorkspace, TargetRow,
+};
 use crate::problem::KnotDerivatives;
 use nalgebra::SMatrix;
 use upswing_model::{ActuatedVector, N_UNACTUATED, NU, NX, NZ, State, UnactuatedVector};
@@ -20,9 +22,12 @@ type TorqueGradients = SMatrix<f64, NZ, NU>;
 
 /// Full primal-dual step.
 pub(super) struct Direction {
-    pub(super) step: Step,
+    pub(super) step: NewtonStep,
+    /// Damping of the factorisation that gave it.
+    pub(super) damping: f64,
     pub(super) s: Vec<ActuatedVector>,
-    pub(super) y: Vec<ActuatedVector>,
+    /// Step of lambda_torque.
+    pub(super) lambda_torque: Vec<ActuatedVector>,
     pub(super) bound_x: Vec<(State, State)>,
     pub(super) bound_s: Vec<(ActuatedVector, ActuatedVector)>,
     pub(super) bound_t: (Scalar, Scalar),
@@ -60,26 +65,26 @@ impl Solver<'_> {
     pub(super) fn defect_multiplier(&self, k: usize) -> State {
         let mut w = State::zeros();
         if k > 0 {
-            w += self.dynamics[k - 1];
+            w += self.lambda[k - 1];
         }
         if k < N {
-            w += self.dynamics[k];
+            w += self.lambda[k];
         }
         w
     }
 
     /// Sets the matrix (without barrier and torque terms) and the torques' gradients to those of the current point.
     pub(super) fn linearise(&mut self, linear: &mut Linear) {
-        let h = self.point.t / N as f64;
+        let h = self.primal.t / N as f64;
         let r = self.problem.input_weight;
         let kkt = &mut linear.kkt;
         kkt.h = h;
         kkt.t_t = 0.0;
         for k in 0..KNOTS {
-            let (x, u) = (self.point.x[k], self.point.u[k]);
+            let (x, u) = (self.primal.x[k], self.primal.u[k]);
             let w = self.defect_multiplier(k);
             let w_u: UnactuatedVector = w.fixed_rows::<N_UNACTUATED>(NX - N_UNACTUATED) * (-0.5 * h);
-            let mu = self.y[k].component_div(&self.torque_half);
+            let mu = self.lambda_torque[k].component_div(&self.torque_half);
             let (knot, hessian) = self.problem.knot_derivatives(&x, &u, &w_u, &mu, &mut self.work);
             kkt.hessian[k] = hessian;
             kkt.dynamics[k] = KnotDynamics::new(&knot.dynamics, &x, &u);
@@ -102,8 +107,8 @@ impl Solver<'_> {
 
     /// Gradient of the objective: with respect to z_k into `g`; that with respect to t_F is returned.
     pub(super) fn objective_gradient(&self, g: &mut [KnotVector]) -> f64 {
-        let (h, r) = (self.point.t / N as f64, self.problem.input_weight);
-        for (g, u) in g.iter_mut().zip(self.point.u.iter()) {
+        let (h, r) = (self.primal.t / N as f64, self.problem.input_weight);
+        for (g, u) in g.iter_mut().zip(self.primal.u.iter()) {
             g.fill(0.0);
             g.fixed_rows_mut::<NU>(NX).copy_from(&(u * (h * r)));
         }
@@ -112,22 +117,22 @@ impl Solver<'_> {
 
     /// Derivative of the objective with respect to t_F.
     pub(super) fn objective_on_t(&self) -> f64 {
-        let effort: f64 = self.point.u.iter().map(|u| u.norm_squared()).sum();
+        let effort: f64 = self.primal.u.iter().map(|u| u.norm_squared()).sum();
         1.0 + 0.5 * self.problem.input_weight * effort / N as f64
     }
 
     /// Adds barrier and torque terms to the matrix.
     pub(super) fn condense(&self, linear: &mut Linear) {
-        linear.kkt.t_t += self.bound_t.sigma(&Scalar::new(self.point.t))[0];
+        linear.kkt.t_t += self.bound_t.sigma(&Scalar::new(self.primal.t))[0];
         for k in 0..KNOTS {
             let hessian = &mut linear.kkt.hessian[k];
             if k > 0 {
-                let sigma = self.bound_x[k - 1].sigma(&self.point.x[k]);
+                let sigma = self.bound_x[k - 1].sigma(&self.primal.x[k]);
                 for i in 0..NX {
                     hessian[(i, i)] += sigma[i];
                 }
             }
-            let sigma = self.bound_s[k].sigma(&self.point.s[k]);
+            let sigma = self.bound_s[k].sigma(&self.primal.s[k]);
             for (gradient, sigma) in linear.torque[k].column_iter().zip(&sigma) {
                 hessian.ger(*sigma, &gradient, &gradient, 1.0);
             }
@@ -137,19 +142,19 @@ impl Solver<'_> {
     fn right_hand_side(&self, linear: &mut Linear, c: &Residuals) {
         let rhs = &mut linear.rhs;
         rhs.g_t = self.objective_gradient(&mut rhs.g)
-            + self.bound_t.gradient(&Scalar::new(self.point.t), self.mu)[0];
-        rhs.dynamics.copy_from_slice(&c.dynamics);
+            + self.bound_t.gradient(&Scalar::new(self.primal.t), self.mu)[0];
+        rhs.defects.copy_from_slice(&c.defects);
         rhs.target.copy_from_slice(&c.target);
         for k in 0..KNOTS {
             if k > 0 {
-                let barrier = self.bound_x[k - 1].gradient(&self.point.x[k], self.mu);
+                let barrier = self.bound_x[k - 1].gradient(&self.primal.x[k], self.mu);
                 for i in 0..NX {
                     rhs.g[k][i] += barrier[i];
                 }
             }
-            let sigma = self.bound_s[k].sigma(&self.point.s[k]);
+            let sigma = self.bound_s[k].sigma(&self.primal.s[k]);
             let pull =
-                sigma.component_mul(&c.torque[k]) + self.bound_s[k].gradient(&self.point.s[k], self.mu);
+                sigma.component_mul(&c.torque[k]) + self.bound_s[k].gradient(&self.primal.s[k], self.mu);
             rhs.g[k] += linear.torque[k] * pull;
         }
     }
@@ -158,7 +163,7 @@ impl Solver<'_> {
     pub(super) fn direction(&self, linear: &mut Linear, damping: f64, c: &Residuals) -> Direction {
         self.right_hand_side(linear, c);
         let Linear { kkt, torque, factor, rhs, work } = linear;
-        let mut step = Step::zeros(N, kkt.target.len());
+        let mut step = NewtonStep::zeros(N, kkt.target.len());
         kkt.solve_into(
             factor,
             rhs,
@@ -170,29 +175,29 @@ impl Solver<'_> {
         let share = (1.0 - self.mu).max(0.99);
         let mut alpha = (1.0_f64, 1.0_f64);
         let mut shorten = |a: (f64, f64)| alpha = (alpha.0.min(a.0), alpha.1.min(a.1));
-        let (mut s, mut y) = (Vec::with_capacity(KNOTS), Vec::with_capacity(KNOTS));
+        let (mut s, mut lambda_torque) = (Vec::with_capacity(KNOTS), Vec::with_capacity(KNOTS));
         let (mut bound_x, mut bound_s) = (Vec::with_capacity(N), Vec::with_capacity(KNOTS));
         for k in 0..KNOTS {
-            let (b, v) = (&self.bound_s[k], &self.point.s[k]);
+            let (b, v) = (&self.bound_s[k], &self.primal.s[k]);
             let ds = torque[k].tr_mul(&step.z[k]) + c.torque[k];
-            let new_y = b.sigma(v).component_mul(&ds) + b.gradient(v, self.mu);
+            let new_lambda = b.sigma(v).component_mul(&ds) + b.gradient(v, self.mu);
             let dz = b.dual_step(v, &ds, self.mu);
             shorten(b.to_boundary(v, &ds, &dz, share));
-            y.push(new_y - self.y[k]);
+            lambda_torque.push(new_lambda - self.lambda_torque[k]);
             s.push(ds);
             bound_s.push(dz);
             if k > 0 {
-                let (b, v) = (&self.bound_x[k - 1], &self.point.x[k]);
+                let (b, v) = (&self.bound_x[k - 1], &self.primal.x[k]);
                 let dx: State = step.z[k].fixed_rows::<NX>(0).into();
                 let dz = b.dual_step(v, &dx, self.mu);
                 shorten(b.to_boundary(v, &dx, &dz, share));
                 bound_x.push(dz);
             }
         }
-        let (t, dt) = (Scalar::new(self.point.t), Scalar::new(step.t));
+        let (t, dt) = (Scalar::new(self.primal.t), Scalar::new(step.t));
         let bound_t = self.bound_t.dual_step(&t, &dt, self.mu);
         shorten(self.bound_t.to_boundary(&t, &dt, &bound_t, share));
-        Direction { step, s, y, bound_x, bound_s, bound_t, alpha }
+        Direction { step, s, lambda_torque, damping, bound_x, bound_s, bound_t, alpha }
     }
 
     /// Factorises with as little damping as gives the right inertia, at least `least`: that damping.

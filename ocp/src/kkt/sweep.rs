@@ -2,7 +2,7 @@
 //! and one forth.
 
 use super::variables::{Entering, Leaving, Row, U};
-use super::{Kkt, KnotDynamics, Rhs, Step};
+use super::{Kkt, KnotDynamics, NewtonStep, Rhs};
 use crate::rows::{Pivot, ROW, STATE_ROW, StateRow, add_scaled};
 use upswing_model::{ActuatedVector, NU, NX, NZ};
 
@@ -174,7 +174,7 @@ impl Kkt {
         rhs: &Rhs,
         gradient: &mut [StateRow],
         feedforward: &mut [ActuatedVector],
-        step: &mut Step,
+        step: &mut NewtonStep,
     ) {
         let n = self.intervals();
         let mut p = rhs.g[n];
@@ -195,11 +195,11 @@ impl Kkt {
                 p_t += i.gain_t[l] * on[U + l];
             }
             gradient[k] = on_s;
-            for (value, r) in i.value.iter().zip(rhs.dynamics[k].iter()) {
+            for (value, r) in i.value.iter().zip(rhs.defects[k].iter()) {
                 add_scaled(&mut on_s, -r, value);
             }
             for l in 0..NX {
-                p_t += i.along_t[l] * on_s[l] - i.value_t[l] * rhs.dynamics[k][l];
+                p_t += i.along_t[l] * on_s[l] - i.value_t[l] * rhs.defects[k][l];
             }
             let on_z = i.leaving.apply_transposed(&on_s);
             for l in 0..NZ {
@@ -226,7 +226,7 @@ impl Kkt {
         step.z[0].fixed_rows_mut::<NU>(U).copy_from(&u0);
         for k in 0..n {
             let i = &factor.intervals[k];
-            let mut s = i.leaving.apply(&step.z[k]) - rhs.dynamics[k];
+            let mut s = i.leaving.apply(&step.z[k]) - rhs.defects[k];
             for l in 0..NX {
                 s[l] += i.along_t[l] * t;
             }
@@ -236,7 +236,7 @@ impl Kkt {
                 add_scaled(&mut lambda, *s, value);
             }
             for l in 0..NX {
-                step.dynamics[k][l] = -lambda[l];
+                step.lambda[k][l] = -lambda[l];
             }
             let mut u = feedforward[k] + i.gain_t * t;
             for (l, gain) in i.gain.iter().enumerate() {
@@ -246,7 +246,7 @@ impl Kkt {
             }
             step.z[k + 1] = i.entering.apply(&s, &u);
         }
-        for (m, (row, r)) in step.target.iter_mut().zip(self.target.iter().zip(&rhs.target)) {
+        for (m, (row, r)) in step.lambda_target.iter_mut().zip(self.target.iter().zip(&rhs.target)) {
             *m = TARGET_STIFFNESS * (row.coefficients.dot(&step.z[n].fixed_rows::<NX>(0)) + r);
         }
     }

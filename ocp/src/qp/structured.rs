@@ -4,13 +4,15 @@
 //!
 //! With w = (dx_k, J_k dz_k / half range, dt) for all bounded quantities, l <= w <= u, slacks a = w - l and b = u - w
 //! and their multipliers y, v > 0, a Newton step eliminates slacks and multipliers: sigma = y / a + v / b joins the
-//! Hessian of the knot, and a matrix of the form of [`Kkt`] is left. The multipliers of dynamics and target are
+//! Hessian of the knot, and a matrix of the form of [`Kkt`] is left. The multipliers of defects and target rows are
 //! iterates, too, and every step corrects them: the error of a step is a residual of the next one.
 //!
 //! A softened bound yields: w >= l - c y with the compliance c, which is a quadratic penalty of weight 1 / c.
 
 use super::{Bound, Conflict, Options, Qp, Solution, Stall, Status};
-use crate::kkt::{Factor, Kkt, KnotDynamics, KnotMatrix, KnotVector, Rhs, SolveWorkspace, Step, TargetRow};
+use crate::kkt::{
+    Factor, Kkt, KnotDynamics, KnotMatrix, KnotVector, NewtonStep, Rhs, SolveWorkspace, TargetRow,
+};
 use crate::rows::ROW;
 use upswing_model::{LimitKind, NU, NX, NZ, State};
 
@@ -49,11 +51,11 @@ pub struct Structured {
     damping: f64,
     work: SolveWorkspace,
     rhs: Rhs,
-    /// Residuals of stationarity, dynamics, start and target at `at`.
+    /// Residuals of stationarity, the defects, and residuals of start and target at `at`.
     residual: Rhs,
-    /// Iterate: dz, dt and the multipliers of dynamics and target.
-    at: Step,
-    step: Step,
+    /// Iterate: dz, dt and the multipliers of defects and target rows.
+    at: NewtonStep,
+    step: NewtonStep,
     jacobian: Vec<TorqueJacobian>,
     lower: Vec<f64>,
     upper: Vec<f64>,
@@ -170,8 +172,8 @@ impl Structured {
             work: SolveWorkspace::new(n, NX),
             rhs: kkt.zero_rhs(),
             residual: kkt.zero_rhs(),
-            at: Step::zeros(n, NX),
-            step: Step::zeros(n, NX),
+            at: NewtonStep::zeros(n, NX),
+            step: NewtonStep::zeros(n, NX),
             kkt,
             jacobian: vec![[[0.0; ROW]; NU]; n + 1],
             lower: zeros(),
@@ -194,14 +196,14 @@ impl Structured {
     /// Takes over the constant parts of `qp`.
     fn load(&mut self, qp: &Qp) {
         let (n, targets) = (qp.defects.len(), qp.target.len());
-        if self.at.dynamics.len() != n {
+        if self.at.lambda.len() != n {
             *self = Self::new(n);
         }
         if self.kkt.target.len() != targets {
             self.kkt.target.clone_from(&qp.target);
             self.work = SolveWorkspace::new(n, targets);
             (self.rhs, self.residual) = (self.kkt.zero_rhs(), self.kkt.zero_rhs());
-            (self.at, self.step) = (Step::zeros(n, targets), Step::zeros(n, targets));
+            (self.at, self.step) = (NewtonStep::zeros(n, targets), NewtonStep::zeros(n, targets));
         }
         self.compliance = qp.compliance;
         self.kkt.h = qp.h;
@@ -285,8 +287,8 @@ impl Structured {
         Self::bounded(&self.jacobian, &self.at.z, 0.0, &mut self.value);
         let (slack, barrier) = if warm { WARM } else { COLD };
         if !warm {
-            self.at.dynamics.fill(State::zeros());
-            self.at.target.fill(0.0);
+            self.at.lambda.fill(State::zeros());
+            self.at.lambda_target.fill(0.0);
         }
         for i in 0..self.value.len() {
             for (side, distance) in [
@@ -307,7 +309,7 @@ impl Structured {
             *g = self.at.z[k].component_mul(&qp.weight[k]) + qp.gradient[k];
         }
         r.g_t = qp.weight_t * self.at.t + qp.gradient_t;
-        r.dynamics.copy_from_slice(&qp.defects);
+        r.defects.copy_from_slice(&qp.defects);
         r.start = qp.start;
         r.target.iter_mut().zip(&qp.target).for_each(|(r, row)| *r = -row.value);
         self.kkt.add_constraints(&self.at, r);
@@ -328,10 +330,11 @@ impl Structured {
     fn sizes(&self) -> (f64, f64) {
         let r = &self.residual;
         let largest = |v: &[f64]| v.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
-        let primal = r.dynamics.iter().map(|d| d.amax()).fold(largest(&r.target), f64::max);
+        let primal = r.defects.iter().map(|d| d.amax()).fold(largest(&r.target), f64::max);
         let primal = primal.max(largest(&self.below.residual)).max(largest(&self.above.residual));
         let dual = r.g.iter().map(|g| g.amax()).fold(r.g_t.abs(), f64::max);
-        let multipliers = self.at.dynamics.iter().map(|l| l.amax()).fold(largest(&self.at.target), f64::max);
+        let multipliers =
+            self.at.lambda.iter().map(|l| l.amax()).fold(largest(&self.at.lambda_target), f64::max);
         let multipliers =
             multipliers.max(largest(&self.below.multiplier)).max(largest(&self.above.multiplier));
         (primal, dual / multipliers.max(1.0))
@@ -396,8 +399,8 @@ impl Structured {
     fn advance(&mut self, alpha: f64) {
         self.at.z.iter_mut().zip(&self.step.z).for_each(|(z, dz)| *z += dz * alpha);
         self.at.t += alpha * self.step.t;
-        self.at.dynamics.iter_mut().zip(&self.step.dynamics).for_each(|(l, dl)| *l += dl * alpha);
-        self.at.target.iter_mut().zip(&self.step.target).for_each(|(m, dm)| *m += dm * alpha);
+        self.at.lambda.iter_mut().zip(&self.step.lambda).for_each(|(l, dl)| *l += dl * alpha);
+        self.at.lambda_target.iter_mut().zip(&self.step.lambda_target).for_each(|(m, dm)| *m += dm * alpha);
         self.below.advance(alpha);
         self.above.advance(alpha);
     }
@@ -432,10 +435,10 @@ impl Structured {
         }
         let v_t = self.residual.g_t - qp.weight_t * self.at.t - qp.gradient_t;
         slope += v_t.abs() * qp.t.0.abs().max(qp.t.1.abs());
-        for (lambda, r) in self.at.dynamics.iter().zip(&qp.defects) {
+        for (lambda, r) in self.at.lambda.iter().zip(&qp.defects) {
             excess += lambda.dot(r);
         }
-        for (m, row) in self.at.target.iter().zip(&qp.target) {
+        for (m, row) in self.at.lambda_target.iter().zip(&qp.target) {
             excess -= m * row.value;
         }
         for i in 0..self.lower.len() {
@@ -446,9 +449,9 @@ impl Structured {
 
     /// Coefficient of dx_0 in the sum of all constraints with their multipliers.
     fn on_start(&self) -> State {
-        let lambda = &self.at.dynamics[0];
-        let by_dynamics = self.kkt.dynamics[0].apply_transposed(lambda) * (-0.5 * self.kkt.h);
-        let mut out: State = by_dynamics.fixed_rows::<NX>(0).into();
+        let lambda = &self.at.lambda[0];
+        let by_defects = self.kkt.dynamics[0].apply_transposed(lambda) * (-0.5 * self.kkt.h);
+        let mut out: State = by_defects.fixed_rows::<NX>(0).into();
         out -= lambda;
         for i in 0..NU {
             let pull = self.above.multiplier[i] - self.below.multiplier[i];
