@@ -6,7 +6,7 @@ use common::{success, upswing};
 use std::path::Path;
 use upswing_config::RecorderSettings;
 use upswing_ipc::{Mode, Telemetry};
-use upswingd::flight::Recorder;
+use upswingd::flight::FlightRecorder;
 
 const CYCLES: u64 = 4000;
 
@@ -17,7 +17,7 @@ fn text(path: &Path) -> &str {
 #[test]
 fn report_and_export() {
     let dir = tempfile::tempdir().expect("a folder");
-    let mut recorder = Recorder::new(CYCLES as usize);
+    let mut recorder = FlightRecorder::new(CYCLES as usize);
     for seq in 1..=CYCLES {
         let mode = if seq < CYCLES { Mode::Hold } else { Mode::Fault };
         recorder.push(&Telemetry { seq, t_ns: seq * 125_000, mode: mode.code(), ..Telemetry::default() });

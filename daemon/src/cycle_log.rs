@@ -1,8 +1,8 @@
-//! What the other thread keeps of the cycles: telemetry to publish, statistics, warnings, the flight recorder.
+//! The log of the cycles in the service thread: telemetry to publish, statistics, warnings, the flight recorder.
 
-use crate::flight::Recorder;
+use crate::flight::FlightRecorder;
 use crate::histogram::Histogram;
-use crate::overrun::{Overrun, Watch};
+use crate::overrun::{Overrun, ThreadWatch};
 use crate::step::CycleRecord;
 use crate::supervisor::Refusal;
 use crate::trip::{TripCause, warning_texts};
@@ -20,27 +20,27 @@ const FLIGHT: f64 = 2.0;
 /// Shortest time between two logged overruns; all are counted.
 const OVERRUN_LOG: Duration = Duration::from_secs(1);
 
-/// The cycles so far.
+/// The log of the cycles since the start of the daemon.
 pub struct CycleLog<'a> {
     settings: &'a DaemonSettings,
     /// The newest record.
     pub newest: Option<CycleRecord>,
-    /// When a record last told of a new measurement.
+    /// Time of the last record with a new measurement.
     pub sign_of_life: Instant,
     telemetry: Publisher<TelemetryBatch>,
     batch: Box<TelemetryBatch>,
     steps: Publisher<StepBatch>,
     step_batch: Box<StepBatch>,
-    /// When one of the batches got the first of its records.
+    /// Time of the oldest record in the batches.
     batch_begin: Instant,
     wake: Histogram,
     compute: Histogram,
     /// Since the last [`CycleLog::forget_warnings`].
     warnings: u64,
-    watch: Option<Watch>,
+    watch: Option<ThreadWatch>,
     overrun: Option<(Overrun, Instant)>,
-    recorder: Recorder,
-    /// Where the last flight record went, or why nowhere.
+    recorder: FlightRecorder,
+    /// Path of the last flight record, or why there is none; for the operator.
     flight: String,
 }
 
@@ -64,14 +64,14 @@ impl<'a> CycleLog<'a> {
             warnings: 0,
             watch: None,
             overrun: None,
-            recorder: Recorder::new(settings.cycle.period.cycles_in(FLIGHT) as usize),
+            recorder: FlightRecorder::new(settings.cycle.period.cycles_in(FLIGHT) as usize),
             flight: String::new(),
         })
     }
 
-    /// Watches the real-time thread `tid`.
+    /// Reads the kernel's counters of the real-time thread `tid` from here on.
     pub fn watch(&mut self, tid: u32) {
-        match Watch::new(tid) {
+        match ThreadWatch::new(tid) {
             Ok(watch) => self.watch = Some(watch),
             Err(e) => warn!("causes of overruns will not be known: no counters of thread {tid}: {e}"),
         }
@@ -92,18 +92,18 @@ impl<'a> CycleLog<'a> {
         self.warnings = 0;
     }
 
-    /// What is to be done every now and then: publishes what waits. `dropped`: records lost so far.
+    /// Publishes telemetry that has waited too long; to be called often. `dropped`: records lost so far.
     ///
     /// # Errors
     /// If telemetry cannot be published.
-    pub fn tend(&mut self, dropped: u64) -> Result<(), IpcError> {
+    pub fn publish_due(&mut self, dropped: u64) -> Result<(), IpcError> {
         if let Some(watch) = &mut self.watch {
             watch.refresh();
         }
         if self.batch_begin.elapsed() >= FLUSH { self.flush(dropped) } else { Ok(()) }
     }
 
-    /// Takes in a record. `dropped`: records lost so far.
+    /// Adds a record. `dropped`: records lost so far.
     ///
     /// # Errors
     /// If telemetry cannot be published.
@@ -122,7 +122,7 @@ impl<'a> CycleLog<'a> {
             self.recorder.push(telemetry);
             self.count(telemetry);
         }
-        self.tell(before, &record);
+        self.log_mode_change(before, &record);
         if self.step_batch.count == 0 {
             self.batch_begin = Instant::now();
         }
@@ -133,7 +133,7 @@ impl<'a> CycleLog<'a> {
         if self.batch.is_full() || self.step_batch.is_full() { self.flush(dropped) } else { Ok(()) }
     }
 
-    /// Publishes what waits.
+    /// Publishes all telemetry that waits.
     ///
     /// # Errors
     /// If telemetry cannot be published.
@@ -164,7 +164,7 @@ impl<'a> CycleLog<'a> {
             self.wake.add(telemetry.wake_ns);
         }
         if telemetry.flags & Telemetry::OVERRUN != 0 {
-            self.attribute(telemetry);
+            self.log_overrun(telemetry);
         }
         let new = telemetry.warnings & !self.warnings;
         if new != 0 {
@@ -173,19 +173,19 @@ impl<'a> CycleLog<'a> {
         }
     }
 
-    /// Finds out about an overrun; of many in short time about the first only.
-    fn attribute(&mut self, telemetry: &Telemetry) {
+    /// Logs an overrun with its causes; of many in short time the first only.
+    fn log_overrun(&mut self, telemetry: &Telemetry) {
         if self.overrun.as_ref().is_some_and(|(_, seen)| seen.elapsed() < OVERRUN_LOG) {
             return;
         }
-        let (around, window) = self.watch.as_mut().map(Watch::take).unwrap_or_default();
+        let (around, window) = self.watch.as_mut().map(ThreadWatch::take).unwrap_or_default();
         let overrun = Overrun { telemetry: *telemetry, around, window };
         warn!("{overrun}");
         self.overrun = Some((overrun, Instant::now()));
     }
 
-    /// Logs a change of the mode; a fault is kept in a file.
-    fn tell(&mut self, before: Mode, record: &CycleRecord) {
+    /// Logs a change of the mode; at a fault it saves the flight record.
+    fn log_mode_change(&mut self, before: Mode, record: &CycleRecord) {
         let mode = self.mode();
         if mode == before {
             return;
@@ -210,7 +210,7 @@ impl<'a> CycleLog<'a> {
         }
     }
 
-    /// Why the last mode was given up and where its record is; empty if there is nothing to say.
+    /// The limit that led to the last Fault or Stop, and the path of the flight record; empty if there is none.
     pub fn remark(&self) -> String {
         let trip = self.newest.and_then(|record| record.trip);
         let told = trip.map(|trip| format!("tripped: {trip}"));
@@ -227,7 +227,7 @@ impl<'a> CycleLog<'a> {
         remedy.map_or_else(|| self.mode().next_action().to_string(), str::to_owned)
     }
 
-    /// The answer to a request, as far as it follows from the cycles.
+    /// The fields of a response that follow from the cycles.
     pub fn respond(&self) -> ControlResponse {
         let record = self.newest;
         let telemetry = record.map(|record| record.telemetry).unwrap_or_default();

@@ -20,14 +20,14 @@ const RECORD_WORDS: usize = size_of::<Telemetry>() / WORD;
 
 /// The newest cycles; memory is taken once.
 #[derive(Debug)]
-pub struct Recorder {
+pub struct FlightRecorder {
     ring: Vec<Telemetry>,
     capacity: usize,
     /// Where the next cycle goes once the ring is full.
     next: usize,
 }
 
-impl Recorder {
+impl FlightRecorder {
     /// A recorder of the last `capacity` cycles, at least 1.
     pub fn new(capacity: usize) -> Self {
         let capacity = capacity.max(1);
@@ -117,7 +117,7 @@ pub enum FlightError {
     },
 }
 
-/// Reads a file that [`Recorder::save`] wrote: its cycles, oldest first.
+/// Reads a file that [`FlightRecorder::save`] wrote: its cycles, oldest first.
 ///
 /// # Errors
 /// [`FlightError`] for whatever is no such file.

@@ -1,20 +1,21 @@
-//! The 125 us control daemon: keeps the robot in one of a few modes (ARCHITECTURE.md lists them), follows the plans
-//! of the planner and gives up in time.
+//! The 125 us control daemon: keeps the robot in one of six modes (ARCHITECTURE.md lists them), follows the plans of the planner,
+//! and trips to Stop or Fault before a limit is exceeded.
 //!
-//! | module | what |
+//! | module | contents |
 //! |---|---|
-//! | [`controller`] | one cycle: measurement in, command out; a pure function of measurement, time and its own state |
-//! | `observer`, [`filter`] | the state x from measurements, and whether it can be trusted |
-//! | `arm`, `law` | the reference of Hold and Stop, the torque law (24) |
-//! | `standstill` | encoders that are stuck |
-//! | `disturbance` | the torque that acts besides the commanded one, to be taken off it |
-//! | [`supervisor`], `checks`, [`trip`] | the table of modes, the levels that are watched, what is beyond them |
-//! | [`plan`], `loads` | which plans it may run, which one it has |
-//! | `realtime` | the thread that runs the cycle on time |
-//! | [`os`] | scheduler and memory calls, and what the system refuses of them |
-//! | [`service`] | the thread that does all the rest |
-//! | `cycle_log`, [`histogram`], `overrun`, [`flight`] | what it keeps of the cycles: statistics, causes of overruns, the flight recorder |
-//! | [`recovery`] | what follows a lost balance |
+//! | [`controller`] | one control cycle: a pure function of its input and its own state |
+//! | [`step`] | input and output of one step of the controller, and the recorded form of the input |
+//! | `modes`, `arm` | the data of each mode: plan and setpoint of Track and Balance, reference of the arm in Hold and Stop |
+//! | [`supervisor`], `checks`, [`trip`] | the table of modes; the limits with their warning and trip levels; causes of trips |
+//! | `observer`, [`filter`] | the state x from measurements, and the reason why it cannot be trusted |
+//! | `disturbance`, `standstill` | the torque that the model does not explain; encoders that are stuck |
+//! | `law` | the torque law (24) and the torque limiter |
+//! | [`plan`], `loads` | the check of a plan that arrives; the plan that the controller has loaded |
+//! | `realtime` | the real-time thread, which runs the cycle on time |
+//! | [`os`] | scheduler and memory settings, and those that the system refuses |
+//! | [`service`] | the service thread: requests, plans, telemetry, plants |
+//! | `cycle_log`, [`histogram`], `overrun`, [`flight`] | statistics of the cycles, causes of overruns, the flight recorder |
+//! | [`recovery`] | the next swing-up after a lost balance |
 
 // `.ci/rtsan` builds with this: the functions of the cycle then end the process if they allocate, lock or block.
 #![cfg_attr(rtsan, feature(sanitize))]

@@ -1,7 +1,7 @@
-//! Why a cycle ended late: its phases, and what the kernel did to the real-time thread.
+//! Causes of overruns: the phases of a late cycle, and the kernel's counters of the real-time thread.
 //!
-//! The thread itself asks nothing: that would be a system call per cycle. The other thread reads the counters that the
-//! kernel keeps of it, now and then and after an overrun, and names the difference.
+//! The real-time thread does not read its counters, because that would be a system call per cycle. The service thread reads them
+//! periodically and after an overrun, and reports the difference.
 
 use std::fmt;
 use std::fs::File;
@@ -9,12 +9,12 @@ use std::os::unix::fs::FileExt;
 use std::time::{Duration, Instant};
 use upswing_ipc::Telemetry;
 
-/// How old the counters of comparison get: what is older than this is not blamed on an overrun.
+/// Age at which the counters are read again: older events are not reported as causes of an overrun.
 const REFRESH: Duration = Duration::from_millis(50);
 
 /// The kernel's counters of a thread.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Counters {
+pub struct ThreadCounters {
     /// Page faults with and without access to a disk.
     pub faults: u64,
     /// Times that the kernel took the CPU away from it.
@@ -23,17 +23,17 @@ pub struct Counters {
     pub starved_ns: u64,
 }
 
-/// Watches the real-time thread from outside.
+/// Reads the counters of the real-time thread from another thread.
 #[derive(Debug)]
-pub struct Watch {
+pub struct ThreadWatch {
     stat: File,
     status: File,
     schedstat: Option<File>,
-    last: Counters,
+    last: ThreadCounters,
     read: Instant,
 }
 
-impl Watch {
+impl ThreadWatch {
     /// A watch of the thread `tid` of this process.
     ///
     /// # Errors
@@ -45,7 +45,7 @@ impl Watch {
             status: open("status")?,
             // Not in every kernel.
             schedstat: open("schedstat").ok(),
-            last: Counters::default(),
+            last: ThreadCounters::default(),
             read: Instant::now(),
         };
         watch.last = watch.counters();
@@ -53,7 +53,7 @@ impl Watch {
     }
 
     /// The counters now; 0 for what cannot be read.
-    pub fn counters(&self) -> Counters {
+    pub fn counters(&self) -> ThreadCounters {
         let text = |file: &File| {
             let mut bytes = [0; 4096];
             let length = file.read_at(&mut bytes, 0).unwrap_or(0);
@@ -68,26 +68,26 @@ impl Watch {
         let switches = status.lines().find_map(|line| line.strip_prefix("nonvoluntary_ctxt_switches:"));
         let schedstat = self.schedstat.as_ref().map(text).unwrap_or_default();
         let number = |text: Option<&str>| text.and_then(|v| v.trim().parse().ok()).unwrap_or(0);
-        Counters {
+        ThreadCounters {
             faults: field(7) + field(9),
             preemptions: number(switches),
             starved_ns: number(schedstat.split_whitespace().nth(1)),
         }
     }
 
-    /// Takes the counters anew if they are old; to be called often.
+    /// Reads the counters again if they are old; to be called often.
     pub fn refresh(&mut self) {
         if self.read.elapsed() >= REFRESH {
             self.take();
         }
     }
 
-    /// What happened since the counters were last taken, and how long ago that was.
-    pub fn take(&mut self) -> (Counters, Duration) {
+    /// The change of the counters since they were last read, and the time since then.
+    pub fn take(&mut self) -> (ThreadCounters, Duration) {
         let (now, age) = (self.counters(), self.read.elapsed());
         let last = std::mem::replace(&mut self.last, now);
         self.read = Instant::now();
-        let since = Counters {
+        let since = ThreadCounters {
             faults: now.faults.saturating_sub(last.faults),
             preemptions: now.preemptions.saturating_sub(last.preemptions),
             starved_ns: now.starved_ns.saturating_sub(last.starved_ns),
@@ -96,14 +96,14 @@ impl Watch {
     }
 }
 
-/// A cycle that ended late, and what may have caused it.
+/// A cycle that ended late, and its possible causes.
 #[derive(Clone, Copy, Debug)]
 pub struct Overrun {
     /// The late cycle.
     pub telemetry: Telemetry,
-    /// What the kernel did to the thread around it.
-    pub around: Counters,
-    /// In how long a time around it.
+    /// Change of the kernel's counters of the thread around it.
+    pub around: ThreadCounters,
+    /// The time in which they changed.
     pub window: Duration,
 }
 
@@ -117,7 +117,7 @@ impl fmt::Display for Overrun {
         for (name, ns) in phases {
             write!(f, " {name} {:.1}", ns as f64 * 1e-3)?;
         }
-        let Counters { faults, preemptions, starved_ns } = self.around;
+        let ThreadCounters { faults, preemptions, starved_ns } = self.around;
         write!(
             f,
             " us; {preemptions} preemptions, {:.1} us ready without a CPU, {faults} page faults in the last {} ms",

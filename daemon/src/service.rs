@@ -67,11 +67,12 @@ pub fn serve(config: &Config, domain: &Domain, shutdown: &AtomicBool) -> Result<
     }
     service.fetch();
     let flushed = service.log.flush(service.dropped());
-    service.complain_of(flushed);
+    service.warn_of_error(flushed);
     joined.map_err(|_| Failure::Failed("the real-time thread panicked".into())).and(result)
 }
 
-/// Starts the real-time thread; it has its priority and CPU when this returns. `refused`: what the system refused so far.
+/// Starts the real-time thread; it has its priority and CPU when this returns. `refused`: settings that the system has refused
+/// so far.
 fn start_thread(
     config: &Config,
     realtime: RealtimeThread,
@@ -195,15 +196,15 @@ impl<'a> ServiceThread<'a> {
                 // A copy: the planner could change the plan while it is being checked.
                 Ok(Some(sample)) => self.load(&sample.boxed_copy()),
                 Ok(None) => {}
-                Err(e) => self.complain(e.to_string()),
+                Err(e) => self.warn_once(e.to_string()),
             }
             if let Err(e) = server.poll(|request| self.handle(request)) {
-                self.complain(e.to_string());
+                self.warn_once(e.to_string());
             }
             self.fetch();
-            self.hear_planner();
-            let tended = self.log.tend(self.dropped());
-            self.complain_of(tended);
+            self.receive_plan();
+            let published = self.log.publish_due(self.dropped());
+            self.warn_of_error(published);
             self.tell_manager();
             if shutdown.load(Ordering::Acquire) && self.may_exit(&mut shutdown_begin) {
                 return Ok(());
@@ -213,7 +214,7 @@ impl<'a> ServiceThread<'a> {
         Err(Failure::Failed("the real-time thread ended".into()))
     }
 
-    /// Hands over a plant that was found, until there is room for it.
+    /// Passes the measurements of a plant that was found to the real-time thread, once its ring has room.
     fn find_plant(&mut self) {
         self.link.shared.plant_lives.store(self.plants.writer_is_alive(), Ordering::Relaxed);
         match self.plants.poll() {
@@ -224,13 +225,13 @@ impl<'a> ServiceThread<'a> {
                 (self.found, self.waiting) = (true, Some(reader));
             }
             Ok(None) => {}
-            Err(e) => self.complain(e.to_string()),
+            Err(e) => self.warn_once(e.to_string()),
         }
         if let Some(reader) = self.waiting.take()
             && let Err(rtrb::PushError::Full(reader)) = self.link.readers.push(reader)
         {
             self.waiting = Some(reader);
-            self.complain("the real-time thread does not take the measurements of a new plant".into());
+            self.warn_once("the real-time thread does not take the measurements of a new plant".into());
         }
     }
 
@@ -245,7 +246,7 @@ impl<'a> ServiceThread<'a> {
         self.prioritised = wanted;
         for (thread, priority) in self.threads {
             if let Err(e) = os::set_priority(thread, wanted.then_some(priority)) {
-                self.complain(format!("cannot change the priority of thread {thread}: {e}"));
+                self.warn_once(format!("cannot change the priority of thread {thread}: {e}"));
             }
         }
     }
@@ -271,7 +272,7 @@ impl<'a> ServiceThread<'a> {
         }
     }
 
-    /// Whether a process that shall end may do so: the brakes hold, or waiting is no use.
+    /// Whether a daemon that shuts down may end: the brakes hold, or the arm will not come to rest.
     fn may_exit(&mut self, begin: &mut Option<Instant>) -> bool {
         if is_braked(self.log.mode()) {
             return true;
@@ -281,7 +282,7 @@ impl<'a> ServiceThread<'a> {
             self.manager.stopping();
             self.recovery.yield_to_operator();
             if self.send(Request::Shutdown).is_none() {
-                self.complain("the real-time thread does not take the request to shut down".into());
+                self.warn_once("the real-time thread does not take the request to shut down".into());
             }
             Instant::now()
         });
@@ -389,7 +390,7 @@ impl<'a> ServiceThread<'a> {
         }
     }
 
-    /// Does work of some milliseconds, in which others of this CPU (the plant's process may be one) get their turn.
+    /// Does work of some milliseconds at normal priority, so that other processes on this CPU (the plant may be one) can run.
     fn at_normal_priority<T>(&self, work: impl FnOnce() -> T) -> T {
         let [_, (thread, priority)] = self.threads;
         // It had the priority, so it may have it again.
@@ -400,7 +401,7 @@ impl<'a> ServiceThread<'a> {
         done
     }
 
-    /// What there is to say about the state: the cause of a fault or stop, the last refusal.
+    /// The cause of a fault or stop, and the last refusal; empty if there is neither.
     fn remark(&self) -> String {
         let refusal =
             Some(&self.last_refusal).filter(|text| !text.is_empty()).map(|text| format!("refused {text}"));
@@ -428,7 +429,7 @@ impl<'a> ServiceThread<'a> {
         self.link.shared.dropped.load(Ordering::Relaxed)
     }
 
-    /// Takes in all that came from the real-time thread.
+    /// Processes all replies and records of the real-time thread.
     fn fetch(&mut self) {
         // Replies first: the record that belongs to a reply is in its ring before the reply is.
         while let Ok(reply) = self.link.replies.pop() {
@@ -448,13 +449,13 @@ impl<'a> ServiceThread<'a> {
         while let Ok(record) = self.link.records.pop() {
             let action = self.recovery.note(&record, self.loads.newest());
             let noted = self.log.note(record, self.dropped());
-            self.complain_of(noted);
+            self.warn_of_error(noted);
             match action {
                 Some(RecoveryAction::AskPlanner) => self.ask_planner(),
                 Some(RecoveryAction::Start(plan_id)) => {
                     info!("recovery: swinging up again");
                     if self.send(Request::Start(plan_id)).is_none() {
-                        self.complain("too many requests wait for the next cycle".into());
+                        self.warn_once("too many requests wait for the next cycle".into());
                     }
                 }
                 None => {}
@@ -477,13 +478,13 @@ impl<'a> ServiceThread<'a> {
             Ok(thread) => self.asker = Some(thread),
             Err(e) => {
                 self.recovery.planned(None);
-                self.complain(format!("recovery: cannot start a thread: {e}"));
+                self.warn_once(format!("recovery: cannot start a thread: {e}"));
             }
         }
     }
 
     /// Takes the answer of the planner, once it is there.
-    fn hear_planner(&mut self) {
+    fn receive_plan(&mut self) {
         let Some(asker) = self.asker.take_if(|asker| asker.is_finished()) else { return };
         let answer = asker.join().unwrap_or_else(|_| Err("the asking thread panicked".into()));
         match answer {
@@ -496,17 +497,17 @@ impl<'a> ServiceThread<'a> {
         }
     }
 
-    /// Logs a trouble that persists once.
-    fn complain(&mut self, trouble: String) {
+    /// Logs a problem, but not again while it persists.
+    fn warn_once(&mut self, trouble: String) {
         if trouble != self.last_complaint {
             warn!("{trouble}");
             self.last_complaint = trouble;
         }
     }
 
-    fn complain_of(&mut self, result: Result<(), IpcError>) {
+    fn warn_of_error(&mut self, result: Result<(), IpcError>) {
         if let Err(e) = result {
-            self.complain(e.to_string());
+            self.warn_once(e.to_string());
         }
     }
 }

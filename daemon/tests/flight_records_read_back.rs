@@ -3,7 +3,7 @@
 use proptest::prelude::*;
 use upswing_config::RecorderSettings;
 use upswing_ipc::Telemetry;
-use upswingd::flight::{FlightError, Recorder, read};
+use upswingd::flight::{FlightError, FlightRecorder, read};
 
 fn record(seq: u64) -> Telemetry {
     let mut record = Telemetry { seq, mode: seq % 6, t_plan: seq as f64 * 0.1, ..Telemetry::default() };
@@ -11,8 +11,8 @@ fn record(seq: u64) -> Telemetry {
     record
 }
 
-fn recorder(capacity: usize, cycles: u64) -> Recorder {
-    let mut recorder = Recorder::new(capacity);
+fn recorder(capacity: usize, cycles: u64) -> FlightRecorder {
+    let mut recorder = FlightRecorder::new(capacity);
     (1..=cycles).for_each(|seq| recorder.push(&record(seq)));
     recorder
 }
