@@ -156,7 +156,7 @@ fn what_is_not_refused_holds() {
         system.wait_for_policy("realtime", libc::SCHED_FIFO, 80);
         // Who serves an operator's stop comes next, who looks for plants has no hurry.
         system.wait_for_policy("upswingd", libc::SCHED_FIFO, 79);
-        system.wait_for_policy("search", libc::SCHED_OTHER, 0);
+        system.wait_for_policy("finder", libc::SCHED_OTHER, 0);
     }
     if granted(Degradation::Memory) {
         let status = std::fs::read_to_string(format!("/proc/{}/status", system.daemon.id())).unwrap();
@@ -176,7 +176,7 @@ fn real_time_priority_belongs_to_the_wall_clock() {
     ask_until(&system.client, ControlKind::Enable, |answer| answer.accepted == 1);
     let seq = ask(&system.client, ControlKind::Status).seq;
     system.find(|record| record.seq > seq + 1000);
-    for thread in ["realtime", "upswingd", "search"] {
+    for thread in ["realtime", "upswingd", "finder"] {
         let line = system.thread_called(thread, "stat");
         assert_eq!((stat(&line, 41), stat(&line, 40)), (libc::SCHED_OTHER as u64, 0), "{thread}");
     }
