@@ -9,7 +9,7 @@ use upswing_ipc::operator::Manoeuvre;
 use upswing_ipc::{Clock, Mode, PlannerRequest, Telemetry};
 use upswing_model::{JointVector, NQ};
 use upswing_planner::replan::Planner;
-use upswing_planner::service::Desk;
+use upswing_planner::service::RequestHandler;
 use upswing_trajectory::Plan;
 use upswingd::controller::Controller;
 use upswingd::plan::accept;
@@ -140,11 +140,11 @@ fn a_predicted_start_is_met_and_ends_balanced() {
     }
     assert!(newest.qd[7].abs() > 0.1, "the pendulum swings: {} rad/s", newest.qd[7]);
 
-    let mut desk = Desk::new(&planner);
+    let mut handler = RequestHandler::new(&planner);
     // On a busy machine a plan may be late; the next one looks further ahead.
     let plan = (0..100).find_map(|_| {
-        desk.observe(newest, Instant::now());
-        desk.answer(&PlannerRequest::from_now(Manoeuvre::SwingUp), &|| true).1
+        handler.observe(newest, Instant::now());
+        handler.answer(&PlannerRequest::from_now(Manoeuvre::SwingUp), &|| true).1
     });
     let plan = accept(&Box::<upswing_ipc::Plan>::from(&plan.expect("a plan")), &config).unwrap();
     let (id, t_f, x_0) = (plan.id, plan.trajectory.t_f, plan.trajectory.x[0]);

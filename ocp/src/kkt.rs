@@ -277,13 +277,13 @@ impl Kkt {
         for (l, row) in left.target.iter_mut().zip(&self.target) {
             *l += row.coefficients.dot(&step.z[n].fixed_rows::<NX>(0));
         }
-        // The start state carries a multiplier of its own, which nobody needs.
+        // The multiplier of the start state is not computed: nothing needs it.
         for i in 0..NX {
             left.g[0][i] = 0.0;
         }
     }
 
-    /// What is left of the right-hand side at `step`, with the damping of the factorisation.
+    /// Residual of the linear system at `step`, with the damping of the factorisation.
     fn residual(&self, rhs: &Rhs, step: &NewtonStep, damping: f64, input_damping: f64, left: &mut Rhs) {
         left.copy_from(rhs);
         left.g_t += (self.t_t + damping) * step.t;

@@ -1,4 +1,4 @@
-//! Rows of matrices over states and inputs, padded to full vector registers, and what Riccati sweeps do with them.
+//! Rows of matrices over states and inputs, padded to full vector registers, and the row operations of Riccati recursions.
 //!
 //! The sums are written so that a compiler may put neighbouring columns, never terms of one sum, into the lanes of a
 //! vector register: results do not depend on the width of the registers.
@@ -19,7 +19,10 @@ pub(crate) fn add_scaled<const W: usize>(c: &mut [f64; W], s: f64, a: &[f64; W])
     }
 }
 
-/// Cholesky factor of a block over the inputs, and the inverses of its diagonal.
+/// Cholesky factor of a symmetric NU x NU block, and the inverses of its diagonal.
+///
+/// This is not nalgebra's decomposition: the right-hand sides are the columns of padded rows, solved side by side in vector registers,
+/// and divisions by the diagonal become products. The bits of every database depend on the order of these operations.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Pivot {
     lower: [[f64; NU]; NU],

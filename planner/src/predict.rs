@@ -1,10 +1,13 @@
-//! Where the system will be when a plan begins.
+//! Prediction of the state in which a moving system will be when a plan begins.
 
 use upswing_config::HoldGains;
 use upswing_model::{ActuatedVector, Model, NQ, State, Workspace};
 
 /// The state `seconds` after `x` (rad, rad/s) while the daemon holds the arm at `q_hold` (rad) and the pendulum swings
 /// freely; classical Runge-Kutta with steps of about a millisecond.
+///
+/// The simulated plant has a Runge-Kutta method of its own, with forces that can fail and brakes; the certificate of a trajectory uses a method
+/// with error control, so that no trajectory is verified by the method that predicted its start.
 pub fn held(
     model: &Model,
     gains: &HoldGains,

@@ -60,7 +60,7 @@ pub struct Effort<'a> {
     pub optimise: bool,
     /// No iteration of a solver is begun after this.
     pub deadline: Option<Instant>,
-    /// Asked before each iteration of a solver: whether nobody waits for the plan any more.
+    /// Asked before each iteration of a solver: whether to stop, because the client is gone.
     pub cancelled: Option<&'a dyn Fn() -> bool>,
 }
 
@@ -75,7 +75,7 @@ impl Effort<'_> {
         self.deadline.is_some_and(|d| Instant::now() >= d)
     }
 
-    /// Whether nobody waits any more.
+    /// Whether the client is gone.
     fn is_cancelled(&self) -> bool {
         self.cancelled.is_some_and(|cancelled| cancelled())
     }

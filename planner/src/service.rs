@@ -56,14 +56,14 @@ fn serve(planner: &Planner, domain: &Domain, stop: &Arc<AtomicBool>) -> Result<(
     let server = node.server()?;
     let publisher = node.publisher::<upswing_ipc::Plan>()?;
     let telemetry = node.subscriber()?;
-    let mut desk = Desk::new(planner);
+    let mut handler = RequestHandler::new(planner);
     info!(entries = planner.entries().len(), domain = domain.name(), "planner ready");
     let mut manager = Notifier::new();
     manager.ready();
     manager.status(&format!("{} database entries", planner.entries().len()));
     while !stop.load(Ordering::Acquire) {
         if let Some(record) = drain(&telemetry)? {
-            desk.observe(record, Instant::now());
+            handler.observe(record, Instant::now());
         }
         let mut published = Vec::new();
         let answered = server.poll_cancellable(|request, connected| {
@@ -73,11 +73,11 @@ fn serve(planner: &Planner, domain: &Domain, stop: &Arc<AtomicBool>) -> Result<(
             let (response, plan) = loop {
                 // What was measured until now counts. An error comes again with the next look.
                 if let Ok(Some(record)) = drain(&telemetry) {
-                    desk.observe(record, Instant::now());
+                    handler.observe(record, Instant::now());
                 }
-                let answer = desk.answer(request, wanted);
-                attempts += usize::from(desk.late);
-                let again = desk.late && attempts <= LATE;
+                let answer = handler.answer(request, wanted);
+                attempts += usize::from(handler.late);
+                let again = handler.late && attempts <= LATE;
                 // Who enables the daemon and asks at once is here before the telemetry of that.
                 let early = answer.0.status() == Ok(PlannerStatus::NotReady);
                 if !((again || early && begin.elapsed() < HANDS_OVER) && wanted()) {
@@ -101,7 +101,7 @@ fn serve(planner: &Planner, domain: &Domain, stop: &Arc<AtomicBool>) -> Result<(
         }
         publisher.deliver_history()?;
         if answered == 0 {
-            desk.prepare(&|| !stop.load(Ordering::Acquire));
+            handler.prepare(&|| !stop.load(Ordering::Acquire));
             std::thread::sleep(PAUSE);
         }
         manager.alive();
@@ -121,8 +121,8 @@ fn drain(telemetry: &Subscriber<TelemetryBatch>) -> Result<Option<Telemetry>, up
     Ok(newest)
 }
 
-/// What the planner knows between requests.
-pub struct Desk<'a> {
+/// Answers requests for plans; holds what the planner keeps between requests.
+pub struct RequestHandler<'a> {
     planner: &'a Planner,
     solver: Solver,
     /// The newest record of the daemon, and when it came.
@@ -150,7 +150,7 @@ struct Start {
 /// Why a request is refused.
 struct No(PlannerStatus, String);
 
-impl<'a> Desk<'a> {
+impl<'a> RequestHandler<'a> {
     /// Nothing observed, nothing prepared.
     pub fn new(planner: &'a Planner) -> Self {
         let lead = planner.config().planner.replan.lead;
@@ -171,7 +171,7 @@ impl<'a> Desk<'a> {
     }
 
     /// While the arm holds and nothing moves, keeps a swing-up from here ready, so that a request is answered at once;
-    /// gives up when `wanted` says no.
+    /// stops as soon as `wanted` returns false.
     pub fn prepare(&mut self, wanted: &dyn Fn() -> bool) {
         let Some((record, seen)) = &self.newest else { return };
         let start = measured(record);
@@ -201,7 +201,7 @@ impl<'a> Desk<'a> {
         self.prepared = Some((start, replan.ok()));
     }
 
-    /// Answers one request, of which nothing is trusted; `wanted` tells whether somebody still waits.
+    /// Checks and answers one request; planning stops as soon as `wanted` returns false.
     pub fn answer(
         &mut self,
         request: &PlannerRequest,

@@ -6,7 +6,7 @@ use upswing_ipc::{PlannerKind, PlannerRequest, PlannerStatus};
 use upswing_model::State;
 use upswing_ocp::qp::Status;
 use upswing_planner::replan::{Effort, Planner, Replan};
-use upswing_planner::service::Desk;
+use upswing_planner::service::RequestHandler;
 
 /// The weights (17) of the settings times `factor`: the same solution, but the structured solver compares the products of
 /// slacks and multipliers with an absolute bound, which it does not reach if the weights are large.
@@ -48,10 +48,10 @@ fn a_plan_with_weights_that_the_structured_solver_cannot_handle_is_the_same() {
 #[test]
 fn the_answer_names_it_and_the_status_counts_it() {
     let planner = planner(1e6);
-    let mut desk = Desk::new(&planner);
+    let mut handler = RequestHandler::new(&planner);
     let status = PlannerRequest { kind: PlannerKind::Status.code(), ..PlannerRequest::default() };
     let mut ask = |request: &PlannerRequest| {
-        let (answer, _) = desk.answer(request, &|| true);
+        let (answer, _) = handler.answer(request, &|| true);
         assert_eq!(answer.status(), Ok(PlannerStatus::Solved));
         answer.reason.as_str().expect("text").to_owned()
     };

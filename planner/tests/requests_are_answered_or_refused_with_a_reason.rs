@@ -7,7 +7,7 @@ use upswing_ipc::operator::{Manoeuvre, NextAction, Request};
 use upswing_ipc::{Clock, Mode, PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus, Telemetry};
 use upswing_model::{NQ, State, StateParts};
 use upswing_planner::replan::Planner;
-use upswing_planner::service::Desk;
+use upswing_planner::service::RequestHandler;
 use upswing_trajectory::{N, Plan};
 
 fn planner() -> Planner {
@@ -29,8 +29,8 @@ fn record(x: &State, mode: Mode, lockstep: bool) -> Telemetry {
     record
 }
 
-fn ask(desk: &mut Desk<'_>, request: &PlannerRequest) -> (PlannerResponse, Option<Plan>) {
-    desk.answer(request, &|| true)
+fn ask(handler: &mut RequestHandler<'_>, request: &PlannerRequest) -> (PlannerResponse, Option<Plan>) {
+    handler.answer(request, &|| true)
 }
 
 #[track_caller]
@@ -44,11 +44,11 @@ fn refused(answer: (PlannerResponse, Option<Plan>), status: PlannerStatus, part:
 #[test]
 fn a_plan_is_ready_while_the_arm_holds() {
     let planner = planner();
-    let mut desk = Desk::new(&planner);
+    let mut handler = RequestHandler::new(&planner);
     let x = rest(&planner);
-    desk.observe(record(&x, Mode::Hold, false), Instant::now());
-    desk.prepare(&|| true);
-    let (answer, plan) = ask(&mut desk, &PlannerRequest::from_now(Manoeuvre::SwingUp));
+    handler.observe(record(&x, Mode::Hold, false), Instant::now());
+    handler.prepare(&|| true);
+    let (answer, plan) = ask(&mut handler, &PlannerRequest::from_now(Manoeuvre::SwingUp));
     assert_eq!(answer.reason.as_str(), Ok("ready before it was asked for"));
     let plan = plan.expect("a plan");
     assert_eq!(answer.plan_id, plan.id);
@@ -58,8 +58,8 @@ fn a_plan_is_ready_while_the_arm_holds() {
     for (shift, ready) in [(1e-4, true), (1e-2, false)] {
         let mut moved = x;
         moved[1] += shift;
-        desk.observe(record(&moved, Mode::Hold, false), Instant::now());
-        let (answer, plan) = ask(&mut desk, &PlannerRequest::from_now(Manoeuvre::SwingUp));
+        handler.observe(record(&moved, Mode::Hold, false), Instant::now());
+        let (answer, plan) = ask(&mut handler, &PlannerRequest::from_now(Manoeuvre::SwingUp));
         assert_eq!(answer.reason.as_str().expect("text").starts_with("ready"), ready, "moved by {shift}");
         assert!((plan.expect("a plan").trajectory.x[0] - moved).amax() < 2e-4);
     }
@@ -68,16 +68,16 @@ fn a_plan_is_ready_while_the_arm_holds() {
 #[test]
 fn in_lockstep_a_plan_begins_with_the_state_of_the_record() {
     let planner = planner();
-    let mut desk = Desk::new(&planner);
+    let mut handler = RequestHandler::new(&planner);
     let mut x = rest(&planner);
     x[NQ + 7] = 0.3;
     for moving in [false, true] {
         if !moving {
             x[NQ + 7] = 0.0;
         }
-        desk.observe(record(&x, Mode::Hold, true), Instant::now());
-        desk.prepare(&|| true);
-        let (answer, plan) = ask(&mut desk, &PlannerRequest::from_now(Manoeuvre::SwingUp));
+        handler.observe(record(&x, Mode::Hold, true), Instant::now());
+        handler.prepare(&|| true);
+        let (answer, plan) = ask(&mut handler, &PlannerRequest::from_now(Manoeuvre::SwingUp));
         assert_eq!(answer.reason.as_str(), Ok(""), "nothing is prepared in lockstep");
         assert!((plan.expect("a plan").trajectory.x[0] - x).amax() < 1e-6);
     }
@@ -86,15 +86,15 @@ fn in_lockstep_a_plan_begins_with_the_state_of_the_record() {
 #[test]
 fn a_moving_start_is_predicted_for_the_activation_of_its_plan() {
     let planner = planner();
-    let mut desk = Desk::new(&planner);
+    let mut handler = RequestHandler::new(&planner);
     let mut x = rest(&planner);
     x[NQ + 7] = 0.5;
     let now = Telemetry { t_ns: 3_000_000_000, ..record(&x, Mode::Hold, false) };
     // On a busy machine a plan may be late; the next one looks further ahead.
     let (answer, plan) = (0..100)
         .find_map(|_| {
-            desk.observe(now, Instant::now());
-            let (answer, plan) = ask(&mut desk, &PlannerRequest::from_now(Manoeuvre::SwingUp));
+            handler.observe(now, Instant::now());
+            let (answer, plan) = ask(&mut handler, &PlannerRequest::from_now(Manoeuvre::SwingUp));
             plan.map(|plan| (answer, plan))
         })
         .expect("a plan");
@@ -113,16 +113,16 @@ fn a_moving_start_is_predicted_for_the_activation_of_its_plan() {
 #[test]
 fn a_pendulum_that_turns_round_is_not_at_rest() {
     let planner = planner();
-    let mut desk = Desk::new(&planner);
+    let mut handler = RequestHandler::new(&planner);
     let mut x = rest(&planner);
     x[7] += 10_f64.to_radians();
-    desk.observe(record(&x, Mode::Hold, false), Instant::now());
+    handler.observe(record(&x, Mode::Hold, false), Instant::now());
     // Nothing is kept ready for a moment that does not come again.
-    desk.prepare(&|| true);
+    handler.prepare(&|| true);
     let mut reason = String::new();
     let plan = (0..100).find_map(|_| {
-        desk.observe(record(&x, Mode::Hold, false), Instant::now());
-        let (answer, plan) = ask(&mut desk, &PlannerRequest::from_now(Manoeuvre::SwingUp));
+        handler.observe(record(&x, Mode::Hold, false), Instant::now());
+        let (answer, plan) = ask(&mut handler, &PlannerRequest::from_now(Manoeuvre::SwingUp));
         reason = answer.reason.to_string();
         plan
     });
@@ -136,12 +136,12 @@ fn a_pendulum_that_turns_round_is_not_at_rest() {
 #[test]
 fn a_swing_down_begins_upright_and_ends_hanging_at_rest() {
     let planner = planner();
-    let mut desk = Desk::new(&planner);
+    let mut handler = RequestHandler::new(&planner);
     let mut upright = planner.entries()[17].trajectory.x[N];
     upright[1] += 0.02;
     upright[5] -= 0.01;
-    desk.observe(record(&upright, Mode::Balance, false), Instant::now());
-    let (answer, plan) = ask(&mut desk, &PlannerRequest::from_now(Manoeuvre::SwingDown));
+    handler.observe(record(&upright, Mode::Balance, false), Instant::now());
+    let (answer, plan) = ask(&mut handler, &PlannerRequest::from_now(Manoeuvre::SwingDown));
     assert_eq!(answer.status(), Ok(PlannerStatus::Solved), "{:?}", answer.reason.as_str());
     let trajectory = plan.expect("a plan").trajectory;
     assert!((trajectory.x[0] - upright).amax() < 1e-6);
@@ -157,9 +157,9 @@ fn a_swing_down_begins_upright_and_ends_hanging_at_rest() {
 #[test]
 fn from_another_mode_or_without_a_daemon() {
     let planner = planner();
-    let mut desk = Desk::new(&planner);
+    let mut handler = RequestHandler::new(&planner);
     refused(
-        ask(&mut desk, &PlannerRequest::from_now(Manoeuvre::SwingUp)),
+        ask(&mut handler, &PlannerRequest::from_now(Manoeuvre::SwingUp)),
         PlannerStatus::NotReady,
         "is upswingd running",
     );
@@ -167,8 +167,8 @@ fn from_another_mode_or_without_a_daemon() {
         for (manoeuvre, needed) in [(Manoeuvre::SwingUp, Mode::Hold), (Manoeuvre::SwingDown, Mode::Balance)] {
             let x =
                 if mode == Mode::Balance { planner.entries()[17].trajectory.x[N] } else { rest(&planner) };
-            desk.observe(record(&x, mode, false), Instant::now());
-            let answer = ask(&mut desk, &PlannerRequest::from_now(manoeuvre));
+            handler.observe(record(&x, mode, false), Instant::now());
+            let answer = ask(&mut handler, &PlannerRequest::from_now(manoeuvre));
             if mode == needed {
                 assert!(answer.1.is_some(), "{manoeuvre} in {mode}: {:?}", answer.0.reason);
                 assert_eq!(mode.next_action(), NextAction::Make(Request::Manoeuvre(manoeuvre)));
@@ -182,7 +182,7 @@ fn from_another_mode_or_without_a_daemon() {
 #[test]
 fn from_a_daemon_that_has_fallen_silent() {
     let planner = planner();
-    let mut desk = Desk::new(&planner);
+    let mut handler = RequestHandler::new(&planner);
     let mut moving = rest(&planner);
     moving[NQ + 7] = 0.5;
     let long_ago = Instant::now().checked_sub(Duration::from_secs(6)).expect("the clock runs for longer");
@@ -191,24 +191,24 @@ fn from_a_daemon_that_has_fallen_silent() {
         (moving, Mode::Hold, Manoeuvre::SwingUp),
         (planner.entries()[17].trajectory.x[N], Mode::Balance, Manoeuvre::SwingDown),
     ] {
-        desk.observe(record(&x, mode, false), long_ago);
-        refused(ask(&mut desk, &PlannerRequest::from_now(manoeuvre)), PlannerStatus::NotReady, reason);
+        handler.observe(record(&x, mode, false), long_ago);
+        refused(ask(&mut handler, &PlannerRequest::from_now(manoeuvre)), PlannerStatus::NotReady, reason);
     }
     // Nothing is prepared for it, either.
-    desk.observe(record(&rest(&planner), Mode::Hold, false), long_ago);
-    desk.prepare(&|| true);
-    desk.observe(record(&rest(&planner), Mode::Hold, false), Instant::now());
-    let (answer, _) = ask(&mut desk, &PlannerRequest::from_now(Manoeuvre::SwingUp));
+    handler.observe(record(&rest(&planner), Mode::Hold, false), long_ago);
+    handler.prepare(&|| true);
+    handler.observe(record(&rest(&planner), Mode::Hold, false), Instant::now());
+    let (answer, _) = ask(&mut handler, &PlannerRequest::from_now(Manoeuvre::SwingUp));
     assert_eq!(answer.reason.as_str(), Ok(""));
     // In lockstep time stands still while a plan is made.
-    desk.observe(record(&moving, Mode::Hold, true), long_ago);
-    assert!(ask(&mut desk, &PlannerRequest::from_now(Manoeuvre::SwingUp)).1.is_some());
+    handler.observe(record(&moving, Mode::Hold, true), long_ago);
+    assert!(ask(&mut handler, &PlannerRequest::from_now(Manoeuvre::SwingUp)).1.is_some());
 }
 
 #[test]
 fn nonsense() {
     let planner = planner();
-    let mut desk = Desk::new(&planner);
+    let mut handler = RequestHandler::new(&planner);
     let good = PlannerRequest {
         kind: PlannerKind::SwingUp.code(),
         start: rest(&planner).into(),
@@ -219,16 +219,16 @@ fn nonsense() {
         change(&mut request);
         request
     };
-    refused(ask(&mut desk, &with(&|r| r.kind = 99)), PlannerStatus::BadRequest, "99");
-    refused(ask(&mut desk, &with(&|r| r.iterations = 101)), PlannerStatus::BadRequest, "got 101");
-    refused(ask(&mut desk, &with(&|r| r.start[3] = f64::NAN)), PlannerStatus::BadRequest, "entry 3");
-    refused(ask(&mut desk, &with(&|r| r.start[1] = 9.0)), PlannerStatus::StartOutsideLimits, "joint 2");
+    refused(ask(&mut handler, &with(&|r| r.kind = 99)), PlannerStatus::BadRequest, "99");
+    refused(ask(&mut handler, &with(&|r| r.iterations = 101)), PlannerStatus::BadRequest, "got 101");
+    refused(ask(&mut handler, &with(&|r| r.start[3] = f64::NAN)), PlannerStatus::BadRequest, "entry 3");
+    refused(ask(&mut handler, &with(&|r| r.start[1] = 9.0)), PlannerStatus::StartOutsideLimits, "joint 2");
     refused(
-        ask(&mut desk, &with(&|r| r.start[NQ] = 9.0)),
+        ask(&mut handler, &with(&|r| r.start[NQ] = 9.0)),
         PlannerStatus::StartOutsideLimits,
         "velocity of joint 1",
     );
-    assert!(ask(&mut desk, &good).1.is_some());
+    assert!(ask(&mut handler, &good).1.is_some());
 }
 
 #[test]
@@ -236,24 +236,24 @@ fn a_plan_is_called_solved_only_where_its_defect_is_within_the_setting() {
     let mut config = Config::embedded().expect("embedded settings");
     config.planner.replan.iterations = 1;
     let planner = Planner::new(config).expect("the shipped database fits");
-    let mut desk = Desk::new(&planner);
+    let mut handler = RequestHandler::new(&planner);
     let request = PlannerRequest {
         kind: PlannerKind::SwingUp.code(),
         start: rest(&planner).into(),
         ..PlannerRequest::default()
     };
-    let (answer, plan) = ask(&mut desk, &request);
+    let (answer, plan) = ask(&mut handler, &request);
     assert_eq!(answer.status(), Ok(PlannerStatus::OpenDefect));
     assert!(plan.is_some() && answer.defect > planner.config().planner.replan.defect);
     assert!(answer.reason.as_str().expect("text").starts_with("defect"), "{:?}", answer.reason.as_str());
-    let (answer, _) = ask(&mut desk, &PlannerRequest { iterations: 10, ..request });
+    let (answer, _) = ask(&mut handler, &PlannerRequest { iterations: 10, ..request });
     assert_eq!(answer.status(), Ok(PlannerStatus::Solved));
 }
 
 #[test]
 fn a_plan_that_nobody_waits_for_any_more_is_given_up() {
     let planner = planner();
-    let mut desk = Desk::new(&planner);
+    let mut handler = RequestHandler::new(&planner);
     let request = PlannerRequest {
         kind: PlannerKind::SwingUp.code(),
         start: rest(&planner).into(),
@@ -264,7 +264,7 @@ fn a_plan_that_nobody_waits_for_any_more_is_given_up() {
         asked.set(asked.get() + 1);
         asked.get() < 4
     };
-    refused(desk.answer(&request, &wanted), PlannerStatus::Infeasible, "cancelled before QP 1");
+    refused(handler.answer(&request, &wanted), PlannerStatus::Infeasible, "cancelled before QP 1");
     // With every neighbour given up at once.
     assert!(asked.get() <= 4 + planner.config().planner.replan.neighbours);
 }
@@ -272,7 +272,7 @@ fn a_plan_that_nobody_waits_for_any_more_is_given_up() {
 #[test]
 fn a_budget_that_is_too_short() {
     let planner = planner();
-    let mut desk = Desk::new(&planner);
+    let mut handler = RequestHandler::new(&planner);
     let request = PlannerRequest {
         kind: PlannerKind::SwingUp.code(),
         start: rest(&planner).into(),
@@ -280,5 +280,5 @@ fn a_budget_that_is_too_short() {
         iterations: 100,
         ..PlannerRequest::default()
     };
-    refused(ask(&mut desk, &request), PlannerStatus::Deadline, "time budget");
+    refused(ask(&mut handler, &request), PlannerStatus::Deadline, "time budget");
 }

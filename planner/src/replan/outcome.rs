@@ -1,4 +1,4 @@
-//! What comes of a replan: the plan, or the reason for each entry tried.
+//! The result of a replan: a plan, or the reason of failure for each database entry that was tried.
 
 use crate::database::Neighbour;
 use std::time::Duration;
@@ -9,7 +9,7 @@ use upswing_ocp::lqr;
 use upswing_ocp::qp::{self, Conflict, Stall};
 use upswing_trajectory::{Gains, Margins, Plan, Trajectory, Unfit};
 
-/// A neighbour that was tried in vain.
+/// A database entry from which no plan could be made.
 #[derive(Clone, Debug)]
 pub struct Attempt {
     /// The entry and its distance.
@@ -18,7 +18,7 @@ pub struct Attempt {
     pub refusal: Refusal,
 }
 
-/// Why a neighbour gave no plan.
+/// The reason why a database entry gave no plan.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Refusal {
     /// The constraints of a QP cannot be met together.
@@ -53,7 +53,7 @@ pub enum Refusal {
         /// The QP that was not begun or not finished, from 1.
         iteration: usize,
     },
-    /// Nobody waits for the plan any more.
+    /// The client cancelled the request or is gone.
     #[error("cancelled before QP {iteration} was solved")]
     Cancelled {
         /// The QP that was not begun or not finished, from 1.
@@ -126,7 +126,7 @@ pub struct Replan {
     pub method: Method,
     /// The entry it was adapted from; of the full optimisation the nearest one.
     pub entry: Neighbour,
-    /// The entries tried in vain before, in order.
+    /// The entries that gave no plan before this one, in order.
     pub refused: Vec<Attempt>,
     /// QPs for the entry used, each linearised around the result before, or iterations of the full optimisation.
     pub iterations: usize,
@@ -138,7 +138,7 @@ pub struct Replan {
     pub statistics: Statistics,
 }
 
-/// Nothing led to a plan.
+/// No plan was found: the failures of all methods tried.
 #[derive(Clone, Debug)]
 pub struct NoPlan {
     /// The entries tried, in order.
