@@ -1,4 +1,4 @@
-//! Each check of the doctor fires on a host that fails it, with what to do; and none on a host that is as it should be.
+//! Each check of the doctor fires, with a remedy, on a host that fails it, and none fires on a suitable host.
 
 mod common;
 

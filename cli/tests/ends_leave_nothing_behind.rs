@@ -1,5 +1,5 @@
-//! A client of a domain that nobody has joined creates nothing; an interrupt of the whole process group ends a demo as
-//! interrupted; a stderr that cannot be written is no panic. None of them leaves a file.
+//! A client creates no files in a domain without processes; an interrupt of the whole process group ends a demo as
+//! interrupted; an unwritable stderr causes no panic. None of them leaves a file.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader};

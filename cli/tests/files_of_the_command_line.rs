@@ -1,5 +1,5 @@
-//! Every option and argument that takes a file: what is no regular file is refused at once, and nothing waits for it; what
-//! exists is not overwritten without --force, and that is known before the work.
+//! Every option and argument for a file: anything except a regular file is refused at once, without waiting for it;
+//! existing files are not overwritten without --force, and are refused before the work.
 
 mod common;
 

@@ -1,4 +1,4 @@
-//! What the daemon kept of the cycles before a fault becomes a page and a table like any recording; a damaged one is refused.
+//! A flight record of the daemon becomes a page and a table like any recording; a damaged one is refused.
 
 mod common;
 

@@ -1,4 +1,4 @@
-//! A picture that does not fit on its disk is an error, and costs nothing but the picture; one that cannot be written at all is
+//! A picture that does not fit on its disk is an error, but only the picture is lost; one that cannot be written at all is
 //! refused before the work.
 
 mod common;

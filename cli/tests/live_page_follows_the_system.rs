@@ -1,4 +1,5 @@
-//! Chromium shows a running system live, also one that does not know where its rod is, and moves it by the page's buttons.
+//! Chromium shows a running system live, also one without a measurement of the rod, and operates it with the page's
+//! buttons.
 //!
 //! Needs Python 3.10 or newer with the package index, and Chromium; without them the test says so and does nothing.
 

@@ -1,5 +1,5 @@
-//! The live page answers who addresses it by number or as localhost, takes requests only with its token, never from
-//! another site, and offers them only on this machine.
+//! The live page answers only requests addressed to an IP address or to localhost, accepts operator's requests only with
+//! its token, never from another site, and offers them only on this machine.
 
 mod common;
 

@@ -1,4 +1,4 @@
-//! A run that does not succeed ends with exit code 1, and its start is listed with the limit and the state.
+//! A run with a failed start has exit code 1 and lists the start with the limit and the state.
 
 mod common;
 

@@ -1,5 +1,5 @@
-//! A robustness curve is the same on any number of threads; each failed start is listed, and named with its value it fails
-//! again, for the same reason. What is missed beyond the limits of the daemon is what makes it give up.
+//! A robustness curve is the same on any number of threads; each failed start is listed, and repeated with its value it
+//! fails again for the same reason. Missed cycles beyond the daemon's limits make it trip.
 
 mod common;
 

@@ -1,5 +1,5 @@
-//! `upswing soak` kills processes and shows that the system recovers: no round fails but those that a kill ended, and the
-//! next one begins with all three processes.
+//! `upswing soak` kills processes and shows that the system recovers: only killed rounds fail, and the next round begins
+//! with all three processes.
 
 mod common;
 

@@ -1,4 +1,4 @@
-//! Whatever stands in a file, loading answers with settings or an error that names the file.
+//! For any file contents, loading returns settings or an error that names the file.
 
 mod common;
 use common::exported;

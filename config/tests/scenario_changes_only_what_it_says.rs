@@ -1,5 +1,4 @@
-//! A scenario replaces the keys that it states and leaves all others; one that cannot be is refused with its file and
-//! key.
+//! A scenario replaces the keys that it contains and no others; an invalid one is refused with its file and key.
 
 mod common;
 use common::exported;

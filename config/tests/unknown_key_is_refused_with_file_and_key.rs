@@ -1,5 +1,5 @@
-//! A key nobody reads, a key left out, a value of the wrong type and broken TOML are refused with the file, the
-//! line and the key.
+//! An unknown key, a missing key, a value of the wrong type and invalid TOML are refused with the file, the line and the
+//! key.
 
 mod common;
 use common::{exported, refused};

@@ -1,5 +1,5 @@
-//! Whatever comes: the torque is finite and within the limits, closed brakes go with Idle and Fault, and Fault is left
-//! by a reset only.
+//! For any input the torque is finite and within the limits, the brakes are closed exactly in Idle and Fault, and Fault is
+//! left only by a reset.
 
 mod common;
 

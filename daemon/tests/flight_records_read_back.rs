@@ -1,4 +1,4 @@
-//! What the flight recorder writes is what came last, and a damaged file is refused.
+//! A flight record has the newest cycles, and a damaged file is refused.
 
 use proptest::prelude::*;
 use upswing_config::RecorderSettings;

@@ -1,5 +1,5 @@
-//! Whoever writes a plan into shared memory, sealed as it should be: either the daemon refuses it, or the robot follows
-//! it from a start that the daemon tolerates, and ends as the plan says.
+//! A mutated plan with a valid checksum is either refused by the daemon, or the robot tracks it from any tolerated start
+//! and ends as planned.
 
 mod common;
 

@@ -1,4 +1,4 @@
-//! In closed loop with a simulated arm.
+//! Hold, Track and Stop in closed loop with a simulated arm.
 
 mod common;
 

@@ -1,4 +1,4 @@
-//! What a mode takes over from the one before, and what it forgets: reference, time, plan, cause.
+//! What a mode keeps from the previous mode, and what it resets: reference, time, plan, cause.
 
 mod common;
 

@@ -1,4 +1,4 @@
-//! A plan begins at the moment that its first state was predicted for, and only the plan that was meant.
+//! A plan begins at its activation time, and only the plan that `start` names.
 
 mod common;
 

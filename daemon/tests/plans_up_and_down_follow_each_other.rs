@@ -1,4 +1,4 @@
-//! A plan that ends standing leads to Balance, one that ends hanging to Hold; each may start where the other ended.
+//! A plan that ends upright leads to Balance, one that ends hanging to Hold; each may start at the end of the other.
 
 mod common;
 

@@ -1,5 +1,5 @@
-//! The process: what the system granted of the real-time set-up holds, what it refused is named in status and telemetry,
-//! and a cycle that ends late is counted and attributed.
+//! The daemon process: granted real-time settings are in force, refused ones are named in status and telemetry, and a late
+//! cycle is counted and its cause determined.
 
 mod common;
 

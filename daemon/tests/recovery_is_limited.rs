@@ -1,4 +1,5 @@
-//! After a lost balance: no plan before the pendulum rests, not more attempts than set, and the operator comes first.
+//! After a lost balance: no plan before the pendulum is at rest, at most the set number of attempts, and requests of the
+//! operator end the recovery.
 
 use proptest::prelude::*;
 use std::time::Duration;

@@ -1,4 +1,4 @@
-//! What the real-time thread calls uses no heap.
+//! The blackboard operations of the real-time thread use no heap.
 
 use allocation_counter::measure;
 use upswing_ipc::{Command, Measurement, TempDomain};

@@ -1,4 +1,4 @@
-//! A writer that is killed and started again is found again, and nobody is disturbed meanwhile.
+//! A reader finds a writer that was killed and restarted, and other processes are not disturbed.
 
 mod common;
 

@@ -1,4 +1,4 @@
-//! A limit of the operating system that is too low is named, before something fails because of it.
+//! A limit of the operating system that is too low is named before an operation fails because of it.
 
 use std::process::Command;
 use upswing_ipc::{IpcError, TempDomain};

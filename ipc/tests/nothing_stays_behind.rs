@@ -1,4 +1,4 @@
-//! A removed domain leaves no file, whatever was done in it; a used one is not removed.
+//! A removed domain leaves no file; a domain in use is not removed.
 
 mod common;
 

@@ -1,4 +1,4 @@
-//! A request ends in an answer or in an error that says which kind of silence it met.
+//! A request ends with an answer or with an error that distinguishes why no answer came.
 
 mod common;
 

@@ -1,5 +1,5 @@
-//! Processes that are stopped, that die with an epoch of the future, that ask without end or put pipes in place of files keep
-//! nobody from meeting.
+//! Processes that are suspended, that die with a future epoch, that send requests without end, or that put pipes in place
+//! of files, do not keep others from communicating.
 
 mod common;
 

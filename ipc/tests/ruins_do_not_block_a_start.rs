@@ -1,4 +1,4 @@
-//! What processes leave that are killed while they create services does not keep others from starting.
+//! Files of processes that were killed while they created services do not keep others from starting.
 
 mod common;
 

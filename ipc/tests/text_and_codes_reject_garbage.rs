@@ -1,4 +1,4 @@
-//! What comes from another process becomes text or an enumeration only if it is one.
+//! Bytes from another process become text or an enumeration only if they are valid.
 
 use proptest::prelude::*;
 use std::str::FromStr;

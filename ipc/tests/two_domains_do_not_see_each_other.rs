@@ -1,4 +1,4 @@
-//! Domains are separate worlds, also when the name of one begins with that of the other.
+//! Domains are separate, even if the name of one is a prefix of the other's.
 
 use std::time::Duration;
 use upswing_ipc::{CallError, Command, ControlKind, ControlRequest, Domain, DomainError, Plan, TempDomain};

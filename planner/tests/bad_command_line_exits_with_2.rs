@@ -1,4 +1,4 @@
-//! What the planner process cannot use is refused with one line and exit code 2.
+//! Invalid options of the planner process are refused with one line and exit code 2.
 
 use std::process::Command;
 

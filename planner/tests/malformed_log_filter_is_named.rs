@@ -1,4 +1,4 @@
-//! What cannot be read of RUST_LOG is named on stderr, and the rest of it counts.
+//! Invalid parts of RUST_LOG are named on stderr, and the other parts apply.
 
 use std::process::Command;
 

@@ -1,4 +1,4 @@
-//! What the planner process answers to requests, sensible and not, without any shared memory.
+//! Answers of the planner process to valid and invalid requests, without shared memory.
 
 use std::cell::Cell;
 use std::time::{Duration, Instant};

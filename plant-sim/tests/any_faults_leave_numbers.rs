@@ -1,5 +1,5 @@
-//! Whatever breaks, is pushed or commanded: the state stays a number, torques stay within their limits, and the
-//! same happens again.
+//! For any faults, pushes and commands the state stays finite, torques stay within their limits, and a repeated run gives
+//! the same result.
 
 mod common;
 

@@ -1,5 +1,5 @@
-//! Commands spend their delay, torques approach them with the lag of the loop, sensors hide their offset, the watchdog
-//! and the brakes take their time.
+//! Commands have the set delay, torques the lag of the loop, sensors their offset; watchdog and brakes take their set
+//! times.
 
 mod common;
 

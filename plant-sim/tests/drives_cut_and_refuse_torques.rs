@@ -1,4 +1,4 @@
-//! Drives deliver what they can, say when that is less than commanded, and fault on what is no number.
+//! Drives limit torques to what they can deliver, report saturation, and fault on a command that is not finite.
 
 mod common;
 

@@ -1,5 +1,5 @@
-//! A fault or a push that is asked for in lockstep takes effect at its cycle: the process does to the last bit what the
-//! same plant does in-process, and never waits for an answer to what it did not show.
+//! A fault or push requested in lockstep takes effect at its cycle: the process equals the same plant in-process bit for
+//! bit, and never waits for an answer to a measurement that a fault hides.
 
 mod common;
 

@@ -1,4 +1,4 @@
-//! A start that cannot be is refused with one line that names joint, value and limit, and exit code 2.
+//! An invalid start is refused with one line that names joint, value and limit, and with exit code 2.
 
 mod common;
 

@@ -1,4 +1,4 @@
-//! In lockstep time stands still but for the cycles that were granted, and all of them are answered.
+//! In lockstep time advances only by granted cycles, and all of them are answered.
 
 mod common;
 

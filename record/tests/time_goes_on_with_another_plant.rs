@@ -1,5 +1,5 @@
-//! The clock of a plant begins at 0. Where a recording goes on with another plant no cycle is left out, time goes on, and
-//! what is judged at the end is the new plant.
+//! The clock of each plant begins at 0. If a recording continues with another plant, no cycle is omitted, time continues,
+//! and the summary is that of the new plant.
 
 use upswing_config::Config;
 use upswing_ipc::{Mode, Telemetry};

@@ -1,4 +1,4 @@
-//! Each criterion by which a swing-up counts as one: fulfilled by a good run, and missed by the same run with one change.
+//! Each success criterion of a swing-up holds for a good run, and fails for the same run with one change.
 
 use upswing_config::Config;
 use upswing_ipc::{Mode, PlannerResponse, Telemetry};

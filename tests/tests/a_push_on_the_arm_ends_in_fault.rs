@@ -1,5 +1,5 @@
-//! Somebody who pushes a joint of the arm, or is in its way, ends its motion: the brakes close, in each mode that moves. Light joints
-//! become too fast at once; against much inertia the torque itself is noticed.
+//! An external torque on a joint of the arm, as in a push or a collision, leads to Fault in every mode with open brakes.
+//! Light joints exceed their speed limit at once; in directions of large inertia the collision limit trips.
 
 use upswing_config::{Config, Fault, FaultKind};
 use upswing_ipc::Mode;

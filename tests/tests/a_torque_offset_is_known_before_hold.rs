@@ -1,5 +1,5 @@
-//! Torque sensors that are off: the load behind closed brakes tells by how much, so that the arm does not leave its pose when
-//! they open, also where axes 1 and 3 are parallel and half a newton metre accelerates most.
+//! Offsets of the torque sensors are measured from the load that closed brakes hold, so that the arm keeps its pose when
+//! they open, also where axes 1 and 3 are parallel and 0.5 N m accelerates most.
 
 use upswing_config::{Config, PendulumStart};
 use upswing_ipc::Mode;

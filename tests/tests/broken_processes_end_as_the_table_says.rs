@@ -1,5 +1,5 @@
-//! Processes that stall, die, start again or send damaged plans end as docs/faults.md says. What goes on loses no cycle; a
-//! fault is left by a reset, or with the process, only.
+//! Processes that stall, are killed, restart or send damaged plans have the results in docs/faults.md. Modes that continue
+//! lose no cycle; Fault is left only by a reset or by the end of the process.
 
 use std::sync::{LazyLock, mpsc};
 use std::time::{Duration, Instant};

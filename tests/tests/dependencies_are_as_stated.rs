@@ -1,5 +1,4 @@
-//! Every dependency may be used under our licence, builds with the oldest compiler that we name, and has its reason in
-//! Cargo.toml.
+//! Every dependency has a compatible licence, builds with the oldest supported compiler, and has its reason in Cargo.toml.
 
 use serde_json::Value;
 use std::path::Path;

@@ -1,4 +1,4 @@
-//! The messages that docs/troubleshooting.md explains are messages of the programs.
+//! The messages explained in docs/troubleshooting.md occur in the source of the programs.
 
 use std::path::{Path, PathBuf};
 use upswing_tests::repository;

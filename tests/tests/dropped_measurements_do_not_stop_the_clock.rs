@@ -1,4 +1,4 @@
-//! Time passes in lockstep also where faults keep measurements back: the harness goes on, and no cycle that there was is lost.
+//! Time advances in lockstep although faults hold measurements back: the harness continues, and no executed cycle is lost.
 
 use upswing_ipc::{Clock, Mode};
 use upswing_tests::{START, System};

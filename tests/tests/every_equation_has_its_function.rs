@@ -1,4 +1,4 @@
-//! The index from the paper's equations to the code (docs/mathematics.md) is complete, and what it names exists.
+//! The index of the paper's equations (docs/mathematics.md) is complete, and the named functions exist.
 
 use std::collections::BTreeSet;
 use std::path::Path;

@@ -1,5 +1,5 @@
-//! Every fault of the plant in every mode of the daemon ends as docs/faults.md says, each time with the same bits. Over all
-//! of it torques stay within their limits, and where the daemon gives up in Fault the brakes hold.
+//! Every fault of the plant in every mode of the daemon has the result in docs/faults.md, with the same bits in each run.
+//! Torques stay within their limits throughout, and in Fault the brakes hold.
 
 use upswing_config::FaultKind;
 use upswing_ipc::Mode;

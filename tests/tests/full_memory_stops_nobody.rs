@@ -1,5 +1,5 @@
-//! A system has room in a /dev/shm of 128 MiB, as docs/daemon.md says; once it runs, a full /dev/shm does it no harm, and who
-//! comes then is told.
+//! A system needs at most 128 MiB of /dev/shm, as docs/daemon.md states. A full /dev/shm does not affect a running system,
+//! and new processes are refused with an error.
 //!
 //! The test runs itself with a /dev/shm of its own. Where the system does not allow that, it says so.
 

@@ -1,5 +1,5 @@
-//! Hold and Stop on a plant as robots are (scenario `everyday`): friction, noisy encoders, drives with delay and lag, masses and
-//! lengths that are a little off.
+//! Hold and Stop on a realistic plant (scenario `everyday`): friction, noisy encoders, drives with delay and lag, small
+//! errors of masses and lengths.
 
 use upswing_config::{Config, Push};
 use upswing_ipc::{Mode, Telemetry};

@@ -1,5 +1,5 @@
-//! A push on the rod in Balance is borne, or the arm stops and holds: in no direction and at no strength up to one that throws the
-//! rod over at once does it end in Fault, or a joint of the arm move faster than the limit of the daemon.
+//! A push on the rod in Balance is tolerated or leads to Stop and Hold. In no direction, and up to a strength that throws
+//! the rod over, does it lead to Fault or make a joint of the arm exceed the daemon's speed limit.
 
 use std::f64::consts::TAU;
 use upswing_config::{Config, Push};

@@ -1,5 +1,5 @@
-//! A rod that is thrown over in Balance: the arm stops and holds, the pendulum comes to rest, and the daemon swings up again by
-//! itself and balances, as often as the settings allow; then it stays in Hold.
+//! After a rod is thrown over in Balance the arm stops and holds, the pendulum comes to rest, and the daemon swings up
+//! again and balances, at most as often as set; then it stays in Hold.
 
 use std::time::{Duration, Instant};
 use upswing_ipc::{Clock, Mode, PlantKind, PlantRequest};

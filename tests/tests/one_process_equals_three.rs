@@ -1,5 +1,5 @@
-//! Controller and plant in one process, as Monte Carlo runs couple them, do bit for bit what the three processes do on
-//! the clock `lockstep`: every number of every cycle of swing-up and balance.
+//! Controller and plant coupled in one process, as in Monte Carlo runs, equal the three processes on the clock `lockstep`
+//! bit for bit, in every number of every cycle of a swing-up and balance.
 
 use upswing_config::{Config, PendulumStart};
 use upswing_ipc::{Clock, Mode, Telemetry};

@@ -1,5 +1,5 @@
-//! In 10^5 cycles the real-time thread makes no system call but clock_nanosleep, while planners, plants and clients join,
-//! leave and are killed. Traced by strace; where that is not installed or not allowed, the test says so.
+//! In 10^5 cycles the real-time thread makes no system call except clock_nanosleep, while planners, plants and clients
+//! start, exit and are killed. The test uses strace; if strace is not installed or not allowed, it reports this.
 
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -1,5 +1,5 @@
-//! A recording of a run, given to the controller once more, leads to the same bits; a changed input is found at its cycle; and
-//! each kept recording still leads to the decisions that were kept with it.
+//! Replaying a recording gives the same bits; a changed input is found at its cycle; and each kept recording still gives
+//! the modes and faults that were kept with it.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;

@@ -1,5 +1,5 @@
-//! `upswing record` takes every cycle of a running system; killed, it leaves a file that is readable up to the last quarter of
-//! a second, and the loop does not notice.
+//! `upswing record` records every cycle of a running system. If it is killed, the file is readable up to the last quarter
+//! of a second, and the control loop is not affected.
 
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};

@@ -1,5 +1,5 @@
-//! Planner, plant and clients that are killed and started again a hundred times leave no file and no memory, and do not
-//! reach the daemon's real-time thread; a second daemon is told whose place it wants.
+//! Planner, plant and clients that are killed and restarted a hundred times leave no file and no memory, and do not affect
+//! the daemon's real-time thread; a second daemon is refused with the process id of the first.
 
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -1,5 +1,5 @@
-//! Each shipped scenario ends as its purpose demands: most balanced, some with the daemon giving up, and why. Torques stay
-//! within their limits in all of them.
+//! Each shipped scenario has its expected outcome: most end balanced, some in Fault with a known cause. Torques stay within
+//! their limits in all of them.
 
 use upswing_config::Config;
 use upswing_ipc::Mode;

@@ -1,5 +1,5 @@
-//! A service manager hears from each process that it is ready, how it is, that it lives, and that it ends; and of the
-//! daemon nothing more once its real-time thread hangs.
+//! Each process notifies the service manager of readiness, status, watchdog and shutdown; the daemon stops its watchdog
+//! notifications when its real-time thread hangs.
 
 use std::os::unix::net::UnixDatagram;
 use std::time::{Duration, Instant};

@@ -1,5 +1,5 @@
-//! SIGTERM to the daemon, in any mode and also if it comes twice: the arm comes to rest, then the brakes close, then the
-//! process ends with success.
+//! After SIGTERM in any mode, also if it is sent twice, the daemon brings the arm to rest, closes the brakes, and exits
+//! with success.
 
 use upswing_ipc::{Clock, Mode};
 use upswing_rig::session::Role;

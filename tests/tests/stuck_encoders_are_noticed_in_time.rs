@@ -1,5 +1,5 @@
-//! Angles that do not follow the joints end in Fault before a joint of the arm moves faster than the daemon allows, from several
-//! poses, with an ideal plant and with one that has noise, friction and delay. The simulated plant knows the true angles.
+//! Stuck encoders lead to Fault before a joint of the arm exceeds the daemon's speed limit, from several poses, with an
+//! ideal plant and with one that has noise, friction and delay. The simulated plant provides the true angles.
 
 use upswing_config::{Config, Fault, FaultKind};
 use upswing_ipc::Mode;

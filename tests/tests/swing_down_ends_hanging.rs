@@ -1,5 +1,5 @@
-//! After a swing-up and some balancing, a swing-down brings the pendulum to hang at rest, as smoothly as it went up: no
-//! limit is exceeded, the arm then holds, and a swing-up can follow.
+//! After a swing-up and balance, a swing-down brings the pendulum to rest hanging, without exceeding a limit; the arm then
+//! holds, and a swing-up can follow.
 
 use upswing_ipc::operator::Manoeuvre;
 use upswing_ipc::{Clock, Mode};

@@ -1,5 +1,5 @@
-//! Three separate processes swing up and balance from starts at rest over the paper's ranges: in the last second
-//! the rod stays within 2 deg of upright, position and torque limits are never exceeded.
+//! Three separate processes swing up and balance from starts at rest over the paper's ranges: in the last second the rod
+//! stays within 2 deg of upright, and position and torque limits are never exceeded.
 
 use upswing_ipc::Clock;
 use upswing_tests::System;

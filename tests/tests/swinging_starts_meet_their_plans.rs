@@ -1,5 +1,5 @@
-//! While the pendulum swings a plan begins with the state that the planner predicted for its activation: on a running clock,
-//! across three processes, the robot is there at that moment, and the swing-up ends balanced.
+//! While the pendulum swings, a plan begins with the state predicted for its activation: on a running clock, across three
+//! processes, the robot is in this state at the activation, and the swing-up ends balanced.
 
 use std::time::{Duration, Instant};
 use upswing_ipc::operator::{Manoeuvre, Request};

@@ -1,5 +1,4 @@
-//! Whatever keys are pressed: a request is made only by `y` right after its own key; but for a stop, which is made at
-//! once, always.
+//! For any sequence of keys, a request is sent only by `y` directly after its key; only stop is sent at once, always.
 
 use proptest::prelude::*;
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyEventKind};

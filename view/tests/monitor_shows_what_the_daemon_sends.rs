@@ -1,4 +1,4 @@
-//! The monitor's picture has the numbers of the newest cycle, and stands any telemetry on any size of terminal.
+//! The monitor shows the numbers of the newest cycle, and draws any telemetry on a terminal of any size.
 
 use proptest::prelude::*;
 use ratatui::Terminal;

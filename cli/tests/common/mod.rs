@@ -1,4 +1,4 @@
-//! What several tests need: the program under test, systems that run, and tools in Python.
+//! Common code of the tests: the program under test, running systems, and Python tools.
 #![allow(dead_code, reason = "no test file uses all of it")]
 
 use std::io::{BufRead, BufReader};
