@@ -223,7 +223,11 @@ impl Planner {
                     let no_time = matches!(refusal, Refusal::Deadline { .. } | Refusal::Cancelled { .. });
                     refused.push(Attempt { entry: *entry, refusal });
                     if no_time {
-                        return Err(NoPlan { refused, optimisation: None, statistics });
+                        return Err(NoPlan {
+                            refused,
+                            optimisation: None,
+                            second_opinions: statistics.second_opinions,
+                        });
                     }
                 }
             }
@@ -249,7 +253,7 @@ impl Planner {
             }
         }
         let Some((entry, accepted)) = adapted else {
-            return Err(NoPlan { refused, optimisation, statistics });
+            return Err(NoPlan { refused, optimisation, second_opinions: statistics.second_opinions });
         };
         statistics.total = begin.elapsed();
         let Accepted { trajectory, gains, method, iterations, defect, margins } = accepted;

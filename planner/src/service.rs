@@ -430,12 +430,12 @@ fn check_start(planner: &Planner, start: &State) -> Result<(), No> {
 
 /// Logs the QPs of a replan on which Clarabel was asked; their number.
 fn log_second_opinions(replan: &Result<Replan, NoPlan>) -> usize {
-    let statistics = match replan {
-        Ok(replan) => &replan.statistics,
-        Err(no_plan) => &no_plan.statistics,
+    let second_opinions = match replan {
+        Ok(replan) => &replan.statistics.second_opinions,
+        Err(no_plan) => &no_plan.second_opinions,
     };
-    statistics.second_opinions.iter().for_each(|opinion| warn!("{opinion}"));
-    statistics.second_opinions.len()
+    second_opinions.iter().for_each(|opinion| warn!("{opinion}"));
+    second_opinions.len()
 }
 
 /// What an answer says of a plan, but for its id and the time in all.

@@ -145,8 +145,8 @@ pub struct NoPlan {
     pub refused: Vec<Attempt>,
     /// Why the full optimisation gave no plan, where it was tried.
     pub optimisation: Option<Refusal>,
-    /// How long it took, and the second opinions.
-    pub statistics: Statistics,
+    /// The QPs, of all entries tried, on which Clarabel was asked.
+    pub second_opinions: Vec<SecondOpinion>,
 }
 
 impl std::fmt::Display for NoPlan {
@@ -161,7 +161,7 @@ impl std::fmt::Display for NoPlan {
         self.refused.iter().try_for_each(|Attempt { entry, refusal }| {
             write!(f, "; entry {} ({:.3} rad away): {refusal}", entry.index, entry.distance)
         })?;
-        match self.statistics.second_opinions.len() {
+        match self.second_opinions.len() {
             0 => Ok(()),
             n => write!(f, "; Clarabel was asked for a second opinion on {n} QPs"),
         }
