@@ -87,7 +87,7 @@ fn one_qp(planner: &Planner, starts: &[State], path: &Path) {
 fn first_qp(planner: &Planner, start: &State) -> Qp {
     let nearest = planner.nearest(Manoeuvre::SwingUp, start)[0];
     let reference = &planner.entries()[nearest.index].trajectory;
-    let weights = qp_weights(&planner.config().planner.replan.weights);
+    let weights = qp_weights(&planner.config().planner.replan);
     Qp::new(&planner.problem(start), reference, reference, &weights, &mut Workspace::default())
 }
 

@@ -1,7 +1,8 @@
-//! What breaks, and what pushes: events of the simulated plant at cycle numbers.
+//! Faults of the simulated plant and pushes on its rod, at cycle numbers.
 
 use crate::MAX_DELAY;
-use serde::Deserialize;
+use crate::rule::{Whole, refused};
+use serde::{Deserialize, Deserializer};
 use upswing_model::{NQ, NU};
 
 /// Kind of a fault; the index of a variant is its code in shared memory. Simultaneous faults act in this order.
@@ -33,22 +34,22 @@ pub enum FaultKind {
 }
 
 impl FaultKind {
-    /// Every kind.
+    /// All kinds.
     pub fn all() -> &'static [Self] {
         clap::ValueEnum::value_variants()
     }
 
-    /// The number that stands for this kind in shared memory.
+    /// Code of the kind in shared memory.
     pub const fn code(self) -> u64 {
         self as u64
     }
 
-    /// Whether it concerns one joint.
+    /// Whether the kind concerns one joint.
     pub const fn has_joint(self) -> bool {
         self.joints() > 0
     }
 
-    /// How many joints, from the first on, it can concern.
+    /// Number of joints, from the first on, that the kind can concern.
     const fn joints(self) -> usize {
         match self {
             Self::EncoderStuck | Self::EncoderJump | Self::EncoderNan => NQ,
@@ -58,33 +59,33 @@ impl FaultKind {
     }
 }
 
-/// One fault.
+/// A fault of the simulated plant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fault {
-    /// What breaks.
+    /// Kind of the fault.
     pub kind: FaultKind,
     /// First cycle, counted from 1.
     pub from: u64,
-    /// How many cycles it lasts; 0: until it is cleared.
+    /// Duration, cycles; 0: until it is cleared.
     pub cycles: u64,
     /// The joint, counted from 0, of the kinds that concern one.
     pub joint: usize,
-    /// Cycles (`DelayMeasurement`, 1..=[`MAX_DELAY`]), rad (`EncoderJump`, not 0) or N m (`ArmTorque`, not 0).
+    /// Amount of the kinds that have one: cycles (`DelayMeasurement`, 1..=[`MAX_DELAY`]), rad (`EncoderJump`, not 0) or N m (`ArmTorque`, not 0).
     pub amount: f64,
 }
 
 impl Fault {
-    /// Of a kind that needs neither joint nor amount.
+    /// A fault of a kind that needs neither joint nor amount.
     pub fn new(kind: FaultKind, from: u64, cycles: u64) -> Self {
         Self { kind, from, cycles, joint: 0, amount: 0.0 }
     }
 
-    /// Whether it acts in a cycle.
+    /// Whether it acts in a cycle, counted from 1.
     pub fn acts(&self, cycle: u64) -> bool {
         cycle >= self.from && (self.cycles == 0 || cycle - self.from < self.cycles)
     }
 
-    /// Fails unless joint and amount suit the kind.
+    /// Checks that joint and amount suit the kind.
     ///
     /// # Errors
     /// [`EventError`] with what was expected and what came.
@@ -111,24 +112,69 @@ impl Fault {
     }
 }
 
-/// A push on the tip of the rod: a constant force over some cycles.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// A fault as a scenario states it: without the keys that its kind does not need.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct FaultInFile {
+    kind: FaultKind,
+    #[serde(rename = "from_cycle", deserialize_with = "Whole::<1, MOST_CYCLES>::read")]
+    from: u64,
+    #[serde(default, deserialize_with = "Whole::<0, MOST_CYCLES>::read")]
+    cycles: u64,
+    joint: Option<i64>,
+    #[serde(default)]
+    amount: f64,
+}
+
+/// Largest cycle number of a scenario: beyond the life of a plant.
+const MOST_CYCLES: i64 = 1_000_000_000_000;
+
+/// Errors name their key, see [`crate::file::TextFile::error`].
+impl TryFrom<FaultInFile> for Fault {
+    type Error = String;
+
+    fn try_from(FaultInFile { kind, from, cycles, joint, amount }: FaultInFile) -> Result<Self, String> {
+        let refuse = |expected: &str| {
+            let got = joint.map_or("none".into(), |joint| joint.to_string());
+            Err(format!(".joint: expected {expected}, got {got}: only encoders and torques have a joint"))
+        };
+        let joint = match joint {
+            Some(joint) if kind.has_joint() => match usize::try_from(joint) {
+                Ok(joint @ 1..) => joint - 1,
+                _ => return refuse(&format!("a whole number from 1 to {}", kind.joints())),
+            },
+            None if !kind.has_joint() => 0,
+            Some(_) => return refuse("none for this kind"),
+            None => return refuse("a joint"),
+        };
+        let fault = Self { kind, from, cycles, joint, amount };
+        fault.check().map_err(|cause| format!(".{cause}"))?;
+        Ok(fault)
+    }
+}
+
+/// A push on the tip of the rod: a constant force for some cycles.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Push {
     /// First cycle, counted from 1.
+    #[serde(rename = "from_cycle", deserialize_with = "Whole::<1, MOST_CYCLES>::read")]
     pub from: u64,
-    /// How many cycles it lasts, at least 1.
+    /// Duration, cycles, at least 1.
+    #[serde(deserialize_with = "Whole::<1, MOST_CYCLES>::read")]
     pub cycles: u64,
     /// Force times its duration, world frame (z up), N s.
+    #[serde(rename = "impulse_ns", deserialize_with = "impulse")]
     pub impulse: [f64; 3],
 }
 
 impl Push {
-    /// Whether it acts in a cycle.
+    /// Whether it acts in a cycle, counted from 1.
     pub fn acts(&self, cycle: u64) -> bool {
         cycle >= self.from && cycle - self.from < self.cycles
     }
 
-    /// Fails unless it has a duration and an impulse.
+    /// Checks that it has a duration and a finite impulse.
     ///
     /// # Errors
     /// [`EventError`] with what was expected and what came.
@@ -136,55 +182,63 @@ impl Push {
         if self.cycles == 0 {
             return Err(EventError::Duration);
         }
-        match self.impulse.iter().find(|v| !v.is_finite()) {
-            Some(got) => Err(EventError::Impulse { got: *got }),
-            None => Ok(()),
-        }
+        self.impulse
+            .iter()
+            .find(|v| !v.is_finite())
+            .map_or(Ok(()), |got| Err(EventError::Impulse { got: *got }))
     }
 }
 
-/// Why a fault or a push cannot be.
+fn impulse<'de, D: Deserializer<'de>>(from: D) -> Result<[f64; 3], D::Error> {
+    let impulse = <[f64; 3]>::deserialize(from)?;
+    match impulse.iter().find(|v| !v.is_finite()) {
+        Some(got) => Err(refused("three finite numbers, N s", got)),
+        None => Ok(impulse),
+    }
+}
+
+/// A fault or a push that the plant cannot simulate.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum EventError {
-    /// No such joint.
+    /// The joint does not exist.
     #[error("joint: expected 1 to {most}, got {got}")]
     Joint {
-        /// The last one that there is for the kind.
+        /// Last joint of the kind, counted from 1.
         most: usize,
-        /// What came, counted from 1.
+        /// The joint of the fault, counted from 1.
         got: usize,
     },
-    /// A delay that is no number of cycles, or too long.
+    /// The delay is no whole number of cycles, or too long.
     #[error("amount: expected a whole number of cycles from 1 to {MAX_DELAY}, got {got}")]
     Delay {
-        /// What came.
+        /// The delay, cycles.
         got: f64,
     },
-    /// A jump by nothing, or by what is no number.
+    /// The jump is 0, NaN or infinite.
     #[error("amount: expected a finite number other than 0, rad, got {got}")]
     Jump {
-        /// What came.
+        /// The jump, rad.
         got: f64,
     },
-    /// No torque, or one that is no number.
+    /// The torque is 0, NaN or infinite.
     #[error("amount: expected a finite number other than 0, N m, got {got}")]
     Torque {
-        /// What came.
+        /// The torque, N m.
         got: f64,
     },
-    /// An amount that is not a number.
+    /// The amount is NaN or infinite.
     #[error("amount: expected a finite number, got {got}")]
     Amount {
-        /// What came.
+        /// The amount.
         got: f64,
     },
-    /// A push without duration.
+    /// The push has no duration.
     #[error("cycles: expected 1 or more for a push, got 0")]
     Duration,
-    /// An impulse that is not a number.
+    /// The impulse is NaN or infinite.
     #[error("impulse: expected three finite numbers, N s, got {got}")]
     Impulse {
-        /// What came.
+        /// The component, N s.
         got: f64,
     },
 }

@@ -1,13 +1,14 @@
-//! `planner.toml`.
+//! Settings of the planner, `planner.toml`.
 
-use crate::ConfigError;
-use crate::check::{BELOW_ONE, Check, DURATION, PART, POSITIVE};
-use serde::Deserialize;
+use crate::conflict::Conflict;
+use crate::rule::{BetweenZeroAndOne, MotionTime, Positive, Rule, ShareBelowOne, Whole, refused};
+use serde::{Deserialize, Deserializer};
 use std::time::Duration;
 use upswing_model::{NQ, NU};
 
-/// How swing-ups are computed.
-#[derive(Clone, Debug, PartialEq)]
+/// Settings of the planner.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct PlannerSettings {
     /// Trajectory optimisation for the database.
     pub offline: OfflineSettings,
@@ -15,24 +16,30 @@ pub struct PlannerSettings {
     pub replan: ReplanSettings,
     /// Weights of the trajectory controller.
     pub lqr: LqrWeights,
-    /// What is different for the gain that balances.
+    /// Weights of the gain of the mode Balance.
     pub balance: BalanceWeights,
 }
 
-/// Trajectory optimisation (6), (8) with (9) or (11).
-#[derive(Clone, Debug, PartialEq)]
+/// Settings of the trajectory optimisation (6), (8) with (9) or (11).
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct OfflineSettings {
     /// r of R = r I in (6a), s^4/rad^2.
+    #[serde(deserialize_with = "Positive::read")]
     pub input_weight: f64,
     /// Shortest duration t_F, s.
+    #[serde(rename = "t_f_min_s", deserialize_with = "MotionTime::read")]
     pub t_f_min: f64,
     /// Longest duration t_F, s.
+    #[serde(rename = "t_f_max_s", deserialize_with = "MotionTime::read")]
     pub t_f_max: f64,
     /// Form of the torque constraint.
     pub torque: TorqueConstraint,
     /// Largest scaled residual of a solution, no unit.
+    #[serde(deserialize_with = "BetweenZeroAndOne::read")]
     pub tolerance: f64,
-    /// Iterations before giving up.
+    /// Largest number of iterations.
+    #[serde(deserialize_with = "Whole::<1, 1_000_000>::read")]
     pub max_iterations: usize,
 }
 
@@ -42,208 +49,108 @@ pub struct OfflineSettings {
 pub enum TorqueConstraint {
     /// (9), with the Coriolis torques.
     Exact,
-    /// (11), without them but tightened by their bound c.
+    /// (11), without the Coriolis torques but tightened by their bound c.
     Paper,
 }
 
-/// Replanning by quadratic programs, (14)-(17).
-#[derive(Clone, Debug, PartialEq)]
+/// Settings of replanning by quadratic programs, (14)-(17).
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct ReplanSettings {
-    /// Most linearisations per replan, each around the result before; 1 is the paper's mode.
+    /// Largest number of linearisations per replan, each around the last solution; 1 is the paper's mode.
+    #[serde(deserialize_with = "Whole::<1, 1000>::read")]
     pub iterations: usize,
-    /// Largest component of (6b) on the real dynamics (rad, rad/s per interval) at which no further linearisation is
-    /// needed.
+    /// Largest defect of (6b) on the real dynamics at which the linearisations end, rad and rad/s per interval.
+    #[serde(deserialize_with = "BetweenZeroAndOne::read")]
     pub defect: f64,
     /// Share of the range of each limit that stays free at the knots.
+    #[serde(deserialize_with = "ShareBelowOne::read")]
     pub knot_margin: f64,
-    /// Torque constraint of (16c).
+    /// Form of the torque constraint (16c).
     pub torque: TorqueConstraint,
-    /// Sub-horizons that are solved one after the other, one of [`SUB_HORIZONS`]; 1 is the whole horizon.
+    /// Number of sub-horizons, solved one after the other, one of [`SUB_HORIZONS`]; 1 is the whole horizon.
+    #[serde(deserialize_with = "sub_horizons")]
     pub sub_horizons: usize,
-    /// From the request to the start of a plan that begins with a moving pendulum.
+    /// Time from a request to the start of its plan while the pendulum moves.
+    #[serde(rename = "lead_ms", deserialize_with = "Whole::<0, 1000>::millis")]
     pub lead: Duration,
-    /// Diagonal of Q, (17).
-    pub weights: ReplanWeights,
     /// Solver of the quadratic programs.
     pub backend: QpBackend,
-    /// How many of the nearest database entries are tried.
+    /// Weight of the duration in the diagonal of Q, (17), 1/s^2.
+    #[serde(deserialize_with = "Positive::read")]
+    pub weight_t_f: f64,
+    /// Weights of the angles in the diagonal of Q, the same at every knot, 1/rad^2.
+    #[serde(deserialize_with = "Positive::read")]
+    pub weight_q: [f64; NQ],
+    /// Weights of the velocities in the diagonal of Q, the same at every knot, s^2/rad^2.
+    #[serde(deserialize_with = "Positive::read")]
+    pub weight_qd: [f64; NQ],
+    /// Weights of the inputs in the diagonal of Q, the same at every knot, s^4/rad^2.
+    #[serde(deserialize_with = "Positive::read")]
+    pub weight_u: [f64; NU],
+    /// Number of the nearest database entries that are tried.
+    #[serde(deserialize_with = "Whole::<1, 1000>::read")]
     pub neighbours: usize,
     /// Weight of each actuated joint in the squared distance between start poses, no unit.
+    #[serde(deserialize_with = "Positive::read")]
     pub metric: [f64; NU],
+}
+
+/// Numbers of sub-horizons that divide the intervals of a trajectory evenly.
+pub const SUB_HORIZONS: [usize; 5] = [1, 2, 4, 5, 10];
+
+fn sub_horizons<'de, D: Deserializer<'de>>(from: D) -> Result<usize, D::Error> {
+    let value = i64::deserialize(from)?;
+    SUB_HORIZONS.into_iter().find(|n| *n as i64 == value).ok_or_else(|| {
+        let expected = format!("one of {SUB_HORIZONS:?}, which divide the 100 intervals evenly");
+        refused(expected, value)
+    })
 }
 
 /// Solver of the quadratic programs of a replan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum QpBackend {
-    /// The interior-point method that knows the stages of (16).
+    /// The interior-point method that exploits the stages of (16).
     Structured,
     /// Clarabel, a general sparse solver.
     Clarabel,
 }
 
-/// Diagonal of Q in (17), the same at every knot.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ReplanWeights {
-    /// Duration, 1/s^2.
-    pub t_f: f64,
-    /// Angles, 1/rad^2.
-    pub q: [f64; NQ],
-    /// Velocities, s^2/rad^2.
-    pub qd: [f64; NQ],
-    /// Inputs, s^4/rad^2.
-    pub u: [f64; NU],
-}
-
 /// Weights Q_c and R_c of (20).
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct LqrWeights {
-    /// All angles, 1/rad^2.
+    /// Weight of all angles, 1/rad^2.
+    #[serde(deserialize_with = "Positive::read")]
     pub q_angles: f64,
-    /// Velocities of the actuated joints, s^2/rad^2.
+    /// Weight of the velocities of the actuated joints, s^2/rad^2.
+    #[serde(deserialize_with = "Positive::read")]
     pub q_velocities_actuated: f64,
-    /// Velocities of the unactuated joints, s^2/rad^2.
+    /// Weight of the velocities of the unactuated joints, s^2/rad^2.
+    #[serde(deserialize_with = "Positive::read")]
     pub q_velocities_unactuated: f64,
     /// r of R_c = r I, s^4/rad^2.
+    #[serde(deserialize_with = "Positive::read")]
     pub r: f64,
 }
 
-/// The gain that holds x_N, where it differs from [`LqrWeights`].
-#[derive(Clone, Debug, PartialEq)]
+/// Weights of the gain that holds x_N, which replace those of [`LqrWeights`].
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct BalanceWeights {
-    /// Angles of the actuated joints, 1/rad^2.
+    /// Weight of the angles of the actuated joints, 1/rad^2.
+    #[serde(deserialize_with = "Positive::read")]
     pub q_angles_actuated: f64,
-    /// Angles of the unactuated joints, 1/rad^2.
+    /// Weight of the angles of the unactuated joints, 1/rad^2.
+    #[serde(deserialize_with = "Positive::read")]
     pub q_angles_unactuated: f64,
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Raw {
-    offline: RawOffline,
-    replan: RawReplan,
-    lqr: RawLqr,
-    balance: RawBalance,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct RawOffline {
-    input_weight: f64,
-    t_f_min_s: f64,
-    t_f_max_s: f64,
-    torque: TorqueConstraint,
-    tolerance: f64,
-    max_iterations: i64,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct RawReplan {
-    iterations: i64,
-    defect: f64,
-    knot_margin: f64,
-    torque: TorqueConstraint,
-    sub_horizons: i64,
-    lead_ms: i64,
-    backend: QpBackend,
-    weight_t_f: f64,
-    weight_q: Vec<f64>,
-    weight_qd: Vec<f64>,
-    weight_u: Vec<f64>,
-    neighbours: i64,
-    metric: Vec<f64>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct RawLqr {
-    q_angles: f64,
-    q_velocities_actuated: f64,
-    q_velocities_unactuated: f64,
-    r: f64,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct RawBalance {
-    q_angles_actuated: f64,
-    q_angles_unactuated: f64,
-}
-
 impl PlannerSettings {
-    pub(crate) fn read(file: &str, text: &str) -> Result<Self, ConfigError> {
-        let check = Check { file };
-        let Raw { offline, replan, lqr, balance } = check.parse(text)?;
-        Ok(Self {
-            offline: read_offline(check, &offline)?,
-            replan: ReplanSettings {
-                iterations: check.integer("replan.iterations", replan.iterations, 1..=1000)?,
-                defect: check.number("replan.defect", replan.defect, &BELOW_ONE)?,
-                knot_margin: check.number("replan.knot_margin", replan.knot_margin, &PART)?,
-                torque: replan.torque,
-                sub_horizons: read_sub_horizons(check, replan.sub_horizons)?,
-                lead: Duration::from_millis(check.integer("replan.lead_ms", replan.lead_ms, 0..=1000)?),
-                weights: ReplanWeights {
-                    t_f: check.number("replan.weight_t_f", replan.weight_t_f, &POSITIVE)?,
-                    q: check.list("replan.weight_q", &replan.weight_q, 1, &POSITIVE)?,
-                    qd: check.list("replan.weight_qd", &replan.weight_qd, 1, &POSITIVE)?,
-                    u: check.list("replan.weight_u", &replan.weight_u, 1, &POSITIVE)?,
-                },
-                backend: replan.backend,
-                neighbours: check.integer("replan.neighbours", replan.neighbours, 1..=1000)?,
-                metric: check.list("replan.metric", &replan.metric, 1, &POSITIVE)?,
-            },
-            lqr: LqrWeights {
-                q_angles: check.number("lqr.q_angles", lqr.q_angles, &POSITIVE)?,
-                q_velocities_actuated: check.number(
-                    "lqr.q_velocities_actuated",
-                    lqr.q_velocities_actuated,
-                    &POSITIVE,
-                )?,
-                q_velocities_unactuated: check.number(
-                    "lqr.q_velocities_unactuated",
-                    lqr.q_velocities_unactuated,
-                    &POSITIVE,
-                )?,
-                r: check.number("lqr.r", lqr.r, &POSITIVE)?,
-            },
-            balance: BalanceWeights {
-                q_angles_actuated: check.number(
-                    "balance.q_angles_actuated",
-                    balance.q_angles_actuated,
-                    &POSITIVE,
-                )?,
-                q_angles_unactuated: check.number(
-                    "balance.q_angles_unactuated",
-                    balance.q_angles_unactuated,
-                    &POSITIVE,
-                )?,
-            },
-        })
+    /// Checks the rules between settings.
+    pub(crate) fn validate(&self) -> Result<(), Conflict> {
+        let OfflineSettings { t_f_min, t_f_max, .. } = self.offline;
+        Conflict::unless_above("offline.t_f_max_s", t_f_max, t_f_min, "offline.t_f_min_s")
     }
-}
-
-/// Numbers of sub-horizons that divide the intervals of a trajectory evenly.
-pub const SUB_HORIZONS: [usize; 5] = [1, 2, 4, 5, 10];
-
-fn read_sub_horizons(check: Check<'_>, value: i64) -> Result<usize, ConfigError> {
-    SUB_HORIZONS.into_iter().find(|n| *n as i64 == value).ok_or_else(|| {
-        let expected = format!("one of {SUB_HORIZONS:?}");
-        check.refuse("replan.sub_horizons", expected, value, "they divide the 100 intervals evenly")
-    })
-}
-
-fn read_offline(check: Check<'_>, raw: &RawOffline) -> Result<OfflineSettings, ConfigError> {
-    let t_f_min = check.number("offline.t_f_min_s", raw.t_f_min_s, &DURATION)?;
-    let t_f_max = check.number("offline.t_f_max_s", raw.t_f_max_s, &DURATION)?;
-    check.above("offline.t_f_max_s", t_f_max, t_f_min, "offline.t_f_min_s")?;
-    Ok(OfflineSettings {
-        input_weight: check.number("offline.input_weight", raw.input_weight, &POSITIVE)?,
-        t_f_min,
-        t_f_max,
-        torque: raw.torque,
-        tolerance: check.number("offline.tolerance", raw.tolerance, &BELOW_ONE)?,
-        max_iterations: check.integer("offline.max_iterations", raw.max_iterations, 1..=1_000_000)?,
-    })
 }

@@ -1,57 +1,68 @@
-//! `plant.toml`.
+//! Settings of the simulated plant, `plant.toml`.
 
-use crate::check::{Check, FINITE, FULL_TURN, NON_NEGATIVE, POSITIVE, SHARE};
-use crate::{ConfigError, Fault, Push, RobotSettings};
-use serde::Deserialize;
+use crate::conflict::Conflict;
+use crate::rule::{Angle, Finite, NonNegative, Positive, Rule, Share, Whole};
+use crate::{Fault, Push, RobotSettings};
+use serde::{Deserialize, Deserializer};
 use upswing_model::{Model, N_UNACTUATED, NQ, NU};
 
-/// Most cycles that a command, or under a fault a measurement, can be late.
+/// Largest delay of a command, and of a measurement under a fault, cycles.
 pub const MAX_DELAY: u32 = 63;
 
-/// The simulated robot, pendulum, drives and encoders.
-#[derive(Clone, Debug, PartialEq)]
+/// Settings of the simulated robot, pendulum, drives and encoders.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct PlantSettings {
-    /// How the bodies differ from their URDF.
+    /// Differences between the simulated bodies and their URDF.
     pub model: ModelSettings,
-    /// Integration steps per control period.
-    pub substeps: u32,
-    /// The encoders.
+    /// Integration of the equations of motion.
+    pub integrator: IntegratorSettings,
+    /// Encoders.
     pub encoder: EncoderSettings,
-    /// The drives and brakes.
+    /// Drives and brakes.
     pub drive: DriveSettings,
     /// Joint friction.
     pub friction: FrictionSettings,
     /// Joint stops.
-    pub stops: StopSettings,
-    /// The state after power-up.
+    pub stops: JointStopSettings,
+    /// State after power-up.
     pub start: PlantStart,
-    /// What breaks, and when; from a scenario.
+    /// Faults of the scenario.
+    #[serde(skip)]
     pub faults: Vec<Fault>,
-    /// Pushes on the rod; from a scenario.
+    /// Pushes on the rod of the scenario.
+    #[serde(skip)]
     pub pushes: Vec<Push>,
 }
 
-/// How the bodies that move differ from their URDF.
-#[derive(Clone, Debug, PartialEq)]
+/// Differences between the simulated bodies and their URDF.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct ModelSettings {
-    /// The URDF: a file of the set, or a path with a `/`. It is read into [`crate::Config::plant_model`].
+    /// URDF of the simulated bodies: a file of the set, or a path with a `/`. [`crate::Config::plant_model`] is read from it.
     pub urdf: String,
-    /// Masses and inertias of the actuated bodies, relative to the URDF.
+    /// Factor of the masses and inertias of the actuated bodies.
+    #[serde(deserialize_with = "Positive::read")]
     pub arm_mass_scale: f64,
-    /// Masses and inertias of the unactuated bodies, relative to the URDF.
+    /// Factor of the masses and inertias of the unactuated bodies.
+    #[serde(deserialize_with = "Positive::read")]
     pub pendulum_mass_scale: f64,
-    /// Length of the rod, relative to the URDF, at the same mass.
+    /// Factor of the length of the rod, at the same mass.
+    #[serde(deserialize_with = "Positive::read")]
     pub pendulum_length_scale: f64,
-    /// A point mass on the last actuated body, kg.
+    /// Point mass on the last actuated body, kg.
+    #[serde(rename = "payload_kg", deserialize_with = "NonNegative::read")]
     pub payload: f64,
-    /// Where it is in that body's frame, m.
+    /// Position of the point mass in the frame of the last actuated body, m.
+    #[serde(rename = "payload_position_m", deserialize_with = "Finite::read")]
     pub payload_position: [f64; 3],
     /// Inertia of the rotors, reflected to the actuated joints, kg m^2.
+    #[serde(rename = "rotor_inertia_kg_m2", deserialize_with = "NonNegative::read")]
     pub rotor_inertia: [f64; NU],
 }
 
 impl ModelSettings {
-    /// The bodies and rotors that move, given the bodies of the URDF.
+    /// The simulated bodies and rotors, from the bodies of the URDF.
     pub fn apply(&self, urdf: &Model) -> Model {
         urdf.with_scaled_masses(self.arm_mass_scale, self.pendulum_mass_scale)
             .with_scaled_rod_length(self.pendulum_length_scale)
@@ -60,76 +71,115 @@ impl ModelSettings {
     }
 }
 
-/// The encoders: the true angle plus bias plus noise, rounded to the resolution.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// Settings of the integration of the equations of motion.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct IntegratorSettings {
+    /// Runge-Kutta steps per control period.
+    #[serde(deserialize_with = "Whole::<1, 1000>::read")]
+    pub substeps: u32,
+}
+
+/// Settings of the encoders: the true angle plus bias plus noise, rounded to the resolution.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct EncoderSettings {
-    /// Smallest step of the actuated joints' angles, rad.
+    /// Resolution of the actuated joints' angles, rad.
+    #[serde(rename = "arm_resolution_rad", deserialize_with = "Positive::read")]
     pub arm_resolution: f64,
-    /// Smallest step of the unactuated joints' angles, rad: one turn over a power of two.
+    /// Resolution of the unactuated joints' angles, rad: one turn over 2 to the number of bits in the file.
+    #[serde(rename = "pendulum_bits", deserialize_with = "resolution")]
     pub pendulum_resolution: f64,
     /// Standard deviation of white Gaussian noise, rad.
+    #[serde(rename = "noise_rad", deserialize_with = "NonNegative::read")]
     pub noise: [f64; NQ],
     /// Error of the zero position, rad.
+    #[serde(rename = "bias_deg", deserialize_with = "Angle::degrees")]
     pub bias: [f64; NQ],
     /// Seed of the noise.
+    #[serde(deserialize_with = "Whole::<0, { i64::MAX }>::read")]
     pub seed: u64,
 }
 
-/// The drives and brakes.
-#[derive(Clone, Copy, Debug, PartialEq)]
+fn resolution<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
+    Whole::<1, 32>::read(from).map(|bits| std::f64::consts::TAU / 2_f64.powi(bits))
+}
+
+/// Settings of the drives and brakes.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct DriveSettings {
     /// Control periods without a fresh command after which the brakes close.
+    #[serde(deserialize_with = "Whole::<1, 1_000_000>::read")]
     pub watchdog_cycles: u32,
     /// Time constant with which closed brakes stop the actuated joints, s.
+    #[serde(rename = "brake_time_constant_ms", deserialize_with = "Positive::milli")]
     pub brake_time_constant: f64,
-    /// Time from closing the brakes until they hold, s; the drives give no torque meanwhile.
+    /// Time from the command to close the brakes until they hold, s; the drives give no torque meanwhile.
+    #[serde(rename = "brake_engage_ms", deserialize_with = "NonNegative::milli")]
     pub brake_engage: f64,
     /// Time constant of the torque loop, s; 0: none.
+    #[serde(rename = "torque_lag_ms", deserialize_with = "NonNegative::milli")]
     pub torque_lag: f64,
-    /// Control periods that a command spends on its way, 0..=[`MAX_DELAY`].
+    /// Transport delay of a command, control periods, 0..=[`MAX_DELAY`].
+    #[serde(rename = "command_delay_cycles", deserialize_with = "Whole::<0, { MAX_DELAY as i64 }>::read")]
     pub command_delay: u32,
-    /// Torque on the actuated joints on top of what the sensors show, N m.
+    /// Torque on the actuated joints that their sensors do not show, N m.
+    #[serde(rename = "torque_offset_nm", deserialize_with = "Finite::read")]
     pub torque_offset: [f64; NU],
 }
 
-/// Joint stops: stiffness * depth + damping * velocity beyond +-q, pushing back only.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct StopSettings {
-    /// Where they are, rad, above 0.
+/// Settings of the joint stops: stiffness * depth + damping * velocity beyond +-q, pushing back only.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct JointStopSettings {
+    /// Angle of the stops, rad, above 0.
+    #[serde(rename = "q_deg", deserialize_with = "Positive::degrees")]
     pub q: [f64; NQ],
-    /// N m/rad; 0: there is none.
+    /// Stiffness, N m/rad; 0: no stop.
+    #[serde(deserialize_with = "NonNegative::read")]
     pub stiffness: [f64; NQ],
-    /// N m s/rad
+    /// Damping, N m s/rad.
+    #[serde(deserialize_with = "NonNegative::read")]
     pub damping: [f64; NQ],
 }
 
-/// Friction torque against the motion: viscous qd + coulomb tanh(qd / coulomb_smoothing).
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// Settings of the friction torque against the motion: viscous qd + coulomb tanh(qd / coulomb_smoothing).
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct FrictionSettings {
-    /// Unactuated joints, N m s/rad; assumed.
+    /// Viscous friction of the unactuated joints, N m s/rad; assumed.
+    #[serde(deserialize_with = "NonNegative::read")]
     pub pendulum_viscous: [f64; N_UNACTUATED],
-    /// Unactuated joints, N m; assumed.
+    /// Coulomb friction of the unactuated joints, N m; assumed.
+    #[serde(deserialize_with = "NonNegative::read")]
     pub pendulum_coulomb: [f64; N_UNACTUATED],
-    /// Actuated joints, N m s/rad (Stuerz et al. 2017).
+    /// Viscous friction of the actuated joints, N m s/rad (Stuerz et al. 2017).
+    #[serde(deserialize_with = "NonNegative::read")]
     pub arm_viscous: [f64; NU],
-    /// Actuated joints, N m (Stuerz et al. 2017).
+    /// Coulomb friction of the actuated joints, N m (Stuerz et al. 2017).
+    #[serde(deserialize_with = "NonNegative::read")]
     pub arm_coulomb: [f64; NU],
-    /// Share of the actuated joints' friction that the drives remove, in [0, 1].
+    /// Share of the actuated joints' friction that the drives compensate, in [0, 1].
+    #[serde(deserialize_with = "Share::read")]
     pub arm_compensation: f64,
     /// Speed at which Coulomb friction reaches 76 % of its value, rad/s.
+    #[serde(rename = "coulomb_smoothing_rad_s", deserialize_with = "Positive::read")]
     pub coulomb_smoothing: f64,
 }
 
-/// The state after power-up, at standstill.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// State after power-up, at standstill.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct PlantStart {
     /// Angles of the actuated joints, rad.
+    #[serde(rename = "q_deg", deserialize_with = "Angle::degrees")]
     pub q: [f64; NU],
     /// Angles of the unactuated joints.
     pub pendulum: PendulumStart,
 }
 
-/// How the pendulum starts in a given pose of the arm.
+/// Angles of the pendulum at the start, for a given pose of the arm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum PendulumStart {
@@ -139,187 +189,10 @@ pub enum PendulumStart {
     Zero,
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Raw {
-    model: RawModel,
-    integrator: RawIntegrator,
-    encoder: RawEncoder,
-    drive: RawDrive,
-    friction: RawFriction,
-    stops: RawStops,
-    start: RawStart,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct RawModel {
-    urdf: String,
-    arm_mass_scale: f64,
-    pendulum_mass_scale: f64,
-    pendulum_length_scale: f64,
-    payload_kg: f64,
-    payload_position_m: Vec<f64>,
-    rotor_inertia_kg_m2: Vec<f64>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct RawIntegrator {
-    substeps: i64,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct RawEncoder {
-    arm_resolution_rad: f64,
-    pendulum_bits: i64,
-    noise_rad: Vec<f64>,
-    bias_deg: Vec<f64>,
-    seed: i64,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct RawDrive {
-    watchdog_cycles: i64,
-    brake_time_constant_ms: f64,
-    brake_engage_ms: f64,
-    torque_lag_ms: f64,
-    command_delay_cycles: i64,
-    torque_offset_nm: Vec<f64>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct RawStops {
-    q_deg: Vec<f64>,
-    stiffness: Vec<f64>,
-    damping: Vec<f64>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct RawFriction {
-    pendulum_viscous: Vec<f64>,
-    pendulum_coulomb: Vec<f64>,
-    arm_viscous: Vec<f64>,
-    arm_coulomb: Vec<f64>,
-    arm_compensation: f64,
-    coulomb_smoothing_rad_s: f64,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct RawStart {
-    q_deg: Vec<f64>,
-    pendulum: PendulumStart,
-}
-
 impl PlantSettings {
-    pub(crate) fn read(file: &str, text: &str, robot: &RobotSettings) -> Result<Self, ConfigError> {
-        let check = Check { file };
-        Self::from_raw(check, check.parse(text)?, robot)
+    /// Checks the rules between settings.
+    pub(crate) fn validate(&self, robot: &RobotSettings) -> Result<(), Conflict> {
+        let mut angles = self.start.q.iter().enumerate();
+        angles.try_for_each(|(i, q)| Conflict::unless_within("start.q_deg", *q, i, &robot.limits))
     }
-
-    /// From the tables of `plant.toml` with some values replaced.
-    pub(crate) fn from_tables(
-        check: Check<'_>,
-        tables: toml::Table,
-        robot: &RobotSettings,
-    ) -> Result<Self, ConfigError> {
-        let raw = tables.try_into().map_err(|e| {
-            check.refuse("its values", "such as plant.toml has", e.message(), "compare with plant.toml")
-        })?;
-        Self::from_raw(check, raw, robot)
-    }
-
-    fn from_raw(check: Check<'_>, raw: Raw, robot: &RobotSettings) -> Result<Self, ConfigError> {
-        let Raw { model, integrator, encoder, drive, friction, stops, start } = raw;
-        let q_deg: [f64; NU] = check.list("start.q_deg", &start.q_deg, 1, &FULL_TURN)?;
-        let mut q = [0.0; NU];
-        for i in 0..NU {
-            q[i] = check.angle("start.q_deg", q_deg[i], i, &robot.limits)?;
-        }
-        Ok(Self {
-            model: read_model(check, model)?,
-            substeps: check.integer("integrator.substeps", integrator.substeps, 1..=1000)?,
-            encoder: read_encoder(check, &encoder)?,
-            drive: read_drive(check, &drive)?,
-            friction: read_friction(check, &friction)?,
-            stops: StopSettings {
-                q: check.list("stops.q_deg", &stops.q_deg, 1, &POSITIVE)?.map(f64::to_radians),
-                stiffness: check.list("stops.stiffness", &stops.stiffness, 1, &NON_NEGATIVE)?,
-                damping: check.list("stops.damping", &stops.damping, 1, &NON_NEGATIVE)?,
-            },
-            start: PlantStart { q, pendulum: start.pendulum },
-            faults: Vec::new(),
-            pushes: Vec::new(),
-        })
-    }
-}
-
-fn read_model(check: Check<'_>, raw: RawModel) -> Result<ModelSettings, ConfigError> {
-    let scale = |key: &str, value: f64| check.number(key, value, &POSITIVE);
-    let payload_position: [f64; 3] = raw.payload_position_m.as_slice().try_into().map_err(|_| {
-        let got = raw.payload_position_m.len();
-        check.refuse("model.payload_position_m", "3 numbers, x, y, z", got, "give a point of frame O7")
-    })?;
-    for value in payload_position {
-        check.number("model.payload_position_m", value, &FINITE)?;
-    }
-    Ok(ModelSettings {
-        urdf: raw.urdf,
-        arm_mass_scale: scale("model.arm_mass_scale", raw.arm_mass_scale)?,
-        pendulum_mass_scale: scale("model.pendulum_mass_scale", raw.pendulum_mass_scale)?,
-        pendulum_length_scale: scale("model.pendulum_length_scale", raw.pendulum_length_scale)?,
-        payload: check.number("model.payload_kg", raw.payload_kg, &NON_NEGATIVE)?,
-        payload_position,
-        rotor_inertia: check.list("model.rotor_inertia_kg_m2", &raw.rotor_inertia_kg_m2, 1, &NON_NEGATIVE)?,
-    })
-}
-
-fn read_encoder(check: Check<'_>, raw: &RawEncoder) -> Result<EncoderSettings, ConfigError> {
-    let bits: i32 = check.integer("encoder.pendulum_bits", raw.pendulum_bits, 1..=32)?;
-    Ok(EncoderSettings {
-        arm_resolution: check.number("encoder.arm_resolution_rad", raw.arm_resolution_rad, &POSITIVE)?,
-        pendulum_resolution: std::f64::consts::TAU / 2_f64.powi(bits),
-        noise: check.list("encoder.noise_rad", &raw.noise_rad, 1, &NON_NEGATIVE)?,
-        bias: check.list("encoder.bias_deg", &raw.bias_deg, 1, &FULL_TURN)?.map(f64::to_radians),
-        seed: check.integer("encoder.seed", raw.seed, 0..=i64::MAX)?,
-    })
-}
-
-fn read_drive(check: Check<'_>, raw: &RawDrive) -> Result<DriveSettings, ConfigError> {
-    let seconds = |key: &str, ms: f64, rule| Ok(check.number(key, ms, rule)? * 1e-3);
-    Ok(DriveSettings {
-        watchdog_cycles: check.integer("drive.watchdog_cycles", raw.watchdog_cycles, 1..=1_000_000)?,
-        brake_time_constant: seconds("drive.brake_time_constant_ms", raw.brake_time_constant_ms, &POSITIVE)?,
-        brake_engage: seconds("drive.brake_engage_ms", raw.brake_engage_ms, &NON_NEGATIVE)?,
-        torque_lag: seconds("drive.torque_lag_ms", raw.torque_lag_ms, &NON_NEGATIVE)?,
-        command_delay: check.integer(
-            "drive.command_delay_cycles",
-            raw.command_delay_cycles,
-            0..=MAX_DELAY.into(),
-        )?,
-        torque_offset: check.list("drive.torque_offset_nm", &raw.torque_offset_nm, 1, &FINITE)?,
-    })
-}
-
-fn read_friction(check: Check<'_>, raw: &RawFriction) -> Result<FrictionSettings, ConfigError> {
-    const PENDULUM: usize = NU + 1;
-    let pendulum = |key: &str, values: &[f64]| check.list(key, values, PENDULUM, &NON_NEGATIVE);
-    let arm = |key: &str, values: &[f64]| check.list(key, values, 1, &NON_NEGATIVE);
-    Ok(FrictionSettings {
-        pendulum_viscous: pendulum("friction.pendulum_viscous", &raw.pendulum_viscous)?,
-        pendulum_coulomb: pendulum("friction.pendulum_coulomb", &raw.pendulum_coulomb)?,
-        arm_viscous: arm("friction.arm_viscous", &raw.arm_viscous)?,
-        arm_coulomb: arm("friction.arm_coulomb", &raw.arm_coulomb)?,
-        arm_compensation: check.number("friction.arm_compensation", raw.arm_compensation, &SHARE)?,
-        coulomb_smoothing: check.number(
-            "friction.coulomb_smoothing_rad_s",
-            raw.coulomb_smoothing_rad_s,
-            &POSITIVE,
-        )?,
-    })
 }

@@ -1,16 +1,20 @@
-//! `robot.toml`.
+//! Limits of the robot and target of the swing-up, `robot.toml`.
 
-use crate::ConfigError;
-use crate::check::{Check, FRACTION, FULL_TURN, NEGATIVE, NON_NEGATIVE, POSITIVE};
+use crate::conflict::{Conflict, degrees};
+use crate::rule::{Angle, Negative, NonNegative, Positive, PositiveShare, Rule};
 use serde::Deserialize;
-use upswing_model::{ActuatedVector, JointVector, Limits, N_UNACTUATED, NQ, NU};
+use upswing_model::{
+    ActuatedVector, JointFriction, JointVector, Limits, Model, N_UNACTUATED, NQ, NU, State, Workspace,
+    thresholds::EQUILIBRIUM_ACCELERATION,
+};
 
-/// What the robot may do and where the swing-up ends.
-#[derive(Clone, Debug, PartialEq)]
+/// Limits and drives of the robot, and the target of the swing-up.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(from = "RobotFile")]
 pub struct RobotSettings {
-    /// The limits at 100 % (Table II): rad, rad/s, N m.
+    /// The limits at 100 % (Table II), rad, rad/s, N m.
     pub limits: Limits,
-    /// The limits that a plan keeps: shares of velocity and torque, margins of the unactuated joints.
+    /// The limits of plans, rad, rad/s, N m: shares of velocity and torque, margins of the unactuated joints' angles.
     pub planning: Limits,
     /// Range of the Coriolis torques, the c of (11).
     pub coriolis_bound: CoriolisBound,
@@ -18,187 +22,181 @@ pub struct RobotSettings {
     pub target: Target,
     /// Inertia of the rotors, reflected to the actuated joints, kg m^2; part of [`crate::Config::model`].
     pub rotor_inertia: [f64; NU],
-    /// Joint friction that the drives leave, which the daemon adds to its torque.
+    /// Joint friction that the drives do not compensate; the daemon adds it to its torque.
     pub friction: JointFriction,
 }
 
-/// Friction of the actuated joints: viscous qd + coulomb tanh(qd / smoothing).
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct JointFriction {
-    /// N m s/rad
-    pub viscous: [f64; NU],
-    /// N m
-    pub coulomb: [f64; NU],
-    /// rad/s, above 0
-    pub smoothing: f64,
-}
-
-impl JointFriction {
-    /// Torque that moves the joints against their friction at the speeds `qd` (rad/s), N m.
-    pub fn torque(&self, qd: &ActuatedVector) -> ActuatedVector {
-        ActuatedVector::from_fn(|i, _| {
-            // Most robots leave it at 0, and a tanh is slow.
-            let coulomb = if self.coulomb[i] == 0.0 { 0.0 } else { (qd[i] / self.smoothing).tanh() };
-            self.viscous[i] * qd[i] + self.coulomb[i] * coulomb
-        })
-    }
-}
-
 /// Range of C~ qd over all admissible states, (11), N m.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct CoriolisBound {
     /// Lowest torque, below 0, N m.
+    #[serde(rename = "lower_nm", deserialize_with = "Negative::read")]
     pub lower: [f64; NU],
     /// Highest torque, above 0, N m.
+    #[serde(rename = "upper_nm", deserialize_with = "Positive::read")]
     pub upper: [f64; NU],
 }
 
 /// The target state x_T, (8): at rest, all other angles zero.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Target {
-    /// q2 - q4 + q6, rad.
+    /// Pitch of the flange, q2 - q4 + q6, rad.
+    #[serde(rename = "pitch_deg", deserialize_with = "Angle::degrees")]
     pub pitch: f64,
     /// First angle of the pendulum, rad; counts turns.
+    #[serde(rename = "q8_deg", deserialize_with = "Angle::degrees")]
     pub q8: f64,
 }
 
+/// `robot.toml`, in SI units.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Raw {
-    limits: RawLimits,
-    usage: RawUsage,
-    coriolis_bound: RawCoriolisBound,
-    target: RawTarget,
-    drives: RawDrives,
+struct RobotFile {
+    limits: RatedLimits,
+    usage: Usage,
+    coriolis_bound: CoriolisBound,
+    target: Target,
+    drives: Drives,
 }
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct RawLimits {
-    q_deg: Vec<f64>,
-    qd_deg_s: Vec<f64>,
-    tau_nm: Vec<f64>,
+struct RatedLimits {
+    #[serde(rename = "q_deg", deserialize_with = "Positive::degrees")]
+    q: [f64; NQ],
+    #[serde(rename = "qd_deg_s", deserialize_with = "Positive::degrees")]
+    qd: [f64; NQ],
+    #[serde(rename = "tau_nm", deserialize_with = "Positive::read")]
+    tau: [f64; NU],
 }
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct RawUsage {
+struct Usage {
+    #[serde(deserialize_with = "PositiveShare::read")]
     velocity_fraction_actuated: f64,
+    #[serde(deserialize_with = "PositiveShare::read")]
     velocity_fraction_unactuated: f64,
+    #[serde(deserialize_with = "PositiveShare::read")]
     torque_fraction: f64,
-    position_margin_deg: Vec<f64>,
+    #[serde(rename = "position_margin_deg", deserialize_with = "NonNegative::degrees")]
+    position_margin: [f64; N_UNACTUATED],
 }
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct RawCoriolisBound {
-    upper_nm: Vec<f64>,
-    lower_nm: Vec<f64>,
+struct Drives {
+    #[serde(rename = "rotor_inertia_kg_m2", deserialize_with = "NonNegative::read")]
+    rotor_inertia: [f64; NU],
+    #[serde(deserialize_with = "NonNegative::read")]
+    friction_viscous: [f64; NU],
+    #[serde(deserialize_with = "NonNegative::read")]
+    friction_coulomb: [f64; NU],
+    #[serde(rename = "friction_smoothing_rad_s", deserialize_with = "Positive::read")]
+    friction_smoothing: f64,
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct RawDrives {
-    rotor_inertia_kg_m2: Vec<f64>,
-    friction_viscous: Vec<f64>,
-    friction_coulomb: Vec<f64>,
-    friction_smoothing_rad_s: f64,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct RawTarget {
-    pitch_deg: f64,
-    q8_deg: f64,
-}
-
-impl RobotSettings {
-    pub(crate) fn read(file: &str, text: &str) -> Result<Self, ConfigError> {
-        let check = Check { file };
-        let raw: Raw = check.parse(text)?;
-
-        let q: [f64; NQ] = check.list("limits.q_deg", &raw.limits.q_deg, 1, &POSITIVE)?;
-        let qd: [f64; NQ] = check.list("limits.qd_deg_s", &raw.limits.qd_deg_s, 1, &POSITIVE)?;
-        let tau: [f64; NU] = check.list("limits.tau_nm", &raw.limits.tau_nm, 1, &POSITIVE)?;
-        let q_max = JointVector::from(q.map(f64::to_radians));
+impl From<RobotFile> for RobotSettings {
+    fn from(RobotFile { limits, usage, coriolis_bound, target, drives }: RobotFile) -> Self {
+        let q_max = JointVector::from(limits.q);
         let limits = Limits {
             q_min: -q_max,
             q_max,
-            qd_max: JointVector::from(qd.map(f64::to_radians)),
-            tau_max: ActuatedVector::from(tau),
+            qd_max: JointVector::from(limits.qd),
+            tau_max: ActuatedVector::from(limits.tau),
         };
-
-        let usage = &raw.usage;
-        let margin: [f64; N_UNACTUATED] =
-            check.list("usage.position_margin_deg", &usage.position_margin_deg, NU + 1, &NON_NEGATIVE)?;
-        let of_arm =
-            check.number("usage.velocity_fraction_actuated", usage.velocity_fraction_actuated, &FRACTION)?;
-        let of_pendulum = check.number(
-            "usage.velocity_fraction_unactuated",
-            usage.velocity_fraction_unactuated,
-            &FRACTION,
-        )?;
-        let of_torque = check.number("usage.torque_fraction", usage.torque_fraction, &FRACTION)?;
         let mut planning = limits;
-        planning.tau_max *= of_torque;
+        planning.tau_max *= usage.torque_fraction;
         for i in 0..NQ {
-            planning.qd_max[i] *= if i < NU { of_arm } else { of_pendulum };
+            planning.qd_max[i] *=
+                if i < NU { usage.velocity_fraction_actuated } else { usage.velocity_fraction_unactuated };
         }
         for i in 0..N_UNACTUATED {
-            planning.q_max[NU + i] += margin[i].to_radians();
-            planning.q_min[NU + i] -= margin[i].to_radians();
+            planning.q_max[NU + i] += usage.position_margin[i];
+            planning.q_min[NU + i] -= usage.position_margin[i];
         }
-
-        let bound = &raw.coriolis_bound;
-        let coriolis_bound = CoriolisBound {
-            upper: check.list("coriolis_bound.upper_nm", &bound.upper_nm, 1, &POSITIVE)?,
-            lower: check.list("coriolis_bound.lower_nm", &bound.lower_nm, 1, &NEGATIVE)?,
-        };
-        for i in 0..NU {
-            for (key, c) in [("upper_nm", coriolis_bound.upper[i]), ("lower_nm", coriolis_bound.lower[i])] {
-                if c.abs() >= planning.tau_max[i] {
-                    return Err(check.refuse(
-                        &format!("coriolis_bound.{key}"),
-                        format!("less than the {} N m that a plan may use", planning.tau_max[i]),
-                        format!("{c} for joint {}", i + 1),
-                        "lower it or raise usage.torque_fraction",
-                    ));
-                }
-            }
+        Self {
+            limits,
+            planning,
+            coriolis_bound,
+            target,
+            rotor_inertia: drives.rotor_inertia,
+            friction: JointFriction {
+                viscous: drives.friction_viscous,
+                coulomb: drives.friction_coulomb,
+                smoothing: drives.friction_smoothing,
+            },
         }
-
-        let target = Target {
-            pitch: check.number("target.pitch_deg", raw.target.pitch_deg, &FULL_TURN)?.to_radians(),
-            q8: check.angle("target.q8_deg", raw.target.q8_deg, NU, &planning)?,
-        };
-        let key = "drives.rotor_inertia_kg_m2";
-        let rotor_inertia = check.list(key, &raw.drives.rotor_inertia_kg_m2, 1, &NON_NEGATIVE)?;
-        let arm = |key: &str, values: &[f64]| check.list(key, values, 1, &NON_NEGATIVE);
-        let friction = JointFriction {
-            viscous: arm("drives.friction_viscous", &raw.drives.friction_viscous)?,
-            coulomb: arm("drives.friction_coulomb", &raw.drives.friction_coulomb)?,
-            smoothing: check.number(
-                "drives.friction_smoothing_rad_s",
-                raw.drives.friction_smoothing_rad_s,
-                &POSITIVE,
-            )?,
-        };
-        Ok(Self { limits, planning, coriolis_bound, target, rotor_inertia, friction })
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::JointFriction;
-    use upswing_model::ActuatedVector;
+impl RobotSettings {
+    /// Checks the rules between settings, and between them and the `model` of the URDF.
+    pub(crate) fn validate(&self, model: &Model) -> Result<(), Conflict> {
+        let CoriolisBound { lower, upper } = &self.coriolis_bound;
+        for i in 0..NU {
+            for (key, c) in [("coriolis_bound.upper_nm", upper[i]), ("coriolis_bound.lower_nm", lower[i])] {
+                if c.abs() >= self.planning.tau_max[i] {
+                    let expected =
+                        format!("less than the {} N m that a plan may use", self.planning.tau_max[i]);
+                    let got = format!("{c} for joint {}", i + 1);
+                    return Err(Conflict::new(key, expected, got, "lower it or raise usage.torque_fraction"));
+                }
+            }
+        }
+        Conflict::unless_within("target.q8_deg", self.target.q8, NU, &self.planning)?;
+        self.agree_with(&model.rated_limits())?;
+        self.target_is_equilibrium(model)
+    }
 
-    #[test]
-    fn friction_is_smooth_at_rest_and_opposes_either_direction() {
-        let friction = JointFriction { viscous: [0.2; 7], coulomb: [0.3; 7], smoothing: 0.05 };
-        let at = |speed: f64| friction.torque(&ActuatedVector::repeat(speed))[3];
-        assert_eq!(at(0.0), 0.0);
-        assert!((at(1.0) - 0.5).abs() < 1e-9 && at(-1.0) == -at(1.0));
-        // Its slope at rest is 0.2 + 0.3 / 0.05.
-        assert!((at(1e-6) / 1e-6 - 6.2).abs() < 1e-3);
+    /// Table II stands in `robot.toml` and, for other programs, in the URDF: both must say the same. A joint that is continuous in
+    /// the URDF has the limit of `robot.toml`.
+    fn agree_with(&self, urdf: &Limits) -> Result<(), Conflict> {
+        /// Rounding of the URDF's numbers, deg, deg/s, N m.
+        const ROUNDING: f64 = 1e-4;
+        let agree = |key, joint: usize, toml: f64, urdf: f64| {
+            // Written so that NaN disagrees.
+            if (toml - urdf).abs() <= ROUNDING || urdf.is_infinite() {
+                return Ok(());
+            }
+            let expected = format!("the {urdf} of joint {} in {}", joint + 1, crate::URDF.name);
+            Err(Conflict::new(key, expected, toml, "change both files alike"))
+        };
+        let toml = &self.limits;
+        for i in 0..NQ {
+            agree("limits.q_deg", i, degrees(toml.q_max[i]), degrees(urdf.q_max[i]))?;
+            agree("limits.q_deg", i, degrees(toml.q_min[i]), degrees(urdf.q_min[i]))?;
+            agree("limits.qd_deg_s", i, degrees(toml.qd_max[i]), degrees(urdf.qd_max[i]))?;
+        }
+        (0..NU).try_for_each(|i| agree("limits.tau_nm", i, toml.tau_max[i], urdf.tau_max[i]))
+    }
+
+    /// Refuses a target (8) that is no equilibrium of the pendulum: no trajectory can end there at rest.
+    fn target_is_equilibrium(&self, model: &Model) -> Result<(), Conflict> {
+        let Target { pitch, q8 } = self.target;
+        let mut work = Workspace::default();
+        // (8) fixes q2 - q4 + q6 only: whichever joint turns the flange, the pendulum has to stay.
+        for (joint, sign) in [(1, 1.0), (3, -1.0), (5, 1.0)] {
+            let mut x = State::zeros();
+            (x[joint], x[NU]) = (sign * pitch, q8);
+            let f = model.f(&x, &ActuatedVector::zeros(), &mut work);
+            if let Some(i) = (NU..NQ).find(|i| !(f[NQ + i].abs() <= EQUILIBRIUM_ACCELERATION)) {
+                return Err(Conflict::new(
+                    "target.pitch_deg",
+                    "with target.q8_deg an equilibrium of the pendulum",
+                    format!(
+                        "{:.2} with q8_deg {:.2}, where joint {} at rest accelerates with {:.3} rad/s^2",
+                        pitch.to_degrees(),
+                        q8.to_degrees(),
+                        i + 1,
+                        f[NQ + i]
+                    ),
+                    "make axis 8 horizontal and the rod vertical; the shipped robot has 90 and 180",
+                ));
+            }
+        }
+        Ok(())
     }
 }

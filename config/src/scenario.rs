@@ -1,136 +1,102 @@
-//! Scenarios: what is different about the plant this time, and what happens to it.
+//! Scenarios: changes to the plant's settings, with faults and pushes.
 
-use crate::check::Check;
-use crate::{ConfigError, Fault, FaultKind, PlantSettings, Push, RobotSettings};
+use crate::conflict::Conflict;
+use crate::fault::{Fault, FaultInFile};
+use crate::file::TextFile;
+use crate::{ConfigError, PlantSettings, Push, RobotSettings};
 use serde::Deserialize;
-use toml::{Table, Value};
-use upswing_model::NQ;
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
 
-/// A scenario file: its purpose, what happens when, and the keys of `plant.toml` that differ.
+/// The keys of a scenario besides those of `plant.toml` that it changes.
 #[derive(Deserialize)]
-struct Raw {
+struct Scenario {
     purpose: String,
     #[serde(default)]
-    fault: Vec<RawFault>,
+    fault: Vec<Spanned<FaultInFile>>,
     #[serde(default)]
-    push: Vec<RawPush>,
-    #[serde(flatten)]
-    plant: Table,
+    push: Vec<Push>,
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct RawFault {
-    kind: FaultKind,
-    from_cycle: i64,
-    #[serde(default)]
-    cycles: i64,
-    joint: Option<i64>,
-    amount: Option<f64>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct RawPush {
-    from_cycle: i64,
-    cycles: i64,
-    impulse_ns: [f64; 3],
-}
-
-/// Cycle numbers that a file can state: more than a plant lives to see.
-const CYCLES: std::ops::RangeInclusive<i64> = 0..=1_000_000_000_000;
-
-/// The settings of `plant.toml` (`base`) under a scenario, and its purpose.
+/// The settings of `plant.toml` (`base`) under the scenario in `file`, and the purpose of the scenario.
 pub(crate) fn read(
-    file: &str,
-    text: &str,
-    base: &str,
+    file: &TextFile,
+    base: &TextFile,
     robot: &RobotSettings,
 ) -> Result<(PlantSettings, String), ConfigError> {
-    let check = Check { file };
-    let raw: Raw = check.parse(text)?;
-    if raw.purpose.trim().is_empty() {
-        return Err(check.refuse("purpose", "a sentence", "none", "say what the scenario is for"));
+    let Scenario { purpose, fault, push } = file.settings(|scenario: &Scenario| {
+        let fix = "say what the scenario is for";
+        let blank = scenario.purpose.trim().is_empty();
+        if blank { Err(Conflict::new("purpose", "a sentence", "none", fix)) } else { Ok(()) }
+    })?;
+    let faults = fault.into_iter().map(|fault| {
+        let at = fault.span().start;
+        Fault::try_from(fault.into_inner()).map_err(|reason| file.error(at, Some("fault".into()), reason))
+    });
+    let faults = faults.collect::<Result<_, _>>()?;
+    let mut changes = DeTable::parse(&file.text).map_err(|e| file.malformed(&e))?.into_inner();
+    for key in ["purpose", "fault", "push"] {
+        changes.remove(key);
     }
-    let mut tables: Table = Check { file: crate::PLANT.name }.parse(base)?;
-    overlay(check, "", &mut tables, raw.plant)?;
-    let mut settings = PlantSettings::from_tables(check, tables, robot)?;
-    settings.faults = raw.fault.iter().map(|fault| read_fault(check, fault)).collect::<Result<_, _>>()?;
-    settings.pushes = raw.push.iter().map(|push| read_push(check, push)).collect::<Result<_, _>>()?;
-    Ok((settings, raw.purpose))
+    let mut tables = DeTable::parse(&base.text).map_err(|e| base.malformed(&e))?;
+    overlay(file, "", tables.get_mut(), changes)?;
+    // A value that breaks its rule is one of the scenario: the settings of `base` have been read before.
+    let mut settings =
+        PlantSettings::deserialize(toml::Deserializer::from(tables)).map_err(|e| file.malformed(&e))?;
+    settings.validate(robot).map_err(|conflict| file.refuse(conflict))?;
+    (settings.faults, settings.pushes) = (faults, push);
+    Ok((settings, purpose))
 }
 
-/// Replaces values of `base`; a scenario can neither add a key nor change what kind of value it has.
-fn overlay(check: Check<'_>, section: &str, base: &mut Table, changes: Table) -> Result<(), ConfigError> {
+/// Replaces values of `base`; a scenario can neither add a key nor change the type of a value.
+fn overlay<'a>(
+    file: &TextFile,
+    section: &str,
+    base: &mut DeTable<'a>,
+    changes: DeTable<'a>,
+) -> Result<(), ConfigError> {
     for (key, value) in changes {
-        let name = if section.is_empty() { key.clone() } else { format!("{section}.{key}") };
-        let Some(old) = base.get_mut(&key) else {
-            let fix = "correct its name or remove it";
-            return Err(check.refuse(&name, "a key of plant.toml", "none", fix));
+        let name = format!("{section}{}", key.get_ref());
+        let refuse = |expected: String, got: String, fix: &str| {
+            Err(file.refuse(Conflict::new(name.clone(), expected, got, fix)))
         };
-        match (old, value) {
-            (Value::Table(old), Value::Table(new)) => overlay(check, &name, old, new)?,
-            (old, new) if alike(old, &new) => *old = new,
-            (old, new) => {
-                let expected = format!("{} as in plant.toml", kind(old));
-                return Err(check.refuse(&name, expected, kind(&new), "change the value"));
+        let Some(old) = base.get_mut(key.get_ref().as_ref()) else {
+            return refuse("a key of plant.toml".into(), "none".into(), "correct its name or remove it");
+        };
+        match (old.get_mut(), value.get_ref()) {
+            (DeValue::Table(old), DeValue::Table(_)) => {
+                let DeValue::Table(new) = value.into_inner() else { continue };
+                overlay(file, &format!("{name}."), old, new)?;
+            }
+            (before, new) if alike(before, new) => *old = value,
+            (before, new) => {
+                let (expected, got) = (format!("{} as in plant.toml", kind(before)), kind(new));
+                return refuse(expected, got, "change the value");
             }
         }
     }
     Ok(())
 }
 
-fn alike(a: &Value, b: &Value) -> bool {
+fn alike(a: &DeValue<'_>, b: &DeValue<'_>) -> bool {
     match (a, b) {
-        (Value::Array(a), Value::Array(b)) => a.iter().all(|a| b.iter().all(|b| alike(a, b))),
+        (DeValue::Array(a), DeValue::Array(b)) => {
+            a.iter().all(|a| b.iter().all(|b| alike(a.get_ref(), b.get_ref())))
+        }
         (a, b) => kind(a) == kind(b),
     }
 }
 
-/// What a message calls a value; whole numbers pass for numbers.
-fn kind(value: &Value) -> String {
+/// The type of a value as messages name it; whole numbers are numbers.
+fn kind(value: &DeValue<'_>) -> String {
     match value {
-        Value::Integer(_) | Value::Float(_) => "a number".into(),
-        Value::Array(items) => match items.iter().find(|item| kind(item) != "a number") {
-            Some(other) => format!("a list with {}", kind(other)),
-            None => "a list of numbers".into(),
-        },
+        DeValue::Integer(_) | DeValue::Float(_) => "a number".into(),
+        DeValue::Array(items) => {
+            match items.iter().map(Spanned::get_ref).map(kind).find(|item| item != "a number") {
+                Some(other) => format!("a list with {other}"),
+                None => "a list of numbers".into(),
+            }
+        }
         other => format!("a {}", other.type_str()),
     }
-}
-
-fn read_fault(check: Check<'_>, raw: &RawFault) -> Result<Fault, ConfigError> {
-    let needs = raw.kind.has_joint();
-    let joint = match raw.joint {
-        Some(joint) if needs => check.integer("fault.joint", joint, 1..=NQ as i64)?,
-        None if !needs => 1,
-        other => {
-            let expected = if needs { "a joint" } else { "none for this kind" };
-            let got = other.map_or("none".into(), |joint| joint.to_string());
-            return Err(check.refuse("fault.joint", expected, got, "only encoders and torques have a joint"));
-        }
-    };
-    let fault = Fault {
-        kind: raw.kind,
-        from: check.integer("fault.from_cycle", raw.from_cycle, 1..=*CYCLES.end())?,
-        cycles: check.integer("fault.cycles", raw.cycles, CYCLES)?,
-        joint: joint - 1,
-        amount: raw.amount.unwrap_or_default(),
-    };
-    fault.check().map_err(|e| event(check, "fault", e))?;
-    Ok(fault)
-}
-
-fn read_push(check: Check<'_>, raw: &RawPush) -> Result<Push, ConfigError> {
-    let push = Push {
-        from: check.integer("push.from_cycle", raw.from_cycle, 1..=*CYCLES.end())?,
-        cycles: check.integer("push.cycles", raw.cycles, 1..=*CYCLES.end())?,
-        impulse: raw.impulse_ns,
-    };
-    push.check().map_err(|e| event(check, "push", e))?;
-    Ok(push)
-}
-
-fn event(check: Check<'_>, section: &str, cause: crate::EventError) -> ConfigError {
-    ConfigError::Event { file: check.file.into(), section: section.into(), cause }
 }

@@ -1,11 +1,10 @@
 //! The reference of the arm in Hold and Stop: a pose, or a motion that decelerates.
 
 use upswing_config::HoldGains;
+use upswing_model::thresholds::REST_SPEED_STOP;
 use upswing_model::{ActuatedVector, NQ, NU, State, StateParts};
 
-/// Speed below which a joint counts as at rest, rad/s, and how long it has to stay there, ns. A pendulum that swings
-/// freely leaves joints 5 and 7 some 0.05 rad/s.
-const REST_SPEED: f64 = 0.1;
+/// Time for which the arm has to be at rest before it counts as settled, ns.
 const REST_TIME_NS: u64 = 50_000_000;
 
 /// A pose of the arm to hold, or on its way to rest.
@@ -47,7 +46,7 @@ impl ArmReference {
     /// Whether reference and arm have been at rest for a while at the time `now`, ns.
     pub fn is_settled(&mut self, x: &State, now: u64) -> bool {
         // A maximum would lose a NaN.
-        let slow = (0..NU).all(|i| x[NQ + i].abs() < REST_SPEED);
+        let slow = (0..NU).all(|i| x[NQ + i].abs() < REST_SPEED_STOP);
         if !(self.qd.amax() == 0.0 && slow) {
             self.rest_since = None;
             return false;
@@ -86,7 +85,7 @@ mod tests {
         for i in 0..NU {
             settings.hold.stiffness[i] = 100.0 + i as f64;
             settings.hold.damping[i] = 20.0 + i as f64;
-            settings.stop_deceleration[i] = 4.0 + i as f64;
+            settings.stop.deceleration[i] = 4.0 + i as f64;
         }
         settings
     }
@@ -132,10 +131,10 @@ mod tests {
         for elapsed in [125e-6, 7e-3, 0.05, 1.0] {
             let mut arm = ArmReference::moving(&x);
             for cycle in 1..=(0.4 / elapsed) as usize + 1 {
-                let u_d = arm.decelerate(&settings.stop_deceleration, elapsed);
+                let u_d = arm.decelerate(&settings.stop.deceleration, elapsed);
                 let x_d = arm.state(&State::zeros());
                 for i in 0..NU {
-                    let (v, a) = (x[NQ + i], settings.stop_deceleration[i]);
+                    let (v, a) = (x[NQ + i], settings.stop.deceleration[i]);
                     let rest = v.abs() / a;
                     let t = (cycle as f64 * elapsed).min(rest);
                     let (q, qd) = (x[i] + v * t - 0.5 * v.signum() * a * t * t, v - v.signum() * a * t);

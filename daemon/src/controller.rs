@@ -21,9 +21,9 @@ use crate::standstill::Standstill;
 use crate::step::{CycleRecord, Output, StepInput};
 use crate::supervisor::Event;
 use crate::trip::{Trip, TripCause};
-use upswing_config::{Config, HoldGains, JointFriction, PlanWhileTracking};
+use upswing_config::{Config, HoldGains, PlanWhileTracking};
 use upswing_ipc::{Clock, Command, Measurement, Mode, Step, Telemetry};
-use upswing_model::{ActuatedVector, JointParts, Model, NU, State, StateParts, Workspace};
+use upswing_model::{ActuatedVector, JointFriction, JointParts, Model, NU, State, StateParts, Workspace};
 use upswing_trajectory::Plan;
 
 /// The command of the last cycle; zero where the brakes were closed.
@@ -84,7 +84,7 @@ impl Controller {
             tau_max,
             friction: robot.friction,
             hold: daemon.hold,
-            stop_deceleration: daemon.stop_deceleration,
+            stop_deceleration: daemon.stop.deceleration,
             while_tracking: daemon.plans.while_tracking,
             step: 0,
             cycle: 0,

@@ -20,6 +20,7 @@
 use crate::law::{Inertia, Torque};
 use crate::trip::{Trip, TripCause};
 use upswing_config::StandstillSettings;
+use upswing_model::thresholds::REST_SPEED_ESTIMATE;
 use upswing_model::{ActuatedVector, JointVector, N_UNACTUATED, NQ, NU, UnactuatedVector};
 
 /// Time after which a joint whose angle does not change is taken to stand, s: one that turns back stands for less.
@@ -31,9 +32,7 @@ const CREEP: f64 = 1e-3;
 /// Time after which the sensors show a change of the commanded torque, s: more than command and drives need.
 const SHOWN: f64 = 0.01;
 
-/// Speed of the arm below which the estimate of other torques changes because a joint does not move, rad/s.
-const SLOW: f64 = 0.05;
-/// How long it has to be that slow, s: until the estimate has forgotten the motion before.
+/// Time for which the arm has to be slower than [`REST_SPEED_ESTIMATE`], s: until the estimate has forgotten the motion before.
 const QUIET: f64 = 0.1;
 
 /// What may be wrong with a measured speed: noise, rad/s, and a lag, s.
@@ -196,7 +195,7 @@ impl Standstill {
         let (carried, full, reaction) = (reduced * standing, reduced * u, m_au.tr_mul(&standing));
         let change = estimate - self.estimate;
         // What the model does not know of fast joints moves the estimates for all.
-        if qd.amax() >= SLOW {
+        if qd.amax() >= REST_SPEED_ESTIMATE {
             self.quiet = 0.0;
         }
         let slow = self.quiet > QUIET;

@@ -76,7 +76,7 @@ fn a_stop_that_is_asked_for_again_goes_on_and_ends_in_the_pose_of_its_reference(
     let mut asked_again = controller.clone();
     let again = cycle(&mut asked_again, Some(Request::Shutdown));
     for (i, ((q, qd), (q_next, qd_next))) in reference(&last).into_iter().zip(reference(&again)).enumerate() {
-        let a = config.daemon.stop_deceleration[i];
+        let a = config.daemon.stop.deceleration[i];
         let slower = (qd.abs() - a * PERIOD).max(0.0).copysign(qd);
         assert!((qd_next - slower).abs() < 1e-9, "joint {}: {qd} to {qd_next} rad/s", i + 1);
         assert!((q_next - q).abs() <= qd.abs() * PERIOD, "joint {}: {q} to {q_next} rad", i + 1);

@@ -1,6 +1,6 @@
 //! Offline optimisation (6), (8), (9)/(11) with the settings of a configuration.
 
-use upswing_config::{Config, PlannerSettings, ReplanWeights};
+use upswing_config::{Config, PlannerSettings, ReplanSettings};
 use upswing_model::{ActuatedVector, N_UNACTUATED, NQ, NU, NX, State};
 use upswing_ocp::interior_point::{Options, Solution, Status};
 use upswing_ocp::kkt::KnotVector;
@@ -102,11 +102,11 @@ pub fn lqr_weights(settings: &PlannerSettings) -> lqr::Weights {
 }
 
 /// The weights of the settings for (17).
-pub fn qp_weights(weights: &ReplanWeights) -> qp::Weights {
+pub fn qp_weights(settings: &ReplanSettings) -> qp::Weights {
     let z = KnotVector::from_fn(|i, _| match i {
-        i if i < NQ => weights.q[i],
-        i if i < NX => weights.qd[i - NQ],
-        i => weights.u[i - NX],
+        i if i < NQ => settings.weight_q[i],
+        i if i < NX => settings.weight_qd[i - NQ],
+        i => settings.weight_u[i - NX],
     });
-    qp::Weights { t_f: weights.t_f, z }
+    qp::Weights { t_f: settings.weight_t_f, z }
 }

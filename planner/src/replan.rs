@@ -300,7 +300,7 @@ impl Planner {
         let problem = self.problem_of(manoeuvre, start, &reference, self.config.planner.replan.knot_margin);
         let mut work = Workspace::default();
         let mut trajectory = reference.clone();
-        let weights = qp_weights(&self.config.planner.replan.weights);
+        let weights = qp_weights(&self.config.planner.replan);
         let begin = Instant::now();
         let (mut done, mut defect) = (0, f64::INFINITY);
         while done < iterations && !(defect <= self.config.planner.replan.defect) {

@@ -12,6 +12,7 @@ use upswing_ipc::{
     Clock, Domain, Mode, PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus, Subscriber, Telemetry,
     TelemetryBatch, Text, TopicPayload as _,
 };
+use upswing_model::thresholds::{HELD_ACCELERATION, REST_SPEED_START, SAME_START, START_SLACK};
 use upswing_model::{ActuatedVector, Model, NQ, NU, NX, State, Workspace};
 use upswing_ocp::qp::Solver;
 use upswing_process::notify::Notifier;
@@ -35,9 +36,6 @@ const LONGEST_LEAD: Duration = Duration::from_secs(1);
 
 /// Longest time for news of the daemon to arrive.
 const HANDS_OVER: Duration = Duration::from_millis(200);
-
-/// How far a measured start may be outside its limits, rad: the noise of an arm that stands on its limit.
-const START_SLACK: f64 = 1e-3;
 
 /// Runs the planner until SIGINT or SIGTERM.
 ///
@@ -378,24 +376,18 @@ fn stale(record: &Telemetry, seen: Instant) -> bool {
 
 /// Whether nothing moves but the noise of the velocity filter.
 fn at_rest(x: &State) -> bool {
-    /// rad/s
-    const REST: f64 = 0.02;
-    x.iter().skip(NQ).all(|v| v.abs() <= REST)
+    x.iter().skip(NQ).all(|v| v.abs() <= REST_SPEED_START)
 }
 
 /// Whether the pendulum of an arm at rest stays where it is: it does not turn round at the end of a swing.
 fn hangs(model: &Model, x: &State) -> bool {
-    /// rad/s^2; bearings hold a rod that is 2 deg from where it would hang.
-    const HELD: f64 = 1.0;
     let f = model.f(x, &ActuatedVector::zeros(), &mut Workspace::default());
-    at_rest(x) && (NQ + NU..NX).all(|i| f[i].abs() <= HELD)
+    at_rest(x) && (NQ + NU..NX).all(|i| f[i].abs() <= HELD_ACCELERATION)
 }
 
 /// Whether a plan from one state is as good from the other, for states at rest.
 fn near(a: &State, b: &State) -> bool {
-    /// Angles, rad: a hundredth of what the daemon tolerates.
-    const ANGLE: f64 = 5e-4;
-    at_rest(a) && at_rest(b) && (0..NQ).all(|i| (a[i] - b[i]).abs() <= ANGLE)
+    at_rest(a) && at_rest(b) && (0..NQ).all(|i| (a[i] - b[i]).abs() <= SAME_START)
 }
 
 fn check_start(planner: &Planner, start: &State) -> Result<(), No> {

@@ -12,9 +12,9 @@ use upswing_planner::service::RequestHandler;
 /// slacks and multipliers with an absolute bound, which it does not reach if the weights are large.
 fn planner(factor: f64) -> Planner {
     let mut config = Config::embedded().expect("embedded settings");
-    let weights = &mut config.planner.replan.weights;
-    weights.t_f *= factor;
-    let all = weights.q.iter_mut().chain(&mut weights.qd).chain(&mut weights.u);
+    let settings = &mut config.planner.replan;
+    settings.weight_t_f *= factor;
+    let all = settings.weight_q.iter_mut().chain(&mut settings.weight_qd).chain(&mut settings.weight_u);
     all.for_each(|weight| *weight *= factor);
     Planner::new(config).expect("the shipped database fits")
 }

@@ -47,7 +47,7 @@ fn qp_at(planner: &Planner, entry: usize, offset: &[f64; NU]) -> Option<Qp> {
 
 fn qp_from(planner: &Planner, reference: &Trajectory, at: &Trajectory, start: State) -> Qp {
     let problem = problem(planner.config(), start);
-    let weights = qp_weights(&planner.config().planner.replan.weights);
+    let weights = qp_weights(&planner.config().planner.replan);
     Qp::new(&problem, reference, at, &weights, &mut Workspace::default())
 }
 
@@ -191,7 +191,7 @@ fn infeasible_ones_are_infeasible_for_both() {
 fn softened_limits_yield_where_hard_ones_contradict() {
     let mut config = Config::embedded().expect("embedded settings");
     // With a heavier one Clarabel comes no closer than 1e-5 to the solution of a soft program.
-    config.planner.replan.weights.t_f = 1.0;
+    config.planner.replan.weight_t_f = 1.0;
     let planner = Planner::new(config).expect("the shipped database fits");
     let limits = &planner.config().robot.planning;
     for joint in [1, 3, 5] {

@@ -15,7 +15,7 @@ fn after_the_first_one() {
         let (reference, start) =
             (&planner.entries()[entry].trajectory, planner.entries()[entry + 1].trajectory.x[0]);
         let config = planner.config();
-        let (problem, weights) = (problem(config, start), qp_weights(&config.planner.replan.weights));
+        let (problem, weights) = (problem(config, start), qp_weights(&config.planner.replan));
         Qp::new(&problem, reference, reference, &weights, &mut Workspace::default())
     };
     let (first, second) = (qp(40), qp(41));

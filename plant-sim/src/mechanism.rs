@@ -1,7 +1,8 @@
 //! The mechanism of arm and pendulum: dynamics (1) with friction, stops, brakes and external loads, and its integration.
 
 use crate::drives::Actuation;
-use upswing_config::{Config, FrictionSettings, StopSettings};
+use upswing_config::{Config, FrictionSettings, JointStopSettings};
+use upswing_model::thresholds::REST_SPEED_BRAKED;
 use upswing_model::{ActuatedVector, JointVector, Model, N_UNACTUATED, NU, UnactuatedVector, Workspace};
 
 /// A force on the tip of the rod, world frame, N.
@@ -15,9 +16,6 @@ pub(crate) struct ExternalLoad {
     pub joint_torque: Option<JointVector>,
 }
 
-/// Speed below which a braked joint stands still, rad/s.
-const STANDSTILL: f64 = 1e-6;
-
 /// Arm and pendulum with their state.
 #[derive(Clone, Debug)]
 pub(crate) struct Mechanism {
@@ -27,7 +25,7 @@ pub(crate) struct Mechanism {
     pub qd: JointVector,
     model: Model,
     friction: Friction,
-    stops: StopSettings,
+    stops: JointStopSettings,
     /// Time constant of the brakes, s; at least one integration step, so that the integration resolves it.
     brake_time_constant: f64,
     substeps: u32,
@@ -40,7 +38,7 @@ impl Mechanism {
     /// The mechanism in a state (rad, rad/s).
     pub(crate) fn new(config: &Config, model: Model, q: &JointVector, qd: &JointVector) -> Self {
         let settings = &config.plant;
-        let step = config.daemon.cycle.period.seconds() / f64::from(settings.substeps);
+        let step = config.daemon.cycle.period.seconds() / f64::from(settings.integrator.substeps);
         Self {
             q: *q,
             qd: *qd,
@@ -48,7 +46,7 @@ impl Mechanism {
             friction: Friction::new(&settings.friction),
             stops: settings.stops,
             brake_time_constant: settings.drive.brake_time_constant.max(step),
-            substeps: settings.substeps,
+            substeps: settings.integrator.substeps,
             step,
             work: Workspace::default(),
         }
@@ -80,7 +78,7 @@ impl Mechanism {
         }
         if *actuation == Actuation::Brakes {
             for i in 0..NU {
-                if qd[i].abs() < STANDSTILL {
+                if qd[i].abs() < REST_SPEED_BRAKED {
                     qd[i] = 0.0;
                 }
             }
@@ -154,7 +152,7 @@ impl Mechanism {
 }
 
 /// Torque of the mechanical stop of a joint (counted from 0), N m.
-fn stop_torque(stops: &StopSettings, joint: usize, q: f64, qd: f64) -> f64 {
+fn stop_torque(stops: &JointStopSettings, joint: usize, q: f64, qd: f64) -> f64 {
     let depth = q.abs() - stops.q[joint];
     if stops.stiffness[joint] == 0.0 || depth <= 0.0 {
         return 0.0;

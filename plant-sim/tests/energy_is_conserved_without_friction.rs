@@ -37,7 +37,7 @@ fn a_pendulum_on_a_braked_arm_keeps_its_energy_for_ten_seconds() {
 fn the_whole_robot_keeps_its_energy_in_ten_seconds_of_free_fall() {
     let mut config = frictionless();
     // In a tumble light joints spin at twenty times their limits.
-    config.plant.substeps = 2;
+    config.plant.integrator.substeps = 2;
     let mut q = level_pose();
     (q[1], q[5], q[7]) = (0.4, 0.3, 1.0);
     let mut plant = Plant::at(&config, &q, &JointVector::zeros()).unwrap();

@@ -11,7 +11,7 @@ const TAU: [f64; NU] = [5.0, -60.0, 3.0, 20.0, -1.0, 2.0, 0.2];
 
 fn after(config: &Config, brakes: bool, substeps: u32, periods: u32) -> State {
     let mut config = config.clone();
-    config.plant.substeps = substeps;
+    config.plant.integrator.substeps = substeps;
     let mut q = level_pose();
     (q[7], q[8]) = (0.5, -0.3);
     let qd = JointVector::from_fn(|i, _| 0.05 * (i as f64 - 4.0));
@@ -26,8 +26,9 @@ fn after(config: &Config, brakes: bool, substeps: u32, periods: u32) -> State {
 fn a_period_agrees_with_much_finer_steps() {
     let config = settings();
     for brakes in [false, true] {
-        let error =
-            (after(&config, brakes, config.plant.substeps, 200) - after(&config, brakes, 20, 200)).amax();
+        let error = (after(&config, brakes, config.plant.integrator.substeps, 200)
+            - after(&config, brakes, 20, 200))
+        .amax();
         assert!(error < 1e-7, "brakes closed {brakes}: {error:e} rad or rad/s after 25 ms");
     }
 }

@@ -104,7 +104,7 @@ fn extrapolated(model: &Model, x: &State, tau: &JointVector, h: f64, work: &mut 
 fn one_second_under_changing_torques_agrees_with_order_twelve() {
     let mut config = frictionless();
     // A joint turns by 47 rad in this second, far beyond its limits.
-    config.plant.substeps = 2;
+    config.plant.integrator.substeps = 2;
     let mut q = level_pose();
     (q[7], q[8]) = (0.5, -0.3);
     let qd = JointVector::from_fn(|i, _| 0.05 * (i as f64 - 4.0));

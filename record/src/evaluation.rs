@@ -5,6 +5,7 @@ use std::collections::VecDeque;
 use upswing_config::Config;
 use upswing_ipc::operator::planning_text;
 use upswing_ipc::{Mode, PlannerResponse, Telemetry};
+use upswing_model::thresholds::{REPORT_POSITION_SLACK, REST_SPEED_REPORT};
 use upswing_model::{JointVector, Limits, Model, NQ, NU};
 
 /// Figures of any stretch of records.
@@ -63,16 +64,9 @@ pub struct SwingUpEvaluation {
 /// Tilt up to which the pendulum counts as balanced, deg.
 const BALANCED_DEG: f64 = 2.0;
 
-/// Velocity up to which the arm counts as at rest, rad/s. Assumed: three times what is left of a nominal swing-up after
-/// one second of balance.
-const AT_REST: f64 = 0.05;
-
 /// Share of the cycles in which a torque may have been cut. Assumed: while the limiter cuts, the loop is not the one that
 /// the gains were made for; two hundredths of a second in two seconds is what one hard push takes.
 const LIMITED_SHARE: f64 = 0.01;
-
-/// What a joint that stands on its limit may be measured beyond it, rad: a few steps of an encoder.
-const RESOLUTION: f64 = 1e-4;
 
 /// Angle of the rod from upright, rad: between the line from the last joint to the tip and the vertical.
 pub fn tilt(model: &Model, q: &JointVector) -> f64 {
@@ -251,9 +245,9 @@ impl SwingUpEvaluation {
             format!("balanced {:.3} s, expected {seconds} s", f.balance_s),
         );
         fail(
-            !(f.final_speed <= AT_REST),
+            !(f.final_speed <= REST_SPEED_REPORT),
             format!(
-                "the arm moves at {:.3} rad/s in the last second, expected at most {AT_REST}",
+                "the arm moves at {:.3} rad/s in the last second, expected at most {REST_SPEED_REPORT}",
                 f.final_speed
             ),
         );
@@ -273,7 +267,7 @@ impl SwingUpEvaluation {
                 100.0 * LIMITED_SHARE
             ),
         );
-        fail(beyond.rad > RESOLUTION, beyond.to_string());
+        fail(beyond.rad > REPORT_POSITION_SLACK, beyond.to_string());
         fail(f.dropped > 0, format!("{} telemetry records were lost", f.dropped));
         Self {
             success: failures.is_empty(),

@@ -8,18 +8,17 @@ pub use feedback::LoopDelays;
 
 use crate::{Plan, Trajectory};
 use nalgebra::Vector3;
+use upswing_model::thresholds::REST_SPEED_PLAN_END;
 use upswing_model::{ActuatedVector, LimitKind, Limits, Model};
 
-/// How far a plan may exceed its limits, rad, rad/s and a share of the torque. A solver meets its limits up to a
+/// Largest excess of a plan over its velocity limits, rad/s, and its torque limits, as a share. A solver meets its limits up to a
 /// tolerance, a start may be measured just outside, and one QP around a database trajectory (14)-(17) meets the
 /// linearised torque limits only.
-const POSITION_SLACK: f64 = 1e-3;
 const VELOCITY_SLACK: f64 = 1e-2;
 const TORQUE_SLACK: f64 = 0.05;
 /// Largest difference between f_k and f(x_k, u_k) of the model, relative to 1 + |f|.
 const DERIVATIVE_TOLERANCE: f64 = 1e-6;
-/// Largest joint velocity at the end of a plan, rad/s, and largest angle of its rod from the vertical there, rad.
-const END_SPEED: f64 = 1e-2;
+/// Largest angle of the rod from the vertical at the end of a plan, rad.
 const END_TILT: f64 = 2e-2;
 /// Largest torque with which a gain may answer a deviation of one row of the state by the start tolerance, as a multiple of
 /// the 100 % limit. With r of (20) at a hundredth of its setting it is 4; a larger one is a blow, not feedback.
@@ -131,7 +130,7 @@ pub enum Unfit {
     /// The plan does not end at rest with the rod standing or hanging.
     #[error(
         "the plan ends at {speed:.4} rad/s with the rod {upright:.4} rad from upright and {hanging:.4} rad from hanging, \
-         expected at most {END_SPEED} rad/s and {END_TILT} rad from one of both"
+         expected at most {REST_SPEED_PLAN_END} rad/s and {END_TILT} rad from one of both"
     )]
     End {
         /// Largest joint velocity at x_N, rad/s.

@@ -1,11 +1,9 @@
 //! Criteria for the trajectory of a plan: limits, dynamics and end.
 
-use super::{
-    DERIVATIVE_TOLERANCE, END_SPEED, END_TILT, POSITION_SLACK, PlanCriteria, TORQUE_SLACK, Unfit,
-    VELOCITY_SLACK, finite,
-};
+use super::{DERIVATIVE_TOLERANCE, END_TILT, PlanCriteria, TORQUE_SLACK, Unfit, VELOCITY_SLACK, finite};
 use crate::margins::Sample;
 use crate::{Certificate, Margins, N, Spline, Trajectory};
+use upswing_model::thresholds::{PLAN_POSITION_SLACK, REST_SPEED_PLAN_END};
 use upswing_model::{LimitKind, Model, NU, NX, State, StateParts, Workspace};
 
 /// Parts into which the points at which torques are checked divide each interval.
@@ -62,7 +60,7 @@ impl PlanCriteria {
     fn check_limit(&self, kind: LimitKind, joint: usize, got: f64, knot: f64) -> Result<(), Unfit> {
         let (lower, upper) = self.limits.range(kind, joint);
         let (lowest, highest) = match kind {
-            LimitKind::Position => (lower - POSITION_SLACK, upper + POSITION_SLACK),
+            LimitKind::Position => (lower - PLAN_POSITION_SLACK, upper + PLAN_POSITION_SLACK),
             LimitKind::Velocity => (lower - VELOCITY_SLACK, upper + VELOCITY_SLACK),
             LimitKind::Torque => (lower * (1.0 + TORQUE_SLACK), upper * (1.0 + TORQUE_SLACK)),
         };
@@ -107,7 +105,7 @@ fn check_end(model: &Model, x: &State) -> Result<(), Unfit> {
     let upright = rod.xy().norm().atan2(rod.z);
     let hanging = std::f64::consts::PI - upright;
     let speed = x.qd().amax();
-    if speed <= END_SPEED && upright.min(hanging) <= END_TILT {
+    if speed <= REST_SPEED_PLAN_END && upright.min(hanging) <= END_TILT {
         Ok(())
     } else {
         Err(Unfit::End { speed, upright, hanging })

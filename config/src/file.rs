@@ -1,0 +1,160 @@
+//! Settings files: the embedded set or a folder's, their text, and the place of an error in it.
+
+use crate::ConfigError;
+use crate::conflict::Conflict;
+use serde::de::DeserializeOwned;
+use std::borrow::Cow;
+use std::path::Path;
+use toml::de::{DeTable, DeValue};
+
+/// A file that the program was built with.
+pub(crate) struct EmbeddedFile {
+    pub name: &'static str,
+    pub bytes: &'static [u8],
+}
+
+impl EmbeddedFile {
+    /// What messages call the file, and its contents: those in the folder, or the embedded ones without a folder.
+    pub fn contents(&self, dir: Option<&Path>) -> Result<crate::Contents, ConfigError> {
+        let Some(dir) = dir else {
+            return Ok((format!("embedded {}", self.name), Cow::Borrowed(self.bytes)));
+        };
+        let path = dir.join(self.name);
+        let file = path.display().to_string();
+        match read_file(&path) {
+            Ok(bytes) => Ok((file, Cow::Owned(bytes))),
+            Err(cause) => Err(ConfigError::Unreadable { file, cause }),
+        }
+    }
+
+    /// The file in the folder, or the embedded one without a folder.
+    pub fn text(&self, dir: Option<&Path>) -> Result<TextFile, ConfigError> {
+        let (name, bytes) = self.contents(dir)?;
+        TextFile::new(name, bytes.into_owned())
+    }
+}
+
+/// A text file: its text, and the name that messages give it.
+pub(crate) struct TextFile {
+    pub name: String,
+    pub text: String,
+}
+
+impl TextFile {
+    fn new(name: String, bytes: Vec<u8>) -> Result<Self, ConfigError> {
+        match String::from_utf8(bytes) {
+            Ok(text) => Ok(Self { name, text }),
+            Err(e) => Err(ConfigError::NotText { file: name, offset: e.utf8_error().valid_up_to() }),
+        }
+    }
+
+    /// Reads a file that the user named.
+    pub fn at(path: &Path) -> Result<Self, ConfigError> {
+        let file = path.display().to_string();
+        match read_file(path) {
+            Ok(bytes) => Self::new(file, bytes),
+            Err(cause) => Err(ConfigError::NoFile { file, cause }),
+        }
+    }
+
+    /// Parses TOML into settings: syntax, unknown and missing keys, the rule of each field.
+    pub fn parse<T: DeserializeOwned>(&self) -> Result<T, ConfigError> {
+        toml::from_str(&self.text).map_err(|error| self.malformed(&error))
+    }
+
+    /// As [`TextFile::parse`], then checks the rules between the settings.
+    pub fn settings<T: DeserializeOwned>(
+        &self,
+        validate: impl FnOnce(&T) -> Result<(), Conflict>,
+    ) -> Result<T, ConfigError> {
+        let settings = self.parse()?;
+        validate(&settings).map_err(|conflict| self.refuse(conflict))?;
+        Ok(settings)
+    }
+
+    /// The error of a rule between settings.
+    pub fn refuse(&self, Conflict { key, expected, got, fix }: Conflict) -> ConfigError {
+        let at = DeTable::parse(&self.text).map_or(0, |table| position(table.get_ref(), &key));
+        self.error(at, Some(key.into()), format!("expected {expected}, got {got}: {fix}"))
+    }
+
+    /// The error of text that is no TOML, or of a key or value that does not fit.
+    pub fn malformed(&self, error: &toml::de::Error) -> ConfigError {
+        let at = error.span().map_or(0, |span| span.start).min(self.text.len());
+        let key = DeTable::parse(&self.text).ok().and_then(|table| key_at(table.get_ref(), at));
+        let fix = "compare with the commented original, `upswing config export DIR` writes it";
+        self.error(at, key, format!("{}: {fix}", error.message()))
+    }
+
+    /// The error of a setting that stands at a byte of the text. A `reason` that begins with `.name: ` is about that key of the
+    /// table `key`.
+    pub fn error(&self, at: usize, mut key: Option<String>, mut reason: String) -> ConfigError {
+        if let (Some(key), Some((name, rest))) = (&mut key, reason.split_once(": "))
+            && name.starts_with('.')
+        {
+            key.push_str(name);
+            reason = rest.into();
+        }
+        let line = self.text.as_bytes()[..at].iter().filter(|byte| **byte == b'\n').count();
+        let text = self.text.lines().nth(line).unwrap_or_default().trim().chars().take(80).collect();
+        ConfigError::Setting { file: self.name.clone(), line: line + 1, text, key, reason }
+    }
+}
+
+/// Dotted name of the key that stands, or whose value stands, at a byte of the text.
+fn key_at(table: &DeTable<'_>, at: usize) -> Option<String> {
+    table.iter().find_map(|(key, value)| {
+        let inner = match value.get_ref() {
+            DeValue::Table(inner) => key_at(inner, at),
+            DeValue::Array(items) => {
+                items.iter().find_map(|item| item.get_ref().as_table().and_then(|inner| key_at(inner, at)))
+            }
+            _ => None,
+        };
+        match inner {
+            Some(inner) => Some(format!("{}.{inner}", key.get_ref())),
+            None => {
+                (key.span().contains(&at) || value.span().contains(&at)).then(|| key.get_ref().to_string())
+            }
+        }
+    })
+}
+
+/// Byte of the text at which a dotted key stands, or the last part of it that the text has; in a list of tables the list.
+fn position(table: &DeTable<'_>, key: &str) -> usize {
+    let (part, rest) = key.split_once('.').unwrap_or((key, ""));
+    let Some((name, value)) = table.get_key_value(part) else { return 0 };
+    let inner = value.get_ref().as_table().map_or(0, |inner| position(inner, rest));
+    if inner == 0 { name.span().start } else { inner }
+}
+
+/// Reads a regular file. Anything else at the path (a pipe, a device) is refused: it could block, or never end.
+///
+/// # Errors
+/// Of the operating system.
+pub fn read_file(path: &Path) -> std::io::Result<Vec<u8>> {
+    check_regular(path)?;
+    std::fs::read(path)
+}
+
+/// Opens a regular file for reading; anything else at the path is refused as by [`read_file`].
+///
+/// # Errors
+/// Of the operating system.
+pub fn open_file(path: &Path) -> std::io::Result<std::fs::File> {
+    check_regular(path)?;
+    std::fs::File::open(path)
+}
+
+/// Refuses a path at which there is something else than a regular file: a directory, a pipe, a device.
+///
+/// # Errors
+/// Of the operating system.
+pub fn check_regular(path: &Path) -> std::io::Result<()> {
+    match path.metadata() {
+        Ok(state) if state.is_dir() => Err(std::io::ErrorKind::IsADirectory.into()),
+        Ok(state) if !state.is_file() => Err(std::io::Error::other("it is not a regular file")),
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(e),
+        _ => Ok(()),
+    }
+}
