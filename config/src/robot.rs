@@ -187,10 +187,11 @@ impl RobotSettings {
                     "target.pitch_deg",
                     "with target.q8_deg an equilibrium of the pendulum",
                     format!(
-                        "{:.2} with q8_deg {:.2}, where joint {} at rest accelerates with {:.3} rad/s^2",
+                        "{:.2} with q8_deg {:.2}, where joint {} of {} at rest accelerates with {:.3} rad/s^2",
                         pitch.to_degrees(),
                         q8.to_degrees(),
                         i + 1,
+                        crate::URDF.name,
                         f[NQ + i]
                     ),
                     "make axis 8 horizontal and the rod vertical; the shipped robot has 90 and 180",
