@@ -4,7 +4,7 @@
 use crate::cycle_log::CycleLog;
 use crate::loads::Loads;
 use crate::os::{self, Refused};
-use crate::plan;
+use crate::plan::{self, PlanRefusal};
 use crate::realtime::{NumberedRequest, RealtimeLink, RealtimeThread, Reply};
 use crate::recovery::{Recovery, RecoveryAction};
 use crate::step::{CycleRecord, Request};
@@ -16,7 +16,7 @@ use std::thread::{Builder, JoinHandle, sleep};
 use std::time::{Duration, Instant};
 use tracing::{info, warn};
 use upswing_config::{Config, RealtimeMode};
-use upswing_ipc::operator::{Manoeuvre, PublishedPlan, request_plan};
+use upswing_ipc::operator::{Manoeuvre, OperatorError, PublishedPlan, request_plan};
 use upswing_ipc::{
     Command, ControlKind, ControlRequest, ControlResponse, Degradation, Domain, FinderThread, IpcError,
     Measurement, Mode, Node, Plan, PlannerRequest, Reader, Text,
@@ -117,6 +117,23 @@ fn failed(e: IpcError) -> Failure {
     Failure::Failed(e.to_string())
 }
 
+/// Why a request to the real-time thread has no effect, or none that is known.
+#[derive(Debug, thiserror::Error)]
+enum RequestError {
+    /// The controller refused it.
+    #[error(transparent)]
+    Refused(#[from] Refusal),
+    /// The plan fails a check.
+    #[error(transparent)]
+    Plan(#[from] PlanRefusal),
+    /// The ring of requests to the real-time thread is full.
+    #[error("too many requests wait for the next cycle")]
+    TooMany,
+    /// No answer came in time.
+    #[error("the real-time thread does not answer; the request may still take effect")]
+    NoAnswer,
+}
+
 /// The service thread with all that it owns.
 struct ServiceThread<'a> {
     config: &'a Config,
@@ -137,7 +154,7 @@ struct ServiceThread<'a> {
     mode_told: Option<Mode>,
     recovery: Recovery,
     /// Asks the planner for a recovery.
-    asker: Option<JoinHandle<Result<PublishedPlan, String>>>,
+    asker: Option<JoinHandle<Result<PublishedPlan, OperatorError>>>,
     /// Tells it that nobody waits any more.
     closing: Arc<AtomicBool>,
     /// Bits of [`upswing_ipc::Degradation`].
@@ -281,7 +298,7 @@ impl<'a> ServiceThread<'a> {
             info!("shutting down");
             self.manager.stopping();
             self.recovery.yield_to_operator();
-            if self.send(Request::Shutdown).is_none() {
+            if self.send(Request::Shutdown).is_err() {
                 self.warn_once("the real-time thread does not take the request to shut down".into());
             }
             Instant::now()
@@ -325,20 +342,20 @@ impl<'a> ServiceThread<'a> {
             Err(reason) => {
                 warn!("{request} refused: {reason}");
                 self.last_refusal = format!("{request}: {reason}");
-                self.respond(false, &reason)
+                self.respond(false, &reason.to_string())
             }
         }
     }
 
     /// Sends `request` and waits for the answer of the real-time thread: a remark, or the reason of the refusal.
-    fn ask(&mut self, request: &Request) -> Result<&'static str, String> {
+    fn ask(&mut self, request: &Request) -> Result<&'static str, RequestError> {
         let begin = Instant::now();
         // Who starts a plant and enables at once means that plant.
         while *request == Request::Enable && !self.found && begin.elapsed() < ANSWER {
             self.find_plant();
             sleep(PAUSE);
         }
-        self.awaited = self.send(request.clone()).ok_or("too many requests wait for the next cycle")?;
+        self.awaited = self.send(request.clone())?;
         self.answer = None;
         let begin = Instant::now();
         loop {
@@ -348,7 +365,7 @@ impl<'a> ServiceThread<'a> {
                     self.last_refusal.clear();
                     return Ok("");
                 }
-                Some(Err(refusal)) => return Err(refusal.to_string()),
+                Some(Err(refusal)) => return Err(refusal.into()),
                 None => {}
             }
             let stands_still = self.link.shared.stands_still.load(Ordering::Acquire);
@@ -358,26 +375,24 @@ impl<'a> ServiceThread<'a> {
             }
             if begin.elapsed() > ANSWER {
                 self.awaited = 0;
-                return Err("the real-time thread does not answer; the request may still take effect".into());
+                return Err(RequestError::NoAnswer);
             }
             sleep(Duration::from_micros(50));
         }
     }
 
-    /// Sends a request to the real-time thread: the number of the request, or `None` if too many wait.
-    fn send(&mut self, request: Request) -> Option<u64> {
+    /// Sends a request to the real-time thread; returns the number of the request.
+    fn send(&mut self, request: Request) -> Result<u64, RequestError> {
         self.requests += 1;
-        self.link.requests.push(NumberedRequest { number: self.requests, request }).ok()?;
-        Some(self.requests)
+        let request = NumberedRequest { number: self.requests, request };
+        self.link.requests.push(request).map_err(|_| RequestError::TooMany)?;
+        Ok(self.requests)
     }
 
     fn load(&mut self, payload: &Plan) {
         let accepted = self.at_normal_priority(|| plan::accept(payload, self.config));
-        let result = accepted.map_err(|refusal| refusal.to_string()).and_then(|plan| {
-            let number = self.send(Request::Load(plan));
-            number.ok_or_else(|| "too many requests wait for the next cycle".into())
-        });
-        match result {
+        let sent = accepted.map_err(RequestError::from).and_then(|plan| self.send(Request::Load(plan)));
+        match sent {
             Ok(number) => {
                 info!("plan {} loaded, t_F = {:.3} s", payload.id, payload.t_f);
                 self.loads.ordered(number, payload.id);
@@ -454,7 +469,7 @@ impl<'a> ServiceThread<'a> {
                 Some(RecoveryAction::AskPlanner) => self.ask_planner(),
                 Some(RecoveryAction::Start(plan_id)) => {
                     info!("recovery: swinging up again");
-                    if self.send(Request::Start(plan_id)).is_none() {
+                    if self.send(Request::Start(plan_id)).is_err() {
                         self.warn_once("too many requests wait for the next cycle".into());
                     }
                 }
@@ -469,10 +484,9 @@ impl<'a> ServiceThread<'a> {
         let (node, patience) = (self.node.clone(), self.config.daemon.recovery.patience);
         let closing = Arc::clone(&self.closing);
         let ask = move || {
-            let planner = node.client::<PlannerRequest>().map_err(|e| e.to_string())?;
+            let planner = node.client::<PlannerRequest>()?;
             let wanted = || !closing.load(Ordering::Acquire);
-            let plan = request_plan(&planner, Manoeuvre::SwingUp, patience, wanted);
-            plan.map(|plan| PublishedPlan::from(&plan)).map_err(|e| e.to_string())
+            Ok(PublishedPlan::from(&request_plan(&planner, Manoeuvre::SwingUp, patience, wanted)?))
         };
         match Builder::new().name("recovery".into()).spawn(ask) {
             Ok(thread) => self.asker = Some(thread),
@@ -486,15 +500,14 @@ impl<'a> ServiceThread<'a> {
     /// Takes the answer of the planner, once it is there.
     fn receive_plan(&mut self) {
         let Some(asker) = self.asker.take_if(|asker| asker.is_finished()) else { return };
-        let answer = asker.join().unwrap_or_else(|_| Err("the asking thread panicked".into()));
-        match answer {
-            Ok(plan) => self.recovery.planned(Some(plan)),
-            Err(reason) => {
-                self.recovery.planned(None);
-                self.last_refusal = format!("a plan for the recovery: {reason}");
-                warn!("recovery failed: {reason}");
-            }
-        }
+        let reason = match asker.join() {
+            Ok(Ok(plan)) => return self.recovery.planned(Some(plan)),
+            Ok(Err(e)) => e.to_string(),
+            Err(_) => "the thread that asks the planner panicked".to_owned(),
+        };
+        self.recovery.planned(None);
+        self.last_refusal = format!("a plan for the recovery: {reason}");
+        warn!("recovery failed: {reason}");
     }
 
     /// Logs a problem, but not again while it persists.

@@ -10,6 +10,7 @@ mod export;
 pub mod offline;
 pub mod predict;
 pub mod replan;
+mod request_error;
 pub mod service;
 
 pub use export::export;

@@ -2,6 +2,7 @@
 
 use crate::predict;
 use crate::replan::{Effort, Method, NoPlan, Planner, Replan};
+use crate::request_error::RequestError;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -145,9 +146,6 @@ struct Start {
     due: Option<Instant>,
 }
 
-/// Why a request is refused.
-struct No(PlannerStatus, String);
-
 impl<'a> RequestHandler<'a> {
     /// Nothing observed, nothing prepared.
     pub fn new(planner: &'a Planner) -> Self {
@@ -208,7 +206,7 @@ impl<'a> RequestHandler<'a> {
         let begin = Instant::now();
         self.late = false;
         let mut answer = match request.kind() {
-            Err(e) => Err(No(PlannerStatus::BadRequest, e.to_string())),
+            Err(unknown) => Err(RequestError::UnknownKind(unknown)),
             Ok(PlannerKind::Status) => {
                 let mut reason = format!("ready with {} database entries", self.planner.entries().len());
                 if self.second_opinions > 0 {
@@ -222,9 +220,9 @@ impl<'a> RequestHandler<'a> {
             Ok(PlannerKind::SwingUp) => self.plan(Manoeuvre::SwingUp, request, begin, wanted),
             Ok(PlannerKind::SwingDown) => self.plan(Manoeuvre::SwingDown, request, begin, wanted),
         }
-        .unwrap_or_else(|No(status, reason)| {
-            let reason = Text::new(&reason);
-            (PlannerResponse { status: status.code(), reason, ..Default::default() }, None)
+        .unwrap_or_else(|e| {
+            let reason = Text::new(&e.to_string());
+            (PlannerResponse { status: e.status().code(), reason, ..Default::default() }, None)
         });
         answer.0.time_total_us = begin.elapsed().as_secs_f64() * 1e6;
         answer
@@ -236,17 +234,14 @@ impl<'a> RequestHandler<'a> {
         request: &PlannerRequest,
         begin: Instant,
         wanted: &dyn Fn() -> bool,
-    ) -> Result<(PlannerResponse, Option<Plan>), No> {
+    ) -> Result<(PlannerResponse, Option<Plan>), RequestError> {
         /// More linearisations than this change nothing any more.
         const MOST_ITERATIONS: u64 = 100;
         let settings = &self.planner.config().planner.replan;
         let iterations = match request.iterations {
             0 => settings.iterations,
             n if n <= MOST_ITERATIONS => n as usize,
-            n => {
-                let reason = format!("iterations: expected 0 (the setting) to {MOST_ITERATIONS}, got {n}");
-                return Err(No(PlannerStatus::BadRequest, reason));
-            }
+            got => return Err(RequestError::Iterations { got, max: MOST_ITERATIONS }),
         };
         let Start { x: start, activation_ns, due } = if request.from_now == 1 {
             self.start_from_now(manoeuvre, begin)?
@@ -284,22 +279,13 @@ impl<'a> RequestHandler<'a> {
         } else {
             replan(&effort)
         };
-        let replan = replan.map_err(|e| {
-            let status = if e.out_of_time() { PlannerStatus::Deadline } else { PlannerStatus::Infeasible };
-            No(status, e.to_string())
-        })?;
+        let replan = replan?;
         if let Some(due) = due {
             let (lead, took) = (self.lead, begin.elapsed());
             self.lead = (took * 2).clamp(self.planner.config().planner.replan.lead, LONGEST_LEAD);
             if Instant::now() > due {
                 self.late = true;
-                let reason = format!(
-                    "the pendulum moves, and planning took {:.0} ms, longer than the {:.0} ms to the predicted start: \
-                     ask again, or once the pendulum rests",
-                    took.as_secs_f64() * 1e3,
-                    lead.as_secs_f64() * 1e3
-                );
-                return Err(No(PlannerStatus::NotReady, reason));
+                return Err(RequestError::TooLate { took, lead });
             }
         }
         let plan = Plan { activation_ns, ..replan.plan(self.planner.config()) };
@@ -309,14 +295,12 @@ impl<'a> RequestHandler<'a> {
 
     /// The measured state, if the daemon keeps it: at rest in Hold, or balanced. While something moves it is the one predicted for
     /// the activation of the plan; but in lockstep, where the operator decides how much time passes meanwhile, the measured one.
-    fn start_from_now(&self, manoeuvre: Manoeuvre, begin: Instant) -> Result<Start, No> {
-        let not_ready = |reason: String| No(PlannerStatus::NotReady, reason);
+    fn start_from_now(&self, manoeuvre: Manoeuvre, begin: Instant) -> Result<Start, RequestError> {
         let Some((record, seen)) = &self.newest else {
-            return Err(not_ready("no telemetry from the daemon yet: is upswingd running?".into()));
+            return Err(RequestError::NoTelemetry);
         };
         if stale(record, *seen) {
-            let reason = "no telemetry from the daemon for some seconds: is upswingd running?";
-            return Err(not_ready(reason.into()));
+            return Err(RequestError::DaemonSilent);
         }
         let needed = match manoeuvre {
             Manoeuvre::SwingUp => Mode::Hold,
@@ -324,13 +308,8 @@ impl<'a> RequestHandler<'a> {
         };
         match record.mode() {
             Ok(mode) if mode == needed => {}
-            Ok(mode) => {
-                let next = mode.next_action();
-                return Err(not_ready(format!(
-                    "a {manoeuvre} from now needs the daemon in mode {needed}, it is in {mode}; next: {next}"
-                )));
-            }
-            Err(unknown) => return Err(not_ready(unknown.to_string())),
+            Ok(mode) => return Err(RequestError::Mode { manoeuvre, needed, mode }),
+            Err(unknown) => return Err(RequestError::UnknownMode(unknown)),
         }
         let x = measured(record);
         let config = self.planner.config();
@@ -342,12 +321,7 @@ impl<'a> RequestHandler<'a> {
         }
         let age = begin.saturating_duration_since(*seen);
         if age > EXTRAPOLATED {
-            return Err(not_ready(format!(
-                "the pendulum moves, and the newest telemetry is {:.0} ms old, expected at most {:.0} ms: is the machine \
-                 overloaded?",
-                age.as_secs_f64() * 1e3,
-                EXTRAPOLATED.as_secs_f64() * 1e3
-            )));
+            return Err(RequestError::TelemetryTooOld { age, limit: EXTRAPOLATED });
         }
         let q_hold = ActuatedVector::from_fn(|i, _| record.q_d[i]);
         let due = begin + self.lead;
@@ -390,31 +364,19 @@ fn near(a: &State, b: &State) -> bool {
     at_rest(a) && at_rest(b) && (0..NQ).all(|i| (a[i] - b[i]).abs() <= SAME_START)
 }
 
-fn check_start(planner: &Planner, start: &State) -> Result<(), No> {
-    if let Some(i) = start.iter().position(|v| !v.is_finite()) {
-        let reason = format!("start state: expected numbers, entry {i} is {}", start[i]);
-        return Err(No(PlannerStatus::BadRequest, reason));
+fn check_start(planner: &Planner, start: &State) -> Result<(), RequestError> {
+    if let Some(entry) = start.iter().position(|v| !v.is_finite()) {
+        return Err(RequestError::StartNotFinite { entry, got: start[entry] });
     }
     let limits = &planner.config().robot.planning;
     for i in 0..NQ {
-        if !(start[i] >= limits.q_min[i] - START_SLACK && start[i] <= limits.q_max[i] + START_SLACK) {
-            let reason = format!(
-                "start of joint {}: expected {:.1} to {:.1} deg, got {:.2} deg",
-                i + 1,
-                limits.q_min[i].to_degrees(),
-                limits.q_max[i].to_degrees(),
-                start[i].to_degrees()
-            );
-            return Err(No(PlannerStatus::StartOutsideLimits, reason));
+        let (joint, q, qd) = (i + 1, start[i], start[NQ + i]);
+        let (min, max) = (limits.q_min[i], limits.q_max[i]);
+        if !(q >= min - START_SLACK && q <= max + START_SLACK) {
+            return Err(RequestError::StartPosition { joint, min, max, got: q });
         }
-        if !(start[NQ + i].abs() <= limits.qd_max[i]) {
-            let reason = format!(
-                "start velocity of joint {}: expected at most {:.1} deg/s, got {:.2} deg/s",
-                i + 1,
-                limits.qd_max[i].to_degrees(),
-                start[NQ + i].to_degrees()
-            );
-            return Err(No(PlannerStatus::StartOutsideLimits, reason));
+        if !(qd.abs() <= limits.qd_max[i]) {
+            return Err(RequestError::StartVelocity { joint, max: limits.qd_max[i], got: qd });
         }
     }
     Ok(())

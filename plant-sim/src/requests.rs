@@ -1,9 +1,12 @@
 //! The `plant` service: resets, grants of cycles, faults, pushes, status.
 
-use crate::{Plant, SetEventError};
+use crate::{Plant, SetEventError, StateError};
 use tracing::warn;
 use upswing_config::{Fault, FaultKind, Push};
-use upswing_ipc::{IpcError, Node, PlantKind, PlantPacing, PlantRequest, PlantResponse, Server, Text};
+use upswing_ipc::{
+    GrantError, IpcError, Node, PlantKind, PlantPacing, PlantRequest, PlantResponse, Server, Text,
+    UnknownCode,
+};
 use upswing_model::JointVector;
 
 /// The server of the `plant` service.
@@ -33,29 +36,31 @@ impl RequestServer {
     }
 }
 
-/// Executes a request; the answer has the reason where it is refused.
+/// Why the plant refuses a request. The text is the reason in the response.
+#[derive(Debug, thiserror::Error)]
+enum RequestError {
+    /// The kind of the request does not exist.
+    #[error(transparent)]
+    UnknownKind(#[from] UnknownCode),
+    /// The plant cannot be in this state.
+    #[error(transparent)]
+    State(#[from] StateError),
+    /// The cycles cannot be granted.
+    #[error(transparent)]
+    Grant(#[from] GrantError),
+    /// The fault or push is not possible.
+    #[error(transparent)]
+    Event(#[from] SetEventError),
+    /// The kind of the fault does not exist.
+    #[error("fault: expected a code from 0 to {max}, got {got}")]
+    UnknownFault { got: u64, max: usize },
+}
+
+/// Executes a request; the response has the reason if it is refused.
 fn answer(plant: &mut Plant, pacing: &mut PlantPacing, request: &PlantRequest) -> PlantResponse {
     // A cycle whose measurement is published cannot change any more.
     let next = plant.seq() + u64::from(pacing.is_published());
-    let outcome = match request.kind() {
-        Err(e) => Err(e.to_string()),
-        Ok(PlantKind::Status) => Ok(()),
-        Ok(PlantKind::ResetState) => plant
-            .reset(&JointVector::from(request.q), &JointVector::from(request.qd))
-            .map_err(|e| e.to_string()),
-        Ok(PlantKind::AdvanceTo) => pacing.grant(request.seq).map_err(|e| e.to_string()),
-        Ok(PlantKind::SetFault) => {
-            first_cycle(next, request).and_then(|from| set_fault(plant, from, request))
-        }
-        Ok(PlantKind::ClearFaults) => {
-            plant.clear_faults();
-            Ok(())
-        }
-        Ok(PlantKind::Push) => first_cycle(next, request).and_then(|from| {
-            let push = Push { from, cycles: request.cycles, impulse: request.impulse };
-            plant.push(&push).map_err(|e| e.to_string())
-        }),
-    };
+    let outcome = execute(plant, pacing, next, request);
     PlantResponse {
         accepted: outcome.is_ok().into(),
         seq: plant.completed(),
@@ -63,28 +68,49 @@ fn answer(plant: &mut Plant, pacing: &mut PlantPacing, request: &PlantRequest) -
         qd: (*plant.velocity()).into(),
         brakes_closed: plant.brakes_closed().into(),
         tau_peak: (*plant.tau_peak()).into(),
-        reason: Text::new(&outcome.err().unwrap_or_default()),
+        reason: outcome.map_or_else(|e| Text::new(&e.to_string()), |()| Text::default()),
     }
 }
 
-fn set_fault(plant: &mut Plant, from: u64, request: &PlantRequest) -> Result<(), String> {
+fn execute(
+    plant: &mut Plant,
+    pacing: &mut PlantPacing,
+    next: u64,
+    request: &PlantRequest,
+) -> Result<(), RequestError> {
+    match request.kind()? {
+        PlantKind::Status => {}
+        PlantKind::ResetState => {
+            plant.reset(&JointVector::from(request.q), &JointVector::from(request.qd))?;
+        }
+        PlantKind::AdvanceTo => pacing.grant(request.seq)?,
+        PlantKind::SetFault => set_fault(plant, first_cycle(next, request)?, request)?,
+        PlantKind::ClearFaults => plant.clear_faults(),
+        PlantKind::Push => {
+            let from = first_cycle(next, request)?;
+            plant.push(&Push { from, cycles: request.cycles, impulse: request.impulse })?;
+        }
+    }
+    Ok(())
+}
+
+fn set_fault(plant: &mut Plant, from: u64, request: &PlantRequest) -> Result<(), RequestError> {
     let kind = usize::try_from(request.fault).ok().and_then(|code| FaultKind::all().get(code));
     let Some(kind) = kind.copied() else {
-        let max = FaultKind::all().len() - 1;
-        return Err(format!("fault: expected a code from 0 to {max}, got {}", request.fault));
+        return Err(RequestError::UnknownFault { got: request.fault, max: FaultKind::all().len() - 1 });
     };
     // Kinds that concern no joint come with joint 0, which is no joint either.
     let joint = usize::try_from(request.joint).unwrap_or(usize::MAX).wrapping_sub(1);
     let (cycles, amount) = (request.cycles, request.amount);
     let fault = Fault { kind, from, cycles, joint, amount };
-    plant.set_fault(&fault).map_err(|e| e.to_string())
+    Ok(plant.set_fault(&fault)?)
 }
 
 /// The first cycle of the fault or push of a request; `next`: the first cycle that can still change.
-fn first_cycle(next: u64, request: &PlantRequest) -> Result<u64, String> {
+fn first_cycle(next: u64, request: &PlantRequest) -> Result<u64, SetEventError> {
     match request.seq {
         0 => Ok(next),
-        got if got < next => Err(SetEventError::Past { next, got }.to_string()),
+        got if got < next => Err(SetEventError::Past { next, got }),
         seq => Ok(seq),
     }
 }
