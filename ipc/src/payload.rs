@@ -22,5 +22,3 @@ pub use planner::{PlannerRequest, PlannerResponse};
 pub use plant::{PlantRequest, PlantResponse};
 pub use step::{Step, StepBatch};
 pub use text::{Text, TextError};
-
-use words::{WORD, Zeroable, batch, boxed_zeroed, words};

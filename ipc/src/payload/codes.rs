@@ -1,22 +1,22 @@
-//! Enumerations that cross shared memory as `u64` codes.
+//! Enumerations that are numbers, their codes, in shared memory; a code is checked before it becomes an enumeration.
 
 use std::fmt;
 use std::str::FromStr;
 use thiserror::Error;
 
-/// A code that no variant of an enumeration has.
+/// A code from shared memory that names no variant of its enumeration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 #[error("unknown {what} code {got}: expected 0..={max}; both sides must run the same version")]
 pub struct UnknownCode {
-    /// What the code should have named, for example "mode".
+    /// Name of the enumeration, for example "mode".
     pub what: &'static str,
-    /// The code that came.
+    /// The code that was read.
     pub got: u64,
-    /// The largest code that has a meaning.
+    /// The largest valid code.
     pub max: u64,
 }
 
-/// Defines an enumeration whose variants are numbered from 0, with its conversions and its name for people.
+/// Defines an enumeration whose variants are numbered from 0, with its conversions and its texts.
 macro_rules! codes {
     ($(#[$meta:meta])* $name:ident is a $what:literal {
         $($(#[$variant_meta:meta])* $variant:ident = $label:literal),+ $(,)?
@@ -28,10 +28,10 @@ macro_rules! codes {
         }
 
         impl $name {
-            /// Every variant; the index is the code.
+            /// All variants; the index of a variant is its code.
             pub const ALL: &'static [$name] = &[$($name::$variant),+];
 
-            /// The number that stands for this variant in shared memory.
+            /// The code of this variant.
             pub const fn code(self) -> u64 {
                 self as u64
             }
@@ -75,7 +75,7 @@ codes! {
 }
 
 codes! {
-    /// What the daemon is doing.
+    /// Mode of the daemon.
     Mode is a "mode" {
         /// Brakes closed, no torque.
         Idle = "idle",
@@ -111,7 +111,7 @@ codes! {
 }
 
 codes! {
-    /// What of the real-time set-up the system refused; bit `1 << code` of a `degraded` word.
+    /// A part of the real-time set-up that the operating system refused; bit `1 << code` of a `degraded` word.
     Degradation is a "degradation" {
         /// Memory is not locked: page faults may come at any time.
         Memory = "memory is not locked",
@@ -132,7 +132,7 @@ impl Degradation {
         1 << self.code()
     }
 
-    /// What the bits of a `degraded` word say; unknown bits say nothing.
+    /// The degradations of which a `degraded` word has the bits; unknown bits are ignored.
     pub fn of(degraded: u64) -> impl Iterator<Item = Self> {
         Self::ALL.iter().copied().filter(move |d| degraded & d.bit() != 0)
     }
@@ -188,11 +188,11 @@ codes! {
     }
 }
 
-/// A clock name that does not exist.
+/// A text that is not the name of a clock.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("unknown clock `{got}`: expected wall, paced or lockstep")]
 pub struct UnknownClock {
-    /// The name that came.
+    /// The text.
     pub got: String,
 }
 

@@ -1,11 +1,11 @@
-//! Operator -> daemon.
+//! The `control` service: requests of an operator to the daemon, and its responses.
 
 use super::codes::{ControlKind, Mode, UnknownCode};
 use super::text::Text;
 use super::words::WORD;
 use iceoryx2::prelude::ZeroCopySend;
 
-/// What the operator asks.
+/// A request of an operator to the daemon.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
 #[type_name("upswing.ControlRequest.v2")]
@@ -39,12 +39,12 @@ impl ControlRequest {
 }
 
 /// Percentiles of a duration since the start of the daemon, ns; upper ends of the buckets of a histogram, at most 7 %
-/// too large. All 0: nothing was measured.
+/// too large. All 0 if nothing was measured.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ZeroCopySend)]
 #[type_name("upswing.Percentiles.v1")]
 pub struct Percentiles {
-    /// How many durations.
+    /// Number of durations.
     pub count: u64,
     /// Half of them were at most this, ns.
     pub p50: u64,
@@ -58,7 +58,7 @@ pub struct Percentiles {
     pub max: u64,
 }
 
-/// What the daemon answers: whether it did it, and its state afterwards.
+/// Response of the daemon to a [`ControlRequest`]: whether it accepted the request, and its state afterwards.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
 #[type_name("upswing.ControlResponse.v4")]
@@ -79,19 +79,19 @@ pub struct ControlResponse {
     pub seq: u64,
     /// Time of the last cycle, ns on the daemon's clock, as `t_ns` of its telemetry.
     pub t_ns: u64,
-    /// What the system refused of the real-time set-up: bits of [`crate::Degradation`]; 0: nothing.
+    /// Parts of the real-time set-up that the operating system refused: bits of [`crate::Degradation`]; 0: none.
     pub degraded: u64,
     /// Overrun cycles since the start of the daemon.
     pub overruns: u64,
-    /// Wake-up latency on the wall clock.
+    /// Wake-up latency on the clock `wall`.
     pub wake: Percentiles,
     /// Computing time of a cycle, from reading the measurement to the written command.
     pub compute: Percentiles,
-    /// The last overrun: when, which phase, why; for people.
+    /// The last overrun: time, phase and cause; for people.
     pub overrun: Text,
     /// Why it was refused, or a remark; for people.
     pub reason: Text,
-    /// What the operator can do next; for people.
+    /// What the operator does next; for people.
     pub next: Text,
 }
 
@@ -108,7 +108,7 @@ impl ControlResponse {
         Mode::try_from(self.mode)
     }
 
-    /// The daemon's mode, or what is wrong with it, for people.
+    /// The daemon's mode as text; an unknown code gives the text of the error.
     pub fn mode_text(&self) -> String {
         self.mode().map_or_else(|e| e.to_string(), |mode| mode.to_string())
     }

@@ -1,11 +1,11 @@
-//! What is exchanged or recorded every control cycle.
+//! The messages of every control cycle: measurement, command and telemetry.
 
 use super::codes::{Clock, Mode, UnknownCode};
 use super::words::{WORD, Zeroable, batch, words};
 use iceoryx2::prelude::ZeroCopySend;
 use upswing_model::{NQ, NU};
 
-/// What the encoders and drives report, plant -> daemon.
+/// Measurement of encoders and drives, from plant to daemon.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
 #[type_name("upswing.Measurement.v1")]
@@ -50,7 +50,7 @@ impl Measurement {
     }
 }
 
-/// What the drives shall do, daemon -> plant.
+/// Command to drives and brakes, from daemon to plant.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
 #[type_name("upswing.Command.v1")]
@@ -69,7 +69,7 @@ pub struct Command {
 
 const _: () = assert!(size_of::<Command>() == WORD * (4 + NU));
 
-/// Everything of one control cycle, daemon -> whoever listens.
+/// Record of one control cycle, published by the daemon.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
 #[type_name("upswing.Telemetry.v3")]
@@ -86,7 +86,7 @@ pub struct Telemetry {
     pub fault: u64,
     /// Limits whose warning level this cycle exceeded: bit `1 << (code - 1)` for each code that `fault` can have.
     pub warnings: u64,
-    /// What the system refused of the real-time set-up: bits of [`crate::Degradation`]; 0: nothing.
+    /// Parts of the real-time set-up that the operating system refused: bits of [`crate::Degradation`]; 0: none.
     pub degraded: u64,
     /// Id of the running plan, 0: none.
     pub plan_id: u64,
@@ -151,7 +151,7 @@ impl Telemetry {
         Mode::try_from(self.mode)
     }
 
-    /// The daemon's mode, or what is wrong with it, for people.
+    /// The daemon's mode as text; an unknown code gives the text of the error.
     pub fn mode_text(&self) -> String {
         self.mode().map_or_else(|e| e.to_string(), |mode| mode.to_string())
     }
@@ -162,7 +162,7 @@ words!(Telemetry);
 /// Records in one [`TelemetryBatch`].
 const TELEMETRY_BATCH: usize = 64;
 
-/// Consecutive cycles in one sample, because a sample per cycle would cost more than the cycle itself.
+/// Records of consecutive cycles in one sample: a sample per cycle would cost more than the cycle itself.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, ZeroCopySend)]
 #[type_name("upswing.TelemetryBatch.v3")]

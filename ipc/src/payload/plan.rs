@@ -1,6 +1,6 @@
 //! A plan as a message from planner to daemon, and its conversion to and from the plan that the controller follows.
 
-use super::{WORD, Zeroable, boxed_zeroed};
+use super::words::{WORD, Zeroable, boxed_zeroed};
 use iceoryx2::prelude::ZeroCopySend;
 use upswing_model::{ActuatedVector, NU, NX, State};
 use upswing_trajectory::{self as trajectory, Gain, Gains, KNOTS, Trajectory};

@@ -1,4 +1,4 @@
-//! Whoever needs a plan -> planner.
+//! The `planner` service: requests for plans, and the planner's responses.
 
 use super::codes::{PlannerKind, PlannerStatus, UnknownCode};
 use super::text::Text;
@@ -6,7 +6,7 @@ use super::words::WORD;
 use iceoryx2::prelude::ZeroCopySend;
 use upswing_model::NX;
 
-/// What is asked of the planner.
+/// A request to the planner.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
 #[type_name("upswing.PlannerRequest.v1")]
@@ -21,7 +21,7 @@ pub struct PlannerRequest {
     pub iterations: u64,
     /// Time budget, ms, 0: none.
     pub budget_ms: u64,
-    /// 1: publish the plan to the daemon, 0: only answer.
+    /// 1: publish the plan to the daemon, 0: only respond.
     pub publish: u64,
 }
 
@@ -37,7 +37,7 @@ impl PlannerRequest {
     }
 }
 
-/// What the planner answers; numbers that do not apply to the status are 0.
+/// Response of the planner to a [`PlannerRequest`]; numbers that do not apply to the status are 0.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
 #[type_name("upswing.PlannerResponse.v3")]
@@ -46,7 +46,7 @@ pub struct PlannerResponse {
     pub status: u64,
     /// Id of the new plan, 0: none.
     pub plan_id: u64,
-    /// Moment of the plan's t = 0, ns on the daemon's clock; 0: whenever it is started.
+    /// Time of the plan's t = 0, ns on the daemon's clock; 0: the time at which it is started.
     pub activation_ns: u64,
     /// t_F, duration of the plan, s.
     pub t_f: f64,
@@ -70,7 +70,7 @@ pub struct PlannerResponse {
     pub time_qp_us: f64,
     /// Gain synthesis, us.
     pub time_lqr_us: f64,
-    /// From the request to the answer, us.
+    /// From the request to the response, us.
     pub time_total_us: f64,
     /// Why there is no plan, or a remark; for people.
     pub reason: Text,

@@ -1,4 +1,4 @@
-//! Command line, harness -> simulated plant.
+//! The `plant` service: requests to the simulated plant, and its responses.
 
 use super::codes::{PlantKind, UnknownCode};
 use super::text::Text;
@@ -6,7 +6,7 @@ use super::words::WORD;
 use iceoryx2::prelude::ZeroCopySend;
 use upswing_model::{NQ, NU};
 
-/// What is asked of the simulated plant; fields that the kind does not name are ignored.
+/// A request to the simulated plant; fields that do not belong to the kind are ignored.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
 #[type_name("upswing.PlantRequest.v2")]
@@ -48,7 +48,8 @@ impl PlantRequest {
     }
 }
 
-/// What the plant answers: whether it did it, and its true state (not the measured one) afterwards.
+/// Response of the plant to a [`PlantRequest`]: whether it accepted the request, and its true state (not the measured one)
+/// afterwards.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
 #[type_name("upswing.PlantResponse.v1")]

@@ -1,6 +1,7 @@
 //! The recorded input of the controller, for replays.
 
-use super::{Measurement, WORD, Zeroable, batch, words};
+use super::cycle::Measurement;
+use super::words::{WORD, Zeroable, batch, words};
 use iceoryx2::prelude::ZeroCopySend;
 
 /// The input of the controller in one step, daemon -> recordings. Together with the plans it determines all modes and

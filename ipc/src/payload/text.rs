@@ -1,13 +1,13 @@
-//! Text of a fixed size that crosses shared memory.
+//! Text of fixed size in shared memory.
 
 use iceoryx2::prelude::ZeroCopySend;
 use std::fmt;
 use thiserror::Error;
 
-/// Why the bytes of a [`Text`] are no text.
+/// Why the bytes of a [`Text`] are not a text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum TextError {
-    /// The stated length does not fit.
+    /// The stated length is larger than the capacity.
     #[error("text states {got} bytes but holds at most {max}", max = Text::CAPACITY)]
     Length {
         /// The stated length, bytes.
