@@ -129,7 +129,7 @@ pub(crate) struct FaultInFile {
 /// Largest cycle number of a scenario: beyond the life of a plant.
 const MOST_CYCLES: i64 = 1_000_000_000_000;
 
-/// Errors name their key, see [`crate::file::TextFile::error`].
+/// Errors begin with their key, which the reader of the file takes off to find the line.
 impl TryFrom<FaultInFile> for Fault {
     type Error = String;
 

@@ -147,7 +147,7 @@ impl RobotSettings {
             }
         }
         Conflict::unless_within("target.q8_deg", self.target.q8, NU, &self.planning)?;
-        self.agree_with(&model.rated_limits())?;
+        self.agree_with(model.rated_limits())?;
         self.target_is_equilibrium(model)
     }
 

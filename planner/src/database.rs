@@ -1,4 +1,4 @@
-//! The trajectory database: [`build`] it, [`merge`] its shards, [`verify`] what it records, and find the entries nearest to a
+//! The trajectory database: [`build()`] it, [`merge()`] its shards, [`verify()`] what it records, and find the entries nearest to a
 //! start ([`NearestPose`]). The format of the file is that of [`upswing_trajectory::Database`].
 
 mod build;
@@ -177,7 +177,7 @@ fn grid_fingerprint(grid: &GridSettings) -> u64 {
     hash.digest()
 }
 
-/// Whether a database was built from the grid of the settings, so that [`verify`] can compare poses.
+/// Whether a database was built from the grid of the settings, so that [`verify()`] can compare poses.
 pub fn has_grid_of(config: &Config, database: &Database) -> bool {
     database.heading.grid == grid_fingerprint(&config.grid)
 }
