@@ -301,7 +301,18 @@ fn read_plant_model(dir: Option<&Path>, file: &TextFile, urdf: &str) -> Result<M
     let of_set = FILES.iter().find(|file| file.name == urdf && urdf.ends_with(".urdf"));
     let urdf_file = match of_set {
         Some(of_set) => of_set.text(dir)?,
-        None if urdf.contains('/') => TextFile::at(Path::new(urdf))?,
+        None if urdf.contains('/') => TextFile::at(Path::new(urdf)).map_err(|e| match e {
+            ConfigError::NoFile { cause, .. } => {
+                let got = format!("{urdf} ({cause})");
+                file.refuse(Conflict::new(
+                    "model.urdf",
+                    "a file that can be read",
+                    got,
+                    "name an existing file",
+                ))
+            }
+            e => e,
+        })?,
         None => {
             let expected = format!("{}, {}, or a path with a `/`", URDF.name, SECOND_URDF.name);
             let fix = "name a file of the set or a path";

@@ -71,9 +71,18 @@ fn robot() {
         (
             "pitch_deg = 90",
             "pitch_deg = 60",
-            &["target.pitch_deg", "an equilibrium", "got 60.00 with q8_deg 180.00", "joint 9 at rest"],
+            &[
+                "target.pitch_deg",
+                "an equilibrium",
+                "got 60.00 with q8_deg 180.00",
+                "joint 9 of robot.urdf at rest",
+            ],
         ),
-        ("q8_deg = 180", "q8_deg = 170", &["an equilibrium", "q8_deg 170.00", "joint 8 at rest"]),
+        (
+            "q8_deg = 180",
+            "q8_deg = 170",
+            &["an equilibrium", "q8_deg 170.00", "joint 8 of robot.urdf at rest"],
+        ),
     ] as [(&str, &str, &[&str]); 19]
     {
         refused("robot.toml", from, to, parts);

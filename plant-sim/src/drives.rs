@@ -32,6 +32,8 @@ pub(crate) struct Drives {
     active: Option<Command>,
     /// Cycles since a command arrived.
     silent_cycles: u32,
+    /// Whether a command has come since power-up.
+    commanded: bool,
     /// Cycles until closing brakes hold.
     engage_left: u64,
     /// Torque that the sensors show, N m.
@@ -57,6 +59,7 @@ impl Drives {
             delay_line: [None; DELAY_LINE],
             active: None,
             silent_cycles: 0,
+            commanded: false,
             engage_left: 0,
             tau: ActuatedVector::zeros(),
             tau_peak: ActuatedVector::zeros(),
@@ -76,6 +79,7 @@ impl Drives {
 
     /// The actuation in cycle `seq`, in which the daemon sends `command`, or none.
     pub(crate) fn step(&mut self, seq: u64, command: Option<&Command>) -> Actuation {
+        self.commanded |= command.is_some();
         self.delay_line[slot(seq)] = command.copied();
         let arrived = if seq > self.delay { self.delay_line[slot(seq - self.delay)].take() } else { None };
         match arrived {
@@ -120,6 +124,11 @@ impl Drives {
     /// Whether a drive limited the newest command.
     pub(crate) fn saturated(&self) -> bool {
         self.saturated
+    }
+
+    /// Whether the drives follow torque commands: a command has come since power-up, and there is no fault.
+    pub(crate) fn ready(&self) -> bool {
+        self.commanded && !self.fault
     }
 
     pub(crate) fn fault(&self) -> bool {

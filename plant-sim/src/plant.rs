@@ -199,7 +199,7 @@ impl Plant {
             q: self.encoders.read(&self.mechanism.q),
             tau_measured: tau,
             status: bit(self.brakes_closed(), Measurement::BRAKES_CLOSED)
-                | bit(!self.drive_fault(), Measurement::DRIVES_READY)
+                | bit(self.drives.ready(), Measurement::DRIVES_READY)
                 | bit(self.drives.saturated(), Measurement::SATURATED)
                 | bit(self.drive_fault(), Measurement::DRIVE_FAULT)
                 | bit(load.is_some(), Measurement::LOAD_SENSED),

@@ -34,7 +34,7 @@ fn cycles_count_from_one_and_time_is_simulated() {
         let m = plant.measure();
         assert_eq!((m.seq, m.t_ns, m.period_ns), (seq, seq * 125_000, 125_000));
         assert_eq!(m.clock().unwrap(), Clock::Lockstep);
-        let expected = Measurement::BRAKES_CLOSED | Measurement::DRIVES_READY | Measurement::LOAD_SENSED;
+        let expected = Measurement::BRAKES_CLOSED | Measurement::LOAD_SENSED;
         assert_eq!(m.status, expected);
         plant.step(None);
     }

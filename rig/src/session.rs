@@ -8,10 +8,12 @@ use process::Process;
 use std::time::{Duration, Instant};
 use upswing_ipc::operator::{Manoeuvre, Operator, OperatorError, PublishedPlan, Request};
 use upswing_ipc::{
-    CallError, Client, ControlKind, ControlRequest, ControlResponse, Domain, IpcError, Node, PlannerResponse,
-    PlantKind, PlantRequest, PlantResponse, Telemetry,
+    CallError, Client, ControlKind, ControlRequest, ControlResponse, Domain, IpcError, Mode, Node,
+    PlannerResponse, PlantKind, PlantRequest, PlantResponse, Telemetry,
 };
 use upswing_record::{Recorder, RecordingError, Tally, Tap};
+use upswingd::supervisor::Refusal;
+use upswingd::trip::TripCause;
 
 /// How long a process may take to appear: starting takes well below a second, but machines are shared.
 const START_PATIENCE: Duration = Duration::from_secs(30);
@@ -230,12 +232,29 @@ impl Session {
     /// # Errors
     /// [`SessionError::Operator`] with the reason of a refusal.
     pub fn request(&mut self, request: Request) -> Result<ControlResponse, SessionError> {
+        if request == Request::Enable && !self.options.clock.stands_still() {
+            self.wait_for_drives()?;
+        }
         match request.command() {
             Ok(command) => self.control(&ControlRequest::new(command)),
             Err(manoeuvre) => {
                 self.start_manoeuvre(manoeuvre)?;
                 self.status()
             }
+        }
+    }
+
+    /// Waits until the daemon receives measurements and the plant commands: before, the daemon refuses to be enabled. After
+    /// [`START_PATIENCE`] its refusal tells more than a timeout.
+    fn wait_for_drives(&mut self) -> Result<(), SessionError> {
+        let remedies = [Refusal::DrivesNotReady.remedy(), Some(TripCause::NoMeasurement.remedy())];
+        let ready = self.wait_for("the drives to be ready", START_PATIENCE, |s| {
+            let status = s.status()?;
+            Ok(status.mode != Mode::Idle.code() || !remedies.contains(&status.next.as_str().ok()))
+        });
+        match ready {
+            Err(SessionError::Timeout { .. }) => Ok(()),
+            ready => ready,
         }
     }
 

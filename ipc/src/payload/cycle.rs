@@ -31,7 +31,8 @@ const _: () = assert!(size_of::<Measurement>() == WORD * (5 + NQ + NU));
 impl Measurement {
     /// Status bit: the brakes hold the actuated joints.
     pub const BRAKES_CLOSED: u64 = 1 << 0;
-    /// Status bit: every drive is powered and follows torque commands.
+    /// Status bit: every drive is powered and follows torque commands; not before the first command has come, so that no robot is
+    /// enabled that does not receive commands yet.
     pub const DRIVES_READY: u64 = 1 << 1;
     /// Status bit: at least one drive cut the last command to its torque limit.
     pub const SATURATED: u64 = 1 << 2;
