@@ -1,8 +1,8 @@
-//! The text of a URDF file (<http://wiki.ros.org/urdf/XML>) as a tree of links and joints, each number checked.
+//! Reads a URDF file (<http://wiki.ros.org/urdf/XML>) as a tree of links and joints, and checks each number.
 //!
-//! Text and files of others are read in time and memory that their length bounds: elements may be nested in any depth, their
-//! number and that of attributes is limited. What a robot's motion does not depend on (meshes, textures, transmissions,
-//! elements of other programs) is left out.
+//! URDF files are not trusted: the length of the text bounds the time and memory that reading it takes. Elements may be nested to
+//! any depth; their number and that of their attributes is limited. Elements on which the motion of the robot does not depend
+//! (meshes, textures, transmissions, elements of other programs) are skipped.
 
 use nalgebra::{Isometry3, Matrix3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use roxmltree::{Document, Node, ParsingOptions};
@@ -10,15 +10,15 @@ use std::collections::HashMap;
 
 use crate::UrdfError;
 
-/// Longest text, bytes: several times that of any humanoid.
+/// Longest text, bytes: several times that of a humanoid.
 const LENGTH: usize = 4 << 20;
-/// Elements, comments and texts between them.
+/// Most elements, comments and texts between them.
 const NODES: u32 = 100_000;
-/// Attributes of one element, each of which is compared with all others.
+/// Most attributes of one element: the parser compares each of them with all others.
 const ATTRIBUTES: usize = 1_000;
-/// Declarations of name spaces, each of which all elements inside carry on.
+/// Most declarations of name spaces: all elements inside inherit each of them.
 const NAME_SPACES: usize = 100;
-/// Warnings of one text.
+/// Most warnings about one text.
 const WARNINGS: usize = 20;
 
 /// Largest offset or size, m.
@@ -32,61 +32,61 @@ const INERT: f64 = 1e6;
 /// Largest limit: rad, rad/s, N m.
 const LIMIT: f64 = 1e6;
 
-/// A robot as its URDF describes it: a tree of links.
+/// A robot as described by its URDF: a tree of links.
 #[derive(Clone, Debug)]
 pub struct Urdf {
     /// The links in the order of the file.
     pub links: Vec<UrdfLink>,
     /// The joints in the order of the file.
     pub joints: Vec<UrdfJoint>,
-    /// Index of the one link that hangs on no joint.
+    /// Index of the root link, which is the child of no joint.
     pub root: usize,
-    /// What was left out of the text although it may change the robot, one sentence each.
+    /// Elements that were skipped although they may change the motion of the robot, one sentence each.
     pub warnings: Vec<String>,
 }
 
-/// A link.
+/// A link of a URDF.
 #[derive(Clone, Debug)]
 pub struct UrdfLink {
-    /// Its name, which no other link has.
+    /// Name, unique among the links.
     pub name: String,
-    /// Indices of the joints that it carries.
+    /// Indices of the joints whose parent is this link.
     pub children: Vec<usize>,
-    /// What it looks like.
+    /// Shapes for drawings.
     pub visuals: Vec<UrdfVisual>,
-    /// Its body in its frame; massless if the URDF gives none.
+    /// Body in the frame of the link; massless if the URDF states none.
     pub(crate) body: Body,
 }
 
-/// The kinds of joints that are understood.
+/// The kinds of joints that are supported.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum UrdfJointKind {
-    /// Turns within limits.
+    /// The joint turns within limits.
     Revolute,
-    /// Turns without limits.
+    /// The joint turns without limits.
     Continuous,
-    /// Does not move.
+    /// The joint does not move.
     Fixed,
 }
 
-/// A joint.
+/// A joint of a URDF.
 #[derive(Clone, Debug)]
 pub struct UrdfJoint {
-    /// Its name, which no other joint has.
+    /// Name, unique among the joints.
     pub name: String,
-    /// How it moves.
+    /// Kind of the joint.
     pub kind: UrdfJointKind,
-    /// Index of the link that hangs on it.
+    /// Index of the child link.
     pub child: usize,
-    /// Frame of the child in that of the parent at q = 0, m.
+    /// Frame of the child link in the frame of the parent link at q = 0, m.
     pub origin: Isometry3<f64>,
-    /// Its axis in the frame of the child, of length 1.
+    /// Joint axis in the frame of the child link, of length 1.
     pub axis: Vector3<f64>,
-    /// Its limits, as far as the URDF states them.
+    /// Limits, if the URDF states them.
     pub(crate) limit: Option<UrdfLimit>,
 }
 
-/// What an element `<limit>` states.
+/// The numbers of an element `<limit>`; `None` where it states none.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct UrdfLimit {
     /// rad
@@ -99,10 +99,10 @@ pub(crate) struct UrdfLimit {
     pub effort: Option<f64>,
 }
 
-/// A shape around the origin of its frame, m; cylinders and capsules along z.
+/// A shape centred at the origin of its frame; the axis of a cylinder or capsule is z.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum UrdfShape {
-    /// A cylinder, or a capsule whose ends stand out of it.
+    /// A cylinder, or a capsule without its round ends.
     Cylinder {
         /// m
         radius: f64,
@@ -116,33 +116,37 @@ pub enum UrdfShape {
     },
     /// A box.
     Box {
-        /// Its edges, m.
+        /// Lengths of the edges, m.
         size: Vector3<f64>,
     },
 }
 
-/// What is to be seen of a link. Meshes are left out: nothing outside the URDF is read.
+/// A shape of a link for drawings. Meshes are skipped: no file other than the URDF is read.
 #[derive(Clone, Debug)]
 pub struct UrdfVisual {
-    /// Frame of the shape in that of the link, m.
+    /// Frame of the shape in the frame of the link, m.
     pub origin: Isometry3<f64>,
-    /// The shape.
+    /// Shape and size.
     pub shape: UrdfShape,
     /// Red, green, blue, opacity, 0 to 1.
     pub colour: Option<[f64; 4]>,
 }
 
-/// Mass, centre of mass and inertia about it, in some link's frame.
+/// A rigid body, in the frame of a link.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Body {
+    /// kg
     pub mass: f64,
+    /// Centre of mass, m.
     pub com: Vector3<f64>,
+    /// Rotational inertia about the centre of mass, kg m^2.
     pub inertia: Matrix3<f64>,
 }
 
 impl Body {
     const NONE: Self = Self { mass: 0.0, com: Vector3::new(0.0, 0.0, 0.0), inertia: ZERO3 };
 
+    /// The body in the frame in which its present frame has the pose `by`.
     pub(crate) fn moved(self, by: &Isometry3<f64>) -> Self {
         let r = by.rotation.to_rotation_matrix();
         Self {
@@ -152,7 +156,7 @@ impl Body {
         }
     }
 
-    /// Both as one rigid body.
+    /// One rigid body made of both, which are in the same frame.
     pub(crate) fn joined(self, other: Self) -> Self {
         let mass = self.mass + other.mass;
         if mass == 0.0 {
@@ -170,7 +174,7 @@ impl Body {
 const ZERO3: Matrix3<f64> = Matrix3::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
 
 impl Urdf {
-    /// Reads the text of a URDF file.
+    /// The robot in the text of a URDF file.
     ///
     /// # Errors
     /// [`UrdfError`] if it is no URDF, no tree of links, or holds a number, joint or body that cannot be.
@@ -274,7 +278,7 @@ fn parse(text: &str) -> Result<Document<'_>, UrdfError> {
     }
 }
 
-/// The last link or joint that begins in a text.
+/// Kind and name of the last link or joint that begins in a text.
 fn last_element(text: &str) -> Option<String> {
     let (at, kind) =
         ["link", "joint"].iter().filter_map(|k| Some((text.rfind(&format!("<{k} "))?, *k))).max()?;
@@ -282,7 +286,7 @@ fn last_element(text: &str) -> Option<String> {
     Some(format!("{kind} `{name}`"))
 }
 
-/// Children of the name space of their parent.
+/// Child elements in the name space of their parent.
 fn elements<'a, 'i>(node: Node<'a, 'i>) -> impl Iterator<Item = Node<'a, 'i>> {
     let space = node.tag_name().namespace();
     node.children().filter(move |child| child.is_element() && child.tag_name().namespace() == space)
@@ -292,7 +296,7 @@ fn children<'a, 'i>(node: Node<'a, 'i>, name: &'static str) -> impl Iterator<Ite
     elements(node).filter(move |child| child.tag_name().name() == name)
 }
 
-/// The child of a name, if there is one.
+/// The child element with a name, if there is one.
 fn child<'a, 'i>(node: Node<'a, 'i>, name: &'static str) -> Result<Option<Node<'a, 'i>>, UrdfError> {
     let mut all = children(node, name);
     let first = all.next();
@@ -302,7 +306,7 @@ fn child<'a, 'i>(node: Node<'a, 'i>, name: &'static str) -> Result<Option<Node<'
     Ok(first)
 }
 
-/// A refusal that names the link or joint that `node` is or belongs to.
+/// The error that names the link or joint to which `node` belongs.
 fn refuse(node: Node<'_, '_>, reason: impl Into<String>) -> UrdfError {
     let kind = |n: &Node<'_, '_>| n.is_element() && matches!(n.tag_name().name(), "link" | "joint");
     let within =
@@ -331,7 +335,7 @@ fn name_of(node: Node<'_, '_>) -> Result<String, UrdfError> {
     name.map(str::to_owned).ok_or_else(|| refuse(node, "expected a name, got none"))
 }
 
-/// `N` numbers in the `text` of an attribute, each of at most `bound` in magnitude.
+/// The `N` numbers in the `text` of an attribute; each may have a magnitude of at most `bound`.
 fn numbers<const N: usize>(
     node: Node<'_, '_>,
     attribute: &str,
@@ -375,7 +379,7 @@ fn triple(
     text.map(|text| numbers::<3>(node, attribute, text, bound, unit).map(Vector3::from)).transpose()
 }
 
-/// The frame that the element `<origin>` of a node states; without one, the node's own.
+/// The frame in the element `<origin>` of a node; the identity without that element.
 fn origin(node: Node<'_, '_>) -> Result<Isometry3<f64>, UrdfError> {
     let Some(origin) = child(node, "origin")? else { return Ok(Isometry3::identity()) };
     let xyz = triple(origin, "xyz", FAR, "m")?.unwrap_or_default();
@@ -396,6 +400,7 @@ fn origin(node: Node<'_, '_>) -> Result<Isometry3<f64>, UrdfError> {
     Ok(Isometry3::from_parts(Translation3::from(xyz), rotation))
 }
 
+/// The link of an element `<link>`.
 fn read_link(
     node: Node<'_, '_>,
     colours: &HashMap<&str, [f64; 4]>,
@@ -416,7 +421,7 @@ fn read_link(
     Ok(UrdfLink { name, children: Vec::new(), visuals, body })
 }
 
-/// The body of an `<inertial>`, in the frame of its link.
+/// The body of an element `<inertial>`, in the frame of its link.
 fn read_body(node: Node<'_, '_>) -> Result<Body, UrdfError> {
     let element =
         |name| child(node, name)?.ok_or_else(|| refuse(node, format!("its <inertial> has no <{name}>")));
@@ -454,7 +459,7 @@ fn read_body(node: Node<'_, '_>) -> Result<Body, UrdfError> {
     Ok(Body { mass, com: origin.translation.vector, inertia: r.matrix() * local * r.matrix().transpose() })
 }
 
-/// A joint and the index of its parent.
+/// The joint of an element `<joint>`, and the index of its parent link.
 fn read_joint(
     node: Node<'_, '_>,
     links: &HashMap<String, usize>,
@@ -523,7 +528,7 @@ fn read_joint(
     Ok((UrdfJoint { name, kind, child: child_link, origin: origin(node)?, axis, limit }, parent))
 }
 
-/// Friction and soft limits are properties of the robot that stand elsewhere here.
+/// Warns of friction and soft limits of a joint, which the settings state instead of the URDF.
 fn warn_of_motion(node: Node<'_, '_>, name: &str, warnings: &mut Warnings) -> Result<(), UrdfError> {
     if let Some(dynamics) = child(node, "dynamics")? {
         for key in ["damping", "friction"] {
@@ -542,7 +547,7 @@ fn warn_of_motion(node: Node<'_, '_>, name: &str, warnings: &mut Warnings) -> Re
     Ok(())
 }
 
-/// What can be drawn of a geometry.
+/// The shape of a geometry that can be drawn.
 fn shape(node: Node<'_, '_>) -> Option<UrdfShape> {
     let size = |key| number(node, key, FAR, "m").ok()?.filter(|v| *v >= 0.0);
     match node.tag_name().name() {
@@ -558,13 +563,13 @@ fn shape(node: Node<'_, '_>) -> Option<UrdfShape> {
     }
 }
 
-/// The colour of a material.
+/// The colour of an element `<material>`: red, green, blue, opacity.
 fn colour(material: Node<'_, '_>) -> Option<[f64; 4]> {
     let colour = children(material, "color").next()?;
     numbers(colour, "rgba", colour.attribute("rgba")?, 1.0, "").ok()
 }
 
-/// What was left out.
+/// Warnings about skipped elements.
 #[derive(Default)]
 struct Warnings(Vec<String>);
 
@@ -575,7 +580,7 @@ impl Warnings {
         }
     }
 
-    /// Notes the elements of a node that are neither `known` nor another program's.
+    /// Adds a warning for each child element of a node that is neither `known` nor an element of another program.
     fn check(&mut self, node: Node<'_, '_>, known: &[&str]) {
         let space = node.tag_name().namespace();
         for child in node.children().filter(Node::is_element) {

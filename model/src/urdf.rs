@@ -1,21 +1,21 @@
-//! A [`Model`] from a URDF: one unbranched chain of revolute joints; bodies on fixed joints are joined to the body that carries
-//! them.
+//! Builds a [`Model`] from a URDF: one unbranched chain of revolute joints. Bodies on fixed joints are merged with the body that
+//! carries them.
 
 use crate::description::{Urdf, UrdfJoint, UrdfJointKind};
 use crate::model::{Frame, Joint, Model};
 use crate::{ActuatedVector, JointVector, Limits, NQ, NU};
 use nalgebra::{Isometry3, Matrix3, Vector3};
 
-/// Standard gravity as used by the paper, m/s^2, along -z of the URDF's root frame.
+/// Gravity as in the paper, m/s^2, along -z of the root frame of the URDF.
 const GRAVITY: f64 = 9.81;
 
-/// Why a URDF cannot be used.
+/// Reason why a URDF gives no model.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum UrdfError {
-    /// Not a URDF at all.
+    /// The text is not a URDF.
     #[error("not a readable URDF: {0}")]
     Parse(String),
-    /// The number of revolute joints is not that of this build.
+    /// The URDF does not have `NQ` revolute joints.
     #[error(
         "expected {NQ} revolute joints in one chain ({NU} driven, then {} of the pendulum), got {}: {}; other numbers are not \
          supported yet",
@@ -25,45 +25,45 @@ pub enum UrdfError {
         /// Names of the joints found.
         got: Vec<String>,
     },
-    /// Two joints share a parent: not a serial chain.
+    /// A link carries two movable joints, so that the joints are no serial chain.
     #[error("link `{link}` carries the joints {}: expected one unbranched chain; fix what is no part of it", .joints.join(", "))]
     Branch {
-        /// The link.
+        /// Name of the link.
         link: String,
-        /// Names of its movable joints.
+        /// Names of the movable joints on the link.
         joints: Vec<String>,
     },
-    /// A joint, a link or its body that cannot be, or cannot be used.
+    /// A joint, a link or the body of a link is physically impossible or not supported.
     #[error("{element}: {reason}")]
     Refused {
-        /// Which: `joint` or `link` with its name.
+        /// `joint` or `link`, with its name.
         element: String,
-        /// What is wrong.
+        /// What was expected, and what the URDF has.
         reason: String,
     },
-    /// There is no root link.
+    /// The URDF has no root link: its joints form a circle.
     #[error("no root link: every link is the child of some joint")]
     NoRoot,
-    /// Links that no joint connects.
+    /// The URDF has several root links: no joint connects them.
     #[error(
         "expected one root link, got `{first}` and `{second}`: a joint has to connect every other link to the root"
     )]
     Roots {
-        /// One of them.
+        /// Name of one root link.
         first: String,
-        /// Another one.
+        /// Name of another root link.
         second: String,
     },
 }
 
-/// A refusal of a joint.
+/// The error about a joint.
 fn refuse(joint: &str, reason: impl Into<String>) -> UrdfError {
     UrdfError::Refused { element: format!("joint `{joint}`"), reason: reason.into() }
 }
 
 impl Model {
-    /// Reads the robot from the text of a URDF file. The root link's frame is the world frame, its z axis
-    /// points up; the last `N_UNACTUATED` revolute joints are the unactuated ones.
+    /// The model of the robot in the text of a URDF file. The frame of the root link is the world frame, whose z axis points
+    /// up; the last `N_UNACTUATED` revolute joints are the unactuated ones.
     ///
     /// # Errors
     /// [`UrdfError`] if the text is no URDF, not one chain of `NQ` revolute joints, or physically impossible.
@@ -71,7 +71,7 @@ impl Model {
         Self::from_description(&Urdf::read(text)?)
     }
 
-    /// As [`Model::from_urdf`], of a text that has been read.
+    /// The model of a robot whose URDF has been read, as in [`Model::from_urdf`].
     ///
     /// # Errors
     /// [`UrdfError`] if the robot is not one chain of `NQ` revolute joints, or physically impossible.
@@ -139,7 +139,7 @@ impl Model {
     }
 }
 
-/// The limits of `NQ` joints; infinite where a joint turns without one.
+/// The limits of the joints of the chain; infinite where the URDF states none.
 fn rated_limits(chain: &[&UrdfJoint]) -> Result<Limits, UrdfError> {
     let mut limits = Limits {
         q_min: JointVector::repeat(f64::NEG_INFINITY),
@@ -188,14 +188,13 @@ fn rated_limits(chain: &[&UrdfJoint]) -> Result<Limits, UrdfError> {
     Ok(limits)
 }
 
-/// A uniform rod ends at twice the distance of its centre of mass.
+/// Tip of a uniform rod, at twice the distance of its centre of mass, m.
 fn rod_tip(com: Vector3<f64>) -> Vector3<f64> {
     com * 2.0
 }
 
-/// A body needs a positive mass and a positive definite inertia. The triangle inequality of its principal
-/// moments is not demanded: identified parameters miss it by rounding, and the joint-space mass matrix
-/// stays positive definite.
+/// Checks that the body on a joint has a positive mass and a positive definite inertia. The triangle inequality of the principal
+/// moments is not checked: identified parameters violate it by rounding, and the mass matrix M stays positive definite.
 fn check_body(joint: &Joint) -> Result<(), UrdfError> {
     if joint.mass <= 0.0 {
         return Err(refuse(
