@@ -2,8 +2,8 @@
 //!
 //! A full set of files is embedded in the program ([`Config::files`]) and can be exported to a folder for
 //! editing: the robot (`robot.urdf`), its limits and the target (`robot.toml`), the planner, the daemon, the
-//! simulated plant, the trajectory database, and scenarios for the plant ([`Config::use_scenario`]). In the files angles may be in degrees (the key then says so);
-//! past this crate everything is rad, s, N m, kg, m, and no value needs another check.
+//! simulated plant, and scenarios for the plant ([`Config::use_scenario`]). In the files angles may be in degrees (the key then
+//! says so); past this crate everything is rad, s, N m, kg, m, and no value needs another check.
 
 mod conflict;
 mod daemon;

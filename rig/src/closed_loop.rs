@@ -50,7 +50,7 @@ pub enum Aborted {
         "{mode} tripped {time:.3} s after the plan's start: {trip}; q {:.3?} rad, qd {:.3?} rad/s",
         .record.q, .record.qd
     )]
-    GivenUp {
+    Tripped {
         /// The mode before.
         mode: Mode,
         /// Time since the start of the plan, s; 0 before it.
@@ -72,7 +72,7 @@ impl Aborted {
             Self::Refused { request, .. } => format!("{request} was refused"),
             Self::Push(_) => "the push cannot be".into(),
             Self::Silent => "no measurements".into(),
-            Self::GivenUp { mode, trip, .. } => {
+            Self::Tripped { mode, trip, .. } => {
                 format!("{mode} tripped: {}, joint {}", trip.cause.text(), trip.joint + 1)
             }
         }
@@ -158,7 +158,7 @@ impl<D> SwingUpRun<'_, D> {
                 let start =
                     self.records.iter().find(|r| r.mode() == Ok(Mode::Track)).map_or(record.t_ns, |r| r.t_ns);
                 let time = record.t_ns.saturating_sub(start) as f64 * 1e-9;
-                Err(Aborted::GivenUp { mode: before, time, trip, record: Box::new(record) })
+                Err(Aborted::Tripped { mode: before, time, trip, record: Box::new(record) })
             }
             None => Ok(()),
         }

@@ -32,7 +32,7 @@ const JSON: &str = "application/json";
 
 struct LivePage {
     page: String,
-    feed: Arc<FrameBuffer>,
+    frames: Arc<FrameBuffer>,
     token: Option<Token>,
     requests: RequestSender,
     open: AtomicUsize,
@@ -74,7 +74,7 @@ pub fn run(
 ) -> Result<(), WebError> {
     let site = Arc::new(LivePage {
         page: page::live(setup),
-        feed: FrameBuffer::new(),
+        frames: FrameBuffer::new(),
         token,
         requests: live.request_sender(),
         open: AtomicUsize::new(0),
@@ -88,7 +88,7 @@ pub fn run(
             server.check()?;
             live.poll(|record| sampler.take(record))?;
             if next <= Instant::now() {
-                site.feed.push(sampler.frame(live.view()));
+                site.frames.push(sampler.frame(live.view()));
                 next = Instant::now() + FRAME;
             }
             std::thread::sleep(PAUSE);
@@ -139,7 +139,7 @@ impl LivePage {
         let Some(page) = OpenPage::open(&self) else {
             return refuse(503, format!("{PAGES} pages are open already; close one"));
         };
-        let mut reader = self.feed.reader();
+        let mut reader = self.frames.reader();
         let (mut events, response) = http::stream();
         tokio::spawn(async move {
             let _open = page;

@@ -16,7 +16,6 @@ pub struct RequestArgs {
     #[command(flatten)]
     pub common: CommonArgs,
     /// The request
-    /// The request
     #[arg(value_parser = requests())]
     pub what: Request,
 }

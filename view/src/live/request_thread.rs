@@ -55,29 +55,31 @@ pub(super) struct RequestThread {
 
 impl RequestThread {
     pub fn open(node: &Node) -> Result<Self, OperatorError> {
-        let (orders_in, orders) = channel();
-        let (news_in, updates) = channel();
+        let (requests_in, requests) = channel();
+        let (updates_in, updates) = channel();
         let (node, closing) = (node.clone(), Arc::new(AtomicBool::new(false)));
         let closed = Arc::clone(&closing);
         // Ports stay in the thread that opened them, so the thread reports whether it could open them.
         let (opened, is_open) = channel();
         let thread = std::thread::spawn(move || {
-            let (work, result) = match RequestWorker::new(node, news_in) {
+            let (work, result) = match RequestWorker::new(node, updates_in) {
                 Ok(work) => (Some(work), Ok(())),
                 Err(e) => (None, Err(e)),
             };
             let _ = opened.send(result);
             if let Some(mut work) = work {
-                work.run(&orders, &closed);
+                work.run(&requests, &closed);
             }
         });
         let Ok(opened) = is_open.recv() else {
             // It panicked: a thread that reports nothing would look like a system that is not running.
             let panic = thread.join().err();
-            std::panic::resume_unwind(panic.unwrap_or_else(|| Box::new("the desk ended at its start")));
+            std::panic::resume_unwind(
+                panic.unwrap_or_else(|| Box::new("the request thread ended at its start")),
+            );
         };
         opened?;
-        Ok(Self { requests: RequestSender(orders_in), updates, thread: Some(thread), closing })
+        Ok(Self { requests: RequestSender(requests_in), updates, thread: Some(thread), closing })
     }
 
     pub fn request_sender(&self) -> RequestSender {
@@ -115,19 +117,22 @@ struct RequestWorker {
 
 impl RequestWorker {
     fn new(node: Node, updates: Sender<LiveUpdate>) -> Result<Self, OperatorError> {
-        Ok(Self { operator: Operator::new(&node)?, plant: node.client()?, node, updates, planning: None })
+        let operator = Operator::new(&node)?;
+        // Opens the port, so that a failure is reported at the start.
+        operator.has_planner()?;
+        Ok(Self { operator, plant: node.client()?, node, updates, planning: None })
     }
 
-    fn run(&mut self, orders: &Receiver<PendingRequest>, closing: &AtomicBool) {
+    fn run(&mut self, requests: &Receiver<PendingRequest>, closing: &AtomicBool) {
         let mut looked: Option<Instant> = None;
         while !closing.load(Ordering::Acquire) {
             if looked.is_none_or(|t| t.elapsed() >= PERIOD) {
                 self.look();
                 looked = Some(Instant::now());
             }
-            match orders.recv_timeout(PERIOD) {
-                Ok(order) => {
-                    self.serve(order);
+            match requests.recv_timeout(PERIOD) {
+                Ok(pending) => {
+                    self.serve(pending);
                     looked = None;
                 }
                 Err(RecvTimeoutError::Timeout) => {}

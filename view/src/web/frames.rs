@@ -115,9 +115,9 @@ struct Frames {
     kept: VecDeque<Arc<str>>,
 }
 
-/// Follows the feed.
+/// Reads the frames in order.
 pub(super) struct FrameReader {
-    feed: Arc<FrameBuffer>,
+    frames: Arc<FrameBuffer>,
     pushed: watch::Receiver<u64>,
     next: u64,
 }
@@ -141,7 +141,7 @@ impl FrameBuffer {
 
     /// Begins with the oldest frame.
     pub fn reader(self: &Arc<Self>) -> FrameReader {
-        FrameReader { feed: Arc::clone(self), pushed: self.next.subscribe(), next: 0 }
+        FrameReader { frames: Arc::clone(self), pushed: self.next.subscribe(), next: 0 }
     }
 
     /// Nothing is left half done by a thread that panics.
@@ -164,7 +164,7 @@ impl FrameReader {
         loop {
             // Before the look: a frame that comes after it is a change.
             self.pushed.mark_unchanged();
-            if let Some((frame, next)) = self.feed.get(self.next) {
+            if let Some((frame, next)) = self.frames.get(self.next) {
                 self.next = next;
                 return Some(frame);
             }
