@@ -1,4 +1,4 @@
-//! The command line as a whole.
+//! Parser of the whole command line, and the call of its command.
 
 use crate::commands;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
@@ -23,7 +23,7 @@ enum Command {
     Demo(commands::demo::DemoArgs),
     Request(commands::request::RequestArgs),
     Disturb(commands::disturb::DisturbArgs),
-    // For those who change the programs: the list of commands is for those who use them.
+    // Hidden: a test for developers, not for operators.
     #[command(hide = true)]
     Soak(commands::soak::SoakArgs),
     Status(commands::status::StatusArgs),
@@ -42,7 +42,7 @@ enum Command {
     MonteCarlo(commands::montecarlo::MonteCarloArgs),
     Config(commands::config::ConfigArgs),
     Completions(commands::completions::CompletionsArgs),
-    // For those who package the programs.
+    // Hidden: for packagers, not for operators.
     #[command(hide = true)]
     Man(commands::completions::ManArgs),
     /// Run as the control daemon, like `upswingd`
@@ -67,7 +67,7 @@ impl Cli {
     }
 }
 
-/// The command line. A negative number is the value of the option before it.
+/// Returns the parser of the whole command line. A negative number is the value of the option before it.
 fn whole_command() -> clap::Command {
     fn with_negative(command: clap::Command) -> clap::Command {
         let numbers = |arg: clap::Arg| {
@@ -79,7 +79,7 @@ fn whole_command() -> clap::Command {
     with_negative(Cli::command())
 }
 
-/// Runs the command.
+/// Runs the command that was read.
 ///
 /// # Errors
 /// [`Failure`] of the command.

@@ -1,7 +1,7 @@
-//! The commands of the `upswing` program, one module each.
+//! Commands of the `upswing` program, one module each.
 //!
-//! Of each command `NAME`, `NameArgs` are its options, `run` runs it, and `NameResult` is what it prints: one JSON document with
-//! `--json`, else its text. A command that runs until Ctrl-C prints `NameStarted` instead.
+//! For a command `NAME`, `NameArgs` holds its options, `run` runs it, and `NameResult` is its output: one JSON document with
+//! `--json`, otherwise text. A command that runs until Ctrl-C prints `NameStarted` instead.
 
 pub(crate) mod completions;
 pub(crate) mod config;
@@ -57,7 +57,7 @@ impl CommonArgs {
         print(self.json, result)
     }
 
-    /// Joins the domain if it exists; a client creates none.
+    /// Joins the domain as a client, which does not create it.
     ///
     /// # Errors
     /// [`Failure`] for an invalid name, an unusable domain, or a domain without processes.
@@ -69,7 +69,7 @@ impl CommonArgs {
         domain.join("cli").map_err(failed)
     }
 
-    /// Joins the domain, which it creates if need be, to wait for its processes.
+    /// Joins the domain, and creates it if it does not exist, to wait for its processes.
     ///
     /// # Errors
     /// [`Failure`] for an invalid name or an unusable domain.
@@ -82,8 +82,8 @@ impl CommonArgs {
     }
 }
 
-/// A private domain for a system that this process starts, and the options of its session, with a folder for logs; the plant starts
-/// at `start`, deg, comma-separated.
+/// Creates a private domain for a system that this process starts, and the options of its session, with a folder for logs. The
+/// plant starts at the angles `start`, deg, comma-separated.
 ///
 /// # Errors
 /// [`Failure::BadInput`] for an invalid name, [`Failure::Failed`] if the folder cannot be created.
@@ -103,7 +103,7 @@ fn own_system(
     Ok((domain, SessionOptions { config, domain: name, clock, start: Some(start), scenario, logs }))
 }
 
-/// Invalid inputs are [`Failure::BadInput`]; all other messages name the folder `logs`.
+/// Converts the error of a session: invalid inputs to [`Failure::BadInput`]; other messages name the folder `logs`.
 fn session_failure(e: &SessionError, logs: &Path) -> Failure {
     match e {
         SessionError::Interrupted => {
@@ -147,7 +147,7 @@ pub(crate) fn print_line(line: &impl std::fmt::Display) -> Result<(), Failure> {
     }
 }
 
-/// The output file of an option, checked before the work begins: it must be writable.
+/// Returns the output file of an option, after a check before the work begins that it can be written.
 fn writable(
     option: &str,
     destination: Option<&Destination>,
@@ -161,7 +161,7 @@ fn writable(
     }
 }
 
-/// [`Failure::Failed`] with the text of `e`.
+/// Returns [`Failure::Failed`] with the text of `e`.
 pub(crate) fn failed(e: impl std::fmt::Display) -> Failure {
     Failure::Failed(e.to_string())
 }

@@ -1,6 +1,6 @@
-//! The command line of upswing: parses, calls, prints.
+//! Command line of upswing: parses arguments, calls the libraries, prints results.
 //!
-//! The `upswing` program can also run as any of the three processes.
+//! The `upswing` program can also run as daemon, planner or plant.
 
 pub mod cli;
 pub mod commands;

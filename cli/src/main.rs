@@ -1,4 +1,4 @@
-//! The operator's command line.
+//! The program `upswing`: the operator's command line.
 
 use std::process::ExitCode;
 use upswing::cli::{Cli, run};

@@ -1,4 +1,4 @@
-//! Values on the command line.
+//! Parsers of values on the command line.
 
 use upswing_config::Config;
 use upswing_config::PendulumStart;
@@ -6,7 +6,7 @@ use upswing_model::{StartError, State};
 use upswing_process::Failure;
 use upswing_record::Window;
 
-/// s
+/// Duration of a week, s.
 pub const WEEK: f64 = 604_800.0;
 
 /// Joint angles in degrees, separated by commas, as typed by a user.
@@ -37,10 +37,10 @@ impl std::fmt::Display for Degrees {
     }
 }
 
-/// The state at rest that an `option` like `--start` asks for.
+/// Returns the state at rest with the angles of an `option` like `--start`.
 ///
 /// # Errors
-/// [`Failure::BadInput`] that names joint, value and limit.
+/// [`Failure::BadInput`] with joint, value and limit.
 pub fn start_state(
     config: &Config,
     option: &str,
@@ -53,10 +53,10 @@ pub fn start_state(
         .map_err(|e: StartError| Failure::BadInput(format!("{option}: {e}")))
 }
 
-/// The stretch of a recording of the options `--from` and `--to`, s.
+/// Returns the time window of a recording from the options `--from` and `--to`, s.
 ///
 /// # Errors
-/// [`Failure::BadInput`] if it is empty.
+/// [`Failure::BadInput`] if the window is empty.
 pub fn window(from: f64, to: Option<f64>) -> Result<Window, Failure> {
     let to = to.unwrap_or(f64::INFINITY);
     if !(from >= 0.0 && from < to) {

@@ -1,4 +1,4 @@
-//! The reference of the arm in Hold and Stop: a pose, or a motion that decelerates.
+//! Reference of the arm in Hold and Stop: a pose, or a motion that decelerates.
 
 use upswing_config::HoldGains;
 use upswing_model::thresholds::REST_SPEED_STOP;
@@ -7,28 +7,28 @@ use upswing_model::{ActuatedVector, NQ, NU, State, StateParts};
 /// Time for which the arm has to be at rest before it counts as settled, ns.
 const REST_TIME_NS: u64 = 50_000_000;
 
-/// A pose of the arm to hold, or on its way to rest.
+/// Reference of the arm: a pose to hold, or a motion that comes to rest.
 #[derive(Clone, Copy, Debug)]
 pub struct ArmReference {
-    /// rad and rad/s.
+    /// Position q_d, rad, and velocity qd_d, rad/s.
     q: ActuatedVector,
     qd: ActuatedVector,
-    /// Time since which reference and arm have been at rest, ns.
+    /// Time since which reference and arm have been at rest, ns; `None` while one of them moves.
     rest_since: Option<u64>,
 }
 
 impl ArmReference {
-    /// Stands still in the pose of `x` (rad, rad/s).
+    /// Creates a reference at rest in the pose of `x` (rad, rad/s).
     pub fn at_rest(x: &State) -> Self {
         Self { q: x.q_a(), qd: ActuatedVector::zeros(), rest_since: None }
     }
 
-    /// Has the pose and the velocity of `x` (rad, rad/s).
+    /// Creates a reference with pose and velocity of `x` (rad, rad/s).
     pub fn moving(x: &State) -> Self {
         Self { q: x.q_a(), qd: x.qd_a(), rest_since: None }
     }
 
-    /// Decelerates with `deceleration` (rad/s^2, above 0) for `elapsed` s; returns u_d, rad/s^2.
+    /// Decelerates the reference with `deceleration` (rad/s^2, above 0) for `elapsed` s; returns u_d, rad/s^2.
     pub fn decelerate(&mut self, deceleration: &[f64; NU], elapsed: f64) -> ActuatedVector {
         let mut u_d = ActuatedVector::zeros();
         for i in 0..NU {
@@ -43,9 +43,9 @@ impl ArmReference {
         u_d
     }
 
-    /// Whether reference and arm have been at rest for a while at the time `now`, ns.
+    /// Whether reference and arm have been at rest for `REST_TIME_NS` at the time `now`, ns.
     pub fn is_settled(&mut self, x: &State, now: u64) -> bool {
-        // A maximum would lose a NaN.
+        // The maximum of all speeds would ignore a NaN.
         let slow = (0..NU).all(|i| x[NQ + i].abs() < REST_SPEED_STOP);
         if !(self.qd.amax() == 0.0 && slow) {
             self.rest_since = None;
@@ -55,7 +55,7 @@ impl ArmReference {
         now.saturating_sub(since) >= REST_TIME_NS
     }
 
-    /// x_d; the pendulum has no reference: it is where it is.
+    /// Returns x_d; the pendulum has no reference, so that its part is taken from `x`.
     pub fn state(&self, x: &State) -> State {
         let mut x_d = *x;
         x_d.q_a_mut().copy_from(&self.q);
@@ -63,7 +63,7 @@ impl ArmReference {
         x_d
     }
 
-    /// u = u_d + stiffness (q_d - q) + damping (qd_d - qd), rad/s^2.
+    /// Returns u = u_d + stiffness (q_d - q) + damping (qd_d - qd), rad/s^2.
     pub fn input(&self, gains: &HoldGains, x: &State, u_d: &ActuatedVector) -> ActuatedVector {
         ActuatedVector::from_fn(|i, _| {
             u_d[i] + gains.stiffness[i] * (self.q[i] - x[i]) + gains.damping[i] * (self.qd[i] - x[NQ + i])
@@ -79,7 +79,7 @@ mod tests {
 
     const MS: u64 = 1_000_000;
 
-    /// Settings in which every joint has numbers of its own.
+    /// Settings with different values for all joints.
     fn settings() -> DaemonSettings {
         let mut settings = Config::embedded().expect("settings").daemon;
         for i in 0..NU {
@@ -90,7 +90,7 @@ mod tests {
         settings
     }
 
-    /// Numbers of their own in every row.
+    /// State with a different value in each row.
     fn moving() -> State {
         State::from_fn(|i, _| 0.1 + 0.05 * i as f64 * if i % 2 == 0 { 1.0 } else { -1.0 })
     }
@@ -110,7 +110,7 @@ mod tests {
             let expected = match row {
                 row if row < NU => pose[row],
                 row if (NQ..NQ + NU).contains(&row) => 0.0,
-                // The pendulum is where it is.
+                // The pendulum has its measured state.
                 _ => x[row],
             };
             assert_eq!(x_d[row], expected, "row {row}");
@@ -127,7 +127,7 @@ mod tests {
     #[test]
     fn a_stop_decelerates_each_joint_as_set_on_a_parabola() {
         let (settings, x) = (settings(), moving());
-        // In cycles, and where one cycle is longer than the way to rest.
+        // In steps of a cycle, and in steps longer than the motion to rest.
         for elapsed in [125e-6, 7e-3, 0.05, 1.0] {
             let mut arm = ArmReference::moving(&x);
             for cycle in 1..=(0.4 / elapsed) as usize + 1 {
@@ -141,13 +141,13 @@ mod tests {
                     assert!((x_d[i] - q).abs() < 1e-9, "{elapsed} s, joint {}: {} not {q}", i + 1, x_d[i]);
                     assert!((x_d[NQ + i] - qd).abs() < 1e-9, "{elapsed} s, joint {}", i + 1);
                     let expected = if t < rest { -v.signum() * a } else { 0.0 };
-                    // Where rest comes at the end of a cycle, rounding decides.
+                    // If rest comes exactly at the end of a cycle, rounding decides.
                     let open = (cycle as f64 * elapsed - rest).abs() < 1e-9;
                     assert!(open || u_d[i] == expected, "{elapsed} s, joint {}", i + 1);
                     assert!(open || t < rest || x_d[NQ + i] == 0.0, "{elapsed} s, joint {}: at rest", i + 1);
                 }
             }
-            // The feedback follows the way, not only its end.
+            // The feedback follows the moving reference, not only its end.
             let x = State::zeros();
             let arm = ArmReference::moving(&moving());
             let u = arm.input(&settings.hold, &x, &ActuatedVector::zeros());
@@ -190,7 +190,7 @@ mod tests {
         ] {
             assert_eq!(arm.is_settled(x, (begin + ms) * MS), expected, "after {ms} ms");
         }
-        // Another stop begins anew.
+        // Another stop starts the time anew.
         let mut arm = ArmReference::moving(&at_rest());
         assert!(!arm.is_settled(&still, (begin + 155) * MS));
         assert!(arm.is_settled(&still, (begin + 205) * MS));

@@ -1,4 +1,4 @@
-//! The controller: one control cycle as a pure function of its input and its own state. The same code runs on every clock, in the
+//! Controller: one control cycle as a pure function of its input and its own state. The same code runs on every clock, in the
 //! daemon, in replays and in simulations in one process.
 //!
 //! ```text
@@ -26,16 +26,16 @@ use upswing_ipc::{Clock, Command, Measurement, Mode, Step, Telemetry};
 use upswing_model::{ActuatedVector, JointFriction, JointParts, Model, NU, State, StateParts, Workspace};
 use upswing_trajectory::Plan;
 
-/// The command of the last cycle; zero where the brakes were closed.
+/// Command of the last cycle; zero while the brakes were closed.
 #[derive(Clone, Debug, Default)]
 struct LastCommand {
-    /// N m.
+    /// Torques, N m.
     tau: ActuatedVector,
-    /// The motion for which it was computed; none if the limiter cut it.
+    /// Motion for which the command was computed; `None` if the limiter cut it.
     motion: Option<CommandedMotion>,
 }
 
-/// Observer, supervisor and control law.
+/// Controller of the robot: observer, supervisor and control law.
 #[derive(Clone, Debug)]
 pub struct Controller {
     model: Model,
@@ -57,24 +57,24 @@ pub struct Controller {
     disturbance: Disturbance,
     standstill: Standstill,
     checks: Checks,
-    /// How long a torque has acted on the arm that is large enough for a collision, s.
+    /// Time for which the unexplained torque on the arm has been large enough for a collision, s.
     pressed: f64,
     /// Whether the plant measures the load behind closed brakes.
     load_sensed: bool,
 
     mode: ActiveMode,
-    /// The limit that led to the last Fault or Stop; kept until the next enable, start or reset.
+    /// Trip that led to the last Fault or Stop; kept until the next enable, start or reset.
     trip: Option<Trip>,
     shutting_down: bool,
-    /// Largest number of cycles in which the torque still approaches that of the mode.
+    /// Largest number of cycles for which the torque may still approach that of the mode.
     blend_cycles: u64,
     loaded: Option<LoadedPlan>,
-    /// Plans of this step that are not needed any more.
+    /// Plans that this step no longer needs, to be freed by the caller.
     retired: [Option<Box<Plan>>; 2],
 }
 
 impl Controller {
-    /// A controller in mode Idle that has measured nothing yet.
+    /// Creates a controller in mode Idle without a measurement.
     pub fn new(config: &Config) -> Self {
         let (robot, daemon) = (&config.robot, &config.daemon);
         let tau_max = robot.limits.tau_max;
@@ -109,17 +109,17 @@ impl Controller {
         }
     }
 
-    /// The mode after the last cycle.
+    /// Mode after the last cycle.
     pub fn mode(&self) -> Mode {
         self.mode.mode()
     }
 
-    /// The limit that led to the last Fault or Stop; kept until the next enable, start or reset.
+    /// Trip that led to the last Fault or Stop; kept until the next enable, start or reset.
     pub fn trip(&self) -> Option<&Trip> {
         self.trip.as_ref()
     }
 
-    /// The state x = [q, qd] of the last cycle: measured angles (rad) and estimated velocities (rad/s).
+    /// State x = [q, qd] of the last cycle: measured angles (rad) and estimated velocities (rad/s).
     pub fn state(&self) -> &State {
         &self.observer.x
     }
@@ -132,14 +132,14 @@ impl Controller {
         let StepInput { measurement, now_ns, late_cycles, lost_cycles, restarted, request } = input;
         self.checks.begin_cycle();
         self.lose_plant(restarted, lost_cycles);
-        // Before a plant shows its clock no time passes: that of a paced one will begin at 0.
+        // No time passes before the plant states its clock: the time of a paced clock will begin at 0.
         let wall = measurement.shown_clock().is_some_and(Clock::is_real_time);
         let plant_ns = if wall { now_ns } else { measurement.seq.saturating_mul(measurement.period_ns) };
         let elapsed = plant_ns.saturating_sub(self.now_ns) as f64 * 1e-9;
         self.now_ns = plant_ns;
 
         let is_new = self.observe(&measurement, now_ns, elapsed);
-        // Without a new measurement it is a cycle on the wall clock only, on the others a request between cycles.
+        // A step without a new measurement is a cycle on the wall clock only; on other clocks it answers a request between cycles.
         self.cycle += u64::from(is_new || wall);
         if let Some(trip) = self.checks.late(late_cycles) {
             self.trip_to_stop(trip);
@@ -184,7 +184,7 @@ impl Controller {
 
     // From encoders to x, and to the trips that follow from a measurement.
 
-    /// Trips to Fault if the plant has `restarted` or its measurements have not come for `lost_cycles`.
+    /// Trips to Fault if the plant has `restarted` or no measurement has come for `lost_cycles` cycles.
     fn lose_plant(&mut self, restarted: bool, lost_cycles: u64) {
         if restarted {
             let trip = self.observer.restart();
@@ -198,8 +198,8 @@ impl Controller {
         }
     }
 
-    /// Takes in the measurement, `elapsed` s after the last step, and trips to Fault where it, the drives or the motion of the arm
-    /// cannot be trusted. Returns whether the measurement is new.
+    /// Takes the measurement, `elapsed` s after the last step, and trips to Fault if the measurement, the drives or the motion of
+    /// the arm cannot be trusted. Returns whether the measurement is new.
     fn observe(&mut self, measurement: &Measurement, now_ns: u64, elapsed: f64) -> bool {
         let first = self.observer.is_new();
         let braked = self.mode.is_braked();
@@ -222,7 +222,7 @@ impl Controller {
         if let Some(trip) = restarted.or(self.observer.unfit).or(stuck).or(collision) {
             self.trip_to_fault(trip);
         }
-        // Another plant, another time: a plan ages by its clock from here.
+        // Another plant has another time: from here, the age of a plan counts on its clock.
         if is_new
             && (first || restarted.is_some())
             && let Some(loaded) = &mut self.loaded
@@ -232,7 +232,7 @@ impl Controller {
         is_new
     }
 
-    /// Closed brakes: where the plant measures the load that they hold, the part of it that gravity does not explain is the
+    /// Closed brakes: if the plant measures the load that they hold, its part that gravity does not explain becomes the
     /// disturbance estimate with which Hold begins.
     fn weigh_load(&mut self, measurement: &Measurement, is_new: bool) {
         const HELD: u64 = Measurement::BRAKES_CLOSED | Measurement::LOAD_SENSED;
@@ -241,7 +241,7 @@ impl Controller {
         if measurement.status & HELD != HELD || self.observer.unfit.is_some() {
             self.disturbance.reset();
         } else if is_new {
-            // The arm is at rest, whatever the encoders' noise is; the pendulum may swing.
+            // The arm is at rest, so that the noise of its velocities is left out; the pendulum may swing.
             let mut x = self.observer.x;
             x.qd_a_mut().fill(0.0);
             let explained = self.model.torque(&x, &ActuatedVector::zeros(), &mut self.work);
@@ -250,24 +250,24 @@ impl Controller {
         }
     }
 
-    /// Open brakes: updates the disturbance estimate, `elapsed` s after the last step. Returns the trip for a large torque that has
-    /// acted on the arm for too long.
+    /// Open brakes: updates the disturbance estimate, `elapsed` s after the last step. Returns the trip for a large unexplained torque
+    /// that has lasted too long.
     fn collision(&mut self, elapsed: f64) -> Option<Trip> {
         let v = self.observer.filtered.actuated();
         self.disturbance.update(&v, self.last.motion.as_ref(), elapsed);
         let unexplained = self.checks.unexplained(self.disturbance.unexplained());
-        // Drives that do not act leave all of the command unexplained; that has a limit of its own.
+        // Drives that do not act leave the whole command unexplained; a limit of their own covers them.
         let pressed = unexplained.is_some() && self.observer.drives_act();
         self.pressed = if pressed { self.pressed + elapsed } else { 0.0 };
         unexplained.filter(|_| self.pressed >= self.checks.collision_time())
     }
 
-    /// The trip for an angle, or a whole measurement, that does not change although the command must have changed it.
+    /// Returns the trip for an angle, or a whole measurement, that does not change although the command must have changed it.
     fn stuck_encoder(&mut self, measurement: &Measurement, is_new: bool, braked: bool) -> Option<Trip> {
         if self.checks.warnings().contains(TripCause::EncoderJump) {
             self.standstill.jumped();
         }
-        // Joints that the brakes hold have a reason to stand.
+        // Joints that the brakes hold do not move.
         if braked || !self.observer.drives_act() {
             self.standstill.reset();
             return None;
@@ -284,7 +284,7 @@ impl Controller {
 
     // Setpoint of the mode.
 
-    /// Track and Balance: u = u_d + K (x - x_d). `None` in other modes, and where the plan ends in Hold or trips to Stop.
+    /// Track and Balance: u = u_d + K (x - x_d). `None` in other modes, and if the plan ends in Hold or trips to Stop.
     fn follow_plan(&mut self) -> Option<Setpoint> {
         self.finish_plan();
         let setpoint = match &self.mode {
@@ -313,8 +313,8 @@ impl Controller {
         }
     }
 
-    /// Hold and Stop: the arm follows its reference, `elapsed` s after the last step. `None` in other modes, and where the arm comes to
-    /// rest for good or trips to Fault.
+    /// Hold and Stop: the arm follows its reference, `elapsed` s after the last step. `None` in other modes, and when the arm is at
+    /// rest for a shutdown or trips to Fault.
     fn keep_arm(&mut self, elapsed: f64) -> Option<Setpoint> {
         let x = self.observer.x;
         let mut u_d = ActuatedVector::zeros();
@@ -341,7 +341,7 @@ impl Controller {
         }
     }
 
-    /// Idle and Fault: the brakes hold the arm where it is.
+    /// Idle and Fault: the brakes hold the arm in place.
     fn no_motion(&self) -> Setpoint {
         let none = ActuatedVector::zeros();
         Setpoint { x_d: self.observer.x, u_d: none, u: none, t_plan: 0.0 }
@@ -349,10 +349,10 @@ impl Controller {
 
     // From the setpoint to the command.
 
-    /// (24) and the limiter; no torque with closed brakes.
+    /// Torque law (24) and limiter; no torque with closed brakes.
     ///
     /// # Errors
-    /// The [`Trip`] for a torque that is not finite, or that no drive should follow.
+    /// The [`Trip`] for a torque that is not finite, or that changes too fast.
     fn torque(&mut self, setpoint: &Setpoint) -> Result<Torque, Trip> {
         if self.mode.is_braked() {
             return Ok(Torque::default());
@@ -366,7 +366,7 @@ impl Controller {
         let motion = CommandedMotion { qdd: torque.qdd, reduced_inertia: inertia.reduced };
         self.last = LastCommand { tau: torque.tau, motion: (!torque.limited).then_some(motion) };
         if self.blend_cycles > 0 {
-            // The torque is not the one of u yet, and the brakes may still be opening.
+            // The torque does not belong to u yet, and the brakes may still be opening.
             self.standstill.reset();
         } else {
             let qd = self.observer.filtered.actuated();
@@ -375,8 +375,8 @@ impl Controller {
         Ok(torque)
     }
 
-    /// A mode begins with the torque of the last one (none, where the brakes held) and approaches its own without a step;
-    /// from then on a step is a trip.
+    /// Blends the torque at the begin of a mode, from the last torque (none after closed brakes) to that of the mode without a
+    /// step; from then on a step is a trip.
     fn blend(&mut self, torque: Torque) -> Result<Torque, Trip> {
         if self.blend_cycles > 0 {
             let near = torque.near(&self.last.tau, &self.checks.torque_step());
@@ -386,7 +386,7 @@ impl Controller {
         self.checks.torque_rate(&self.last.tau, &torque.tau).map_or(Ok(torque), Err)
     }
 
-    /// The telemetry of this cycle.
+    /// Assembles the telemetry of this cycle.
     fn telemetry(
         &self,
         measurement: &Measurement,

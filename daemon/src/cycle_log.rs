@@ -1,4 +1,4 @@
-//! The log of the cycles in the service thread: telemetry to publish, statistics, warnings, the flight recorder.
+//! Log of the control cycles in the service thread: telemetry to publish, statistics, warnings, flight recorder.
 
 use crate::flight::FlightRecorder;
 use crate::histogram::Histogram;
@@ -13,17 +13,17 @@ use upswing_ipc::{
     Clock, ControlResponse, IpcError, Mode, Node, Publisher, StepBatch, Telemetry, TelemetryBatch, Text,
 };
 
-/// Oldest telemetry that waits for a batch to fill.
+/// Longest time for which telemetry waits for its batch to fill.
 const FLUSH: Duration = Duration::from_millis(5);
-/// What the flight recorder keeps, s.
+/// Time span of a flight record, s.
 const FLIGHT: f64 = 2.0;
-/// Shortest time between two logged overruns; all are counted.
+/// Shortest time between two logged overruns; all overruns are counted.
 const OVERRUN_LOG: Duration = Duration::from_secs(1);
 
-/// The log of the cycles since the start of the daemon.
+/// Log of the control cycles since the start of the daemon.
 pub struct CycleLog<'a> {
     settings: &'a DaemonSettings,
-    /// The newest record.
+    /// The newest record; `None` before the first.
     pub newest: Option<CycleRecord>,
     /// Time of the last record with a new measurement.
     pub sign_of_life: Instant,
@@ -35,20 +35,20 @@ pub struct CycleLog<'a> {
     batch_begin: Instant,
     wake: Histogram,
     compute: Histogram,
-    /// Since the last [`CycleLog::forget_warnings`].
+    /// Warnings since the last [`CycleLog::forget_warnings`], bits as in [`Telemetry`].
     warnings: u64,
     watch: Option<ThreadWatch>,
     overrun: Option<(Overrun, Instant)>,
     recorder: FlightRecorder,
-    /// Path of the last flight record, or why there is none; for the operator.
+    /// Message to the operator: path of the last flight record, or why it could not be written; empty if there is none.
     flight: String,
 }
 
 impl<'a> CycleLog<'a> {
-    /// A log without a cycle.
+    /// Creates a log without a cycle.
     ///
     /// # Errors
-    /// If nothing can be published.
+    /// [`IpcError`] if a publisher cannot be created.
     pub fn new(settings: &'a DaemonSettings, node: &Node) -> Result<Self, IpcError> {
         Ok(Self {
             settings,
@@ -69,7 +69,7 @@ impl<'a> CycleLog<'a> {
         })
     }
 
-    /// Reads the kernel's counters of the real-time thread `tid` from here on.
+    /// Reads the kernel's counters of the real-time thread `tid` from now on.
     pub fn watch(&mut self, tid: u32) {
         match ThreadWatch::new(tid) {
             Ok(watch) => self.watch = Some(watch),
@@ -87,7 +87,7 @@ impl<'a> CycleLog<'a> {
         self.newest.map_or(0, |record| record.telemetry.plan_id)
     }
 
-    /// Warnings count from here.
+    /// Clears the warnings.
     pub fn forget_warnings(&mut self) {
         self.warnings = 0;
     }
@@ -103,7 +103,7 @@ impl<'a> CycleLog<'a> {
         if self.batch_begin.elapsed() >= FLUSH { self.flush(dropped) } else { Ok(()) }
     }
 
-    /// Adds a record. `dropped`: records lost so far.
+    /// Adds a record to the log. `dropped`: records lost so far.
     ///
     /// # Errors
     /// If telemetry cannot be published.
@@ -116,7 +116,7 @@ impl<'a> CycleLog<'a> {
         if telemetry.measurement_seq != last_measured {
             self.sign_of_life = Instant::now();
         }
-        // Orders between cycles give a record too, but that is no cycle.
+        // Steps between cycles give a record, too, but count as no cycle.
         let is_cycle = telemetry.seq != last_seq;
         if is_cycle {
             self.recorder.push(telemetry);
@@ -133,12 +133,12 @@ impl<'a> CycleLog<'a> {
         if self.batch.is_full() || self.step_batch.is_full() { self.flush(dropped) } else { Ok(()) }
     }
 
-    /// Publishes all telemetry that waits.
+    /// Publishes all telemetry that waits. `dropped`: records lost so far.
     ///
     /// # Errors
     /// If telemetry cannot be published.
     pub fn flush(&mut self, dropped: u64) -> Result<(), IpcError> {
-        // Steps first: who has a cycle can have the step that gave it.
+        // Steps first: a subscriber that has a cycle then can have the step that computed it.
         let mut sent = Ok(());
         if self.step_batch.count > 0 {
             sent = self.steps.publish(&self.step_batch);
@@ -146,14 +146,14 @@ impl<'a> CycleLog<'a> {
         }
         if self.batch.count > 0 {
             self.batch.dropped = dropped;
-            // One that fails does not keep the other from being sent.
+            // An error of the steps does not prevent the telemetry from being sent.
             sent = sent.and(self.telemetry.publish(&self.batch));
             self.batch.clear();
         }
         sent
     }
 
-    /// Statistics and warnings.
+    /// Counts a cycle in the statistics and warnings.
     fn count(&mut self, telemetry: &Telemetry) {
         let compute = telemetry.read_ns + telemetry.compute_ns + telemetry.write_ns;
         let clock = telemetry.clock();
@@ -173,7 +173,7 @@ impl<'a> CycleLog<'a> {
         }
     }
 
-    /// Logs an overrun with its causes; of many in short time the first only.
+    /// Logs an overrun with its causes, unless another was logged within [`OVERRUN_LOG`].
     fn log_overrun(&mut self, telemetry: &Telemetry) {
         if self.overrun.as_ref().is_some_and(|(_, seen)| seen.elapsed() < OVERRUN_LOG) {
             return;
@@ -184,7 +184,7 @@ impl<'a> CycleLog<'a> {
         self.overrun = Some((overrun, Instant::now()));
     }
 
-    /// Logs a change of the mode; at a fault it saves the flight record.
+    /// Logs a change of the mode; saves the flight record at a fault.
     fn log_mode_change(&mut self, before: Mode, record: &CycleRecord) {
         let mode = self.mode();
         if mode == before {
@@ -210,7 +210,7 @@ impl<'a> CycleLog<'a> {
         }
     }
 
-    /// The limit that led to the last Fault or Stop, and the path of the flight record; empty if there is none.
+    /// Message about the last Fault or Stop: its trip, and the path of the flight record; empty if there is none.
     pub fn remark(&self) -> String {
         let trip = self.newest.and_then(|record| record.trip);
         let told = trip.map(|trip| format!("tripped: {trip}"));
@@ -218,7 +218,7 @@ impl<'a> CycleLog<'a> {
         told.into_iter().chain(flight.cloned()).collect::<Vec<_>>().join("; ")
     }
 
-    /// What the operator can do next.
+    /// Next action that is open to the operator.
     pub fn next_action(&self) -> String {
         let remedy = match &self.newest {
             None => Some(TripCause::NoMeasurement.remedy()),
@@ -227,7 +227,7 @@ impl<'a> CycleLog<'a> {
         remedy.map_or_else(|| self.mode().next_action().to_string(), str::to_owned)
     }
 
-    /// The fields of a response that follow from the cycles.
+    /// Fills the fields of a response that follow from the cycles.
     pub fn respond(&self) -> ControlResponse {
         let record = self.newest;
         let telemetry = record.map(|record| record.telemetry).unwrap_or_default();

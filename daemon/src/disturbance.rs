@@ -1,23 +1,23 @@
-//! The disturbance estimate: the torque that acts on joints 1 to 7 besides the commanded one and that the model does not explain
+//! Disturbance estimate: the torque on joints 1 to 7 besides the commanded one that the model does not explain
 //! (friction, another mass, an offset of a torque sensor). It is subtracted from the command.
 //!
 //! The torque law (24) with tau = M~ u + ... - tau^ makes the arm follow M~ (qdd_A - u) = tau_d - tau^ with an unknown
-//! tau_d. The filtered velocity v lags by T_1; with u and tau^ made to lag alike (u_f, tau^_f),
-//! tau^' = L (M~ (v' - u_f) + tau^_f - tau^) is tau^ = L / (s + L) 1 / (T_1 s + 1) tau_d: it knows a constant tau_d after
-//! a few 1 / L, and an exact model gives tau^ = 0. It is a torque that is kept, not an acceleration: where M~ is nearly
-//! singular (q2 near 0, axes 1 and 3 parallel) the acceleration that belongs to it changes quickly. The paper does without.
+//! tau_d. The filtered velocity v lags by T_1; with u and tau^ filtered by the same lag (u_f, tau^_f),
+//! tau^' = L (M~ (v' - u_f) + tau^_f - tau^) is tau^ = L / (s + L) 1 / (T_1 s + 1) tau_d: it converges to a constant tau_d within
+//! a few 1 / L, and an exact model gives tau^ = 0. The state is a torque, not an acceleration: where M~ is nearly
+//! singular (q2 near 0, axes 1 and 3 parallel), the corresponding acceleration changes quickly. The paper has no such estimate.
 //!
 //! L is a function of M~, L(M~) = L_heavy + (L_light - L_heavy) m (M~ + m)^-1, so that each direction has the bandwidth of its
-//! inertia: a light one is accelerated more by the same torque, and the noise of its velocity is that of a smaller torque.
+//! inertia: a torque accelerates a light direction more, and the noise of its velocity is the noise of a smaller torque.
 //!
-//! Near q2 = 0 half a newton metre accelerates so much that L is too slow when the brakes open. Torque sensors on the side of the
-//! links see the load that the brakes hold: what gravity does not explain of it is tau_d before anything moves.
+//! Near q2 = 0, 0.5 N m accelerate the arm so much that L is too slow when the brakes open. Torque sensors on the link side
+//! measure the load that the brakes hold: its part that gravity does not explain is tau_d before anything moves.
 
 use nalgebra::Cholesky;
 use upswing_config::DisturbanceSettings;
 use upswing_model::{ActuatedMatrix, ActuatedVector, JointParts, JointVector, NU};
 
-/// The motion for which a command was computed.
+/// Motion for which a command was computed.
 #[derive(Clone, Copy, Debug)]
 pub struct CommandedMotion {
     /// qdd = [u, qdd_U], rad/s^2.
@@ -26,30 +26,30 @@ pub struct CommandedMotion {
     pub reduced_inertia: ActuatedMatrix,
 }
 
-/// The estimate and its memory.
+/// Disturbance estimate with its filter states.
 #[derive(Clone, Debug)]
 pub struct Disturbance {
-    /// L_heavy and L_light, and the m between them.
+    /// L_heavy, L_light, and the inertia m at their mean.
     settings: DisturbanceSettings,
-    /// Largest tau^, N m: what is more is no disturbance but a collision, or nonsense.
+    /// Largest tau^, N m: a larger torque is a collision or a fault, not a disturbance.
     most: ActuatedVector,
-    /// T_1, s.
+    /// Time constant T_1 of the velocity filter, s.
     time_constant: f64,
-    /// tau^ and tau^_f, N m.
+    /// tau^, N m.
     estimate: ActuatedVector,
-    /// tau^ without a limit, N m.
+    /// tau^ without its limit, N m, with the bandwidth L_heavy.
     unlimited: ActuatedVector,
     lagging_estimate: ActuatedVector,
     /// u_f, rad/s^2.
     lagging_input: ActuatedVector,
-    /// The last v, rad/s; none before the first.
+    /// The last v, rad/s; `None` before the first.
     last: Option<ActuatedVector>,
-    /// Since when loads have been taken in, s.
+    /// Time over which loads have been averaged, s.
     weighed: f64,
 }
 
 impl Disturbance {
-    /// With the largest estimate `most` (N m), and the time constant T_1 (s) of the velocity filter.
+    /// Creates an estimate of 0 with the limit `most` (N m) and the time constant T_1 (s) of the velocity filter.
     pub fn new(settings: &DisturbanceSettings, most: ActuatedVector, time_constant: f64) -> Self {
         let none = ActuatedVector::zeros();
         Self {
@@ -65,24 +65,24 @@ impl Disturbance {
         }
     }
 
-    /// tau^, N m.
+    /// The estimate tau^, N m.
     pub fn estimate(&self) -> &ActuatedVector {
         &self.estimate
     }
 
-    /// What acts besides the command however large it is, N m: tau^ without its limit.
+    /// The unexplained torque, N m: tau^ without its limit.
     pub fn unexplained(&self) -> &ActuatedVector {
         &self.unlimited
     }
 
-    /// Forgets everything: the brakes hold.
+    /// Resets the estimate to 0, for closed brakes.
     pub fn reset(&mut self) {
         *self = Self::new(&self.settings, self.most, self.time_constant);
     }
 
-    /// Takes in the torque `d` that acts on an arm at rest behind closed brakes, N m, `elapsed` (s) after the last one: the
-    /// mean of what there is, later with the bandwidth L. More than the largest estimate on any joint is no offset of a
-    /// sensor (a wrong model, a robot that leans on something), and not used.
+    /// Updates the estimate with the torque `d` (N m) on an arm at rest behind closed brakes, `elapsed` (s) after the previous one:
+    /// first as a mean, later with the bandwidth L. A torque beyond the largest estimate on any joint is no offset of a
+    /// sensor (a wrong model, a robot that leans on something) and resets the estimate.
     pub fn weigh(&mut self, d: &ActuatedVector, elapsed: f64) {
         if self.settings.bandwidth == 0.0 || !(elapsed > 0.0) {
             return;
@@ -98,9 +98,9 @@ impl Disturbance {
         (self.estimate, self.unlimited, self.lagging_estimate) = (estimate, estimate, estimate);
     }
 
-    /// Takes in the filtered velocity `v` (rad/s), `elapsed` (s) after the last one. `motion`: the motion for which the command in
-    /// between was computed; `None` if the torque limiter cut the command, so that the arm moved otherwise: then the estimate
-    /// waits.
+    /// Updates the estimate with the filtered velocity `v` (rad/s), `elapsed` (s) after the previous one. `motion`: the motion for
+    /// which the command in between was computed; `None` if the torque limiter cut the command, so that the arm moved otherwise:
+    /// then the estimate stays as it is.
     pub fn update(&mut self, v: &ActuatedVector, motion: Option<&CommandedMotion>, elapsed: f64) {
         if self.settings.bandwidth == 0.0 || !(elapsed > 0.0) {
             return;
@@ -118,7 +118,7 @@ impl Disturbance {
         self.estimate = estimate.inf(&self.most).sup(&-self.most);
     }
 
-    /// How much of `change` (N m) is taken in after `elapsed` s, for the inertia M~ (kg m^2).
+    /// Part of `change` (N m) by which the estimate changes in `elapsed` s, for the inertia M~ (kg m^2).
     fn share(&self, inertia: &ActuatedMatrix, change: &ActuatedVector, elapsed: f64) -> ActuatedVector {
         let DisturbanceSettings { bandwidth, light_bandwidth, light_inertia, .. } = self.settings;
         let [heavy, light] = [bandwidth, light_bandwidth].map(|l| -(-elapsed * l).exp_m1());
@@ -146,19 +146,19 @@ mod tests {
     const T_1: f64 = 0.012;
     const L: f64 = 40.0;
 
-    /// The motion of the input `u` with the inertia M~.
+    /// Returns the commanded motion with the input `u` (rad/s^2) and the inertia M~ (kg m^2).
     fn motion(u: &ActuatedVector, reduced_inertia: ActuatedMatrix) -> CommandedMotion {
         let mut qdd = JointVector::zeros();
         qdd.actuated_mut().copy_from(u);
         CommandedMotion { qdd, reduced_inertia }
     }
 
-    /// The same bandwidth in all directions.
+    /// Settings with the same bandwidth in all directions.
     fn settings() -> DisturbanceSettings {
         DisturbanceSettings { bandwidth: L, light_bandwidth: L, light_inertia: 0.05, most: 1.0 }
     }
 
-    /// Joints 1 to 7 under a changing input and the torque `d` on top of it, with the filter of the velocity; the largest
+    /// Simulates joints 1 to 7 under a changing input and the torque `d`, with the velocity filter. Returns the largest
     /// difference between the estimate and `d` after `seconds`, N m, and the estimate.
     fn after(seconds: f64, d: &ActuatedVector, settings: &DisturbanceSettings) -> (f64, ActuatedVector) {
         let config = Config::embedded().expect("embedded settings");
@@ -202,7 +202,7 @@ mod tests {
     #[test]
     fn a_constant_torque_is_known_after_a_few_time_constants() {
         let d = ActuatedVector::from_column_slice(&[3.0, -2.0, 1.0, 0.5, 0.1, -0.2, 0.05]);
-        // 1 - exp(-t L), later by the lag of the filter.
+        // 1 - exp(-t L), delayed by the filter.
         let early = after(1.0 / L, &d, &settings()).1[0];
         assert!(early > 0.3 * d[0] && early < 0.7 * d[0], "{early} of {} N m after 1 / L", d[0]);
         let (left, _) = after(0.3, &d, &settings());
@@ -213,12 +213,12 @@ mod tests {
     fn what_is_light_is_known_sooner_and_what_is_heavy_as_before() {
         let faster = DisturbanceSettings { light_bandwidth: 10.0 * L, ..settings() };
         assert!(after(0.3, &ActuatedVector::zeros(), &faster).0 < 0.05, "an exact model leaves nothing");
-        // The last joint has 0.002 kg m^2.
+        // Joint 7 has 0.002 kg m^2.
         let d = ActuatedVector::from_column_slice(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.05]);
         let share = |settings| after(1.0 / L, &d, settings).1[6] / d[6];
         let (same, sooner) = (share(&settings()), share(&faster));
         assert!(same < 0.5 && sooner > 0.65, "{same} and {sooner} of it after 1 / L");
-        // In a direction of the mean inertia the bandwidth is the mean of both.
+        // For the inertia m the bandwidth is the mean of both.
         let estimate = Disturbance::new(&faster, ActuatedVector::repeat(30.0), T_1);
         for (inertia, bandwidth) in [(1e-6, 10.0 * L), (faster.light_inertia, 5.5 * L), (1e6, L)] {
             let inertia = ActuatedMatrix::from_diagonal_element(inertia);

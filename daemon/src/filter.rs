@@ -9,26 +9,26 @@ use upswing_model::JointVector;
 /// sample sets z = q, so that v = 0.
 #[derive(Clone, Debug)]
 pub struct DifferentialFilter {
-    /// T_s, s.
+    /// Cycle time T_s, s.
     period: f64,
-    /// T_1, s.
+    /// Time constant T_1, s.
     time_constant: f64,
-    /// z and the last q, rad; none before the first sample.
+    /// z and the last q, rad; `None` before the first sample.
     state: Option<(JointVector, JointVector)>,
 }
 
 impl DifferentialFilter {
-    /// A filter with the cycle T_s = `period` and the time constant T_1, both in s and above 0.
+    /// Creates a filter with the cycle time T_s = `period` and the time constant T_1, both in s and above 0.
     pub fn new(period: f64, time_constant: f64) -> Self {
         Self { period, time_constant, state: None }
     }
 
-    /// Forgets all samples.
+    /// Resets the filter: the next sample is its first.
     pub fn reset(&mut self) {
         self.state = None;
     }
 
-    /// Moves the zero of a joint, so that all of its angles are larger by `offset` (rad); velocities stay.
+    /// Shifts the zero of a joint, so that all its angles grow by `offset` (rad); its velocity does not change.
     pub fn shift(&mut self, joint: usize, offset: f64) {
         if let Some((z, q)) = &mut self.state {
             z[joint] += offset;
@@ -41,7 +41,7 @@ impl DifferentialFilter {
         self.state.as_ref().map(|(_, q)| q)
     }
 
-    /// Takes the sample `q` (rad), `cycles` cycles after the last one; returns v, rad/s.
+    /// Takes the sample `q` (rad), `cycles` cycles after the previous one; returns v, rad/s.
     pub fn update(&mut self, q: &JointVector, cycles: u64) -> JointVector {
         let z = match &self.state {
             None => *q,
@@ -56,25 +56,25 @@ impl DifferentialFilter {
 
 /// Compensates the lag of the differential filter: with v = qd / (T_1 s + 1) and a = qdd / (T_1 s + 1), v + T_1 a = qd.
 ///
-/// The acceleration is the one that the model expects. As far as that is wrong, the sum is wrong by T_1 times the error,
-/// where the filter alone is wrong by T_1 times the whole acceleration.
+/// The model predicts the acceleration. An error of this acceleration causes an error of T_1 times as much in the
+/// velocity, while the filter alone has an error of T_1 times the whole acceleration.
 #[derive(Clone, Debug)]
 pub struct LagCompensation {
-    /// T_s, s.
+    /// Cycle time T_s, s.
     period: f64,
-    /// T_1, s.
+    /// Time constant T_1, s.
     time_constant: f64,
-    /// a, rad/s^2.
+    /// The filtered acceleration a, rad/s^2.
     acceleration: JointVector,
 }
 
 impl LagCompensation {
-    /// For a filter with the cycle T_s = `period` and the time constant T_1, both in s and above 0.
+    /// Creates the compensation for a filter with the cycle time T_s = `period` and the time constant T_1, both in s and above 0.
     pub fn new(period: f64, time_constant: f64) -> Self {
         Self { period, time_constant, acceleration: JointVector::zeros() }
     }
 
-    /// Forgets all accelerations.
+    /// Resets the filtered acceleration to 0.
     pub fn reset(&mut self) {
         self.acceleration = JointVector::zeros();
     }

@@ -1,6 +1,6 @@
-//! The flight recorder: the cycles before a fault, in memory at all times, in a file after a fault.
+//! Flight recorder: keeps the newest cycles in memory, and writes them to a file after a fault.
 //!
-//! A file is a sequence of 8-byte words, little-endian: [`MAGIC`], words of one record, number of records, the records
+//! A flight record is a sequence of 8-byte words, little-endian: [`MAGIC`], words per record, number of records, the records
 //! (fields of [`Telemetry`] in their order, oldest first; the last is the cycle of the fault), then the XXH3 (64 bit) of
 //! all bytes before it.
 
@@ -11,30 +11,30 @@ use upswing_config::RecorderSettings;
 use upswing_ipc::Telemetry;
 use xxhash_rust::xxh3::xxh3_64;
 
-/// The first word: what the file is, and the version of its records.
+/// First word of a flight record: the type of the file, and the version of its records.
 pub const MAGIC: u64 = u64::from_le_bytes(*b"upswfl03");
-/// Ending of the names of its files.
+/// Extension of the file names.
 const EXTENSION: &str = "flight";
 const WORD: usize = 8;
 const RECORD_WORDS: usize = size_of::<Telemetry>() / WORD;
 
-/// The newest cycles; memory is taken once.
+/// Ring of the newest cycles; its memory is allocated once.
 #[derive(Debug)]
 pub struct FlightRecorder {
     ring: Vec<Telemetry>,
     capacity: usize,
-    /// Where the next cycle goes once the ring is full.
+    /// Index of the next cycle in the ring once it is full.
     next: usize,
 }
 
 impl FlightRecorder {
-    /// A recorder of the last `capacity` cycles, at least 1.
+    /// Creates a recorder of the last `capacity` cycles, at least 1.
     pub fn new(capacity: usize) -> Self {
         let capacity = capacity.max(1);
         Self { ring: Vec::with_capacity(capacity), capacity, next: 0 }
     }
 
-    /// Keeps a cycle, instead of the oldest if there is no more room.
+    /// Adds a cycle, in place of the oldest if the ring is full.
     pub fn push(&mut self, record: &Telemetry) {
         if self.ring.len() < self.capacity {
             self.ring.push(*record);
@@ -44,24 +44,24 @@ impl FlightRecorder {
         }
     }
 
-    /// The kept cycles, oldest first.
+    /// The cycles in the ring, oldest first.
     pub fn records(&self) -> impl ExactSizeIterator<Item = &Telemetry> {
         let (newer, older) = self.ring.split_at(self.next);
         (0..self.ring.len()).map(move |i| older.get(i).unwrap_or_else(|| &newer[i - older.len()]))
     }
 
-    /// Writes the kept cycles to a new file in the folder of the settings and removes the oldest files there are too
-    /// many of; the path of the file, `None` if the settings name no folder.
+    /// Writes the cycles to a new file in the folder of the settings, and removes the oldest files beyond the number
+    /// to keep. Returns the path of the file; `None` if the settings name no folder.
     ///
     /// # Errors
-    /// If the folder or the file cannot be written.
+    /// The I/O error if the folder or the file cannot be written.
     pub fn save(&self, settings: &RecorderSettings) -> io::Result<Option<PathBuf>> {
         let Some(directory) = &settings.directory else { return Ok(None) };
         fs::create_dir_all(directory)?;
         let since = std::time::UNIX_EPOCH.elapsed().map_or(0, |time| time.as_millis());
         // Names sort by time.
         let path = directory.join(format!("{since:015}-{}.{EXTENSION}", std::process::id()));
-        // Complete or not there: a reader never sees half a file under the final name.
+        // The file gets its final name when it is complete: no reader sees a part of it.
         let unfinished = path.with_extension("part");
         let header = [MAGIC, RECORD_WORDS as u64, self.ring.len() as u64];
         let words = header.into_iter().chain(self.records().flat_map(Telemetry::words));
@@ -71,7 +71,7 @@ impl FlightRecorder {
         file.write_all(&bytes)?;
         file.sync_all()?;
         fs::rename(&unfinished, &path)?;
-        // What cannot be removed is tried again at the next fault.
+        // A file that cannot be removed is tried again at the next fault.
         let _ = remove_oldest(directory, settings.keep);
         Ok(Some(path))
     }
@@ -87,40 +87,40 @@ fn remove_oldest(directory: &Path, keep: usize) -> io::Result<()> {
     files[..surplus].iter().try_for_each(fs::remove_file)
 }
 
-/// Why a file is no flight record.
+/// Error of a file that cannot be read as a flight record.
 #[derive(Debug, thiserror::Error)]
 pub enum FlightError {
-    /// It cannot be read.
+    /// The file cannot be read.
     #[error("{0}")]
     Io(#[from] io::Error),
-    /// Another kind of file, or another version.
+    /// The file is of another type or version.
     #[error("not a flight record of this version: it begins with {got:016x}, expected {MAGIC:016x}")]
     Magic {
-        /// The first word; 0 if there is none.
+        /// First word of the file; 0 if it is empty.
         got: u64,
     },
-    /// The sizes in it disagree with the size of the file.
+    /// The header states a length that is not the length of the file.
     #[error("flight record of {got} bytes, its header states {expected}")]
     Size {
-        /// By the header.
+        /// Length by the header, bytes.
         expected: u64,
-        /// Of the file.
+        /// Length of the file, bytes.
         got: u64,
     },
-    /// The contents are not those that were written.
+    /// The checksum does not match the contents.
     #[error("flight record damaged: checksum {got:016x}, its contents give {expected:016x}")]
     Checksum {
-        /// Of the contents.
+        /// Checksum of the contents.
         expected: u64,
-        /// In the file.
+        /// Checksum in the file.
         got: u64,
     },
 }
 
-/// Reads a file that [`FlightRecorder::save`] wrote: its cycles, oldest first.
+/// Reads a file written by [`FlightRecorder::save`]; returns its cycles, oldest first.
 ///
 /// # Errors
-/// [`FlightError`] for whatever is no such file.
+/// [`FlightError`] if the file cannot be read or is no valid flight record.
 pub fn read(path: &Path) -> Result<Vec<Telemetry>, FlightError> {
     let bytes = upswing_config::read_file(path)?;
     let words: Vec<u64> = bytes.as_chunks::<WORD>().0.iter().map(|word| u64::from_le_bytes(*word)).collect();

@@ -1,15 +1,15 @@
-//! Durations in a histogram of fixed size.
+//! Histogram of durations, of fixed size.
 
 use upswing_ipc::Percentiles;
 
-/// Buckets per octave: a bucket's upper end is at most 1/16 above any value in it.
+/// Buckets per octave as a power of 2: the upper end of a bucket exceeds any value in it by at most 1/16.
 const SUB_BITS: u32 = 4;
 const SUB: u64 = 1 << SUB_BITS;
-/// Up to 2^36 ns (69 s); what is longer counts in the last bucket.
+/// Largest duration as a power of 2, ns (69 s); longer durations count in the last bucket.
 const LARGEST_BITS: u32 = 36;
 const BUCKETS: usize = ((LARGEST_BITS - SUB_BITS + 1) as usize) << SUB_BITS;
 
-/// How often which duration occurred; logarithmic buckets.
+/// Histogram of durations with logarithmic buckets.
 #[derive(Clone, Debug)]
 pub struct Histogram {
     counts: Box<[u64; BUCKETS]>,
@@ -29,7 +29,7 @@ impl Histogram {
         self.max = self.max.max(ns);
     }
 
-    /// The durations that 50, 99, 99.9 and 99.99 % do not exceed, and the longest, ns.
+    /// Returns the durations that 50, 99, 99.9 and 99.99 % do not exceed, and the longest, ns.
     pub fn percentiles(&self) -> Percentiles {
         let count = self.counts.iter().sum();
         let at = |share: f64| self.percentile(count, share);
@@ -43,8 +43,8 @@ impl Histogram {
         }
     }
 
-    /// How many durations there are in each octave [2^k, 2^(k+1)) ns: pairs of its lower end, ns, and the count, from
-    /// the first to the last octave that has any. 0 ns counts in the first.
+    /// Returns the count of each octave [2^k, 2^(k+1)) ns: pairs of its lower end, ns, and the count, from
+    /// the first to the last octave with a count. 0 ns counts in the first octave.
     pub fn octaves(&self) -> Vec<(u64, u64)> {
         let mut counts = [0; LARGEST_BITS as usize];
         for (bucket, n) in self.counts.iter().enumerate() {
@@ -72,7 +72,7 @@ impl Histogram {
 
 fn bucket(ns: u64) -> usize {
     let ns = ns.min((1 << LARGEST_BITS) - 1);
-    // Below 2 SUB every value has its own bucket.
+    // Values below 2^(SUB_BITS + 1) have a bucket each.
     let octave = (64 - ns.leading_zeros()).saturating_sub(SUB_BITS + 1);
     (u64::from(octave) * SUB + (ns >> octave)) as usize
 }

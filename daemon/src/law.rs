@@ -1,4 +1,4 @@
-//! The torque law (24) and the torque limiter.
+//! Torque law (24) and torque limiter.
 
 use nalgebra::SMatrix;
 use upswing_model::{
@@ -11,17 +11,17 @@ use upswing_model::{
 pub struct Torque {
     /// tau_A, N m; finite and within the limits.
     pub tau: ActuatedVector,
-    /// What the limiter took off, N m.
+    /// Part of the torque that the limiter cut, N m.
     pub cut: ActuatedVector,
     /// Whether the limiter cut at least one joint.
     pub limited: bool,
-    /// qdd = [u, qdd_U] (3a) that belongs to it if nothing was cut, rad/s^2.
+    /// Acceleration qdd = [u, qdd_U] (3a) of the uncut torque, rad/s^2.
     pub qdd: JointVector,
 }
 
 impl Torque {
-    /// The torque on the straight way from `last` to this one that changes no joint by more than `most` (N m). On that way the
-    /// accelerations lie between those of both ends; joint by joint they would not, where M~ is nearly singular.
+    /// Moves from `last` towards this torque on the straight line, as far as no joint changes by more than `most` (N m). On this line
+    /// the accelerations lie between those of both ends; with a limit per joint they would not, if M~ is nearly singular.
     #[must_use]
     pub fn near(self, last: &ActuatedVector, most: &ActuatedVector) -> Self {
         let way = self.tau - last;
@@ -36,14 +36,14 @@ impl Torque {
 /// Inertia of the robot in the state for which a torque was computed, kg m^2.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Inertia {
-    /// M~ (10).
+    /// Reduced inertia M~ (10).
     pub reduced: ActuatedMatrix,
-    /// The columns of M of the unactuated joints.
+    /// Columns of M for the unactuated joints.
     pub unactuated: SMatrix<f64, NQ, N_UNACTUATED>,
 }
 
-/// tau_A = M~ u + C~ qd + g~ (24) at the state `x` (rad, rad/s) for the input `u` (rad/s^2), less the torque that acts
-/// besides (`disturbance`, N m; the paper knows none), limited to +-`tau_max` (N m), and the inertia in `x`; `None` if
+/// Computes tau_A = M~ u + C~ qd + g~ (24) at the state `x` (rad, rad/s) for the input `u` (rad/s^2), minus the `disturbance` torque
+/// (N m; the paper has none), limited to +-`tau_max` (N m), and the inertia in `x`; `None` if
 /// the torque is not finite.
 pub fn torque(
     model: &Model,
@@ -73,14 +73,14 @@ mod tests {
     use upswing_config::Config;
     use upswing_model::{ActuatedVector, JointVector, NU, State, StateParts, Workspace, state};
 
-    /// A state in motion, and an input.
+    /// Returns a state in motion, and an input.
     fn motion() -> (State, ActuatedVector) {
         let q = JointVector::from_fn(|i, _| 0.3 * (i as f64 - 4.0));
         let qd = JointVector::from_fn(|i, _| 0.7 - 0.2 * i as f64);
         (state(&q, &qd), ActuatedVector::from_fn(|i, _| 2.0 - 0.8 * i as f64))
     }
 
-    /// The law for a disturbance and limits.
+    /// Computes the torque for a disturbance and limits, N m.
     fn law(x: &State, u: &ActuatedVector, disturbance: f64, limit: f64) -> Option<Torque> {
         let config = Config::embedded().expect("settings");
         let [disturbance, limit] = [disturbance, limit].map(ActuatedVector::repeat);
@@ -94,11 +94,11 @@ mod tests {
         let model = Config::embedded().expect("settings").model;
         for disturbance in [0.0, 3.0] {
             let Torque { tau, limited, qdd, .. } = law(&x, &u, disturbance, 1e3).expect("finite");
-            // What acts on the arm besides the drives, too.
+            // The disturbance acts on the arm, too.
             let load = JointVector::from_fn(|i, _| if i < NU { tau[i] + disturbance } else { 0.0 });
             let got = model.forward_dynamics(&x.q(), &x.qd(), &load, &mut Workspace::default());
             let error = (got.expect("a solution") - qdd).amax();
-            // Rounding, with inertias of 0.001 to 10 kg m^2.
+            // Rounding errors, with inertias of 0.001 to 10 kg m^2.
             assert!(error < 1e-9 && !limited, "{error:e} rad/s^2");
             assert!((0..NU).all(|i| qdd[i] == u[i]), "{qdd} is not {u}");
         }
@@ -128,11 +128,11 @@ mod tests {
             assert!((near.tau - expected).amax() < 1e-12, "{by}: {}", near.tau);
             assert_eq!((near.limited, near.qdd), (limited, free.qdd), "{by}");
         }
-        // One joint that is far away holds the others back: the accelerations stay between those of both torques.
+        // One joint that is far away slows the others down: the accelerations stay between those of both torques.
         let last = free.tau - ActuatedVector::from_fn(|i, _| if i == 0 { 4.0 } else { 0.4 });
         let way = free.near(&last, &ActuatedVector::repeat(1.0)).tau - last;
         assert!((way - (free.tau - last) * 0.25).amax() < 1e-12, "{way}");
-        // What was cut before stays marked.
+        // A torque that was cut stays marked.
         assert!(law(&x, &u, 0.0, 5.0).expect("finite").near(&free.tau, &(step * 1e3)).limited);
     }
 
@@ -141,7 +141,7 @@ mod tests {
         let (x, mut u) = motion();
         u[3] = f64::NAN;
         assert_eq!(law(&x, &u, 0.0, 1e3), None);
-        // One number that is none is enough.
+        // One NaN is enough.
         let config = Config::embedded().expect("settings");
         for (joint, value) in (0..NU).flat_map(|i| [f64::NAN, f64::INFINITY].map(|value| (i, value))) {
             let (x, u) = motion();

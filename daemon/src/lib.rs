@@ -48,10 +48,10 @@ pub use trip::{fault_text, warning_texts};
 use upswing_ipc::Domain;
 use upswing_process::{Failure, ProcessArgs, shutdown_flag};
 
-/// Runs the daemon until SIGINT, SIGTERM or SIGHUP; the main function of a process.
+/// Runs the daemon until SIGINT, SIGTERM or SIGHUP, as the main function of a process.
 ///
 /// # Errors
-/// [`Failure::BadInput`] for settings or a domain name that cannot be used, otherwise as [`service::serve`].
+/// [`Failure::BadInput`] for invalid settings or an invalid domain name; otherwise the errors of [`service::serve`].
 pub fn run(args: &ProcessArgs) -> Result<(), Failure> {
     let config = args.load()?;
     let domain = Domain::new(&args.domain).map_err(|e| Failure::BadInput(e.to_string()))?;

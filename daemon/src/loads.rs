@@ -1,23 +1,23 @@
-//! Which plan the controller has loaded, as far as its answers tell.
+//! Tracks which plan the controller has loaded, from its answers.
 
 use std::collections::VecDeque;
 
-/// Plans given to the controller, by the numbers of their tickets.
+/// Plans sent to the controller, with the numbers of their requests (tickets).
 #[derive(Debug, Default)]
 pub(crate) struct Loads {
-    /// Id of the plan taken last, 0: none.
+    /// Id of the last plan that the controller accepted; 0: none.
     taken: u64,
-    /// Tickets that wait for their answers, and the ids of their plans.
+    /// Tickets without an answer yet, and the ids of their plans.
     waiting: VecDeque<(u64, u64)>,
 }
 
 impl Loads {
-    /// A plan was given to the controller.
+    /// Notes that a plan was sent to the controller.
     pub(crate) fn ordered(&mut self, ticket: u64, plan: u64) {
         self.waiting.push_back((ticket, plan));
     }
 
-    /// The answer to a ticket came: the id of its plan, if it was for one.
+    /// Notes the answer to a ticket; returns the id of its plan, `None` if the ticket is of no plan.
     pub(crate) fn answered(&mut self, ticket: u64, taken: bool) -> Option<u64> {
         // Answers come in the order of their tickets.
         let (_, plan) = *self.waiting.front().filter(|(waiting, _)| *waiting == ticket)?;
@@ -28,7 +28,7 @@ impl Loads {
         Some(plan)
     }
 
-    /// Id of the plan given last and not refused, 0: none.
+    /// Id of the last plan that was sent and not refused; 0: none.
     pub(crate) fn newest(&self) -> u64 {
         self.waiting.back().map_or(self.taken, |(_, plan)| *plan)
     }
@@ -43,7 +43,7 @@ mod tests {
         let mut loads = Loads::default();
         loads.ordered(1, 10);
         assert_eq!((loads.answered(1, true), loads.newest()), (Some(10), 10));
-        // Two more wait at the same time, and both are refused.
+        // Two more plans wait for answers at the same time, and both are refused.
         loads.ordered(2, 20);
         loads.ordered(4, 30);
         assert_eq!(loads.newest(), 30);

@@ -1,4 +1,4 @@
-//! The modes of the controller, each with the data that only it needs: the reference of the arm in Hold and Stop, the plan in Track
+//! Modes of the controller with their data: the reference of the arm in Hold and Stop, the plan in Track
 //! and Balance.
 
 use crate::arm::ArmReference;
@@ -12,7 +12,7 @@ use upswing_ipc::Mode;
 use upswing_model::{ActuatedVector, JointParts, Model, State, StateParts};
 use upswing_trajectory::{Plan, Reference};
 
-/// The reference that the torque law (24) follows in one cycle, and the input after feedback.
+/// Setpoint of one cycle: the reference of the torque law (24), and the input after feedback.
 pub struct Setpoint {
     /// x_d, rad and rad/s.
     pub x_d: State,
@@ -42,7 +42,7 @@ pub enum ActiveMode {
 }
 
 impl ActiveMode {
-    /// The mode without its data.
+    /// Returns the mode without its data.
     pub fn mode(&self) -> Mode {
         match self {
             Self::Idle => Mode::Idle,
@@ -59,7 +59,7 @@ impl ActiveMode {
         is_braked(self.mode())
     }
 
-    /// Track becomes Balance with the same plan; other modes stay.
+    /// Changes Track to Balance with the same plan; leaves other modes unchanged.
     pub fn balance(&mut self) {
         *self = match std::mem::replace(self, Self::Idle) {
             Self::Track(plan) => Self::Balance(plan),
@@ -67,7 +67,7 @@ impl ActiveMode {
         };
     }
 
-    /// Id of the running plan, 0: none.
+    /// Id of the running plan; 0: none.
     pub fn plan_id(&self) -> u64 {
         match self {
             Self::Track(running) | Self::Balance(running) => running.loaded.plan.id,
@@ -79,23 +79,23 @@ impl ActiveMode {
 /// A plan that waits for its start.
 #[derive(Clone, Debug)]
 pub struct LoadedPlan {
-    /// The plan.
+    /// Checked plan.
     pub plan: Box<Plan>,
-    /// Time since which the controller has had the plan, ns on the plant's clock.
+    /// Time at which the controller received the plan, ns on the plant's clock.
     pub since_ns: u64,
 }
 
 impl LoadedPlan {
-    /// How long the controller has had the plan at the time `now_ns`, s.
+    /// Time for which the controller has had the plan at the time `now_ns`, s.
     pub fn age(&self, now_ns: u64) -> f64 {
         now_ns.saturating_sub(self.since_ns) as f64 * 1e-9
     }
 }
 
-/// A plan that has started.
+/// A plan that was started.
 #[derive(Clone, Debug)]
 pub struct RunningPlan {
-    /// The plan.
+    /// The plan, with the time at which the controller received it.
     pub loaded: LoadedPlan,
     /// Time of the plan's t = 0, ns on the plant's clock.
     start_ns: u64,
@@ -104,31 +104,31 @@ pub struct RunningPlan {
 }
 
 impl RunningPlan {
-    /// Starts a plan whose t = 0 is the time `start_ns`.
+    /// Starts a plan with t = 0 at the time `start_ns`.
     pub fn new(loaded: LoadedPlan, start_ns: u64, model: &Model) -> Self {
         let rod_at_end = model.rod(&loaded.plan.end().x.q());
         Self { loaded, start_ns, rod_at_end }
     }
 
-    /// t at the time `now_ns`, s.
+    /// Time t of the plan at the time `now_ns`, s.
     fn time(&self, now_ns: u64) -> f64 {
         now_ns.saturating_sub(self.start_ns) as f64 * 1e-9
     }
 
-    /// The reference at x_N.
+    /// Reference at the end x_N of the plan.
     pub fn end(&self) -> Reference {
         self.loaded.plan.end()
     }
 
-    /// How the plan ends, once t >= t_F at the time `now_ns`.
+    /// Returns how the plan ends if t >= t_F at the time `now_ns`; otherwise `None`.
     pub fn ending(&self, now_ns: u64) -> Option<Ending> {
         (self.time(now_ns) >= self.loaded.plan.trajectory.t_f).then(|| Ending::of(&self.rod_at_end))
     }
 
-    /// Track: the reference at the time `now_ns`.
+    /// Track: returns the setpoint at the time `now_ns`.
     ///
     /// # Errors
-    /// The [`Trip`] where the robot is too far from the reference, or the pendulum beyond its range.
+    /// The [`Trip`] if the robot is too far from the reference, or the pendulum beyond its range.
     pub fn track(&self, now_ns: u64, x: &State, checks: &mut Checks) -> Result<Setpoint, Trip> {
         let t_plan = self.time(now_ns);
         let reference = self.loaded.plan.reference(t_plan);
@@ -140,10 +140,10 @@ impl RunningPlan {
         }
     }
 
-    /// Balance: the end of the plan with its final gain.
+    /// Balance: returns the setpoint at the end of the plan, with its final gain.
     ///
     /// # Errors
-    /// The [`Trip`] where the rod tilts too far, the arm is too far from x_N or would have to move too fast, or the pendulum is beyond
+    /// The [`Trip`] if the rod tilts too far, the arm is too far from x_N or would have to move too fast, or the pendulum is beyond
     /// its range.
     pub fn balance(
         &self,

@@ -1,4 +1,4 @@
-//! The observer: the state x = [q, qd] from measurements, and the reason why it cannot be trusted, if there is one.
+//! Observer: estimates the state x = [q, qd] from measurements, and decides whether a measurement can be used.
 
 use crate::checks::Checks;
 use crate::filter::{DifferentialFilter, LagCompensation};
@@ -8,54 +8,54 @@ use upswing_config::{CycleSettings, VelocityEstimate};
 use upswing_ipc::{Clock, Measurement};
 use upswing_model::{JointVector, NU, State, state};
 
-/// The first joint of the pendulum, q8: the only one that can turn over.
+/// Index of q8, the first joint of the pendulum: the only joint that can turn over.
 const Q8: usize = NU;
-/// How far past half a turn q8 may be before a turn is dropped, rad: so that a rod held upright does not flicker.
+/// Angle by which q8 may exceed half a turn before a turn is dropped, rad: so that q8 of an upright rod does not alternate.
 const SLACK: f64 = 0.5;
 
-/// Result of taking in a measurement.
+/// Result of taking a measurement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observation {
-    /// Whether the measurement is another one than in the cycle before.
+    /// Whether the measurement differs from that of the previous cycle.
     pub is_new: bool,
-    /// The trip for a plant that has restarted.
+    /// The trip for a restart of the plant; `None` without one.
     pub restarted: Option<Trip>,
 }
 
-/// The newest measurement, filtered and checked.
+/// Observer of the plant: the newest measurement, filtered and checked.
 #[derive(Clone, Debug)]
 pub struct Observer {
-    /// The angles of the newest measurement, rad.
+    /// Angles of the newest measurement, rad.
     measured: JointVector,
     filter: DifferentialFilter,
     lag_compensation: Option<LagCompensation>,
-    /// x = [q, qd], measured and filtered, rad and rad/s.
+    /// x = [q, qd]: measured angles, rad, and filtered velocities with the compensation of their lag, rad/s.
     pub x: State,
-    /// Velocities of the filter alone, rad/s.
+    /// Velocities of the filter without the compensation of their lag, rad/s.
     pub filtered: JointVector,
-    /// The reason why the newest measurement cannot be used.
+    /// The trip for a newest measurement that cannot be used; `None` if it can.
     pub unfit: Option<Trip>,
     /// Whether every drive is powered.
     pub drives_ready: bool,
-    /// `seq` of the newest measurement, and of the newest that entered the filter.
+    /// `seq` of the newest measurement.
     seq: u64,
     filtered_seq: u64,
     /// Code of the plant's clock.
     clock: u64,
     /// Time stamp of the newest measurement, ns.
     t_ns: u64,
-    /// Cycles without a new measurement: one with the next number and a later time stamp.
+    /// Age of the newest measurement, cycles: since the last one with a greater number and a later time stamp.
     age: u64,
-    /// Cycles from the last but one measurement in the filter to the last.
+    /// Cycles between the last two measurements in the filter.
     cycles: u64,
-    /// Cycles in which the drives did not act although the brakes were commanded open.
+    /// Consecutive cycles in which the drives did not act although the brakes were commanded open.
     stopped: u64,
-    /// Whole turns of q8 that do not count any more, rad.
+    /// Whole turns of q8 that were dropped, rad.
     turned: f64,
 }
 
 impl Observer {
-    /// An observer that has seen nothing.
+    /// Creates an observer without a measurement.
     pub fn new(cycle: &CycleSettings) -> Self {
         Self {
             measured: JointVector::zeros(),
@@ -77,24 +77,24 @@ impl Observer {
         }
     }
 
-    /// Whether the brakes are open and the drives powered.
+    /// Whether the brakes are open and the drives powered, or the brakes were commanded closed.
     pub fn drives_act(&self) -> bool {
         self.stopped == 0
     }
 
-    /// Cycles from the last but one measurement to the last.
+    /// Cycles between the last two measurements.
     pub fn cycles(&self) -> u64 {
         self.cycles
     }
 
-    /// Whether no plant was measured yet, or the last one is gone.
+    /// Whether no measurement has come yet, or none since the plant was lost.
     pub fn is_new(&self) -> bool {
         self.seq == 0
     }
 
-    /// Takes in the newest measurement, whether or not it is new. `now_ns`: time of the cycle, which counts on the wall clock
-    /// only. `expected`: qdd for which the last command was computed, rad/s^2, unless the limiter cut it. `braked`: the brakes
-    /// were closed, so that the motion since the last measurement is no fault.
+    /// Takes the newest measurement, whether or not it is new. `now_ns`: time of the cycle, used on the clock `wall`
+    /// only. `expected`: qdd for which the last command was computed, rad/s^2; `None` if the limiter cut it. `braked`: the brakes
+    /// were closed, so that motion since the previous measurement is no fault.
     pub fn observe(
         &mut self,
         measurement: &Measurement,
@@ -142,7 +142,7 @@ impl Observer {
         let last = self.filter.last();
         if let Some(trip) = last.and_then(|last| checks.jump(last, &q, cycles)) {
             self.forget();
-            // Somebody may have moved the robot by other means.
+            // Behind closed brakes, the robot may have been moved by hand.
             self.unfit = self.unfit.or(Some(trip).filter(|_| !braked));
         }
         self.filtered = self.filter.update(&q, cycles);
@@ -151,21 +151,21 @@ impl Observer {
         let lag = lag.map_or_else(JointVector::zeros, |lag| lag.update(&expected, cycles));
         self.x = state(&q, &(self.filtered + lag));
         (self.filtered_seq, self.cycles) = (self.seq, cycles);
-        // The measured motion of the arm, without the accelerations of the model.
+        // The limits apply to the measured motion of the arm, without the accelerations of the model.
         let arm = checks.arm(&state(&q, &self.filtered));
         self.unfit = self.unfit.or(arm);
         Observation { is_new: true, restarted }
     }
 
-    /// The measured angles, q8 without the turns that do not count, rad.
+    /// Measured angles, q8 without the dropped turns, rad.
     pub fn position(&self) -> JointVector {
         let mut q = self.measured;
         q[Q8] -= self.turned;
         q
     }
 
-    /// Drops whole turns of q8: a pendulum that fell over to the other side hangs at 0 again, where plans can begin. Only
-    /// while nothing depends on q8.
+    /// Drops whole turns of q8: a pendulum that fell over to the other side hangs at 0 again, where plans can begin. To be called
+    /// only while no reference contains q8.
     pub fn drop_turns(&mut self) {
         let q8 = self.x[Q8];
         if q8.abs() > PI + SLACK {
@@ -176,7 +176,7 @@ impl Observer {
         }
     }
 
-    /// Forgets a plant that has gone or restarted.
+    /// Resets the observer for a plant that was lost or has restarted; returns the trip.
     pub fn restart(&mut self) -> Trip {
         let trip = Trip::plain(TripCause::MeasurementRestarted);
         self.forget();
@@ -216,7 +216,7 @@ mod tests {
             Self { observer: Observer::new(&config.daemon.cycle), checks: Checks::new(&config) }
         }
 
-        /// Takes a measurement in, in time: the reason not to use it, and whether a restart was noticed.
+        /// Takes a measurement without delay; returns the cause of a trip, and whether a restart was noticed.
         fn take(&mut self, measurement: &Measurement, braked: bool) -> (Option<TripCause>, bool) {
             let now = measurement.t_ns;
             let seen = self.observer.observe(measurement, now, &mut self.checks, None, braked);
@@ -241,7 +241,7 @@ mod tests {
         for clock in [Clock::Wall, Clock::Paced, Clock::Lockstep] {
             for seq in [1, 5000] {
                 let mut seen = Seen::new();
-                // Before it there is nothing that could be old.
+                // Before the first measurement, nothing can be too old.
                 for _ in 0..100 {
                     let none =
                         Measurement { period_ns: PERIOD_NS, clock: clock.code(), ..Measurement::default() };
@@ -257,7 +257,7 @@ mod tests {
     #[test]
     fn another_clock_or_an_earlier_number_is_a_restart_and_forgets_the_plant_before() {
         for (seq, clock) in [(50, Clock::Lockstep), (3, Clock::Paced)] {
-            // The pendulum of the one before has turned; its stamp has stood still as long as it may.
+            // The pendulum of the first plant has turned; its time stamp has stood still for the longest time allowed.
             let mut seen = Seen::new();
             for seq in 1..=20 {
                 seen.take(&measured(seq, 0.1, Clock::Paced), false);
@@ -268,7 +268,7 @@ mod tests {
                 let stuck = Measurement { t_ns: 20 * PERIOD_NS, ..measured(seq, 0.1, Clock::Paced) };
                 assert_eq!(seen.take(&stuck, false), (None, false));
             }
-            // Another time begins at 0.
+            // The time of the second plant begins at 0.
             for k in 0..30 {
                 let next = Measurement { t_ns: k, ..measured(seq + k, 0.2, clock) };
                 assert_eq!(seen.take(&next, false), (None, k == 0), "{clock}, measurement {k}");
@@ -276,7 +276,7 @@ mod tests {
                 assert_eq!(seen.observer.filtered, JointVector::zeros(), "nor is its motion");
                 assert_eq!(seen.observer.cycles(), if k == 0 { seq } else { 1 });
             }
-            // Nor what its drives did.
+            // The inactive drives of the first plant do not count for the second.
             let mut seen = Seen::new();
             seen.take(&measured(1, 0.1, Clock::Paced), false);
             seen.take(&Measurement { status: 0, ..measured(801, 0.1, Clock::Paced) }, false);
@@ -297,13 +297,13 @@ mod tests {
             seen.take(&turned, true);
             seen.observer.drop_turns();
             assert!((seen.observer.x[7] - 0.1).abs() < 1e-12, "{turns}: {}", seen.observer.x[7]);
-            // Nothing moved.
+            // The joint has not moved.
             let next = Measurement { seq: 2, t_ns: 2 * PERIOD_NS, ..turned };
             assert_eq!(seen.take(&next, false), (None, false), "{turns}");
             assert!((seen.observer.position()[7] - 0.1).abs() < 1e-12);
             assert!(seen.observer.filtered.amax() < 1e-9, "{}", seen.observer.filtered);
         }
-        // A rod near the top may be on either side of it.
+        // The pendulum near the top may be on either side of it.
         for angle in [3.6, -3.6] {
             let mut seen = Seen::new();
             seen.take(&measured(1, angle, Clock::Paced), true);
@@ -328,13 +328,13 @@ mod tests {
 
     #[test]
     fn a_stamp_that_does_not_go_on_is_as_old_as_the_measurements_since() {
-        // Backwards is no better than standing still.
+        // A time stamp that goes back counts like one that stands still.
         for back in [0, 1] {
             let mut seen = Seen::new();
             let mut at =
                 |seq, t_ns| seen.take(&Measurement { t_ns, ..measured(seq, 0.1, Clock::Paced) }, false).0;
             assert_eq!([at(1, 1), at(2, u64::MAX)], [None; 2]);
-            // Of two measurements one comes through.
+            // Every second measurement is missed.
             let unfit = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10].map(|k| at(4 + 2 * k, u64::MAX - back * k));
             assert_eq!(unfit[..10], [None; 10], "20 cycles are not too old");
             assert_eq!(unfit[10], Some(TripCause::StaleMeasurement));
@@ -352,7 +352,7 @@ mod tests {
             assert_eq!(seen.take(&bad, true).0, Some(TripCause::NotFinite));
             assert_eq!(seen.observer.x, x);
         }
-        // At the largest speed of the slowest joint in ten cycles; in one it would be a jump.
+        // An angle reached at the speed limit of the slowest joint in ten cycles; in one cycle it would be a jump.
         let q = 0.1 + 10.0 * 125e-6 * 1.3;
         assert_eq!(seen.take(&measured(11, q, Clock::Paced), false), (None, false));
         assert_eq!(seen.observer.cycles(), 10);
@@ -379,7 +379,7 @@ mod tests {
             let next = Measurement { status: Measurement::BRAKES_CLOSED, ..measured(seq, 0.1, Clock::Paced) };
             seen.take(&next, false).0
         };
-        // Every other one is missed; 800 cycles are allowed.
+        // Every second measurement is missed; 800 cycles are allowed.
         assert_eq!((1..=400).find_map(|k| at(1 + 2 * k)), None);
         assert_eq!(at(803), Some(TripCause::DrivesStopped));
     }
@@ -391,7 +391,7 @@ mod tests {
             seen.take(&measured(1, 0.1, Clock::Paced), braked);
             let unfit = seen.take(&measured(2, 0.9, Clock::Paced), braked).0;
             assert_eq!(unfit, (!braked).then_some(TripCause::EncoderJump));
-            // No speed comes of it: the robot was moved by other means.
+            // The jump gives no speed: the robot was moved by other means.
             assert_eq!(seen.observer.filtered, JointVector::zeros());
             assert_eq!(seen.take(&measured(3, 0.9, Clock::Paced), braked), (None, false));
         }

@@ -1,15 +1,15 @@
-//! Scheduler and memory calls.
+//! Calls of the operating system for scheduling and memory.
 
 use std::fs::File;
 use std::io::{Error, ErrorKind, Write};
 use upswing_config::RealtimeSettings;
 use upswing_ipc::Degradation;
 
-/// What has to be there of locked memory if it is limited: the process with all its segments uses less.
+/// Locked memory that a limit must allow, bytes: the process with all its segments uses less.
 const ENOUGH_MEMORY: libc::rlim_t = 256 << 20;
-/// Heap that is in memory before the first cycle: rings, recorder, plans.
+/// Heap that is touched before the first cycle, bytes: rings, recorder, plans.
 const HEAP: usize = 18 << 20;
-/// Stack that is in memory before the first cycle; the cycle uses less.
+/// Stack that is touched before the first cycle, bytes; the cycle uses less.
 const STACK: usize = 256 << 10;
 const PAGE: usize = 4096;
 
@@ -19,24 +19,24 @@ pub fn thread_id() -> u32 {
     unsafe { libc::gettid() }.cast_unsigned()
 }
 
-/// What the system refuses, and how to grant it.
+/// Refusal of a real-time setting by the system, with the remedy.
 #[derive(Clone, Debug)]
 pub struct Refused {
-    /// What.
+    /// Setting that was refused.
     pub what: Degradation,
-    /// Why, and what to do.
+    /// Reason and remedy.
     pub why: String,
 }
 
-/// What has to be kept as long as the process lives.
+/// Settings of the process, to be kept as long as it lives.
 #[derive(Debug)]
 pub struct Prepared {
-    /// The kernel forgets the request when the file is closed.
+    /// Request to the kernel; closing the file withdraws it.
     _latency: Option<File>,
 }
 
-/// Prepares the process before it opens or maps anything: memory locked and touched, no deep sleep of the CPU. Returns
-/// also what was refused.
+/// Prepares the process before it opens or maps anything: locks and touches memory, forbids deep sleep of the CPU. Returns
+/// also the refusals.
 pub fn prepare_process() -> (Prepared, Vec<Refused>) {
     touch_heap();
     let memory = lock_memory().map_err(|why| Refused { what: Degradation::Memory, why });
@@ -48,13 +48,13 @@ pub fn prepare_process() -> (Prepared, Vec<Refused>) {
     (Prepared { _latency: latency }, memory.err().into_iter().chain(denied).collect())
 }
 
-/// Keeps all memory of the process, also that of the future, out of swap; what is there now is free of page faults. What
-/// comes later is locked when it is touched: shared memory is sized for the worst case, and the parts of it that the
-/// real-time thread uses are touched by the other thread first.
+/// Locks all memory of the process, also future memory: no swap, and no page faults of present memory. Future memory
+/// is locked when it is touched: shared memory is sized for the worst case, and the service thread first touches the parts
+/// that the real-time thread uses.
 fn lock_memory() -> Result<(), String> {
     let unlimited = libc::rlimit { rlim_cur: libc::RLIM_INFINITY, rlim_max: libc::RLIM_INFINITY };
     let mut limit = unlimited;
-    // Up to the hard limit anybody may raise it, beyond takes a privilege: what counts is the limit that is read back.
+    // Any process may raise the limit up to the hard limit, a privileged one beyond it; the limit that is read back counts.
     // SAFETY: both limits are valid for the duration of the calls.
     let read = unsafe {
         if libc::setrlimit(libc::RLIMIT_MEMLOCK, &raw const unlimited) != 0
@@ -69,7 +69,7 @@ fn lock_memory() -> Result<(), String> {
     if read != 0 {
         return Err(format!("memory lock ({}; {GRANT})", Error::last_os_error()));
     }
-    // With too low a limit the lock would be granted now, and a later allocation fail.
+    // With too low a limit, the lock would be granted now, but a later allocation would fail.
     if limit.rlim_cur < ENOUGH_MEMORY && !may_exceed_memory_limit() {
         return Err(format!(
             "memory lock (at most {} bytes, {ENOUGH_MEMORY} are needed; {GRANT})",
@@ -85,9 +85,9 @@ fn lock_memory() -> Result<(), String> {
     Ok(())
 }
 
-/// Whether the process has CAP_IPC_LOCK, for which the limit does not count.
+/// Whether the process has CAP_IPC_LOCK, which exempts it from the limit.
 fn may_exceed_memory_limit() -> bool {
-    /// Its number in `capability.h`.
+    /// Bit of the capability in `capability.h`.
     const CAP_IPC_LOCK: u32 = 14;
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let effective = status.lines().find_map(|line| line.strip_prefix("CapEff:"));
@@ -95,10 +95,10 @@ fn may_exceed_memory_limit() -> bool {
     bits & (1 << CAP_IPC_LOCK) != 0
 }
 
-/// Maps and touches the heap that the daemon will use, so that its first use does not fault even where memory cannot be
+/// Maps and touches the heap that the daemon will use, so that its first use does not fault even if memory cannot be
 /// locked.
 fn touch_heap() {
-    // From one arena, never given back: what was touched stays.
+    // One arena that never shrinks: touched memory stays mapped.
     #[cfg(target_env = "gnu")]
     // SAFETY: no pointers; concerns where later allocations come from. If refused, they fault once.
     unsafe {
@@ -123,7 +123,7 @@ fn touch_stack() {
     }
 }
 
-/// Asks the kernel for CPUs that wake up at once, as long as the file is open. `None`: this system has no such states.
+/// Asks the kernel to keep CPUs out of deep sleep while the file is open. `None`: the system has no such states.
 fn forbid_deep_sleep() -> Result<Option<File>, String> {
     const FILE: &str = "/dev/cpu_dma_latency";
     let mut file = match File::options().write(true).open(FILE) {
@@ -138,8 +138,8 @@ fn forbid_deep_sleep() -> Result<Option<File>, String> {
     }
 }
 
-/// Gives the calling thread the CPU, timer precision and arithmetic of real time, touches its stack, and finds out whether it
-/// could have the priority, which [`set_priority`] gives. Returns what was refused; the rest is done nevertheless.
+/// Sets CPU, timer precision and arithmetic of the calling thread for real time, touches its stack, and checks whether it
+/// may have the priority that [`set_priority`] sets. Returns the refusals; the other settings are applied nevertheless.
 pub fn prepare_thread(settings: &RealtimeSettings) -> Vec<Refused> {
     touch_stack();
     flush_to_zero();
@@ -184,10 +184,10 @@ pub fn prepare_thread(settings: &RealtimeSettings) -> Vec<Refused> {
     refused
 }
 
-/// Gives a thread of this process SCHED_FIFO with a priority, which the threads that it starts do not get, or takes it away.
+/// Sets or removes SCHED_FIFO with a priority for a thread of this process; threads that it starts do not inherit it.
 ///
 /// # Errors
-/// Of the operating system.
+/// The error of the operating system.
 pub fn set_priority(thread: u32, priority: Option<u8>) -> std::io::Result<()> {
     let policy = priority.map_or(libc::SCHED_OTHER, |_| libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK);
     let parameters = libc::sched_param { sched_priority: priority.map_or(0, i32::from) };
@@ -198,8 +198,8 @@ pub fn set_priority(thread: u32, priority: Option<u8>) -> std::io::Result<()> {
     }
 }
 
-/// Results too small for a normal number count as 0 in the calling thread: arithmetic on them takes a hundred times as
-/// long on some CPUs.
+/// Makes subnormal results count as 0 in the calling thread: arithmetic with them takes a hundred times as long
+/// on some CPUs.
 pub fn flush_to_zero() {
     #[cfg(target_arch = "x86_64")]
     {

@@ -1,4 +1,4 @@
-//! Causes of overruns: the phases of a late cycle, and the kernel's counters of the real-time thread.
+//! Causes of overruns: the phases of an overrun cycle, and the kernel's counters of the real-time thread.
 //!
 //! The real-time thread does not read its counters, because that would be a system call per cycle. The service thread reads them
 //! periodically and after an overrun, and reports the difference.
@@ -12,18 +12,18 @@ use upswing_ipc::Telemetry;
 /// Age at which the counters are read again: older events are not reported as causes of an overrun.
 const REFRESH: Duration = Duration::from_millis(50);
 
-/// The kernel's counters of a thread.
+/// The kernel's counters for a thread.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ThreadCounters {
     /// Page faults with and without access to a disk.
     pub faults: u64,
-    /// Times that the kernel took the CPU away from it.
+    /// Number of times that the kernel took the CPU away from the thread.
     pub preemptions: u64,
-    /// Time that it was ready to run without a CPU, ns.
+    /// Time for which the thread was ready to run without a CPU, ns.
     pub starved_ns: u64,
 }
 
-/// Reads the counters of the real-time thread from another thread.
+/// Reader of the kernel's counters for the real-time thread, used by another thread.
 #[derive(Debug)]
 pub struct ThreadWatch {
     stat: File,
@@ -34,16 +34,16 @@ pub struct ThreadWatch {
 }
 
 impl ThreadWatch {
-    /// A watch of the thread `tid` of this process.
+    /// Opens the counters of the thread `tid` of this process.
     ///
     /// # Errors
-    /// If the kernel does not show the thread.
+    /// If the kernel does not provide the counters of the thread.
     pub fn new(tid: u32) -> std::io::Result<Self> {
         let open = |name: &str| File::open(format!("/proc/self/task/{tid}/{name}"));
         let mut watch = Self {
             stat: open("stat")?,
             status: open("status")?,
-            // Not in every kernel.
+            // Some kernels have no such file.
             schedstat: open("schedstat").ok(),
             last: ThreadCounters::default(),
             read: Instant::now(),
@@ -52,7 +52,7 @@ impl ThreadWatch {
         Ok(watch)
     }
 
-    /// The counters now; 0 for what cannot be read.
+    /// Reads the counters; a counter that cannot be read is 0.
     pub fn counters(&self) -> ThreadCounters {
         let text = |file: &File| {
             let mut bytes = [0; 4096];
@@ -60,7 +60,7 @@ impl ThreadWatch {
             String::from_utf8_lossy(&bytes[..length]).into_owned()
         };
         let stat = text(&self.stat);
-        // After the name, which may hold anything: state, then minflt and majflt as 8th and 10th (proc(5)).
+        // Fields after the name, which may contain any character: state, then minflt and majflt as 8th and 10th (proc(5)).
         let after_name = stat.rsplit_once(')').map_or("", |(_, rest)| rest);
         let fields: Vec<&str> = after_name.split_whitespace().collect();
         let field = |n: usize| fields.get(n).and_then(|v| v.parse::<u64>().ok()).unwrap_or(0);
@@ -82,7 +82,7 @@ impl ThreadWatch {
         }
     }
 
-    /// The change of the counters since they were last read, and the time since then.
+    /// Returns the change of the counters since they were last read, and the time since then.
     pub fn take(&mut self) -> (ThreadCounters, Duration) {
         let (now, age) = (self.counters(), self.read.elapsed());
         let last = std::mem::replace(&mut self.last, now);
@@ -96,14 +96,14 @@ impl ThreadWatch {
     }
 }
 
-/// A cycle that ended late, and its possible causes.
+/// An overrun cycle and its possible causes.
 #[derive(Clone, Copy, Debug)]
 pub struct Overrun {
-    /// The late cycle.
+    /// Telemetry of the cycle.
     pub telemetry: Telemetry,
-    /// Change of the kernel's counters of the thread around it.
+    /// Change of the thread's counters around the overrun.
     pub around: ThreadCounters,
-    /// The time in which they changed.
+    /// Duration in which the counters changed.
     pub window: Duration,
 }
 

@@ -1,4 +1,4 @@
-//! From a plan in shared memory to one that the controller may run.
+//! Acceptance of plans: converts a plan in shared memory to one that the controller may run.
 
 use thiserror::Error;
 use upswing_config::Config;
@@ -6,27 +6,27 @@ use upswing_ipc::{DamagedPlan, Plan as Payload};
 pub use upswing_trajectory::Ending;
 use upswing_trajectory::{Plan, Unfit};
 
-/// Why a plan was refused: the first check that failed.
+/// Refusal of a plan: the first check that failed.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum PlanRefusal {
-    /// The message holds no plan.
+    /// The message contains no valid plan.
     #[error(transparent)]
     Damaged(#[from] DamagedPlan),
-    /// Made for another robot.
+    /// The plan was made for another robot.
     #[error("fingerprint: the plan was made for the model {got:016x}, the daemon has {expected:016x}")]
     Fingerprint {
-        /// Of the daemon's model.
+        /// Fingerprint of the daemon's model.
         expected: u64,
-        /// In the plan.
+        /// Fingerprint in the plan.
         got: u64,
     },
-    /// The robot cannot follow it.
+    /// The plan violates a criterion: the robot cannot follow it.
     #[error(transparent)]
     Unfit(#[from] Unfit),
 }
 
-/// Checks a plan: checksum, fingerprint, id, and what [`Config::plan_criteria`] asks. `payload` must be a copy that nobody else can
-/// write to.
+/// Checks a plan: checksum, fingerprint, id, and [`Config::plan_criteria`]. `payload` must be a copy to which no other
+/// process can write.
 ///
 /// # Errors
 /// The first check that failed, with its numbers.

@@ -1,7 +1,7 @@
-//! The real-time thread: waits for the next cycle, lets the controller compute it, writes the command.
+//! Real-time thread: waits for the next cycle, steps the controller, writes the command.
 //!
-//! Once started it neither allocates nor frees, and its only system calls are those that read the clock and sleep.
-//! Everything comes and goes through wait-free rings ([`RealtimeLink`] holds the other ends).
+//! Once started, the thread neither allocates nor frees, and its only system calls read the clock and sleep.
+//! All data come and go through wait-free rings, whose other ends are in [`RealtimeLink`].
 
 use crate::controller::Controller;
 use crate::step::{CycleRecord, Request, StepInput};
@@ -16,18 +16,18 @@ use upswing_ipc::{
 };
 use upswing_trajectory::Plan;
 
-/// Cycles that the service thread may be late to fetch: one second.
+/// Capacity of the ring of records: the service thread may be one second late.
 const RECORDS: usize = 8192;
-/// Requests that may wait for the next cycle.
+/// Capacity of the ring of requests.
 const REQUESTS: usize = 64;
-/// Replies that one request can cause: an answer and two retired plans.
+/// Most replies to one request: an answer and two retired plans.
 const REPLIES_PER_REQUEST: usize = 3;
-/// Readers of restarted plants.
+/// Capacity of the ring of readers, one for each plant that is found.
 const READERS: usize = 8;
 
-/// A request on its way to the controller, with the number under which it will be answered.
+/// A request to the controller, with the number that its answer will carry.
 pub struct NumberedRequest {
-    /// Unique for this daemon.
+    /// Number, unique within this daemon.
     pub number: u64,
     /// The request.
     pub request: Request,
@@ -39,27 +39,27 @@ pub enum Reply {
     Answer {
         /// Number of the request.
         number: u64,
-        /// Why the request was refused, if it was.
+        /// The refusal, if the request was refused.
         result: Result<(), Refusal>,
     },
-    /// A plan to be freed.
+    /// A plan that the service thread has to free.
     Retired(Box<Plan>),
 }
 
-/// Flags and counters that the real-time thread and the service thread share.
+/// Flags and counters shared by the real-time thread and the service thread.
 #[derive(Default)]
 pub struct SharedFlags {
     /// Makes the real-time thread close the brakes and end.
     pub exit: AtomicBool,
-    /// Whether requests wait for a measurement that may be long in coming (lockstep).
+    /// Whether requests wait for a measurement for an unknown time (clock `lockstep`).
     pub stands_still: AtomicBool,
     /// Whether the plant is on clock `wall`: only then does the thread need real-time priority.
     pub real_time: AtomicBool,
-    /// Whether the plant found last lives.
+    /// Whether the plant found last is alive.
     pub plant_lives: AtomicBool,
     /// Records that did not fit into the ring.
     pub dropped: AtomicU64,
-    /// Heartbeat of the real-time thread: moves on at least every 20 ms, whether or not there is a plant.
+    /// Heartbeat of the real-time thread: incremented at least every 20 ms, with or without a plant.
     pub beats: AtomicU64,
 }
 
@@ -67,17 +67,17 @@ pub struct SharedFlags {
 pub struct RealtimeLink {
     /// Requests to the controller, in order of arrival.
     pub requests: Producer<NumberedRequest>,
-    /// Readers of newly found plants.
+    /// Readers of plants that were found.
     pub readers: Producer<Reader<Measurement>>,
     /// Answers to requests, and plans to be freed.
     pub replies: Consumer<Reply>,
-    /// One record per cycle.
+    /// Records of the cycles.
     pub records: Consumer<CycleRecord>,
-    /// Flags and counters that both threads share.
+    /// Flags and counters shared by both threads.
     pub shared: Arc<SharedFlags>,
 }
 
-/// The real-time thread with all that it owns.
+/// The real-time thread, with all data that it owns.
 pub struct RealtimeThread {
     controller: Controller,
     pacing: DaemonPacing,
@@ -88,19 +88,19 @@ pub struct RealtimeThread {
     records: Producer<CycleRecord>,
     shared: Arc<SharedFlags>,
     overruns: u64,
-    /// Bits of [`upswing_ipc::Degradation`].
+    /// Degradations, bits of [`upswing_ipc::Degradation`].
     degraded: u64,
     command_seq: u64,
     /// Whether the plant has changed or restarted since the last step.
     restarted: bool,
-    /// Answer to the request of this cycle.
+    /// Answer to the request of this cycle, with the number of the request.
     answer: Option<(u64, Result<(), Refusal>)>,
-    /// Plans that the controller does not need any more.
+    /// Plans that the controller no longer needs.
     retired: [Option<Box<Plan>>; 2],
 }
 
 impl RealtimeThread {
-    /// The thread, not yet started, and the connection of the service thread to it. Commands go to `command`.
+    /// Creates the thread, not yet started, and the service thread's connection to it. Commands go to `command`.
     pub fn new(config: &Config, command: WriterEntry<Command>) -> (Self, RealtimeLink) {
         let (requests_in, requests) = RingBuffer::new(REQUESTS);
         let (readers_in, readers) = RingBuffer::new(READERS);
@@ -133,8 +133,8 @@ impl RealtimeThread {
         (thread, link)
     }
 
-    /// Runs until the service thread raises `exit`; then closes the brakes. `degraded`: what the system refused of the
-    /// real-time set-up, bits of [`upswing_ipc::Degradation`], for the records.
+    /// Runs until the service thread sets `exit`, then closes the brakes. `degraded`: real-time settings that the system refused,
+    /// bits of [`upswing_ipc::Degradation`], for the records.
     pub fn run(mut self, degraded: u64) {
         self.degraded = degraded;
         let shared = Arc::clone(&self.shared);
@@ -142,7 +142,7 @@ impl RealtimeThread {
             match wake {
                 DaemonWake::Cycle(start) => self.cycle(start),
                 DaemonWake::PlantLost { cycles } => self.step_between_cycles(cycles),
-                // The sender of a request may know of a plant that was handed over just before.
+                // A new plant waits in its ring: the request may be meant for this plant.
                 DaemonWake::Idle if self.pacing.stands_still() || !self.readers.is_empty() => {}
                 DaemonWake::Idle if !self.requests.is_empty() => self.step_between_cycles(0),
                 DaemonWake::Idle => {}
@@ -164,7 +164,7 @@ impl RealtimeThread {
     #[cfg_attr(rtsan, sanitize(realtime = "nonblocking"))]
     fn adopt_reader(&mut self) {
         while let Ok(reader) = self.readers.pop() {
-            // The finder of the service thread has the replaced reader open: dropping it only counts down.
+            // The service thread's finder holds the replaced reader open: dropping it only decrements a counter.
             self.restarted |= self.pacing.adopt(reader);
         }
     }
@@ -187,10 +187,10 @@ impl RealtimeThread {
         self.publish(record, false);
     }
 
-    /// Steps the controller at the time `now` (CLOCK_MONOTONIC, ns) and writes the command. Returns the record, and when the
-    /// command was computed.
+    /// Steps the controller at the time `now` (CLOCK_MONOTONIC, ns) and writes the command. Returns the record, and the time at
+    /// which the command was computed (ns).
     fn step(&mut self, now: u64, lost_cycles: u64) -> (CycleRecord, u64) {
-        // A request is taken only if its replies have room.
+        // A request is taken only if there is room for its replies.
         let next = if self.replies.slots() >= REPLIES_PER_REQUEST { self.requests.pop().ok() } else { None };
         let (number, request) = next.map_or((0, None), |next| (next.number, Some(next.request)));
         let output = self.controller.step(StepInput {
@@ -209,7 +209,7 @@ impl RealtimeThread {
 
     fn reply(&mut self, reply: Reply) {
         if let Err(rtrb::PushError::Full(reply)) = self.replies.push(reply) {
-            // Only if the service thread has not looked for many plans. Leaking one is better than freeing it here.
+            // The ring is full only if the service thread has not read for many plans. Leaking a plan is better than freeing it here.
             std::mem::forget(reply);
         }
     }
@@ -224,7 +224,7 @@ impl RealtimeThread {
         if self.records.push(record).is_err() {
             self.shared.dropped.fetch_add(1, Ordering::Relaxed);
         }
-        // After the record: whoever sees the answer can see the state that followed.
+        // The answer follows the record: a thread that has read the answer can read the resulting state.
         if let Some((number, result)) = self.answer.take() {
             self.reply(Reply::Answer { number, result });
         }

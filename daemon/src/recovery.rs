@@ -1,5 +1,5 @@
 //! Recovery after a lost balance: wait until the pendulum hangs at rest, ask for a plan, wait until the plan is loaded and due,
-//! start it. Pure; the service thread performs the [`RecoveryAction`]s.
+//! start it. Pure functions; the service thread performs the [`RecoveryAction`]s.
 
 use crate::step::CycleRecord;
 use crate::trip::TripCause;
@@ -11,9 +11,9 @@ use upswing_model::{NQ, NU};
 /// The next action of a recovery.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RecoveryAction {
-    /// Ask the planner for a swing-up from the present state.
+    /// Ask the planner for a swing-up from the current state.
     AskPlanner,
-    /// Start the loaded plan, which has this id.
+    /// Start the loaded plan with this id.
     Start(u64),
 }
 
@@ -22,7 +22,7 @@ pub enum RecoveryAction {
 enum Stage {
     /// No recovery is in progress.
     Off,
-    /// Waiting until the pendulum hangs at rest: time of the lost balance, and since when the pendulum has been at rest.
+    /// Waiting until the pendulum hangs at rest: time of the lost balance, and time since which the pendulum has been at rest.
     Settling { lost: u64, rest: Option<u64> },
     /// Waiting for the planner: time of the request.
     Planning { asked: u64 },
@@ -30,7 +30,7 @@ enum Stage {
     Planned { plan: PublishedPlan, asked: u64 },
 }
 
-/// A limited number of attempts to swing up again.
+/// Recovery by a limited number of new swing-ups.
 #[derive(Clone, Debug)]
 pub struct Recovery {
     settings: RecoverySettings,
@@ -43,7 +43,7 @@ pub struct Recovery {
 }
 
 impl Recovery {
-    /// No recovery in progress.
+    /// Creates the state without a recovery in progress.
     pub fn new(settings: RecoverySettings) -> Self {
         Self { settings, stage: Stage::Off, attempts: 0, mode: Mode::Idle, now: 0 }
     }
@@ -58,19 +58,19 @@ impl Recovery {
         (self.stage, self.attempts) = (Stage::Off, 0);
     }
 
-    /// Takes in the answer of the planner: the published plan, or `None` if there is none.
+    /// Takes the answer of the planner: the published plan, or `None` if there is none.
     pub fn planned(&mut self, plan: Option<PublishedPlan>) {
         if let Stage::Planning { asked } = self.stage {
             self.stage = plan.map_or(Stage::Off, |plan| Stage::Planned { plan, asked });
         }
     }
 
-    /// Takes in the record of a cycle; `loaded` is the id of the loaded plan. Returns each action once.
+    /// Takes the record of a cycle; `loaded` is the id of the loaded plan. Returns each action once.
     pub fn note(&mut self, record: &CycleRecord, loaded: u64) -> Option<RecoveryAction> {
         let telemetry = &record.telemetry;
         let before = self.mode;
         (self.mode, self.now) = (telemetry.mode().unwrap_or(Mode::Fault), telemetry.t_ns);
-        // A loss while tracking is one to recover from only if the recovery itself had begun to swing up.
+        // A trip in Track is a lost balance only if a recovery had started the swing-up.
         let fell = match record.trip.map(|trip| trip.cause) {
             Some(TripCause::BalanceLost | TripCause::BalanceSpeed) => true,
             Some(TripCause::PendulumRange | TripCause::TrackingError) => {
@@ -78,7 +78,7 @@ impl Recovery {
             }
             _ => false,
         };
-        // The cause stays in later records: only a stop out of these modes follows from it.
+        // Later records keep the cause: only a stop from these modes is its consequence.
         let stops = self.mode == Mode::Stop && matches!(before, Mode::Track | Mode::Balance);
         if stops && fell && self.attempts < self.settings.attempts {
             self.stage = Stage::Settling { lost: self.now, rest: None };

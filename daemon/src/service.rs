@@ -1,4 +1,4 @@
-//! The service thread of the daemon, which is not in real time: answers requests, checks plans, publishes telemetry, finds
+//! Service thread of the daemon, without real-time constraints: answers requests, checks plans, publishes telemetry, finds
 //! plants. It never waits for other processes, so that a request to stop the arm is answered at once.
 
 use crate::cycle_log::CycleLog;
@@ -24,28 +24,28 @@ use upswing_ipc::{
 use upswing_process::Failure;
 use upswing_process::notify::Notifier;
 
-/// Pause of the loop.
+/// Pause between two passes of the loop.
 const PAUSE: Duration = Duration::from_millis(1);
-/// How long a request waits for the real-time thread; and where time stands still (lockstep), where the answer cannot
-/// come before the plant is told to advance.
+/// Longest wait for the real-time thread's answer to a request; and while the clock `lockstep` stands still, when the answer
+/// cannot come before the plant is told to advance.
 const ANSWER: Duration = Duration::from_millis(200);
 const ANSWER_IN_STANDSTILL: Duration = Duration::from_millis(20);
-/// How long a shutdown waits for the arm to come to rest; and for a sign of life of the plant.
+/// Longest wait at a shutdown for the arm to come to rest; and for a new measurement of the plant.
 const SHUTDOWN: Duration = Duration::from_secs(3);
 const SIGN_OF_LIFE: Duration = Duration::from_millis(200);
 
-/// Runs the daemon in `domain` until `shutdown` is raised, then brings the arm to rest and closes the brakes.
+/// Runs the daemon in `domain` until `shutdown` is set, then brings the arm to rest and closes the brakes.
 ///
 /// # Errors
-/// [`Failure::Failed`] if the domain cannot be used, if it has a daemon already, or if real-time scheduling is refused
-/// where the settings insist on it.
+/// [`Failure::Failed`] if the domain cannot be used or already has a daemon, if the real-time thread cannot start or ends, or
+/// if the system refuses real-time settings although `realtime.mode` is `strict`.
 pub fn serve(config: &Config, domain: &Domain, shutdown: &AtomicBool) -> Result<(), Failure> {
-    // Before any memory is claimed: too little of it ends a process without a word.
+    // Before any memory is claimed: too little of it later kills the process without a message.
     Domain::check_limits().map_err(failed)?;
-    // Before anything is mapped, so that nothing of it faults later.
+    // Before anything is mapped, so that no page of it faults later.
     let (_prepared, refused) = os::prepare_process();
     let node = domain.join("daemon").map_err(failed)?;
-    // The only server of its kind, so it also keeps a second daemon out.
+    // A domain has one server of this kind, so that it also excludes a second daemon.
     let server = node.server::<ControlRequest>().map_err(|e| match e {
         IpcError::Taken { .. } => Failure::Failed(format!("domain `{domain}` has a daemon already ({e})")),
         e => failed(e),
@@ -71,7 +71,7 @@ pub fn serve(config: &Config, domain: &Domain, shutdown: &AtomicBool) -> Result<
     joined.map_err(|_| Failure::Failed("the real-time thread panicked".into())).and(result)
 }
 
-/// Starts the real-time thread; it has its priority and CPU when this returns. `refused`: settings that the system has refused
+/// Starts the real-time thread, and returns once its priority and CPU are set. `refused`: settings that the system has refused
 /// so far.
 fn start_thread(
     config: &Config,
@@ -117,10 +117,10 @@ fn failed(e: IpcError) -> Failure {
     Failure::Failed(e.to_string())
 }
 
-/// Why a request to the real-time thread has no effect, or none that is known.
+/// Reason for which a request to the real-time thread has no effect, or no known effect.
 #[derive(Debug, thiserror::Error)]
 enum RequestError {
-    /// The controller refused it.
+    /// The controller refused the request.
     #[error(transparent)]
     Refused(#[from] Refusal),
     /// The plan fails a check.
@@ -129,38 +129,38 @@ enum RequestError {
     /// The ring of requests to the real-time thread is full.
     #[error("too many requests wait for the next cycle")]
     TooMany,
-    /// No answer came in time.
+    /// No answer came within [`ANSWER`].
     #[error("the real-time thread does not answer; the request may still take effect")]
     NoAnswer,
 }
 
-/// The service thread with all that it owns.
+/// The service thread, with all data that it owns.
 struct ServiceThread<'a> {
     config: &'a Config,
     node: Node,
     link: RealtimeLink,
     plants: FinderThread<Measurement>,
-    /// Whether a plant was found, and one that the real-time thread has no room for yet.
+    /// Whether a plant was found.
     found: bool,
     waiting: Option<Reader<Measurement>>,
-    /// The real-time thread and this one, with their priorities where time is real, and whether they have them.
+    /// Ids of the real-time thread and the service thread, with their priorities on the clock `wall`.
     threads: [(u32, u8); 2],
     prioritised: bool,
     log: CycleLog<'a>,
     manager: Notifier,
-    /// The heartbeat of the real-time thread as the manager knows it.
+    /// Heartbeat of the real-time thread of which the service manager was last notified.
     beats: u64,
-    /// The mode it was told last.
+    /// Mode of which the service manager was last notified.
     mode_told: Option<Mode>,
     recovery: Recovery,
-    /// Asks the planner for a recovery.
+    /// Thread that asks the planner for a recovery plan.
     asker: Option<JoinHandle<Result<PublishedPlan, OperatorError>>>,
-    /// Tells it that nobody waits any more.
+    /// Tells this thread that its answer is no longer needed.
     closing: Arc<AtomicBool>,
-    /// Bits of [`upswing_ipc::Degradation`].
+    /// Degradations, bits of [`upswing_ipc::Degradation`].
     degraded: u64,
     requests: u64,
-    /// Number of the request whose answer an operator waits for (0: none), and the answer.
+    /// Number of the request whose answer an operator waits for; 0: none.
     awaited: u64,
     answer: Option<Result<(), Refusal>>,
     loads: Loads,
@@ -197,7 +197,7 @@ impl<'a> ServiceThread<'a> {
         })
     }
 
-    /// The loop, until the process may end.
+    /// Runs the loop until the process may end.
     fn run(
         &mut self,
         server: &upswing_ipc::Server<ControlRequest>,
@@ -210,7 +210,7 @@ impl<'a> ServiceThread<'a> {
             self.find_plant();
             self.set_priorities();
             match plans.receive() {
-                // A copy: the planner could change the plan while it is being checked.
+                // The plan is copied: the planner could change it while it is being checked.
                 Ok(Some(sample)) => self.load(&sample.boxed_copy()),
                 Ok(None) => {}
                 Err(e) => self.warn_once(e.to_string()),
@@ -231,13 +231,13 @@ impl<'a> ServiceThread<'a> {
         Err(Failure::Failed("the real-time thread ended".into()))
     }
 
-    /// Passes the measurements of a plant that was found to the real-time thread, once its ring has room.
+    /// Passes the reader of a plant that was found to the real-time thread, once there is room in its ring.
     fn find_plant(&mut self) {
         self.link.shared.plant_lives.store(self.plants.writer_is_alive(), Ordering::Relaxed);
         match self.plants.poll() {
             Ok(Some(reader)) => {
                 info!("found a plant, started at {} ns", reader.epoch());
-                // Its memory is mapped now, not in the real-time thread.
+                // The first read maps its memory here, not in the real-time thread.
                 reader.read();
                 (self.found, self.waiting) = (true, Some(reader));
             }
@@ -252,9 +252,9 @@ impl<'a> ServiceThread<'a> {
         }
     }
 
-    /// Real-time priority where time is real, and only there: the plant of another clock waits, and so does the real-time
-    /// thread, beside which other programs want to run. This thread has it too, below: an operator's stop does not wait for
-    /// them.
+    /// Gives both threads their real-time priorities on the clock `wall`, and only there: on other clocks the plant waits for the
+    /// daemon, and other programs need the CPU. The service thread has a lower priority than the real-time thread, but a real-time
+    /// one: an operator's stop does not wait for other programs.
     fn set_priorities(&mut self) {
         let wanted = self.link.shared.real_time.load(Ordering::Relaxed);
         if wanted == self.prioritised || self.degraded & Degradation::Scheduler.bit() != 0 {
@@ -268,7 +268,7 @@ impl<'a> ServiceThread<'a> {
         }
     }
 
-    /// Tells the service manager about the real-time thread: a heartbeat only while it has one.
+    /// Notifies the service manager of the real-time thread's state, with a heartbeat only if the real-time thread had one.
     fn tell_manager(&mut self) {
         let beats = self.link.shared.beats.load(Ordering::Relaxed);
         if beats != self.beats {
@@ -289,7 +289,7 @@ impl<'a> ServiceThread<'a> {
         }
     }
 
-    /// Whether a daemon that shuts down may end: the brakes hold, or the arm will not come to rest.
+    /// Whether a daemon that shuts down may exit: the brakes hold, the plant is gone, or the arm does not come to rest.
     fn may_exit(&mut self, begin: &mut Option<Instant>) -> bool {
         if is_braked(self.log.mode()) {
             return true;
@@ -314,7 +314,7 @@ impl<'a> ServiceThread<'a> {
         true
     }
 
-    /// Answers a request of the operator.
+    /// Handles a request of the operator.
     fn handle(&mut self, request: &ControlRequest) -> ControlResponse {
         let request = match request.kind() {
             Ok(ControlKind::Status) => {
@@ -330,7 +330,7 @@ impl<'a> ServiceThread<'a> {
         };
         self.recovery.yield_to_operator();
         let asked = self.ask(&request);
-        // A loss that was found meanwhile is the operator's, too.
+        // A loss of balance found meanwhile is the operator's to handle, too.
         self.recovery.yield_to_operator();
         match asked {
             Ok(remark) => {
@@ -347,10 +347,10 @@ impl<'a> ServiceThread<'a> {
         }
     }
 
-    /// Sends `request` and waits for the answer of the real-time thread: a remark, or the reason of the refusal.
+    /// Sends `request` and waits for the answer of the real-time thread. Returns a remark, or the reason for the refusal.
     fn ask(&mut self, request: &Request) -> Result<&'static str, RequestError> {
         let begin = Instant::now();
-        // Who starts a plant and enables at once means that plant.
+        // An enable right after the start of a plant is meant for this plant.
         while *request == Request::Enable && !self.found && begin.elapsed() < ANSWER {
             self.find_plant();
             sleep(PAUSE);
@@ -405,10 +405,10 @@ impl<'a> ServiceThread<'a> {
         }
     }
 
-    /// Does work of some milliseconds at normal priority, so that other processes on this CPU (the plant may be one) can run.
+    /// Does work of some milliseconds at normal priority, so that other processes on this CPU, perhaps the plant, can run.
     fn at_normal_priority<T>(&self, work: impl FnOnce() -> T) -> T {
         let [_, (thread, priority)] = self.threads;
-        // It had the priority, so it may have it again.
+        // The thread had this priority before, so the system will grant it again.
         let set = |priority| self.prioritised && os::set_priority(thread, priority).is_ok();
         set(None);
         let done = work();
@@ -416,7 +416,7 @@ impl<'a> ServiceThread<'a> {
         done
     }
 
-    /// The cause of a fault or stop, and the last refusal; empty if there is neither.
+    /// Message with the cause of a fault or stop, an active recovery, and the last refusal; empty if there is none.
     fn remark(&self) -> String {
         let refusal =
             Some(&self.last_refusal).filter(|text| !text.is_empty()).map(|text| format!("refused {text}"));
@@ -427,7 +427,7 @@ impl<'a> ServiceThread<'a> {
 
     fn respond(&self, accepted: bool, reason: &str) -> ControlResponse {
         let response = self.log.respond();
-        // The daemon takes the next step by itself.
+        // During a recovery the daemon takes the next action itself.
         let recovers = self.recovery.is_active() && !is_braked(self.log.mode());
         let next = if recovers { Text::new("wait for the recovery") } else { response.next };
         ControlResponse {
@@ -446,7 +446,7 @@ impl<'a> ServiceThread<'a> {
 
     /// Processes all replies and records of the real-time thread.
     fn fetch(&mut self) {
-        // Replies first: the record that belongs to a reply is in its ring before the reply is.
+        // Replies first: a record enters its ring before the reply to the same request does.
         while let Ok(reply) = self.link.replies.pop() {
             match reply {
                 Reply::Answer { number, result } if number == self.awaited => self.answer = Some(result),
@@ -478,7 +478,7 @@ impl<'a> ServiceThread<'a> {
         }
     }
 
-    /// Asks for a plan in a thread of its own: it may take a second.
+    /// Asks the planner for a recovery plan in a separate thread, as the answer may take a second.
     fn ask_planner(&mut self) {
         info!("recovery: the pendulum is at rest, requesting a plan");
         let (node, patience) = (self.node.clone(), self.config.daemon.recovery.patience);
@@ -497,7 +497,7 @@ impl<'a> ServiceThread<'a> {
         }
     }
 
-    /// Takes the answer of the planner, once it is there.
+    /// Takes the answer of the planner once it has come.
     fn receive_plan(&mut self) {
         let Some(asker) = self.asker.take_if(|asker| asker.is_finished()) else { return };
         let reason = match asker.join() {

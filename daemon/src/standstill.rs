@@ -1,21 +1,21 @@
-//! Encoders that are stuck: angles that do not change although the torque must have moved their joints.
+//! Detects stuck encoders: angles that do not change although the torque must have moved their joints.
 //!
-//! A stuck encoder shows a robot at rest, which a feedback answers with a steady torque, or with one that grows. The model
-//! knows what that torque does. While the angle of joint i keeps its value, the displacement y_i since its last change obeys
+//! A stuck encoder shows a robot at rest; a feedback controller then commands a constant or growing torque, of which the model
+//! predicts the effect. While the angle of joint i keeps its value, the displacement y_i since its last change obeys
 //!
 //! ```text
 //! M_i y'' + d_i y' = T_i + d,    y(0) = y'(0) = 0,
 //! ```
 //!
-//! with the torque T_i that is commanded beyond what the model needs to hold still and M_i the inertia that joint i shows
-//! alone. Presliding friction d_i is the most that may damp it, so that y is the least motion to be expected. The torque d is
-//! what nobody knows: a payload, an offset of a sensor, friction that holds. It is constant while nothing moves, and within a
-//! band about the last estimate. y is linear in it, so every cycle leaves an interval of values for which |y| stays
-//! below what the encoder resolves; when no value is left, the encoder is stuck, or something blocks the joint. No noise is
-//! needed to tell, but a torque that changes.
+//! with the torque T_i commanded beyond the one that the model needs to hold still, and M_i the inertia of joint i
+//! alone. The damping d_i is the largest presliding friction, so that y is the least motion to be expected. The torque d is
+//! unknown: a payload, an offset of a sensor, static friction. It is constant while nothing moves, and within a
+//! band about the last estimate. y is linear in d, so that each cycle leaves an interval of values of d for which |y| stays
+//! below the resolution of the encoder; once the interval is empty, the encoder is stuck, or an obstacle blocks the joint. The
+//! test needs no noise of the encoder, but a torque that changes.
 //!
-//! Where torques are measured, measurements that freeze as a whole are noticed without a model: the commanded torque changes, and
-//! neither its sensors nor any angle show it.
+//! If torques are measured, a frozen measurement is detected without the model: the commanded torque changes, but neither
+//! the measured torques nor any angle do.
 
 use crate::law::{Inertia, Torque};
 use crate::trip::{Trip, TripCause};
@@ -23,55 +23,56 @@ use upswing_config::StandstillSettings;
 use upswing_model::thresholds::REST_SPEED_ESTIMATE;
 use upswing_model::{ActuatedVector, JointVector, N_UNACTUATED, NQ, NU, UnactuatedVector};
 
-/// Time after which a joint whose angle does not change is taken to stand, s: one that turns back stands for less.
+/// Time without a change of its angle after which a joint counts as at rest, s: a joint that reverses rests for less.
 const STANDS: f64 = 0.01;
-/// Shortest standstill that is not explained, s: a fast joint does not stop at once.
+/// Shortest unexplained standstill that trips, s: a fast joint does not stop at once.
 const SHORTEST: f64 = 0.002;
-/// Speed that the errors of a model may seem to ask of a heavy joint at rest, rad/s: a small one for a long time hides no run-away.
+/// Speed that errors of the model may suggest for a heavy joint at rest, rad/s: tolerated, as it is too low for a run-away.
 const CREEP: f64 = 1e-3;
-/// Time after which the sensors show a change of the commanded torque, s: more than command and drives need.
+/// Time after which the torque sensors show a change of the commanded torque, s: longer than command and drives need.
 const SHOWN: f64 = 0.01;
 
-/// Time for which the arm has to be slower than [`REST_SPEED_ESTIMATE`], s: until the estimate has forgotten the motion before.
+/// Time below [`REST_SPEED_ESTIMATE`] after which the arm counts as slow, s: the estimate then no longer depends on faster motion.
 const QUIET: f64 = 0.1;
 
-/// What may be wrong with a measured speed: noise, rad/s, and a lag, s.
+/// Errors of a measured speed: noise, rad/s, and lag, s.
 const NOISE: f64 = 0.1;
 const LAG: f64 = 0.03;
 
-/// First joint of the wrist, 0-based: the motion of the others hardly moves the estimate of its torque.
+/// First joint of the wrist, 0-based: motion of the other joints hardly changes the disturbance estimate of the wrist.
 const WRIST: usize = 4;
 
-/// One joint since its last change.
+/// State of the test of one joint since the last change of its angle.
 #[derive(Clone, Copy, Debug)]
 struct Joint {
-    /// Measured angle, rad, and how long it has kept this value, s.
+    /// Measured angle, rad, and the time for which it has kept this value, s.
     angle: f64,
     time: f64,
-    /// Estimate of other torques at its last change, N m: followed since while the arm was slow, and all the time.
+    /// Disturbance estimates, N m, kept from the last change of the angle on, but updated: one while the arm is slow, the other
+    /// always at the wrist and never at the other joints.
     estimate: [f64; VIEWS],
-    /// y and y' per N m of d.
+    /// y and y' for d = 1 N m and T_i = 0, rad and rad/s.
     per_torque: [f64; 2],
-    /// If the other joints do as they seem to, if they move as commanded, and if none moves.
+    /// Predictions if joints at rest stay at rest, if all joints move as commanded, and if none moves.
     cases: [[Case; CASES]; VIEWS],
 }
 
-/// Assumptions about the other joints.
+/// Number of assumptions about the motion of the other joints.
 const CASES: usize = 3;
-/// Views of the estimate.
+/// Number of disturbance estimates.
 const VIEWS: usize = 2;
 
-/// What explains the standstill under one assumption about the other joints.
+/// Motion predicted for one joint under one assumption about the other joints.
 #[derive(Clone, Copy, Debug)]
 struct Case {
     /// y and y' for d = 0, rad and rad/s.
     y: [f64; 2],
-    /// The d that are left, N m.
+    /// Lower and upper end of the interval of d that explains the standstill, N m; empty if lower > upper.
     unknown: [f64; 2],
 }
 
 impl Joint {
-    /// One that shows `angle` (rad) for the first time, with d in a band about `middle`, N m.
+    /// Begins with the first measurement of `angle` (rad), with d in a band about `middle`, N m.
     fn new(angle: f64, middle: f64, band: f64) -> Self {
         let case = Case { y: [0.0; 2], unknown: [middle - band, middle + band] };
         Self {
@@ -84,66 +85,66 @@ impl Joint {
     }
 }
 
-/// One step of M_i y'' + d_i y' = torque, implicit in y'.
+/// Integrates M_i y'' + d_i y' = torque over one step, implicit in y'.
 fn advance(y: &mut [f64; 2], torque: f64, inertia: f64, friction: f64, elapsed: f64) {
     y[1] = (inertia * y[1] + elapsed * torque) / (inertia + elapsed * friction);
     y[0] += elapsed * y[1];
 }
 
-/// Torques that drive the joints over a cycle, and their inertia.
+/// Torques that drive the joints in a cycle, and the inertias of the joints.
 #[derive(Clone, Copy, Debug)]
 struct DrivingTorque {
-    /// T in all cases without the estimate, N m.
+    /// T under each assumption, without the disturbance estimate, N m.
     torque: [JointVector; CASES],
-    /// M_i, kg m^2.
+    /// Inertias M_i of single joints, kg m^2.
     inertia: JointVector,
 }
 
-/// What was measured last, since when, and what was commanded since.
+/// Last measurement, the time for which it has not changed, and the torques commanded meanwhile.
 #[derive(Clone, Copy, Debug)]
 struct Unchanged {
-    /// Angles, rad, and torques, N m.
+    /// Measured angles, rad.
     q: JointVector,
     tau: ActuatedVector,
-    /// How long nothing of it has changed, s.
+    /// Time without any change of the measurement, s.
     time: f64,
-    /// The commanded torques lie between these, N m.
+    /// Smallest and largest commanded torques meanwhile, N m.
     low: ActuatedVector,
     high: ActuatedVector,
-    /// How long they have differed by more than the sensors resolve, s.
+    /// Time for which these have differed by more than the resolution of the sensors, s.
     differs: f64,
 }
 
 impl Unchanged {
-    /// New values.
+    /// Begins with a changed measurement: angles `q` (rad) and torques `tau` (N m).
     fn new(q: &JointVector, tau: &ActuatedVector) -> Self {
         let (low, high) = (ActuatedVector::repeat(f64::INFINITY), ActuatedVector::repeat(f64::NEG_INFINITY));
         Self { q: *q, tau: *tau, time: 0.0, low, high, differs: 0.0 }
     }
 }
 
-/// Watches all joints.
+/// Detector of stuck encoders and frozen measurements.
 #[derive(Clone, Debug)]
 pub struct Standstill {
     settings: StandstillSettings,
-    /// Changes of the torques that sensors show, N m.
+    /// Smallest changes of the torques that the sensors show, N m.
     resolution: ActuatedVector,
     unchanged: Option<Unchanged>,
-    /// Angles beyond which a joint may lie on its stop, rad.
+    /// Angles beyond which a joint may rest on its mechanical stop, rad.
     reach: JointVector,
     joints: [Joint; NQ],
-    /// How long a jump of an angle still moves the estimate of other torques, s.
+    /// Time for which a jump of an angle still affects the disturbance estimate, s.
     pause: f64,
-    /// How long the arm has been slow, s.
+    /// Time for which the arm has been slow, s.
     quiet: f64,
-    /// The last estimate of other torques, N m.
+    /// The last disturbance estimate, N m.
     estimate: ActuatedVector,
-    /// Of the last command; none while the brakes hold.
+    /// Torques of the last command; `None` while the brakes hold.
     drive: Option<DrivingTorque>,
 }
 
 impl Standstill {
-    /// With the end of the range open to plans (rad), near which a pendulum may lie on its stop, and the 100 % torques (N m).
+    /// `q_max`: end of the range open to plans (rad), near which the pendulum may rest on its stop; `tau_max`: 100 % torques (N m).
     pub fn new(settings: &StandstillSettings, q_max: &JointVector, tau_max: &ActuatedVector) -> Self {
         Self {
             settings: *settings,
@@ -158,7 +159,7 @@ impl Standstill {
         }
     }
 
-    /// Forgets everything.
+    /// Resets the detector, for closed brakes.
     pub fn reset(&mut self) {
         self.drive = None;
         self.unchanged = None;
@@ -167,13 +168,13 @@ impl Standstill {
         }
     }
 
-    /// An angle jumped: until the estimate of other torques has forgotten it, nothing follows from what stands.
+    /// Suspends the test after a jump of an angle, until the disturbance estimate no longer depends on the jump.
     pub fn jumped(&mut self) {
         self.pause = QUIET;
     }
 
-    /// Takes in the torque of this cycle, which acts until the next measurement: `u` is the input that it is meant for (rad/s^2),
-    /// `estimate` the estimate of other torques (N m), `inertia` that of this cycle, `qd` the measured speeds of the arm (rad/s).
+    /// Takes the torque of this cycle, which acts until the next measurement. `u`: commanded acceleration (rad/s^2), `estimate`:
+    /// disturbance estimate (N m), `inertia`: inertia matrices of this cycle, `qd`: measured speeds of the arm (rad/s).
     pub fn command(
         &mut self,
         u: &ActuatedVector,
@@ -190,11 +191,11 @@ impl Standstill {
         let qdd_u: UnactuatedVector = torque.qdd.fixed_rows::<N_UNACTUATED>(NU).into();
         let m_au = columns.fixed_rows::<NU>(0);
         let m_uu = columns.fixed_rows::<N_UNACTUATED>(NU);
-        // Joints that stand do not accelerate, whatever is asked of them.
+        // Joints at rest do not follow u: the torque commanded for their acceleration drives the other joints.
         let standing = ActuatedVector::from_fn(|i, _| if self.joints[i].time > STANDS { u[i] } else { 0.0 });
         let (carried, full, reaction) = (reduced * standing, reduced * u, m_au.tr_mul(&standing));
         let change = estimate - self.estimate;
-        // What the model does not know of fast joints moves the estimates for all.
+        // Errors of the model for fast joints change the estimates of all joints.
         if qd.amax() >= REST_SPEED_ESTIMATE {
             self.quiet = 0.0;
         }
@@ -228,8 +229,8 @@ impl Standstill {
         self.drive = Some(drive);
     }
 
-    /// Takes in the angles `q` (rad) and the measured torques `tau` (N m), `elapsed` (s) after the last ones. Returns whether none
-    /// of them shows what was commanded.
+    /// Takes the angles `q` (rad) and the measured torques `tau` (N m), `elapsed` (s) after the previous ones. Returns a trip if none
+    /// of them changes although the commanded torque does.
     pub fn observe_all(&mut self, q: &JointVector, tau: &ActuatedVector, elapsed: f64) -> Option<Trip> {
         let unchanged = self.unchanged.get_or_insert_with(|| Unchanged::new(q, tau));
         if unchanged.q != *q || unchanged.tau != *tau {
@@ -244,7 +245,8 @@ impl Standstill {
         (unchanged.differs > SHOWN).then_some(Trip { cause, joint, value, limit: SHOWN })
     }
 
-    /// Takes in the angles `q` (rad), `elapsed` (s) after the last ones. Returns the first joint that nothing explains.
+    /// Takes the angles `q` (rad), `elapsed` (s) after the previous ones. Returns a trip for the first joint with an unexplained
+    /// standstill.
     pub fn observe(&mut self, q: &JointVector, elapsed: f64) -> Option<Trip> {
         let drive = self.drive?;
         self.quiet += elapsed;
@@ -284,5 +286,5 @@ impl Standstill {
     }
 }
 
-/// How near to the end of its range a joint of the pendulum may lie on its stop, rad.
+/// Distance from the end of its range within which a joint of the pendulum may rest on its stop, rad.
 const NEAR_STOP: f64 = 0.02;

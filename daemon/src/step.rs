@@ -11,7 +11,7 @@ use upswing_trajectory::Plan;
 pub enum Request {
     /// Release the brakes and hold the arm.
     Enable,
-    /// Hold the present pose of the arm.
+    /// Hold the current pose of the arm.
     Hold,
     /// Track the loaded plan, if it has this id.
     Start(u64),
@@ -26,7 +26,7 @@ pub enum Request {
 }
 
 impl Request {
-    /// The event that the request is to the table of modes; `None`: it does not concern the mode.
+    /// Event of the request in the table of modes; `None` if it does not change the mode.
     pub const fn event(&self) -> Option<Event> {
         match self {
             Self::Enable => Some(Event::Enable),
@@ -39,7 +39,7 @@ impl Request {
         }
     }
 
-    /// The name of the request for operators.
+    /// Name of the request for operators.
     pub const fn name(&self) -> &'static str {
         match self {
             Self::Enable => "enable",
@@ -59,7 +59,7 @@ impl fmt::Display for Request {
     }
 }
 
-/// Everything that the controller is given in one step. Equal inputs give equal outputs.
+/// Input of one step of the controller. Equal sequences of inputs give equal outputs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StepInput {
     /// The newest measurement, whether or not it is new.
@@ -67,25 +67,25 @@ pub struct StepInput {
     /// Planned time of the cycle on the wall clock, CLOCK_MONOTONIC, ns; ignored on the other clocks, whose time advances by
     /// one period per measurement.
     pub now_ns: u64,
-    /// Number of cycles in a row that ended late before this one.
+    /// Number of consecutive overruns before this cycle.
     pub late_cycles: u64,
     /// Number of cycles for which no measurement has come, in the step in which they count as lost; otherwise 0. Only the
     /// caller can tell on a clock on which the daemon waits for measurements.
     pub lost_cycles: u64,
-    /// Whether the measurements are those of another plant than in the step before, or of the same after a restart.
+    /// Whether the plant is another one than in the previous step, or has restarted.
     pub restarted: bool,
     /// A request of an operator or of the daemon itself.
     pub request: Option<Request>,
 }
 
 impl StepInput {
-    /// A step in which no cycle was late and no measurement was lost. `now_ns`: planned time of the cycle, see
+    /// Creates the input of a step without overruns and lost measurements. `now_ns`: planned time of the cycle, as in
     /// [`StepInput::now_ns`].
     pub const fn new(measurement: Measurement, now_ns: u64, request: Option<Request>) -> Self {
         Self { measurement, now_ns, late_cycles: 0, lost_cycles: 0, restarted: false, request }
     }
 
-    /// The recorded form of the input of step `number`, which belongs to the cycle `cycle`. Of a plan only its id is recorded.
+    /// Converts the input of step `number`, in the cycle `cycle`, to its recorded form, which contains only the id of a plan.
     pub fn to_payload(&self, number: u64, cycle: u64) -> Step {
         let (request, plan_id) = match &self.request {
             None => (0, 0),
@@ -110,10 +110,10 @@ impl StepInput {
         }
     }
 
-    /// The input that was recorded as `step`. `plan` gives the checked plan of an id.
+    /// Converts the recorded `step` to the input. `plan` returns the checked plan with an id.
     ///
     /// # Errors
-    /// [`UnknownCode`] for a request that does not exist, otherwise what `plan` returns.
+    /// [`UnknownCode`] for an unknown request, otherwise the error of `plan`.
     pub fn from_payload<E: From<UnknownCode>>(
         step: &Step,
         plan: impl FnOnce(u64) -> Result<Box<Plan>, E>,
@@ -149,21 +149,21 @@ pub struct Output {
     pub record: CycleRecord,
     /// The answer to the request of this step, if there was one.
     pub answer: Option<Result<(), Refusal>>,
-    /// Plans that the controller does not need any more, to be freed outside of the real-time thread.
+    /// Plans that the controller no longer needs, to be freed outside of the real-time thread.
     pub retired: [Option<Box<Plan>>; 2],
 }
 
-/// The published and recorded values of one cycle.
+/// Published and recorded values of one cycle.
 #[derive(Clone, Copy, Debug)]
 pub struct CycleRecord {
     /// The published telemetry.
     pub telemetry: Telemetry,
     /// The recorded input of the step.
     pub step: Step,
-    /// The limit that led to the last Fault or Stop; kept until the next enable, start or reset.
+    /// Trip that led to the last Fault or Stop; kept until the next enable, start or reset.
     pub trip: Option<Trip>,
-    /// The reason for which an enable would be refused; `None` where it would not, and outside Idle.
+    /// Reason for which an enable would be refused; `None` if it would not be, or outside Idle.
     pub unready: Option<Refusal>,
-    /// Number of cycles that ended late since the start of the daemon; 0 from the controller, which knows no clock.
+    /// Number of overruns since the start of the daemon; the controller, which reads no clock, returns 0.
     pub overruns: u64,
 }

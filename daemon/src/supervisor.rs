@@ -1,7 +1,7 @@
-//! The table of modes: which mode follows which on which event, and why requests are refused. Pure.
+//! Table of modes: the next mode for each mode and event, and the reasons for which requests are refused. Pure functions.
 //!
-//! [`transition`] is the only place that says which mode follows which; [`crate::controller`] adds the guards
-//! (fresh measurement, plan that fits) and does what a mode does.
+//! Only [`transition`] decides which mode follows which; [`crate::controller`] adds the guards
+//! (fresh measurement, plan that fits) and performs the actions of a mode.
 
 use crate::plan::Ending;
 use crate::trip::Trip;
@@ -14,7 +14,7 @@ use upswing_ipc::Mode;
 pub enum Event {
     /// Request: release the brakes and hold the arm.
     Enable,
-    /// Request: hold the present pose.
+    /// Request: hold the current pose.
     Hold,
     /// Request: track the loaded plan.
     Start,
@@ -60,7 +60,7 @@ impl fmt::Display for Event {
     }
 }
 
-/// The table of modes: what follows `mode` on `event`.
+/// Returns the mode that follows `mode` on `event`.
 ///
 /// | torque | modes |
 /// |---|---|
@@ -69,7 +69,7 @@ impl fmt::Display for Event {
 /// | (24) with u = u_d + K (x - x_d) | Track, Balance (x_d = x_N, u_d = 0) |
 ///
 /// # Errors
-/// [`Refusal::Mode`] for all that is not in the table; it changes nothing.
+/// [`Refusal::Mode`] for every transition that is not in the table; it changes nothing.
 pub fn transition(mode: Mode, event: Event) -> Result<Mode, Refusal> {
     use Mode::{Balance, Fault, Hold, Idle, Stop, Track};
     match (mode, event) {
@@ -95,15 +95,15 @@ pub fn is_braked(mode: Mode) -> bool {
     matches!(mode, Mode::Idle | Mode::Fault)
 }
 
-/// Why a request was refused; it changed nothing.
+/// Refusal of a request, which changed nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum Refusal {
-    /// The mode does not allow it.
+    /// The mode does not allow the request.
     #[error("{event} is not possible in mode {mode}; next: {}", .mode.next_action())]
     Mode {
-        /// The mode.
+        /// The mode at the time of the request.
         mode: Mode,
-        /// The event, a request.
+        /// The event of the request.
         event: Event,
     },
     /// The measurement cannot be trusted.
@@ -115,51 +115,51 @@ pub enum Refusal {
     /// No plan is loaded.
     #[error("no plan is loaded: request one from the planner")]
     NoPlan,
-    /// Another plan is loaded than the one that shall start.
+    /// The loaded plan is not the plan that is to be started.
     #[error(
         "plan {asked:016x} is not loaded, but plan {loaded:016x} of another request: request a plan again"
     )]
     OtherPlan {
-        /// Id that was asked for.
+        /// Id of the plan that is to be started.
         asked: u64,
         /// Id of the loaded plan.
         loaded: u64,
     },
-    /// The moment for which the plan's first state was predicted is still to come.
+    /// The start time of the plan, for which its first state was predicted, is still to come.
     #[error("the plan begins in {wait:.3} s: start it then")]
     BeforeActivation {
-        /// Time until then, s.
+        /// Time until the start time, s.
         wait: f64,
     },
-    /// The measured state is not the plan's.
+    /// The measured state does not match the state of the plan.
     #[error(
         "the measured state is not the plan's: joint {} is at {measured:.4} {unit}, the plan at t = {t_plan:.3} s at \
          {expected:.4} {unit} (tolerance {tolerance} {unit}): request a plan from the current state",
         .joint + 1, unit = if *.velocity { "rad/s" } else { "rad" }
     )]
     StartMismatch {
-        /// The joint, 0-based.
+        /// Joint, 0-based.
         joint: usize,
-        /// Its velocity (rad/s), otherwise its angle (rad).
+        /// Whether the velocity (rad/s) does not match, otherwise the angle (rad).
         velocity: bool,
-        /// Measured.
+        /// Measured value, rad or rad/s.
         measured: f64,
-        /// Of the plan.
+        /// Value of the plan, rad or rad/s.
         expected: f64,
         /// Time since the plan's activation, s.
         t_plan: f64,
-        /// Allowed difference.
+        /// Largest difference allowed, rad or rad/s.
         tolerance: f64,
     },
     /// The loaded plan is too old.
     #[error("the plan was loaded {age:.0} s ago, at most {limit:.0} s are allowed: request a new one")]
     PlanExpired {
-        /// Time since it was loaded, s.
+        /// Time since the plan was loaded, s.
         age: f64,
         /// Trip level, s.
         limit: f64,
     },
-    /// A plan is being tracked, and the settings want no other to be loaded meanwhile.
+    /// A plan is being tracked, and the settings forbid loading another plan meanwhile.
     #[error(
         "plan {running} is being tracked, and plans.while_tracking is \"refuse\": send it again afterwards"
     )]
@@ -172,11 +172,11 @@ pub enum Refusal {
     ShuttingDown,
 }
 
-/// What helps drives that are not ready.
+/// Remedy for drives that are not ready.
 const DRIVES_ON: &str = "switch the drives on";
 
 impl Refusal {
-    /// What to do first where an enable would be refused with this; short.
+    /// Remedy for the reason of a refused enable, in a few words; `None` for other refusals.
     pub fn remedy(&self) -> Option<&'static str> {
         match self {
             Self::Unfit(trip) => Some(trip.cause.remedy()),

@@ -1,11 +1,11 @@
-//! The limits that the daemon watches: causes of warnings and of trips to Fault or Stop.
+//! Causes of warnings and of trips to Fault or Stop: the limits that the daemon checks.
 
 use std::fmt;
 
-/// Defines the causes, each with its code and its words.
+/// Defines the causes, each with its code and its text.
 macro_rules! causes {
     ($($(#[$doc:meta])+ $name:ident = $code:literal, $text:literal;)+) => {
-        /// A limit that the daemon watches. docs/daemon.md says which limits trip to Fault, which trip to Stop, and which only
+        /// A limit that the daemon checks. docs/daemon.md states which limits trip to Fault, which trip to Stop, and which only
         /// refuse the start of a plan.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         #[repr(u64)]
@@ -14,10 +14,10 @@ macro_rules! causes {
         }
 
         impl TripCause {
-            /// Every cause; the index is the code less 1.
+            /// All causes; the index is the code minus 1.
             pub const ALL: [Self; [$($code),+].len()] = [$(Self::$name),+];
 
-            /// The cause in words, where the numbers of its [`Trip`] are not known.
+            /// Description of the cause without the numbers of a [`Trip`].
             pub const fn text(self) -> &'static str {
                 match self { $(Self::$name => $text),+ }
             }
@@ -26,15 +26,15 @@ macro_rules! causes {
 }
 
 causes! {
-    /// Nothing was measured yet.
+    /// No measurement has come yet.
     NoMeasurement = 1, "no measurement received yet: is the plant running?";
     /// The newest measurement is too old.
     StaleMeasurement = 2, "no new measurement";
-    /// Too many measurements were missed between two that were seen.
+    /// Too many measurements were missed between two that came.
     MeasurementGap = 3, "measurements were missed";
     /// The plant restarted: its measurements do not continue the earlier ones.
     MeasurementRestarted = 4, "the plant restarted";
-    /// An angle is not finite, or none that an encoder can show.
+    /// An angle is not finite, or beyond the range of an encoder.
     NotFinite = 5, "an angle is not finite";
     /// An angle changed faster than the joint can move.
     EncoderJump = 6, "an angle jumped";
@@ -50,9 +50,9 @@ causes! {
     DriveFault = 11, "a drive reports a fault";
     /// The brakes are closed or the drives not ready, although the command opens the brakes.
     DrivesStopped = 12, "the drives do not act";
-    /// The plant runs with another period.
+    /// The plant and the daemon have different control periods.
     PeriodMismatch = 13, "plant and daemon have different periods";
-    /// The plant names a clock that does not exist.
+    /// The plant states a clock that does not exist.
     UnknownClock = 14, "the plant names an unknown clock";
     /// The control law gave no finite torque.
     LawNotFinite = 15, "the control law gave no finite torque";
@@ -62,7 +62,7 @@ causes! {
     BalanceLost = 17, "the rod fell";
     /// An angle of the pendulum is too far past the range open to plans.
     PendulumRange = 18, "the pendulum is beyond the range open to plans";
-    /// Too many cycles in a row ended late.
+    /// Too many consecutive cycles were overruns.
     LateCycles = 19, "cycles end late";
     /// The loaded plan is too old to be started.
     PlanAge = 20, "the loaded plan is old";
@@ -70,13 +70,13 @@ causes! {
     StuckEncoder = 21, "an encoder is stuck";
     /// To keep the rod upright the arm would have to move too fast.
     BalanceSpeed = 22, "the rod is faster than the arm can follow";
-    /// A torque acts on the arm that nothing explains: somebody or something is in its way.
+    /// An unexplained torque acts on the arm: a person or an object is in its way.
     Collision = 23, "something is in the arm's way";
     /// No angle and no measured torque changes, although the commanded torque does.
     FrozenMeasurement = 24, "the measurements are frozen";
 }
 
-// Codes are found again by their index.
+// `fault_text` finds a cause by its code.
 const _: () = {
     let mut i = 0;
     while i < TripCause::ALL.len() {
@@ -86,12 +86,12 @@ const _: () = {
 };
 
 impl TripCause {
-    /// The number that stands for the cause in telemetry; above 0.
+    /// Code of the cause in telemetry, above 0.
     pub const fn code(self) -> u64 {
         self as u64
     }
 
-    /// What has to be done about it before the robot can be enabled; short.
+    /// Remedy before the robot can be enabled, in a few words.
     pub const fn remedy(self) -> &'static str {
         match self {
             Self::NoMeasurement => "start a plant",
@@ -118,59 +118,59 @@ impl TripCause {
         }
     }
 
-    /// The bit that stands for the cause in a `warnings` word.
+    /// Bit of the cause in a `warnings` word.
     pub const fn bit(self) -> u64 {
         1 << (self.code() - 1)
     }
 }
 
-/// What the `fault` of telemetry and answers means; `None` for 0 and for codes that do not exist.
+/// Description of the cause with the code `fault` of telemetry and answers; `None` for 0 and for unknown codes.
 pub fn fault_text(code: u64) -> Option<&'static str> {
     let index = usize::try_from(code.checked_sub(1)?).ok()?;
     TripCause::ALL.get(index).map(|cause| cause.text())
 }
 
-/// What the bits of a `warnings` word mean; unknown bits mean nothing.
+/// Descriptions of the causes in a `warnings` word; unknown bits are skipped.
 pub fn warning_texts(warnings: u64) -> impl Iterator<Item = &'static str> {
     TripCause::ALL.into_iter().filter(move |cause| warnings & cause.bit() != 0).map(TripCause::text)
 }
 
-/// The limits that have exceeded their warning levels in one cycle.
+/// Set of the limits whose warning levels were exceeded in one cycle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Warnings(u64);
 
 impl Warnings {
-    /// Adds the warning of a limit.
+    /// Adds a limit to the set.
     pub const fn insert(&mut self, cause: TripCause) {
         self.0 |= cause.bit();
     }
 
-    /// Whether the limit has exceeded its warning level.
+    /// Whether the set contains the limit.
     pub const fn contains(self, cause: TripCause) -> bool {
         self.0 & cause.bit() != 0
     }
 
-    /// The `warnings` word of telemetry: [`TripCause::bit`] of each limit.
+    /// The set as the `warnings` word of telemetry: [`TripCause::bit`] of each limit.
     pub const fn bits(self) -> u64 {
         self.0
     }
 }
 
-/// A limit beyond its trip level, with the numbers.
+/// Trip of a limit: a value beyond the trip level.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Trip {
-    /// The limit.
+    /// Limit that was exceeded.
     pub cause: TripCause,
-    /// The joint, 0-based; 0 where no joint is concerned.
+    /// Joint, 0-based; 0 for a limit of no joint.
     pub joint: usize,
-    /// The value: rad, rad/s, N m, N m/s, cycles or ns, as the cause says.
+    /// Value beyond the trip level: rad, rad/s, N m, N m/s, cycles or ns, depending on the cause.
     pub value: f64,
-    /// The trip level, in the same unit.
+    /// Trip level, in the unit of the value.
     pub limit: f64,
 }
 
 impl Trip {
-    /// A trip that concerns no joint and has no numbers.
+    /// Creates a trip of a limit without joint and numbers.
     pub const fn plain(cause: TripCause) -> Self {
         Self { cause, joint: 0, value: 0.0, limit: 0.0 }
     }
@@ -268,7 +268,7 @@ impl fmt::Display for Trip {
 mod tests {
     use super::{Trip, TripCause};
 
-    /// For a trip of joint 3 with the value 1.5 and the limit 4.
+    /// Expected texts for joint 3, 0-based, with the value 1.5 and the limit 4.
     const TEXTS: [(TripCause, &str); 18] = [
         (TripCause::StaleMeasurement, "no new measurement for 2 cycles, limit 4"),
         (TripCause::MeasurementGap, "2 measurements were missed, limit 4"),

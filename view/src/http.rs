@@ -1,5 +1,5 @@
-//! HTTP/1.1 for the monitor's page and the metrics. Clients are not trusted: what one of them sends, withholds or does
-//! not read costs bounded memory and time, and keeps no other waiting.
+//! HTTP/1.1 server for the live page and the metrics. Clients are not trusted: whether they send too much, withhold data or do
+//! not read, a client takes bounded memory and time, and delays no other client.
 
 use http_body_util::channel::{self, Channel};
 use http_body_util::combinators::BoxBody;
@@ -21,23 +21,23 @@ use tokio::net::TcpStream;
 use tokio::task::AbortHandle;
 use tokio_io_timeout::TimeoutStream;
 
-/// Connections at a time; fewer where the process may open few files.
+/// Most open connections; fewer if the limit of open files of the process is low.
 const CONNECTIONS: usize = 128;
-/// Share of the files of the process that connections may take.
+/// Largest share of the process's open files for connections.
 const FILES: f64 = 0.25;
 /// Longest wait for a complete header, also between two requests of a connection.
 const HEADER_TIMEOUT: Duration = Duration::from_secs(10);
-/// Longest time in which a client takes nothing of an answer.
+/// Longest time in which a client may take no data of an answer.
 const WRITE_TIMEOUT: Duration = Duration::from_secs(10);
-/// Bytes and fields of a header.
+/// Largest header, bytes.
 const HEADER_BYTES: usize = 16 << 10;
 const HEADER_FIELDS: usize = 64;
-/// Threads for answers that block.
+/// Most threads for answers that block.
 const BLOCKING: usize = 16;
-/// How often to look whether to end.
+/// Longest time between two checks of `stop`.
 const PAUSE: Duration = Duration::from_millis(100);
 
-/// Sent with every answer: nothing is cached, framed, guessed or told to other sites.
+/// Headers of every answer: no caching, no frames, no guessing of types, no access by other sites.
 const HEADERS: [(HeaderName, &str); 5] = [
     (header::CACHE_CONTROL, "no-store"),
     (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
@@ -50,15 +50,15 @@ const HEADERS: [(HeaderName, &str); 5] = [
     ),
 ];
 
-/// Type of a stream of events.
+/// Content type of server-sent events.
 pub const EVENTS: &str = "text/event-stream";
 
-/// A request. None has a body: those with one are refused before they get here.
+/// HTTP request without a body: the server refuses a request with a body before it calls `answer`.
 pub type Request = hyper::Request<Incoming>;
-/// An answer.
+/// HTTP response.
 pub type Response = hyper::Response<BoxBody<Bytes, Infallible>>;
 
-/// The address cannot be listened to.
+/// Error of a server that cannot listen at its address.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot listen at {address}: {cause}; choose a free port of this machine, for example 127.0.0.1:0")]
 pub struct ListenError {
@@ -66,7 +66,7 @@ pub struct ListenError {
     cause: io::Error,
 }
 
-/// Connections are accepted no more.
+/// Error of a server that cannot accept connections any more.
 #[derive(Debug, thiserror::Error)]
 #[error("the listener at {address} has failed: {cause}; start it again")]
 pub struct ServeError {
@@ -74,18 +74,18 @@ pub struct ServeError {
     cause: io::Error,
 }
 
-/// A socket that listens.
+/// Listening socket of an HTTP server.
 pub struct Listener {
     socket: TcpListener,
-    /// Where it listens, with the port that the system chose for port 0.
+    /// Address of the socket, with the port that the system chose for port 0.
     pub address: SocketAddr,
 }
 
 impl Listener {
-    /// Listens at `address`.
+    /// Binds a socket to `address` and listens.
     ///
     /// # Errors
-    /// [`ListenError`]
+    /// [`ListenError`] if the address cannot be bound.
     pub fn bind(address: SocketAddr) -> Result<Self, ListenError> {
         let bind = || {
             let socket = TcpListener::bind(address)?;
@@ -96,7 +96,7 @@ impl Listener {
         bind().map_err(|cause| ListenError { address, cause })
     }
 
-    /// Answers requests in a thread of its own until `stop` is raised. `answer` runs in that thread and must not block it.
+    /// Starts a thread that answers requests until `stop` is set. `answer` runs in that thread and must not block it.
     pub fn serve<F>(
         self,
         stop: &Arc<AtomicBool>,
@@ -114,7 +114,7 @@ impl Listener {
                 .build();
             let served = runtime.and_then(|runtime| {
                 let served = runtime.block_on(accept(self.socket, &stop, Arc::new(answer)));
-                // Connections end with it; a thread that waits for an operator's request is left behind.
+                // The connections are closed; a blocking thread that still waits for an operator's request is not joined.
                 runtime.shutdown_background();
                 served
             });
@@ -124,17 +124,17 @@ impl Listener {
     }
 }
 
-/// The thread that answers.
+/// Thread of a running HTTP server.
 pub struct Server {
     thread: Option<std::thread::JoinHandle<Result<(), ServeError>>>,
     address: SocketAddr,
 }
 
 impl Server {
-    /// Whether it still answers.
+    /// Checks that the server still answers.
     ///
     /// # Errors
-    /// [`ServeError`] if it has ended without being asked to.
+    /// [`ServeError`] if its thread has ended before `stop` was set.
     pub fn check(&mut self) -> Result<(), ServeError> {
         if self.thread.as_ref().is_some_and(|thread| !thread.is_finished()) {
             return Ok(());
@@ -142,10 +142,10 @@ impl Server {
         self.end()
     }
 
-    /// Waits for its end, once `stop` is raised.
+    /// Joins the thread of the server, after `stop` was set.
     ///
     /// # Errors
-    /// [`ServeError`] if that is not why it ended.
+    /// [`ServeError`] if the thread ended with an error or a panic.
     pub fn end(&mut self) -> Result<(), ServeError> {
         let died =
             |_| Err(ServeError { address: self.address, cause: io::Error::other("its thread panicked") });
@@ -153,7 +153,7 @@ impl Server {
     }
 }
 
-/// Connections, oldest first.
+/// Open connections, oldest first.
 struct Connections {
     open: VecDeque<Connection>,
     most: usize,
@@ -161,13 +161,13 @@ struct Connections {
 
 struct Connection {
     task: AbortHandle,
-    /// Answers under way.
+    /// Number of answers under way on this connection.
     answers: Arc<AtomicUsize>,
 }
 
 impl Connections {
-    /// Makes room for one more: of those that wait for a request the oldest has to go. Clients that begin a request and never
-    /// finish it push out each other, and whoever asks at once is answered.
+    /// Makes room for one more connection, if need be by closing the oldest without an answer under way. Clients that never finish
+    /// a request thus push out each other, and a client that sends its request at once is answered. Returns whether there is room.
     fn make_room(&mut self) -> bool {
         self.open.retain(|connection| !connection.task.is_finished());
         self.open.len() < self.most || self.close_one()
@@ -195,7 +195,7 @@ where
         match tokio::time::timeout(PAUSE, socket.accept()).await {
             Err(_) => {}
             Ok(Ok((stream, _))) => {
-                // Without room, and all others being answered, it is closed.
+                // If every connection has an answer under way, the new connection is closed.
                 if connections.make_room() {
                     let answers = Arc::new(AtomicUsize::new(0));
                     let serve = connection(stream, Arc::clone(&answers), Arc::clone(&answer));
@@ -215,7 +215,7 @@ where
     Ok(())
 }
 
-/// Errors of a connection before it was accepted, accept(2).
+/// Whether accept(2) reports an error of a single connection, before it was accepted.
 fn is_of_client(e: &io::Error) -> bool {
     const NETWORK: [i32; 11] = [
         libc::ECONNABORTED,
@@ -233,13 +233,13 @@ fn is_of_client(e: &io::Error) -> bool {
     e.raw_os_error().is_some_and(|code| NETWORK.contains(&code))
 }
 
-/// Too few files or too little memory, which pass.
+/// Whether accepting failed from a passing shortage of file descriptors or memory.
 fn is_shortage(e: &io::Error) -> bool {
     const SHORTAGE: [i32; 4] = [libc::EMFILE, libc::ENFILE, libc::ENOBUFS, libc::ENOMEM];
     e.raw_os_error().is_some_and(|code| SHORTAGE.contains(&code))
 }
 
-/// Files that the process may open.
+/// Number of files that the process may open; 0 if unknown.
 fn files() -> u64 {
     let mut limit = libc::rlimit { rlim_cur: 0, rlim_max: 0 };
     // SAFETY: the pointer is valid for the call.
@@ -256,13 +256,13 @@ async fn connection<F>(
 ) where
     F: Future<Output = Response> + Send + 'static,
 {
-    // Small events go out at once; without it they are only later.
+    // Small events are sent at once. On failure they are sent, but later.
     let _ = stream.set_nodelay(true);
     let mut stream = TimeoutStream::new(stream);
     stream.set_write_timeout(Some(WRITE_TIMEOUT));
     let service = hyper::service::service_fn(|request: Request| {
         let under_way = UnderWay::begin(&answers);
-        // Nothing here takes one, so that none is waited for.
+        // A body is never read: a request with a body is refused.
         let answer = request.body().is_end_stream().then(|| answer(request));
         async move {
             let response = match answer {
@@ -274,7 +274,7 @@ async fn connection<F>(
                     refused
                 }
             };
-            // The answer is under way as long as there is something to send.
+            // The answer counts as under way until its last frame is sent.
             Ok::<_, Infallible>(response.map(|body| {
                 body.map_frame(move |frame| {
                     let _until_sent = &under_way;
@@ -291,11 +291,11 @@ async fn connection<F>(
         .max_buf_size(HEADER_BYTES)
         .title_case_headers(true)
         .serve_connection(stream, service);
-    // A client that goes away, or sends something else than HTTP, is no error of ours.
+    // A client that disconnects, or does not send HTTP, is no error of the server.
     let _ = serve.await;
 }
 
-/// One of the answers of a connection.
+/// One answer under way on a connection; dropping it ends the count.
 struct UnderWay(Arc<AtomicUsize>);
 
 impl UnderWay {
@@ -311,18 +311,18 @@ impl Drop for UnderWay {
     }
 }
 
-/// Whether a request reads: GET, or HEAD, whose answer is sent without its body.
+/// Whether a request only reads: GET, or HEAD, whose answer is sent without its body.
 pub fn reads(request: &Request) -> bool {
     matches!(*request.method(), Method::GET | Method::HEAD)
 }
 
-/// Path of a request, without query and the slash at its end: `/` is empty.
+/// Path of a request without query and trailing slash: `/` gives an empty text.
 pub fn path(request: &Request) -> &str {
     let path = request.uri().path();
     path.strip_suffix('/').unwrap_or(path)
 }
 
-/// Value of a header of a request; `None`, too, if it comes more than once.
+/// Value of a request header; `None` if it is absent, occurs more than once or is no text.
 pub fn header(request: &Request, name: HeaderName) -> Option<&str> {
     let mut values = request.headers().get_all(name).iter();
     values.next().filter(|_| values.next().is_none())?.to_str().ok()
@@ -339,7 +339,7 @@ fn with_headers(status: u16, kind: &str, body: BoxBody<Bytes, Infallible>) -> Re
     response
 }
 
-/// A text.
+/// Builds a response with a text of the content type `kind` as its body.
 pub fn respond(status: u16, kind: &str, body: String) -> Response {
     let length = body.len();
     let mut response = with_headers(status, kind, Full::new(Bytes::from(body)).boxed());
@@ -347,24 +347,24 @@ pub fn respond(status: u16, kind: &str, body: String) -> Response {
     response
 }
 
-/// Refuses a method: `allowed` are those that are not, with commas between them.
+/// Builds a response that refuses the method of a request; `allowed`: the allowed methods, separated by commas.
 pub fn refuse_method(kind: &str, body: String, allowed: &'static str) -> Response {
     let mut response = respond(405, kind, body);
     response.headers_mut().insert(header::ALLOW, HeaderValue::from_static(allowed));
     response
 }
 
-/// An endless stream of server-sent events.
+/// Builds a response that is an endless stream of server-sent events.
 pub fn stream() -> (Events, Response) {
     let (events, body) = Channel::new(1);
     (Events(events), with_headers(200, EVENTS, body.boxed()))
 }
 
-/// Where the events of a stream go; the stream ends with it.
+/// Sender of the events of a stream; dropping it ends the stream.
 pub struct Events(channel::Sender<Bytes>);
 
 impl Events {
-    /// Sends an event, as soon as the one before it has been taken; whether the client is still there, and reads.
+    /// Sends an event, once the previous event has been taken. Returns whether the client is still connected.
     pub async fn send(&mut self, event: &str) -> bool {
         self.0.send_data(Bytes::from(format!("data: {event}\n\n"))).await.is_ok()
     }
@@ -378,14 +378,14 @@ mod tests {
     use std::os::fd::AsRawFd;
     use tokio::sync::watch;
 
-    /// Ends with the test.
+    /// Running server; it ends when the test drops it.
     struct Site {
         address: SocketAddr,
         stop: Arc<AtomicBool>,
         server: Server,
-        /// Requests that have come.
+        /// Number of requests received.
         came: Arc<AtomicUsize>,
-        /// Lets `/held` be answered.
+        /// Releases the answer to `/held`.
         release: watch::Sender<bool>,
     }
 
@@ -416,10 +416,10 @@ mod tests {
             (Self { address, stop, server, came, release }, socket)
         }
 
-        /// Sends a text.
+        /// Connects and sends a text.
         fn send(&self, text: &str) -> TcpStream {
             let mut stream = TcpStream::connect(self.address).expect("it listens");
-            // One that was closed at once is found when it is read.
+            // If the server closed the connection at once, reading shows it.
             let _ = stream.write_all(text.as_bytes());
             stream
         }
@@ -442,7 +442,7 @@ mod tests {
         }
     }
 
-    /// The status of the answer; `None`: it was closed.
+    /// Status of the answer; `None` if the connection was closed without one.
     fn status(mut stream: TcpStream) -> Option<u16> {
         let mut answer = Vec::new();
         let _ = stream.read_to_end(&mut answer);
@@ -474,7 +474,7 @@ mod tests {
         let (site, _) = Site::begin();
         let half_open: Vec<_> = (0..CONNECTIONS + 20).map(|_| site.send("GET / HTTP/1.1\r\nX: ")).collect();
         assert_eq!(status(site.ask("/")), Some(200));
-        // The oldest are closed, the newest wait.
+        // The oldest connections are closed, the newest stay open.
         half_open[..20].iter().for_each(|mut stream| assert!(!matches!(stream.read(&mut [0]), Ok(1..))));
     }
 
@@ -502,7 +502,7 @@ mod tests {
         let (mut site, socket) = Site::begin();
         assert_eq!(status(site.ask("/")), Some(200));
         site.server.check().expect("it listens");
-        // SAFETY: plain system call on an open socket; its copies in the server are affected, too.
+        // SAFETY: plain system call on an open socket; it also affects the server's copies of the socket.
         assert_eq!(unsafe { libc::shutdown(socket.as_raw_fd(), libc::SHUT_RDWR) }, 0);
         let failure = loop {
             match site.server.check() {

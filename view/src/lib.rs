@@ -1,4 +1,4 @@
-//! What an operator sees: a running system in the terminal ([`monitor`]), in a browser ([`web`]) and as metrics ([`metrics`]), all
+//! Views for an operator: a running system in the terminal ([`monitor`]), in a browser ([`web`]) and as metrics ([`metrics`]), all
 //! three from one [`live`] client; a recording as a page ([`page`]) and as pictures ([`picture`]).
 
 pub mod http;

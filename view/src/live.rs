@@ -19,7 +19,7 @@ use upswing_ipc::{IpcError, Node, Plan, Subscriber, Telemetry, TelemetryBatch};
 /// Time without telemetry after which the newest cycle no longer counts as the present state.
 const SILENCE: Duration = Duration::from_secs(1);
 
-/// A client of a system, which need not be running yet. It stays in the thread that opened it.
+/// Client of a system, which need not be running yet. The client stays in the thread that opened it.
 pub struct Live {
     telemetry: Subscriber<TelemetryBatch>,
     plans: Subscriber<Plan>,
@@ -46,7 +46,7 @@ impl Live {
         })
     }
 
-    /// Takes in what has arrived since the last call; `each` gets every cycle.
+    /// Takes all data that have arrived since the last call; `each` is called with every cycle.
     ///
     /// # Errors
     /// [`IpcError`]
@@ -55,7 +55,7 @@ impl Live {
         while let Some(batch) = self.telemetry.receive()? {
             self.heard = Instant::now();
             for record in batch.used() {
-                // A copy: the daemon's process could still write into what is shared.
+                // A copy: the daemon could still write to the shared memory.
                 let record = *record;
                 self.builder.cycle(&record);
                 each(&record);
@@ -73,7 +73,7 @@ impl Live {
         Ok(())
     }
 
-    /// The present state of the system.
+    /// Returns the current state of the system.
     pub fn view(&self) -> View {
         self.builder.view()
     }

@@ -1,5 +1,5 @@
-//! A [`View`] as OpenMetrics, <https://prometheus.io/docs/specs/om/open_metrics_spec/>. Only types that the older text
-//! format of node_exporter's textfile collector knows, too.
+//! Metrics of a system: a [`View`] as OpenMetrics, <https://prometheus.io/docs/specs/om/open_metrics_spec/>. All types also exist
+//! in the older text format, which the textfile collector of node_exporter reads.
 
 use crate::live::{CycleView, DaemonStatus, LatencyPercentiles, View};
 use serde::Serialize;
@@ -10,45 +10,45 @@ use upswingd::trip::TripCause;
 /// Content type of [`text`].
 pub const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
-/// Type of a family.
+/// Type of a metric family.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum MetricType {
-    /// Goes up and down.
+    /// The value rises and falls.
     Gauge,
-    /// Goes up; 0 after a restart.
+    /// The value rises; 0 after a restart.
     Counter,
-    /// Percentiles.
+    /// Percentiles of a distribution.
     Summary,
 }
 
-/// Metrics of one name.
+/// Metric family: samples of one metric with different labels.
 #[derive(Clone, Debug, Serialize)]
 pub struct MetricFamily {
-    /// With the unit, without the suffix of a sample.
+    /// Name with the unit, without the suffix of a sample.
     pub name: String,
-    /// Its type.
+    /// Type of the metric.
     pub kind: MetricType,
-    /// Base unit, empty where there is none.
+    /// Base unit, empty for numbers without a unit.
     pub unit: &'static str,
-    /// What it means.
+    /// Description of the metric.
     pub help: &'static str,
-    /// Its samples.
+    /// Samples of the metric.
     pub samples: Vec<MetricSample>,
 }
 
-/// One number.
+/// Sample of a metric: a value with its labels.
 #[derive(Clone, Debug, Serialize)]
 pub struct MetricSample {
-    /// What follows the family's name: `_total`, `_count`, or nothing.
+    /// Suffix after the name of the family: `_total`, `_count`, or nothing.
     pub suffix: &'static str,
-    /// Names and values.
+    /// Names and values of the labels.
     pub labels: Vec<(&'static str, String)>,
-    /// The number.
+    /// Value, in the unit of the family.
     pub value: f64,
 }
 
-/// Families in the making.
+/// Collector of metric families.
 #[derive(Default)]
 struct Families(Vec<MetricFamily>);
 
@@ -73,7 +73,7 @@ impl Families {
         self.add(MetricType::Counter, name, "", help, vec![sample("_total", vec![], value as f64)]);
     }
 
-    /// One gauge for each value of a label.
+    /// Adds a gauge with one sample for each value of a label.
     fn each(
         &mut self,
         name: &str,
@@ -106,7 +106,7 @@ fn flag(is: bool) -> f64 {
     f64::from(u8::from(is))
 }
 
-/// What there is to measure: of cycles and status only what has arrived.
+/// Collects the metrics of a system; those of cycles and status only once these have arrived.
 pub fn families(view: &View) -> Vec<MetricFamily> {
     let mut f = Families::default();
     let here = [("daemon", view.daemon), ("planner", view.planner), ("plant", view.plant)];
@@ -168,7 +168,7 @@ fn of_cycle(f: &mut Families, cycle: &CycleView) {
     f.each("joint_torque", "ratio", help, "joint", torques().map(|(i, _, share)| (i, share)));
 }
 
-/// The families as text.
+/// Formats the families as OpenMetrics text.
 pub fn text(families: &[MetricFamily]) -> String {
     let mut text = String::new();
     for MetricFamily { name, kind, unit, help, samples } in families {
@@ -177,7 +177,7 @@ pub fn text(families: &[MetricFamily]) -> String {
             MetricType::Counter => "counter",
             MetricType::Summary => "summary",
         };
-        // Writing to a string does not fail.
+        // Writing to a string cannot fail.
         let _ = writeln!(text, "# TYPE {name} {kind}");
         if !unit.is_empty() {
             let _ = writeln!(text, "# UNIT {name} {unit}");

@@ -1,4 +1,4 @@
-//! The monitor in the terminal (`upswing monitor`).
+//! Monitor of a running system in the terminal (`upswing monitor`).
 
 mod draw;
 mod keys;
@@ -15,10 +15,10 @@ use std::time::Duration;
 
 /// Time between two frames.
 const FRAME: Duration = Duration::from_millis(40);
-/// Time that an orderly end of the monitor may take.
+/// Longest time for the monitor to end with its terminal restored.
 const GRACE: Duration = Duration::from_millis(900);
 
-/// Why the monitor ended.
+/// Error that ended the monitor.
 #[derive(Debug, thiserror::Error)]
 pub enum MonitorError {
     /// The terminal cannot be used.

@@ -1,4 +1,4 @@
-//! A recording as one HTML file that needs no network: the robot in motion, the panels of the paper's Fig. 5, modes,
+//! A recording as one HTML file without network access: the robot in motion, the panels of the paper's Fig. 5, modes,
 //! cycle times, summary and settings; and the page of a running system, of the same parts.
 
 mod data;
@@ -18,23 +18,23 @@ use upswing_model::UrdfError;
 use upswing_record::robot::Robot;
 
 const STYLE: &str = include_str!("page/page.css");
-/// What both pages draw with.
+/// Scripts that draw, for both pages.
 const DRAWING: &str = concat!(include_str!("page/scene.js"), include_str!("page/plots.js"));
 
 /// Writes the page of a recording.
 ///
-/// # Errors
+/// Errors of the writer.
 /// Those of the writer.
 pub fn write(data: &PageData, to: &mut impl Write) -> io::Result<()> {
     let script = include_str!("page/page.js");
     fill(include_str!("page/page.html"), script, &serde_json::to_string(data)?, to)
 }
 
-/// What the page of a running system has to know before its first frame.
+/// Data of the live page that are known before its first frame.
 #[derive(Debug, Serialize)]
 pub struct LivePageSetup {
     domain: String,
-    /// Whether requests can be made, and which.
+    /// Whether the page can make requests.
     control: bool,
     requests: [&'static str; Request::ALL.len()],
     period_us: f64,
@@ -43,10 +43,10 @@ pub struct LivePageSetup {
 }
 
 impl LivePageSetup {
-    /// Of the robot of the settings.
+    /// Describes the page of the system `domain` with the robot of the settings.
     ///
     /// # Errors
-    /// [`UrdfError`] if it cannot be drawn.
+    /// [`UrdfError`] if the robot of the URDF cannot be drawn.
     pub fn new(domain: &str, config: &Config, control: bool) -> Result<Self, UrdfError> {
         Ok(Self {
             domain: domain.to_owned(),
@@ -58,18 +58,18 @@ impl LivePageSetup {
     }
 }
 
-/// The page of a running system.
+/// Returns the page of a running system as HTML.
 pub fn live(setup: &LivePageSetup) -> String {
     let mut page = Vec::new();
     let data = serde_json::to_string(setup).unwrap_or_default();
-    // A vector takes everything.
+    // Writing to a vector cannot fail.
     let _ = fill(include_str!("page/live.html"), include_str!("page/live.js"), &data, &mut page);
     String::from_utf8_lossy(&page).into_owned()
 }
 
-/// Puts the parts in the places of their marks, which stand in this order.
+/// Writes the template with `script`, style and `data` in place of their marks, which are searched in this order.
 fn fill(template: &str, script: &str, data: &str, to: &mut impl Write) -> io::Result<()> {
-    // No text of the data can end the element it stands in.
+    // Without `<`, no text of the data can close the script element around it.
     let data = data.replace('<', "\\u003c");
     let mut rest = template;
     for (mark, parts) in

@@ -1,5 +1,5 @@
-//! Pictures like the paper's Fig. 4 and 5: positions, velocities and torques over time, each scaled by its 100 % limit, so
-//! that plans and flights can be compared.
+//! Pictures like the paper's Fig. 4 and 5: positions, velocities and torques over time, scaled by their 100 % limits, so
+//! that plans and recorded motions can be compared.
 
 pub mod curves;
 pub mod figures;
@@ -12,27 +12,27 @@ use upswing_ipc::{Mode, Telemetry};
 use upswing_model::{Limits, NQ, NU};
 use upswing_process::output::Output;
 
-/// Size of the picture, px.
+/// Size of a picture, px.
 const SIZE: (u32, u32) = (1200, 820);
-/// Points per curve: more than the picture can show would only make the file large.
+/// Most points per curve: more would enlarge the file without being visible.
 const POINTS: usize = 500;
 /// Joints of each row, 0-based, as in Fig. 4 and 5 (joint 7 is shown with the pendulum).
 const ROWS: [&[usize]; 3] = [&[0, 1, 2], &[3, 4, 5], &[6, 7, 8]];
-/// How far each panel reaches, in units of the 100 % limits: the same in all pictures, so that they can be compared. Plans may go to
-/// 1.11 of the limit of q8.
+/// Upper end of the vertical axes in units of the 100 % limits, equal in all pictures, so that they can be compared. Plans may
+/// use up to 1.11 of the limit of q8.
 const SHOWN: f64 = 1.2;
-/// What each column shows.
+/// Titles of the columns.
 const COLUMNS: [&str; 3] = ["position / 100 % limit", "velocity / 100 % limit", "torque / 100 % limit"];
 /// Colours that differ in print and for the colour-blind (Okabe, Ito 2008).
 const COLOURS: [RGBColor; 3] = [RGBColor(0, 114, 178), RGBColor(213, 94, 0), RGBColor(0, 158, 115)];
 
-/// One curve, and one to compare with: scaled values over time, s.
+/// A solid curve and a dashed one to compare with it: scaled values over time, s.
 struct CurvePair {
     solid: Vec<(f64, f64)>,
     dashed: Vec<(f64, f64)>,
 }
 
-/// Times that a picture shows, s, and the colour of its dashed curves; `None`: that of the solid ones.
+/// Time range of a panel, s, and the colour of its dashed curves; `None`: the colour of the solid curves.
 struct PanelStyle {
     begin: f64,
     end: f64,
@@ -42,10 +42,10 @@ struct PanelStyle {
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 type Drawn = Result<(), DrawingAreaErrorKind<std::io::Error>>;
 
-/// A drawing of this size, px, as SVG.
+/// Returns a drawing of `size` (px) as SVG text.
 ///
 /// # Errors
-/// A text that says what cannot be drawn.
+/// The message of the drawing library.
 fn svg(size: (u32, u32), draw: impl FnOnce(&Area<'_>) -> Drawn) -> Result<String, String> {
     let mut text = String::new();
     let root = SVGBackend::with_string(&mut text, size).into_drawing_area();
@@ -55,7 +55,7 @@ fn svg(size: (u32, u32), draw: impl FnOnce(&Area<'_>) -> Drawn) -> Result<String
     Ok(text)
 }
 
-/// Writes a drawing. That of plotters into a file would not tell that the disk is full.
+/// Writes a drawing to a file. The file output of plotters would not report a full disk.
 fn write(output: &Output, drawing: &[u8]) -> Result<(), String> {
     output.write(drawing).map_err(|e| e.to_string())
 }
@@ -64,12 +64,12 @@ fn write(output: &Output, drawing: &[u8]) -> Result<(), String> {
 /// desired ones dashed, as in Fig. 5.
 ///
 /// # Errors
-/// A text that says why the file could not be drawn.
+/// A message if there is no swing-up, or the picture could not be drawn or written.
 pub fn draw(output: &Output, records: &[Telemetry], limits: &Limits, period: f64) -> Result<(), String> {
     write(output, swing_up(records, limits, period)?.as_bytes())
 }
 
-/// The drawing of [`draw`].
+/// Returns the drawing of [`draw`] as SVG text.
 fn swing_up(records: &[Telemetry], limits: &Limits, period: f64) -> Result<String, String> {
     const LEAD: f64 = 0.2;
     let moving = |t: &&Telemetry| matches!(t.mode(), Ok(Mode::Track | Mode::Balance));
@@ -98,7 +98,7 @@ fn swing_up(records: &[Telemetry], limits: &Limits, period: f64) -> Result<Strin
     })
 }
 
-/// `curves` gives the curves of a joint (0-based) in the order of [`COLUMNS`].
+/// Draws all panels; `curves` returns the curves of a joint (0-based) in the order of [`COLUMNS`].
 fn draw_panels(
     look: &PanelStyle,
     curves: impl Fn(usize) -> [Option<CurvePair>; COLUMNS.len()],
@@ -122,7 +122,7 @@ fn draw_panels(
     })
 }
 
-/// A point, at the edge of its panel where it is beyond that.
+/// Clamps a point to the vertical range of its panel.
 fn shown((t, value): &(f64, f64)) -> (f64, f64) {
     (*t, value.clamp(-SHOWN, SHOWN))
 }
@@ -139,7 +139,7 @@ fn draw_panel(
         .caption(title, ("sans-serif", 18))
         .x_label_area_size(if bottom { 38 } else { 22 })
         .y_label_area_size(38)
-        // The legend stands to the right of the curves.
+        // The space to the right of the curves is for the legend.
         .build_cartesian_2d(look.begin..look.end * 1.42, -SHOWN..SHOWN)?;
     chart
         .configure_mesh()
@@ -159,7 +159,7 @@ fn draw_panel(
             .label(format!("joint {}", joint + 1))
             .legend(move |(x, y)| PathElement::new([(x, y), (x + 16, y)], colour.stroke_width(2)));
     }
-    // The dashed curves lie on top, or the solid ones would hide them.
+    // The dashed curves are drawn last, so that the solid curves do not hide them.
     for ((_, curve), colour) in curves.iter().zip(COLOURS) {
         let style = look.dashes.unwrap_or(colour).stroke_width(1);
         chart.draw_series(DashedLineSeries::new(curve.dashed.iter().map(shown), 4, 4, style))?;

@@ -1,4 +1,4 @@
-//! The monitor as a page: [`crate::live::View`]s and the motion between them, as server-sent events.
+//! Serves the monitor as a web page: [`crate::live::View`]s and the motion between them, as server-sent events.
 
 mod frames;
 mod guard;
@@ -18,13 +18,13 @@ use std::time::{Duration, Instant};
 use upswing_ipc::IpcError;
 use upswing_ipc::operator::Request;
 
-/// Time between two events.
+/// Period of the server-sent events.
 const FRAME: Duration = Duration::from_millis(40);
-/// Pause between two looks for telemetry.
+/// Pause between two reads of the telemetry.
 const PAUSE: Duration = Duration::from_millis(5);
-/// Pages that can be open at a time.
+/// Most pages that are open at a time.
 const PAGES: usize = 16;
-/// Longest wait for the answer to a request of an operator: those of planner and daemon, one after the other.
+/// Longest wait for the answer to an operator's request: the time limits of planner and daemon, one after the other.
 const PATIENCE: Duration = Duration::from_secs(30);
 
 const HTML: &str = "text/html; charset=utf-8";
@@ -50,18 +50,18 @@ impl ErrorDocument {
     }
 }
 
-/// Why the page is served no more.
+/// Error that ends the serving of the page.
 #[derive(Debug, thiserror::Error)]
 pub enum WebError {
-    /// Connections cannot be accepted any more.
+    /// The server cannot accept connections any more.
     #[error(transparent)]
     Serve(#[from] ServeError),
-    /// The system cannot be watched any more.
+    /// The telemetry and status of the system cannot be read any more.
     #[error(transparent)]
     Ipc(#[from] IpcError),
 }
 
-/// Serves the page `setup` describes until `stop` is raised. Only who has the `token` can make requests.
+/// Serves the page that `setup` describes until `stop` is set. A request needs the `token`; without a token the page is read-only.
 ///
 /// # Errors
 /// [`WebError`]
@@ -122,7 +122,7 @@ impl LivePage {
         }
         match (head.get, http::path(&request)) {
             (true, "") => http::respond(200, HTML, self.page.clone()),
-            // A stream that nobody gets would take the place of a page.
+            // A HEAD request gets no events: it must not occupy the place of a page.
             (true, "/events") if *request.method() == Method::HEAD => {
                 http::respond(200, http::EVENTS, String::new())
             }
@@ -160,7 +160,7 @@ impl LivePage {
     }
 }
 
-/// One of the pages that are open.
+/// Place of one open page; dropping it frees the place.
 struct OpenPage(Arc<LivePage>);
 
 impl OpenPage {
@@ -185,6 +185,6 @@ fn refuse(status: u16, error: String) -> Response {
 }
 
 fn json(value: &impl Serialize) -> String {
-    // What is sent has no maps with keys that are not texts.
+    // Serialization cannot fail: no value sent here has a map whose keys are not strings.
     serde_json::to_string(value).unwrap_or_default()
 }

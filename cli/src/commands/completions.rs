@@ -1,4 +1,4 @@
-//! `upswing completions` and `upswing man`: the command line, for shells and for `man`.
+//! `upswing completions` and `upswing man`: completion scripts for shells, and man pages.
 
 use super::{failed, print};
 use clap_complete::Shell;
@@ -64,7 +64,7 @@ impl std::fmt::Display for ManResult {
     }
 }
 
-/// Prints the script for `command`.
+/// Prints the completion script for `command`.
 ///
 /// # Errors
 /// [`Failure::Failed`] if stdout cannot be written.
@@ -75,22 +75,22 @@ pub fn completions(args: &CompletionsArgs, command: &mut clap::Command) -> Resul
     print(args.json, &CompletionsResult { shell: args.shell.to_string(), script })
 }
 
-/// File names and texts of the man pages of a command and its subcommands.
+/// Collects file names and texts of the man pages of a command and its subcommands.
 fn pages(command: &clap::Command, all: &mut Vec<(String, String)>) -> std::io::Result<()> {
     command.get_subcommands().try_for_each(|command| pages(command, all))?;
     let name = command.get_display_name().unwrap_or_else(|| command.get_name());
     let page = clap_mangen::Man::new(command.clone()).title(name).date(DATE);
     let mut text = Vec::new();
     page.render(&mut text)?;
-    // A blank line between two breaks: mandoc complains about either break, and about the blank line.
+    // mandoc warns about two breaks with a blank line between them: a vertical space replaces them.
     all.push((page.get_filename(), String::from_utf8_lossy(&text).replace("\n.br\n\n.br\n", "\n.sp\n")));
     Ok(())
 }
 
-/// Writes the pages of `command`.
+/// Writes the man pages of `command`.
 ///
 /// # Errors
-/// [`Failure::BadInput`] if the folder cannot be written to.
+/// [`Failure::BadInput`] if a file of the folder cannot be written.
 pub fn man(args: &ManArgs, command: clap::Command) -> Result<(), Failure> {
     let bad = |e: &dyn std::fmt::Display| {
         Failure::BadInput(format!("cannot write man pages to {}: {e}", args.dir.display()))

@@ -1,4 +1,4 @@
-//! `upswing config`: the embedded settings as files.
+//! `upswing config`: writes the embedded settings to files, or checks settings.
 
 use super::{CommonArgs, print};
 use serde::Serialize;
@@ -42,7 +42,7 @@ pub enum ConfigCommand {
 /// Writes or checks settings.
 ///
 /// # Errors
-/// [`Failure::BadInput`] that names file, key and reason.
+/// [`Failure::BadInput`] with file, key and reason.
 pub fn run(args: &ConfigArgs) -> Result<(), Failure> {
     match &args.command {
         ConfigCommand::Export { dir, overwrite, json } => {

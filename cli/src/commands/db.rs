@@ -1,4 +1,4 @@
-//! `upswing db`: the trajectory database.
+//! `upswing db`: builds, joins, checks, describes or exports trajectory databases.
 
 use super::{CommonArgs, TrajectoryJson, failed, print_json, progress_bar};
 use serde::Serialize;
@@ -99,7 +99,7 @@ pub enum DbCommand {
     },
 }
 
-/// Runs the command.
+/// Runs a command on databases.
 ///
 /// # Errors
 /// [`Failure::BadInput`] for an unusable file, [`Failure::Failed`] if a pose has no solution or a certificate does
@@ -118,7 +118,7 @@ pub fn run(args: &DbArgs) -> Result<(), Failure> {
     }
 }
 
-/// Shards that do not belong together are [`Failure::BadInput`], a full disk is [`Failure::Failed`].
+/// Converts the error of a build: shards of different builds to [`Failure::BadInput`], a full disk to [`Failure::Failed`].
 fn failure(e: BuildError) -> Failure {
     match e {
         BuildError::File { action: "read", .. }
@@ -199,7 +199,7 @@ fn use_grid(config: &mut Config, grid: Option<&Path>) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Prints the result of a build or merge that began at `begin`.
+/// Prints the result of a build or merge that started at `begin`.
 fn conclude(common: &CommonArgs, output: &Path, summary: Summary, begin: Instant) -> Result<(), Failure> {
     let Summary { poses, resumed, solved, rejected, failed: unsolved, left } = summary;
     let count = unsolved.len();
@@ -221,7 +221,7 @@ fn conclude(common: &CommonArgs, output: &Path, summary: Summary, begin: Instant
     }
 }
 
-/// The database of a file or of the settings, and its origin for messages.
+/// Reads the database of a file or of the settings; returns it with its origin for messages.
 fn read(config: &Config, file: Option<&Path>) -> Result<(Database, String), Failure> {
     match file {
         Some(path) => Ok((database::read(path).map_err(failure)?, path.display().to_string())),
@@ -239,14 +239,14 @@ struct DbVerifyResult {
     success: bool,
     origin: String,
     entries: usize,
-    /// Whether the database was built from the known grid.
+    /// Whether the start of every entry was compared with the grid, because the database was built from this grid.
     starts_compared: bool,
     discrepancies: Vec<u64>,
     worst: WorstCertificate,
     time_s: f64,
 }
 
-/// The worst figure of all certificates.
+/// Worst values of all certificates.
 #[derive(Serialize)]
 struct WorstCertificate {
     defect: f64,
@@ -378,12 +378,12 @@ impl std::fmt::Display for DbInfoResult {
     }
 }
 
-/// Start angle of a joint, deg: rounded so that all grid angles stay apart and rounding errors do not.
+/// Start angle of a joint, deg, rounded: grid angles stay distinct, equal angles with different rounding errors become equal.
 fn start_deg(entry: &Entry, joint: usize) -> f64 {
     (entry.trajectory.x[0][joint].to_degrees() * 1e3).round() / 1e3
 }
 
-/// Distribution of the entries over two joints: a text map with one cell per pair of angles, darker with more entries.
+/// Distribution of the entries over two joints as a text map, with one cell per pair of angles, darker with more entries.
 fn coverage_map(entries: &[&Entry], rows: &JointCoverage, columns: &JointCoverage) -> String {
     const SHADES: [char; 5] = ['·', '░', '▒', '▓', '█'];
     let count = |r: f64, c: f64| {

@@ -1,4 +1,4 @@
-//! `upswing demo`: the whole system on this machine.
+//! `upswing demo`: runs the whole system on this machine for one swing-up.
 
 use super::{CommonArgs, failed, own_system, session_failure, time_bar, writable};
 use crate::parse::{Degrees, start_state};
@@ -71,7 +71,7 @@ impl std::fmt::Display for DemoResult {
     }
 }
 
-/// The default picture: the first unused name.
+/// Returns the default path of the picture: the first unused name.
 fn default_picture(overwrite: Overwrite) -> Destination {
     let name = |n: u32| match n {
         1 => "upswing-demo.svg".to_owned(),
@@ -155,7 +155,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
         let logs = options.logs.display();
         return Err(failed(format!("the pendulum was not swung up and balanced; logs in {logs}")));
     }
-    // Only a run that needs no explanation leaves no logs.
+    // The logs are kept only if the demo fails.
     let _ = std::fs::remove_dir_all(&options.logs);
     drawn.map_err(Failure::Failed)
 }

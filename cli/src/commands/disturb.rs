@@ -1,4 +1,4 @@
-//! `upswing disturb`: faults and pushes for the simulated plant of a running system.
+//! `upswing disturb`: injects faults and pushes into the simulated plant of a running system.
 
 use super::{CommonArgs, failed};
 use serde::Serialize;
@@ -9,7 +9,7 @@ use upswing_process::Failure;
 use upswing_process::number::whole;
 use upswing_rig::fault_args::FaultArgs;
 
-/// Longest time to wait for an answer.
+/// Longest wait for the answer of the plant.
 const PATIENCE: Duration = Duration::from_secs(10);
 
 /// Injects faults into the simulated plant, or pushes the pendulum.
@@ -70,7 +70,7 @@ impl std::fmt::Display for DisturbResult {
     }
 }
 
-/// Sends the request to the plant.
+/// Sends the disturbance to the plant.
 ///
 /// # Errors
 /// [`Failure::BadInput`] for invalid arguments, [`Failure::Failed`] with the reason if the plant refuses or does not answer.

@@ -1,4 +1,4 @@
-//! `upswing doctor`: whether this host can run the control daemon on time, and what to change.
+//! `upswing doctor`: checks whether this host can run the control daemon in real time, and prints remedies.
 
 pub mod host;
 
@@ -36,7 +36,7 @@ pub struct DoctorArgs {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Grade {
-    /// Suitable.
+    /// The property is suitable.
     Good,
     /// The daemon runs, but cycles may be late.
     Advice,
@@ -91,7 +91,7 @@ impl fmt::Display for DoctorResult {
         }
         let most = self.histogram.iter().map(|(_, n)| *n).max().unwrap_or(0);
         for (begin, n) in &self.histogram {
-            // Logarithmic: one late wake-up in a million shows.
+            // Logarithmic, so that one late wake-up in a million is visible.
             let share = (*n as f64 + 1.0).ln() / (most as f64 + 1.0).ln();
             writeln!(f, "{begin:>10.1} us {n:>9}  {}", "#".repeat((40.0 * share).round() as usize))?;
         }
@@ -152,7 +152,7 @@ pub fn run(args: &DoctorArgs) -> Result<(), Failure> {
     if report.verdict == Grade::Bad { Err(failed("this host is not fit for real time")) } else { Ok(()) }
 }
 
-/// The real-time settings that the daemon requests at its start.
+/// Reports the real-time settings of the daemon that the system `refused`, or that all are granted.
 fn granted(refused: &[os::Refused], settings: &RealtimeSettings) -> Vec<Finding> {
     const NAME: &str = "real-time set-up";
     if refused.is_empty() {
@@ -183,7 +183,7 @@ fn memory() -> Finding {
     }
 }
 
-/// Dead processes whose files are still in shared memory.
+/// Reports files of dead processes in shared memory.
 fn leftovers(domain: &Domain) -> Finding {
     const NAME: &str = "leftovers";
     match domain.count_dead() {
@@ -198,7 +198,7 @@ fn leftovers(domain: &Domain) -> Finding {
     }
 }
 
-/// Latencies of wake-ups at absolute deadlines, as in the daemon, and the number of those above a period.
+/// Measures wake-up latencies at absolute deadlines, as in the daemon. Returns them and the number of those above a period.
 fn wake_up_latency(period: Period, duration: Duration) -> (Histogram, u64) {
     let period = period.nanos();
     let mut histogram = Histogram::default();

@@ -1,4 +1,4 @@
-//! `upswing export`: a recording as a table.
+//! `upswing export`: writes a recording as a CSV table.
 
 use super::{CommonArgs, byte_bar, failed, writable};
 use crate::parse::window;
@@ -59,7 +59,7 @@ impl std::fmt::Display for ExportResult<'_> {
     }
 }
 
-/// Writes the table.
+/// Writes the cycles of a recording as CSV.
 ///
 /// # Errors
 /// [`Failure::BadInput`] if the recording cannot be read, [`Failure::Failed`] if the table cannot be written.
@@ -67,7 +67,7 @@ pub fn run(args: &ExportArgs) -> Result<(), Failure> {
     let window = window(args.from, args.to)?;
     let output = writable("--csv", Some(&args.csv), args.overwrite)?;
     let unwritable = |e: std::io::Error| failed(format!("cannot write {}: {e}", args.csv.display()));
-    // Opened with the first cycle: a file that is no recording leaves the table as it is.
+    // Opened at the first cycle: a file that is no recording thus does not overwrite the table.
     let mut table = None;
     let (mut seen, mut lines) = (0, 0);
     let bar = byte_bar();
@@ -105,14 +105,14 @@ pub fn run(args: &ExportArgs) -> Result<(), Failure> {
     })
 }
 
-/// `q1_rad`, `t_plan_s`, ...
+/// Names of the columns with units, like `q1_rad` and `t_plan_s`.
 fn columns() -> Vec<String> {
     let suffix = |unit: &str| match unit {
         "" => String::new(),
         unit => format!("_{}", unit.replace(' ', "").replace("/s^2", "_s2").replace('/', "_")),
     };
     let names = FIELDS.iter().flat_map(|field| {
-        // `t_ns` says its unit already.
+        // Names like `t_ns` already contain the unit.
         let unit = if field.name.ends_with("_ns") { String::new() } else { suffix(field.unit) };
         let joint = move |i: usize| if field.length == 1 { String::new() } else { (i + 1).to_string() };
         (0..field.length).map(move |i| format!("{}{}{unit}", field.name, joint(i)))

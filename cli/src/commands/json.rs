@@ -1,4 +1,4 @@
-//! What several commands answer as JSON.
+//! Types of JSON output that several commands share.
 
 use serde::Serialize;
 use upswing_planner::replan::Replan;
@@ -9,18 +9,18 @@ use upswing_trajectory::{Margins, Trajectory};
 pub struct TrajectoryJson {
     /// t_F, s.
     pub t_f: f64,
-    /// x_k
+    /// States x_k at the knots, rad and rad/s.
     pub x: Vec<Vec<f64>>,
-    /// u_k
+    /// Inputs u_k, rad/s^2.
     pub u: Vec<Vec<f64>>,
 }
 
-/// Figures of a replan, beside its t_F.
+/// Summary of a replan, without its t_F.
 #[derive(Clone, Debug, Serialize)]
 pub struct PlanSummary {
-    /// Index of the database entry it was adapted from.
+    /// Index of the database entry from which the plan was adapted.
     pub nearest_entry: usize,
-    /// Distance of the start to that entry, rad.
+    /// Distance of the start from that entry, rad.
     pub distance: f64,
     /// Number of entries tried.
     pub attempts: usize,
@@ -28,13 +28,13 @@ pub struct PlanSummary {
     pub iterations: usize,
     /// Defect of the nonlinear dynamics, rad or rad/s per interval.
     pub defect: f64,
-    /// Smallest margins.
+    /// Smallest margins of the plan.
     #[serde(flatten)]
     pub margins: MarginsJson,
 }
 
 impl PlanSummary {
-    /// The figures of a replan.
+    /// Summarises a replan.
     pub fn new(replan: &Replan) -> Self {
         Self {
             nearest_entry: replan.entry.index,
@@ -47,14 +47,14 @@ impl PlanSummary {
     }
 }
 
-/// Smallest margins as shares of half the range; negative: violated.
+/// Smallest margins to the limits as shares of half the range; negative: violated.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct MarginsJson {
-    /// Positions.
+    /// Smallest margin of the positions.
     pub margin_q: f64,
-    /// Velocities.
+    /// Smallest margin of the velocities.
     pub margin_qd: f64,
-    /// Torques.
+    /// Smallest margin of the torques.
     pub margin_tau: f64,
 }
 

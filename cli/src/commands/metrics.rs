@@ -1,4 +1,4 @@
-//! `upswing metrics`: a running system for Prometheus.
+//! `upswing metrics`: exports the metrics of a running system for Prometheus.
 
 use super::{CommonArgs, failed, print_json, print_line, writable};
 use serde::Serialize;
@@ -17,7 +17,7 @@ use upswing_view::metrics::{self, CONTENT_TYPE};
 /// Pause between two reads of telemetry, whose buffer holds two seconds.
 const PAUSE: Duration = Duration::from_millis(20);
 const TEXT: &str = "text/plain; charset=utf-8";
-/// Largest age of the values that a scrape gets.
+/// Largest age of the values in an answer to a scrape.
 const FRESH: Duration = Duration::from_millis(200);
 
 /// Exports the values of the monitor as OpenMetrics: once, over HTTP, or as a file; units s, rad, N m.
@@ -63,10 +63,10 @@ impl std::fmt::Display for MetricsStarted {
     }
 }
 
-/// Exports the metrics.
+/// Exports the metrics until Ctrl-C, or prints them once.
 ///
 /// # Errors
-/// [`Failure::BadInput`] for an address or file that cannot be used, [`Failure::Failed`] if the file cannot be renewed
+/// [`Failure::BadInput`] for an unusable address or file, [`Failure::Failed`] if the file cannot be updated
 /// any more.
 pub fn run(args: &MetricsArgs) -> Result<(), Failure> {
     if let Some(file) = args.file.as_deref().filter(|f| f.extension().is_none_or(|e| e != "prom")) {
@@ -94,7 +94,7 @@ pub fn run(args: &MetricsArgs) -> Result<(), Failure> {
     if let Some(file) = &file {
         file.write(text(&live).as_bytes()).map_err(|e| Failure::BadInput(format!("--file: {e}")))?;
     }
-    // From here on it is this process's own.
+    // The file now belongs to this process, which may overwrite it.
     let file = file.map(|file| Overwrite { force: true }.output(file.path()));
     let newest = Arc::new(Mutex::new(text(&live)));
     args.common.print(&MetricsStarted {
@@ -128,7 +128,7 @@ pub fn run(args: &MetricsArgs) -> Result<(), Failure> {
     let result = watch();
     stop.store(true, Ordering::Release);
     let ended = server.as_mut().map_or(Ok(()), Server::end).map_err(failed);
-    // What nobody renews would look like a system that stands still.
+    // The file is removed: values without updates would look like a system that stands still.
     if let Some(file) = &file {
         let _ = std::fs::remove_file(file.path());
     }

@@ -1,4 +1,4 @@
-//! `upswing model`: the dynamics on the command line.
+//! `upswing model`: evaluates or prints the robot model.
 
 use super::{CommonArgs, failed, print_json, print_line, progress_bar};
 use nalgebra::SMatrix;
@@ -42,7 +42,7 @@ pub enum ModelCommand {
     Bound(BoundArgs),
 }
 
-/// Two weeks on one core; the extremes converge long before.
+/// Most states: two weeks on one core; the extremes converge long before.
 const MOST: u64 = 1_000_000_000_000;
 
 /// Options of the sampling.
@@ -88,7 +88,7 @@ struct ModelEvalResult {
 /// Evaluates or prints the model.
 ///
 /// # Errors
-/// [`Failure::BadInput`] that names the line or option and what is wrong with it; [`Failure::Failed`] if the sampling
+/// [`Failure::BadInput`] with the line or option and the reason; [`Failure::Failed`] if the sampling
 /// was interrupted.
 pub fn run(args: &ModelArgs) -> Result<(), Failure> {
     match &args.command {
@@ -156,7 +156,7 @@ fn sample_bound(args: &BoundArgs) -> Result<(), Failure> {
     let config = args.common.process.load()?;
     let stop = shutdown_flag()?;
     let robot = &config.robot;
-    // Table II's positions: the margins of the pendulum are for planning, not part of the paper's range.
+    // Positions of Table II: the planning margins of the pendulum are not part of the paper's range.
     let limits = Limits { qd_max: robot.planning.qd_max, ..robot.limits };
     let bar = progress_bar(samples, "states");
     let begin = Instant::now();

@@ -1,4 +1,4 @@
-//! `upswing monitor`: a running system, live.
+//! `upswing monitor`: shows a running system live.
 
 use super::{CommonArgs, failed, print_json};
 use serde::Serialize;
@@ -53,10 +53,10 @@ impl std::fmt::Display for MonitorStarted {
     }
 }
 
-/// Shows the system.
+/// Shows the running system until the user quits.
 ///
 /// # Errors
-/// [`Failure::BadInput`] if there is no terminal or an option cannot be used, [`Failure::Failed`] if the domain cannot
+/// [`Failure::BadInput`] if there is no terminal or an option is unusable, [`Failure::Failed`] if the domain cannot
 /// be used.
 pub fn run(args: &MonitorArgs) -> Result<(), Failure> {
     let config = args.common.process.load()?;

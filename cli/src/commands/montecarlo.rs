@@ -1,4 +1,4 @@
-//! `upswing montecarlo`: the same work from many random starts.
+//! `upswing montecarlo`: repeats plans or swing-ups from many random starts.
 
 mod closed_loop;
 mod replan;
@@ -82,7 +82,7 @@ pub struct SamplingArgs {
     pub threads: Option<u16>,
 }
 
-/// A month on two cores.
+/// Most starts: a month on two cores.
 const MOST: u64 = 100_000_000;
 
 /// Databases without a file.
@@ -94,7 +94,7 @@ pub enum Grid {
     Paper,
 }
 
-/// Runs the command.
+/// Runs a study.
 ///
 /// # Errors
 /// [`Failure::BadInput`] for unusable options or files; [`Failure::Failed`] if not every start succeeded.
@@ -106,7 +106,7 @@ pub fn run(args: &MonteCarloArgs) -> Result<(), Failure> {
     }
 }
 
-/// Ranges without a start are the user's to change.
+/// Converts the error of a study: ranges without a valid start are [`Failure::BadInput`].
 fn study_failure(e: StudyError) -> Failure {
     match e {
         StudyError::NoStart(_) => Failure::BadInput(e.to_string()),
@@ -115,8 +115,8 @@ fn study_failure(e: StudyError) -> Failure {
 }
 
 impl SamplingArgs {
-    /// The planner with the database that the options name, and another number of linearisations than that of the settings
-    /// where one is given. Raising `stop` ends the build of a database.
+    /// Creates the planner with the database of the options, and with `iterations` linearisations instead of the number in the
+    /// settings if given. Setting `stop` ends the build of a database.
     fn planner(&self, iterations: Option<u32>, stop: &AtomicBool) -> Result<Planner, Failure> {
         let mut config = self.common.process.load()?;
         if let Some(iterations) = iterations {
@@ -139,18 +139,18 @@ impl SamplingArgs {
         .map_err(|e| Failure::BadInput(e.to_string()))
     }
 
-    /// The numbers of the starts.
+    /// Indices of the starts.
     fn indices(&self) -> Vec<u64> {
         self.only.map_or_else(|| (0..self.samples).collect(), |index| vec![index])
     }
 
-    /// How many threads to use.
+    /// Number of threads.
     fn threads(&self) -> usize {
         let cores = || std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
         self.threads.map_or_else(cores, usize::from)
     }
 
-    /// The exit code of a run over `samples` starts.
+    /// Result of a run over `samples` starts: [`Failure::Failed`] if it was interrupted or a start failed.
     fn verdict(&self, complete: bool, samples: usize, succeeded: usize) -> Result<(), Failure> {
         match (complete, samples - succeeded) {
             (true, 0) => Ok(()),
@@ -159,7 +159,7 @@ impl SamplingArgs {
         }
     }
 
-    /// Does `work` with the study of these options, with a progress bar over its `runs`.
+    /// Runs `work` on the study of these options, with a progress bar over its `runs`.
     fn study<T>(
         &self,
         planner: &Planner,
@@ -182,13 +182,13 @@ impl SamplingArgs {
     }
 }
 
-/// The line above those of [`write_row`].
+/// Writes the column headings of [`write_row`].
 fn write_heading(f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
     let [min, p01, median, p99, max] = ["min", "1 %", "median", "99 %", "max"];
     writeln!(f, "  {:<22} {min:>11} {p01:>11} {median:>11} {p99:>11} {max:>11}", "")
 }
 
-/// One line of a table, with all values times `unit`; nothing if there is no spread.
+/// Writes one row of a table, with all values multiplied by `unit`; writes nothing if there is no spread.
 fn write_row(
     f: &mut std::fmt::Formatter<'_>,
     name: &str,
@@ -203,7 +203,7 @@ fn write_row(
     writeln!(f)
 }
 
-/// Lists failed starts: number, angles of joints 1-7 (deg), reason. Of many, the first ones.
+/// Lists failed starts: index, angles of joints 1-7 (deg), reason. If there are many, only the first are listed.
 fn list_failures<'a>(
     f: &mut std::fmt::Formatter<'_>,
     failures: impl Iterator<Item = (u64, &'a [f64; NU], String)>,
@@ -221,7 +221,7 @@ fn list_failures<'a>(
     if left > 0 { write!(f, "\n  and {left} more; --json lists all") } else { Ok(()) }
 }
 
-/// Builds the database of the settings' grid.
+/// Builds the database of the settings' grid in the file `path`.
 fn build_database(config: &Config, path: &Path, stop: &AtomicBool) -> Result<(), Failure> {
     let bar = progress_bar(config.grid.poses() as u64, "poses of the database");
     let summary = database::build(config, Shard::WHOLE, &Output::new(path), stop, |n| bar.inc(n as u64))

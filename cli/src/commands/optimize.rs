@@ -1,4 +1,4 @@
-//! `upswing optimize`: one offline optimisation.
+//! `upswing optimize`: runs one offline optimisation.
 
 use super::{CommonArgs, MarginsJson, TrajectoryJson, failed, print_json, print_line, spinner};
 use crate::parse::{Degrees, WEEK, start_state};
@@ -60,7 +60,7 @@ pub fn run(args: &OptimizeArgs) -> Result<(), Failure> {
     let start = start_state(&config, "--start", &args.start, pendulum)?;
     let begin = Instant::now();
     let time_budget = args.budget.map(std::time::Duration::from_secs_f64);
-    // Ctrl-C ends the optimisation, and what it has is printed.
+    // Ctrl-C ends the optimisation, and the result so far is printed.
     let stop = shutdown_flag()?;
     let search = if args.best { Search::Best } else { Search::First };
     let stopped = || stop.load(Ordering::Acquire);

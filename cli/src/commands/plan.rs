@@ -1,4 +1,4 @@
-//! `upswing plan`: one replan, without a running system.
+//! `upswing plan`: computes one replan without a running system.
 
 use super::{CommonArgs, PlanSummary, TrajectoryJson, failed, print_json, print_line, writable};
 use crate::parse::{Degrees, start_state};
@@ -86,7 +86,7 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
     };
     let settings = &planner.config().planner;
     let effort = Effort::iterations(settings.replan.iterations);
-    // To adapt just that trajectory is what was asked for.
+    // With --reference, only this trajectory is adapted: there is no full optimisation instead.
     let effort = Effort { optimise: effort.optimise && args.reference.is_none(), ..effort };
     let replan =
         planner.replan_with(&mut planner.solver(), Manoeuvre::SwingUp, &start, &effort).map_err(failed)?;
@@ -141,7 +141,7 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
     ))
 }
 
-/// The optimal trajectory from `start`.
+/// Optimises the trajectory from `start` as a database entry.
 fn optimal_entry(config: &Config, start: State) -> Result<Entry, Failure> {
     let solution = optimize(config, start, Search::Best, None, &options(config));
     if solution.status != Status::Solved {

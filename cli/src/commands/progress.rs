@@ -1,4 +1,4 @@
-//! Bars with an estimate of the time left; nothing is drawn where stderr is not a terminal.
+//! Progress bars with an estimate of the remaining time; without a terminal on stderr, nothing is drawn.
 
 use indicatif::{ProgressBar, ProgressStyle};
 use std::time::Duration;

@@ -1,4 +1,4 @@
-//! `upswing record`: every cycle of a running system in a file.
+//! `upswing record`: records every cycle of a running system in a file.
 
 use super::{CommonArgs, failed, spinner, time_bar, writable};
 use crate::parse::WEEK;
@@ -14,7 +14,7 @@ use upswing_record::{Recorder, Tally, Tap};
 
 /// Pause between two reads of telemetry, whose buffer holds two seconds.
 const PAUSE: Duration = Duration::from_millis(2);
-/// Longest time to wait for the first cycle.
+/// Longest wait for the first cycle.
 const PATIENCE: Duration = Duration::from_secs(10);
 
 /// Records every cycle of the running system as MCAP, for Foxglove, PlotJuggler, Python and `upswing report`.
@@ -61,7 +61,7 @@ impl std::fmt::Display for RecordResult<'_> {
 /// Records the running system.
 ///
 /// # Errors
-/// [`Failure::BadInput`] if the file exists or cannot be made, [`Failure::Failed`] if no telemetry comes or the disk is
+/// [`Failure::BadInput`] if the file exists or cannot be created, [`Failure::Failed`] if no telemetry comes or the disk is
 /// full.
 pub fn run(args: &RecordArgs) -> Result<(), Failure> {
     let config = args.common.process.load()?;
@@ -80,7 +80,7 @@ pub fn run(args: &RecordArgs) -> Result<(), Failure> {
     args.common.print(&RecordResult { file: &args.file, bytes, tally })
 }
 
-/// Records until the duration, a signal, or the end of [`PATIENCE`] without a cycle.
+/// Records until the duration has passed, a signal comes, or [`PATIENCE`] has passed without a cycle.
 fn record(args: &RecordArgs, tap: &Tap, mut recorder: Recorder, stop: &AtomicBool) -> Result<Tally, Failure> {
     let end = args.seconds.unwrap_or(f64::INFINITY);
     let bar = match args.seconds {
@@ -92,7 +92,7 @@ fn record(args: &RecordArgs, tap: &Tap, mut recorder: Recorder, stop: &AtomicBoo
         tap.drain(Some(&mut recorder), |_| {})?;
         let tally = recorder.tally();
         if tally.cycles == 0 && begin.elapsed() > PATIENCE {
-            // The file has no cycles.
+            // The file has no cycles and is removed.
             drop(recorder);
             let _ = std::fs::remove_file(&*args.file);
             let domain = &args.common.process.domain;

@@ -1,4 +1,4 @@
-//! `upswing replay`: feeds a recording to the controller and compares its commands.
+//! `upswing replay`: runs a recording through the controller and compares the commands.
 
 use super::{CommonArgs, failed, writable};
 use serde::Serialize;
@@ -96,7 +96,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
     if success { Ok(()) } else { Err(failed("the replay differs from the recording")) }
 }
 
-/// Writes all inputs, and of the replayed cycles the first, the last, and those in which mode or fault changes.
+/// Writes a recording of all inputs, and of those replayed cycles that are first, last, or change mode or fault.
 fn keep(file: &Output, config: &Config, recorded: &RecordedRun, replay: &Replay) -> Result<(), Failure> {
     file.clear().map_err(|e| Failure::BadInput(format!("--keep: {e}")))?;
     let details = [("kept", env!("CARGO_PKG_VERSION").to_owned())];

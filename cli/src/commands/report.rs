@@ -1,4 +1,4 @@
-//! `upswing report`: a recording as a page to look at.
+//! `upswing report`: writes a recording as an HTML page.
 
 use super::{CommonArgs, byte_bar, failed};
 use crate::parse::window;
@@ -62,7 +62,7 @@ impl std::fmt::Display for ReportResult {
     }
 }
 
-/// Writes the page and the figures.
+/// Writes the page and the figures of a recording.
 ///
 /// # Errors
 /// [`Failure::BadInput`] if the recording cannot be read, [`Failure::Failed`] if a file cannot be written.
@@ -92,7 +92,7 @@ pub fn run(args: &ReportArgs) -> Result<(), Failure> {
     });
     bar.finish_and_clear();
     let recording = recording?;
-    // A recording has at least one cycle.
+    // Cannot fail: a recording has at least one cycle.
     let digest = digest.ok_or_else(|| failed("no cycle"))?;
     let data = PageData::new(&args.file, &recording, &digest)?;
     let mut file = page.begin().map_err(failed)?;

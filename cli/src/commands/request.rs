@@ -20,14 +20,14 @@ pub struct RequestArgs {
     pub what: Request,
 }
 
-/// Reads the name of a request.
+/// Returns the parser of the name of a request.
 fn requests() -> impl TypedValueParser<Value = Request> {
     let value = |request: Request| PossibleValue::new(request.name()).help(request.purpose());
     let known = |name: String| Request::from_name(&name).ok_or("no such request");
     PossibleValuesParser::new(Request::ALL.map(value)).try_map(known)
 }
 
-/// Sends the request.
+/// Sends the request to the running system.
 ///
 /// # Errors
 /// [`Failure::Failed`] with the reason if the request is refused or not answered.

@@ -1,4 +1,4 @@
-//! `upswing soak`: the whole system on this machine, for long.
+//! `upswing soak`: runs the whole system on this machine for a long time.
 
 use super::{CommonArgs, failed, own_system, session_failure, time_bar};
 use crate::parse::WEEK;
@@ -83,7 +83,7 @@ impl std::fmt::Display for SoakResult {
     }
 }
 
-/// Runs the soak.
+/// Runs rounds from random starts until the duration has passed.
 ///
 /// # Errors
 /// [`Failure::BadInput`] for invalid options, [`Failure::Failed`] if a round failed without a kill or the system did not recover.
@@ -110,7 +110,7 @@ pub fn run(args: &SoakArgs) -> Result<(), Failure> {
         Ok(soak.record)
     };
     let record = soak().map_err(|e| session_failure(&e, &options.logs))?;
-    // Only a run that needs no explanation leaves no logs.
+    // The logs are kept only if the soak fails.
     let success = record.losses.is_empty() && record.completed > 0;
     if success {
         let _ = std::fs::remove_dir_all(&options.logs);

@@ -1,4 +1,4 @@
-//! `upswing status`: the state of the daemon.
+//! `upswing status`: prints the state of the daemon.
 
 use super::{CommonArgs, failed};
 use upswing_ipc::operator::Operator;
@@ -15,7 +15,7 @@ pub struct StatusArgs {
     pub common: CommonArgs,
 }
 
-/// Gets the daemon's status and prints it.
+/// Requests the daemon's status and prints it.
 ///
 /// # Errors
 /// [`Failure::Failed`] if no daemon answers.

@@ -1,10 +1,10 @@
-//! Each check, for each joint, on both sides of both of its levels.
+//! Tests of each check: for each joint, on both sides of its warning and trip levels.
 
 use super::*;
 use std::sync::LazyLock;
 use upswing_ipc::Clock;
 
-/// Settings in which every joint and every limit has a number of its own.
+/// Settings with different limits for all joints.
 fn config() -> Config {
     let mut config = Config::embedded().expect("settings");
     for i in 0..NQ {
@@ -18,10 +18,10 @@ fn config() -> Config {
     config
 }
 
-/// The checks of these settings.
+/// Checks with the settings of [`config`].
 static CHECKS: LazyLock<Checks> = LazyLock::new(|| Checks::new(&config()));
 
-/// A measurement of a healthy robot.
+/// Returns a measurement of a healthy robot.
 fn healthy() -> Measurement {
     Measurement {
         seq: 1,
@@ -34,19 +34,19 @@ fn healthy() -> Measurement {
     }
 }
 
-/// Values of the nine joints that are all alike but one.
+/// Returns `value` for one joint and `others` for all other joints.
 fn but(joint: usize, value: f64, others: f64) -> JointVector {
     JointVector::from_fn(|i, _| if i == joint { value } else { others })
 }
 
-/// The trip that `check` says values lead to, and whether it warns.
+/// Runs `check` on `values`; returns its trip, and whether it warns.
 fn result(
     cause: TripCause,
     check: &dyn Fn(&mut Checks, &JointVector) -> Option<Trip>,
     values: &JointVector,
 ) -> (Option<Trip>, bool) {
     let mut checks = CHECKS.clone();
-    // Another limit, that no test of values concerns.
+    // A warning of another limit, which the check must keep.
     checks.warnings.insert(TripCause::UnknownClock);
     let trip = check(&mut checks, values);
     assert_eq!(
@@ -57,8 +57,8 @@ fn result(
     (trip, checks.warnings.contains(cause))
 }
 
-/// Warns and trips beyond the levels of each of `joints` in both directions, and of no other; the first joint counts. What
-/// is not a number trips.
+/// Checks warnings and trips beyond the levels of each of `joints` in both directions, and of no other joint. The first joint
+/// beyond its level trips; a NaN trips.
 fn is_a_level(
     cause: TripCause,
     joints: Range<usize>,
@@ -88,7 +88,7 @@ fn is_a_level(
         }
         let (got, warns) = result(&but(joint, f64::NAN, 0.0));
         assert!(got.is_some_and(|trip| trip.joint == joint) && warns, "{cause:?}, joint {joint}: NaN");
-        // One number is not enough.
+        // One finite value among NaNs does not prevent a trip.
         let (got, _) = result(&but(joint, 0.0, f64::NAN));
         let first = joints.clone().find(|other| *other != joint);
         assert_eq!(got.map(|trip| trip.joint), first, "{cause:?}, joint {joint}: NaN elsewhere");
@@ -97,7 +97,7 @@ fn is_a_level(
     assert_eq!(got.map(|trip| trip.joint), Some(joints.start), "{cause:?}");
 }
 
-/// Warns and trips beyond the levels of a count.
+/// Checks warnings and trips beyond the levels of a count.
 fn is_a_count(cause: TripCause, level: Level, check: impl Fn(&mut Checks, u64) -> Option<Trip>) {
     let (warn, most) = (level.warn as u64, level.trip as u64);
     for (n, trips, warns) in [
@@ -116,7 +116,7 @@ fn is_a_count(cause: TripCause, level: Level, check: impl Fn(&mut Checks, u64) -
     }
 }
 
-/// The position of a joint, with its own range.
+/// Checks warnings and trips beyond the range of each of `joints`.
 fn is_a_range(
     cause: TripCause,
     joints: Range<usize>,
@@ -215,7 +215,7 @@ fn levels_of_the_joints() {
             checks.measurement(&measurement, None)
         },
     );
-    // From a torque to another one in 125 us.
+    // Torque changes in a cycle of 125 us.
     is_a_level(
         TripCause::TorqueRate,
         ARM,
@@ -223,7 +223,7 @@ fn levels_of_the_joints() {
         |checks, rate| {
             let change = ActuatedVector::from_fn(|i, _| rate[i] * 125e-6);
             checks.torque_rate(&ActuatedVector::zeros(), &change).map(|trip| Trip {
-                // But for the rounding of the way back and forth.
+                // Up to the rounding errors of multiplication and division.
                 value: if (trip.value / rate[trip.joint] - 1.0).abs() < 1e-12 {
                     rate[trip.joint]
                 } else {
@@ -274,7 +274,7 @@ fn positions() {
     let mut checks = CHECKS.clone();
     is_a_range(TripCause::PositionLimit, ARM, &config, |checks, x| checks.arm(x));
     is_a_range(TripCause::PendulumRange, PENDULUM, &config, |checks, x| checks.pendulum(x));
-    // A position counts before a velocity.
+    // A position limit takes precedence over a velocity limit.
     let x = State::repeat(1e9);
     assert_eq!(checks.arm(&x).map(|trip| trip.cause), Some(TripCause::PositionLimit));
     assert_eq!(checks.warnings.bits(), TripCause::PositionLimit.bit() | TripCause::VelocityLimit.bit());
@@ -306,7 +306,7 @@ fn the_speed_that_a_balance_asks_for() {
     let none = ActuatedVector::zeros();
     let arm = |q: &JointVector| q.fixed_rows::<NU>(0).into();
     is_a_level(TripCause::BalanceSpeed, ARM, level, |checks, v| checks.balance_speed(&arm(v), &none));
-    // T_1 of 12 ms, and 8 ms.
+    // The speed is predicted over T_1 = 12 ms and 8 ms.
     for (u, trips) in [(49.9, false), (50.1, true), (f64::NAN, true)] {
         let input = ActuatedVector::from_fn(|i, _| if i == 0 { trip * u } else { 0.0 });
         assert_eq!(checks.balance_speed(&none, &input).is_some(), trips, "{u} rad/s^2");
@@ -410,7 +410,7 @@ fn the_start_of_a_plan() {
 fn the_torque_of_a_mode_that_begins() {
     let config = config();
     let checks = Checks::new(&config);
-    // 1 per ms: an eighth of the limit in 125 us, and 16 of them from one end to the other.
+    // The rate of 1 / ms allows 1/8 of the limit in 125 us, thus 16 steps from -limit to limit.
     let step = checks.torque_step();
     assert!((step - config.robot.limits.tau_max * 0.125).amax() < 1e-12, "{step}");
     assert_eq!(checks.torque_steps(), 16);

@@ -1,4 +1,4 @@
-//! The supervisor of the controller: requests, trips and what a change of the mode takes along.
+//! Supervisor of the controller: requests, trips, and the data that change with the mode.
 
 use super::Controller;
 use crate::arm::ArmReference;
@@ -10,7 +10,7 @@ use upswing_config::PlanWhileTracking;
 use upswing_trajectory::Plan;
 
 impl Controller {
-    /// Why the robot cannot be enabled now.
+    /// Returns the reason for which an enable would be refused now.
     pub(super) fn unready(&self) -> Option<Refusal> {
         if !matches!(self.mode, ActiveMode::Idle) {
             return None;
@@ -19,7 +19,7 @@ impl Controller {
         unfit.or((!self.observer.drives_ready).then_some(Refusal::DrivesNotReady))
     }
 
-    /// Does what a request asks, unless it is refused: then it changes nothing.
+    /// Performs a request, unless it is refused; a refused request changes nothing.
     pub(super) fn obey(&mut self, request: Request) -> Result<(), Refusal> {
         if let Some(event) = request.event() {
             if self.shutting_down && event != Event::Shutdown {
@@ -53,7 +53,7 @@ impl Controller {
         Ok(())
     }
 
-    /// Keeps a plan for the next start, in the place of an earlier one.
+    /// Loads a plan for the next start, in place of an earlier one.
     fn load(&mut self, plan: Box<Plan>) -> Result<(), Refusal> {
         if matches!(self.mode, ActiveMode::Track(_)) && self.while_tracking == PlanWhileTracking::Refuse {
             self.retire(plan);
@@ -65,7 +65,7 @@ impl Controller {
         Ok(())
     }
 
-    /// Starts the loaded plan, if it is the one of this id; it stays loaded if it cannot be started.
+    /// Starts the loaded plan if it has this id; a plan that cannot be started stays loaded.
     fn start(&mut self, id: u64) -> Result<(), Refusal> {
         let loaded = self.loaded.take().ok_or(Refusal::NoPlan)?;
         match self.check_start(&loaded, id) {
@@ -82,7 +82,7 @@ impl Controller {
         }
     }
 
-    /// Whether the loaded plan is the one of this id and can be started now: the time of its t = 0, ns.
+    /// Checks that the loaded plan has this id and can be started now; returns the time of its t = 0, ns.
     fn check_start(&mut self, loaded: &LoadedPlan, id: u64) -> Result<u64, Refusal> {
         if loaded.plan.id != id {
             return Err(Refusal::OtherPlan { asked: id, loaded: loaded.plan.id });
@@ -92,7 +92,7 @@ impl Controller {
         Ok(start_ns)
     }
 
-    /// Warns of a loaded plan that is old where it could be started; elsewhere its age does not matter.
+    /// Warns of an old loaded plan if it could be started now, apart from its age.
     pub(super) fn warn_of_plan_age(&mut self) {
         if let Some(loaded) = &self.loaded
             && self.checks.is_plan_old(loaded.age(self.now_ns))
@@ -103,7 +103,7 @@ impl Controller {
         }
     }
 
-    /// The time of a loaded plan's t = 0 (ns) if it is started now: its activation, otherwise this moment.
+    /// Returns the time of t = 0 (ns) of a loaded plan if it is started now: its activation, otherwise the current time.
     fn start_time(&self, loaded: &LoadedPlan) -> Result<u64, Refusal> {
         let start_ns = loaded.plan.activation_ns.unwrap_or(self.now_ns);
         if start_ns > self.now_ns {
@@ -114,7 +114,7 @@ impl Controller {
         Ok(start_ns)
     }
 
-    /// Trips to Fault, where the table of modes has that transition. In Fault the first trip stays.
+    /// Trips to Fault if the table of modes has that transition. In Fault the first trip is kept.
     pub(super) fn trip_to_fault(&mut self, trip: Trip) {
         if transition(self.mode(), Event::TripToFault).is_ok() {
             self.trip = Some(trip);
@@ -122,7 +122,7 @@ impl Controller {
         }
     }
 
-    /// Trips to Stop, where the table of modes has that transition.
+    /// Trips to Stop if the table of modes has that transition.
     pub(super) fn trip_to_stop(&mut self, trip: Trip) {
         if transition(self.mode(), Event::TripToStop).is_ok() {
             self.trip = Some(trip);
@@ -130,7 +130,7 @@ impl Controller {
         }
     }
 
-    /// Enters Stop; an arm that decelerates already goes on.
+    /// Enters Stop; an arm that already decelerates continues to do so.
     fn decelerate(&mut self, event: Event) {
         let reference = match &self.mode {
             ActiveMode::Stop(reference) => *reference,
@@ -139,8 +139,8 @@ impl Controller {
         self.enter(event, ActiveMode::Stop(reference));
     }
 
-    /// Changes the mode to `next`, which is that of the table of modes for `event`. A plan that ran is loaded again, unless a newer one
-    /// is.
+    /// Changes the mode to `next`, the mode of the table of modes for `event`. A running plan becomes the loaded plan again, unless a
+    /// newer one is loaded.
     pub(super) fn enter(&mut self, event: Event, next: ActiveMode) {
         debug_assert_eq!(transition(self.mode(), event), Ok(next.mode()));
         let is_start = matches!(next, ActiveMode::Track(_));
@@ -156,12 +156,12 @@ impl Controller {
         }
         self.blend_cycles = self.checks.torque_steps();
         if is_start {
-            // How long a joint has stood in Hold says nothing of a motion that only begins.
+            // The standstill of a joint in Hold does not count for a motion that only begins.
             self.standstill.reset();
         }
     }
 
-    /// Hands a plan back to the caller.
+    /// Returns a plan to the caller, to be freed.
     fn retire(&mut self, plan: Box<Plan>) {
         // A request retires at most one plan, and so does the end of a mode. If there were a third, leaking it would be better than
         // freeing it here.

@@ -1,4 +1,4 @@
-//! The thread that makes the requests of an operator, so that views of the system are not held up by them.
+//! Thread that makes the requests of an operator, so that they do not delay the views of the system.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -72,7 +72,7 @@ impl RequestThread {
             }
         });
         let Ok(opened) = is_open.recv() else {
-            // It panicked: a thread that reports nothing would look like a system that is not running.
+            // The thread panicked; without this error, the system would seem not to run.
             let panic = thread.join().err();
             std::panic::resume_unwind(
                 panic.unwrap_or_else(|| Box::new("the request thread ended at its start")),

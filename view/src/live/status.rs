@@ -70,7 +70,7 @@ impl LatencyPercentiles {
 }
 
 impl DaemonStatus {
-    /// Converts the response of the daemon, of which nothing is trusted.
+    /// Converts the response of the daemon, whose values are not trusted.
     pub fn new(s: &ControlResponse) -> Self {
         let id = |id: u64| (id != 0).then(|| format!("{id:016x}"));
         Self {

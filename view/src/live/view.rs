@@ -19,7 +19,7 @@ pub struct View {
     pub plant: bool,
     /// Mode of the newest cycle, or else of the status.
     pub mode: Option<String>,
-    /// What the operator can do next; `None` where the mode is unknown.
+    /// Next action that is open to the operator; `None` if the mode is unknown.
     pub next: Option<String>,
     /// Newest status of the daemon.
     pub status: Option<DaemonStatus>,
@@ -27,7 +27,7 @@ pub struct View {
     pub cycle: Option<CycleView>,
     /// The newest plan.
     pub plan: Option<PlanView>,
-    /// Number of cycles whose telemetry did not arrive here.
+    /// Number of cycles whose telemetry was lost.
     pub lost: u64,
     /// Number of faults since `t` = 0.
     pub faults: u64,
@@ -56,15 +56,15 @@ pub struct CycleView {
     pub limited: bool,
     /// Id of the running plan.
     pub plan: Option<String>,
-    /// Time since its start, s.
+    /// Time since the start of the running plan, s.
     pub t_plan: f64,
     /// Angle of the rod from upright, rad.
     pub tilt: f64,
     /// Direction from the last joint to the tip, world frame, z up, length 1.
     pub rod: [f64; 3],
-    /// Largest distance from the reference, rad: joints 1-7 and 8-9.
+    /// Largest distance of joints 1-7 from the reference, rad.
     pub error_arm: f64,
-    /// See `error_arm`.
+    /// Largest distance of joints 8-9 from the reference, rad.
     pub error_pendulum: f64,
     /// Joints 1-9.
     pub joints: [JointView; NQ],
@@ -77,11 +77,11 @@ pub struct JointView {
     pub q: f64,
     /// Velocity, rad/s.
     pub qd: f64,
-    /// Commanded torque, N m; 0 where there is no motor.
+    /// Commanded torque, N m; 0 without a motor.
     pub tau: f64,
-    /// Limits of the position, rad.
+    /// Lower limit of the position, rad.
     pub q_min: f64,
-    /// See `q_min`.
+    /// Upper limit of the position, rad.
     pub q_max: f64,
     /// Limit of the velocity, rad/s.
     pub qd_max: f64,

@@ -21,7 +21,7 @@ fn widest(rated: &Limits, planning: &Limits) -> Limits {
     }
 }
 
-/// State of a running system, as far as it is known from what has arrived.
+/// Builder of a [`View`] from the data that have arrived.
 pub struct ViewBuilder {
     domain: String,
     model: Model,
@@ -43,7 +43,7 @@ pub struct ViewBuilder {
 }
 
 impl ViewBuilder {
-    /// A builder to which nothing has arrived yet.
+    /// Creates a builder without data.
     pub fn new(config: &Config, domain: &str) -> Self {
         Self {
             domain: domain.to_owned(),
@@ -69,7 +69,7 @@ impl ViewBuilder {
         self.t = t;
     }
 
-    /// Takes in the record of a cycle.
+    /// Takes the record of a cycle.
     pub fn cycle(&mut self, record: &Telemetry) {
         let lost = self.tally.lost;
         self.tally.count(record);
@@ -96,7 +96,7 @@ impl ViewBuilder {
         self.newest = Some(*record);
     }
 
-    /// Takes in that no cycle has arrived for a while.
+    /// Notes that no cycle has arrived for a while.
     pub fn silence(&mut self) {
         if self.newest.take().is_some() {
             self.tell(Severity::Warning, "no cycles arrive any more".into());
@@ -104,7 +104,7 @@ impl ViewBuilder {
         self.state = None;
     }
 
-    /// Takes in a plan. The daemon refuses a damaged plan; here it is only an event.
+    /// Takes a plan. A damaged plan, which the daemon refuses, is only an event here.
     pub fn plan(&mut self, plan: &Plan) {
         if !plan.is_intact() {
             return self.tell(Severity::Warning, "a damaged plan was published".into());
@@ -118,7 +118,7 @@ impl ViewBuilder {
         self.plans += 1;
     }
 
-    /// Takes in a report of the request thread.
+    /// Takes a report of the request thread.
     pub(super) fn update(&mut self, update: LiveUpdate) {
         match update {
             LiveUpdate::Processes(present) => {
@@ -163,12 +163,12 @@ impl ViewBuilder {
         self.events.push_back(Event { t: self.t, kind, text });
     }
 
-    /// The view of the present state.
+    /// Returns the view of the current state.
     pub fn view(&self) -> View {
         let [daemon, planner, plant] = self.present.unwrap_or_default();
         let cycle = self.newest.as_ref();
         let mode = cycle.map(Telemetry::mode_text);
-        // The status knows more than the mode, but is older than the newest cycle.
+        // The status contains more than the mode, but may be older than the newest cycle.
         let status = self.status.as_ref().filter(|s| mode.as_ref().is_none_or(|mode| *mode == s.mode));
         let of_mode = || cycle.and_then(|record| Some(record.mode().ok()?.next_action().to_string()));
         let next = status.map(|s| s.next.clone()).or_else(of_mode);

@@ -29,7 +29,7 @@ const QUANTILES: [Quantile; 5] = [
     (LEAST, |t| t.p99_99),
     ("max", |t| t.max),
 ];
-/// The column that is left out where not all have room.
+/// Column that is left out if not all columns have room.
 const LEAST: &str = "p99.99";
 /// Columns of the names of the cycle times, and of a number.
 const NAME: usize = 8;
@@ -206,7 +206,7 @@ fn draw_times(frame: &mut Frame, area: Rect, view: &View, theme: Theme) {
     } else {
         let late = theme.ink(Color::Yellow);
         let counts = format!("{} of {} late, {} lost", status.overruns, status.cycles, view.lost);
-        // In front of the colon: which cycle, and in which phase. The rest is an event.
+        // The text before the colon names the cycle and its phase. The rest is shown as an event.
         let last = status.last_overrun.as_deref().and_then(|text| text.split(':').next());
         let last = format!("last: {}", last.unwrap_or("no cause known"));
         lines.extend([Line::styled(counts, late), Line::styled(last, late)]);
@@ -247,7 +247,7 @@ fn draw_events(frame: &mut Frame, area: Rect, view: &View, theme: Theme) {
     frame.render_widget(block, area);
     let width = usize::from(inner.width).max(1);
     let mut lines = VecDeque::new();
-    // The newest stands at the bottom; of what does not fit the begin is cut.
+    // The newest event is at the bottom; the oldest lines are cut if there is no room.
     for event in view.events.iter().rev() {
         let style = match event.kind {
             Severity::Note => Style::new(),
@@ -266,7 +266,7 @@ fn draw_events(frame: &mut Frame, area: Rect, view: &View, theme: Theme) {
 }
 
 fn footer(theme: Theme) -> Line<'static> {
-    // Of 80 columns it takes 77.
+    // The line takes 77 of 80 columns.
     let keys = REQUESTS
         .into_iter()
         .map(|(key, request)| (key, request.name()))
@@ -304,7 +304,7 @@ fn effect(request: Request) -> &'static str {
     }
 }
 
-/// A box in the middle.
+/// Draws a box in the middle of the screen.
 fn popup(frame: &mut Frame, width: u16, title: &str, lines: Vec<Line<'_>>, centered: bool, theme: Theme) {
     let height = u16::try_from(lines.len() + 2).unwrap_or(u16::MAX);
     let [row] = Layout::vertical([Constraint::Length(height)]).flex(Flex::Center).areas(frame.area());

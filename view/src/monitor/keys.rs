@@ -1,4 +1,4 @@
-//! The keys of the monitor.
+//! Keys of the monitor in the terminal.
 
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 use upswing_ipc::operator::{Manoeuvre, Request};
@@ -13,10 +13,10 @@ pub(super) const REQUESTS: [(char, Request); 6] = [
     ('r', Request::Reset),
 ];
 
-/// Action that a key leads to.
+/// Action of a key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum KeyAction {
-    /// None.
+    /// No action.
     Nothing,
     /// End the monitor.
     Quit,
@@ -42,7 +42,7 @@ impl KeyState {
         self.help
     }
 
-    /// Takes in a key.
+    /// Takes a key; returns its action.
     pub fn press(&mut self, key: &KeyEvent) -> KeyAction {
         if key.kind != KeyEventKind::Press {
             return KeyAction::Nothing;

@@ -20,7 +20,7 @@ pub(super) fn bar(value: f64, width: usize) -> String {
     let filled = middle.min(place)..=middle.max(place);
     (0..width)
         .map(|i| match i {
-            // Nothing moves: the middle alone is no bar.
+            // The middle alone is no bar: the value is 0.
             i if filled.contains(&i) && place != middle => '█',
             i if i == middle => '│',
             _ => '·',

@@ -1,4 +1,4 @@
-//! What the page shows, as the JSON that its script reads.
+//! Data of a recording's page, as the JSON that its script reads.
 
 use super::RecordingDigest;
 use super::times::LatencyHistogram;
@@ -11,37 +11,37 @@ use upswing_record::robot::{Capsule, Link, Robot};
 use upswing_record::{Recording, RecordingError};
 use xxhash_rust::xxh3::xxh3_64;
 
-/// Everything on the page. Times in s from the start of the first plan, or else from the first cycle.
+/// Data on the page. Times in s from the start of the first plan, or from the first cycle if there is no plan.
 #[derive(Debug, Serialize)]
 pub struct PageData {
     name: String,
-    /// Name and value.
+    /// Names and values.
     summary: Vec<(&'static str, String)>,
     details: BTreeMap<String, String>,
-    /// Name, fingerprint, text.
+    /// Names, fingerprints and texts of the attached files.
     settings: Vec<(String, String, String)>,
     #[serde(flatten)]
     body: RobotDrawing,
-    /// Times of the samples.
+    /// Times of the samples, s.
     t: Vec<f64>,
-    /// Angles of one joint each, rad.
+    /// Joint angles, one column per joint, rad.
     q: Vec<Vec<f64>>,
     qd: Vec<Vec<f64>>,
     q_d: Vec<Vec<f64>>,
     qd_d: Vec<Vec<f64>>,
-    /// Torques of one joint each, N m.
+    /// Motor torques, one column per joint, N m.
     tau: Vec<Vec<f64>>,
     modes: Vec<ModeSpan>,
-    /// Times of cycles that ended late.
+    /// Times of overrun cycles, s.
     late: Vec<f64>,
     times: Vec<LatencyHistogram>,
     period_us: f64,
 }
 
-/// A stretch of time in one mode.
+/// Time span in one mode.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ModeSpan {
-    /// The mode, or the cause of a fault.
+    /// Mode, or cause of a fault.
     pub name: String,
     /// Begin, s.
     pub from: f64,
@@ -49,7 +49,7 @@ pub struct ModeSpan {
     pub to: f64,
 }
 
-/// The robot as both pages draw it.
+/// Links and limits of the robot, for both pages.
 #[derive(Debug, Serialize)]
 pub(super) struct RobotDrawing {
     links: Vec<LinkJson>,
@@ -57,7 +57,7 @@ pub(super) struct RobotDrawing {
 }
 
 impl RobotDrawing {
-    /// `limits`: 100 %.
+    /// Links of `robot`, and `limits` drawn as 100 %.
     pub(super) fn new(robot: Robot, limits: &Limits) -> Self {
         Self {
             links: robot.links.into_iter().map(LinkJson::from).collect(),
@@ -82,7 +82,7 @@ struct LinkJson {
     name: String,
     parent: Option<usize>,
     origin: [f64; 3],
-    /// Rows of the rotation matrix.
+    /// Rotation matrix by rows.
     rotation: [[f64; 3]; 3],
     joint: Option<usize>,
     axis: [f64; 3],
@@ -104,16 +104,16 @@ impl From<Link> for LinkJson {
     }
 }
 
-/// Digits that no screen shows would double the size of the page.
+/// Rounds `value` to a multiple of 1 / `per_unit`: digits that no screen shows would double the size of the page.
 pub(crate) fn round(value: f64, per_unit: f64) -> f64 {
     (value * per_unit).round() / per_unit
 }
 
 impl PageData {
-    /// What is to be shown of a recording, whose file is `path`.
+    /// Collects the data of a recording, whose file is `path`.
     ///
     /// # Errors
-    /// [`RecordingError`] if the recording does not hold a robot that can be drawn.
+    /// [`RecordingError`] if the recording has no URDF `robot.urdf` or its robot cannot be drawn.
     pub fn new(path: &Path, recording: &Recording, digest: &RecordingDigest) -> Result<Self, RecordingError> {
         let robot = Robot::from_urdf(urdf(path, recording)?, &digest.model)
             .map_err(|cause| RecordingError::Robot { path: path.to_owned(), cause })?;
@@ -148,7 +148,7 @@ fn urdf<'a>(path: &Path, recording: &'a Recording) -> Result<&'a str, RecordingE
     })
 }
 
-/// The robot of a recording, whose file is `path`.
+/// Builds the model of the robot of a recording, whose file is `path`.
 pub(super) fn model(path: &Path, recording: &Recording) -> Result<Model, RecordingError> {
     Model::from_urdf(urdf(path, recording)?)
         .map_err(|cause| RecordingError::Robot { path: path.to_owned(), cause })

@@ -1,4 +1,4 @@
-//! What of any number of cycles a page and its figures show; its size does not grow with their number.
+//! Digest of a recording for its page and figures: its size does not grow with the number of cycles.
 
 use super::ModeSpan;
 use super::times::LatencyHistograms;
@@ -13,25 +13,25 @@ const STEP_NS: u64 = 4_000_000;
 /// Most samples; a longer recording gets a coarser motion.
 const SAMPLES: usize = 30_000;
 
-/// Made of one cycle after the other.
+/// Digest of a recording, built cycle by cycle.
 pub struct RecordingDigest {
-    /// The robot.
+    /// Model of the recorded robot.
     pub model: Model,
-    /// Cycles at least `step` apart, their times counted from the first cycle.
+    /// Cycles at least [`Self::step`] apart; `t_ns` counted from the first cycle.
     pub samples: Vec<Telemetry>,
     /// Counts of all cycles.
     pub tally: Tally,
-    /// Distribution of the times of all cycles.
+    /// Distribution of the wake-up and computing times of all cycles.
     pub times: LatencyHistograms,
-    /// Warnings of all cycles, bits as in [`Telemetry`].
+    /// Warnings that occurred in any cycle, bits as in [`Telemetry`].
     pub warnings: u64,
-    /// Degradations of all cycles, bits as in [`Telemetry`].
+    /// Degradations that occurred in any cycle, bits as in [`Telemetry`].
     pub degraded: u64,
     /// Control period, s.
     pub period: f64,
     step_ns: u64,
     statistics: MotionStatisticsCounter,
-    /// Name, begin and end, ns, of each stretch in one mode.
+    /// Mode or fault, begin and end, ns, of each time span in one mode.
     spans: Vec<(String, u64, u64)>,
     state: Option<(u64, u64)>,
     late_ns: Vec<u64>,
@@ -40,10 +40,10 @@ pub struct RecordingDigest {
 }
 
 impl RecordingDigest {
-    /// Of no cycle yet; `recording` holds what stands before the first one in the file `path`.
+    /// Creates the digest of no cycle yet; `recording` holds details and attachments of the file `path`.
     ///
     /// # Errors
-    /// [`RecordingError`] if there is no robot.
+    /// [`RecordingError`] if the recording has no URDF or the model cannot be built from it.
     pub fn new(path: &Path, recording: &Recording) -> Result<Self, RecordingError> {
         Ok(Self {
             model: super::data::model(path, recording)?,
@@ -63,7 +63,7 @@ impl RecordingDigest {
         })
     }
 
-    /// The next cycle.
+    /// Takes the next cycle.
     pub fn take(&mut self, record: &Telemetry) {
         let t = self.elapsed.until(record.t_ns);
         let record = &Telemetry { t_ns: t, ..*record };
@@ -102,12 +102,12 @@ impl RecordingDigest {
         (self.step_ns as f64 * 1e-9).max(self.period)
     }
 
-    /// Figures of all cycles.
+    /// Statistics of the motion in all cycles.
     pub fn statistics(&self) -> MotionStatistics {
         self.statistics.statistics(self.period, self.tally.lost)
     }
 
-    /// The modes one after the other, s.
+    /// Time spans of the modes in their order, s.
     pub fn spans(&self) -> Vec<ModeSpan> {
         let span = |(name, from, to): &(String, u64, u64)| ModeSpan {
             name: name.clone(),
@@ -117,27 +117,27 @@ impl RecordingDigest {
         self.spans.iter().map(span).collect()
     }
 
-    /// When cycles ended late, s.
+    /// Times of overrun cycles, s.
     pub fn late(&self) -> Vec<f64> {
         self.late_ns.iter().map(|t| self.seconds(*t)).collect()
     }
 
-    /// A moment, ns since the first cycle, in s from the start of the first plan, or else from the first cycle.
+    /// Converts a time in ns since the first cycle to s from the start of the first plan, or from the first cycle without a plan.
     pub fn seconds(&self, t_ns: u64) -> f64 {
         super::data::round((t_ns as f64 - self.plan_ns.unwrap_or(0) as f64) * 1e-9, 1e6)
     }
 }
 
-/// The mode, or the cause of a fault.
+/// Text of the mode, or of the cause of a fault.
 fn name(record: &Telemetry) -> String {
     let mode = record.mode_text();
     let cause = upswingd::fault_text(record.fault).filter(|_| record.mode() == Ok(Mode::Fault));
     cause.map_or_else(|| mode.clone(), |cause| format!("{mode}: {cause}"))
 }
 
-/// Control period of the settings that the recording was made with, s.
+/// Control period with which the recording was made, s.
 fn period(recording: &Recording) -> f64 {
-    /// Where a file says nothing that can be.
+    /// Period if the recording states none that is valid, us.
     const USUAL_US: f64 = 125.0;
     let us = recording.details.get("period_us").and_then(|us| us.parse().ok());
     us.filter(|us| *us >= 1.0 && *us <= 1e6).unwrap_or(USUAL_US) * 1e-6

@@ -1,13 +1,13 @@
-// Follows a running system: frames come as server-sent events and are drawn at most 20 times a second.
+// Page of a running system: frames come as server-sent events and are drawn at most 20 times a second.
 
 addEventListener("DOMContentLoaded", () => {
   const SPAN = 10;
-  // From one picture to the next, ms: motion looks smooth at 20 Hz, and a busy machine keeps the rest of its time.
+  // Time between two drawings, ms: motion looks smooth at 20 Hz, and a busy machine is loaded little.
   const PAUSE = 50;
   const data = JSON.parse(document.getElementById("data").textContent);
   const $ = id => document.getElementById(id);
   const token = new URLSearchParams(location.hash.slice(1)).get("token");
-  // The last SPAN seconds; the panels keep these arrays.
+  // Samples of the last SPAN seconds. The panels hold references to these arrays.
   const t = [], modes = [], late = [];
   const columns = n => Array.from({ length: n }, () => []);
   const motion = { q: columns(9), q_d: columns(9), qd: columns(9), qd_d: columns(9), tau: columns(7) };
@@ -35,7 +35,7 @@ addEventListener("DOMContentLoaded", () => {
   function take(frame) {
     ({ view, times } = frame);
     const m = frame.motion;
-    // Another plant began anew.
+    // An earlier time comes from another plant, whose clock starts at 0: the old samples are dropped.
     if (m.t.length && t.length && m.t[0] < t[t.length - 1]) [t, modes, late, ...all].forEach(a => { a.length = 0; });
     t.push(...m.t); modes.push(...m.mode); late.push(...m.late);
     for (const [name, columns] of Object.entries(motion)) {
@@ -121,7 +121,7 @@ addEventListener("DOMContentLoaded", () => {
   }
 
   async function ask(name) {
-    // A stop is never kept waiting.
+    // A stop asks for no confirmation.
     if (name !== "stop" && !confirm(`${name}? The robot may move.`)) return;
     const answer = await fetch(`/request/${name}`, { method: "POST", headers: { Authorization: `Bearer ${token}` } });
     if (!answer.ok) alert(`${name}: ${(await answer.json()).error}`);
@@ -138,7 +138,7 @@ addEventListener("DOMContentLoaded", () => {
   const source = new EventSource("/events");
   source.onmessage = e => { connected = true; take(JSON.parse(e.data)); };
   source.onerror = () => { connected = false; dirty = true; };
-  // Also where the page gets its first width, which is no resize of the window.
+  // Redraws when the page gets its first width, too, which is no resize of the window.
   new ResizeObserver(() => { dirty = true; }).observe(document.querySelector("main"));
   requestAnimationFrame(draw);
 });

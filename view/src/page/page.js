@@ -1,4 +1,4 @@
-// Puts the page together and moves it through time.
+// Page of a recording: builds its parts and plays the motion.
 
 addEventListener("DOMContentLoaded", () => {
   const data = JSON.parse(document.getElementById("data").textContent);
@@ -6,10 +6,10 @@ addEventListener("DOMContentLoaded", () => {
   for (const name of ["q", "q_d", "qd", "qd_d", "tau"]) data[name] = data[name].map(numbers);
   const { t, q, q_d: desired, modes } = data;
   const [begin, end] = [t[0], t[t.length - 1]];
-  // Starts where there is something to see.
+  // Starts at the first plan, where the motion begins.
   let now = Math.max(begin, Math.min(0, end)), playing = false, last = 0;
 
-  // Value of a column at the present moment, between its samples.
+  // Interval of samples around time s: indices of its ends, and the share of the interval that has passed.
   const place = s => {
     let [a, b] = [0, t.length - 1];
     while (b - a > 1) { const m = (a + b) >> 1; if (t[m] <= s) a = m; else b = m; }
@@ -40,7 +40,7 @@ addEventListener("DOMContentLoaded", () => {
     details.appendChild(document.createElement("pre")).textContent = text;
   }
 
-  // Runs of samples in which a plan is followed.
+  // Indices of the samples of each time span that follows a plan.
   const parts = modes.filter(m => isMoving(m.name)).map(m => t.map((_, i) => i).filter(i => t[i] >= m.from && t[i] < m.to));
   const scaled = (column, limit) => column.map(v => v / limit);
   const panels = [];
@@ -104,7 +104,7 @@ addEventListener("DOMContentLoaded", () => {
   $("play").addEventListener("click", () => play(!playing));
   scrub.addEventListener("input", () => { play(false); seek(Number(scrub.value)); });
   $("timeline").addEventListener("pointerdown", e => seek(begin + e.offsetX / $("timeline").clientWidth * (end - begin)));
-  // A control that was reached by Tab keeps its own keys; one that was clicked leaves them to the page.
+  // A control focused by Tab keeps its own keys; after a click, the keys belong to the page.
   let tabbed = false;
   addEventListener("pointerdown", () => { tabbed = false; }, true);
   addEventListener("keydown", e => {
@@ -112,12 +112,12 @@ addEventListener("DOMContentLoaded", () => {
     if (e.ctrlKey || e.altKey || e.metaKey) return;
     if (tabbed && e.target.closest("input, select, button, summary")) return;
     const act = { " ": () => play(!playing), ArrowRight: () => seek(now + 0.02), ArrowLeft: () => seek(now - 0.02) }[e.key];
-    // The button itself takes the space bar as a click.
+    // The focused play button takes the space bar as a click itself.
     if (!act || (e.key === " " && e.target === $("play"))) return;
     e.preventDefault();
     act();
   });
-  // Called once at the beginning, too; and where the page gets its first width, which is no resize of the window.
+  // Also called once when the observation starts, and when the page gets its first width, which is no resize of the window.
   new ResizeObserver(resize).observe(document.querySelector("main"));
   resize();
 });

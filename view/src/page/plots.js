@@ -5,11 +5,11 @@ const COLOURS = ["#0072b2", "#d55e00", "#009e73"];
 const MODE_COLOURS = { idle: "#b8c0ca", hold: "#56b4e9", track: "#e69f00", balance: "#009e73", stop: "#cc79a7", fault: "#c1272d" };
 const FONT = "12px system-ui, Arial, sans-serif";
 
-// Values of which those that are no finite numbers came as null, which would count as 0.
+// Replaces null, by which non-finite numbers are sent, by NaN: null would count as 0.
 const numbers = values => values.map(v => v === null ? NaN : v);
 
-// Sizes a canvas to its place on the page; returns its context in CSS pixels, width and height, or null where there is no
-// place: in a tab that was never shown, or a window without width.
+// Sizes a canvas to its element on the page; returns its context in CSS pixels, width and height, or null if the element has
+// no area: in a tab that was never shown, or a window without width.
 function prepare(canvas) {
   const ratio = window.devicePixelRatio || 1, { clientWidth: w, clientHeight: h } = canvas;
   const [pw, ph] = [Math.round(w * ratio), Math.round(h * ratio)];
@@ -31,7 +31,7 @@ function ticks(from, to, count) {
   return result;
 }
 
-// One panel: joints over time. `curves`: { label, colour, values, desired }.
+// Panel with curves of joints over time. `curves`: { label, colour, values, desired, parts }.
 class Panel {
   constructor(parent, title, t, curves, seek) {
     Object.assign(this, { title, t, curves });
@@ -47,7 +47,7 @@ class Panel {
   x(t) { return 38 + (t - this.t[0]) / ((this.t[this.t.length - 1] - this.t[0]) || 1) * (this.width - 46); }
   y(v) { return 22 + (1 - v / this.top) / 2 * (this.height - 44); }
 
-  // Where the curves do not change, only the cursor, they are drawn once per size.
+  // Draws the curves into an image, once per size: afterwards only the cursor moves.
   render() {
     const largest = (most, column) => column.reduce((m, v) => Math.max(m, Math.abs(v) || 0), most);
     this.top = this.curves.reduce((most, c) => largest(largest(most, c.values), c.desired || []), 1) * 1.08;
@@ -74,13 +74,13 @@ class Panel {
       this.stroke(g, c.values.map((v, i) => [this.x(this.t[i]), this.y(v)]));
     }
     g.strokeStyle = "#000"; g.lineWidth = 1; g.setLineDash([4, 4]);
-    // Only where a plan is followed there is something desired.
+    // Desired values exist only where a plan is followed.
     for (const c of this.curves) for (const part of c.desired ? c.parts : []) {
       this.stroke(g, part.map(i => [this.x(this.t[i]), this.y(c.desired[i])]));
     }
   }
 
-  // What is no number leaves a gap.
+  // Draws a line through points; NaN leaves a gap.
   stroke(g, points) {
     g.beginPath();
     let drawn = false;
@@ -95,7 +95,7 @@ class Panel {
     const place = prepare(this.canvas);
     if (!place) return;
     const [g, w, h] = place;
-    // It got its place after the curves were drawn.
+    // The canvas was sized after the curves were drawn.
     if (this.picture.width !== this.canvas.width || this.picture.height !== this.canvas.height) this.render();
     g.drawImage(this.picture, 0, 0, w, h);
     g.strokeStyle = "#c1272d"; g.lineWidth = 1.2;
@@ -112,7 +112,7 @@ class Panel {
   }
 }
 
-// Modes over time, with late cycles as ticks.
+// Draws the modes over time, with overrun cycles as ticks.
 function drawTimeline(canvas, modes, late, from, to, t) {
   const place = prepare(canvas);
   if (!place) return;
@@ -131,7 +131,7 @@ function drawTimeline(canvas, modes, late, from, to, t) {
   g.fillRect(x(t) - 1, 0, 2, h);
 }
 
-// Durations on a logarithmic axis; cycles too, so that the few late ones show.
+// Draws histograms with logarithmic axes of duration and count, so that the few slow cycles are visible.
 function drawTimes(canvas, all, period) {
   const place = prepare(canvas);
   if (!place) return;
@@ -144,7 +144,7 @@ function drawTimes(canvas, all, period) {
   const ends = all.flatMap(a => [a.first, a.first * a.ratio ** a.counts.length]).concat(period * 1.3);
   const [lo, hi] = [Math.log10(Math.min(...ends)), Math.log10(Math.max(...ends))];
   const most = Math.log10(Math.max(...all.flatMap(a => a.counts)));
-  // 100, 1k, 10k, 100k, 1M: none is wider than the room for it.
+  // Label of 10^e with a unit prefix, 100, 1k, 10k, 100k, 1M: each fits into its space.
   const short = e => e < 3 ? `${+(10 ** e).toPrecision(3)}` : `${10 ** (e % 3)}${["", "k", "M", "G", "T"][Math.floor(e / 3)] || `e${e}`}`;
   const x = us => left + (Math.log10(us) - lo) / (hi - lo) * (right - left);
   const y = count => count ? bottom - (Math.log10(count) + 0.3) / (most + 0.4) * (bottom - top) : bottom;

@@ -1,12 +1,12 @@
 "use strict";
-// The robot: forward kinematics of the links, drawn as shaded capsules, farthest first.
+// Scene with the robot: forward kinematics of the links, drawn as shaded capsules, farthest first.
 
 const add = (a, b) => [a[0] + b[0], a[1] + b[1], a[2] + b[2]];
 const mix = (a, b, s) => a.map((v, i) => v + (b[i] - v) * s);
 const apply = (m, v) => m.map(r => r[0] * v[0] + r[1] * v[1] + r[2] * v[2]);
 const times = (a, b) => a.map(r => [0, 1, 2].map(j => r[0] * b[0][j] + r[1] * b[1][j] + r[2] * b[2][j]));
 
-// Rodrigues' formula.
+// Rotation matrix about a unit axis (Rodrigues' formula).
 function turn([x, y, z], angle) {
   const c = Math.cos(angle), s = Math.sin(angle), d = 1 - c;
   return [
@@ -16,7 +16,7 @@ function turn([x, y, z], angle) {
   ];
 }
 
-// Position and rotation of each link in the world at the angles q.
+// Position and rotation of each link in the world frame at the angles q, rad.
 function poses(links, q) {
   const result = [];
   for (const link of links) {
@@ -51,7 +51,7 @@ class Scene {
     }, { passive: false });
   }
 
-  // Point in the world -> [px, px, px per m, distance].
+  // Projects a point in the world frame, m, to [px, px, px per m, depth in m].
   project(v) {
     const { azimuth: a, elevation: e, distance, target } = this.camera;
     const [x, y, z] = v.map((c, i) => c - target[i]);
@@ -83,7 +83,7 @@ class Scene {
     }
   }
 
-  // `desired`: angles or null; `trail`: points that the tip went through, oldest first.
+  // `desired`: angles, rad, or null; `trail`: past positions of the tip, m, oldest first.
   draw(q, desired, trail) {
     const place = prepare(this.canvas);
     if (!place) return;
@@ -106,7 +106,7 @@ class Scene {
       const shade = f => `rgb(${shape.colour.map(c => Math.round(Math.min(255, c * f + (f > 1 ? 30 : 0)))).join(",")})`;
       this.line(a, b, shade(0.55), width + 1.5);
       this.line(a, b, shade(0.92), width);
-      // Light from above on a round body.
+      // Highlight of a round body lit from above.
       const light = [0, 0, shape.radius * 0.45];
       if (width > 6) this.line(add(a, light), add(b, light), shade(1.08), width * 0.35);
     }

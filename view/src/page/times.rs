@@ -1,4 +1,4 @@
-//! How long the phases of a cycle took.
+//! Distributions of the wake-up and computing times of cycles.
 
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -11,19 +11,19 @@ const BINS_PER_OCTAVE: f64 = 4.0;
 /// Distribution of one duration, us.
 #[derive(Clone, Debug, Serialize)]
 pub struct LatencyHistogram {
-    /// What took so long.
+    /// Name of the duration.
     pub name: &'static str,
     /// 50, 99, 99.9 and 100 %, us; all but the last at most 7 % too large.
     pub percentiles: [f64; 4],
     /// Lower end of the first bin, us; each bin ends at `ratio` times its lower end.
     pub first: f64,
-    /// See `first`.
+    /// Upper end of a bin divided by its lower end.
     pub ratio: f64,
     /// Cycles in each bin.
     pub counts: Vec<u64>,
 }
 
-/// Counts wake-up and computing times as they come.
+/// Counts the wake-up and computing times of cycles.
 #[derive(Clone, Debug, Default)]
 pub struct LatencyHistograms {
     wake: LatencyCounter,
@@ -33,12 +33,12 @@ pub struct LatencyHistograms {
 #[derive(Clone, Debug, Default)]
 struct LatencyCounter {
     histogram: Histogram,
-    /// Cycles by bin.
+    /// Counts of cycles by bin.
     bins: BTreeMap<u32, u64>,
 }
 
 impl LatencyHistograms {
-    /// The next cycle.
+    /// Counts the next cycle.
     pub fn count(&mut self, t: &Telemetry) {
         let clock = t.clock();
         if clock.is_ok_and(Clock::is_real_time) {
@@ -49,7 +49,7 @@ impl LatencyHistograms {
         }
     }
 
-    /// The distributions so far: none on `lockstep`, where nothing is measured, and no wake-ups on `paced`.
+    /// Returns the distributions so far: none with the clock `lockstep`, which measures nothing; no wake-ups with `paced`.
     pub fn times(&self) -> Vec<LatencyHistogram> {
         [self.wake.times("wake-up"), self.compute.times("compute")].into_iter().flatten().collect()
     }

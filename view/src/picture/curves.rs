@@ -1,39 +1,39 @@
-//! Curves of success: the share of runs that succeed over what is varied, with the interval in which its probability is.
+//! Success curves: the share of successful runs over a varied parameter, with the confidence interval of the probability.
 
 use super::{Area, COLOURS, Drawn, svg, write};
 use plotters::prelude::*;
 use upswing_process::output::Output;
 
-/// Panels side by side, and the size of one, px.
+/// Most panels side by side.
 const COLUMNS: usize = 3;
 const PANEL: (u32, u32) = (380, 260);
-/// Half the width of the ends of an interval, as a share of the axis.
+/// Half the width of the bars at the ends of an interval, as a share of the axis.
 const TICK: f64 = 0.012;
 
-/// One value of what is varied.
+/// Success of the runs at one value of the varied parameter.
 #[derive(Clone, Copy, Debug)]
 pub struct CurvePoint {
-    /// The value.
+    /// Value of the parameter.
     pub x: f64,
-    /// Share of the runs that succeeded.
+    /// Share of the runs that succeeded, 0 to 1.
     pub share: f64,
-    /// Interval of the probability of success.
+    /// Confidence interval of the probability of success, 0 to 1.
     pub interval: (f64, f64),
 }
 
-/// One picture among others.
+/// Panel for one varied parameter.
 #[derive(Clone, Debug)]
 pub struct Panel {
-    /// What is varied, and its unit.
+    /// Name and unit of the parameter.
     pub label: String,
-    /// Name and points of each curve.
+    /// Names and points of the curves.
     pub series: Vec<(String, Vec<CurvePoint>)>,
 }
 
 /// Draws the panels as an SVG.
 ///
 /// # Errors
-/// A text that says why the file could not be drawn.
+/// A message if the picture could not be drawn or written.
 pub fn draw(output: &Output, panels: &[Panel]) -> Result<(), String> {
     let columns = panels.len().clamp(1, COLUMNS);
     let rows = panels.len().div_ceil(columns).max(1);
@@ -48,7 +48,7 @@ pub fn draw(output: &Output, panels: &[Panel]) -> Result<(), String> {
 fn draw_panel(area: &Area<'_>, panel: &Panel) -> Drawn {
     let values = panel.series.iter().flat_map(|(_, points)| points).map(|p| p.x);
     let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), x| (a.min(x), b.max(x)));
-    // A single value, or none, needs an axis, too.
+    // A range without width is extended, so that the axis has a length.
     let (low, high) = if low < high { (low, high) } else { (low.min(0.0) - 1.0, high.max(0.0) + 1.0) };
     let margin = 0.04 * (high - low);
     let mut chart = ChartBuilder::on(area)
@@ -63,7 +63,7 @@ fn draw_panel(area: &Area<'_>, panel: &Panel) -> Drawn {
         .label_style(("sans-serif", 12))
         .x_labels(7)
         .y_labels(6)
-        // 60, 0.025: no zeros that say nothing.
+        // Labels like 60 and 0.025, without trailing zeros.
         .x_label_formatter(&|v| ((v * 1e6).round() / 1e6).to_string())
         .y_label_formatter(&|v| format!("{v:.0}"))
         .x_desc(panel.label.as_str())

@@ -1,4 +1,4 @@
-//! The figures of a recording as files: trajectories, modes, cycle times.
+//! Writes the figures of a recording to files: trajectories, modes, cycle times.
 
 use super::{Area, Drawn, svg, swing_up};
 use crate::page::times::LatencyHistogram;
@@ -9,27 +9,27 @@ use std::path::PathBuf;
 use upswing_ipc::Mode;
 use upswing_process::output::{Output, OutputError};
 
-/// px
+/// Size of the figure of the cycle times, px.
 const TIMES_SIZE: (u32, u32) = (900, 420);
 const MODES_SIZE: (u32, u32) = (1200, 260);
 /// Pixels of a PNG per unit of the SVG: sharp in print.
 const SCALE: f32 = 2.0;
 
-/// What the files of the figures end in.
+/// Suffixes of the file names of the figures.
 const TRAJECTORIES: &str = "trajectories";
 const MODES: &str = "modes";
 const CYCLE_TIMES: &str = "cycle-times";
 
-/// The file of a figure beside `page`.
+/// Returns the file of a figure, in the directory of `page`.
 fn figure(page: &Output, name: &str, extension: &str) -> Output {
     let stem = page.path().file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned());
     page.beside(&format!("{stem}-{name}.{extension}"))
 }
 
-/// Whether all figures that there may be can be written.
+/// Checks whether all figures could be written, without drawing them.
 ///
 /// # Errors
-/// [`OutputError`] of the first that cannot.
+/// [`OutputError`] of the first figure that cannot be written.
 pub fn check(page: &Output, as_svg: bool, as_png: bool) -> Result<(), OutputError> {
     let kinds = [(as_svg, "svg"), (as_png, "png")];
     let names = [TRAJECTORIES, MODES, CYCLE_TIMES];
@@ -40,10 +40,10 @@ pub fn check(page: &Output, as_svg: bool, as_png: bool) -> Result<(), OutputErro
         .try_for_each(|figure| figure.check())
 }
 
-/// Draws what there is of the figures beside `page`, as `NAME-trajectories.svg` and so on; the paths.
+/// Draws the figures for which there are data to files like `NAME-trajectories.svg` beside `page`. Returns their paths.
 ///
 /// # Errors
-/// A text that says which file could not be written.
+/// A message if a figure could not be drawn or written.
 pub fn draw(
     page: &Output,
     digest: &RecordingDigest,
@@ -80,14 +80,14 @@ pub fn draw(
     Ok(written)
 }
 
-/// Pixels of a drawing, as PNG.
+/// Rasterises an SVG drawing as PNG.
 fn rasterise(svg: &str) -> Result<Vec<u8>, String> {
     let mut options = resvg::usvg::Options::default();
     options.fontdb_mut().load_system_fonts();
     if options.fontdb.is_empty() {
         return Err("--png: expected a font on this machine, got none; install one, or use --svg".into());
     }
-    // What `sans-serif` means is not asked of the system's settings.
+    // The family of `sans-serif` is chosen here: the settings of the system do not change the picture.
     let family = options.fontdb.faces().find_map(|face| {
         let name = &face.families.first()?.0;
         ["DejaVu Sans", "Liberation Sans", "Noto Sans", "Arial"]
@@ -106,7 +106,7 @@ fn rasterise(svg: &str) -> Result<Vec<u8>, String> {
     pixels.encode_png().map_err(|e| e.to_string())
 }
 
-/// Modes as bars over time.
+/// Draws the modes as bars over time.
 fn modes(spans: &[ModeSpan]) -> Result<String, String> {
     svg(MODES_SIZE, |root| draw_modes(root, spans))
 }
@@ -142,12 +142,12 @@ fn draw_modes(root: &Area<'_>, spans: &[ModeSpan]) -> Drawn {
     Ok(())
 }
 
-/// Wake-up and computing times as steps on logarithmic axes, with the period.
+/// Draws histograms of wake-up and computing times with logarithmic axes, and the control period.
 fn cycle_times(all: &[LatencyHistogram], period_us: f64) -> Result<String, String> {
     svg(TIMES_SIZE, |root| draw_times(root, all, period_us))
 }
 
-/// 100, 1k, 10k, 100k, 1M: none is wider than the room for it.
+/// Label of a value with a unit prefix, 100, 1k, 10k, 100k, 1M: each fits into its space.
 fn short(value: f64) -> String {
     let (scale, letter) = match value {
         v if v >= 1e9 => (1e9, "G"),

@@ -1,5 +1,5 @@
-//! A map of plans over the ranges of their starts: for each kind of limit and each pair of joints, the smallest
-//! margin of all plans whose start is in a cell of the two angles, whatever the other angles are.
+//! Map of plans over the ranges of their start angles: for each kind of limit and each pair of joints, the smallest margin of
+//! the plans whose start is in a cell of the two angles, over all values of the other angles.
 
 use super::{Area, Drawn, svg, write};
 use plotters::prelude::*;
@@ -7,27 +7,27 @@ use upswing_config::GridAxis;
 use upswing_model::NU;
 use upswing_process::output::Output;
 
-/// Size of a panel and of what stands beside the panels, px.
+/// Edge length of a panel, px.
 const PANEL: u32 = 200;
 const SCALE_WIDTH: u32 = 110;
-/// Kinds of limits, one row each.
+/// Kinds of limits, one per row.
 const ROWS: [&str; 3] = ["position", "velocity", "torque"];
-/// Starts per cell, on average, and bounds of the cells along a side.
+/// Starts per cell, on average.
 const STARTS_PER_CELL: f64 = 20.0;
 const CELLS: (f64, f64) = (4.0, 20.0);
-/// A cell in which a start has no plan.
+/// Colour of a cell in which a start has no plan.
 const NO_PLAN: RGBColor = RGBColor(213, 94, 0);
 
-/// A start and the margins of its plan.
+/// Start of a plan and the margins of the plan.
 #[derive(Clone, Copy, Debug)]
 pub struct MapPoint {
-    /// q_A, deg.
+    /// Start angles q_A, deg.
     pub q_deg: [f64; NU],
-    /// Smallest margins of position, velocity and torque, as shares of half the range; `None` without a plan.
+    /// Smallest margins of position, velocity and torque, as shares of half the range; `None` if there is no plan.
     pub margins: Option<[f64; 3]>,
 }
 
-/// What is known about a cell.
+/// Content of a cell: no start, a start without a plan, or the smallest margin.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum MapCell {
     Empty,
@@ -35,7 +35,7 @@ enum MapCell {
     Margin(f64),
 }
 
-/// One joint's range, deg, cut into cells.
+/// Range of one joint, deg, divided into cells.
 #[derive(Clone, Copy)]
 struct MapAxis {
     joint: usize,
@@ -55,10 +55,10 @@ impl MapAxis {
     }
 }
 
-/// Draws the map as an SVG. `axes` are the joints whose start angles differ.
+/// Draws the map as an SVG. `axes`: ranges of the start angles, rad; joints with a range of no width are left out.
 ///
 /// # Errors
-/// A text that says why the file could not be drawn.
+/// A message if fewer than two joints have a range, or the picture could not be drawn or written.
 pub fn draw(output: &Output, axes: &[GridAxis], points: &[MapPoint]) -> Result<(), String> {
     let cells = (points.len() as f64 / STARTS_PER_CELL).sqrt().clamp(CELLS.0, CELLS.1) as usize;
     let sides: Vec<MapAxis> = axes
@@ -89,7 +89,7 @@ pub fn draw(output: &Output, axes: &[GridAxis], points: &[MapPoint]) -> Result<(
     write(output, drawing.as_bytes())
 }
 
-/// Cells of a panel, `x` running fastest.
+/// Returns the cells of a panel, by rows of constant `y`.
 fn smallest(points: &[MapPoint], kind: usize, x: &MapAxis, y: &MapAxis) -> Vec<MapCell> {
     let mut cells = vec![MapCell::Empty; x.cells * y.cells];
     for p in points {
@@ -103,7 +103,7 @@ fn smallest(points: &[MapPoint], kind: usize, x: &MapAxis, y: &MapAxis) -> Vec<M
     cells
 }
 
-/// From dark, a share of 0, to light, 1; in the order of brightness in print and for the colour-blind, too.
+/// Colour of a share from 0, dark, to 1, light; brightness grows with the share, for print and for the colour-blind.
 fn shade(share: f64) -> RGBColor {
     const STOPS: [[f64; 3]; 3] = [[68.0, 1.0, 84.0], [33.0, 145.0, 140.0], [253.0, 231.0, 37.0]];
     let place = share.clamp(0.0, 1.0) * (STOPS.len() - 1) as f64;
@@ -143,7 +143,7 @@ fn draw_panel(area: &Area<'_>, x: &MapAxis, y: &MapAxis, cells: &[MapCell], rang
     Ok(())
 }
 
-/// The colours and what they mean.
+/// Draws the colour scale of a row and the range of its margins.
 fn draw_scale(area: &Area<'_>, name: &str, range: (f64, f64)) -> Drawn {
     const STEPS: i32 = 40;
     let (top, height, left, width) = (44, 110, 6, 14);

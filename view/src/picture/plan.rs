@@ -1,11 +1,11 @@
-//! A plan and the trajectory it was adapted from, as in the paper's Fig. 4.
+//! Picture of a plan and the trajectory from which it was adapted, as in the paper's Fig. 4.
 
 use super::{CurvePair, POINTS, PanelStyle, draw_panels, write};
 use upswing_model::{ActuatedVector, Limits, Model, NQ, NU, State, Workspace};
 use upswing_process::output::Output;
 use upswing_trajectory::Trajectory;
 
-/// The spline (12) of a trajectory with the torques (9) that it needs.
+/// Samples of the spline (12) of a trajectory, with the torques (9).
 struct Samples {
     t: Vec<f64>,
     x: Vec<State>,
@@ -35,7 +35,7 @@ impl Samples {
 /// Draws `plan` solid and `reference` dashed, scaled by `limits`, as an SVG.
 ///
 /// # Errors
-/// A text that says why the file could not be drawn.
+/// A message if the picture could not be drawn or written.
 pub fn draw(
     output: &Output,
     model: &Model,

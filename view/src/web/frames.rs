@@ -1,4 +1,4 @@
-//! What the page draws, in frames of JSON that any number of readers follow.
+//! Frames of JSON with the data that the live page draws, in a buffer for any number of readers.
 
 use crate::live::View;
 use crate::page::round;
@@ -10,14 +10,14 @@ use tokio::sync::watch;
 use upswing_ipc::Telemetry;
 use upswing_model::{NQ, NU};
 
-/// Time between two samples of the motion, ns: more than a screen shows.
+/// Period of the motion samples, ns: shorter than that of a screen.
 const STEP_NS: u64 = 8_000_000;
-/// Frames that a new page gets at once, 10 s; a reader that falls behind farther misses some.
+/// Frames in the buffer, 10 s: a new page gets all of them; a reader that is farther behind misses the oldest.
 const KEPT: usize = 250;
-/// Events in one frame.
+/// Most events in one frame: the newest.
 const EVENTS: usize = 30;
 
-/// Picks samples of the motion.
+/// Samples the motion from telemetry for the next frame.
 #[derive(Default)]
 pub(super) struct MotionSampler {
     frame: Motion,
@@ -25,7 +25,7 @@ pub(super) struct MotionSampler {
     sampled_ns: Option<u64>,
 }
 
-/// The motion since the frame before. Times in s on the clock of the plant, rad, rad/s, N m; columns of one joint each.
+/// Motion since the previous frame. Times in s on the clock of the plant, rad, rad/s, N m; one column per joint.
 #[derive(Clone, Serialize)]
 struct Motion {
     t: Vec<f64>,
@@ -35,7 +35,7 @@ struct Motion {
     qd: Vec<Vec<f64>>,
     qd_d: Vec<Vec<f64>>,
     tau: Vec<Vec<f64>>,
-    /// Times of cycles that ended late.
+    /// Times of overrun cycles, s.
     late: Vec<f64>,
 }
 
@@ -63,14 +63,14 @@ struct Frame {
 }
 
 impl MotionSampler {
-    /// The next cycle.
+    /// Takes the telemetry of the next cycle.
     pub fn take(&mut self, record: &Telemetry) {
         let t = record.t_ns as f64 * 1e-9;
         self.times.count(record);
         if record.flags & Telemetry::OVERRUN != 0 {
             self.frame.late.push(t);
         }
-        // Another plant may have begun at 0 again.
+        // A time before the last sample comes from another plant, whose clock starts at 0.
         let due = |last: u64| record.t_ns < last || record.t_ns - last >= STEP_NS;
         if self.sampled_ns.is_some_and(|last| !due(last)) {
             return;
@@ -92,30 +92,30 @@ impl MotionSampler {
         }
     }
 
-    /// What has come since the last frame.
+    /// Serializes `view` and the motion since the previous frame as JSON, and clears the motion.
     pub fn frame(&mut self, mut view: View) -> String {
         view.events.drain(..view.events.len().saturating_sub(EVENTS));
         let motion = std::mem::take(&mut self.frame);
-        // Numbers that are not finite become null, which the page does not draw.
+        // Non-finite numbers become null, which the page does not draw.
         serde_json::to_string(&Frame { view, motion, times: self.times.times() }).unwrap_or_default()
     }
 }
 
-/// The newest frames.
+/// Ring buffer of the newest frames, with any number of readers.
 pub(super) struct FrameBuffer {
     frames: Mutex<Frames>,
-    /// Number of the next frame.
+    /// Number of the next frame, counted from 0.
     next: watch::Sender<u64>,
 }
 
 #[derive(Default)]
 struct Frames {
-    /// Number of the first one kept.
+    /// Number of the oldest frame in the buffer.
     first: u64,
     kept: VecDeque<Arc<str>>,
 }
 
-/// Reads the frames in order.
+/// Reader of a [`FrameBuffer`].
 pub(super) struct FrameReader {
     frames: Arc<FrameBuffer>,
     pushed: watch::Receiver<u64>,
@@ -139,17 +139,17 @@ impl FrameBuffer {
         self.next.send_modify(|next| *next += 1);
     }
 
-    /// Begins with the oldest frame.
+    /// Returns a reader that begins with the oldest frame.
     pub fn reader(self: &Arc<Self>) -> FrameReader {
         FrameReader { frames: Arc::clone(self), pushed: self.next.subscribe(), next: 0 }
     }
 
-    /// Nothing is left half done by a thread that panics.
+    /// Locks the frames. A poisoned lock is used: no critical section can leave the frames inconsistent.
     fn lock(&self) -> MutexGuard<'_, Frames> {
         self.frames.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The first frame kept from number `next` on, and the number after it.
+    /// Returns the oldest frame in the buffer with a number of at least `next`, and the number after it.
     fn get(&self, next: u64) -> Option<(Arc<str>, u64)> {
         let frames = self.lock();
         let next = next.max(frames.first);
@@ -159,10 +159,10 @@ impl FrameBuffer {
 }
 
 impl FrameReader {
-    /// Waits for the next frame; `None`: none follows.
+    /// Waits for the next frame; `None` once the buffer is dropped.
     pub async fn next(&mut self) -> Option<Arc<str>> {
         loop {
-            // Before the look: a frame that comes after it is a change.
+            // Before the frame is looked up: a frame pushed afterwards then counts as a change.
             self.pushed.mark_unchanged();
             if let Some((frame, next)) = self.frames.get(self.next) {
                 self.next = next;

@@ -1,14 +1,14 @@
-//! Who may do what. A page of another site that is open in the same browser must not get through: not by a name that
-//! leads here (DNS rebinding), not by a form or script of its own (cross-site request forgery).
+//! Access control of the live page: refuses requests from pages of other sites in the same browser, whether they come through
+//! a host name that resolves to this server (DNS rebinding) or from a foreign form or script (cross-site request forgery).
 
 use std::net::{IpAddr, SocketAddr};
 
-/// What counts of a request.
+/// Method and headers of an HTTP request on which access depends.
 #[derive(Clone, Copy, Debug)]
 pub struct RequestHead<'a> {
-    /// Method GET.
+    /// Method GET or HEAD.
     pub get: bool,
-    /// Method POST: it may change something.
+    /// Method POST, by which operators make requests.
     pub post: bool,
     /// Header Host.
     pub host: Option<&'a str>,
@@ -18,24 +18,24 @@ pub struct RequestHead<'a> {
     pub authorization: Option<&'a str>,
 }
 
-/// Why not.
+/// Refusal of an HTTP request: status and reason.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HttpRefusal {
     /// HTTP status.
     pub status: u16,
-    /// For people.
+    /// Reason, one sentence.
     pub why: &'static str,
 }
 
-/// 128 random bits, as text; whoever has them may make requests.
+/// Token of 128 random bits, as hexadecimal text; its holder may make requests.
 #[derive(Clone)]
 pub struct Token(String);
 
 impl Token {
-    /// A new one.
+    /// Draws a new token.
     ///
     /// # Errors
-    /// If the system has no random numbers.
+    /// If `/dev/urandom` cannot be read.
     pub fn new() -> std::io::Result<Self> {
         use std::io::Read;
         let mut bits = [0; 16];
@@ -43,22 +43,22 @@ impl Token {
         Ok(Self(format!("{:032x}", u128::from_le_bytes(bits))))
     }
 
-    /// For the one who started the page.
+    /// The token as 32 hexadecimal digits, to be printed where the server is started.
     pub fn text(&self) -> &str {
         &self.0
     }
 
-    /// Whether `other` is the same; takes as long for any text of the same length.
+    /// Whether `other` equals the token, in a time that depends on the length of `other` only.
     fn is(&self, other: &str) -> bool {
         let (a, b) = (self.0.as_bytes(), other.as_bytes());
         a.len() == b.len() && a.iter().zip(b).fold(0, |differ, (a, b)| differ | (a ^ b)) == 0
     }
 }
 
-/// Whether the request may be answered.
+/// Checks whether the request is allowed.
 ///
 /// # Errors
-/// [`HttpRefusal`]
+/// [`HttpRefusal`] with the status 401, 403 or 405.
 pub fn check(head: &RequestHead<'_>, token: Option<&Token>) -> Result<(), HttpRefusal> {
     let refuse = |status, why| Err(HttpRefusal { status, why });
     if !head.host.is_some_and(is_address) {
@@ -83,7 +83,7 @@ pub fn check(head: &RequestHead<'_>, token: Option<&Token>) -> Result<(), HttpRe
     }
 }
 
-/// A name other than localhost may be somebody else's, and lead here.
+/// Whether `host` is an IP address or localhost: any other name may belong to another site and resolve to this server.
 fn is_address(host: &str) -> bool {
     let name = host.rsplit_once(':').map_or(host, |(name, _)| name);
     name == "localhost" || host.parse::<SocketAddr>().is_ok() || host.parse::<IpAddr>().is_ok()

@@ -3,19 +3,19 @@
 use super::{Finding, Grade};
 use std::path::{Path, PathBuf};
 
-/// A machine, by its file system.
+/// A host, represented by its file system.
 #[derive(Clone, Debug)]
 pub struct Host {
     root: PathBuf,
 }
 
 impl Host {
-    /// The machine with the file system at `root`: `/`, or a copy of the files.
+    /// Returns the host with the file system at `root`: `/`, or a copy of the files.
     pub fn at(root: &Path) -> Self {
         Self { root: root.to_owned() }
     }
 
-    /// Contents of a file without white space at its ends; `None` if there is none.
+    /// Reads a file without white space at its ends; `None` if it cannot be read.
     fn read(&self, path: &str) -> Option<String> {
         std::fs::read_to_string(self.root.join(path)).ok().map(|text| text.trim().to_owned())
     }
@@ -24,7 +24,7 @@ impl Host {
         self.read(path)?.parse().ok()
     }
 
-    /// All findings from files, for a real-time thread on `cpu` (`None`: on any CPU).
+    /// Returns all findings from files, for a real-time thread on `cpu` (`None`: on any CPU).
     pub fn findings(&self, cpu: Option<usize>) -> Vec<Finding> {
         vec![self.kernel(), self.throttling(), self.group(), self.governor(cpu), self.isolation(cpu)]
     }
@@ -38,7 +38,7 @@ impl Host {
         Finding::new("kernel", Grade::Advice, format!("{release}, not PREEMPT_RT"), fix)
     }
 
-    /// Share of each period that the kernel leaves to real-time threads.
+    /// Checks the share of each period that the kernel leaves to real-time threads.
     fn throttling(&self) -> Finding {
         const NAME: &str = "real-time throttling";
         const FILE: &str = "kernel.sched_rt_runtime_us";
@@ -65,7 +65,7 @@ impl Host {
         }
     }
 
-    /// Real-time budget of this process's cgroup: exists only with RT_GROUP_SCHED, and is 0 by default.
+    /// Checks the real-time budget of this process's cgroup, which exists only with RT_GROUP_SCHED and is 0 by default.
     fn group(&self) -> Finding {
         const NAME: &str = "control group";
         let groups = self.read("proc/self/cgroup").unwrap_or_default();
@@ -130,7 +130,7 @@ impl Host {
     }
 }
 
-/// Whether a kernel list ("0,2-4") has `number`.
+/// Whether a kernel list ("0,2-4") contains `number`.
 fn in_list(list: &str, number: usize) -> bool {
     list.split(',').any(|part| {
         let (first, last) = part.split_once('-').unwrap_or((part, part));

@@ -1,4 +1,4 @@
-//! `upswing montecarlo closed-loop`.
+//! `upswing montecarlo closed-loop`: swings up and balances from many random starts in simulation.
 
 use super::{SamplingArgs, failed, list_failures, study_failure, writable, write_heading, write_row};
 use serde::Serialize;

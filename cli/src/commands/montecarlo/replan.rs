@@ -1,4 +1,4 @@
-//! `upswing montecarlo replan`.
+//! `upswing montecarlo replan`: plans from many random starts.
 
 use super::{SamplingArgs, failed, list_failures, study_failure, writable, write_heading, write_row};
 use crate::commands::PlanSummary;
@@ -31,22 +31,22 @@ pub struct ReplanArgs {
     pub overwrite: Overwrite,
 }
 
-/// Defect of the real dynamics that counts as closed, rad or rad/s per interval.
+/// Largest defect of the nonlinear dynamics that counts as closed, rad or rad/s per interval.
 const CLOSED_DEFECT: f64 = 1e-6;
 
-/// What became of one start. All but the times depends on settings, seed and index alone.
+/// Result for one start. All fields but the times depend on settings, seed and index only.
 #[derive(Clone, Debug, Serialize)]
 struct StartResult {
     index: u64,
     start_deg: [f64; NU],
     plan: Option<PlanStatistics>,
-    /// Why it is no success.
+    /// Reason for the failure; `None`: success.
     failure: Option<String>,
     #[serde(skip)]
     times: StartTimes,
 }
 
-/// A plan's t_F, s, and the rest.
+/// Duration t_F of a plan, s, and the summary of its replan.
 #[derive(Clone, Debug, Serialize)]
 struct PlanStatistics {
     t_f: f64,
@@ -54,7 +54,7 @@ struct PlanStatistics {
     plan: PlanSummary,
 }
 
-/// s; QPs and gains of a start without a plan: 0.
+/// Computing times for one start, s; QPs and gains of a start without a plan: 0.
 #[derive(Clone, Copy, Debug, Default)]
 struct StartTimes {
     qp: f64,
@@ -95,13 +95,13 @@ struct ReplanResult {
     entries: usize,
     seed: u64,
     samples: usize,
-    /// Starts with a plan that the daemon accepts and that keeps all limits between knots.
+    /// Number of starts with a plan that the daemon accepts and that keeps all limits between knots.
     succeeded: usize,
-    /// Starts with a plan.
+    /// Number of starts with a plan.
     feasible: usize,
-    /// Plans whose defect is at most 1e-6.
+    /// Number of plans whose defect is at most 1e-6.
     defect_closed: usize,
-    /// Plans by the number of entries that were tried, from 1.
+    /// Numbers of plans by the number of entries that were tried, from 1.
     attempts: Vec<usize>,
     /// Linearisations for the entry used.
     iterations: Option<Spread>,
@@ -117,7 +117,7 @@ struct ReplanResult {
     threads: usize,
 }
 
-/// All in s; the only part that differs from run to run.
+/// Computing times, s; the only part that differs from run to run.
 #[derive(Serialize)]
 struct ReplanTimes {
     replan: Option<Spread>,
@@ -183,7 +183,7 @@ pub fn run(args: &ReplanArgs) -> Result<(), Failure> {
     let plans = || results.iter().filter_map(|s| s.plan.as_ref());
     let spread = |value: fn(&PlanStatistics) -> f64| Spread::of(plans().map(value));
     let time = |value: fn(&StartTimes) -> f64| Spread::of(results.iter().map(|s| value(&s.times)));
-    // Of a start without a plan they are not known.
+    // Times of the parts are unknown for starts without a plan.
     let part = |value: fn(&StartTimes) -> f64| {
         Spread::of(results.iter().filter(|s| s.plan.is_some()).map(|s| value(&s.times)))
     };

@@ -1,4 +1,4 @@
-//! `upswing montecarlo robustness`.
+//! `upswing montecarlo robustness`: success rates over growing errors of one kind.
 
 use super::{SamplingArgs, failed, study_failure, writable};
 use serde::Serialize;
@@ -58,7 +58,7 @@ struct RobustnessResult {
     times: RobustnessTimes,
 }
 
-/// In s; the only part that differs from run to run.
+/// Computing time, s; the only part that differs from run to run.
 #[derive(Serialize)]
 struct RobustnessTimes {
     total: f64,
@@ -94,7 +94,7 @@ fn write_point(f: &mut std::fmt::Formatter<'_>, p: &SuccessPoint) -> std::fmt::R
 /// Swings up from every start at every value of every curve.
 ///
 /// # Errors
-/// [`Failure::BadInput`] for unusable options or files; [`Failure::Failed`] if it was interrupted, or if the start of
+/// [`Failure::BadInput`] for unusable options or files; [`Failure::Failed`] if the command was interrupted, or if the start of
 /// `--only` did not end balanced.
 pub fn run(args: &RobustnessArgs) -> Result<(), Failure> {
     let begin = Instant::now();
@@ -145,7 +145,7 @@ pub fn run(args: &RobustnessArgs) -> Result<(), Failure> {
     }
 }
 
-/// All values of all curves: the values of a curve one after the other.
+/// Returns the cases of all values of all curves, curve by curve.
 fn cases(args: &RobustnessArgs, config: &Config) -> Result<Vec<RobustnessCase>, Failure> {
     let mut base = config.clone();
     if let Some(scenario) = &args.scenario {
@@ -165,7 +165,7 @@ fn cases(args: &RobustnessArgs, config: &Config) -> Result<Vec<RobustnessCase>, 
     Ok(cases)
 }
 
-/// How often cycles were missed, as `upswing soak --json` prints it.
+/// Reads a histogram of missed cycles from a file, as printed by `upswing soak --json`.
 fn misses(path: &Path) -> Result<MissedCycleCounts, Failure> {
     let refuse = |text: String| Failure::BadInput(format!("--missed {}: {text}", path.display()));
     let text = upswing_config::read_file(path).map_err(|e| refuse(e.to_string()))?;
@@ -178,7 +178,7 @@ fn misses(path: &Path) -> Result<MissedCycleCounts, Failure> {
     Ok(misses)
 }
 
-/// One panel for each thing that is varied.
+/// Returns one panel with all curves for each quantity that is varied.
 fn panels(all: &[SuccessCurve]) -> Vec<curves::Panel> {
     let mut panels: Vec<curves::Panel> = Vec::new();
     for curve in all {
