@@ -134,14 +134,17 @@ impl TryFrom<FaultInFile> for Fault {
     type Error = String;
 
     fn try_from(FaultInFile { kind, from, cycles, joint, amount }: FaultInFile) -> Result<Self, String> {
+        let got = joint.map_or("none".into(), |joint| joint.to_string());
         let refuse = |expected: &str| {
-            let got = joint.map_or("none".into(), |joint| joint.to_string());
             Err(format!(".joint: expected {expected}, got {got}: only encoders and torques have a joint"))
         };
         let joint = match joint {
             Some(joint) if kind.has_joint() => match usize::try_from(joint) {
                 Ok(joint @ 1..) => joint - 1,
-                _ => return refuse(&format!("a whole number from 1 to {}", kind.joints())),
+                _ => {
+                    let highest = kind.joints();
+                    return Err(format!(".joint: expected a whole number from 1 to {highest}, got {got}"));
+                }
             },
             None if !kind.has_joint() => 0,
             Some(_) => return refuse("none for this kind"),

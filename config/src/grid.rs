@@ -1,7 +1,7 @@
 //! Settings of the start poses of a trajectory database, `grid.toml`.
 
 use crate::conflict::{Conflict, degrees};
-use crate::rule::{Angle, Positive, Rule, Whole};
+use crate::rule::{Finite, Positive, Rule, Whole};
 use crate::{PendulumStart, RobotSettings};
 use serde::Deserialize;
 use upswing_model::NU;
@@ -28,10 +28,10 @@ pub struct GridAxis {
     #[serde(deserialize_with = "Whole::<1, { NU as i64 }>::index")]
     pub joint: usize,
     /// First angle, rad.
-    #[serde(rename = "from_deg", deserialize_with = "Angle::degrees")]
+    #[serde(rename = "from_deg", deserialize_with = "Finite::degrees")]
     pub from: f64,
     /// Last angle, rad, above `from` unless there is one point.
-    #[serde(rename = "to_deg", deserialize_with = "Angle::degrees")]
+    #[serde(rename = "to_deg", deserialize_with = "Finite::degrees")]
     pub to: f64,
     /// Number of angles, at least 1.
     #[serde(deserialize_with = "Whole::<1, { MOST_POSES as i64 }>::read")]

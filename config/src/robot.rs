@@ -1,7 +1,7 @@
 //! Limits of the robot and target of the swing-up, `robot.toml`.
 
 use crate::conflict::{Conflict, degrees};
-use crate::rule::{Angle, Negative, NonNegative, Positive, PositiveShare, Rule};
+use crate::rule::{Angle, Finite, Negative, NonNegative, Positive, PositiveShare, Rule};
 use serde::Deserialize;
 use upswing_model::{
     ActuatedVector, JointFriction, JointVector, Limits, Model, N_UNACTUATED, NQ, NU, State, Workspace,
@@ -46,7 +46,7 @@ pub struct Target {
     #[serde(rename = "pitch_deg", deserialize_with = "Angle::degrees")]
     pub pitch: f64,
     /// First angle of the pendulum, rad; counts turns.
-    #[serde(rename = "q8_deg", deserialize_with = "Angle::degrees")]
+    #[serde(rename = "q8_deg", deserialize_with = "Finite::degrees")]
     pub q8: f64,
 }
 

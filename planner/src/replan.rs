@@ -60,7 +60,8 @@ pub struct Effort<'a> {
     pub optimise: bool,
     /// No iteration of a solver is begun after this.
     pub deadline: Option<Instant>,
-    /// Asked before each iteration of a solver: whether to stop, because the client is gone.
+    /// Asked before each iteration of the structured solver, and before the first one of Clarabel: whether to stop, because the client
+    /// is gone.
     pub cancelled: Option<&'a dyn Fn() -> bool>,
 }
 
@@ -429,7 +430,7 @@ impl Planner {
     }
 
     /// Solves one QP, or its sub-horizons one after the other, and moves the trajectory by the solution. Where the structured
-    /// solver makes no progress, Clarabel solves the QP: it scales the program and compares objectives relatively, so that it
+    /// solver stalls, Clarabel solves the QP: it scales the program and compares objectives relatively, so that it
     /// also solves programs whose numbers are very large or very different.
     fn move_by_qp(
         &self,
@@ -458,13 +459,17 @@ impl Planner {
         };
         let parts = self.config.planner.replan.sub_horizons;
         let length = N / parts;
+        // A solve that stalled leaves no multipliers to start from.
+        let stalled_before =
+            second_opinions.last().is_some_and(|o| o.entry == entry && o.iteration + 1 == iteration);
+        let warm = iteration > 1 && !stalled_before;
         let mut z = vec![KnotVector::zeros(); N + 1];
         z[0].fixed_rows_mut::<NX>(0).copy_from(&qp.start);
         let mut dt = None;
         for first in (0..N).step_by(length) {
             let last = first + length;
             let solution = if parts == 1 {
-                solve(qp, iteration > 1)?
+                solve(qp, warm)?
             } else {
                 solve(&qp.part((first, last), &z[first], dt), false)?
             };

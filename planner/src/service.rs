@@ -402,7 +402,7 @@ pub fn describe(replan: &Replan, settings: &ReplanSettings) -> PlannerResponse {
         _ if !closed => {
             Text::new(&format!("defect {:.1e}, the setting is {:.0e}", replan.defect, settings.defect))
         }
-        Method::Quadratic => match replan.statistics.second_opinions.len() {
+        Method::Quadratic => match replan.solved_by_clarabel() {
             0 => Text::default(),
             n => Text::new(&format!("{n} QPs solved by Clarabel: the structured solver made no progress")),
         },

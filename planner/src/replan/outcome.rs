@@ -138,6 +138,14 @@ pub struct Replan {
     pub statistics: Statistics,
 }
 
+impl Replan {
+    /// Number of the QPs for the entry used that Clarabel solved in place of the structured solver.
+    pub fn solved_by_clarabel(&self) -> usize {
+        let of_entry = |o: &&SecondOpinion| o.entry == self.entry.index && o.clarabel == qp::Status::Solved;
+        self.statistics.second_opinions.iter().filter(of_entry).count()
+    }
+}
+
 /// No plan was found: the failures of all methods tried.
 #[derive(Clone, Debug)]
 pub struct NoPlan {
