@@ -447,6 +447,10 @@ impl Planner {
             complementarity: QP_COMPLEMENTARITY,
             ..Options::new(QP_TOLERANCE)
         };
+        // A solve that stalled leaves no multipliers to start from.
+        let stalled_before =
+            second_opinions.last().is_some_and(|o| o.entry == entry && o.iteration + 1 == iteration);
+        let warm = iteration > 1 && !stalled_before;
         let mut solve = |qp: &Qp, again: bool| {
             let status = if again { solver.solve_again(qp, &options) } else { solver.solve(qp, &options) };
             if let (Status::Stalled(stall), Solver::Structured(_)) = (status, &*solver) {
@@ -459,10 +463,6 @@ impl Planner {
         };
         let parts = self.config.planner.replan.sub_horizons;
         let length = N / parts;
-        // A solve that stalled leaves no multipliers to start from.
-        let stalled_before =
-            second_opinions.last().is_some_and(|o| o.entry == entry && o.iteration + 1 == iteration);
-        let warm = iteration > 1 && !stalled_before;
         let mut z = vec![KnotVector::zeros(); N + 1];
         z[0].fixed_rows_mut::<NX>(0).copy_from(&qp.start);
         let mut dt = None;
