@@ -1,20 +1,20 @@
-//! Rules between several settings.
+//! Conflicts between settings: values that violate a rule which concerns several settings.
 
 use std::borrow::Cow;
 use std::fmt::Display;
 use upswing_model::Limits;
 
-/// A setting that its own rule allows, but not together with another one.
+/// A setting that meets its own rule but conflicts with another setting.
 #[derive(Debug, thiserror::Error)]
 #[error("{key}: expected {expected}, got {got}: {fix}")]
 pub(crate) struct Conflict {
     /// The key with its section.
     pub key: Cow<'static, str>,
-    /// What the other setting allows.
+    /// Values that the other setting allows.
     pub expected: String,
-    /// The value.
+    /// Value of the setting.
     pub got: String,
-    /// What the user can do.
+    /// Remedy for the user.
     pub fix: String,
 }
 
@@ -28,7 +28,7 @@ impl Conflict {
         Self { key: key.into(), expected: expected.to_string(), got: got.to_string(), fix: fix.to_string() }
     }
 
-    /// Refuses a value that is not above `low`, the value of `low_key`; both in the unit of the file.
+    /// Refuses a value of `key` that is not above `low`, the value of `low_key`; both in the unit of the file.
     pub fn unless_above(key: &'static str, value: f64, low: f64, low_key: &str) -> Result<(), Self> {
         if value > low {
             return Ok(());
@@ -37,7 +37,7 @@ impl Conflict {
         Err(Self::new(key, format!("more than the {low} of {low_key}"), value, fix))
     }
 
-    /// Refuses an `angle` (rad) of a joint, counted from 0, outside its limits.
+    /// Refuses an `angle` (rad) outside the position limits of `joint`, counted from 0.
     pub fn unless_within(key: &'static str, angle: f64, joint: usize, limits: &Limits) -> Result<(), Self> {
         let (low, high) = (limits.q_min[joint], limits.q_max[joint]);
         if (low..=high).contains(&angle) {
@@ -49,12 +49,12 @@ impl Conflict {
     }
 }
 
-/// An angle (rad) in deg, without the rounding errors of the conversion.
+/// Converts an angle from rad to deg, rounded to 1e-6 deg to hide the rounding errors of the conversion.
 pub(crate) fn degrees(rad: f64) -> f64 {
     (rad.to_degrees() * 1e6).round() / 1e6
 }
 
-/// A time (s) in ms, without the rounding errors of the conversion.
+/// Converts a time from s to ms, rounded to 1e-6 ms to hide the rounding errors of the conversion.
 pub(crate) fn milliseconds(s: f64) -> f64 {
     (s * 1e9).round() / 1e6
 }

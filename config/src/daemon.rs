@@ -27,7 +27,7 @@ pub struct DaemonSettings {
     pub standstill: StandstillSettings,
     /// Levels at which the daemon warns and at which it trips to Stop or Fault.
     pub limits: Levels,
-    /// Acceptance of plans.
+    /// Criteria for the acceptance of plans.
     pub plans: PlanSettings,
     /// Swing-up after a lost balance.
     pub recovery: RecoverySettings,
@@ -84,7 +84,7 @@ pub struct StopSettings {
     pub deceleration: [f64; NU],
 }
 
-/// Settings of the disturbance observer, which estimates the torque on the arm besides the commanded one.
+/// Settings of the disturbance observer, which estimates the torque on the arm in addition to the commanded torque.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DisturbanceSettings {
@@ -94,19 +94,19 @@ pub struct DisturbanceSettings {
     /// Bandwidth in directions of small inertia, rad/s; not below `bandwidth`.
     #[serde(rename = "light_bandwidth_rad_s", deserialize_with = "NonNegative::read")]
     pub light_bandwidth: f64,
-    /// Inertia of a direction whose bandwidth is the mean of both, kg m^2.
+    /// Inertia of a direction whose bandwidth is the mean of `bandwidth` and `light_bandwidth`, kg m^2.
     #[serde(rename = "light_inertia_kg_m2", deserialize_with = "Positive::read")]
     pub light_inertia: f64,
-    /// Largest estimate, as a share of the 100 % torque limits.
+    /// Largest estimated torque, as a share of the 100 % torque limits.
     #[serde(rename = "torque_fraction", deserialize_with = "Share::read")]
     pub most: f64,
 }
 
-/// Settings of the detector of stuck encoders, which watches angles that do not change.
+/// Settings of the detector of stuck encoders, which monitors angles that do not change.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StandstillSettings {
-    /// Motion of each joint that its encoder shows in any case, rad.
+    /// Smallest motion of each joint that its encoder always detects, rad.
     #[serde(rename = "angle_rad", deserialize_with = "Positive::read")]
     pub angle: [f64; NQ],
     /// Largest presliding friction of each joint, N m s/rad.
@@ -115,7 +115,7 @@ pub struct StandstillSettings {
     /// Unknown torque that may act on each joint at standstill, N m.
     #[serde(rename = "unknown_torque_nm", deserialize_with = "NonNegative::read")]
     pub unknown: [f64; NQ],
-    /// Change of a commanded torque that a torque sensor shows in any case, as a share of the 100 % torque limits.
+    /// Smallest change of a commanded torque that a torque sensor always detects, as a share of the 100 % torque limits.
     #[serde(rename = "torque_fraction", deserialize_with = "Share::read")]
     pub torque: f64,
 }
@@ -154,16 +154,16 @@ pub struct Levels {
     /// Age of the newest measurement, cycles.
     #[serde(rename = "measurement_age_cycles", deserialize_with = "Count::read")]
     pub measurement_age: Level,
-    /// Cycles in which the drives are off although the brakes are commanded open.
+    /// Duration for which the drives are off although the brakes are commanded open, cycles.
     #[serde(rename = "drives_stopped_cycles", deserialize_with = "Count::read")]
     pub drives_stopped: Level,
-    /// Measurements missed between two received ones.
+    /// Number of measurements missed between two received measurements.
     #[serde(deserialize_with = "Count::read")]
     pub measurement_gap: Level,
-    /// Change of an angle between two measurements beyond its largest speed, rad.
+    /// Change of an angle between two measurements beyond the change at the joint's largest speed, rad.
     #[serde(rename = "encoder_jump_rad", deserialize_with = "Positive::read")]
     pub encoder_jump: Level,
-    /// Angle past the range open to plans, rad.
+    /// Distance of an angle beyond the position limits of plans, rad.
     #[serde(rename = "position_margin_deg", deserialize_with = "NonNegative::degrees")]
     pub position_margin: Level,
     /// Speed of the actuated joints, as a share of the 100 % limits.
@@ -178,10 +178,10 @@ pub struct Levels {
     /// Difference between an angle and its reference, rad.
     #[serde(rename = "tracking_error_rad", deserialize_with = "Positive::read")]
     pub tracking_error: Level,
-    /// Unexplained torque on the arm, as a share of the 100 % limits.
+    /// Disturbance torque on the arm that the model does not explain, as a share of the 100 % limits.
     #[serde(rename = "collision_torque_fraction", deserialize_with = "Positive::read")]
     pub collision_torque: Level,
-    /// Time for which the unexplained torque has to last to be a collision, s.
+    /// Shortest duration of the unexplained torque that counts as a collision, s.
     #[serde(rename = "collision_ms", deserialize_with = "Positive::milli")]
     pub collision_time: f64,
     /// Distance of the arm from the pose held in Hold, rad.
@@ -196,7 +196,7 @@ pub struct Levels {
     /// Predicted speed of the arm in Balance, as a share of the 100 % limits.
     #[serde(rename = "balance_speed_fraction", deserialize_with = "Positive::read")]
     pub balance_speed: Level,
-    /// Consecutive cycles that ended late.
+    /// Number of consecutive late cycles.
     #[serde(deserialize_with = "Count::read")]
     pub late_cycles: Level,
     /// Age of a loaded plan, s.
@@ -204,7 +204,7 @@ pub struct Levels {
     pub plan_age: Level,
 }
 
-/// Settings of the acceptance of plans, see [`crate::Config::plan_criteria`].
+/// Settings of the acceptance of plans, used by [`crate::Config::plan_criteria`].
 #[derive(Clone, Copy, Debug, PartialEq, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlanSettings {
@@ -213,7 +213,7 @@ pub struct PlanSettings {
     /// Largest defect of (6b), rad and rad/s per interval.
     #[serde(deserialize_with = "BetweenZeroAndOne::read")]
     pub defect: f64,
-    /// Largest defect of a plan made by one QP, [`crate::ReplanSettings::iterations`] = 1, rad and rad/s per interval.
+    /// Largest defect of a plan from one QP ([`crate::ReplanSettings::iterations`] = 1), rad and rad/s per interval.
     #[serde(deserialize_with = "BetweenZeroAndOne::read")]
     pub defect_of_one_qp: f64,
     /// Delay from a measurement to its torque in the stability check of the closed loop, periods.
@@ -235,16 +235,16 @@ pub enum PlanWhileTracking {
 #[derive(Clone, Copy, Debug, PartialEq, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RecoverySettings {
-    /// Consecutive swing-ups that the daemon starts without a request of the operator.
+    /// Largest number of consecutive swing-ups that the daemon starts without a request of the operator; 0: none.
     #[serde(deserialize_with = "Whole::<0, 1000>::read")]
     pub attempts: u32,
     /// Speed below which an unactuated joint is at rest, rad/s.
     #[serde(rename = "rest_speed_rad_s", deserialize_with = "Positive::read")]
     pub rest_speed: f64,
-    /// Time for which the unactuated joints have to be at rest.
+    /// Time for which the unactuated joints have to be at rest before a plan is requested.
     #[serde(rename = "rest_s", deserialize_with = "WaitingTime::read")]
     pub rest: Duration,
-    /// Longest wait for the pendulum's rest, and for a plan.
+    /// Longest wait for the rest of the pendulum, and for a plan.
     #[serde(rename = "patience_s", deserialize_with = "WaitingTime::read")]
     pub patience: Duration,
 }
@@ -253,7 +253,7 @@ pub struct RecoverySettings {
 #[derive(Clone, Debug, PartialEq, Eq, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RecorderSettings {
-    /// Folder of the flight records; `None`, an empty path in the file: none are written.
+    /// Folder of the flight records; `None` (an empty path in the file): no flight records.
     #[serde(deserialize_with = "folder")]
     pub directory: Option<PathBuf>,
     /// Number of flight records to keep, at least 1.
@@ -286,7 +286,7 @@ pub struct RealtimeSettings {
     /// SCHED_FIFO priority, 1 to 99.
     #[serde(deserialize_with = "Whole::<1, 99>::read")]
     pub priority: u8,
-    /// CPU that the thread is pinned to, counted from 0; `None`, -1 in the file: any CPU.
+    /// CPU to which the thread is pinned, counted from 0; `None` (-1 in the file): any CPU.
     #[serde(deserialize_with = "cpu")]
     pub cpu: Option<usize>,
 }
@@ -306,7 +306,7 @@ pub enum RealtimeMode {
 }
 
 impl DaemonSettings {
-    /// Checks the rules between settings.
+    /// Checks the rules between the settings of the daemon, and between them and the limits of the robot.
     pub(crate) fn validate(&self, robot: &RobotSettings) -> Result<(), Conflict> {
         let period = milliseconds(self.cycle.period.seconds());
         let filter = milliseconds(self.cycle.velocity_filter);

@@ -1,11 +1,11 @@
-//! The error of all settings.
+//! Errors of settings and robot description.
 
 use upswing_model::UrdfError;
 
-/// Settings that cannot be used. Each message names the file, what was expected, what was found, and what to do.
+/// Error of reading or checking settings. Each message states the file, the expected and the actual value, and a remedy.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
-    /// A file of a folder of settings is missing or cannot be read.
+    /// A file in a folder of settings is missing or cannot be read.
     #[error(
         "{file}: cannot be read ({cause}); expected all of {}: `upswing config export DIR` writes a full copy to \
          start from",
@@ -30,10 +30,10 @@ pub enum ConfigError {
     NotText {
         /// Path of the file.
         file: String,
-        /// First byte that is not UTF-8, counted from 0.
+        /// Offset of the first byte that is not UTF-8, counted from 0.
         offset: usize,
     },
-    /// Text that is no TOML, an unknown or missing key, or a value that breaks its rule.
+    /// A text is no TOML, a key is unknown or missing, or a value violates its rule.
     #[error(
         "{file}, line {line}, `{text}`: {}{reason}",
         .key.as_ref().map(|key| format!("{key}: ")).unwrap_or_default()
@@ -43,11 +43,11 @@ pub enum ConfigError {
         file: String,
         /// Number of the line, counted from 1.
         line: usize,
-        /// The line.
+        /// Text of the line, at most 80 characters.
         text: String,
-        /// The key with its section; none in text that is no TOML.
+        /// The key with its section; `None` in text that is no TOML.
         key: Option<String>,
-        /// What was expected, what was found, and what to do.
+        /// Expected value, actual value and remedy.
         reason: String,
     },
     /// A scenario does not exist.
@@ -56,7 +56,7 @@ pub enum ConfigError {
         crate::Config::scenario_names().collect::<Vec<_>>().join(", ")
     )]
     NoScenario {
-        /// Name of the scenario.
+        /// Name given for the scenario.
         got: String,
     },
     /// The robot description cannot be used.
@@ -64,7 +64,7 @@ pub enum ConfigError {
     Urdf {
         /// Path of the file.
         file: String,
-        /// Error of the description.
+        /// Error of the robot description.
         cause: UrdfError,
     },
     /// The range of a joint is not symmetric about 0.

@@ -1,11 +1,11 @@
-//! Faults of the simulated plant and pushes on its rod, at cycle numbers.
+//! Faults of the simulated plant and pushes on its rod, each at given cycles.
 
 use crate::MAX_DELAY;
 use crate::rule::{Whole, refused};
 use serde::{Deserialize, Deserializer};
 use upswing_model::{NQ, NU};
 
-/// Kind of a fault; the index of a variant is its code in shared memory. Simultaneous faults act in this order.
+/// Kind of a plant fault; the index of a variant is its code in shared memory. Simultaneous faults act in the order of the variants.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum FaultKind {
@@ -34,7 +34,7 @@ pub enum FaultKind {
 }
 
 impl FaultKind {
-    /// All kinds.
+    /// All kinds of faults, in the order of their codes.
     pub fn all() -> &'static [Self] {
         clap::ValueEnum::value_variants()
     }
@@ -44,12 +44,12 @@ impl FaultKind {
         self as u64
     }
 
-    /// Whether the kind concerns one joint.
+    /// True if faults of this kind concern one joint.
     pub const fn has_joint(self) -> bool {
         self.joints() > 0
     }
 
-    /// Number of joints, from the first on, that the kind can concern.
+    /// Number of joints, from joint 1 on, that this kind can concern; 0 for kinds without a joint.
     const fn joints(self) -> usize {
         match self {
             Self::EncoderStuck | Self::EncoderJump | Self::EncoderNan => NQ,
@@ -66,11 +66,11 @@ pub struct Fault {
     pub kind: FaultKind,
     /// First cycle, counted from 1.
     pub from: u64,
-    /// Duration, cycles; 0: until it is cleared.
+    /// Duration, cycles; 0: until the fault is cleared.
     pub cycles: u64,
-    /// The joint, counted from 0, of the kinds that concern one.
+    /// Joint, counted from 0; 0 for kinds without a joint.
     pub joint: usize,
-    /// Amount of the kinds that have one: cycles (`DelayMeasurement`, 1..=[`MAX_DELAY`]), rad (`EncoderJump`, not 0) or N m (`ArmTorque`, not 0).
+    /// Amount: cycles (`DelayMeasurement`, 1..=[`MAX_DELAY`]), rad (`EncoderJump`, not 0) or N m (`ArmTorque`, not 0); else unused.
     pub amount: f64,
 }
 
@@ -80,15 +80,15 @@ impl Fault {
         Self { kind, from, cycles, joint: 0, amount: 0.0 }
     }
 
-    /// Whether it acts in a cycle, counted from 1.
+    /// True if the fault acts in `cycle`, counted from 1.
     pub fn acts(&self, cycle: u64) -> bool {
         cycle >= self.from && (self.cycles == 0 || cycle - self.from < self.cycles)
     }
 
-    /// Checks that joint and amount suit the kind.
+    /// Checks that joint and amount suit the kind of the fault.
     ///
     /// # Errors
-    /// [`EventError`] with what was expected and what came.
+    /// [`EventError`] with the expected and the actual value.
     pub fn check(&self) -> Result<(), EventError> {
         if self.kind.has_joint() && self.joint >= self.kind.joints() {
             return Err(EventError::Joint { most: self.kind.joints(), got: self.joint.wrapping_add(1) });
@@ -112,7 +112,7 @@ impl Fault {
     }
 }
 
-/// A fault as a scenario states it: without the keys that its kind does not need.
+/// A fault as written in a scenario file, without the keys that its kind does not need.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct FaultInFile {
@@ -126,10 +126,10 @@ pub(crate) struct FaultInFile {
     amount: f64,
 }
 
-/// Largest cycle number of a scenario: beyond the life of a plant.
+/// Largest cycle number in a scenario, beyond the lifetime of any plant process.
 const MOST_CYCLES: i64 = 1_000_000_000_000;
 
-/// Errors begin with their key, which the reader of the file takes off to find the line.
+/// The error text begins with `.key: `, which `TextFile::error` moves into the name of the key.
 impl TryFrom<FaultInFile> for Fault {
     type Error = String;
 
@@ -172,15 +172,15 @@ pub struct Push {
 }
 
 impl Push {
-    /// Whether it acts in a cycle, counted from 1.
+    /// True if the push acts in `cycle`, counted from 1.
     pub fn acts(&self, cycle: u64) -> bool {
         cycle >= self.from && cycle - self.from < self.cycles
     }
 
-    /// Checks that it has a duration and a finite impulse.
+    /// Checks that the push has a duration and a finite impulse.
     ///
     /// # Errors
-    /// [`EventError`] with what was expected and what came.
+    /// [`EventError`] with the expected and the actual value.
     pub fn check(&self) -> Result<(), EventError> {
         if self.cycles == 0 {
             return Err(EventError::Duration);
@@ -200,10 +200,10 @@ fn impulse<'de, D: Deserializer<'de>>(from: D) -> Result<[f64; 3], D::Error> {
     }
 }
 
-/// A fault or a push that the plant cannot simulate.
+/// Error of a fault or a push that the plant cannot simulate.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum EventError {
-    /// The joint does not exist.
+    /// The joint does not exist for this kind of fault.
     #[error("joint: expected 1 to {most}, got {got}")]
     Joint {
         /// Last joint of the kind, counted from 1.
@@ -241,7 +241,7 @@ pub enum EventError {
     /// The impulse is NaN or infinite.
     #[error("impulse: expected three finite numbers, N s, got {got}")]
     Impulse {
-        /// The component, N s.
+        /// The component that is not finite, N s.
         got: f64,
     },
 }

@@ -1,4 +1,4 @@
-//! Settings files: the embedded set or a folder's, their text, and the place of an error in it.
+//! Settings files, embedded or in a folder: their text, and the line of an error.
 
 use crate::ConfigError;
 use crate::conflict::Conflict;
@@ -7,14 +7,14 @@ use std::borrow::Cow;
 use std::path::Path;
 use toml::de::{DeTable, DeValue};
 
-/// A file that the program was built with.
+/// A settings file embedded in the program.
 pub(crate) struct EmbeddedFile {
     pub name: &'static str,
     pub bytes: &'static [u8],
 }
 
 impl EmbeddedFile {
-    /// What messages call the file, and its contents: those in the folder, or the embedded ones without a folder.
+    /// The name of the file in messages, and its contents: from the folder `dir`, or embedded without a folder.
     pub fn contents(&self, dir: Option<&Path>) -> Result<crate::Contents, ConfigError> {
         let Some(dir) = dir else {
             return Ok((format!("embedded {}", self.name), Cow::Borrowed(self.bytes)));
@@ -27,14 +27,14 @@ impl EmbeddedFile {
         }
     }
 
-    /// The file in the folder, or the embedded one without a folder.
+    /// The text of the file: from the folder `dir`, or embedded without a folder.
     pub fn text(&self, dir: Option<&Path>) -> Result<TextFile, ConfigError> {
         let (name, bytes) = self.contents(dir)?;
         TextFile::new(name, bytes.into_owned())
     }
 }
 
-/// A text file: its text, and the name that messages give it.
+/// A text file: its name in messages, and its text.
 pub(crate) struct TextFile {
     pub name: String,
     pub text: String,
@@ -57,12 +57,12 @@ impl TextFile {
         }
     }
 
-    /// Parses TOML into settings: syntax, unknown and missing keys, the rule of each field.
+    /// Parses TOML into settings; checks syntax, unknown and missing keys, and the rule of each field.
     pub fn parse<T: DeserializeOwned>(&self) -> Result<T, ConfigError> {
         toml::from_str(&self.text).map_err(|error| self.malformed(&error))
     }
 
-    /// As [`TextFile::parse`], then checks the rules between the settings.
+    /// Parses TOML into settings as [`TextFile::parse`], then checks the rules between settings with `validate`.
     pub fn settings<T: DeserializeOwned>(
         &self,
         validate: impl FnOnce(&T) -> Result<(), Conflict>,
@@ -72,13 +72,13 @@ impl TextFile {
         Ok(settings)
     }
 
-    /// The error of a rule between settings.
+    /// The error of a violated rule between settings, with the line of the key.
     pub fn refuse(&self, Conflict { key, expected, got, fix }: Conflict) -> ConfigError {
         let at = DeTable::parse(&self.text).map_or(0, |table| position(table.get_ref(), &key));
         self.error(at, Some(key.into()), format!("expected {expected}, got {got}: {fix}"))
     }
 
-    /// The error of text that is no TOML, or of a key or value that does not fit.
+    /// The error of text that is no TOML, or of a key or value that does not fit, with its line.
     pub fn malformed(&self, error: &toml::de::Error) -> ConfigError {
         let at = error.span().map_or(0, |span| span.start).min(self.text.len());
         let key = DeTable::parse(&self.text).ok().and_then(|table| key_at(table.get_ref(), at));
@@ -86,7 +86,7 @@ impl TextFile {
         self.error(at, key, format!("{}: {fix}", error.message()))
     }
 
-    /// The error of a setting that stands at a byte of the text. A `reason` that begins with `.name: ` is about that key of the
+    /// The error of a setting at byte offset `at` of the text. A `reason` that begins with `.name: ` concerns the key `name` of the
     /// table `key`.
     pub fn error(&self, at: usize, mut key: Option<String>, mut reason: String) -> ConfigError {
         if let (Some(key), Some((name, rest))) = (&mut key, reason.split_once(": "))
@@ -101,7 +101,7 @@ impl TextFile {
     }
 }
 
-/// Dotted name of the key that stands, or whose value stands, at a byte of the text.
+/// Dotted name of the key whose name or value is at byte offset `at` of the text.
 fn key_at(table: &DeTable<'_>, at: usize) -> Option<String> {
     table.iter().find_map(|(key, value)| {
         let inner = match value.get_ref() {
@@ -120,7 +120,7 @@ fn key_at(table: &DeTable<'_>, at: usize) -> Option<String> {
     })
 }
 
-/// Byte of the text at which a dotted key stands, or the last part of it that the text has; in a list of tables the list.
+/// Byte offset of a dotted key in the text, or of its longest part that exists; of the list for a key in a list of tables.
 fn position(table: &DeTable<'_>, key: &str) -> usize {
     let (part, rest) = key.split_once('.').unwrap_or((key, ""));
     let Some((name, value)) = table.get_key_value(part) else { return 0 };
@@ -128,28 +128,28 @@ fn position(table: &DeTable<'_>, key: &str) -> usize {
     if inner == 0 { name.span().start } else { inner }
 }
 
-/// Reads a regular file. Anything else at the path (a pipe, a device) is refused: it could block, or never end.
+/// Reads a regular file. Pipes, devices and directories are refused: reading could block, or never end.
 ///
 /// # Errors
-/// Of the operating system.
+/// Those of the operating system, or that the path is not a regular file.
 pub fn read_file(path: &Path) -> std::io::Result<Vec<u8>> {
     check_regular(path)?;
     std::fs::read(path)
 }
 
-/// Opens a regular file for reading; anything else at the path is refused as by [`read_file`].
+/// Opens a regular file for reading; pipes, devices and directories are refused as by [`read_file`].
 ///
 /// # Errors
-/// Of the operating system.
+/// Those of the operating system, or that the path is not a regular file.
 pub fn open_file(path: &Path) -> std::io::Result<std::fs::File> {
     check_regular(path)?;
     std::fs::File::open(path)
 }
 
-/// Refuses a path at which there is something else than a regular file: a directory, a pipe, a device.
+/// Refuses the path of a directory, pipe or device; accepts a regular file, and a path without a file.
 ///
 /// # Errors
-/// Of the operating system.
+/// Those of the operating system, or that the path is not a regular file.
 pub fn check_regular(path: &Path) -> std::io::Result<()> {
     match path.metadata() {
         Ok(state) if state.is_dir() => Err(std::io::ErrorKind::IsADirectory.into()),

@@ -6,7 +6,7 @@ use crate::{PendulumStart, RobotSettings};
 use serde::Deserialize;
 use upswing_model::NU;
 
-/// Start poses of a trajectory database: the product of all axes; joints without an axis start at 0.
+/// Grid of start poses of a trajectory database: the Cartesian product of all axes; joints without an axis are at 0.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GridSettings {
@@ -15,7 +15,7 @@ pub struct GridSettings {
     pub axes: Vec<GridAxis>,
     /// Angles of the pendulum at the start.
     pub start: PendulumStart,
-    /// Largest angle of the hanging pendulum, rad; poses beyond it are left out.
+    /// Largest angle of the hanging pendulum, rad; poses with a larger one are skipped.
     #[serde(rename = "max_rest_angle_deg", deserialize_with = "Positive::degrees")]
     pub max_rest_angle: f64,
 }
@@ -30,7 +30,7 @@ pub struct GridAxis {
     /// First angle, rad.
     #[serde(rename = "from_deg", deserialize_with = "Finite::degrees")]
     pub from: f64,
-    /// Last angle, rad, above `from` unless there is one point.
+    /// Last angle, rad; above `from`, or equal for one point.
     #[serde(rename = "to_deg", deserialize_with = "Finite::degrees")]
     pub to: f64,
     /// Number of angles, at least 1.
@@ -39,22 +39,22 @@ pub struct GridAxis {
 }
 
 impl GridAxis {
-    /// Angle of a point counted from 0, rad.
+    /// Angle of the joint at a point of the axis, rad; points are counted from 0.
     pub fn angle(&self, point: usize) -> f64 {
         self.from + (self.to - self.from) * point as f64 / (self.points - 1).max(1) as f64
     }
 }
 
-/// Largest number of start poses, which keeps a typing error from filling the memory.
+/// Largest number of start poses, so that a typing error does not exhaust the memory.
 const MOST_POSES: usize = 1_000_000;
 
 impl GridSettings {
-    /// Number of poses, those that are left out included.
+    /// Number of poses, including skipped ones.
     pub fn poses(&self) -> usize {
         self.axes.iter().map(|axis| axis.points).product()
     }
 
-    /// Angles of the actuated joints (rad) of a pose, counted from 0; the last axis runs fastest.
+    /// Angles of the actuated joints (rad) of pose `number`, counted from 0; the last axis varies fastest.
     pub fn pose(&self, number: usize) -> [f64; NU] {
         let mut pose = [0.0; NU];
         let mut left = number;
@@ -65,7 +65,7 @@ impl GridSettings {
         pose
     }
 
-    /// Checks the rules between settings.
+    /// Checks the rules between the settings of the grid, and between them and the limits of the robot.
     pub(crate) fn validate(&self, robot: &RobotSettings) -> Result<(), Conflict> {
         for (i, axis) in self.axes.iter().enumerate() {
             if self.axes[..i].iter().any(|known| known.joint == axis.joint) {

@@ -1,9 +1,9 @@
-//! Settings and robot description of upswing: read, checked once, then plain SI numbers.
+//! Settings and robot description of upswing: read from files, checked once, converted to SI units.
 //!
-//! A full set of files is embedded in the program ([`Config::files`]) and can be exported to a folder for
-//! editing: the robot (`robot.urdf`), its limits and the target (`robot.toml`), the planner, the daemon, the
-//! simulated plant, and scenarios for the plant ([`Config::use_scenario`]). In the files angles may be in degrees (the key then
-//! says so); past this crate everything is rad, s, N m, kg, m, and no value needs another check.
+//! A full set of files is embedded in the program ([`Config::files`]) and can be exported to a folder for editing: the robot
+//! (`robot.urdf`), its limits and the target (`robot.toml`), the planner, the daemon, the simulated plant, the grid of the trajectory
+//! database, and scenarios for the plant ([`Config::use_scenario`]). Keys of settings in other than SI units name the unit (`_deg`,
+//! `_ms`); outside this crate all settings are in rad, s, N m, kg, m, and need no further check.
 
 mod conflict;
 mod daemon;
@@ -50,19 +50,19 @@ pub struct Config {
     pub urdf: String,
     /// The robot read from it, with the rotors of `robot`; its rated limits agree with `robot.limits`.
     pub model: Model,
-    /// Limits and target.
+    /// Limits and drives of the robot, and the target of the swing-up.
     pub robot: RobotSettings,
-    /// The planner.
+    /// Settings of the planner.
     pub planner: PlannerSettings,
-    /// The control daemon.
+    /// Settings of the control daemon.
     pub daemon: DaemonSettings,
-    /// The simulated plant.
+    /// Settings of the simulated plant.
     pub plant: PlantSettings,
     /// The bodies that move in the simulated plant, as their URDF describes them; [`ModelSettings::apply`] changes them.
     pub plant_model: Model,
-    /// Start poses of the database.
+    /// Grid of the start poses of the trajectory database.
     pub grid: GridSettings,
-    /// Where the files come from; None: embedded.
+    /// Folder of the files; `None`: embedded.
     dir: Option<PathBuf>,
 }
 
@@ -78,14 +78,14 @@ const PLANNER: EmbeddedFile = embedded!("planner.toml");
 const DAEMON: EmbeddedFile = embedded!("daemon.toml");
 const PLANT: EmbeddedFile = embedded!("plant.toml");
 const GRID: EmbeddedFile = embedded!("grid.toml");
-/// Not read with a set of settings: another grid to build a database from.
+/// The paper's grid of start poses, read only by [`Config::use_paper_grid`].
 const PAPER_GRID: EmbeddedFile = embedded!("grid-paper.toml");
-/// Name of the trajectory database in a folder of settings; the planner reads it.
+/// File name of the trajectory database in a folder of settings; read by the planner.
 pub const DATABASE: &str = "database.bin";
-/// Not read with a set of settings unless the plant asks for it: the second model of the arm.
+/// The second model of the arm, read only if `model.urdf` of the plant's settings names it.
 const SECOND_URDF: EmbeddedFile = embedded!("robot-acin.urdf");
 const FILES: [EmbeddedFile; 8] = [URDF, ROBOT, PLANNER, DAEMON, PLANT, GRID, PAPER_GRID, SECOND_URDF];
-/// Read only when one is asked for.
+/// The scenarios of the set, read only by [`Config::use_scenario`].
 const SCENARIOS: [EmbeddedFile; 16] = [
     embedded!("scenarios/arm-friction.toml"),
     embedded!("scenarios/coarse-encoders.toml"),
@@ -105,27 +105,27 @@ const SCENARIOS: [EmbeddedFile; 16] = [
     embedded!("scenarios/worn-bearings.toml"),
 ];
 
-/// The name that messages give a file, and its contents.
+/// A file: its name in messages, and its contents.
 pub type Contents = (String, Cow<'static, [u8]>);
 
 impl Config {
-    /// The settings that the program was built with.
+    /// The settings embedded in the program.
     ///
     /// # Errors
-    /// None in a released program: its tests load them.
+    /// None in a released program: its tests load the embedded settings.
     pub fn embedded() -> Result<Self, ConfigError> {
         Self::assemble(None)
     }
 
-    /// The settings in a folder, which must hold all files of a full set.
+    /// The settings in a folder, which must contain all files of a full set.
     ///
     /// # Errors
-    /// A file is missing, unreadable, malformed, or holds a value the system cannot work with.
+    /// [`ConfigError`] if a file is missing, unreadable or malformed, or contains an invalid value.
     pub fn from_dir(dir: &Path) -> Result<Self, ConfigError> {
         Self::assemble(Some(dir))
     }
 
-    /// The settings in a folder, or the embedded ones if none is named.
+    /// The settings in the folder `dir`, or the embedded settings without a folder.
     ///
     /// # Errors
     /// As [`Config::from_dir`].
@@ -152,12 +152,12 @@ impl Config {
         }
     }
 
-    /// The embedded files with their comments: path below a folder of settings, and contents.
+    /// The embedded files with their comments: path relative to a folder of settings, and contents.
     pub fn files() -> impl Iterator<Item = (&'static str, &'static [u8])> {
         FILES.iter().chain(&SCENARIOS).map(|file| (file.name, file.bytes))
     }
 
-    /// The state at standstill with the arm at `q_a` (7 angles, rad) and the pendulum as `pendulum` says.
+    /// The state x at standstill with the arm at `q_a` (7 angles, rad) and the pendulum at the angles given by `pendulum`.
     ///
     /// # Errors
     /// As [`Model::standstill`], for the limits open to plans.
@@ -165,7 +165,7 @@ impl Config {
         self.start_state_of(&self.model, q_a, pendulum)
     }
 
-    /// As [`Config::start_state`] for another `model`, whose pendulum may hang differently.
+    /// As [`Config::start_state`] for another `model`, whose rest position of the pendulum may differ.
     ///
     /// # Errors
     /// As [`Config::start_state`].
@@ -199,11 +199,11 @@ impl Config {
         Ok(Self { urdf: urdf.text, model, robot, planner, daemon, plant, plant_model, grid, dir })
     }
 
-    /// Replaces the plant's settings by those of `plant.toml` under a scenario: one of the set by its name, or a file by
-    /// its path, which ends in `.toml`. Returns the scenario's purpose, a sentence.
+    /// Replaces the plant's settings by those of `plant.toml` under a scenario, given by its name in the set or by the path of a file
+    /// that ends in `.toml`. Returns the purpose of the scenario, a sentence.
     ///
     /// # Errors
-    /// There is no such scenario, or it is unreadable, malformed, or holds a value that cannot be.
+    /// [`ConfigError`] if the scenario does not exist, is unreadable or malformed, or contains an invalid value.
     pub fn use_scenario(&mut self, scenario: &str) -> Result<String, ConfigError> {
         let dir = self.dir.as_deref();
         let file = if scenario.ends_with(".toml") {
@@ -218,10 +218,10 @@ impl Config {
         Ok(purpose)
     }
 
-    /// Names and texts of the settings files, for whoever keeps them with results: all but scenarios and database.
+    /// Names and texts of the settings files, to be stored with results: all but scenarios and database.
     ///
     /// # Errors
-    /// A file has become unreadable since it was loaded.
+    /// [`ConfigError`] if a file has become unreadable since the settings were loaded.
     pub fn texts(&self) -> Result<Vec<(&'static str, String)>, ConfigError> {
         let files = [&URDF, &ROBOT, &PLANNER, &DAEMON, &PLANT, &GRID];
         files.iter().map(|file| Ok((file.name, file.text(self.dir.as_deref())?.text))).collect()
@@ -232,28 +232,28 @@ impl Config {
         SCENARIOS.iter().map(scenario_name)
     }
 
-    /// A file that belongs to the settings but is not read with them: where it comes from, for messages, and its contents. That of the
-    /// settings' folder, or, of the embedded settings, `embedded`.
+    /// Reads a further file of the settings: its name in messages and its contents, from the folder of the settings, or `embedded` for
+    /// the embedded settings.
     ///
     /// # Errors
-    /// [`ConfigError::Unreadable`]
+    /// [`ConfigError::Unreadable`] if the folder has no such file.
     pub fn file(&self, name: &'static str, embedded: &'static [u8]) -> Result<Contents, ConfigError> {
         EmbeddedFile { name, bytes: embedded }.contents(self.dir.as_deref())
     }
 
-    /// Replaces the grid by that of a file.
+    /// Replaces the grid of start poses by the grid in the file at `path`.
     ///
     /// # Errors
-    /// The file is unreadable, malformed, or holds a value that cannot be.
+    /// [`ConfigError`] if the file is unreadable or malformed, or contains an invalid value.
     pub fn use_grid(&mut self, path: &Path) -> Result<(), ConfigError> {
         self.grid = TextFile::at(path)?.settings(|grid: &GridSettings| grid.validate(&self.robot))?;
         Ok(())
     }
 
-    /// Replaces the grid by the paper's 4 x 4 x 4 x 4 poses.
+    /// Replaces the grid of start poses by the paper's 4 x 4 x 4 x 4 poses.
     ///
     /// # Errors
-    /// The limits of the settings are too narrow for it.
+    /// [`ConfigError`] if a pose of the paper's grid is outside the limits of the settings.
     pub fn use_paper_grid(&mut self) -> Result<(), ConfigError> {
         self.grid = PAPER_GRID.text(None)?.settings(|grid: &GridSettings| grid.validate(&self.robot))?;
         Ok(())
@@ -266,7 +266,7 @@ fn scenario_name(file: &EmbeddedFile) -> &'static str {
     file.name.trim_start_matches(SCENARIO_FOLDER).trim_start_matches('/').trim_end_matches(".toml")
 }
 
-/// The robot of a URDF; parts of the URDF that the model leaves out go to the log.
+/// Reads the robot model of a URDF; parts of the URDF that the model ignores are logged as warnings.
 fn read_model(urdf: &TextFile) -> Result<Model, ConfigError> {
     let refuse = |cause| ConfigError::Urdf { file: urdf.name.clone(), cause };
     let description = Urdf::read(&urdf.text).map_err(refuse)?;
@@ -283,7 +283,7 @@ fn check_symmetry(urdf: &TextFile, model: &Model) -> Result<(), ConfigError> {
     let limits = model.rated_limits();
     for (i, name) in model.joint_names().iter().enumerate() {
         let (low, high) = (degrees(limits.q_min[i]), degrees(limits.q_max[i]));
-        // Written so that two infinite ends are symmetric.
+        // Two infinite ends are symmetric: their sum is NaN, which is not above the rounding.
         if (low + high).abs() > ROUNDING {
             return Err(ConfigError::Asymmetric {
                 file: urdf.name.clone(),
@@ -296,7 +296,7 @@ fn check_symmetry(urdf: &TextFile, model: &Model) -> Result<(), ConfigError> {
     Ok(())
 }
 
-/// The simulated bodies, from the URDF that the settings in `file` name.
+/// Reads the model of the simulated bodies from the URDF that the settings in `file` name.
 fn read_plant_model(dir: Option<&Path>, file: &TextFile, urdf: &str) -> Result<Model, ConfigError> {
     let of_set = FILES.iter().find(|file| file.name == urdf && urdf.ends_with(".urdf"));
     let urdf_file = match of_set {
@@ -320,7 +320,7 @@ fn read_plant_model(dir: Option<&Path>, file: &TextFile, urdf: &str) -> Result<M
         }
     };
     if urdf == URDF.name {
-        // Its warnings are in the log.
+        // The warnings of the robot's own URDF are logged already.
         let refuse = |cause| ConfigError::Urdf { file: urdf_file.name.clone(), cause };
         return Model::from_urdf(&urdf_file.text).map_err(refuse);
     }

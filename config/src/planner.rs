@@ -57,18 +57,18 @@ pub enum TorqueConstraint {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ReplanSettings {
-    /// Largest number of linearisations per replan, each around the last solution; 1 is the paper's mode.
+    /// Largest number of linearisations per replan, each around the previous solution; 1 as in the paper.
     #[serde(deserialize_with = "Whole::<1, 1000>::read")]
     pub iterations: usize,
-    /// Largest defect of (6b) on the real dynamics at which the linearisations end, rad and rad/s per interval.
+    /// Largest defect of (6b) with the nonlinear dynamics at which the linearisations end, rad and rad/s per interval.
     #[serde(deserialize_with = "BetweenZeroAndOne::read")]
     pub defect: f64,
-    /// Share of the range of each limit that stays free at the knots.
+    /// Margin of the limits at the knots, as a share of the range of each limit.
     #[serde(deserialize_with = "ShareBelowOne::read")]
     pub knot_margin: f64,
     /// Form of the torque constraint (16c).
     pub torque: TorqueConstraint,
-    /// Number of sub-horizons, solved one after the other, one of [`SUB_HORIZONS`]; 1 is the whole horizon.
+    /// Number of sub-horizons, solved one after the other, one of [`SUB_HORIZONS`]; 1: the whole horizon at once.
     #[serde(deserialize_with = "sub_horizons")]
     pub sub_horizons: usize,
     /// Time from a request to the start of its plan while the pendulum moves.
@@ -88,7 +88,7 @@ pub struct ReplanSettings {
     /// Weights of the inputs in the diagonal of Q, the same at every knot, s^4/rad^2.
     #[serde(deserialize_with = "Positive::read")]
     pub weight_u: [f64; NU],
-    /// Number of the nearest database entries that are tried.
+    /// Number of nearest database entries that a replan tries.
     #[serde(deserialize_with = "Whole::<1, 1000>::read")]
     pub neighbours: usize,
     /// Weight of each actuated joint in the squared distance between start poses, no unit.
@@ -135,7 +135,7 @@ pub struct LqrWeights {
     pub r: f64,
 }
 
-/// Weights of the gain that holds x_N, which replace those of [`LqrWeights`].
+/// Weights of the LQR gain of the mode Balance, which holds x_N; they replace those of [`LqrWeights`].
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BalanceWeights {
@@ -148,7 +148,7 @@ pub struct BalanceWeights {
 }
 
 impl PlannerSettings {
-    /// Checks the rules between settings.
+    /// Checks the rules between the settings of the planner.
     pub(crate) fn validate(&self) -> Result<(), Conflict> {
         let OfflineSettings { t_f_min, t_f_max, .. } = self.offline;
         Conflict::unless_above("offline.t_f_max_s", t_f_max, t_f_min, "offline.t_f_min_s")

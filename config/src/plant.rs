@@ -6,7 +6,7 @@ use crate::{Fault, Push, RobotSettings};
 use serde::{Deserialize, Deserializer};
 use upswing_model::{Model, N_UNACTUATED, NQ, NU};
 
-/// Largest delay of a command, and of a measurement under a fault, cycles.
+/// Largest delay of a command, and of a measurement under the fault `DelayMeasurement`, cycles.
 pub const MAX_DELAY: u32 = 63;
 
 /// Settings of the simulated robot, pendulum, drives and encoders.
@@ -17,7 +17,7 @@ pub struct PlantSettings {
     pub model: ModelSettings,
     /// Integration of the equations of motion.
     pub integrator: IntegratorSettings,
-    /// Encoders.
+    /// Encoders of all joints.
     pub encoder: EncoderSettings,
     /// Drives and brakes.
     pub drive: DriveSettings,
@@ -27,10 +27,10 @@ pub struct PlantSettings {
     pub stops: JointStopSettings,
     /// State after power-up.
     pub start: PlantStart,
-    /// Faults of the scenario.
+    /// Faults of the scenario; empty without a scenario.
     #[serde(skip)]
     pub faults: Vec<Fault>,
-    /// Pushes on the rod of the scenario.
+    /// Pushes of the scenario on the rod; empty without a scenario.
     #[serde(skip)]
     pub pushes: Vec<Push>,
 }
@@ -62,7 +62,7 @@ pub struct ModelSettings {
 }
 
 impl ModelSettings {
-    /// The simulated bodies and rotors, from the bodies of the URDF.
+    /// Applies these differences to the model of the URDF and returns the model of the simulated bodies and rotors.
     pub fn apply(&self, urdf: &Model) -> Model {
         urdf.with_scaled_masses(self.arm_mass_scale, self.pendulum_mass_scale)
             .with_scaled_rod_length(self.pendulum_length_scale)
@@ -90,13 +90,13 @@ pub struct EncoderSettings {
     /// Resolution of the unactuated joints' angles, rad: one turn over 2 to the number of bits in the file.
     #[serde(rename = "pendulum_bits", deserialize_with = "resolution")]
     pub pendulum_resolution: f64,
-    /// Standard deviation of white Gaussian noise, rad.
+    /// Standard deviation of the white Gaussian noise of each angle, rad.
     #[serde(rename = "noise_rad", deserialize_with = "NonNegative::read")]
     pub noise: [f64; NQ],
-    /// Error of the zero position, rad.
+    /// Error of the zero position of each joint, rad.
     #[serde(rename = "bias_deg", deserialize_with = "Angle::degrees")]
     pub bias: [f64; NQ],
-    /// Seed of the noise.
+    /// Seed of the encoder noise.
     #[serde(deserialize_with = "Whole::<0, { i64::MAX }>::read")]
     pub seed: u64,
 }
@@ -109,22 +109,22 @@ fn resolution<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DriveSettings {
-    /// Control periods without a fresh command after which the brakes close.
+    /// Time without a new command after which the brakes close, control periods.
     #[serde(deserialize_with = "Whole::<1, 1_000_000>::read")]
     pub watchdog_cycles: u32,
-    /// Time constant with which closed brakes stop the actuated joints, s.
+    /// Time constant of the deceleration of the actuated joints by closed brakes, s.
     #[serde(rename = "brake_time_constant_ms", deserialize_with = "Positive::milli")]
     pub brake_time_constant: f64,
     /// Time from the command to close the brakes until they hold, s; the drives give no torque meanwhile.
     #[serde(rename = "brake_engage_ms", deserialize_with = "NonNegative::milli")]
     pub brake_engage: f64,
-    /// Time constant of the torque loop, s; 0: none.
+    /// Time constant of the torque loop, s; 0: no lag.
     #[serde(rename = "torque_lag_ms", deserialize_with = "NonNegative::milli")]
     pub torque_lag: f64,
     /// Transport delay of a command, control periods, 0..=[`MAX_DELAY`].
     #[serde(rename = "command_delay_cycles", deserialize_with = "Whole::<0, { MAX_DELAY as i64 }>::read")]
     pub command_delay: u32,
-    /// Torque on the actuated joints that their sensors do not show, N m.
+    /// Torque on the actuated joints that their torque sensors do not measure, N m.
     #[serde(rename = "torque_offset_nm", deserialize_with = "Finite::read")]
     pub torque_offset: [f64; NU],
 }
@@ -190,7 +190,7 @@ pub enum PendulumStart {
 }
 
 impl PlantSettings {
-    /// Checks the rules between settings.
+    /// Checks that the start pose is within the rated limits of the robot.
     pub(crate) fn validate(&self, robot: &RobotSettings) -> Result<(), Conflict> {
         let mut angles = self.start.q.iter().enumerate();
         angles.try_for_each(|(i, q)| Conflict::unless_within("start.q_deg", *q, i, &robot.limits))

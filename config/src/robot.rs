@@ -12,11 +12,11 @@ use upswing_model::{
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(from = "RobotFile")]
 pub struct RobotSettings {
-    /// The limits at 100 % (Table II), rad, rad/s, N m.
+    /// Rated limits, 100 % (Table II), rad, rad/s, N m.
     pub limits: Limits,
-    /// The limits of plans, rad, rad/s, N m: shares of velocity and torque, margins of the unactuated joints' angles.
+    /// Limits of plans, rad, rad/s, N m: shares of the rated velocities and torques, angles of the unactuated joints with a margin.
     pub planning: Limits,
-    /// Range of the Coriolis torques, the c of (11).
+    /// Bound c of the Coriolis torques in (11), N m.
     pub coriolis_bound: CoriolisBound,
     /// The target x_T, (8).
     pub target: Target,
@@ -26,7 +26,7 @@ pub struct RobotSettings {
     pub friction: JointFriction,
 }
 
-/// Range of C~ qd over all admissible states, (11), N m.
+/// Bound c of (11): range of the Coriolis torques C~ qd over all admissible states, N m.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CoriolisBound {
@@ -45,12 +45,12 @@ pub struct Target {
     /// Pitch of the flange, q2 - q4 + q6, rad.
     #[serde(rename = "pitch_deg", deserialize_with = "Angle::degrees")]
     pub pitch: f64,
-    /// First angle of the pendulum, rad; counts turns.
+    /// First angle of the pendulum, rad; not wrapped, counts turns.
     #[serde(rename = "q8_deg", deserialize_with = "Finite::degrees")]
     pub q8: f64,
 }
 
-/// `robot.toml`, in SI units.
+/// Contents of `robot.toml`, in SI units.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RobotFile {
@@ -133,7 +133,7 @@ impl From<RobotFile> for RobotSettings {
 }
 
 impl RobotSettings {
-    /// Checks the rules between settings, and between them and the `model` of the URDF.
+    /// Checks the rules between the settings of the robot, and between them and the `model` of the URDF.
     pub(crate) fn validate(&self, model: &Model) -> Result<(), Conflict> {
         let CoriolisBound { lower, upper } = &self.coriolis_bound;
         for i in 0..NU {
@@ -151,13 +151,13 @@ impl RobotSettings {
         self.target_is_equilibrium(model)
     }
 
-    /// Table II stands in `robot.toml` and, for other programs, in the URDF: both must say the same. A joint that is continuous in
+    /// Checks that the rated limits (Table II) agree in `robot.toml` and, for other programs, in the URDF. A joint that is continuous in
     /// the URDF has the limit of `robot.toml`.
     fn agree_with(&self, urdf: &Limits) -> Result<(), Conflict> {
         /// Rounding of the URDF's numbers, deg, deg/s, N m.
         const ROUNDING: f64 = 1e-4;
         let agree = |key, joint: usize, toml: f64, urdf: f64| {
-            // Written so that NaN disagrees.
+            // A NaN disagrees.
             if (toml - urdf).abs() <= ROUNDING || urdf.is_infinite() {
                 return Ok(());
             }
@@ -173,11 +173,11 @@ impl RobotSettings {
         (0..NU).try_for_each(|i| agree("limits.tau_nm", i, toml.tau_max[i], urdf.tau_max[i]))
     }
 
-    /// Refuses a target (8) that is no equilibrium of the pendulum: no trajectory can end there at rest.
+    /// Refuses a target (8) that is no equilibrium of the pendulum: no trajectory can end at rest in such a target.
     fn target_is_equilibrium(&self, model: &Model) -> Result<(), Conflict> {
         let Target { pitch, q8 } = self.target;
         let mut work = Workspace::default();
-        // (8) fixes q2 - q4 + q6 only: whichever joint turns the flange, the pendulum has to stay.
+        // (8) fixes q2 - q4 + q6 only: the target must be an equilibrium whichever joint pitches the flange.
         for (joint, sign) in [(1, 1.0), (3, -1.0), (5, 1.0)] {
             let mut x = State::zeros();
             (x[joint], x[NU]) = (sign * pitch, q8);

@@ -1,5 +1,5 @@
-//! Rules of single settings, written as serde deserializers of the fields: a number is checked in the unit of its file, then
-//! converted to SI units.
+//! Rules of single settings, as serde deserializers of their fields: a number is checked in the unit of the file, then converted to SI
+//! units.
 
 use serde::de::{Deserialize, Deserializer, Error};
 use std::fmt::Display;
@@ -8,28 +8,28 @@ use upswing_model::{N_UNACTUATED, NU, Period};
 
 /// A condition on a number of a settings file. Its functions deserialize a field, one function per unit.
 pub(crate) trait Rule: Sized {
-    /// The condition, as a message states it after "expected".
+    /// Text of the condition in messages, after "expected".
     const EXPECTED: &'static str;
 
-    /// Whether a number, in the unit of the file, meets the condition.
+    /// True if a number, in the unit of the file, meets the condition.
     fn holds(value: f64) -> bool;
 
-    /// Reads a quantity in an SI unit.
+    /// Reads a quantity that is in its SI unit in the file.
     fn read<'de, D: Deserializer<'de>, Q: Quantity>(from: D) -> Result<Q, D::Error> {
         Q::read::<Self, D>(from, 1.0)
     }
 
-    /// Reads deg or deg/s as rad or rad/s.
+    /// Reads a quantity in deg or deg/s; returns rad or rad/s.
     fn degrees<'de, D: Deserializer<'de>, Q: Quantity>(from: D) -> Result<Q, D::Error> {
         Q::read::<Self, D>(from, 1_f64.to_radians())
     }
 
-    /// Reads ms as s.
+    /// Reads a quantity in ms; returns s.
     fn milli<'de, D: Deserializer<'de>, Q: Quantity>(from: D) -> Result<Q, D::Error> {
         Q::read::<Self, D>(from, 1e-3)
     }
 
-    /// Reads a rate per ms as a rate per s.
+    /// Reads a rate per ms; returns a rate per s.
     fn per_milli<'de, D: Deserializer<'de>, Q: Quantity>(from: D) -> Result<Q, D::Error> {
         Q::read::<Self, D>(from, 1e3)
     }
@@ -67,9 +67,9 @@ rules! {
     AcuteAngle: "an angle between 0 and 90 deg, both excluded", |v| v > 0.0 && v < 90.0;
 }
 
-/// A type of field whose numbers all meet one [`Rule`]: a number, one number per joint, a time.
+/// Type of a field whose numbers all meet one [`Rule`]: a number, an array with one number per joint, a time, a level.
 pub(crate) trait Quantity: Sized {
-    /// Reads the numbers, checks each against `R` and multiplies it by `unit`.
+    /// Reads the numbers, checks each against the rule `R` and multiplies it by `unit`.
     fn read<'de, R: Rule, D: Deserializer<'de>>(from: D, unit: f64) -> Result<Self, D::Error>;
 }
 
@@ -80,7 +80,7 @@ impl Quantity for f64 {
     }
 }
 
-/// Two numbers are for the unactuated joints, three for the coordinates of a point, others for the joints from the first.
+/// In messages 2 numbers belong to the unactuated joints, 3 to the coordinates of a point, others to the joints from joint 1 on.
 impl<const N: usize> Quantity for [f64; N] {
     fn read<'de, R: Rule, D: Deserializer<'de>>(from: D, unit: f64) -> Result<Self, D::Error> {
         let (item, first) = match N {
@@ -99,7 +99,7 @@ impl<const N: usize> Quantity for [f64; N] {
     }
 }
 
-/// The rule has to bound the time.
+/// Rules of times must have an upper bound: conversion of a larger number panics.
 impl Quantity for Duration {
     fn read<'de, R: Rule, D: Deserializer<'de>>(from: D, unit: f64) -> Result<Self, D::Error> {
         f64::read::<R, D>(from, unit).map(Self::from_secs_f64)
@@ -110,30 +110,30 @@ impl Quantity for Duration {
 pub(crate) struct Whole<const LOW: i64, const HIGH: i64>;
 
 impl<const LOW: i64, const HIGH: i64> Whole<LOW, HIGH> {
-    /// Reads a number.
+    /// Reads a whole number.
     pub fn read<'de, D: Deserializer<'de>, T: TryFrom<i64>>(from: D) -> Result<T, D::Error> {
         let value = i64::deserialize(from)?;
         let allowed = (LOW..=HIGH).contains(&value).then(|| T::try_from(value).ok()).flatten();
         allowed.ok_or_else(|| refused(format!("a whole number from {LOW} to {HIGH}"), value))
     }
 
-    /// Reads a number that counts from 1 as an index, which counts from 0.
+    /// Reads a number that is counted from 1; returns an index that is counted from 0.
     pub fn index<'de, D: Deserializer<'de>>(from: D) -> Result<usize, D::Error> {
         Self::read(from).map(|number: usize| number - 1)
     }
 
-    /// Reads a time in ms.
+    /// Reads a time, a whole number of ms.
     pub fn millis<'de, D: Deserializer<'de>>(from: D) -> Result<Duration, D::Error> {
         Self::read(from).map(Duration::from_millis)
     }
 
-    /// Reads a control period in us.
+    /// Reads a control period, a whole number of us.
     pub fn period<'de, D: Deserializer<'de>>(from: D) -> Result<Period, D::Error> {
         Self::read(from).map(Period::from_micros)
     }
 }
 
-/// The error of a value that breaks its rule.
+/// The error of a value that violates its rule.
 pub(crate) fn refused<E: Error>(expected: impl Display, got: impl Display) -> E {
     E::custom(format_args!("expected {expected}, got {got}"))
 }

@@ -1,4 +1,4 @@
-//! Scenarios: changes to the plant's settings, with faults and pushes.
+//! Scenarios of the simulated plant: changes to its settings, with faults and pushes at given cycles.
 
 use crate::conflict::Conflict;
 use crate::fault::{Fault, FaultInFile};
@@ -8,7 +8,7 @@ use serde::Deserialize;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-/// The keys of a scenario besides those of `plant.toml` that it changes.
+/// The keys of a scenario file, without the changed keys of `plant.toml`.
 #[derive(Deserialize)]
 struct Scenario {
     purpose: String,
@@ -18,7 +18,7 @@ struct Scenario {
     push: Vec<Push>,
 }
 
-/// The settings of `plant.toml` (`base`) under the scenario in `file`, and the purpose of the scenario.
+/// Applies the scenario in `file` to `plant.toml` (`base`); returns the settings and the purpose of the scenario.
 pub(crate) fn read(
     file: &TextFile,
     base: &TextFile,
@@ -40,7 +40,7 @@ pub(crate) fn read(
     }
     let mut tables = DeTable::parse(&base.text).map_err(|e| base.malformed(&e))?;
     overlay(file, "", tables.get_mut(), changes)?;
-    // A value that breaks its rule is one of the scenario: the settings of `base` have been read before.
+    // A value that violates its rule is from the scenario: the values of `base` have been checked before.
     let mut settings =
         PlantSettings::deserialize(toml::Deserializer::from(tables)).map_err(|e| file.malformed(&e))?;
     settings.validate(robot).map_err(|conflict| file.refuse(conflict))?;
@@ -48,7 +48,7 @@ pub(crate) fn read(
     Ok((settings, purpose))
 }
 
-/// Replaces values of `base`; a scenario can neither add a key nor change the type of a value.
+/// Replaces values of `base` by `changes`; a scenario can neither add a key nor change the type of a value.
 fn overlay<'a>(
     file: &TextFile,
     section: &str,
@@ -87,7 +87,7 @@ fn alike(a: &DeValue<'_>, b: &DeValue<'_>) -> bool {
     }
 }
 
-/// The type of a value as messages name it; whole numbers are numbers.
+/// Name of a value's type in messages; integers and floats are both "a number".
 fn kind(value: &DeValue<'_>) -> String {
     match value {
         DeValue::Integer(_) | DeValue::Float(_) => "a number".into(),

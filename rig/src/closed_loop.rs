@@ -1,4 +1,4 @@
-//! Controller and simulated plant in one process: the pure functions of both, cycle by cycle, without shared memory.
+//! Controller and simulated plant in one process, stepped alternately cycle by cycle, without shared memory.
 
 use crate::course::{self, Course};
 use upswing_config::{Config, Push};
@@ -16,13 +16,13 @@ use upswingd::step::{Output, Request, StepInput};
 use upswingd::supervisor::Refusal;
 use upswingd::trip::Trip;
 
-/// Cycles without a new measurement after which a run is given up: one second.
+/// Consecutive cycles without a new measurement after which a run is aborted; one second at 8 kHz.
 const MOST_SILENT: u32 = 8000;
 
-/// Why a swing-up was not run to its end.
+/// Error of a swing-up that ended early.
 #[derive(Debug, thiserror::Error)]
 pub enum Aborted {
-    /// The plant cannot be where it shall start.
+    /// The plant cannot take the start state.
     #[error(transparent)]
     Start(#[from] StateError),
     /// The planner found no plan.
@@ -31,39 +31,39 @@ pub enum Aborted {
     /// The daemon did not accept the plan.
     #[error("the daemon refused the plan: {0}")]
     Plan(#[from] PlanRefusal),
-    /// The controller did not obey.
+    /// The controller refused a request.
     #[error("{request} was refused: {refusal}")]
     Refused {
-        /// What was asked.
+        /// Name of the request.
         request: &'static str,
-        /// Why not.
+        /// Reason of the refusal.
         refusal: Refusal,
     },
-    /// A push that cannot be.
+    /// The plant refused a push.
     #[error("push: {0}")]
     Push(#[from] SetEventError),
-    /// A fault of the plant keeps all measurements back.
+    /// No new measurement arrives, because a fault of the plant suppresses them.
     #[error("no new measurement in {MOST_SILENT} cycles")]
     Silent,
-    /// The controller gave up its mode.
+    /// The controller tripped.
     #[error(
         "{mode} tripped {time:.3} s after the plan's start: {trip}; q {:.3?} rad, qd {:.3?} rad/s",
         .record.q, .record.qd
     )]
     Tripped {
-        /// The mode before.
+        /// Mode before the trip.
         mode: Mode,
-        /// Time since the start of the plan, s; 0 before it.
+        /// Time since the start of the plan, s; 0 before the start.
         time: f64,
-        /// What was found beyond which limit.
+        /// Limit that was exceeded, with joint and value.
         trip: Trip,
-        /// The cycle in which it happened.
+        /// Record of the cycle of the trip.
         record: Box<Telemetry>,
     },
 }
 
 impl Aborted {
-    /// The kind of failure, without numbers, to be counted.
+    /// Kind of the failure, without numbers, so that failures of one kind can be counted.
     pub fn kind(&self) -> String {
         match self {
             Self::Start(_) => "the plant cannot start there".into(),
@@ -79,43 +79,43 @@ impl Aborted {
     }
 }
 
-/// Cycles in a row in which the controller does not run.
+/// Consecutive cycles in which the controller does not run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MissedCycles {
-    /// The first one, counted from the start of the plan.
+    /// First missed cycle, counted from the start of the plan.
     pub from: u64,
-    /// How many.
+    /// Number of missed cycles.
     pub cycles: u64,
 }
 
-/// What disturbs a swing-up after its plan has started.
+/// Disturbances of a swing-up after the start of its plan.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Disturbances {
     /// Pushes on the rod, their cycles counted from the start of the plan.
     pub pushes: Vec<Push>,
-    /// In the order of time.
+    /// Missed cycles, in the order of time.
     pub missed: Vec<MissedCycles>,
 }
 
-/// A controller and a plant that answer each other, as on the clock `lockstep`.
+/// Controller and plant in lockstep: one control step per plant step, as on the clock `lockstep`.
 #[derive(Clone, Debug)]
 pub struct ClosedLoop {
-    /// Of the daemon.
+    /// The controller of the daemon.
     pub controller: Controller,
-    /// Simulated.
+    /// The simulated plant.
     pub plant: Plant,
     /// `seq` of the newest measurement.
     measured: u64,
 }
 
 impl ClosedLoop {
-    /// Before the first cycle.
+    /// A closed loop before its first cycle; `config` are the settings of the controller.
     pub fn new(config: &Config, plant: Plant) -> Self {
         Self { controller: Controller::new(config), plant, measured: 0 }
     }
 
-    /// One cycle of the plant: what the controller made of its measurement. Where a fault of the plant shows it nothing
-    /// new it makes nothing, as its process does, and the request waits.
+    /// Steps controller and plant by one cycle and returns the output of the controller. Without a new measurement (a fault of the plant)
+    /// the controller does not run, as in the daemon: the output is `None` and the request stays pending.
     pub fn cycle(&mut self, request: &mut Option<Request>) -> Option<Output> {
         let measurement = self.plant.measure();
         let new = measurement.seq != self.measured;
@@ -126,17 +126,17 @@ impl ClosedLoop {
     }
 }
 
-/// A swing-up that ends as soon as something is refused or a limit trips.
+/// A swing-up that ends at the first refusal or trip.
 struct SwingUpRun<'a, D> {
     system: ClosedLoop,
     config: &'a Config,
     planner: &'a Planner,
     solver: &'a mut Solver,
     disturbances: Option<D>,
-    /// Missed cycles after the start of the plan.
+    /// Cycles that the controller misses after the start of the plan.
     missed: Vec<MissedCycles>,
     records: &'a mut Vec<Telemetry>,
-    /// Largest true speeds so far while a plan runs, rad/s.
+    /// Largest true speed of each joint in Track and Balance so far, rad/s.
     fastest: JointVector,
 }
 
@@ -168,7 +168,7 @@ impl<D> SwingUpRun<'_, D> {
         (0..count).try_for_each(|_| self.cycle(None))
     }
 
-    /// `count` cycles, without those that are missed: in them the drives hear nothing.
+    /// Runs `count` cycles; in the missed ones the plant steps without a command.
     fn cycles_without_missed(&mut self, count: u64) -> Result<(), Aborted> {
         let mut passed = 0;
         for miss in std::mem::take(&mut self.missed) {
@@ -196,7 +196,7 @@ impl<D: FnOnce(f64) -> Disturbances> Course for SwingUpRun<'_, D> {
         self.cycles(cycles - 1)
     }
 
-    /// Time stands still while the plan is made.
+    /// Plans, loads and starts; the plant does not step while the plan is computed.
     fn start(&mut self, manoeuvre: Manoeuvre) -> Result<PlannerResponse, Aborted> {
         let start = *self.system.controller.state();
         let settings = &self.config.planner.replan;
@@ -223,11 +223,12 @@ impl<D: FnOnce(f64) -> Disturbances> Course for SwingUpRun<'_, D> {
     }
 }
 
-/// Takes the course of a swing-up ([`course::swing_up`]) and evaluates it. `config` are the settings of the controller; the plant may
-/// be another one. `disturbances` is told the duration t_F of the plan, s. `records` is cleared and then holds every cycle.
+/// Runs a swing-up ([`course::swing_up`]), balances for `seconds` (s) and evaluates the run. `config` are the settings of the
+/// controller; the plant may have others. `disturbances` maps the duration t_F (s) of the plan to the disturbances. `records` is cleared
+/// and then filled with one record per control cycle.
 ///
 /// # Errors
-/// [`Aborted`] if the run could not be finished; the report says how a finished run ended.
+/// [`Aborted`] if the run ended early; the evaluation of a finished run contains its success or its failures.
 pub fn swing_up(
     planner: &Planner,
     solver: &mut Solver,

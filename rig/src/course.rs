@@ -1,5 +1,5 @@
-//! The course of a manoeuvre: hold the arm, plan from the present state, wait until the plan is loaded and due, start it, watch the
-//! modes. Three processes ([`SessionCourse`]) and the closed loop in one process take the same course.
+//! The steps of a manoeuvre: hold the arm, plan from the present state, wait until the plan is loaded and due, start the plan, monitor
+//! the modes. Three processes ([`SessionCourse`]) and the closed loop in one process take the same steps.
 
 use crate::session::{Session, SessionError};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -8,51 +8,52 @@ use upswing_ipc::{Mode, PlannerResponse};
 
 /// Time in which the arm settles in Hold before the plan is made, s.
 pub const SETTLE: f64 = 0.25;
-/// Time between two looks at the modes, s.
+/// Time between two checks of the mode, s.
 const LOOK: f64 = 0.1;
 
-/// A system that is taken through a manoeuvre.
+/// A system of controller and plant that executes the steps of a manoeuvre.
 pub trait Course {
-    /// Why the system left the course.
+    /// Error of a step: a refusal, an unexpected mode, or a system that does not respond.
     type Error;
 
-    /// Lets control cycles pass.
+    /// Lets `cycles` control cycles pass.
     ///
     /// # Errors
     /// [`Self::Error`] if time does not pass.
     fn advance(&mut self, cycles: u64) -> Result<(), Self::Error>;
 
-    /// Enables the daemon and lets control cycles pass, in which the arm settles in Hold.
+    /// Enables the daemon and lets `cycles` control cycles pass, in which the arm settles in Hold.
     ///
     /// # Errors
     /// [`Self::Error`] if the daemon refuses, or does not stay in Hold.
     fn hold(&mut self, cycles: u64) -> Result<(), Self::Error>;
 
-    /// Plans a manoeuvre from the present state, waits until the plan is loaded and due, and starts it.
+    /// Plans a manoeuvre from the present state, waits until the plan is loaded and due, and starts the plan.
     ///
     /// # Errors
     /// [`Self::Error`] if planner or daemon refuse.
     fn start(&mut self, manoeuvre: Manoeuvre) -> Result<PlannerResponse, Self::Error>;
 
-    /// Lets control cycles pass after the start of the plan.
+    /// Lets `cycles` control cycles pass after the start of the plan and monitors the mode.
     ///
     /// # Errors
-    /// [`Self::Error`] if the daemon leaves the modes of the course.
+    /// [`Self::Error`] if the daemon leaves the modes of the manoeuvre (Hold, Track, Balance).
     fn watch(&mut self, cycles: u64) -> Result<(), Self::Error>;
 }
 
-/// Enables the daemon, lets the arm settle in Hold, swings up and balances for `seconds`. `period` of control in s.
+/// Enables the daemon, lets the arm settle in Hold, swings up and balances for `seconds` (s). `period`: control period, s.
 ///
 /// # Errors
 /// [`Course::Error`]
 pub fn swing_up<C: Course>(course: &mut C, period: f64, seconds: f64) -> Result<PlannerResponse, C::Error> {
-    // A daemon that has measured nothing yet refuses to be enabled.
+    // A daemon without a measurement refuses to be enabled.
     course.advance(1)?;
     course.hold(cycles(SETTLE, period))?;
     execute(course, Manoeuvre::SwingUp, period, seconds)
 }
 
-/// Plans a manoeuvre from the present state, starts it, and lets its duration and `seconds` pass. `period` of control in s.
+/// Plans a manoeuvre from the present state, starts the plan, and lets its duration t_F plus `seconds` (s) pass. `period`: control
+/// period, s.
 ///
 /// # Errors
 /// [`Course::Error`]
@@ -71,20 +72,20 @@ fn cycles(seconds: f64, period: f64) -> u64 {
     (seconds / period).ceil() as u64
 }
 
-/// Takes three processes through a manoeuvre.
+/// A manoeuvre of three processes: daemon, planner and plant.
 pub struct SessionCourse<'a> {
     /// The three processes.
     pub session: &'a mut Session,
     /// Control period, s.
     pub period: f64,
-    /// Raised to end the wait.
+    /// Set to true to end the wait with [`SessionError::Interrupted`].
     pub interrupted: &'a AtomicBool,
-    /// Gets the time that has passed since the start of the plan, and the time in total, s.
+    /// Called with the time since the start of the plan and the total time, s.
     pub progress: &'a dyn Fn(f64, f64),
 }
 
 impl<'a> SessionCourse<'a> {
-    /// A course that nobody interrupts or observes.
+    /// A manoeuvre without interruption and without progress reports; `period`: control period, s.
     pub fn new(session: &'a mut Session, period: f64) -> Self {
         static NEVER: AtomicBool = AtomicBool::new(false);
         Self { session, period, interrupted: &NEVER, progress: &|_, _| () }
@@ -122,7 +123,7 @@ impl Course for SessionCourse<'_> {
         self.session.start_manoeuvre(manoeuvre)
     }
 
-    /// In portions, so that an interrupt or a fault ends the wait; a plant that runs by itself does not wait for them.
+    /// Waits in portions of 0.1 s, so that an interrupt or a fault ends the wait; a real-time plant runs on between them.
     fn watch(&mut self, total: u64) -> Result<(), SessionError> {
         let begin = self.session.now()?;
         let mut passed = 0;

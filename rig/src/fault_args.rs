@@ -1,4 +1,4 @@
-//! A fault of the plant as the command line and the tables of the documentation state it.
+//! Faults of the simulated plant, parsed from the command line and from the tables of the documentation.
 
 use upswing_config::{EventError, Fault, FaultKind};
 use upswing_ipc::{PlantKind, PlantRequest};
@@ -24,19 +24,19 @@ pub struct FaultArgs {
 }
 
 impl FaultArgs {
-    /// The fault; cycle 0 means the next cycle.
+    /// The fault that the arguments describe; its first cycle is 0 (the next cycle) without `--from`.
     ///
     /// # Errors
-    /// [`EventError`] if its arguments are invalid.
+    /// [`EventError`] if joint or amount do not suit the kind.
     pub fn fault(&self) -> Result<Fault, EventError> {
-        // Joint 0 is none; what counts from 0 here counts from 1 on the command line.
+        // The command line counts joints from 1, the fault from 0; joint 0 of the command line becomes invalid here.
         let joint = usize::try_from(self.joint.unwrap_or_default()).unwrap_or(usize::MAX).wrapping_sub(1);
         let Self { kind, amount, cycles, .. } = *self;
         let fault = Fault { kind, from: self.from.unwrap_or_default(), cycles, joint, amount };
         fault.check().map(|()| fault)
     }
 
-    /// The request that sets the fault.
+    /// The request to the plant that sets the fault.
     ///
     /// # Errors
     /// As [`FaultArgs::fault`].

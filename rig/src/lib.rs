@@ -1,6 +1,6 @@
-//! Systems for tests and studies: three processes in a domain of their own ([`session`]), or controller and simulated plant in one
-//! process ([`closed_loop`]). Both take the course of a manoeuvre ([`course`]): once, from many random starts ([`montecarlo`]), or
-//! many times in a row while processes are killed ([`soak`]).
+//! Whole systems for tests and studies: daemon, planner and plant as three processes in a shared-memory domain of their own
+//! ([`session`]), or controller and simulated plant in one process ([`closed_loop`]). Both execute manoeuvres step by step
+//! ([`course`]): once, from many random starts ([`montecarlo`]), or repeatedly while processes are killed ([`soak`]).
 
 pub mod closed_loop;
 pub mod course;

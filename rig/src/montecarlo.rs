@@ -1,4 +1,4 @@
-//! Random starts at rest, and the same work for each of them on many threads.
+//! Monte Carlo studies: swing-ups from many random starts at rest, on several threads.
 
 pub mod closed_loop;
 pub mod condition;
@@ -21,15 +21,15 @@ use upswing_planner::replan::Planner;
 use upswing_plant::Plant;
 use upswing_record::evaluation::SwingUpEvaluation;
 
-/// Largest angle at which the pendulum hangs in a start, rad: 5 deg within the limit of joint 9, Table II.
+/// Largest rest angle of the unactuated joints at a start, rad: 5 deg below the limit of joint 9, Table II.
 const LARGEST_REST_ANGLE: f64 = 40.0 * std::f64::consts::PI / 180.0;
-/// Poses that are drawn for one start. Of the paper's ranges about half of all poses will do.
+/// Largest number of poses drawn for one start. In the paper's ranges about half of all poses are suitable.
 const DRAWS: u32 = 1000;
-/// Numbers of the generator's sequence that belong to one start: more than its draws use, and odd, because jumps by a
+/// Numbers of the generator's sequence reserved for one start: more than its draws use, and odd, because jumps by a
 /// power of two repeat the low bits of a linear congruential generator.
 const BLOCK: u128 = 1_000_003;
 
-/// No pose within the ranges lets the pendulum rest within its limits.
+/// Error: no random pose within the ranges of the grid has a rest position of the pendulum within its limits.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error(
     "the ranges of the grid hold no start: in none of {DRAWS} random poses the pendulum hangs within {:.0} deg; \
@@ -37,21 +37,21 @@ const BLOCK: u128 = 1_000_003;
 )]
 pub struct NoStart;
 
-/// Starts at rest, uniform in the ranges of the grid's axes, Section VI of the paper; the pendulum hangs at rest
-/// within 40 deg.
+/// Random starts at standstill, uniform in the ranges of the grid's axes (Section VI of the paper); the pendulum hangs at rest within
+/// 40 deg.
 #[derive(Clone, Copy, Debug)]
 pub struct RandomStarts<'a> {
-    /// Ranges, limits and model.
+    /// Settings with the grid's ranges, the limits and the model.
     pub config: &'a Config,
-    /// Starts of different seeds have nothing in common.
+    /// Seed of the random numbers; starts of different seeds are independent.
     pub seed: u64,
 }
 
 impl RandomStarts<'_> {
-    /// Start number `index`: depends on this number, the seed and the settings alone.
+    /// The state of start number `index`; a function of index, seed and settings only.
     ///
     /// # Errors
-    /// [`NoStart`].
+    /// [`NoStart`] if none of the drawn poses is suitable.
     pub fn start(&self, index: u64) -> Result<State, NoStart> {
         let mut rng = self.generator(index);
         for _ in 0..DRAWS {
@@ -68,12 +68,12 @@ impl RandomStarts<'_> {
         Err(NoStart)
     }
 
-    /// A number in [0, 1) that belongs to start number `index` and tells nothing about it.
+    /// A random number in [0, 1) of start number `index`, independent of its pose.
     pub fn share(&self, index: u64) -> f64 {
         self.shares(index).next().unwrap_or_default()
     }
 
-    /// Numbers as [`Self::share`], up to half a million of them.
+    /// Random numbers in [0, 1) of start number `index`, at most half a million; [`Self::share`] is the first.
     pub fn shares(&self, index: u64) -> impl Iterator<Item = f64> + use<> {
         let mut rng = self.generator(index);
         rng.advance(BLOCK / 2);
@@ -87,36 +87,36 @@ impl RandomStarts<'_> {
     }
 }
 
-/// Uniform in [0, 1): the upper 53 bits, as many as a number there holds.
+/// A random number, uniform in [0, 1): the upper 53 bits, the precision of an `f64`.
 fn unit(rng: &mut Pcg64) -> f64 {
     (rng.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
 }
 
-/// Angles of joints 1-7 of a state, deg.
+/// Angles of joints 1-7 in the state `x`, deg.
 pub fn arm_degrees(x: &State) -> [f64; NU] {
     std::array::from_fn(|i| x[i].to_degrees())
 }
 
-/// Runs from many random starts.
+/// A study of many runs from random starts.
 pub struct Study<'a> {
-    /// Makes the plans; its settings are those of the controller.
+    /// The planner of all runs; its settings are also those of the controller.
     pub planner: &'a Planner,
-    /// Where the runs start.
+    /// Random starts of the runs.
     pub starts: RandomStarts<'a>,
-    /// Numbers of the starts.
+    /// Numbers of the starts to run.
     pub indices: Vec<u64>,
-    /// Threads to use.
+    /// Number of threads.
     pub threads: usize,
-    /// Raised: the runs that are under way come to their end, the others are left out.
+    /// Set to true to end the study: runs in progress are completed, the others are skipped.
     pub stop: &'a AtomicBool,
-    /// Called after each run.
+    /// Called after each run, also after a skipped one.
     pub progress: &'a (dyn Fn() + Sync),
 }
 
-/// Why a study has no result.
+/// Error of a study without a result.
 #[derive(Debug, thiserror::Error)]
 pub enum StudyError {
-    /// The ranges hold no start.
+    /// The ranges of the grid contain no suitable start.
     #[error(transparent)]
     NoStart(#[from] NoStart),
     /// The threads could not be started.
@@ -125,7 +125,8 @@ pub enum StudyError {
 }
 
 impl Study<'_> {
-    /// `work` for each of `jobs`, on threads with a `scratch` each; results in the order of the jobs.
+    /// Executes `work` for each of `jobs` on all threads, each with its own `scratch`; results in the order of the jobs, without skipped
+    /// ones.
     ///
     /// # Errors
     /// [`StudyError`]
@@ -149,10 +150,10 @@ impl Study<'_> {
     }
 }
 
-/// What a thread keeps from one swing-up to the next.
+/// Scratch memory of a thread, reused from one swing-up to the next.
 struct Scratch {
     solver: Solver,
-    /// Every cycle of the last one.
+    /// Every control cycle of the last swing-up.
     records: Vec<Telemetry>,
 }
 
@@ -161,8 +162,8 @@ impl Scratch {
         Self { solver: planner.solver(), records: Vec::new() }
     }
 
-    /// Swings up from start number `index`, at rest where the pendulum rests in this plant, and balances for `seconds`.
-    /// `controller` and `plant` are the settings of the two.
+    /// Swings up from start number `index`, with the pendulum in the rest position of this plant, and balances for `seconds` (s).
+    /// `controller` and `plant` are the settings of controller and plant; `disturbances` maps t_F (s) to the disturbances.
     fn swing_up(
         &mut self,
         planner: &Planner,
@@ -180,5 +181,5 @@ impl Scratch {
     }
 }
 
-/// How a run that came to its end without success is counted.
+/// Kind of failure of a run that was completed without success.
 const ENDED_BADLY: &str = "came to its end, but not as it should";

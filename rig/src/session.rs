@@ -1,4 +1,4 @@
-//! A system of three processes in a shared-memory domain of its own, and the means to drive it.
+//! Daemon, planner and plant as three processes in a shared-memory domain of their own: start, requests, telemetry, shutdown.
 
 mod process;
 
@@ -15,54 +15,54 @@ use upswing_record::{Recorder, RecordingError, Tally, Tap};
 use upswingd::supervisor::Refusal;
 use upswingd::trip::TripCause;
 
-/// How long a process may take to appear: starting takes well below a second, but machines are shared.
+/// Longest wait for a process to start; a start takes well below a second on an idle machine.
 const START_PATIENCE: Duration = Duration::from_secs(30);
-/// How long an answer may take. A replan takes about a second at worst.
+/// Longest wait for a response. A replan takes about a second at worst.
 const RESPONSE_PATIENCE: Duration = Duration::from_secs(30);
-/// How long a process may take to end after SIGTERM.
+/// Longest wait for the exit of a process after SIGTERM.
 const END_PATIENCE: Duration = Duration::from_secs(30);
-/// How long telemetry may keep silent before it is asked whether there is more to come.
+/// Time without the awaited telemetry after which plant and daemon are asked whether more will come.
 const SILENCE: Duration = Duration::from_millis(100);
-/// Pause between two looks at something awaited.
+/// Pause between two checks of an awaited condition.
 const PAUSE: Duration = Duration::from_millis(1);
 
-/// Why a system could not be started or driven.
+/// Error of starting or driving a system.
 #[derive(Debug, thiserror::Error)]
 pub enum SessionError {
     /// A program could not be started.
     #[error("cannot start the {role} ({program}): {cause}")]
     Spawn {
-        /// daemon, planner or plant.
+        /// Role of the process: daemon, planner or plant.
         role: &'static str,
-        /// What was to be executed.
+        /// Path of the program.
         program: String,
-        /// Why not.
+        /// Error of the operating system.
         cause: std::io::Error,
     },
-    /// A process ended by itself.
+    /// A process exited unexpectedly or with an error.
     #[error("the {role} ended unexpectedly ({status}){log}")]
     Ended {
-        /// daemon, planner or plant.
+        /// Role of the process: daemon, planner or plant.
         role: &'static str,
-        /// Exit status.
+        /// Exit status of the process.
         status: std::process::ExitStatus,
-        /// The last lines of its log.
+        /// The last lines of the log of the process.
         log: String,
     },
-    /// Something awaited did not happen.
+    /// An awaited condition did not occur in time.
     #[error("waited {waited:.0?} for {what}{log}")]
     Timeout {
-        /// What was awaited.
+        /// The awaited condition.
         what: String,
-        /// How long.
+        /// Duration of the wait.
         waited: Duration,
-        /// The last lines of the logs.
+        /// The last lines of the logs; may be empty.
         log: String,
     },
-    /// The system refused what was asked of it.
+    /// The plant refused a request, or the system left the expected mode.
     #[error("the {role} refused: {reason}")]
     Refused {
-        /// The part that refused.
+        /// The part that refused: daemon, plant, operator or domain.
         role: &'static str,
         /// Reason of the refusal.
         reason: String,
@@ -70,16 +70,16 @@ pub enum SessionError {
     /// Daemon or planner refused a request.
     #[error(transparent)]
     Operator(OperatorError),
-    /// No response.
+    /// A request got no response.
     #[error(transparent)]
     Call(#[from] CallError),
     /// Shared memory cannot be used.
     #[error(transparent)]
     Ipc(#[from] IpcError),
-    /// The recording.
+    /// The recording cannot be written.
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    /// Ctrl-C.
+    /// The user interrupted the run (Ctrl-C).
     #[error("interrupted")]
     Interrupted,
 }
@@ -94,7 +94,7 @@ impl From<OperatorError> for SessionError {
     }
 }
 
-/// A running system.
+/// A running system of daemon, planner and plant, with connections to all three.
 pub struct Session {
     programs: Programs,
     options: SessionOptions,
@@ -103,15 +103,15 @@ pub struct Session {
     plant: Client<PlantRequest>,
     tap: Tap,
     node: Node,
-    /// Every record received so far.
+    /// Every telemetry record received so far.
     pub records: Vec<Telemetry>,
-    /// Takes all that can be recorded; [`Self::end`] completes it.
+    /// Recording of all topics; [`Self::end`] completes the file.
     recorder: Option<Recorder>,
     tally: Tally,
 }
 
 impl Session {
-    /// Starts the three processes and waits until each answers. `recorder` takes all from the first cycle on.
+    /// Starts the three processes and waits until each responds. `recorder` records from the first cycle on.
     ///
     /// # Errors
     /// [`SessionError`] with the end of the log of the process that failed.
@@ -145,32 +145,32 @@ impl Session {
         Ok(session)
     }
 
-    /// Records that were lost on the way here.
+    /// Number of telemetry records lost between the daemon and this process.
     pub fn dropped(&self) -> u64 {
         self.tally.lost
     }
 
-    /// Process id of a role; `None` if it was ended.
+    /// Process id of a role; `None` if the process was killed or shut down.
     pub fn pid(&self, role: Role) -> Option<u32> {
         self.processes[role as usize].as_ref().map(|p| p.child.id())
     }
 
-    /// Kills a process (SIGKILL) and reaps it.
+    /// Kills the process of a role (SIGKILL) and waits for its exit.
     pub fn kill(&mut self, role: Role) {
         self.processes[role as usize] = None;
     }
 
-    /// Sends a signal to a process, where it runs.
+    /// Sends a signal to the process of a role, if it runs.
     pub fn signal(&mut self, role: Role, signal: i32) {
         if let Some(process) = &mut self.processes[role as usize] {
             process.signal(signal);
         }
     }
 
-    /// Starts a process anew, and waits until it answers.
+    /// Kills the process of a role if it runs, starts a new one, and waits until it responds.
     ///
     /// # Errors
-    /// [`SessionError`] if it cannot be started or does not answer.
+    /// [`SessionError`] if the new process cannot be started or does not respond.
     pub fn restart(&mut self, role: Role) -> Result<(), SessionError> {
         self.kill(role);
         self.processes[role as usize] = Some(Process::start(role, &self.programs, &self.options)?);
@@ -183,10 +183,10 @@ impl Session {
         })
     }
 
-    /// Ends a process in its own way: SIGTERM.
+    /// Shuts down the process of a role with SIGTERM and waits for its exit.
     ///
     /// # Errors
-    /// [`SessionError::Ended`] if it ends with an error, [`SessionError::Timeout`] if it does not end.
+    /// [`SessionError::Ended`] if the process exits with an error, [`SessionError::Timeout`] if it does not exit.
     pub fn end_process(&mut self, role: Role) -> Result<(), SessionError> {
         let i = role as usize;
         let Some(process) = &mut self.processes[i] else { return Ok(()) };
@@ -195,7 +195,7 @@ impl Session {
         loop {
             self.collect()?;
             if self.options.clock.stands_still() && role == Role::Daemon {
-                // The daemon needs cycles to stop the arm in.
+                // The daemon needs further cycles to stop the arm.
                 if let Ok(now) = self.plant_status() {
                     let seq = now.seq + 100;
                     let request = PlantRequest { seq, ..PlantRequest::new(PlantKind::AdvanceTo) };
@@ -227,7 +227,7 @@ impl Session {
         &self.node
     }
 
-    /// Makes a request and returns the state of the daemon afterwards.
+    /// Sends a request of the operator and returns the state of the daemon after it. `Enable` waits until the drives are ready.
     ///
     /// # Errors
     /// [`SessionError::Operator`] with the reason of a refusal.
@@ -244,8 +244,8 @@ impl Session {
         }
     }
 
-    /// Waits until the daemon receives measurements and the plant commands: before, the daemon refuses to be enabled. After
-    /// [`START_PATIENCE`] its refusal tells more than a timeout.
+    /// Waits until the daemon receives measurements and the plant receives commands; until then the daemon refuses to be enabled.
+    /// No error after [`START_PATIENCE`]: the refusal that follows tells more than a timeout.
     fn wait_for_drives(&mut self) -> Result<(), SessionError> {
         let remedies = [Refusal::DrivesNotReady.remedy(), Some(TripCause::NoMeasurement.remedy())];
         let ready = self.wait_for("the drives to be ready", START_PATIENCE, |s| {
@@ -258,7 +258,7 @@ impl Session {
         }
     }
 
-    /// The state of the daemon.
+    /// Requests the state of the daemon.
     ///
     /// # Errors
     /// [`SessionError::Operator`] if the daemon does not respond.
@@ -266,7 +266,7 @@ impl Session {
         self.control(&ControlRequest::new(ControlKind::Status))
     }
 
-    /// Plans a manoeuvre from the present state, waits until the daemon has loaded the plan and the plan is due, and starts it.
+    /// Plans a manoeuvre from the present state, waits until the daemon has loaded the plan and the plan is due, and starts the plan.
     ///
     /// # Errors
     /// [`SessionError::Operator`] with the reason of a refusal, [`SessionError::Timeout`] if the plan is not loaded.
@@ -281,7 +281,7 @@ impl Session {
         Ok(response)
     }
 
-    /// Asks the planner for a manoeuvre from the present state, to be published to the daemon.
+    /// Lets the planner plan a manoeuvre from the present state and publish the plan to the daemon.
     ///
     /// # Errors
     /// [`SessionError::Operator`] with the reason of a refusal.
@@ -297,10 +297,10 @@ impl Session {
         while_collecting(collect, |wanted| Ok(operator.control(request, wanted)?))
     }
 
-    /// Sends a request to the plant and expects it to be accepted.
+    /// Sends a request to the plant; a refusal is an error.
     ///
     /// # Errors
-    /// [`SessionError::Refused`] with the plant's reason.
+    /// [`SessionError::Refused`] with the reason of the plant, [`SessionError::Call`] without a response.
     pub fn plant(&mut self, request: &PlantRequest) -> Result<PlantResponse, SessionError> {
         let Self { plant, tap, recorder, records, tally, .. } = self;
         let collect = || collect(tap, recorder.as_mut(), records, tally);
@@ -313,41 +313,41 @@ impl Session {
         }
     }
 
-    /// The plant's cycle number and true state.
+    /// Requests the status of the plant: its cycle number and its true state.
     ///
     /// # Errors
-    /// [`SessionError::Call`] if no answer comes.
+    /// [`SessionError::Call`] if the plant does not respond.
     pub fn plant_status(&mut self) -> Result<PlantResponse, SessionError> {
         self.plant(&PlantRequest::new(PlantKind::Status))
     }
 
-    /// In lockstep: lets the plant run `cycles` more and waits until the daemon's record of the last one is here, or,
-    /// where a fault kept its measurement back, of the last that came through. On the other clocks: waits until that
-    /// many more cycles are recorded.
+    /// Lets `cycles` further control cycles pass. In lockstep: advances the plant and waits for the daemon's record of the last cycle
+    /// or, if a fault suppresses its measurement, of the last cycle with a measurement. On other clocks: waits until so many further
+    /// cycles are recorded.
     ///
     /// # Errors
-    /// [`SessionError::Timeout`] if time does not pass.
+    /// [`SessionError::Timeout`] if the cycles are not recorded in time.
     pub fn advance(&mut self, cycles: u64) -> Result<(), SessionError> {
         let goal = self.now()? + cycles;
         self.advance_to(goal)
     }
 
-    /// Cycles that the plant has completed.
+    /// Number of cycles that the plant has completed.
     ///
     /// # Errors
-    /// [`SessionError::Call`] if it does not answer.
+    /// [`SessionError::Call`] if the plant does not respond.
     pub fn now(&mut self) -> Result<u64, SessionError> {
         let plant = self.plant_status()?.seq;
-        // What was recorded may be far behind.
+        // In lockstep the records may be far behind the plant.
         Ok(if self.options.clock.stands_still() { plant } else { self.last_measurement().max(plant) })
     }
 
-    /// As [`Self::advance`], until the plant has completed cycle `end`; returns at once if it has.
+    /// As [`Self::advance`], until the plant has completed cycle `end`; returns at once if cycle `end` has passed.
     ///
     /// # Errors
     /// As [`Self::advance`].
     pub fn advance_to(&mut self, end: u64) -> Result<(), SessionError> {
-        /// Records fit into the daemon's ring with room to spare.
+        /// Cycles per portion; their records fit into the telemetry ring of the daemon.
         const PORTION: u64 = 4000;
         let mut goal = self.now()?;
         while goal < end {
@@ -364,7 +364,7 @@ impl Session {
         Ok(())
     }
 
-    /// Whether the plant has completed cycle `goal` and all that the daemon made of it is here.
+    /// True if the plant has completed cycle `goal` and all records of the daemon so far are received.
     fn has_passed(&mut self, goal: u64) -> Result<bool, SessionError> {
         let reached = self.plant_status()?.seq >= goal;
         if !reached || self.pid(Role::Daemon).is_none() {
@@ -378,10 +378,10 @@ impl Session {
         self.records.last().map_or(0, |r| r.measurement_seq)
     }
 
-    /// Waits until `done`, collecting telemetry; checks that no process has ended meanwhile.
+    /// Waits until `done` returns true. Meanwhile collects telemetry and checks that all processes run.
     ///
     /// # Errors
-    /// [`SessionError::Timeout`], or whatever `done` says.
+    /// [`SessionError::Timeout`] after `patience`, [`SessionError::Ended`] if a process exited, or the error of `done`.
     pub fn wait_for(
         &mut self,
         what: &str,
@@ -404,26 +404,26 @@ impl Session {
         }
     }
 
-    /// Whether all processes run that were not ended here.
+    /// Checks that all processes run, except those killed or shut down by this session.
     ///
     /// # Errors
-    /// [`SessionError::Ended`] with the end of the log of one that does not.
+    /// [`SessionError::Ended`] with the end of the log of a process that exited.
     pub fn check(&mut self) -> Result<(), SessionError> {
         self.processes.iter_mut().flatten().try_for_each(Process::check)
     }
 
-    /// Takes all telemetry that is waiting.
+    /// Collects all pending telemetry and passes it to the recorder.
     ///
     /// # Errors
-    /// [`SessionError::Recording`].
+    /// [`SessionError::Recording`] if the recording cannot be written.
     pub fn collect(&mut self) -> Result<(), SessionError> {
         collect(&self.tap, self.recorder.as_mut(), &mut self.records, &mut self.tally)
     }
 
-    /// Ends the system: SIGTERM to the daemon, which stops the arm and closes the brakes, then to the others.
+    /// Shuts down the system: SIGTERM to the daemon, which stops the arm and closes the brakes, then to planner and plant.
     ///
     /// # Errors
-    /// [`SessionError::Ended`] if a process ends with an error, [`SessionError::Timeout`] if one does not end.
+    /// [`SessionError::Ended`] if a process exits with an error, [`SessionError::Timeout`] if a process does not exit.
     pub fn end(&mut self) -> Result<(), SessionError> {
         Role::ALL.into_iter().try_for_each(|role| self.end_process(role))?;
         if let Some(recorder) = self.recorder.take() {
@@ -433,8 +433,8 @@ impl Session {
     }
 }
 
-/// Makes a call and collects telemetry during it: telemetry waits for one second only, and a response may take longer on a busy
-/// machine.
+/// Makes a call and collects telemetry during the call: the telemetry ring holds about one second, and a response may take longer on
+/// a busy machine.
 fn while_collecting<T>(
     mut collect: impl FnMut() -> Result<(), SessionError>,
     call: impl FnOnce(&mut dyn FnMut() -> bool) -> Result<T, SessionError>,

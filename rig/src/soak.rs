@@ -1,5 +1,5 @@
-//! A long run of the whole system: swing-up, balance, push, swing-down and hold from random starts, over and over, while
-//! its processes are killed at random and started again.
+//! Soak test of the whole system: repeated rounds of swing-up, balance, push, swing-down and hold from random starts, while
+//! processes are killed at random times and restarted.
 
 mod cycles;
 mod health;
@@ -18,68 +18,68 @@ use upswing_ipc::{Clock, ControlResponse, Mode, PlantKind, PlantRequest, Telemet
 use upswing_model::{JointVector, State, StateParts};
 use upswing_record::evaluation::tilt;
 
-/// Balance before the push and after it, and hold after the swing-down, s.
+/// Time in Balance before and after the push, and time in Hold after the swing-down, s.
 const BALANCE: (f64, f64) = (0.5, 2.0);
 const HOLD: f64 = 0.5;
-/// About how long a round takes, s: when a process is killed is drawn from it.
+/// Approximate duration of a round, s; the time of a kill is drawn from 0 to this.
 const ROUND: f64 = 7.5;
-/// Impulse of the push, N s, and the cycles that it lasts.
+/// Impulse of the push, N s, and its duration, cycles.
 const IMPULSE: f64 = 0.01;
 const PUSH_CYCLES: u64 = 80;
 /// Tilt up to which the rod counts as upright, deg.
 const UPRIGHT_DEG: f64 = 2.0;
-/// How long a system may take to be ready again.
+/// Longest wait for telemetry, and for the recovery of the system.
 const PATIENCE: Duration = Duration::from_secs(30);
-/// Time between two looks at memory and handles.
+/// Time between two samples of memory and handles.
 const HEALTH: Duration = Duration::from_secs(5);
 
-/// A round that did not come to its end although nobody was killed.
+/// A round that failed although no process was killed in it.
 #[derive(Clone, Debug, Serialize)]
 pub struct FailedRound {
     /// Number of the round.
     pub round: u64,
-    /// What was being done.
+    /// Phase of the round at the failure: settle, swing-up, balance, swing-down or hold.
     pub phase: &'static str,
-    /// What happened.
+    /// Reason of the failure.
     pub reason: String,
 }
 
-/// A process that was killed.
+/// A process that the soak test killed, and the recovery.
 #[derive(Clone, Debug, Serialize)]
 pub struct Kill {
     /// Number of the round.
     pub round: u64,
-    /// Who.
+    /// Role of the process: daemon, planner or plant.
     pub role: &'static str,
-    /// What was being done.
+    /// Phase of the round at the kill.
     pub phase: &'static str,
-    /// Until the system was ready again, s.
+    /// Time until the system was ready again, s.
     pub recovered_s: f64,
 }
 
-/// What became of a soak.
+/// Result of a soak test.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct SoakOutcome {
-    /// Rounds that were begun, and those that came to their end: balanced after the push, hung at rest, and held.
+    /// Number of rounds started.
     pub rounds: u64,
-    /// See `rounds`.
+    /// Number of rounds completed: balanced after the push, swung down, and in Hold at the end.
     pub completed: u64,
-    /// Processes that were killed, and recovered.
+    /// Kills of processes.
     pub kills: Vec<Kill>,
-    /// Rounds that failed by themselves, and recovered.
+    /// Rounds that failed without a kill; the system recovered.
     pub losses: Vec<FailedRound>,
-    /// Daemons that were ended in their own way between two rounds.
+    /// Number of daemons shut down by SIGTERM and restarted during a recovery.
     pub orderly_restarts: u64,
-    /// Cycles, and those that were late or missed.
+    /// Counts of cycles, late cycles and missed measurements.
     #[serde(flatten)]
     pub cycles: CycleCounts,
-    /// What the daemon said about the last late cycle of each completed round that had one.
+    /// The daemon's description of the last late cycle, for each completed round with late cycles.
     pub late_causes: Vec<String>,
-    /// Memory and handles over time.
+    /// Memory and handles of the processes over time.
     pub samples: Vec<ResourceSample>,
 }
 
-/// Why a round ended early.
+/// Cause of the early end of a round: a kill, a failure of a running system, or a broken system.
 enum RoundEnd {
     Killed(Role),
     Lost(String),
@@ -89,7 +89,7 @@ enum RoundEnd {
 impl From<SessionError> for RoundEnd {
     fn from(e: SessionError) -> Self {
         match e {
-            // What a system that runs may answer; all else is a system that does not.
+            // A running system may refuse; any other error means that the system no longer runs.
             SessionError::Refused { .. }
             | SessionError::Operator(OperatorError::Daemon { .. } | OperatorError::Planner(_)) => {
                 Self::Lost(e.to_string())
@@ -99,28 +99,28 @@ impl From<SessionError> for RoundEnd {
     }
 }
 
-/// A system under soak.
+/// A soak test: the system, its random starts and its result so far.
 pub struct Soak<'a> {
-    /// The system.
+    /// The three processes under test.
     pub session: Session,
-    /// Where rounds begin, and their random numbers.
+    /// Random starts of the rounds; also the source of their random numbers.
     pub starts: RandomStarts<'a>,
-    /// The plant's clock.
+    /// Clock of the plant.
     pub clock: Clock,
-    /// Share of the rounds in which a process is killed.
+    /// Probability that a process is killed in a round, 0 to 1.
     pub kills: f64,
-    /// What became of it so far.
+    /// Result so far.
     pub record: SoakOutcome,
     begin: Instant,
     looked: Option<Instant>,
     newest: Option<Telemetry>,
     phase: &'static str,
-    /// Who is to be killed in this round, and how long from now, s.
+    /// Process to kill in this round, and the time left until then, s.
     kill: Option<(Role, f64)>,
 }
 
 impl<'a> Soak<'a> {
-    /// A soak of a system that has just been started.
+    /// A soak test of a system that has just been started; `kills`: probability of a kill per round, 0 to 1.
     pub fn new(session: Session, starts: RandomStarts<'a>, clock: Clock, kills: f64) -> Self {
         Self {
             session,
@@ -136,10 +136,10 @@ impl<'a> Soak<'a> {
         }
     }
 
-    /// Rounds until `seconds` have passed or `stop` is raised.
+    /// Runs rounds until `seconds` (s) have passed or `stop` is true. `progress` is called before each round with the elapsed time, s.
     ///
     /// # Errors
-    /// [`SessionError`] if the system could not be brought back.
+    /// [`SessionError`] if the system could not be recovered.
     pub fn run(
         &mut self,
         seconds: f64,
@@ -222,10 +222,10 @@ impl<'a> Soak<'a> {
         Ok(())
     }
 
-    /// Lets time pass, s of the daemon's cycles, and kills who is to be killed meanwhile. A planner is started again on the
-    /// spot: the daemon goes on without it.
+    /// Waits for `seconds` (s) of recorded control cycles and executes the kill of this round when it is due. A killed planner is
+    /// restarted at once, and the round continues: the daemon does not need the planner meanwhile.
     fn pass(&mut self, seconds: f64) -> Result<(), RoundEnd> {
-        /// So that telemetry never fills up.
+        /// Time between two checks for a kill, s.
         const SLICE: f64 = 0.05;
         let period = self.starts.config.daemon.cycle.period.seconds();
         let mut left = seconds;
@@ -267,7 +267,7 @@ impl<'a> Soak<'a> {
         Ok(())
     }
 
-    /// Takes in telemetry, and now and then looks at memory and handles.
+    /// Collects telemetry, checks that all processes run, and samples memory and handles every [`HEALTH`].
     fn look(&mut self) -> Result<(), SessionError> {
         self.session.collect()?;
         self.session.check()?;
@@ -295,12 +295,12 @@ impl<'a> Soak<'a> {
         )))
     }
 
-    /// Brings the system to closed brakes, with all processes, ready for the next round.
+    /// Brings the system to Idle with closed brakes and all processes running, ready for the next round.
     fn recover(&mut self) -> Result<(), SessionError> {
         let begin = Instant::now();
         if self.session.pid(Role::Plant).is_none() {
             self.session.restart(Role::Plant)?;
-            // The daemon notices by itself.
+            // The daemon detects the loss of the plant and closes the brakes.
             while !self.is_braked()? && begin.elapsed() < PATIENCE {
                 self.look()?;
                 std::thread::sleep(Duration::from_millis(1));
@@ -322,7 +322,7 @@ impl<'a> Soak<'a> {
                     Ok(_) | Err(SessionError::Operator(OperatorError::Daemon { .. })) => {}
                     Err(e) => return Err(e),
                 },
-                // It measures again, and the plant's brakes are closed.
+                // Ready: the brakes of the plant are closed, and a further cycle of the daemon arrives.
                 Ok(Mode::Idle) if self.session.plant_status()?.brakes_closed == 1 => {
                     let before = self.record.cycles.cycles;
                     while self.record.cycles.cycles == before && begin.elapsed() < PATIENCE {
@@ -343,16 +343,16 @@ impl<'a> Soak<'a> {
         }
     }
 
-    /// Whether the daemon keeps the brakes closed.
+    /// True if the daemon is in Idle or Fault, where it commands closed brakes.
     fn is_braked(&mut self) -> Result<bool, SessionError> {
         let mode = self.session.status()?.mode();
         Ok(matches!(mode, Ok(Mode::Idle | Mode::Fault)))
     }
 
-    /// Where the plant of a first round starts, deg, comma-separated.
+    /// Start pose of the first round: angles of joints 1-7, deg, comma-separated.
     ///
     /// # Errors
-    /// [`NoStart`].
+    /// [`NoStart`] if no random pose is suitable.
     pub fn first_start(starts: &RandomStarts<'_>) -> Result<String, NoStart> {
         Ok(arm_degrees(&starts.start(0)?).map(|deg| deg.to_string()).join(","))
     }

@@ -1,5 +1,5 @@
-//! Harness for hardware-in-the-loop style tests: starts a whole system, the three programs as separate processes
-//! in a shared-memory domain of its own, drives it, breaks it and looks at its telemetry.
+//! Harness for system tests in the style of hardware-in-the-loop: starts daemon, planner and simulated plant as separate processes in a
+//! shared-memory domain of their own, sends requests, injects faults and checks the telemetry.
 //!
 //! ```no_run
 //! use upswing_ipc::{Clock, Mode};
@@ -13,14 +13,14 @@
 //! system.end();
 //! ```
 //!
-//! All methods panic with what went wrong: they are the assertions of a test. Tests run in parallel and beside the ruins of
-//! killed ones. A system that is dropped leaves nothing behind; if its test fails it keeps the logs of its processes and
-//! every cycle as a recording, and says where.
+//! All methods panic with the cause of a failure: they are the assertions of a test. Tests run in parallel and tolerate the remains of
+//! killed tests. A dropped system leaves nothing behind, except if its test fails: then the logs of the processes and a recording of
+//! every cycle are kept, and their folder is printed.
 //!
-//! - [`System`]: three processes. [`System::inject`] breaks the plant; [`System::kill`], [`System::restart`] and
-//!   [`System::stall`] break processes; on the clock `lockstep` all of it happens at known cycles.
+//! - [`System`]: three processes. [`System::inject`] injects a fault into the plant; [`System::kill`], [`System::restart`] and
+//!   [`System::stall`] disturb processes; on the clock `lockstep` all of these happen at known cycles.
 //! - [`matrix`]: controller and plant in one process, for many short runs: the fault matrix of `docs/faults.md`.
-//! - [`running`]: one program alone.
+//! - [`running`]: a single program as a process.
 
 pub mod matrix;
 pub mod running;
@@ -31,10 +31,10 @@ pub use system::{START, System};
 use std::path::{Path, PathBuf};
 use upswing_ipc::Telemetry;
 
-/// Folder of the programs under test: that of the test programs' parent.
+/// Folder of the programs under test: the target folder, above that of the test programs.
 ///
 /// # Panics
-/// If they are not built.
+/// If a program is not built.
 pub fn programs() -> PathBuf {
     let test = std::env::current_exe().expect("path of the test program");
     let folder = test.parent().and_then(|p| p.parent()).expect("target folder").to_owned();
@@ -45,15 +45,15 @@ pub fn programs() -> PathBuf {
     folder
 }
 
-/// Whether every number of two records is the same, bit for bit.
+/// True if two telemetry records are equal, bit for bit.
 pub fn same_bits(a: &Telemetry, b: &Telemetry) -> bool {
     a.words().eq(b.words())
 }
 
-/// The folder of the project.
+/// Root folder of the repository.
 ///
 /// # Panics
-/// Never: this crate has a folder in it.
+/// Never: the folder of this crate has a parent.
 pub fn repository() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the folder above this crate")
 }

@@ -1,5 +1,5 @@
-//! The fault matrix: what becomes of each fault of the plant in each mode of the daemon, with controller and plant in one
-//! process, deterministically. `docs/faults.md` says what to expect; the tests read it from there.
+//! The fault matrix: outcome of each fault of the plant in each mode of the daemon, simulated deterministically with controller and
+//! plant in one process. The tests read the expected outcomes from `docs/faults.md`.
 
 use clap::Parser;
 use std::sync::LazyLock;
@@ -15,37 +15,37 @@ use upswingd::step::{CycleRecord, Request};
 use upswingd::supervisor::is_braked;
 use upswingd::trip::Trip;
 
-/// The page with the tables.
+/// Text of `docs/faults.md`, the page with the tables of expected outcomes.
 pub const PAGE: &str = include_str!("../../docs/faults.md");
 
-/// Time in which the arm settles on its hold, or a plan's end becomes a balance, cycles.
+/// Time in which the arm settles in Hold, or in Balance after the end of a plan, cycles.
 const SETTLE: u64 = 2_000;
-/// Enough for brakes to close, cycles.
+/// Time in which the brakes close, cycles.
 const BRAKING: u64 = 800;
-/// A stop that has just begun, cycles.
+/// Time in Stop before a fault, cycles: the stop has just begun.
 const STOPPING: u64 = 80;
-/// How far an angle may be from where it would be without the fault, before somebody should have noticed, rad.
+/// Largest deviation of an angle from a run without the fault that may go unnoticed, rad.
 const ASTRAY: f64 = 0.25;
-/// How long a fault is watched, cycles: one second.
+/// Time for which the system is run after a fault, cycles; one second.
 pub const WATCHED: u64 = 8_000;
 
 static CONFIG: LazyLock<Config> = LazyLock::new(|| Config::embedded().expect("embedded settings"));
 static PLANNER: LazyLock<Planner> =
     LazyLock::new(|| Planner::new(CONFIG.clone()).expect("the embedded database fits the settings"));
 
-/// A line of a table of [`PAGE`]: what breaks, and the outcome in each of the columns.
+/// A row of a table of [`PAGE`]: a fault, and the outcome in each column.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Row {
-    /// The first cell, without its backquotes.
+    /// The fault: the first cell, without its backquotes.
     pub fault: String,
-    /// The other cells.
+    /// The outcomes: the other cells.
     pub outcomes: Vec<String>,
 }
 
 /// Column names (without the first) and rows of the table below the heading `section` of a page.
 ///
 /// # Panics
-/// If there is none.
+/// If the page has no such section, or the section has no table.
 pub fn table(page: &str, section: &str) -> (Vec<String>, Vec<Row>) {
     let heading = format!("\n## {section}\n");
     let (_, text) = page.split_once(&heading).unwrap_or_else(|| panic!("no `{section}` in the page"));
@@ -64,24 +64,24 @@ pub fn table(page: &str, section: &str) -> (Vec<String>, Vec<Row>) {
     (columns[1..].to_vec(), rows)
 }
 
-/// A line of the table, as it has to stand in [`PAGE`].
+/// A row of the table as Markdown, as [`PAGE`] has to contain it.
 pub fn line(fault: &str, outcomes: &[String]) -> String {
     format!("| `{fault}` | {} |", outcomes.join(" | "))
 }
 
-/// The mode of a name.
+/// The mode with the name `name`, in any case.
 ///
 /// # Panics
-/// If there is none.
+/// If there is no such mode.
 pub fn mode(name: &str) -> Mode {
     let found = Mode::ALL.iter().find(|mode| mode.to_string() == name.to_lowercase());
     *found.unwrap_or_else(|| panic!("no mode `{name}`"))
 }
 
-/// A fault as `upswing disturb fault` takes it, for example `encoder-jump --joint 4 --amount 0.1`.
+/// Parses a fault in the syntax of `upswing disturb fault`, for example `encoder-jump --joint 4 --amount 0.1`.
 ///
 /// # Errors
-/// What the command would say.
+/// The message of the command.
 pub fn fault(text: &str) -> Result<FaultArgs, String> {
     #[derive(Parser)]
     #[command(no_binary_name = true)]
@@ -94,7 +94,7 @@ pub fn fault(text: &str) -> Result<FaultArgs, String> {
     Ok(line.fault)
 }
 
-/// One test for each mode, so that they run beside each other.
+/// Defines one test per mode, so that the tests run in parallel.
 #[macro_export]
 macro_rules! in_each_mode {
     ($check:ident: $($test:ident $mode:ident),+) => {
@@ -112,27 +112,27 @@ macro_rules! in_each_mode {
     };
 }
 
-/// Controller and plant in some mode, and what happened to them.
+/// A test case of the fault matrix: controller and plant in one mode, and their trips since.
 #[derive(Clone)]
 pub struct Case {
-    /// The two.
+    /// Controller and plant.
     pub system: ClosedLoop,
-    /// Every cycle since the start, if that is wanted.
+    /// Records of every cycle since the start; `None`: no recording.
     pub records: Option<Vec<CycleRecord>>,
-    /// The plan that was followed.
+    /// The plan that was started last.
     pub plan: Option<Box<Plan>>,
     config: Config,
-    /// t_F of the plan, cycles.
+    /// Duration t_F of the plan, cycles.
     pub plan_cycles: u64,
-    /// Mode before the fault, and the true angles [`WATCHED`] cycles later if there were none, rad.
+    /// Mode before the fault, and the true angles after [`WATCHED`] cycles without a fault, rad.
     before: Mode,
     undisturbed: JointVector,
-    /// How modes were given up since.
+    /// Trips since the fault, each with the mode after the trip.
     given_up: Vec<(Mode, Trip)>,
 }
 
 impl Case {
-    /// In Idle, in the start pose of the settings, under a scenario of the plant if one is named.
+    /// A case in Idle, in the start pose of the settings, under a scenario of the plant if one is given.
     ///
     /// # Panics
     /// If there is no such scenario.
@@ -140,10 +140,10 @@ impl Case {
         Self::idle_at(scenario, None)
     }
 
-    /// As [`Self::idle`], with joints 1 to 7 at `pose` (rad) where one is given.
+    /// A case as [`Self::idle`], with joints 1 to 7 at `pose` (rad) if one is given.
     ///
     /// # Panics
-    /// If there is no such scenario, or the pendulum does not hang at rest in this pose.
+    /// If there is no such scenario, or the pendulum has no rest position within its limits in this pose.
     pub fn idle_at(scenario: Option<&str>, pose: Option<[f64; NU]>) -> Self {
         let mut config = CONFIG.clone();
         if let Some(scenario) = scenario {
@@ -164,8 +164,8 @@ impl Case {
         }
     }
 
-    /// In a mode, about to break: settled in Hold, in the middle of a plan, balancing for a quarter of a second, just
-    /// after a stop in the middle of a plan, or with closed brakes after a fault that is over.
+    /// Brings the case to a mode, ready for a fault: settled in Hold, halfway through a plan in Track, after a quarter of a second in
+    /// Balance, just after a stop halfway through a plan, or in Fault with closed brakes after a fault that is over.
     pub fn in_mode(mut self, mode: Mode) -> Self {
         self.run(1);
         if mode != Mode::Idle {
@@ -199,7 +199,7 @@ impl Case {
         self
     }
 
-    /// Makes a plan from the present state and starts it; false if that is refused.
+    /// Plans a swing-up from the present state and starts the plan; false if planning, acceptance or start fails.
     pub fn start(&mut self) -> bool {
         let iterations = self.config.planner.replan.iterations;
         let Ok(replan) = PLANNER.replan(self.system.controller.state(), iterations, None) else {
@@ -216,14 +216,15 @@ impl Case {
         self.system.controller.mode() == Mode::Track
     }
 
-    /// Lets time pass.
+    /// Runs `cycles` cycles without a request.
     pub fn run(&mut self, cycles: u64) {
         for _ in 0..cycles {
             self.cycle(&mut None);
         }
     }
 
-    /// Gives a request; it waits for the next measurement, which a fault may keep back.
+    /// Sends a request to the controller and runs cycles, at most [`WATCHED`], until the controller receives it with a new
+    /// measurement.
     pub fn request(&mut self, request: Request) {
         let mut request = Some(request);
         for _ in 0..WATCHED {
@@ -234,10 +235,10 @@ impl Case {
         }
     }
 
-    /// One cycle.
+    /// Runs one cycle of controller and plant.
     ///
     /// # Panics
-    /// If a torque is beyond its limit or not a number, or flows while the brakes are commanded closed.
+    /// If a commanded torque is NaN or beyond its limit, or not 0 while the brakes are commanded closed.
     fn cycle(&mut self, request: &mut Option<Request>) {
         let mode = self.system.controller.mode();
         let Some(output) = self.system.cycle(request) else { return };
@@ -258,21 +259,21 @@ impl Case {
         }
     }
 
-    /// Adds a fault that begins in the next cycle.
+    /// Injects a fault that begins in the next cycle.
     ///
     /// # Panics
-    /// If it cannot be.
+    /// If the plant refuses the fault.
     pub fn break_now(&mut self, fault: Fault) {
         let fault = Fault { from: self.system.plant.seq(), ..fault };
         self.system.plant.set_fault(&fault).unwrap_or_else(|e| panic!("{e}"));
     }
 
-    /// The daemon's mode and whether the brakes hold.
+    /// The mode of the controller, and true if the brakes of the plant are closed.
     pub fn mode(&self) -> (Mode, bool) {
         (self.system.controller.mode(), self.system.plant.brakes_closed())
     }
 
-    /// What a fault led to after [`WATCHED`] cycles, in the words of [`PAGE`].
+    /// Outcome of a fault after [`WATCHED`] cycles, in the terms of [`PAGE`].
     pub fn outcome(&self) -> String {
         let (mode, braked) = self.mode();
         if mode == Mode::Fault && !braked {

@@ -1,20 +1,20 @@
-//! One program as a process of its own, for tests of what the system sees of it.
+//! A single program as a process, for tests of its signals, exit status, memory and threads.
 
 use crate::programs;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
-/// Far beyond anything that is waited for.
+/// Longest wait for a condition; far longer than any condition needs.
 pub const LONG: Duration = Duration::from_secs(60);
 
-/// A process that is killed when dropped.
+/// A process of one program under test; killed when dropped.
 pub struct Running(Child);
 
 impl Running {
-    /// Starts a program of upswing in a domain, with more settings by `set`.
+    /// Starts a program of upswing in a shared-memory domain; `set` adds arguments and streams to the command.
     ///
     /// # Panics
-    /// If it cannot be started.
+    /// If the program cannot be started.
     pub fn start(program: &str, domain: &str, set: impl FnOnce(&mut Command)) -> Self {
         let mut command = Command::new(programs().join(program));
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
@@ -23,30 +23,30 @@ impl Running {
         Self(command.spawn().unwrap_or_else(|e| panic!("{program}: {e}")))
     }
 
-    /// Its id.
+    /// Process id.
     pub fn id(&self) -> u32 {
         self.0.id()
     }
 
-    /// Sends a signal.
+    /// Sends a signal to the process.
     ///
     /// # Panics
     /// If the process is gone.
     pub fn signal(&self, signal: i32) {
         let pid = libc::pid_t::try_from(self.id()).expect("an id");
-        // SAFETY: plain system call; the child has not been waited for, so that the id is still its own.
+        // SAFETY: plain system call; the child has not been reaped, so that its process id is not reused.
         assert_eq!(unsafe { libc::kill(pid, signal) }, 0);
     }
 
-    /// Waits for its end.
+    /// Waits until the process exits.
     ///
     /// # Panics
-    /// If it does not end.
+    /// If the process does not exit within [`LONG`].
     pub fn wait(&mut self) -> ExitStatus {
         wait_for("the process to end", || self.0.try_wait().expect("a child"))
     }
 
-    /// A file of /proc about it.
+    /// Contents of the file `file` in /proc/PID of the process.
     ///
     /// # Panics
     /// If the process is gone.
@@ -55,7 +55,7 @@ impl Running {
         std::fs::read_to_string(&path).unwrap_or_else(|e| panic!("{path}: {e}"))
     }
 
-    /// Its own memory, KiB.
+    /// Private resident memory of the process (RssAnon), KiB.
     ///
     /// # Panics
     /// If the process is gone.
@@ -65,10 +65,10 @@ impl Running {
         line.split_whitespace().next().and_then(|kb| kb.parse().ok()).expect("a number")
     }
 
-    /// Number of the thread with this name.
+    /// Id of the thread with the name `name`; waits until the thread has started.
     ///
     /// # Panics
-    /// If there is none.
+    /// If no thread has this name within [`LONG`].
     pub fn thread(&self, name: &str) -> i32 {
         wait_for("the thread to start", || {
             let tasks = std::fs::read_dir(format!("/proc/{}/task", self.id())).ok()?;
@@ -87,10 +87,10 @@ impl Drop for Running {
     }
 }
 
-/// Repeats `look` until it finds something.
+/// Calls `look` repeatedly until it returns a value.
 ///
 /// # Panics
-/// After a [`LONG`] time, with `what` was awaited.
+/// After [`LONG`]; the message names the awaited condition `what`.
 pub fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
     let begin = Instant::now();
     loop {

@@ -1,4 +1,4 @@
-//! Three processes under test.
+//! A system under test: daemon, planner and simulated plant as three processes.
 
 use crate::matrix;
 use crate::programs;
@@ -12,21 +12,21 @@ use upswing_record::evaluation::SwingUpEvaluation;
 use upswing_rig::course::{SessionCourse, swing_up};
 use upswing_rig::session::{Programs, Role, Session, SessionError, SessionOptions};
 
-/// Start of the arm in the paper's experiment, deg.
+/// Start pose in the paper's experiment: angles of joints 1-7, deg.
 pub const START: [f64; 7] = [0.0, -15.0, 0.0, -95.0, 0.0, 10.0, 0.0];
-/// Longest wait for something: machines are shared.
+/// Longest wait for a condition in real time; long, because test machines may be busy.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// Time in which the arm settles on its hold, cycles.
+/// Time in which the arm settles in Hold, cycles.
 const SETTLE: u64 = 2000;
-/// Cycles between two looks, and the longest wait in cycles: a minute of virtual time.
+/// In lockstep: cycles between two checks of a condition, and longest wait, cycles; one minute of virtual time.
 const STEP: u64 = 80;
 const LONGEST: u64 = 480_000;
 
-/// A system under test. Its processes end, and its shared memory and logs go, when it is dropped.
+/// A system of three processes under test. Dropping it ends the processes and removes their shared memory and logs.
 pub struct System {
-    /// Drives the system. Declared first: it must end before what it uses is removed.
+    /// Processes and connections. Declared first: dropped before the domain that they use.
     pub session: Session,
-    /// The settings the system runs with.
+    /// Settings of the system.
     pub config: Config,
     clock: Clock,
     folder: PathBuf,
@@ -50,26 +50,26 @@ impl Drop for System {
 }
 
 impl System {
-    /// Starts the dedicated programs on `clock` with the arm at `start_deg`.
+    /// Starts the dedicated programs with the plant on `clock` and joints 1-7 at `start_deg` (deg).
     ///
     /// # Panics
-    /// If they do not start, with the end of the log of the one that failed.
+    /// If a program does not start; the message contains the end of its log.
     pub fn start(clock: Clock, start_deg: [f64; 7]) -> Self {
         Self::start_with(clock, start_deg, None)
     }
 
-    /// As [`Self::start`], with the settings in a folder.
+    /// Starts a system as [`Self::start`], with the settings in a folder; `None`: the embedded settings.
     ///
     /// # Panics
-    /// As [`Self::start`], and if the settings cannot be used.
+    /// As [`Self::start`], and if the settings are invalid.
     pub fn start_with(clock: Clock, start_deg: [f64; 7], settings: Option<&Path>) -> Self {
         Self::start_recorded(clock, start_deg, settings, None)
     }
 
-    /// As [`Self::start_with`], with a new recording in a file where one is named.
+    /// Starts a system as [`Self::start_with`], with a new recording in `file` if one is given.
     ///
     /// # Panics
-    /// As [`Self::start_with`], and if the file cannot be made.
+    /// As [`Self::start_with`], and if the file cannot be created.
     pub fn start_recorded(
         clock: Clock,
         start_deg: [f64; 7],
@@ -102,7 +102,7 @@ impl System {
         self.config.daemon.cycle.period.seconds()
     }
 
-    /// Swings up, balances for `seconds`, and evaluates.
+    /// Swings up, balances for `seconds` (s), and evaluates the run.
     ///
     /// # Panics
     /// If the system refuses or leaves the modes of a swing-up.
@@ -120,52 +120,53 @@ impl System {
         )
     }
 
-    /// Lets time pass until so many more cycles are recorded.
+    /// Lets `cycles` further control cycles pass and waits for their records.
     ///
     /// # Panics
-    /// If it does not pass.
+    /// If the cycles are not recorded in time.
     pub fn advance(&mut self, cycles: u64) {
         let passed = self.session.advance(cycles);
         self.must(passed);
     }
 
-    /// Asks the daemon for something that it must accept.
+    /// Sends a request that the daemon must accept; returns the state of the daemon after it.
     ///
     /// # Panics
-    /// If it refuses.
+    /// If the daemon refuses the request.
     pub fn request(&mut self, request: Request) -> ControlResponse {
         let response = self.session.request(request);
         self.must(response)
     }
 
-    /// The daemon's state, with what it has to say about it.
+    /// Requests the state of the daemon, with reason and next action as text.
     ///
     /// # Panics
-    /// If it does not answer.
+    /// If the daemon does not respond.
     pub fn status(&mut self) -> ControlResponse {
         let response = self.session.status();
         self.must(response)
     }
 
-    /// Whether the brakes of the plant hold.
+    /// True if the brakes of the plant are closed.
     ///
     /// # Panics
-    /// If it does not answer.
+    /// If the plant does not respond.
     pub fn brakes_closed(&mut self) -> bool {
         let response = self.session.plant_status();
         self.must(response).brakes_closed == 1
     }
 
-    /// From the start into a mode: settled in Hold, in full swing in Track, or where the way leads from there.
+    /// Brings a newly started system to a mode: Idle, settled in Hold, halfway through the plan in Track, Balance at the end of the plan,
+    /// or Stop or Fault from there.
     ///
     /// # Panics
-    /// If it does not get there.
+    /// If the system does not reach the mode.
     pub fn bring_to(&mut self, goal: Mode) {
         self.advance(1);
         if goal != Mode::Idle {
             self.request(Request::Enable);
         }
-        // The arm settles; and a plant has heard the daemon for which it waits.
+        // The arm settles, and a plant that waits for the daemon receives its first command.
         self.advance(SETTLE);
         if matches!(goal, Mode::Track | Mode::Balance | Mode::Stop) {
             let plan = self.session.start_manoeuvre(Manoeuvre::SwingUp);
@@ -180,17 +181,17 @@ impl System {
             Mode::Fault => self.inject("encoder-nan --joint 1 --cycles 1"),
             _ => {}
         }
-        // In real time the plan may have ended by now; it was followed.
+        // In real time the plan may have ended by now, so that Track is not required any more.
         if goal != Mode::Track {
             self.wait_until(&goal.to_string(), |record| record.mode() == Ok(goal));
         }
     }
 
-    /// Breaks the plant as `upswing disturb fault` does, for example `encoder-jump --joint 4 --amount 0.1`; from the next
-    /// cycle on, or from that of `--from`.
+    /// Injects a fault into the plant, in the syntax of `upswing disturb fault`, for example `encoder-jump --joint 4 --amount 0.1`; it
+    /// begins in the next cycle, or in the cycle of `--from`.
     ///
     /// # Panics
-    /// If there is no such fault, or the plant refuses it.
+    /// If there is no such fault, or the plant refuses the fault.
     pub fn inject(&mut self, fault: &str) {
         let request = matrix::fault(fault).and_then(|args| args.request().map_err(|e| e.to_string()));
         let request = request.unwrap_or_else(|e| panic!("{fault}: {e}"));
@@ -198,10 +199,10 @@ impl System {
         self.must(response);
     }
 
-    /// Lets time pass until a cycle is as wanted, the newest one or one that is still to come, and returns it.
+    /// Lets time pass until `wanted` holds for the record of a cycle, from the newest record on, and returns this record.
     ///
     /// # Panics
-    /// If none comes, with `what` was awaited.
+    /// If there is no such record in time; the message names the awaited condition `what`.
     pub fn wait_until(&mut self, what: &str, mut wanted: impl FnMut(&Telemetry) -> bool) -> Telemetry {
         let mut seen = self.session.records.len().saturating_sub(1);
         let mut find = |session: &Session| {
@@ -227,28 +228,28 @@ impl System {
         found.unwrap_or_default()
     }
 
-    /// Kills a process.
+    /// Kills the process of a role (SIGKILL).
     pub fn kill(&mut self, role: Role) {
         self.session.kill(role);
     }
 
-    /// Kills a process and starts it again.
+    /// Kills the process of a role, if it runs, and starts a new one.
     ///
     /// # Panics
-    /// If it does not start.
+    /// If the new process does not start.
     pub fn restart(&mut self, role: Role) {
         let restarted = self.session.restart(role);
         self.must(restarted);
     }
 
-    /// Stops a process for a time of the wall clock, as if its machine had no time for it.
+    /// Suspends the process of a role for `time` of the wall clock, as on an overloaded machine.
     pub fn stall(&mut self, role: Role, time: Duration) {
         self.session.signal(role, libc::SIGSTOP);
         self.pass(time);
         self.session.signal(role, libc::SIGCONT);
     }
 
-    /// Lets a time of the wall clock pass. Telemetry waits a second only for those who take it.
+    /// Waits for `time` of the wall clock and collects telemetry meanwhile: the telemetry ring holds about one second.
     ///
     /// # Panics
     /// If a recording cannot be written.
@@ -261,16 +262,16 @@ impl System {
         }
     }
 
-    /// Ends all processes in order.
+    /// Shuts down all processes: daemon, planner, plant.
     ///
     /// # Panics
-    /// If one of them does not end well.
+    /// If a process does not exit, or exits with an error.
     pub fn end(mut self) {
         let ended = self.session.end();
         self.must(ended);
     }
 
-    /// The value; or the end of the test, with what the daemon says of itself.
+    /// Unwraps a result; on an error panics with the error and the state of the daemon.
     fn must<T>(&mut self, result: Result<T, SessionError>) -> T {
         result.unwrap_or_else(|e| {
             let status = match self.session.status() {

@@ -1,4 +1,4 @@
-//! Swing-ups with controller and simulated plant in one process, under conditions that planner and controller do not know.
+//! Monte Carlo study of swing-ups under one plant condition that is unknown to planner and controller.
 
 use super::condition::PlantCondition;
 use super::{ENDED_BADLY, NoStart, Scratch, Spread, Study, StudyError, arm_degrees};
@@ -10,25 +10,25 @@ use upswing_ipc::Telemetry;
 use upswing_model::{NU, State};
 use upswing_record::evaluation::SwingUpEvaluation;
 
-/// What became of one start. All but the time depends on settings, condition, seed and index alone.
+/// Result of the swing-up from one start. All fields but the time are functions of settings, condition, seed and index only.
 #[derive(Clone, Debug, Serialize)]
 pub struct RunResult {
     /// Number of the start.
     pub index: u64,
-    /// Angles of joints 1-7, deg.
+    /// Angles of joints 1-7 at the start, deg.
     pub start_deg: [f64; NU],
-    /// Figures of a run that came to its end.
+    /// Statistics of a completed run; `None` if the run was aborted.
     pub end: Option<RunStatistics>,
-    /// The kind of failure; `None`: it ended balanced.
+    /// Kind of the failure; `None`: success, the rod was balanced at the end.
     pub failure: Option<String>,
-    /// What exactly was wrong.
+    /// Details of the failure, one per criterion that was not met.
     pub reasons: Vec<String>,
-    /// How long it took, s.
+    /// Computation time of the run, s.
     #[serde(skip)]
     pub time_s: f64,
 }
 
-/// Some of the figures of a [`SwingUpEvaluation`].
+/// Statistics of one swing-up, a part of [`SwingUpEvaluation`].
 #[derive(Clone, Debug, Serialize)]
 pub struct RunStatistics {
     /// Duration of the plan t_F, s.
@@ -70,18 +70,18 @@ impl From<&SwingUpEvaluation> for RunStatistics {
     }
 }
 
-/// Figures are those of the runs that came to their end.
+/// Result of all runs under one condition. Spreads are over the completed runs; `None` without any.
 #[derive(Serialize)]
 pub struct ConditionResult {
     /// Name of the condition.
     pub condition: String,
-    /// What it is for.
+    /// Purpose of the condition, a sentence.
     pub purpose: String,
-    /// Runs.
+    /// Number of runs.
     pub samples: usize,
-    /// Runs that ended balanced.
+    /// Number of successful runs, in which the rod was balanced at the end.
     pub succeeded: usize,
-    /// How often each kind of failure occurred.
+    /// Number of failures of each kind.
     pub failures: BTreeMap<String, usize>,
     /// Largest |q - q_d| of joints 1-7 in Track, rad.
     pub tracking_error_arm: Option<Spread>,
@@ -101,25 +101,25 @@ pub struct ConditionResult {
     pub final_tilt_deg: Option<Spread>,
     /// Largest speed of joints 1-7 in the last second, rad/s.
     pub final_speed: Option<Spread>,
-    /// How long it took.
+    /// Computation times.
     pub times: RunTimes,
-    /// Each run.
+    /// Result of each run, in the order of the starts.
     pub results: Vec<RunResult>,
 }
 
-/// All in s; the only part that differs from run to run.
+/// Computation times of the runs, s; the only part of the result that is not reproducible.
 #[derive(Serialize)]
 pub struct RunTimes {
-    /// One run.
+    /// Spread over the single runs, s.
     pub run: Option<Spread>,
-    /// All runs.
+    /// Time for all runs together, s.
     pub total: f64,
 }
 
-/// Swing-ups under one condition from every start of the study, each balanced for `seconds`.
+/// Runs a swing-up under one condition from every start of the study, each balanced for `seconds` (s).
 ///
 /// # Errors
-/// [`StudyError`]
+/// [`StudyError`] if there is no start, or threads cannot be started.
 pub fn run(
     study: &Study<'_>,
     condition: &PlantCondition,
@@ -160,10 +160,10 @@ pub fn run(
     })
 }
 
-/// Every cycle of the swing-up from start number `index`, as far as it came.
+/// Runs the swing-up from start number `index` and returns its telemetry, one record per cycle until its end or abort.
 ///
 /// # Errors
-/// [`NoStart`]
+/// [`NoStart`] if there is no start of this number.
 pub fn records(
     study: &Study<'_>,
     condition: &PlantCondition,
@@ -171,7 +171,7 @@ pub fn records(
     index: u64,
 ) -> Result<Vec<Telemetry>, NoStart> {
     let mut scratch = Scratch::new(study.planner);
-    // How it ended, the result of the study says.
+    // An abort is part of the study's result already.
     let _ = swing_up(study, condition, seconds, &mut scratch, index, &study.starts.start(index)?);
     Ok(scratch.records)
 }

@@ -1,23 +1,23 @@
-//! In what the plant differs from what planner and controller believe.
+//! Plant conditions: differences between the simulated plant and the settings of planner and controller.
 
 use crate::montecarlo::RandomStarts;
 use upswing_config::{Config, ConfigError};
 
-/// By how much a drawn scale may differ from 1.
+/// Largest difference of a random scale from 1.
 const SPREAD: f64 = 0.1;
 
-/// A plant that planner and controller do not know.
+/// Settings of the plant that differ from those of planner and controller.
 #[derive(Clone, Debug)]
 pub struct PlantCondition {
-    /// As on the command line.
+    /// Name of the condition, as on the command line.
     pub name: String,
-    /// What it is for.
+    /// Purpose of the condition, a sentence.
     pub purpose: String,
     drawn: Drawn,
     plant: Config,
 }
 
-/// What is drawn anew for each start.
+/// Parameter of the plant that is drawn at random for each start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Drawn {
     Nothing,
@@ -27,11 +27,10 @@ enum Drawn {
 }
 
 impl PlantCondition {
-    /// The condition of this name: `nominal`, `arm-mass`, `pendulum-mass`, `pendulum-length`, or a scenario of the
-    /// plant.
+    /// The condition `name`: `nominal`, `arm-mass`, `pendulum-mass`, `pendulum-length`, or a scenario of the plant.
     ///
     /// # Errors
-    /// [`ConfigError`] if there is no such scenario, or it cannot be used.
+    /// [`ConfigError`] if the scenario does not exist or is invalid.
     pub fn new(name: &str, config: &Config) -> Result<Self, ConfigError> {
         let mut plant = config.clone();
         let (drawn, purpose) = match name {

@@ -1,4 +1,4 @@
-//! How many swing-ups succeed over growing errors of one kind, as curves.
+//! Robustness curves: share of successful swing-ups over the size of one error or disturbance.
 
 use super::variation::{MissedCycleCounts, ValueError, Variation};
 use super::{ENDED_BADLY, NoStart, Scratch, Study, StudyError, arm_degrees, wilson};
@@ -10,23 +10,23 @@ use upswing_ipc::Telemetry;
 use upswing_model::{NU, State};
 use upswing_record::evaluation::SwingUpEvaluation;
 
-/// One value of one curve.
+/// One point to compute of a robustness curve: variation, value and settings.
 pub struct RobustnessCase {
-    /// What is varied.
+    /// The varied quantity.
     pub over: Variation,
-    /// By how much, in the unit of `over`.
+    /// Value of the variation, in the unit of `over`.
     pub value: f64,
-    /// Where the controller takes velocities from.
+    /// Method of the controller's velocity estimate.
     pub velocity: VelocityEstimate,
-    /// Settings of controller and plant.
+    /// Settings of controller and plant, with the value applied.
     config: Config,
 }
 
 impl RobustnessCase {
-    /// The settings `base` with an error of `value`, in the unit of `over`.
+    /// A case with the settings `base` and the error `value`, in the unit of `over`.
     ///
     /// # Errors
-    /// [`ValueError`]
+    /// [`ValueError`] if the value is outside the range of `over`.
     pub fn new(
         over: Variation,
         value: f64,
@@ -41,53 +41,54 @@ impl RobustnessCase {
     }
 }
 
-/// A start that did not end balanced.
+/// A start whose swing-up failed.
 #[derive(Clone, Debug, Serialize)]
 pub struct FailedStart {
     /// Number of the start.
     pub index: u64,
-    /// Angles of joints 1-7, deg.
+    /// Angles of joints 1-7 at the start, deg.
     pub start_deg: [f64; NU],
-    /// The kind of failure.
+    /// Kind of the failure.
     pub kind: String,
-    /// What exactly was wrong.
+    /// Details of the failure, one per criterion that was not met.
     pub reasons: Vec<String>,
 }
 
-/// Success over the values of one variation.
+/// Share of successful swing-ups over the values of one variation.
 #[derive(Serialize)]
 pub struct SuccessCurve {
-    /// What is varied.
+    /// The varied quantity.
     pub over: Variation,
-    /// For the axis, with the unit.
+    /// Label of the axis, with the unit.
     pub label: &'static str,
-    /// Where the controller takes velocities from.
+    /// Method of the controller's velocity estimate, `filter` or `model`.
     pub velocity: &'static str,
-    /// In the order of the cases.
+    /// Points of the curve, in the order of the cases.
     pub points: Vec<SuccessPoint>,
 }
 
-/// Success at one value.
+/// Number of successful swing-ups at one value.
 #[derive(Serialize)]
 pub struct SuccessPoint {
-    /// By how much, in the unit of the variation.
+    /// Value of the variation, in its unit.
     pub value: f64,
-    /// Runs.
+    /// Number of runs.
     pub samples: usize,
-    /// Runs that ended balanced.
+    /// Number of successful runs, in which the rod was balanced at the end.
     pub succeeded: usize,
     /// 95 % interval of the probability of success (Wilson).
     pub interval: (f64, f64),
-    /// How often each kind of failure occurred.
+    /// Number of failures of each kind.
     pub failures: BTreeMap<String, usize>,
-    /// Each run that did not end balanced.
+    /// The starts of the failed runs.
     pub failed: Vec<FailedStart>,
 }
 
-/// Swing-ups from every start of the study in every case, each balanced for `seconds`; `misses` for [`Variation::Jitter`].
+/// Runs a swing-up from every start of the study in every case, each balanced for `seconds` (s). `misses`: histogram of missed cycles
+/// for [`Variation::Jitter`].
 ///
 /// # Errors
-/// [`StudyError`]
+/// [`StudyError`] if there is no start, or threads cannot be started.
 pub fn run(
     study: &Study<'_>,
     cases: &[RobustnessCase],
@@ -95,7 +96,7 @@ pub fn run(
     seconds: f64,
 ) -> Result<Vec<SuccessCurve>, StudyError> {
     let jobs: Vec<u64> = (0..(cases.len() * study.indices.len()) as u64).collect();
-    // In the order of the starts, so that the values of a curve take turns and the estimate of the time left is fair.
+    // In the order of the starts, so that all cases advance together and the estimate of the remaining time is fair.
     let place = |job: u64| (job as usize % cases.len(), job as usize / cases.len());
     let results = study.each(
         &jobs,
@@ -109,10 +110,10 @@ pub fn run(
     Ok(curves_of(cases, results))
 }
 
-/// Every cycle of the swing-up from start number `index`, as far as it came.
+/// Runs the swing-up from start number `index` and returns its telemetry, one record per cycle until its end or abort.
 ///
 /// # Errors
-/// [`NoStart`]
+/// [`NoStart`] if there is no start of this number.
 pub fn records(
     study: &Study<'_>,
     case: &RobustnessCase,
@@ -121,12 +122,12 @@ pub fn records(
     index: u64,
 ) -> Result<Vec<Telemetry>, NoStart> {
     let mut scratch = Scratch::new(study.planner);
-    // How it ended, the result of the study says.
+    // An abort is part of the study's result already.
     let _ = swing_up(study, case, misses, seconds, &mut scratch, index, &study.starts.start(index)?);
     Ok(scratch.records)
 }
 
-/// What became of one start; `None`: it ended balanced.
+/// Runs the swing-up from one start; `None`: success.
 fn sample(
     study: &Study<'_>,
     case: &RobustnessCase,
@@ -168,7 +169,7 @@ fn name(velocity: VelocityEstimate) -> &'static str {
     }
 }
 
-/// The results, which name their case, as curves.
+/// Sorts the results, pairs of case index and failure, into curves.
 fn curves_of(cases: &[RobustnessCase], results: Vec<(usize, Option<FailedStart>)>) -> Vec<SuccessCurve> {
     let mut points: Vec<SuccessPoint> = cases
         .iter()

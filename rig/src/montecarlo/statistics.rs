@@ -1,11 +1,11 @@
-//! Figures of many runs: how they are distributed, and how well a share is known.
+//! Statistics of many runs: order statistics of a quantity, confidence interval of a probability.
 
 use serde::Serialize;
 
-/// 95 % interval of a probability of which `succeeded` of `samples` trials are known (E. B. Wilson, J. Am. Stat. Assoc. 22,
-/// 1927).
+/// 95 % confidence interval (lower, upper) of the probability of success, from `succeeded` of `samples` trials (E. B. Wilson, J. Am.
+/// Stat. Assoc. 22, 1927).
 pub fn wilson(succeeded: usize, samples: usize) -> (f64, f64) {
-    /// 97.5 % of a normal distribution are below this, in standard deviations.
+    /// 97.5 % quantile of the standard normal distribution.
     const Z: f64 = 1.959_963_984_540_054;
     if samples == 0 {
         return (0.0, 1.0);
@@ -18,28 +18,28 @@ pub fn wilson(succeeded: usize, samples: usize) -> (f64, f64) {
     (at(middle - half), at(middle + half))
 }
 
-/// How a figure is distributed over the samples.
+/// Order statistics of a quantity over the samples, in its unit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Spread {
-    /// Smallest.
+    /// Smallest value.
     pub min: f64,
-    /// 1 % are not above it.
+    /// 1 % quantile.
     pub p01: f64,
-    /// Half are not above it.
+    /// 50 % quantile.
     pub median: f64,
-    /// 99 % are not above it.
+    /// 99 % quantile.
     pub p99: f64,
-    /// Largest.
+    /// Largest value.
     pub max: f64,
 }
 
 impl Spread {
-    /// Of `values`; `None` if there are none.
+    /// The order statistics of `values`; `None` without values.
     pub fn of(values: impl IntoIterator<Item = f64>) -> Option<Self> {
         let mut sorted: Vec<f64> = values.into_iter().collect();
         sorted.sort_by(f64::total_cmp);
         let last = sorted.len().checked_sub(1)?;
-        // Nearest rank.
+        // Quantile by the nearest rank.
         let at = |share: f64| sorted[((share * sorted.len() as f64).ceil() as usize).clamp(1, last + 1) - 1];
         Some(Self { min: sorted[0], p01: at(0.01), median: at(0.5), p99: at(0.99), max: sorted[last] })
     }

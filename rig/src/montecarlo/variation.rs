@@ -1,4 +1,4 @@
-//! What a robustness curve is drawn over: one thing that planner and controller do not know, by how much.
+//! Variations of a robustness curve: one error or disturbance, its values and its effect on settings and runs.
 
 use crate::closed_loop::{Disturbances, MissedCycles};
 use clap::ValueEnum;
@@ -6,14 +6,14 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use upswing_config::{Config, MAX_DELAY, Push};
 
-/// Time in Balance before a push or a stretch of missed cycles comes, s.
+/// Time in Balance before a push or a stretch of missed cycles, s.
 const BEFORE: f64 = 0.5;
-/// How much longer the balance lasts then, s, so that the last second is judged well after it.
+/// Additional time in Balance for these disturbances, s, so that the evaluated last second is well after them.
 const LONGER: f64 = 1.0;
-/// How long a push lasts, s.
+/// Duration of a push, s.
 const PUSH: f64 = 0.01;
 
-/// What is varied.
+/// Varied quantity of a robustness curve.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Variation {
@@ -41,7 +41,7 @@ pub enum Variation {
     Jitter,
 }
 
-/// A value outside the range of its variation.
+/// Error: a value is outside the range of its variation.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{label}: expected {} from {lowest} to {highest}, got {value}", if *whole { "a whole number" } else { "a number" })]
 pub struct ValueError {
@@ -52,17 +52,17 @@ pub struct ValueError {
     value: f64,
 }
 
-/// How often cycles were missed somewhere: a part of what `upswing soak --json` prints.
+/// Recorded histogram of missed cycles; a part of the output of `upswing soak --json`.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 pub struct MissedCycleCounts {
-    /// Cycles that were looked at.
+    /// Number of cycles recorded.
     pub cycles: u64,
-    /// How often how many were missed in a row.
+    /// Number of consecutive missed cycles to number of occurrences.
     pub missed: BTreeMap<u64, u64>,
 }
 
 impl MissedCycleCounts {
-    /// Stretches in `count` cycles, `factor` times as frequent. `shares`: random numbers in [0, 1).
+    /// Draws stretches of missed cycles for `count` cycles, `factor` times as frequent as recorded. `shares`: random numbers in [0, 1).
     fn draw(&self, factor: f64, count: u64, shares: &mut impl Iterator<Item = f64>) -> Vec<MissedCycles> {
         let stretches: u64 = self.missed.values().sum();
         let probability = factor * stretches as f64 / self.cycles as f64;
@@ -87,7 +87,7 @@ impl MissedCycleCounts {
 }
 
 impl Variation {
-    /// For axes and tables, with the unit.
+    /// Label for axes and tables, with the unit.
     pub fn label(self) -> &'static str {
         match self {
             Self::ArmMass => "mass of the arm, error (%)",
@@ -104,7 +104,7 @@ impl Variation {
         }
     }
 
-    /// The values of a curve if none are named.
+    /// Default values of a curve, in the unit of the variation.
     pub fn values(self) -> &'static [f64] {
         match self {
             Self::ArmMass | Self::PendulumMass | Self::PendulumLength => {
@@ -120,10 +120,10 @@ impl Variation {
         }
     }
 
-    /// Whether the value is within the range of this variation.
+    /// Checks that the value is within the range of this variation.
     ///
     /// # Errors
-    /// [`ValueError`]
+    /// [`ValueError`] with the range if the value is outside.
     pub fn check(self, value: f64) -> Result<(), ValueError> {
         let (lowest, highest, whole) = match self {
             Self::ArmMass | Self::PendulumMass | Self::PendulumLength => (-90.0, 1000.0, false),
@@ -142,7 +142,7 @@ impl Variation {
         Err(ValueError { label: self.label(), whole, lowest, highest, value })
     }
 
-    /// How long to balance, s, if undisturbed it were `seconds`.
+    /// Time in Balance, s: `seconds`, or longer for disturbances in Balance.
     pub fn seconds(self, seconds: f64) -> f64 {
         match self {
             Self::Push | Self::MissedBalance => seconds + LONGER,
@@ -150,7 +150,7 @@ impl Variation {
         }
     }
 
-    /// Settings of plant and controller with this value, which is a checked one.
+    /// Applies a value that [`Self::check`] accepts to the settings of plant and controller.
     pub fn apply(self, value: f64, config: &mut Config) {
         let scale = 1.0 + 0.01 * value;
         let plant = &mut config.plant;
@@ -166,8 +166,8 @@ impl Variation {
         }
     }
 
-    /// What happens after the start of a plan of the duration `t_f` (s), in cycles of `period` (s). `shares`: random numbers
-    /// in [0, 1).
+    /// The disturbances of a run after the start of a plan of the duration `t_f` (s), balanced for `seconds` (s), in cycles of `period`
+    /// (s). `misses`: histogram for [`Self::Jitter`]; `shares`: random numbers in [0, 1).
     pub fn disturbances(
         self,
         value: f64,

@@ -1,4 +1,4 @@
-//! The processes of a system: how they are started, and what they leave in their logs.
+//! The processes of a system: programs, options, start, signals and logs.
 
 use super::SessionError;
 use std::os::unix::process::CommandExt;
@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use upswing_ipc::Clock;
 
-/// Who of the system.
+/// Role of a process in the system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
     /// upswingd
@@ -18,10 +18,10 @@ pub enum Role {
 }
 
 impl Role {
-    /// All of them, in the order in which they are started and ended.
+    /// All roles, in the order in which their processes are started and shut down.
     pub const ALL: [Self; 3] = [Self::Daemon, Self::Planner, Self::Plant];
 
-    /// For messages and files.
+    /// Name of the role in messages and file names.
     pub fn name(self) -> &'static str {
         match self {
             Self::Daemon => "daemon",
@@ -42,14 +42,14 @@ impl Programs {
     /// The `upswing` program itself in each of the three roles.
     ///
     /// # Errors
-    /// [`SessionError::Spawn`] if the path of the running program cannot be found out.
+    /// [`SessionError::Spawn`] if the path of the running program is unknown.
     pub fn own() -> Result<Self, SessionError> {
         let unknown = |cause| SessionError::Spawn { role: "daemon", program: "upswing".into(), cause };
         let program = std::env::current_exe().map_err(unknown)?;
         Ok(Self { programs: Role::ALL.map(|role| (program.clone(), Some(role.name()))) })
     }
 
-    /// The three dedicated programs in `folder`.
+    /// The three dedicated programs `upswingd`, `upswing-planner` and `upswing-plant` in `folder`.
     pub fn dedicated(folder: &Path) -> Self {
         let names = ["upswingd", "upswing-planner", "upswing-plant"];
         Self { programs: names.map(|name| (folder.join(name), None)) }
@@ -63,24 +63,24 @@ impl Programs {
     }
 }
 
-/// What to start.
+/// Options of a session: settings, domain, clock, start, scenario and logs.
 #[derive(Clone, Debug)]
 pub struct SessionOptions {
-    /// Folder with settings; `None`: the embedded ones.
+    /// Folder with settings; `None`: the embedded settings.
     pub config: Option<PathBuf>,
-    /// Name of the domain.
+    /// Name of the shared-memory domain.
     pub domain: String,
     /// Clock of the plant.
     pub clock: Clock,
-    /// Start pose of the arm, deg, comma-separated; `None`: as the plant's settings say.
+    /// Start pose of the arm: angles of joints 1-7, deg, comma-separated; `None`: that of the plant's settings.
     pub start: Option<String>,
-    /// Scenario of the plant; `None`: as its settings say.
+    /// Scenario of the plant; `None`: the plant's settings without a scenario.
     pub scenario: Option<String>,
     /// Folder for the logs of the processes.
     pub logs: PathBuf,
 }
 
-/// One process of the system; ended when dropped.
+/// One process of the system; killed when dropped.
 pub(super) struct Process {
     pub role: Role,
     pub child: Child,
@@ -97,7 +97,7 @@ impl Process {
         let program = command.get_program().to_string_lossy().into_owned();
         let spawn = |cause| SessionError::Spawn { role: role.name(), program: program.clone(), cause };
         let log = options.logs.join(format!("{}.log", role.name()));
-        // A process that takes the place of another one goes on with its log.
+        // A restarted process appends to the log of its predecessor.
         let file = std::fs::OpenOptions::new().create(true).append(true).open(&log).map_err(spawn)?;
         command.args(["--domain", &options.domain]);
         if role == Role::Plant {
@@ -110,14 +110,16 @@ impl Process {
         }
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(file);
         die_with_parent(&mut command);
-        // A Ctrl-C in the terminal is for this process: it ends its children in its own way.
+        // A process group of its own: Ctrl-C in the terminal reaches this process only, which then shuts down its children.
         command.process_group(0);
         let child = command.spawn().map_err(spawn)?;
         Ok(Self { role, child, log })
     }
 
+    /// Checks that the process has not exited.
+    ///
     /// # Errors
-    /// [`SessionError::Ended`] if it has.
+    /// [`SessionError::Ended`] with the end of the log.
     pub(super) fn check(&mut self) -> Result<(), SessionError> {
         match self.child.try_wait() {
             Ok(Some(status)) => Err(SessionError::Ended { role: self.role.name(), status, log: self.tail() }),
@@ -125,9 +127,9 @@ impl Process {
         }
     }
 
-    /// The last lines of the log.
+    /// The last lines of the log, as a part of a message; empty if the log is.
     pub(super) fn tail(&self) -> String {
-        /// Enough for an error and what led to it.
+        /// Number of lines: enough for an error and its context.
         const LINES: usize = 5;
         let text = std::fs::read_to_string(&self.log).unwrap_or_default();
         let lines: Vec<_> = text.lines().collect();
@@ -135,11 +137,11 @@ impl Process {
         if tail.is_empty() { String::new() } else { format!("; its log ends with:\n  {}", tail.join("\n  ")) }
     }
 
-    /// Sends a signal to the process, unless it has ended.
+    /// Sends a signal to the process, unless the process has exited.
     pub(super) fn signal(&mut self, signal: i32) {
         if let Ok(None) = self.child.try_wait() {
-            // SAFETY: plain system call. The child had not been waited for a moment ago, and only this exclusively
-            // borrowed handle can do so: even if it has ended since, its id is still its own.
+            // SAFETY: plain system call. The child has not been reaped, and only this exclusively borrowed handle can reap it:
+            // even if it has exited, its process id is not reused.
             unsafe { libc::kill(self.child.id() as libc::pid_t, signal) };
         }
     }
@@ -154,7 +156,7 @@ impl Drop for Process {
     }
 }
 
-/// The kernel ends the child if this process dies without doing so.
+/// Makes the kernel send SIGTERM to the child when this process dies.
 fn die_with_parent(command: &mut Command) {
     // SAFETY: prctl is async-signal-safe; the closure allocates nothing and touches no lock.
     unsafe {

@@ -1,25 +1,25 @@
-//! Memory and handles of the processes over time.
+//! Memory, handles and threads of the processes of a system over time.
 
 use crate::session::{Role, Session};
 use serde::Serialize;
 
-/// What a process holds at one moment.
+/// Memory, handles and threads of one process at one time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ProcessResources {
     /// Process id.
     pub pid: u32,
-    /// Resident memory, KiB: its own, that of files, and the pages of shared memory that it has touched so far.
+    /// Resident memory, KiB: private, mapped files, and the pages of shared memory touched so far.
     pub resident_kib: u64,
-    /// Of this its own, KiB: what a leak would make grow.
+    /// Private resident memory (RssAnon), KiB; a leak makes it grow.
     pub own_kib: u64,
-    /// Open file descriptors.
+    /// Number of open file descriptors.
     pub handles: usize,
-    /// Threads.
+    /// Number of threads.
     pub threads: usize,
 }
 
 impl ProcessResources {
-    /// Of a process of this user; `None` if there is none.
+    /// Reads the resources of process `pid` from /proc; `None` if it is gone or belongs to another user.
     pub fn of(pid: u32) -> Option<Self> {
         let folder = |name: &str| std::fs::read_dir(format!("/proc/{pid}/{name}")).ok().map(Iterator::count);
         let status = std::fs::read_to_string(format!("/proc/{pid}/status")).ok()?;
@@ -37,23 +37,23 @@ impl ProcessResources {
     }
 }
 
-/// All processes at one moment.
+/// Resources of all processes of a system at one time.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct ResourceSample {
-    /// Time since the beginning, s.
+    /// Time since the start of the run, s.
     pub t_s: f64,
-    /// upswingd
+    /// upswingd; `None` if it does not run.
     pub daemon: Option<ProcessResources>,
-    /// upswing-planner
+    /// upswing-planner; `None` if it does not run.
     pub planner: Option<ProcessResources>,
-    /// upswing-plant
+    /// upswing-plant; `None` if it does not run.
     pub plant: Option<ProcessResources>,
-    /// The program that drives the system.
+    /// This process, which drives the system.
     pub operator: Option<ProcessResources>,
 }
 
 impl ResourceSample {
-    /// Looks at the processes of a session, `t_s` (s) after the beginning.
+    /// Samples the processes of a session, `t_s` (s) after the start of the run.
     pub fn take(session: &Session, t_s: f64) -> Self {
         let of = |role| session.pid(role).and_then(ProcessResources::of);
         Self {
@@ -66,23 +66,23 @@ impl ResourceSample {
     }
 }
 
-/// What became of a role over all samples.
+/// Range of the resources of one role over all samples.
 #[derive(Clone, Debug, Serialize)]
 pub struct ResourceGrowth {
-    /// daemon, planner, plant or operator.
+    /// Role: daemon, planner, plant or operator.
     pub role: &'static str,
-    /// Processes that played it.
+    /// Number of successive processes in this role.
     pub processes: usize,
-    /// Least and most resident memory, KiB.
+    /// Smallest and largest resident memory, KiB.
     pub resident_kib: (u64, u64),
-    /// Fewest and most handles.
+    /// Smallest and largest number of open file descriptors.
     pub handles: (usize, usize),
-    /// Largest growth of a process's own memory from its first sample on, KiB.
+    /// Largest growth of the private memory of one process since its first sample, KiB.
     pub grown_kib: i64,
 }
 
 impl ResourceGrowth {
-    /// Of each role that was seen.
+    /// The growth of each role that occurs in the samples.
     pub fn of(samples: &[ResourceSample]) -> Vec<Self> {
         type Of = fn(&ResourceSample) -> Option<ProcessResources>;
         let roles: [(_, Of); 4] = [
@@ -140,7 +140,7 @@ mod tests {
 
     #[test]
     fn growth_is_that_of_one_process() {
-        // Shared memory that is touched is no growth.
+        // Touched shared memory does not count as growth.
         let held = |pid, own_kib, handles| ProcessResources {
             pid,
             resident_kib: own_kib + 10 * handles as u64,
