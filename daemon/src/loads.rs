@@ -2,25 +2,25 @@
 
 use std::collections::VecDeque;
 
-/// Plans sent to the controller, with the numbers of their requests (tickets).
+/// Plans sent to the controller, with the numbers of their requests.
 #[derive(Debug, Default)]
 pub(crate) struct Loads {
     /// Id of the last plan that the controller accepted; 0: none.
     taken: u64,
-    /// Tickets without an answer yet, and the ids of their plans.
+    /// Numbers of the requests without an answer yet, and the ids of their plans.
     waiting: VecDeque<(u64, u64)>,
 }
 
 impl Loads {
     /// Notes that a plan was sent to the controller.
-    pub(crate) fn ordered(&mut self, ticket: u64, plan: u64) {
-        self.waiting.push_back((ticket, plan));
+    pub(crate) fn sent(&mut self, request: u64, plan: u64) {
+        self.waiting.push_back((request, plan));
     }
 
-    /// Notes the answer to a ticket; returns the id of its plan, `None` if the ticket is of no plan.
-    pub(crate) fn answered(&mut self, ticket: u64, taken: bool) -> Option<u64> {
-        // Answers come in the order of their tickets.
-        let (_, plan) = *self.waiting.front().filter(|(waiting, _)| *waiting == ticket)?;
+    /// Notes the answer to a request; returns the id of its plan, `None` if the request is not about a plan.
+    pub(crate) fn answered(&mut self, request: u64, taken: bool) -> Option<u64> {
+        // Answers come in the order of the requests.
+        let (_, plan) = *self.waiting.front().filter(|(waiting, _)| *waiting == request)?;
         self.waiting.pop_front();
         if taken {
             self.taken = plan;
@@ -41,11 +41,11 @@ mod tests {
     #[test]
     fn a_refusal_leaves_the_plan_before() {
         let mut loads = Loads::default();
-        loads.ordered(1, 10);
+        loads.sent(1, 10);
         assert_eq!((loads.answered(1, true), loads.newest()), (Some(10), 10));
         // Two more plans wait for answers at the same time, and both are refused.
-        loads.ordered(2, 20);
-        loads.ordered(4, 30);
+        loads.sent(2, 20);
+        loads.sent(4, 30);
         assert_eq!(loads.newest(), 30);
         assert_eq!((loads.answered(2, false), loads.newest()), (Some(20), 30));
         assert_eq!((loads.answered(3, false), loads.newest()), (None, 30));

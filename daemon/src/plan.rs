@@ -25,7 +25,7 @@ pub enum PlanRefusal {
     Unfit(#[from] Unfit),
 }
 
-/// Checks a plan: checksum, fingerprint, id, and [`Config::plan_criteria`]. `payload` must be a copy to which no other
+/// Checks a plan: checksum, id, fingerprint, and [`Config::plan_criteria`]. `payload` must be a copy to which no other
 /// process can write.
 ///
 /// # Errors

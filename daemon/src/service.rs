@@ -395,7 +395,7 @@ impl<'a> ServiceThread<'a> {
         match sent {
             Ok(number) => {
                 info!("plan {} loaded, t_F = {:.3} s", payload.id, payload.t_f);
-                self.loads.ordered(number, payload.id);
+                self.loads.sent(number, payload.id);
                 self.last_refusal.clear();
             }
             Err(reason) => {

@@ -63,7 +63,7 @@ impl Measurement {
 const LOST_AFTER: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(20));
 /// Longest time that the pause between two looks counts for, ns: an interruption of this process is no silence of the other
 /// one.
-const LONGEST_PAUSE_NS: u64 = 10_000_000;
+const LONGEST_PAUSE_NS: u64 = 2 * LONG_NAP_NS;
 
 /// Without a deadline, by the time already waited, ns: up to these a process spins, then naps ever longer.
 const SPIN_NS: u64 = 10_000;

@@ -37,10 +37,9 @@ pub(crate) fn serve(
     let commands = DaemonCommands::new(&node)?;
     let writer = node.writer::<Measurement>()?;
     wake_precisely();
-    let pacing = PlantPacing::new(clock, plant.period(), watchdog_cycles);
     let mut process = PlantProcess {
+        pacing: PlantPacing::new(clock, plant.period(), watchdog_cycles),
         plant,
-        pacing,
         commands,
         writer,
         published: 0,
@@ -79,6 +78,7 @@ impl PlantProcess {
         self.manager.ready();
         self.manager.status(&format!("clock {clock}"));
         while let Some(wake) = self.pacing.wait(&mut self.commands, self.plant.seq(), shutdown) {
+            self.log_presence();
             match wake {
                 PlantWake::Begin(begin) => self.publish(begin),
                 PlantWake::End(command) => {
@@ -87,7 +87,6 @@ impl PlantProcess {
                 }
                 PlantWake::Idle => self.serve_requests(),
             }
-            self.log_presence();
         }
         self.manager.stopping();
         info!(cycle = self.plant.completed(), "plant stopped");

@@ -142,6 +142,7 @@ impl Controller {
     /// Changes the mode to `next`, the mode of the table of modes for `event`. A running plan becomes the loaded plan again, unless a
     /// newer one is loaded.
     pub(super) fn enter(&mut self, event: Event, next: ActiveMode) {
+        // Not in release builds, whose real-time path cannot panic; the tests of the table watch the modes from outside.
         debug_assert_eq!(transition(self.mode(), event), Ok(next.mode()));
         let is_start = matches!(next, ActiveMode::Track(_));
         match std::mem::replace(&mut self.mode, next) {

@@ -1,5 +1,5 @@
-//! Removal of the files that killed processes left unfinished. Only the holder of the creation lock may call it: nobody else
-//! is creating then, so what is unfinished is left over.
+//! Removal of the files that killed processes left unfinished. [`remove`] is for the holder of the creation lock
+//! only: nobody else is creating then, so what is unfinished is left over. The other functions need no lock.
 //!
 //! iceoryx2 0.10 takes an unfinished file for the work of a process that is still at it: to open that service fails for
 //! good, and as root even to list services or to clean up waits without end. It takes unfinished nodes for starting ones

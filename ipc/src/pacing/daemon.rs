@@ -142,13 +142,16 @@ impl DaemonPacing {
     pub fn end(&mut self, start: CycleStart, computed_ns: u64, written_ns: u64) -> CycleTimes {
         let Some(planned_ns) = start.planned_ns else {
             self.late = 0;
-            if self.clock().is_some_and(Clock::stands_still) {
+            let clock = self.clock();
+            if clock.is_some_and(Clock::stands_still) {
                 return CycleTimes::default();
             }
             return CycleTimes {
                 compute_ns: computed_ns - start.read_ns,
                 write_ns: written_ns - computed_ns,
-                overrun: written_ns - start.woken_ns > self.period.nanos(),
+                // The first measurement on `wall` comes here too, but no cycle had been planned.
+                overrun: clock.is_some_and(Clock::is_paced)
+                    && written_ns - start.woken_ns > self.period.nanos(),
                 ..CycleTimes::default()
             };
         };
@@ -211,6 +214,36 @@ impl DaemonPacing {
                 0 => std::hint::spin_loop(),
                 nap => sleep_until(now + nap),
             }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{CycleStart, DaemonPacing};
+    use crate::payload::{Clock, Measurement};
+    use upswing_model::Period;
+
+    #[test]
+    fn only_a_cycle_that_was_paced_or_planned_can_be_late() {
+        let period = Period::from_micros(125);
+        let late = |clock: Option<Clock>, planned_ns: Option<u64>| {
+            let mut pacing = DaemonPacing::new(period);
+            if let Some(clock) = clock {
+                pacing.measurement = Measurement {
+                    seq: 1,
+                    period_ns: period.nanos(),
+                    clock: clock.code(),
+                    ..Measurement::default()
+                };
+            }
+            let start = CycleStart { planned_ns, woken_ns: 1000, read_ns: 1000 };
+            pacing.end(start, 2000, 1001 + period.nanos()).overrun
+        };
+        assert!(late(Some(Clock::Paced), None) && late(Some(Clock::Wall), Some(1000)));
+        // The measurement that first shows that the clock is `wall`, one of an unknown clock, and time that stands still.
+        for clock in [Some(Clock::Wall), None, Some(Clock::Lockstep)] {
+            assert!(!late(clock, None), "{clock:?}");
         }
     }
 }

@@ -238,7 +238,10 @@ impl PlantPacing {
         due_ns: u64,
     ) -> Option<PlantWake> {
         if let Some(command) = commands.take(seq) {
-            self.daemon = Presence::Present;
+            if self.daemon != Presence::Present {
+                self.daemon = Presence::Present;
+                self.patience = Patience::since(monotonic_ns());
+            }
             if command.measurement_seq == shown {
                 return Some(self.end(commands, seq, Some(shown), due_ns, Some(command)));
             }
@@ -389,6 +392,10 @@ mod tests {
         for seq in 1..=2 {
             assert_eq!(plant.work(), ("begin", 0));
             assert!((0..100).all(|_| plant.wake() == ("idle", 0)), "also for a daemon that was never there");
+            if seq == 1 {
+                // However long the plant has waited for a first daemon: this one has just come.
+                plant.pacing.patience.waited_ns = 3_600_000_000_000;
+            }
             plant.daemon.answer(seq - 1);
             assert_eq!(plant.wake(), ("idle", 0), "an answer to an earlier measurement");
             plant.daemon.answer(seq);
