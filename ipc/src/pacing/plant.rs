@@ -392,10 +392,6 @@ mod tests {
         for seq in 1..=2 {
             assert_eq!(plant.work(), ("begin", 0));
             assert!((0..100).all(|_| plant.wake() == ("idle", 0)), "also for a daemon that was never there");
-            if seq == 1 {
-                // However long the plant has waited for a first daemon: this one has just come.
-                plant.pacing.patience.waited_ns = 3_600_000_000_000;
-            }
             plant.daemon.answer(seq - 1);
             assert_eq!(plant.wake(), ("idle", 0), "an answer to an earlier measurement");
             plant.daemon.answer(seq);
@@ -403,6 +399,22 @@ mod tests {
         }
         assert_eq!(plant.wake(), ("idle", 0));
         assert_eq!(plant.pacing.grant(1), Err(GrantError::Past { granted: 2, got: 1 }));
+    }
+
+    #[test]
+    fn a_first_daemon_is_not_lost_however_long_it_took_to_come() {
+        let mut plant = Plant::on(Clock::Lockstep);
+        plant.seq = 2;
+        assert_eq!(plant.pacing.grant(2), Ok(()));
+        assert_eq!(plant.work(), ("begin", 0));
+        assert_eq!(plant.wake(), ("idle", 0));
+        plant.pacing.patience.waited_ns = 3_600_000_000_000;
+        // It has only seen an earlier measurement.
+        plant.daemon.answer(1);
+        assert_eq!(plant.wake(), ("idle", 0));
+        assert_eq!(plant.pacing.daemon(), Presence::Present);
+        plant.daemon.answer(2);
+        assert_eq!(plant.work(), ("end", 2));
     }
 
     #[test]
