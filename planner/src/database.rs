@@ -1,5 +1,5 @@
-//! The trajectory database: [`build()`] it, [`merge()`] its shards, [`verify()`] what it records, and find the entries nearest to a
-//! start ([`NearestPose`]). The format of the file is that of [`upswing_trajectory::Database`].
+//! The trajectory database: [`build()`] it, [`merge()`] its shards, [`verify()`] its records, and find the entries nearest to a
+//! start pose ([`NearestPose`]). The file format is that of [`upswing_trajectory::Database`].
 
 mod build;
 mod merge;
@@ -21,17 +21,17 @@ use upswing_process::output::OutputError;
 use upswing_trajectory::{Certificate, Database, DatabaseError, Heading, Outcome, Trajectory};
 use xxhash_rust::xxh3::Xxh3;
 
-/// A part of the lines of a grid: those whose number, counted from 0, is `number - 1` modulo `of`.
+/// A share of the lines of a grid: the lines whose number, counted from 0, is `number - 1` modulo `of`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shard {
-    /// From 1.
+    /// Number of the shard, from 1.
     pub number: u64,
-    /// How many there are.
+    /// Number of shards.
     pub of: u64,
 }
 
 impl Shard {
-    /// Everything.
+    /// The whole grid.
     pub const WHOLE: Self = Self { number: 1, of: 1 };
 }
 
@@ -46,92 +46,92 @@ impl std::str::FromStr for Shard {
     }
 }
 
-/// Why a build, merge or verification could not be done.
+/// Error of a build, merge or verification of a database.
 #[derive(Debug, thiserror::Error)]
 pub enum BuildError {
     /// A file cannot be read or written.
     #[error("cannot {action} {}: {cause}", path.display())]
     File {
-        /// read, write, ...
+        /// Verb of the operation: read, write, ...
         action: &'static str,
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// Why.
+        /// Error of the operating system.
         cause: std::io::Error,
     },
-    /// The result cannot be written, or may not replace what is there.
+    /// The result cannot be written, or may not replace an existing file.
     #[error(transparent)]
     Output(#[from] OutputError),
-    /// A file is no database, or a damaged one.
+    /// A file is no database or a damaged database.
     #[error("{}: {cause}", path.display())]
     Database {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// Why.
+        /// Error of the decoder.
         cause: DatabaseError,
     },
-    /// A file belongs to something else.
+    /// A file was made for another robot, other settings, another grid or another shard.
     #[error("{}: {what} is {got:016x}, expected {expected:016x}; remove the file or use the settings it was made with", path.display())]
     Foreign {
-        /// Which file.
+        /// Path of the file.
         path: PathBuf,
-        /// Which fingerprint or number.
+        /// Name of the fingerprint or number that differs.
         what: &'static str,
-        /// What it should be.
+        /// Expected value.
         expected: u64,
-        /// What it is.
+        /// Value in the file.
         got: u64,
     },
     /// Shards are missing.
     #[error("shards missing: {} of {of}", .missing.iter().map(u64::to_string).collect::<Vec<_>>().join(", "))]
     Missing {
-        /// Their numbers.
+        /// Numbers of the missing shards, from 1.
         missing: Vec<u64>,
-        /// How many there should be.
+        /// Number of shards of the build.
         of: u64,
     },
-    /// All shards are there, but not all poses: one of them is not finished.
+    /// All shards are present, but not all poses: a shard is not finished.
     #[error(
         "expected {poses} poses in the shards together, got {got}; finish the shards with `upswing db build`"
     )]
     Incomplete {
-        /// How many the grid has.
+        /// Number of poses of the grid.
         poses: u64,
-        /// How many there are.
+        /// Number of poses in the shards.
         got: u64,
     },
-    /// The same pose with different contents.
+    /// Two files have different records of the same pose.
     #[error("pose {pose} differs between {} and {}", first.display(), second.display())]
     Disagree {
-        /// The pose.
+        /// Number of the pose.
         pose: u64,
-        /// One file.
+        /// Path of one file.
         first: PathBuf,
-        /// The other.
+        /// Path of the other file.
         second: PathBuf,
     },
-    /// Another process builds the same file.
+    /// Another process is building the same file.
     #[error("{} is being written by another build; wait for it or choose another output", .0.display())]
     Busy(PathBuf),
-    /// A merge of nothing.
+    /// A merge without input files.
     #[error("no shards given")]
     Nothing,
 }
 
-/// How a build ended.
+/// Result of a build or merge: numbers of poses by outcome.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Summary {
-    /// Poses of this shard.
+    /// Number of poses of this shard.
     pub poses: usize,
-    /// Poses found in the journal or in the finished file.
+    /// Number of poses found in the journal or in the finished file.
     pub resumed: usize,
-    /// Trajectories.
+    /// Number of poses with a trajectory.
     pub solved: usize,
-    /// Poses left out by the rules of the grid.
+    /// Number of poses left out by the rules of the grid.
     pub rejected: usize,
     /// Numbers of the poses without a solution.
     pub failed: Vec<u64>,
-    /// Poses left when the build was stopped; then there is a journal and no file.
+    /// Number of poses without a record when the build was stopped; if not 0, there is a journal and no file.
     pub left: usize,
 }
 
@@ -154,7 +154,7 @@ fn summary(database: &Database, poses: usize, resumed: usize) -> Summary {
     s
 }
 
-/// What a database of the settings' grid has in its header.
+/// The header of a database (or of one shard) for the robot, the optimisation problem and the grid of the settings.
 pub fn heading(config: &Config, shard: Shard) -> Heading {
     Heading {
         model: config.model.fingerprint(),
@@ -166,7 +166,7 @@ pub fn heading(config: &Config, shard: Shard) -> Heading {
     }
 }
 
-/// Identifies a grid.
+/// XXH3 hash of a grid: poses, largest rest angle, and start of the pendulum.
 fn grid_fingerprint(grid: &GridSettings) -> u64 {
     let mut hash = Xxh3::new();
     for number in 0..grid.poses() {
@@ -205,14 +205,14 @@ pub fn read(path: &Path) -> Result<Database, BuildError> {
     Database::decode(&bytes).map_err(|cause| BuildError::Database { path: path.to_owned(), cause })
 }
 
-/// The state from which a pose starts, unless the grid's rules leave it out.
+/// The start state of a pose of the grid, rad and rad/s; `None` if the rules of the grid leave the pose out.
 fn start_of(config: &Config, pose: usize) -> Option<State> {
     let grid = &config.grid;
     let start = config.start_state(&grid.pose(pose), grid.start).ok();
     start.filter(|x| x.q_u().amax() <= grid.max_rest_angle)
 }
 
-/// The certificate of a trajectory under the settings' limits and weights.
+/// Computes the certificate of a trajectory under the limits and weights of the settings.
 pub fn certify(config: &Config, trajectory: &Trajectory) -> Certificate {
     let input_weight = config.planner.offline.input_weight;
     Certificate::of(trajectory, &config.model, &config.robot.planning, input_weight)

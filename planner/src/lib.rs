@@ -1,9 +1,9 @@
 //! Plans of swing-ups and swing-downs: the trajectory database, replanning in milliseconds, and the planner process.
 //!
-//! - [`offline`]: the optimisation problem of the settings, solved for one start; [`database`] applies it to a grid of
-//!   starts and finds the entries nearest to one.
+//! - [`offline`]: the optimisation problem of the settings, solved for one start state; [`database`] applies it to a grid of
+//!   start poses and finds the entries nearest to a start pose.
 //! - [`replan`]: a plan from a measured start; [`predict`]: the state in which a moving system will be when a plan begins.
-//! - [`service`]: the process that answers requests.
+//! - [`service`]: the planner process, which answers requests.
 
 pub mod database;
 mod export;

@@ -1,4 +1,4 @@
-//! Offline optimisation (6), (8), (9)/(11) with the settings of a configuration.
+//! Offline optimisation of a swing-up, (6), (8), (9)/(11), under the settings of a configuration.
 
 use upswing_config::{Config, PlannerSettings, ReplanSettings};
 use upswing_model::{ActuatedVector, N_UNACTUATED, NQ, NU, NX, State};
@@ -11,7 +11,7 @@ use upswing_ocp::qp;
 use upswing_trajectory::{N, Trajectory};
 use xxhash_rust::xxh3::Xxh3;
 
-/// The problem (6), (8) of a start under the settings' limits and weights.
+/// The optimisation problem (6), (8) of a start state (rad, rad/s) under the limits and weights of the settings.
 pub fn problem(config: &Config, start: State) -> Problem<'_> {
     let offline = &config.planner.offline;
     Problem {
@@ -26,7 +26,7 @@ pub fn problem(config: &Config, start: State) -> Problem<'_> {
     }
 }
 
-/// (9), or (11) with the settings' bound c.
+/// The torque constraint (9), or (11) with the bound c of the settings.
 pub fn torque_constraint(config: &Config, form: upswing_config::TorqueConstraint) -> TorqueConstraint {
     let bound = &config.robot.coriolis_bound;
     match form {
@@ -38,7 +38,7 @@ pub fn torque_constraint(config: &Config, form: upswing_config::TorqueConstraint
     }
 }
 
-/// Identifies everything but the robot that a database depends on: limits, torque constraint, weights, target.
+/// XXH3 hash of the inputs of a database other than the robot: limits, torque constraint, weights, target, dimensions.
 pub fn problem_fingerprint(config: &Config) -> u64 {
     let p = problem(config, State::zeros());
     let mut hash = Xxh3::new();
@@ -57,8 +57,8 @@ pub fn problem_fingerprint(config: &Config) -> u64 {
     hash.digest()
 }
 
-/// Optimises the swing-up from a start state; also from the solution of a `neighbour`, where there is one.
-/// A budget of time counts for each guess.
+/// Optimises the swing-up from a start state (rad, rad/s); the solution of a `neighbour`, if given, is a further initial guess.
+/// A time budget in `options` applies to each guess.
 pub fn optimize(
     config: &Config,
     start: State,
@@ -76,7 +76,7 @@ pub fn optimize(
     best
 }
 
-/// The options of the settings.
+/// The options of the interior-point method in the settings; no time budget.
 pub fn options(config: &Config) -> Options<'static> {
     let offline = &config.planner.offline;
     Options {
@@ -87,7 +87,7 @@ pub fn options(config: &Config) -> Options<'static> {
     }
 }
 
-/// The weights of the settings for the gains (20), and for the gain that holds x_N.
+/// The weights of the settings for the gains (20), and for the gain that balances at x_N.
 pub fn lqr_weights(settings: &PlannerSettings) -> lqr::Weights {
     let PlannerSettings { lqr: weights, balance, .. } = settings;
     let q = State::from_fn(|i, _| match i {
@@ -101,7 +101,7 @@ pub fn lqr_weights(settings: &PlannerSettings) -> lqr::Weights {
     lqr::Weights { q, q_end, r: weights.r }
 }
 
-/// The weights of the settings for (17).
+/// The weights of the settings for the objective (17) of a replan.
 pub fn qp_weights(settings: &ReplanSettings) -> qp::Weights {
     let z = KnotVector::from_fn(|i, _| match i {
         i if i < NQ => settings.weight_q[i],

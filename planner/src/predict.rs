@@ -1,13 +1,13 @@
-//! Prediction of the state in which a moving system will be when a plan begins.
+//! Prediction of the state of a moving system at the start of a plan.
 
 use upswing_config::HoldGains;
 use upswing_model::{ActuatedVector, Model, NQ, State, Workspace};
 
-/// The state `seconds` after `x` (rad, rad/s) while the daemon holds the arm at `q_hold` (rad) and the pendulum swings
-/// freely; classical Runge-Kutta with steps of about a millisecond.
+/// Predicts the state `seconds` after `x` (rad, rad/s) while the daemon holds the arm at `q_hold` (rad) and the pendulum
+/// swings freely; classical Runge-Kutta method with steps of at most a millisecond.
 ///
-/// The simulated plant has a Runge-Kutta method of its own, with forces that can fail and brakes; the certificate of a trajectory uses a method
-/// with error control, so that no trajectory is verified by the method that predicted its start.
+/// The simulated plant has its own Runge-Kutta method, with brakes and a check for divergence; the certificate of a trajectory
+/// uses a method with error control, so that no trajectory is verified by the method that predicted its start.
 pub fn held(
     model: &Model,
     gains: &HoldGains,
@@ -16,7 +16,7 @@ pub fn held(
     seconds: f64,
     work: &mut Workspace,
 ) -> State {
-    /// s
+    /// Largest step, s.
     const STEP: f64 = 1e-3;
     let mut f = |x: &State| {
         let u = ActuatedVector::from_fn(|i, _| {

@@ -1,7 +1,7 @@
-//! Replanning from a start near a database entry: (14)-(17), linearised again around each result.
+//! Replanning from a start state near a database entry: QPs (14)-(17), each linearised around the result of the last one.
 //!
-//! QPs only reach as far as the linearisation of an entry. Farther away, and where they end with a needlessly long
-//! motion, the full optimisation (6) takes over, with the same limits: it takes some tenths of a second.
+//! QPs converge only where the linearisation of an entry is accurate. Farther away, and where their plan takes needlessly
+//! long, the full optimisation (6) follows, with the same limits: it takes some tenths of a second.
 //!
 //! A swing-down adapts an entry run backwards: with the velocities reversed it meets the same dynamics (without
 //! friction), limits and torques, from upright to hanging at rest.
@@ -24,24 +24,26 @@ use upswing_ocp::problem::Problem;
 use upswing_ocp::qp::{Backend, Options, Qp, Solution, Solver, Status};
 use upswing_trajectory::{Database, DatabaseError, Entry, Gains, Margins, N, Trajectory, Unfit};
 
-/// Accuracy of each QP. A tenth of the defect that four linearisations reach.
+/// Tolerance of each QP: a tenth of the defect that four linearisations reach.
 const QP_TOLERANCE: f64 = 1e-9;
-/// Its complementarity: an entry, whose bounds are all touched without force, is found again to 1e-6 s.
+/// Complementarity tolerance of each QP: a replan from the start of an entry, where the multipliers of all active bounds are 0,
+/// reproduces the duration of the entry to 1e-6 s.
 const QP_COMPLEMENTARITY: f64 = 1e-12;
 
-/// Distance to the nearest entry, rad, beyond which QPs are not tried where the full optimisation may be: half a diagonal of
-/// a cell is 0.40 for the shipped grid and 0.53 for the paper's.
+/// Distance to the nearest entry, rad, beyond which QPs are skipped if the full optimisation is allowed: half the diagonal of a
+/// cell is 0.40 for the shipped grid and 0.53 for the grid of the paper.
 const REACH: f64 = 0.6;
-/// How much longer a plan of QPs may take than the shortest of the nearest entries, whose duration is about that of the optimum.
-/// The knot margin alone takes 1.5 %.
+/// Largest ratio of the duration of a plan from QPs to that of the shortest of the nearest entries, which is about the optimum.
+/// The knot margin alone costs 1.5 %.
 const LONGER: f64 = 1.035;
-/// The same, of the shortest of as many entries as lie within two cells, which may not be near.
+/// Largest ratio to the shortest of the [`AROUND`] nearest entries, not all of which are near.
 const MUCH_LONGER: f64 = 1.06;
+/// Number of entries within about two cells.
 const AROUND: usize = 24;
-/// How often bounds are narrowed for what a trajectory exceeds between its knots.
+/// Largest number of times that bounds are narrowed because a trajectory exceeds limits between its knots.
 const NARROWED: usize = 20;
 
-/// A trajectory from the start that the daemon would accept.
+/// A trajectory from the requested start that meets the daemon's criteria of acceptance.
 struct Accepted {
     trajectory: Trajectory,
     gains: Gains,
@@ -51,22 +53,22 @@ struct Accepted {
     margins: Margins,
 }
 
-/// How much may be spent on a plan.
+/// Limits on the computation of a plan.
 #[derive(Clone, Copy)]
 pub struct Effort<'a> {
-    /// Most linearisations per entry, at least one; fewer where the defect closes before.
+    /// Largest number of linearisations per entry, at least 1; fewer if the defect is closed earlier.
     pub iterations: usize,
-    /// Whether to optimise in full where QPs do not lead to a plan with a closed defect and about the shortest duration.
+    /// Whether to run the full optimisation if QPs give no plan with a closed defect and about the shortest duration.
     pub optimise: bool,
-    /// No iteration of a solver is begun after this.
+    /// No iteration of a solver begins after this moment.
     pub deadline: Option<Instant>,
-    /// Asked before each iteration of the structured solver, and before the first one of Clarabel: whether to stop, because the client
-    /// is gone.
+    /// Returns whether to stop, because the client has disconnected; called before each iteration of the structured solver and
+    /// before the first iteration of Clarabel.
     pub cancelled: Option<&'a dyn Fn() -> bool>,
 }
 
 impl Effort<'_> {
-    /// Without limits of time; with the full optimisation, but for one QP, the paper's mode.
+    /// No time limit; with the full optimisation, except for one QP, the mode of the paper.
     pub fn iterations(iterations: usize) -> Self {
         Self { iterations, optimise: iterations > 1, deadline: None, cancelled: None }
     }
@@ -76,13 +78,13 @@ impl Effort<'_> {
         self.deadline.is_some_and(|d| Instant::now() >= d)
     }
 
-    /// Whether the client is gone.
+    /// Whether the client has disconnected.
     fn is_cancelled(&self) -> bool {
         self.cancelled.is_some_and(|cancelled| cancelled())
     }
 }
 
-/// Why there is no planner.
+/// Error of loading the database of a planner.
 #[derive(Debug, thiserror::Error)]
 pub enum PlannerError {
     /// The database cannot be read.
@@ -91,27 +93,27 @@ pub enum PlannerError {
     /// The database cannot be used.
     #[error("{origin}: {cause}")]
     Database {
-        /// Where it comes from.
+        /// Source of the database.
         origin: String,
-        /// What is wrong with it.
+        /// Error of the database.
         cause: DatabaseError,
     },
 }
 
-/// Replans from measured starts.
+/// Planner of swing-ups and swing-downs from a measured start: settings, database entries and their search trees.
 #[derive(Clone, Debug)]
 pub struct Planner {
     config: Config,
-    /// Where the entries come from.
+    /// Source of the entries, for messages.
     origin: String,
     entries: Vec<Entry>,
-    /// Poses from which the entries start, and in which they end.
+    /// Search trees of the poses in which the entries start, and in which they end.
     starts: NearestPose,
     ends: NearestPose,
 }
 
 impl Planner {
-    /// Plans with the database of the settings.
+    /// Creates a planner with the database of the settings.
     ///
     /// # Errors
     /// [`PlannerError`] if the database is unreadable, damaged, or was made for another robot or other settings.
@@ -120,7 +122,7 @@ impl Planner {
         Self::with_database(config, database)
     }
 
-    /// Plans with another database than that of the settings.
+    /// Creates a planner with another database than that of the settings.
     ///
     /// # Errors
     /// As [`Self::new`].
@@ -135,7 +137,7 @@ impl Planner {
         }
     }
 
-    /// Plans with `entries` that were made for these settings; `origin` says where they come from.
+    /// Creates a planner with `entries` that were made for these settings; `origin` names their source in messages.
     pub fn with_entries(config: Config, origin: String, entries: Vec<Entry>) -> Self {
         let poses = |knot: usize| entries.iter().map(move |e| pose(&e.trajectory.x[knot]));
         let metric = &config.planner.replan.metric;
@@ -148,7 +150,7 @@ impl Planner {
         &self.config
     }
 
-    /// Where the database comes from, for messages.
+    /// Source of the database, for messages.
     pub fn origin(&self) -> &str {
         &self.origin
     }
@@ -158,12 +160,12 @@ impl Planner {
         &self.entries
     }
 
-    /// The entries nearest to a start state, nearest first.
+    /// The `replan.neighbours` entries nearest to a start state (rad, rad/s), nearest first.
     pub fn nearest(&self, manoeuvre: Manoeuvre, start: &State) -> Vec<Neighbour> {
         self.tree(manoeuvre).nearest(&pose(start), self.config.planner.replan.neighbours)
     }
 
-    /// The poses in which trajectories of a manoeuvre begin.
+    /// Search tree of the poses in which trajectories of a manoeuvre begin.
     fn tree(&self, manoeuvre: Manoeuvre) -> &NearestPose {
         match manoeuvre {
             Manoeuvre::SwingUp => &self.starts,
@@ -171,7 +173,7 @@ impl Planner {
         }
     }
 
-    /// A QP solver as the settings ask for, with its memory.
+    /// A QP solver of the back end in the settings, with its memory.
     pub fn solver(&self) -> Solver {
         let settings = &self.config.planner.replan;
         let backend = match settings.backend {
@@ -181,7 +183,7 @@ impl Planner {
         Solver::new(backend, N / settings.sub_horizons)
     }
 
-    /// A swing-up from `start` by [`Self::replan_with`] a new solver.
+    /// Plans a swing-up from `start` (rad, rad/s): [`Self::replan_with`] a new solver.
     ///
     /// # Errors
     /// [`NoPlan`] with the reason for each entry tried.
@@ -195,7 +197,7 @@ impl Planner {
         self.replan_with(&mut self.solver(), Manoeuvre::SwingUp, start, &effort)
     }
 
-    /// Plans from `start` (rad, rad/s). What `solver` did before has no influence.
+    /// Plans a manoeuvre from `start` (rad, rad/s). Earlier solves of `solver` have no influence.
     ///
     /// # Errors
     /// [`NoPlan`] with the reason for each entry tried.
@@ -238,7 +240,7 @@ impl Planner {
             let durations = of.iter().map(|n| self.entries[n.index].trajectory.t_f);
             durations.fold(f64::INFINITY, f64::min)
         };
-        // Nearer entries alone may all be of another, longer local optimum.
+        // The nearest entries may all belong to another, longer local optimum.
         let around = self.tree(manoeuvre).nearest(&pose(start), AROUND);
         let longest = (LONGER * shortest(&neighbours)).min(MUCH_LONGER * shortest(&around));
         let good = |(_, accepted): &(Neighbour, Accepted)| {
@@ -261,7 +263,7 @@ impl Planner {
         Ok(Replan { trajectory, gains, method, entry, refused, iterations, defect, margins, statistics })
     }
 
-    /// The trajectory of an entry, backwards for a swing-down.
+    /// The trajectory of an entry, reversed in time for a swing-down.
     fn reference(&self, manoeuvre: Manoeuvre, entry: usize) -> Trajectory {
         match manoeuvre {
             Manoeuvre::SwingUp => self.entries[entry].trajectory.clone(),
@@ -321,8 +323,8 @@ impl Planner {
         self.accept(trajectory, Method::Quadratic, done, statistics)
     }
 
-    /// Finds the optimum (6) as for a database entry, or from the nearest `entry`, and narrows the bounds where it exceeds a
-    /// limit between knots: the intervals of a slow motion are long.
+    /// Solves the full optimisation (6) as for a database entry, then from the nearest `entry` if that fails, and narrows the
+    /// bounds where the result exceeds a limit between knots: the intervals of a slow motion are long.
     fn optimise(
         &self,
         manoeuvre: Manoeuvre,
@@ -347,7 +349,7 @@ impl Planner {
         for round in 0.. {
             statistics.optimisation += begin.elapsed();
             iterations += solution.iterations;
-            // Of a stalled one all constraints are kept, too.
+            // A stalled solution satisfies all constraints, too.
             if !matches!(solution.status, Ending::Solved | Ending::Stalled) {
                 let ending = match solution.status {
                     _ if effort.is_cancelled() => Ending::Interrupted,
@@ -380,7 +382,7 @@ impl Planner {
         unreachable!("the last round returns")
     }
 
-    /// Gives a trajectory its gains, if the daemon will accept both.
+    /// Synthesises the gains of a trajectory, if trajectory and gains meet the daemon's criteria of acceptance.
     fn accept(
         &self,
         trajectory: Trajectory,
@@ -408,7 +410,8 @@ impl Planner {
         Ok(Accepted { trajectory, gains, method, iterations, defect, margins })
     }
 
-    /// The problem of a replan: the limits with the margin that the trapezoidal rule needs between the knots.
+    /// The optimisation problem of a replan from `start` (rad, rad/s): limits narrowed by the knot margin, which the trapezoidal
+    /// rule needs between the knots.
     pub fn problem(&self, start: &State) -> Problem<'_> {
         self.problem_with_margin(start, self.config.planner.replan.knot_margin)
     }
@@ -421,7 +424,7 @@ impl Planner {
         let (middle, half) = ((l.q_max + l.q_min) * 0.5, (l.q_max - l.q_min) * 0.5);
         let share = 1.0 - knot_margin;
         l.tau_max *= share;
-        // A start beyond these limits, or measured a hair outside, must not make the first step infeasible.
+        // A start outside the narrowed limits, or measured slightly outside the limits, must not make the first step infeasible.
         l.q_min = (middle - half * share).inf(&start.q());
         l.q_max = (middle + half * share).sup(&start.q());
         l.qd_max = (l.qd_max * share).sup(&start.qd().abs());
@@ -429,9 +432,9 @@ impl Planner {
         problem
     }
 
-    /// Solves one QP, or its sub-horizons one after the other, and moves the trajectory by the solution. Where the structured
-    /// solver stalls, Clarabel solves the QP: it scales the program and compares objectives relatively, so that it
-    /// also solves programs whose numbers are very large or very different.
+    /// Solves one QP, or its sub-horizons one after the other, and adds the solution to the trajectory. If the structured solver
+    /// stalls, Clarabel solves the QP: it scales the program and compares objectives relatively, so that it also solves programs
+    /// with very large or very different numbers.
     fn move_by_qp(
         &self,
         qp: &Qp,
@@ -485,7 +488,7 @@ impl Planner {
     }
 }
 
-/// What `solver` found in the linearisation `iteration`, or why it found nothing.
+/// The solution of `solver` in the linearisation `iteration`, or the reason of its failure.
 fn solution_of(solver: &Solver, status: Status, iteration: usize) -> Result<Solution, Refusal> {
     match status {
         Status::Solved => Ok(solver.solution().clone()),
@@ -496,8 +499,7 @@ fn solution_of(solver: &Solver, status: Status, iteration: usize) -> Result<Solu
     }
 }
 
-/// Widens the limits of position to what the target asks for: it may lie on a limit, which the knot margin would put out
-/// of reach.
+/// Widens the position limits to the target: it may lie on a limit, which the knot margin makes infeasible.
 fn keep_target_within(problem: &mut Problem<'_>) {
     for row in &problem.target {
         if let Some(i) = row.joint() {

@@ -1,11 +1,11 @@
-//! Why the planner makes no plan for a request.
+//! Reasons for which the planner refuses a request or makes no plan.
 
 use crate::replan::NoPlan;
 use std::time::Duration;
 use upswing_ipc::operator::Manoeuvre;
 use upswing_ipc::{Mode, PlannerStatus, UnknownCode};
 
-/// Why the planner makes no plan for a request. The text is the reason in the response.
+/// Error of a request to the planner. Its text is the reason in the response.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum RequestError {
     /// The kind of the request does not exist.
@@ -32,13 +32,13 @@ pub(crate) enum RequestError {
     /// The daemon has sent no telemetry since the planner started.
     #[error("no telemetry from the daemon yet: is upswingd running?")]
     NoTelemetry,
-    /// The daemon has been silent for seconds.
+    /// The newest telemetry of the daemon is seconds old.
     #[error("no telemetry from the daemon for some seconds: is upswingd running?")]
     DaemonSilent,
     /// The mode in the telemetry does not exist.
     #[error(transparent)]
     UnknownMode(UnknownCode),
-    /// In its present mode the daemon cannot start the manoeuvre.
+    /// The daemon is not in the mode from which the manoeuvre starts.
     #[error(
         "a {manoeuvre} from now needs the daemon in mode {needed}, it is in {mode}; next: {}", .mode.next_action()
     )]
@@ -62,7 +62,7 @@ pub(crate) enum RequestError {
 }
 
 impl RequestError {
-    /// The status in the response.
+    /// Status code in the response for this error.
     pub(crate) fn status(&self) -> PlannerStatus {
         match self {
             Self::UnknownKind(_) | Self::Iterations { .. } | Self::StartNotFinite { .. } => {

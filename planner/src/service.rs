@@ -1,4 +1,4 @@
-//! The planner process: answers requests with plans.
+//! The planner process: answers requests for plans and publishes the plans.
 
 use crate::predict;
 use crate::replan::{Effort, Method, NoPlan, Planner, Replan};
@@ -20,22 +20,22 @@ use upswing_process::notify::Notifier;
 use upswing_process::{Failure, ProcessArgs, shutdown_flag};
 use upswing_trajectory::Plan;
 
-/// Pause between two looks for requests: small against a replan.
+/// Pause between two polls for requests: short compared with a replan.
 const PAUSE: Duration = Duration::from_millis(1);
 
-/// Telemetry older than this says nothing about now.
+/// Largest age of telemetry that describes the present state.
 const FRESH: Duration = Duration::from_secs(5);
 
-/// A moving state is predicted from telemetry that is at most this old.
+/// Largest age of telemetry from which a moving state is predicted.
 const EXTRAPOLATED: Duration = Duration::from_millis(200);
 
-/// A plan from a moving state that was late is made so many times again, each time further ahead.
+/// Number of further attempts if a plan from a moving state is late; each attempt predicts further ahead.
 const LATE: usize = 3;
 
-/// How far ahead a plan may begin.
+/// Longest time from a request to the start of its plan.
 const LONGEST_LEAD: Duration = Duration::from_secs(1);
 
-/// Longest time for news of the daemon to arrive.
+/// Longest wait for telemetry that may turn a refusal (`NotReady`) into a plan.
 const HANDS_OVER: Duration = Duration::from_millis(200);
 
 /// Runs the planner until SIGINT or SIGTERM.
@@ -70,14 +70,14 @@ fn serve(planner: &Planner, domain: &Domain, stop: &Arc<AtomicBool>) -> Result<(
             let begin = Instant::now();
             let mut attempts = 0;
             let (response, plan) = loop {
-                // What was measured until now counts. An error comes again with the next look.
+                // Plan from the newest telemetry. An error is dropped here: the next poll of the main loop returns it again.
                 if let Ok(Some(record)) = drain(&telemetry) {
                     handler.observe(record, Instant::now());
                 }
                 let answer = handler.answer(request, wanted);
                 attempts += usize::from(handler.late);
                 let again = handler.late && attempts <= LATE;
-                // Who enables the daemon and asks at once is here before the telemetry of that.
+                // A client that enables the daemon and requests a plan at once is faster than the telemetry of the new mode.
                 let early = answer.0.status() == Ok(PlannerStatus::NotReady);
                 if !((again || early && begin.elapsed() < HANDS_OVER) && wanted()) {
                     break answer;
@@ -109,10 +109,10 @@ fn serve(planner: &Planner, domain: &Domain, stop: &Arc<AtomicBool>) -> Result<(
     Ok(())
 }
 
-/// The newest record waiting.
+/// Receives all waiting telemetry and returns the newest record; `None` if none is waiting.
 fn drain(telemetry: &Subscriber<TelemetryBatch>) -> Result<Option<Telemetry>, upswing_ipc::IpcError> {
     let mut newest = None;
-    // Bounded: a publisher that never pauses must not keep the planner here.
+    // Bounded: a publisher that never pauses must not block the planner.
     for _ in 0..TelemetryBatch::BUFFER {
         let Some(batch) = telemetry.receive()? else { break };
         newest = batch.used().last().copied().or(newest);
@@ -120,34 +120,34 @@ fn drain(telemetry: &Subscriber<TelemetryBatch>) -> Result<Option<Telemetry>, up
     Ok(newest)
 }
 
-/// Answers requests for plans; holds what the planner keeps between requests.
+/// Handler of requests for plans, with the state that the planner process keeps between requests.
 pub struct RequestHandler<'a> {
     planner: &'a Planner,
     solver: Solver,
-    /// The newest record of the daemon, and when it came.
+    /// The newest record of the daemon and the time of its arrival.
     newest: Option<(Telemetry, Instant)>,
-    /// A state at rest with the swing-up from it, or none if that failed.
+    /// A state at rest and the prepared swing-up from it; the swing-up is `None` if the replan failed.
     prepared: Option<(State, Option<Replan>)>,
-    /// From a request to the start of its plan, while something moves: at least the setting, and more on a machine that
-    /// needs more.
+    /// Time from a request to the start of its plan while the pendulum moves: at least `replan.lead`, more on a slow machine.
     lead: Duration,
-    /// QPs on which Clarabel was asked, since the start of the process.
+    /// Number of QPs on which Clarabel was asked since the start of the process.
     second_opinions: usize,
-    /// The last plan was made, but too late for its start; the next one will begin later.
+    /// Whether the last plan was ready only after its start; the next plan will begin later.
     late: bool,
 }
 
-/// With which state a plan begins, and when.
+/// Start of a plan: state and time.
 struct Start {
+    /// rad, rad/s.
     x: State,
-    /// The moment of `x` on the daemon's clock, ns; `None`: the daemon keeps the robot there.
+    /// Time of `x` on the daemon's clock, ns; `None`: the daemon holds the robot in `x`.
     activation_ns: Option<u64>,
-    /// The same moment here, where it is still to come.
+    /// The same time on the clock of this process; `None` if `activation_ns` is.
     due: Option<Instant>,
 }
 
 impl<'a> RequestHandler<'a> {
-    /// Nothing observed, nothing prepared.
+    /// Creates a handler without telemetry and without a prepared plan.
     pub fn new(planner: &'a Planner) -> Self {
         let lead = planner.config().planner.replan.lead;
         Self {
@@ -161,17 +161,17 @@ impl<'a> RequestHandler<'a> {
         }
     }
 
-    /// Takes note of the daemon's newest record, which came at `seen`.
+    /// Stores the newest record of the daemon, which arrived at `seen`.
     pub fn observe(&mut self, record: Telemetry, seen: Instant) {
         self.newest = Some((record, seen));
     }
 
-    /// While the arm holds and nothing moves, keeps a swing-up from here ready, so that a request is answered at once;
-    /// stops as soon as `wanted` returns false.
+    /// Prepares a swing-up from the present state while the daemon is in Hold and nothing moves, so that a request is answered at
+    /// once; stops as soon as `wanted` returns false.
     pub fn prepare(&mut self, wanted: &dyn Fn() -> bool) {
         let Some((record, seen)) = &self.newest else { return };
         let start = measured(record);
-        // In lockstep equal runs give equal plans, however long they take.
+        // Not in lockstep: there equal runs have to give equal plans, however long planning takes.
         if stands_still(record)
             || stale(record, *seen)
             || record.mode() != Ok(Mode::Hold)
@@ -197,7 +197,7 @@ impl<'a> RequestHandler<'a> {
         self.prepared = Some((start, replan.ok()));
     }
 
-    /// Checks and answers one request; planning stops as soon as `wanted` returns false.
+    /// Checks and answers one request: the response and the plan, if any; planning stops as soon as `wanted` returns false.
     pub fn answer(
         &mut self,
         request: &PlannerRequest,
@@ -235,7 +235,7 @@ impl<'a> RequestHandler<'a> {
         begin: Instant,
         wanted: &dyn Fn() -> bool,
     ) -> Result<(PlannerResponse, Option<Plan>), RequestError> {
-        /// More linearisations than this change nothing any more.
+        /// Largest number of linearisations in a request; further ones change nothing.
         const MOST_ITERATIONS: u64 = 100;
         let settings = &self.planner.config().planner.replan;
         let iterations = match request.iterations {
@@ -273,7 +273,7 @@ impl<'a> RequestHandler<'a> {
             self.second_opinions += log_second_opinions(&replan);
             replan
         };
-        // For a moving start, which is due soon, a somewhat longer motion is better than one that comes late.
+        // For a moving start, which is due soon, a somewhat longer plan is better than a late plan.
         let replan = if due.is_some() {
             replan(&Effort { optimise: false, ..effort }).or_else(|_| replan(&effort))
         } else {
@@ -293,8 +293,9 @@ impl<'a> RequestHandler<'a> {
         Ok((PlannerResponse { plan_id: plan.id, activation_ns, ..describe(&replan, settings) }, Some(plan)))
     }
 
-    /// The measured state, if the daemon keeps it: at rest in Hold, or balanced. While something moves it is the one predicted for
-    /// the activation of the plan; but in lockstep, where the operator decides how much time passes meanwhile, the measured one.
+    /// The start of a plan "from now": the measured state if the daemon holds it (at rest in Hold, or balanced); while the
+    /// pendulum moves, the state predicted for the activation of the plan. In lockstep always the measured state, because there
+    /// the operator decides how much time passes during planning.
     fn start_from_now(&self, manoeuvre: Manoeuvre, begin: Instant) -> Result<Start, RequestError> {
         let Some((record, seen)) = &self.newest else {
             return Err(RequestError::NoTelemetry);
@@ -333,33 +334,33 @@ impl<'a> RequestHandler<'a> {
     }
 }
 
-/// x of a record, rad and rad/s.
+/// The measured state x in a record, rad and rad/s.
 fn measured(record: &Telemetry) -> State {
     State::from_fn(|i, _| if i < NQ { record.q[i] } else { record.qd[i - NQ] })
 }
 
-/// Whether time stands still on the clock of the plant while a plan is made.
+/// Whether the clock of the plant stands still while a plan is made.
 fn stands_still(record: &Telemetry) -> bool {
     record.clock().is_ok_and(Clock::stands_still)
 }
 
-/// Whether the daemon that sent a record, seen at `seen`, may be gone.
+/// Whether a record that arrived at `seen` is too old, so that its daemon may have ended.
 fn stale(record: &Telemetry, seen: Instant) -> bool {
     !stands_still(record) && seen.elapsed() > FRESH
 }
 
-/// Whether nothing moves but the noise of the velocity filter.
+/// Whether all velocities are within the noise of the velocity filter.
 fn at_rest(x: &State) -> bool {
     x.iter().skip(NQ).all(|v| v.abs() <= REST_SPEED_START)
 }
 
-/// Whether the pendulum of an arm at rest stays where it is: it does not turn round at the end of a swing.
+/// Whether arm and pendulum are at rest and stay there: the pendulum is not at the turning point of a swing.
 fn hangs(model: &Model, x: &State) -> bool {
     let f = model.f(x, &ActuatedVector::zeros(), &mut Workspace::default());
     at_rest(x) && (NQ + NU..NX).all(|i| f[i].abs() <= HELD_ACCELERATION)
 }
 
-/// Whether a plan from one state is as good from the other, for states at rest.
+/// Whether a plan from `a` can start in `b`: both are at rest in the same pose.
 fn near(a: &State, b: &State) -> bool {
     at_rest(a) && at_rest(b) && (0..NQ).all(|i| (a[i] - b[i]).abs() <= SAME_START)
 }
@@ -382,7 +383,7 @@ fn check_start(planner: &Planner, start: &State) -> Result<(), RequestError> {
     Ok(())
 }
 
-/// Logs the QPs of a replan on which Clarabel was asked; their number.
+/// Logs the QPs of a replan on which Clarabel was asked, and returns their number.
 fn log_second_opinions(replan: &Result<Replan, NoPlan>) -> usize {
     let second_opinions = match replan {
         Ok(replan) => &replan.statistics.second_opinions,
@@ -392,10 +393,10 @@ fn log_second_opinions(replan: &Result<Replan, NoPlan>) -> usize {
     second_opinions.len()
 }
 
-/// What an answer says of a plan, but for its id and the time in all.
+/// The response for a plan, without its id and the total time.
 pub fn describe(replan: &Replan, settings: &ReplanSettings) -> PlannerResponse {
     let micros = |d: Duration| d.as_secs_f64() * 1e6;
-    // Written so that NaN is open.
+    // Written so that a NaN counts as an open defect.
     let closed = replan.defect <= settings.defect;
     let status = if closed { PlannerStatus::Solved } else { PlannerStatus::OpenDefect };
     let reason = match replan.method {

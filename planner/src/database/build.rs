@@ -1,10 +1,10 @@
-//! Builds trajectory databases: on all cores, resumable, in shards.
+//! Build of a trajectory database: on all cores, resumable, in shards.
 //!
 //! The poses of a grid form lines along its last axis. A line is solved from one end to the other, each pose from the
-//! usual guesses and from the solution before it; the cheapest solution is kept. Lines do not depend on each other,
-//! so that neither the number of cores, nor an interruption, nor shards change a bit of the result.
+//! initial guesses of [`Search::Best`] and from the solution of the pose before it; the cheapest solution is kept. Lines do
+//! not depend on each other, so that neither the number of cores, nor an interruption, nor shards change a bit of the result.
 //!
-//! Every finished line is appended to a journal beside the output; a build that finds one goes on where it ends.
+//! Every finished line is appended to a journal beside the output; a build that finds a journal continues after its last line.
 
 use super::{BuildError, Shard, Summary, certify, heading, same_origin, start_of, summary};
 use crate::offline::{optimize, options};
@@ -21,7 +21,7 @@ use upswing_ocp::multistart::Search;
 use upswing_process::output::Output;
 use upswing_trajectory::{Database, DatabaseError, Entry, Heading, Outcome, Record, Trajectory};
 
-/// Poses of one line, in order.
+/// Numbers of the poses of one line of the grid, in order.
 type Line = Vec<usize>;
 
 fn lines(grid: &GridSettings, shard: Shard) -> Vec<Line> {
@@ -32,18 +32,19 @@ fn lines(grid: &GridSettings, shard: Shard) -> Vec<Line> {
         .collect()
 }
 
-/// The journal of an output file.
+/// Path of the journal of an output file.
 fn journal_path(output: &Path) -> PathBuf {
     let mut path = output.as_os_str().to_owned();
     path.push(".journal");
     path.into()
 }
 
-/// Builds the database (or one shard of it) of the settings' grid into `output`. `progress` is told how many poses
-/// are done; raising `stop` ends the build, the journal keeps what is finished. A finished file of the same build is left as it is.
+/// Builds the database (or one shard of it) of the settings' grid into `output`. `progress` gets the number of
+/// poses finished since its last call. Raising `stop` stops the build; the journal keeps the finished lines. A finished file of
+/// the same build is not changed.
 ///
 /// # Errors
-/// [`BuildError`] if a file cannot be used or belongs to other settings; nothing finished is lost.
+/// [`BuildError`] if a file cannot be used or belongs to other settings; no finished line is lost.
 pub fn build(
     config: &Config,
     shard: Shard,
@@ -65,7 +66,7 @@ pub fn build(
     records.sort_by_key(|r| r.pose);
     records.dedup_by_key(|r| r.pose);
     let done: HashSet<u64> = records.iter().map(|r| r.pose).collect();
-    // A line is journaled at once: one that is there in part belongs to a process that was killed while writing.
+    // Each line is journaled in one write: a partial line is left by a process that was killed while writing it.
     let whole = |line: &Line| line.iter().all(|pose| done.contains(&(*pose as u64)));
     let kept: HashSet<u64> = lines.iter().filter(|line| whole(line)).flatten().map(|p| *p as u64).collect();
     records.retain(|r| kept.contains(&r.pose));
@@ -74,7 +75,7 @@ pub fn build(
     let results: Mutex<Result<Vec<Record>, BuildError>> = Mutex::new(Ok(records));
     let journal = Mutex::new(&mut file);
     lines.par_iter().filter(|line| !whole(line)).for_each(|line| {
-        // Another line may have failed to be written.
+        // Stop, too, if the write of another line failed.
         let halted = || stop.load(Ordering::Acquire) || results.lock().map_or(true, |r| r.is_err());
         let Some(solved) = solve_line(config, line, &halted, stop) else { return };
         let bytes: Vec<u8> = solved.iter().flat_map(Record::encode).collect();
@@ -92,7 +93,7 @@ pub fn build(
             }
         }
     });
-    // A poisoned lock means a panic, which has been passed on already.
+    // A poisoned lock means a panic, which rayon has propagated already.
     let mut records = results.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner())?;
     records.sort_by_key(|r| r.pose);
     let database = Database { heading, records };
@@ -104,7 +105,7 @@ pub fn build(
     Ok(summary)
 }
 
-/// Solves a line; `None` if it was halted.
+/// Solves the poses of a line; `None` if the build was stopped or failed meanwhile.
 fn solve_line(
     config: &Config,
     line: &Line,
@@ -123,7 +124,7 @@ fn solve_line(
             None => Outcome::Rejected,
             Some(start) => {
                 let solution = optimize(config, start, Search::Best, neighbour.as_ref(), &options);
-                // The best of some guesses need not be the best of all.
+                // An interrupted search has tried some guesses only: its best solution need not be the best of all.
                 if stopped() {
                     return None;
                 }
@@ -142,7 +143,7 @@ fn solve_line(
     Some(records)
 }
 
-/// The finished file of exactly this build, if it is there. One of other settings is replaced in the end.
+/// The finished database at `output` if its header is that of this build. A file of other settings is replaced at the end.
 fn finished(output: &Path, heading: &Heading) -> Result<Option<Database>, BuildError> {
     match upswing_config::read_file(output) {
         Ok(bytes) => Ok(Database::decode(&bytes).ok().filter(|d| d.heading == *heading)),
@@ -151,13 +152,13 @@ fn finished(output: &Path, heading: &Heading) -> Result<Option<Database>, BuildE
     }
 }
 
-/// Opens the journal for appending, with what is whole in it.
+/// Opens the journal for appending, locks it, and reads its complete records.
 fn open_journal(path: &Path, heading: &Heading) -> Result<(File, Vec<Record>), BuildError> {
     let failed = |action| move |cause| BuildError::File { action, path: path.to_owned(), cause };
     let open = || {
         upswing_config::check_regular(path).map_err(failed("write"))?;
         let file = OpenOptions::new().create(true).append(true).open(path).map_err(failed("write"))?;
-        // Held until the build ends; the kernel releases it if the process dies.
+        // The lock is held until the build ends; the kernel releases it if the process dies.
         match file.try_lock() {
             Ok(()) => Ok(file),
             Err(TryLockError::WouldBlock) => Err(BuildError::Busy(path.to_owned())),
@@ -173,7 +174,7 @@ fn open_journal(path: &Path, heading: &Heading) -> Result<(File, Vec<Record>), B
     if bytes.is_empty() {
         return begin(file);
     }
-    // A journal killed within its header holds nothing.
+    // A journal that ends within its header, because the process was killed, holds no records.
     let Ok((journal, whole)) = Database::recover(&bytes) else {
         if bytes.len() >= heading.journal().len() {
             let cause = Database::recover(&bytes).err().unwrap_or(DatabaseError::Empty);

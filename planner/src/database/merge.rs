@@ -1,4 +1,4 @@
-//! Joins the shards of one build.
+//! Merge of the shards of one database build.
 
 use super::{BuildError, Summary, read, same_origin, summary};
 use std::collections::{BTreeMap, BTreeSet};
@@ -6,13 +6,13 @@ use std::path::PathBuf;
 use upswing_process::output::{Output, OutputError};
 use upswing_trajectory::{Database, Heading, Record};
 
-/// Joins the shards of one build into `output`; the order of the files does not matter, and the result has the bytes
-/// of a build in one piece. Says what it holds.
+/// Merges the shards of one build into `output` and returns the numbers of poses. The order of the files does not matter; the
+/// result has the bytes of an unsharded build.
 ///
 /// # Errors
 /// [`BuildError`] for missing shards, files of different builds, and poses that differ between files.
 pub fn merge(inputs: &[PathBuf], output: &Output) -> Result<Summary, BuildError> {
-    // What is there may be the result of this merge.
+    // An existing output is tolerated here: it may already be the result of this merge.
     if let Err(e @ OutputError::Io { .. }) = output.check() {
         return Err(e.into());
     }
@@ -30,7 +30,7 @@ pub fn merge(inputs: &[PathBuf], output: &Output) -> Result<Summary, BuildError>
         present.insert(database.heading.shard);
         for record in database.records {
             match records.get(&record.pose) {
-                // Compared as bytes: NaN would differ from itself.
+                // Compared as bytes, because NaN differs from itself.
                 Some((known, file)) if known.encode() != record.encode() => {
                     let (first, second) = (file.clone(), path.clone());
                     return Err(BuildError::Disagree { pose: record.pose, first, second });

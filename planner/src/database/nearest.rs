@@ -1,28 +1,28 @@
 //! K-D tree over the start poses of a database (Bentley, *Multidimensional binary search trees used for
 //! associative searching*, CACM 18, 1975).
 //!
-//! Split by rank, not by value, so that the repeated coordinates of a regular grid do no harm; of equally near
-//! poses the one with the lower index wins, as in a linear search.
+//! Nodes are split by rank, not by value, so that the tree of a regular grid with its repeated coordinates is balanced; of
+//! equally near poses the pose with the lower index wins, as in a linear search.
 
 use upswing_model::NU;
 
-/// A start pose in coordinates in which the distance is Euclidean.
+/// A pose in coordinates scaled by the square root of the metric, in which the distance is Euclidean.
 type Point = [f64; NU];
 
-/// The tree: poses and their indices in the order of an in-order walk of a balanced tree.
+/// K-D tree of poses, stored with their indices in the order of an in-order traversal of a balanced tree.
 #[derive(Clone, Debug)]
 pub struct NearestPose {
-    /// sqrt of the metric's weights.
+    /// Square roots of the weights of the metric.
     scale: Point,
     nodes: Vec<(Point, usize)>,
 }
 
-/// A pose found.
+/// A pose found by [`NearestPose::nearest`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Neighbour {
-    /// Index of the pose in the list the tree was built from.
+    /// Index of the pose in the list that the tree was built from.
     pub index: usize,
-    /// sqrt(sum_i w_i (q_i - p_i)^2), rad.
+    /// Weighted distance sqrt(sum_i w_i (q_i - p_i)^2), rad.
     pub distance: f64,
 }
 
@@ -39,7 +39,7 @@ impl NearestPose {
         Self { scale, nodes }
     }
 
-    /// The `count` nearest poses to `q` (rad), nearest first; fewer if there are fewer.
+    /// The `count` nearest poses to `q` (rad), nearest first; fewer if the tree has fewer poses.
     pub fn nearest(&self, q: &[f64; NU], count: usize) -> Vec<Neighbour> {
         let point = std::array::from_fn(|j| q[j] * self.scale[j]);
         let mut found = Vec::with_capacity(count + 1);
@@ -50,7 +50,7 @@ impl NearestPose {
     }
 }
 
-/// Puts the median of the coordinate `depth` in the middle, smaller ones before it, and so on.
+/// Arranges `nodes` as a tree: the median of coordinate `depth` modulo NU in the middle, the halves recursively.
 fn arrange(nodes: &mut [(Point, usize)], depth: usize) {
     if nodes.len() < 2 {
         return;
@@ -63,7 +63,7 @@ fn arrange(nodes: &mut [(Point, usize)], depth: usize) {
     arrange(&mut rest[1..], depth + 1);
 }
 
-/// Collects the nearest (squared distance, index), sorted, at most `count`.
+/// Collects the nearest nodes below a subtree as (squared distance, index), sorted, at most `count`.
 fn search(
     nodes: &[(Point, usize)],
     depth: usize,

@@ -1,4 +1,4 @@
-//! Where the planner's database comes from: the shipped one, the one in a folder of settings, or a file.
+//! Source of a trajectory database: shipped with the embedded settings, in a folder of settings, or a file.
 
 use super::BuildError;
 use std::borrow::Cow;
@@ -6,32 +6,32 @@ use std::path::Path;
 use upswing_config::{Config, ConfigError, DATABASE};
 use xxhash_rust::xxh3::xxh3_64;
 
-/// The database that is shipped with the embedded settings, as stored.
+/// Encoded database that is shipped with the embedded settings.
 pub const SHIPPED: &[u8] = include_bytes!("../../../config/database.bin");
 
-/// A trajectory database as stored.
+/// Encoded trajectory database and its origin.
 #[derive(Clone, Debug)]
 pub struct DatabaseFile {
     /// Contents of the file.
     pub bytes: Cow<'static, [u8]>,
-    /// Where they come from, for messages.
+    /// Path or name of the source, for messages.
     pub origin: String,
 }
 
 impl DatabaseFile {
-    /// The database of the settings: of their folder, or the shipped one.
+    /// Reads the database in the folder of the settings; the shipped database for the embedded settings.
     ///
     /// # Errors
-    /// [`ConfigError::Unreadable`]
+    /// [`ConfigError::Unreadable`] if the folder has no readable database.
     pub fn of(config: &Config) -> Result<Self, ConfigError> {
         let (origin, bytes) = config.file(DATABASE, SHIPPED)?;
         Ok(Self { bytes, origin })
     }
 
-    /// The database of a file.
+    /// Reads the database in the file at `path`.
     ///
     /// # Errors
-    /// [`BuildError::File`]
+    /// [`BuildError::File`] if the file cannot be read.
     pub fn read(path: &Path) -> Result<Self, BuildError> {
         let bytes = upswing_config::read_file(path).map_err(|cause| BuildError::File {
             action: "read",
@@ -41,7 +41,7 @@ impl DatabaseFile {
         Ok(Self { bytes: Cow::Owned(bytes), origin: path.display().to_string() })
     }
 
-    /// Identifies the contents: XXH3, 16 hexadecimal digits.
+    /// XXH3 hash of the contents, 16 hexadecimal digits.
     pub fn fingerprint(&self) -> String {
         format!("{:016x}", xxh3_64(&self.bytes))
     }

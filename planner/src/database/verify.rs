@@ -1,4 +1,4 @@
-//! Computes again what the records of a database claim.
+//! Verification of a database: recomputes the figures and outcomes that its records state.
 
 use super::{certify, has_grid_of, start_of};
 use crate::offline::{optimize, options, problem};
@@ -9,38 +9,38 @@ use upswing_ocp::interior_point::Status;
 use upswing_ocp::multistart::Search;
 use upswing_trajectory::{Certificate, Database, Entry, Margins, N, Outcome, Record};
 
-/// A pose whose record is not what a build of these settings would have written.
+/// A pose whose record differs from the result of a build with these settings.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Discrepancy {
-    /// Its number.
+    /// Number of the pose.
     pub pose: u64,
-    /// What is wrong.
+    /// Error in the record.
     pub finding: Finding,
 }
 
-/// What is wrong with a record.
+/// Error in a record of a database.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Finding {
-    /// The figures are not those of the trajectory.
+    /// The certificate in the record differs from that of the trajectory.
     #[error("recorded {recorded:?}, computed {computed:?}")]
     Certificate {
-        /// In the file.
+        /// Certificate in the file.
         recorded: Certificate,
-        /// Computed from the trajectory.
+        /// Certificate computed from the trajectory.
         computed: Certificate,
     },
-    /// The grid's rules make something else of the pose: no trajectory where one starts, or the other way round.
+    /// The rules of the grid leave out a pose that the file has, or the file leaves out a pose that the grid has.
     #[error("the grid {} this pose, the file does not", if *leaves_out { "leaves out" } else { "has" })]
     Rule {
         /// Whether the rules leave the pose out.
         leaves_out: bool,
     },
-    /// The trajectory starts elsewhere.
+    /// The trajectory does not start in the start state of the pose.
     #[error("starts {by:.2e} (rad or rad/s) from the grid's pose, in entry {row} of the state")]
     Start {
         /// Entry of x_0.
         row: usize,
-        /// Distance.
+        /// Distance from the start state, rad or rad/s.
         by: f64,
     },
     /// The trajectory does not end in the target (8).
@@ -48,15 +48,15 @@ pub enum Finding {
     End {
         /// Row of (8).
         row: usize,
-        /// By how much.
+        /// Residual of the row, rad or rad/s.
         by: f64,
     },
-    /// The trajectory jumps.
+    /// The trajectory violates the dynamics between two knots.
     #[error("defect (6b) of {got:.2e} rad or rad/s, expected at most {most:.0e}")]
     Defect {
-        /// Largest one.
+        /// Largest defect, rad or rad/s.
         got: f64,
-        /// `replan.defect`.
+        /// Largest accepted defect, `replan.defect`.
         most: f64,
     },
     /// A limit is exceeded.
@@ -64,25 +64,25 @@ pub enum Finding {
     Limit {
         /// Position, velocity or torque.
         what: &'static str,
-        /// At or between the knots.
+        /// Location: at or between the knots.
         at: &'static str,
-        /// Share of half the range.
+        /// Excess, as a share of half the range.
         by: f64,
-        /// The largest that is accepted.
+        /// Largest accepted excess, as a share of half the range.
         most: f64,
     },
-    /// Followed without feedback, the end is missed by too much.
+    /// Followed without feedback, the trajectory misses its end by too much.
     #[error(
         "followed without feedback, misses its end by {got:.2} rad or rad/s, expected at most {FARTHEST_END}"
     )]
     EndError {
-        /// By how much.
+        /// End error, rad or rad/s.
         got: f64,
     },
-    /// A pose said to have no trajectory has one.
+    /// A pose recorded as without solution has one.
     #[error("recorded as without solution, but a trajectory of cost {cost:.5} is found")]
     Solvable {
-        /// Its cost.
+        /// Cost of the solution found.
         cost: f64,
     },
 }
@@ -92,12 +92,12 @@ pub enum Finding {
 const ROUNDING: f64 = 1e-6;
 /// Largest end error, rad or rad/s. The trapezoidal rule is exact to h^2; the falling rod, which is left to itself for this
 /// figure, amplifies that by some hundreds: 0.65 in the shipped database, 1.1 in that of the other arm in `examples/`. A
-/// rod that ends hanging misses by pi.
+/// rod that ends hanging misses its end by pi.
 const FARTHEST_END: f64 = 2.0;
 
-/// Computes everything again, in parallel, that the records claim: figures, start, target, limits, and that poses without
-/// a trajectory have none. Starts are compared where the database [has the settings' grid](has_grid_of). Between knots a
-/// limit may be exceeded by `replan.knot_margin`, which a replan leaves free for that.
+/// Recomputes all statements of the records, in parallel: figures, start, target, limits, and that poses without a trajectory
+/// have no solution. Starts are compared where the database [has the settings' grid](has_grid_of). Between knots a limit may
+/// be exceeded by `replan.knot_margin`, the margin that a replan keeps at the knots for this excess.
 pub fn verify(config: &Config, database: &Database, progress: impl Fn() + Sync) -> Vec<Discrepancy> {
     let compare_poses = has_grid_of(config, database);
     let judge = |record: &Record| {
@@ -124,7 +124,7 @@ pub fn verify(config: &Config, database: &Database, progress: impl Fn() + Sync) 
     judged.filter_map(|(pose, verdict)| verdict.err().map(|finding| Discrepancy { pose, finding })).collect()
 }
 
-/// Whether a record of a pose that starts in `start` does so, or rightly has no trajectory.
+/// Checks that the trajectory of a record starts in `start` (rad, rad/s); without a trajectory, that none is found from there.
 fn has_start(config: &Config, record: &Record, start: &State) -> Result<(), Finding> {
     match &record.outcome {
         Outcome::Solved(entry) => {
@@ -150,7 +150,7 @@ fn verify_entry(config: &Config, entry: &Entry) -> Result<(), Finding> {
     }
     for (row, target) in problem(config, trajectory.x[0]).target.iter().enumerate() {
         let by = (target.coefficients.dot(&trajectory.x[N]) - target.value).abs();
-        // A NaN fails, here and below.
+        // Written so that NaN fails, here and below.
         if !(by <= ROUNDING) {
             return Err(Finding::End { row, by });
         }

@@ -12,9 +12,9 @@ use upswing_trajectory::{Gains, Margins, Plan, Trajectory, Unfit};
 /// A database entry from which no plan could be made.
 #[derive(Clone, Debug)]
 pub struct Attempt {
-    /// The entry and its distance.
+    /// The entry and its distance from the start.
     pub entry: Neighbour,
-    /// Why it gave no plan.
+    /// Reason of the failure.
     pub refusal: Refusal,
 }
 
@@ -24,27 +24,27 @@ pub enum Refusal {
     /// The constraints of a QP cannot be met together.
     #[error("QP {iteration} is infeasible{}", conflict.map_or(String::new(), |c| format!(": it would exceed {c}")))]
     Infeasible {
-        /// Which linearisation, from 1.
+        /// Number of the linearisation, from 1.
         iteration: usize,
-        /// The limit that stands in the way, where the solver knows it.
+        /// Limit that the solution would exceed, if the solver knows it.
         conflict: Option<Conflict>,
     },
     /// A QP was neither solved nor found infeasible.
     #[error("QP {iteration}: {stall}")]
     Stalled {
-        /// Which linearisation, from 1.
+        /// Number of the linearisation, from 1.
         iteration: usize,
-        /// How the solver ended.
+        /// Reason for which the solver stopped.
         stall: Stall,
     },
-    /// The daemon would not accept the plan.
+    /// The plan does not meet the daemon's criteria of acceptance.
     #[error("after {iterations} {}: {unfit}", if *method == Method::Quadratic { "QPs" } else { "iterations" })]
     Unfit {
-        /// How it was found.
+        /// Method that found the trajectory.
         method: Method,
-        /// QPs, or iterations of the full optimisation.
+        /// Number of QPs, or of iterations of the full optimisation.
         iterations: usize,
-        /// What is wrong with it.
+        /// Violated criterion.
         unfit: Unfit,
     },
     /// The time budget was used up.
@@ -53,7 +53,7 @@ pub enum Refusal {
         /// The QP that was not begun or not finished, from 1.
         iteration: usize,
     },
-    /// The client cancelled the request or is gone.
+    /// The client cancelled the request or has disconnected.
     #[error("cancelled before QP {iteration} was solved")]
     Cancelled {
         /// The QP that was not begun or not finished, from 1.
@@ -62,7 +62,7 @@ pub enum Refusal {
     /// The full optimisation found no trajectory.
     #[error("{0}")]
     Optimisation(interior_point::Status),
-    /// No stabilising gain at the end.
+    /// There is no stabilising gain at the end of the trajectory.
     #[error(transparent)]
     Gain(#[from] lqr::NotStabilisable),
 }
@@ -72,11 +72,11 @@ pub enum Refusal {
 pub struct SecondOpinion {
     /// Index of the database entry that was being adapted.
     pub entry: usize,
-    /// The linearisation, counted from 1.
+    /// Number of the linearisation, from 1.
     pub iteration: usize,
-    /// How the structured solver ended.
+    /// Reason for which the structured solver stopped.
     pub stall: Stall,
-    /// How Clarabel ended.
+    /// Status with which Clarabel stopped.
     pub clarabel: qp::Status,
 }
 
@@ -92,21 +92,21 @@ impl std::fmt::Display for SecondOpinion {
 pub struct Statistics {
     /// Search of the database.
     pub nearest: Duration,
-    /// All QPs, with their linearisations.
+    /// Solution of all QPs, with their linearisations.
     pub qp: Duration,
     /// The full optimisation.
     pub optimisation: Duration,
     /// Checks of the result on the real dynamics.
     pub check: Duration,
-    /// Gains.
+    /// Synthesis of the gains.
     pub lqr: Duration,
-    /// Everything.
+    /// The whole replan.
     pub total: Duration,
     /// The QPs, of all entries tried, on which Clarabel was asked.
     pub second_opinions: Vec<SecondOpinion>,
 }
 
-/// How a trajectory was found.
+/// Method that found a trajectory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Method {
     /// QPs (16) around a database entry.
@@ -120,21 +120,21 @@ pub enum Method {
 pub struct Replan {
     /// The trajectory from the given start.
     pub trajectory: Trajectory,
-    /// Its gains.
+    /// The gains of the trajectory.
     pub gains: Gains,
-    /// How it was found.
+    /// Method that found the trajectory.
     pub method: Method,
-    /// The entry it was adapted from; of the full optimisation the nearest one.
+    /// The database entry that was adapted; for the full optimisation the nearest entry.
     pub entry: Neighbour,
-    /// The entries that gave no plan before this one, in order.
+    /// The entries tried before it, which gave no plan, in order.
     pub refused: Vec<Attempt>,
-    /// QPs for the entry used, each linearised around the result before, or iterations of the full optimisation.
+    /// Number of QPs for the entry used, each linearised around the result before, or of iterations of the full optimisation.
     pub iterations: usize,
-    /// Largest defect (6b) of the real dynamics.
+    /// Largest defect (6b) of the nonlinear dynamics, rad or rad/s per interval.
     pub defect: f64,
     /// Margins to the limits, between knots too.
     pub margins: Margins,
-    /// How long it took, and the second opinions.
+    /// Durations of the steps, and the second opinions.
     pub statistics: Statistics,
 }
 
@@ -146,12 +146,12 @@ impl Replan {
     }
 }
 
-/// No plan was found: the failures of all methods tried.
+/// Error of a replan without a plan: the failures of all methods tried.
 #[derive(Clone, Debug)]
 pub struct NoPlan {
     /// The entries tried, in order.
     pub refused: Vec<Attempt>,
-    /// Why the full optimisation gave no plan, where it was tried.
+    /// Reason for which the full optimisation gave no plan; `None` if it was not tried.
     pub optimisation: Option<Refusal>,
     /// The QPs, of all entries tried, on which Clarabel was asked.
     pub second_opinions: Vec<SecondOpinion>,
@@ -159,7 +159,7 @@ pub struct NoPlan {
 
 impl std::fmt::Display for NoPlan {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        // First what matters most: a reason sent to others may be cut.
+        // The most important part first: a response may truncate the text.
         match (&self.optimisation, self.refused.len()) {
             (Some(refusal), 0) => return write!(f, "full optimisation: {refusal}"),
             (Some(refusal), n) => write!(f, "full optimisation: {refusal}; none of the {n}")?,
@@ -179,7 +179,7 @@ impl std::fmt::Display for NoPlan {
 impl std::error::Error for NoPlan {}
 
 impl NoPlan {
-    /// Whether time, not feasibility, was the reason.
+    /// Whether the time budget was the reason, not feasibility.
     pub fn out_of_time(&self) -> bool {
         use interior_point::Status::OutOfTime;
         matches!(self.optimisation, Some(Refusal::Optimisation(OutOfTime)))
@@ -188,7 +188,7 @@ impl NoPlan {
 }
 
 impl Replan {
-    /// The plan the daemon executes.
+    /// The plan for the daemon, without activation time.
     pub fn plan(&self, config: &Config) -> Plan {
         let mut work = Workspace::default();
         Plan {
@@ -201,8 +201,7 @@ impl Replan {
         }
     }
 
-    /// A name that follows from the contents, the gains included: equal plans have equal ids, and different ones hardly
-    /// ever do.
+    /// XXH3 hash of trajectory and gains, at least 1: equal plans have equal ids, and different plans almost never.
     fn id(&self) -> u64 {
         let mut hash = xxhash_rust::xxh3::Xxh3::new();
         let t = &self.trajectory;
