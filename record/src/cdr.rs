@@ -1,20 +1,20 @@
-//! Common Data Representation (OMG DDS-XTypes, version 1, little-endian): how ROS 2 writes messages.
+//! Common Data Representation (OMG DDS-XTypes, version 1, little-endian), the encoding of ROS 2 messages.
 
-/// Marks the body that follows as CDR, little-endian.
+/// Encapsulation header of a message: CDR, little-endian.
 pub const HEADER: [u8; 4] = [0, 1, 0, 0];
 
-/// A message of plain words, which need no alignment.
+/// Encodes a message that consists of words of 8 bytes, which need no padding.
 pub fn of_words(words: impl Iterator<Item = u64>) -> Vec<u8> {
     HEADER.into_iter().chain(words.flat_map(u64::to_le_bytes)).collect()
 }
 
-/// The words of a message; `None` if it has another header, or bytes that are no word.
+/// Decodes the words of a message; `None` if the header differs or the length is no multiple of 8 bytes.
 pub fn words(message: &[u8]) -> Option<Vec<u64>> {
     let (words, rest) = message.strip_prefix(&HEADER)?.as_chunks();
     rest.is_empty().then(|| words.iter().map(|word| u64::from_le_bytes(*word)).collect())
 }
 
-/// A message being written. Numbers are aligned to their size, counted from the end of the header.
+/// Writer of a message. Numbers are aligned to their size, counted from the end of the header.
 pub struct Cdr(Vec<u8>);
 
 impl Cdr {
@@ -37,12 +37,12 @@ impl Cdr {
         self.0.extend(value.to_le_bytes());
     }
 
-    /// The length of a sequence, before its items.
+    /// Writes the length of a sequence, before its items.
     pub fn length(&mut self, items: usize) {
         self.u32(u32::try_from(items).unwrap_or(u32::MAX));
     }
 
-    /// Counts its final zero.
+    /// Writes a string; its length includes the final zero byte.
     pub fn text(&mut self, text: &str) {
         self.length(text.len() + 1);
         self.0.extend(text.as_bytes());

@@ -1,4 +1,4 @@
-//! The message of a cycle: all fields of [`Telemetry`], in its order.
+//! The message of a control cycle: all fields of [`Telemetry`], in the order of that type.
 
 use super::cdr;
 use std::fmt::Write;
@@ -10,24 +10,24 @@ use upswing_model::{NQ, NU};
 pub const TYPE: &str = "upswing_msgs/msg/Cycle";
 const WORD: usize = size_of::<u64>();
 
-/// One field of a cycle.
+/// A field of the message of a cycle.
 #[derive(Clone, Copy, Debug)]
 pub struct Field {
-    /// As in [`Telemetry`].
+    /// Name of the field in [`Telemetry`].
     pub name: &'static str,
-    /// Numbers in it: 1, or those of an array.
+    /// Count of numbers in the field: 1, or the length of the array.
     pub length: usize,
     /// Whether the numbers are integers.
     pub integer: bool,
-    /// Words before it.
+    /// Offset from the start of the message, words of 8 bytes.
     pub offset: usize,
-    /// Unit, empty where there is none, and meaning.
+    /// Unit; empty if the field has none.
     pub unit: &'static str,
-    /// See `unit`.
+    /// Meaning of the field.
     pub meaning: &'static str,
 }
 
-/// A type that a field can have.
+/// Types of fields.
 trait Numbers {
     const LENGTH: usize;
     const INTEGER: bool;
@@ -52,7 +52,7 @@ macro_rules! fields {
     ($($name:ident: $kind:ty, $unit:literal, $meaning:literal;)+) => {
         /// All fields in the order of their bytes.
         pub const FIELDS: &[Field] = &[$({
-            // Does not compile if the type is another one.
+            // Does not compile if the field of `Telemetry` has another type.
             const _: fn(&Telemetry) -> &$kind = |t| &t.$name;
             Field {
                 name: stringify!($name),
@@ -92,7 +92,7 @@ fields! {
     clock: u64, "", "clock of the plant";
 }
 
-// One field follows the other, and nothing is left out.
+// The fields are contiguous and complete.
 const _: () = {
     let mut words = 0;
     let mut i = 0;
@@ -109,7 +109,7 @@ pub fn definition() -> String {
     definition_of(FIELDS)
 }
 
-/// Definition of the message in the first recordings, which did not name the clock: the last field is missing.
+/// Definition of the message in the first version of recordings, which lacks the last field, `clock`.
 pub fn first_definition() -> String {
     definition_of(&FIELDS[..FIELDS.len() - 1])
 }
@@ -140,12 +140,12 @@ pub fn layout_of(definition: &str) -> Vec<&str> {
     code.filter(|line| !line.is_empty()).collect()
 }
 
-/// The message.
+/// Encodes a record as a message.
 pub fn encode(record: &Telemetry) -> Vec<u8> {
     cdr::of_words(record.words())
 }
 
-/// The record in a message; `None` if its size or header is another one.
+/// Decodes the record in a message; `None` if the message has another size or header.
 pub fn decode(message: &[u8]) -> Option<Telemetry> {
     Telemetry::from_words(&cdr::words(message)?)
 }

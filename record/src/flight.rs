@@ -1,4 +1,4 @@
-//! Flight records of the daemon, read as recordings.
+//! Conversion of flight records of the daemon to recordings.
 
 use super::Recorder;
 use std::io::Read;
@@ -7,19 +7,19 @@ use tempfile::TempDir;
 use upswing_process::{Failure, ProcessArgs};
 use upswingd::flight;
 
-/// A recording to read: a file, or what was made of a flight record.
+/// A recording to read: a file, or a temporary file converted from a flight record.
 pub struct RecordingFile {
     path: PathBuf,
-    /// Vanishes with it.
+    /// Temporary folder of a converted flight record, deleted on drop.
     _folder: Option<TempDir>,
 }
 
 impl RecordingFile {
-    /// The recording in a file. A flight record holds nothing but cycles: the settings are those of `process`.
+    /// Opens the recording at `path`; converts a flight record, which holds cycles only, with the settings of `process`.
     ///
     /// # Errors
-    /// [`Failure::BadInput`] for a damaged flight record or unusable settings, [`Failure::Failed`] if there is no room for
-    /// the recording that is made of it. What is no flight record is not looked at.
+    /// [`Failure::BadInput`] for a damaged flight record or unusable settings, [`Failure::Failed`] if the temporary
+    /// recording cannot be written. Other files are not read here.
     pub fn open(path: &Path, process: &ProcessArgs) -> Result<Self, Failure> {
         if !is_flight_record(path) {
             return Ok(Self { path: path.to_owned(), _folder: None });

@@ -1,21 +1,21 @@
-//! Recordings of every cycle in one MCAP file (<https://mcap.dev>), which Foxglove, PlotJuggler and Python read.
+//! Recordings of every cycle in one MCAP file (<https://mcap.dev>), readable with Foxglove, PlotJuggler and Python.
 //!
-//! | topic | type | rate | what |
+//! | topic | type | rate | contents |
 //! |---|---|---|---|
 //! | `/upswing/cycle` | `upswing_msgs/msg/Cycle` | every cycle | all fields of [`upswing_ipc::Telemetry`] |
 //! | `/upswing/step` | `upswing_msgs/msg/Step` | every step | the input of the controller, [`upswing_ipc::Step`] |
 //! | `/upswing/plan` | `upswing_msgs/msg/Plan` | each plan | [`upswing_ipc::Plan`], before the step that loads it |
 //! | `/joint_states` | `sensor_msgs/msg/JointState` | 125 Hz | q, qd, measured torque |
-//! | `/tf` | `tf2_msgs/msg/TFMessage` | 125 Hz | frame of each link of the URDF in that of its parent |
+//! | `/tf` | `tf2_msgs/msg/TFMessage` | 125 Hz | pose of each link of the URDF in the frame of its parent |
 //! | `/robot_description` | `std_msgs/msg/String` | once | the URDF |
 //!
-//! Messages are ROS 2 messages in CDR, with their definitions in the file: all of the named tools know them, no ROS is
-//! needed, and a cycle is its bytes in shared memory behind a header of four bytes. Protobuf would need a generated
+//! Messages are ROS 2 messages in CDR, with their definitions in the file: all of these tools read them without ROS, and a
+//! message of a cycle is the bytes of the cycle in shared memory after a header of four bytes. Protobuf would need a generated
 //! descriptor and is no smaller for arrays of doubles; JSON is four times as large.
 //!
-//! Times of messages are `t_ns` of the cycle: CLOCK_MONOTONIC on the wall clock, else time since the plant's start.
-//! The settings are attachments; what else identifies the run is in the metadata record [`DETAILS`]. Chunks are complete
-//! in the file every [`CHUNK`] cycles, so that a killed process loses at most those.
+//! Times of messages are `t_ns` of the cycle: CLOCK_MONOTONIC on the wall clock, otherwise time since the start of the plant.
+//! The settings are attachments; further data that identify the run are in the metadata record [`DETAILS`]. A chunk is
+//! completed every [`CHUNK`] cycles, so that a killed process loses at most one chunk.
 
 mod cdr;
 pub mod cycle;
@@ -39,76 +39,76 @@ pub use writer::Recorder;
 use std::path::PathBuf;
 use upswing_process::Failure;
 
-/// Name of the metadata record with what identifies the run.
+/// Name of the metadata record with the data that identify the run.
 pub const DETAILS: &str = "upswing";
-/// Cycles of one chunk: a quarter of a second at 8 kHz, large enough to compress well.
+/// Number of cycles per chunk: a quarter of a second at 8 kHz, large enough to compress well.
 pub const CHUNK: usize = 2048;
 /// Topic of the cycles.
 const CYCLE_TOPIC: &str = "/upswing/cycle";
 
-/// Why a recording cannot be written or read.
+/// Error of writing or reading a recording.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordingError {
-    /// The file cannot be made.
+    /// The file cannot be created.
     #[error("cannot create {}: {cause}{}", path.display(), advice(cause))]
     Create {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Why not.
+        /// Error of the operating system.
         cause: std::io::Error,
     },
     /// The file cannot be written to.
     #[error("cannot write to {}: {cause}", path.display())]
     Write {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Why not.
+        /// Error of the writer.
         cause: Box<mcap::McapError>,
     },
     /// The file cannot be read.
     #[error("cannot read {}: {cause}", path.display())]
     Read {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Why not.
+        /// Error of the operating system.
         cause: std::io::Error,
     },
-    /// Another kind of file.
+    /// The file is no MCAP file.
     #[error("{}: expected an MCAP recording, got something else ({cause})", path.display())]
     NotMcap {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What the reader says.
+        /// Error of the MCAP reader.
         cause: Box<mcap::McapError>,
     },
-    /// Cycles of another version.
+    /// The messages are of another version of the format.
     #[error("{}: {what}; read it with the version of upswing that wrote it", path.display())]
     Version {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What differs.
+        /// Difference in the messages.
         what: String,
     },
-    /// Nothing in it to work with.
+    /// The recording lacks required contents.
     #[error("{}: expected {expected}, got none", path.display())]
     Missing {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What was to be there.
+        /// Missing contents.
         expected: String,
     },
-    /// The robot in it cannot be used.
+    /// The URDF of the recording cannot be used.
     #[error("{}: {cause}", path.display())]
     Robot {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Why not.
+        /// Error of the URDF.
         cause: upswing_model::UrdfError,
     },
-    /// What is to be recorded does not come.
+    /// The messages to be recorded cannot be received.
     #[error(transparent)]
     Ipc(#[from] upswing_ipc::IpcError),
-    /// The settings cannot be read any more.
+    /// The settings can no longer be read from their files.
     #[error(transparent)]
     Settings(#[from] upswing_config::ConfigError),
 }

@@ -1,11 +1,11 @@
-//! The messages that ROS tools know by name.
+//! Messages of the topics other than the cycles, among them the standard types of ROS.
 
 use super::cdr::Cdr;
 use crate::robot::Robot;
 use upswing_ipc::Telemetry;
 use upswing_model::{JointVector, NQ, NU};
 
-/// A topic with the definition of its messages.
+/// A topic: name, message type and definition of the message.
 pub struct Topic {
     pub name: &'static str,
     pub kind: &'static str,
@@ -26,7 +26,7 @@ pub const PLANS: Topic =
 pub const DESCRIPTION: Topic =
     Topic { name: "/robot_description", kind: "std_msgs/msg/String", definition: "string data\n" };
 
-/// `std_msgs/msg/Header`; the stamp is that of the message.
+/// Writes a `std_msgs/msg/Header` with the time `t_ns` of the message, ns.
 fn header(cdr: &mut Cdr, t_ns: u64, frame: &str) {
     const NS: u64 = 1_000_000_000;
     cdr.u32((t_ns / NS) as u32);
@@ -34,7 +34,8 @@ fn header(cdr: &mut Cdr, t_ns: u64, frame: &str) {
     cdr.text(frame);
 }
 
-/// Positions (rad) and velocities (rad/s) of all joints, torques (N m) of the actuated ones, else 0.
+/// Encodes a `JointState`: positions (rad) and velocities (rad/s) of all joints, measured torques (N m) of the actuated joints,
+/// 0 for the others.
 pub fn joint_states(names: &[&str; NQ], record: &Telemetry) -> Vec<u8> {
     let mut cdr = Cdr::new();
     header(&mut cdr, record.t_ns, "");
@@ -48,7 +49,7 @@ pub fn joint_states(names: &[&str; NQ], record: &Telemetry) -> Vec<u8> {
     cdr.bytes()
 }
 
-/// Frame of each link in that of its parent.
+/// Encodes a `TFMessage`: the pose of each link in the frame of its parent, m and unit quaternion.
 pub fn transforms(robot: &Robot, record: &Telemetry) -> Vec<u8> {
     let mut cdr = Cdr::new();
     let q = JointVector::from(record.q);
@@ -63,7 +64,7 @@ pub fn transforms(robot: &Robot, record: &Telemetry) -> Vec<u8> {
     cdr.bytes()
 }
 
-/// A text.
+/// Encodes a URDF as a `String`.
 pub fn description(urdf: &str) -> Vec<u8> {
     let mut cdr = Cdr::new();
     cdr.text(urdf);

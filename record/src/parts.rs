@@ -1,5 +1,5 @@
-//! The records of an MCAP file one by one, however damaged: what cannot be read is named and left out, in bounded time and
-//! memory, and reading goes on behind it.
+//! Reader of the records of an MCAP file, one by one, also of a damaged file: unreadable parts are reported and skipped, in
+//! bounded time and memory, and reading continues after them.
 
 use mcap::records::{Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
@@ -8,57 +8,58 @@ use std::fs::File;
 use std::io::{self, BufReader, ErrorKind, Read, Seek, SeekFrom};
 use std::path::Path;
 
-/// Longest record that is read, and longest contents of a chunk, bytes: ten times a chunk of this program. A damaged length
-/// asks for no more memory than this.
+/// Length limit of a record and of the contents of a chunk, bytes: ten times a chunk of this program. It bounds the memory that a
+/// damaged length can request.
 pub(super) const LONGEST: usize = 16 << 20;
-/// Bytes of a chunk per compressed byte at most. Cycles reach 5; what grows more is made to keep a reader busy.
+/// Largest compression ratio of a chunk. Cycles reach 5; a larger ratio is a decompression bomb.
 const GROWTH: u64 = 1000;
-/// Opcode and length in front of each record; a footer with them and the mark at the end of the file.
+/// Size of the opcode and length before each record, bytes.
 const HEAD: usize = 9;
+/// Size of the end of a complete file, bytes: the footer record and the magic bytes.
 const TAIL: usize = HEAD + 20 + MAGIC.len();
 
-/// One record of a file, on its outermost level.
+/// Result of reading one record of a file, on the outermost level.
 pub(super) enum Part<'a> {
-    /// It may be a chunk, see [`each_record`].
+    /// A record, possibly a chunk, see [`each_record`].
     Record {
-        /// One of [`op`], or one that this format leaves to others.
+        /// An opcode of [`op`], or one that the format reserves for applications.
         opcode: u8,
-        /// What follows opcode and length.
+        /// Bytes after opcode and length.
         body: &'a [u8],
     },
-    /// A long attachment of another tool.
+    /// A long attachment of another tool, skipped.
     Foreign,
-    /// It is too long to be read; reading goes on behind it.
+    /// A record that is too long to be read, with the reason; reading continues after it.
     TooLong(String),
-    /// From here on nothing can be read, unless [`Parts::resume`] finds more.
+    /// The file is unreadable from here on, with the reason, unless [`Parts::resume`] finds a later chunk.
     Cut(String),
-    /// All has been read.
+    /// End of the file.
     End,
 }
 
-/// Reads a file from its start to its end.
+/// An MCAP file, read from its start to its end.
 pub(super) struct Parts {
     file: BufReader<File>,
     length: u64,
-    /// Of the newest record, and of the one that follows it.
+    /// Offsets of the newest record, and of the record that follows it, bytes.
     start: u64,
     next: u64,
     body: Vec<u8>,
-    /// Looked up once something is damaged.
+    /// Read once the first damage is found.
     index: Option<Index>,
 }
 
-/// What the end of a complete file says about its parts.
+/// Contents of the summary at the end of a complete file.
 #[derive(Default)]
 struct Index {
-    /// Where chunks begin, in ascending order.
+    /// Offsets of the chunks, bytes, in ascending order.
     chunks: Vec<u64>,
-    /// Schemas and channels, which may have been in the damaged part.
+    /// Opcodes and bodies of schemas and channels: those in the data section may be damaged.
     definitions: Vec<(u8, Vec<u8>)>,
 }
 
 impl Parts {
-    /// `None`: the file is no MCAP.
+    /// Opens a file; `None` if it is no MCAP file.
     pub fn open(path: &Path) -> io::Result<Option<Self>> {
         let file = upswing_config::open_file(path)?;
         let length = file.metadata()?.len();
@@ -73,12 +74,12 @@ impl Parts {
         Ok(Some(Self { file, length, start: next, next, body: Vec::new(), index: None }))
     }
 
-    /// Bytes before the newest record, and of the file.
+    /// Offset of the newest record and length of the file, bytes.
     pub fn place(&self) -> (u64, u64) {
         (self.start, self.length)
     }
 
-    /// The next record.
+    /// Reads the next record.
     pub fn next(&mut self) -> io::Result<Part<'_>> {
         self.start = self.next;
         let left = self.length.saturating_sub(self.start);
@@ -90,7 +91,7 @@ impl Parts {
             return Ok(Part::Cut(format!("{left} bytes are no record")));
         }
         let (opcode, length) = (head[0], u64::from_le_bytes(head[1..].try_into().unwrap_or_default()));
-        // From 0x80 on they are left to others.
+        // Opcodes from 0x80 on are reserved for applications.
         if !(op::HEADER..=op::DATA_END).contains(&opcode) && opcode < 0x80 {
             return Ok(Part::Cut(format!("there is no record with opcode {opcode:#04x}")));
         }
@@ -113,7 +114,7 @@ impl Parts {
         })
     }
 
-    /// Goes on at the next chunk that the end of the file knows of; whether there is one.
+    /// Continues at the next chunk of the index in the summary; returns whether there is one.
     pub fn resume(&mut self) -> io::Result<bool> {
         let start = self.start;
         let mut found = false;
@@ -130,7 +131,7 @@ impl Parts {
         Ok(found)
     }
 
-    /// Schemas and channels at the end of the file: those in front may be damaged.
+    /// Opcodes and bodies of the schemas and channels in the summary: those in the data section may be damaged.
     pub fn definitions(&mut self) -> io::Result<&[(u8, Vec<u8>)]> {
         Ok(&self.index()?.definitions)
     }
@@ -143,7 +144,7 @@ impl Parts {
         Ok(self.index.get_or_insert_default())
     }
 
-    /// An empty one of a file that is not complete.
+    /// Reads the summary; the index is empty if the file is not complete.
     fn read_index(&mut self) -> io::Result<Index> {
         let mut index = Index::default();
         let Some(footer) = self.length.checked_sub(TAIL as u64) else { return Ok(index) };
@@ -185,7 +186,7 @@ impl Parts {
     }
 }
 
-/// Whether something was read whole; the end of the file is no error.
+/// Whether a read was complete; the end of the file is no error.
 fn whole(read: io::Result<()>) -> io::Result<bool> {
     match read {
         Err(e) if e.kind() == ErrorKind::UnexpectedEof => Ok(false),
@@ -193,10 +194,11 @@ fn whole(read: io::Result<()>) -> io::Result<bool> {
     }
 }
 
-/// Gives `each` the record, or those in it if it is a chunk; of a damaged chunk none. `Ok(Err)`: why it cannot be read.
+/// Calls `each` with the record, or with the records in it if it is a chunk. `Ok(Err)`: the reason why the record, or the rest
+/// of the chunk, is unreadable; of a chunk with a wrong checksum no record is read.
 ///
 /// # Errors
-/// What `each` says.
+/// The error of `each`.
 pub(super) fn each_record<E>(
     opcode: u8,
     body: &[u8],
@@ -222,7 +224,7 @@ pub(super) fn each_record<E>(
     while let Some(event) = reader.next_event() {
         let record = match event {
             Ok(LinearReadEvent::ReadRequest(need)) => {
-                // From memory, which does not fail; nothing more is the end.
+                // Reads from memory cannot fail; 0 bytes are the end.
                 let got = rest.read(reader.insert(need.min(LONGEST))).unwrap_or(0);
                 reader.notify_read(got);
                 continue;

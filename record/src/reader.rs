@@ -1,4 +1,4 @@
-//! Reads recordings, also those of a killed process, rewritten by other tools, or damaged.
+//! Reader of recordings, also of recordings by a killed process, rewritten by other tools, or damaged.
 
 use super::parts::{self, Part, Parts};
 use super::{CYCLE_TOPIC, DETAILS, Elapsed, RecordingError, cdr, cycle, messages};
@@ -7,13 +7,14 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use upswing_ipc::{Plan, Step, Telemetry};
 
-/// Longest definition of a message type, and all settings together, bytes: more is none of this program.
+/// Largest definition of a message type, bytes; larger ones are not from this program.
 const DEFINITION: usize = 64 << 10;
+/// Largest size of all settings together, bytes; further attachments are skipped.
 const SETTINGS: usize = 16 << 20;
-/// Media types of the settings; other tools attach pictures and more.
+/// Media types of the settings; other tools attach files of other types.
 const SETTINGS_TYPES: [&str; 2] = ["application/toml", "application/xml"];
 
-/// A stretch of a recording, s from its first cycle, as [`Elapsed`].
+/// A time window of a recording, s since its first cycle, as [`Elapsed`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Window {
     /// First moment.
@@ -23,7 +24,7 @@ pub struct Window {
 }
 
 impl Window {
-    /// All of it.
+    /// The whole recording.
     pub const ALL: Self = Self { from: 0.0, to: f64::INFINITY };
 }
 
@@ -31,35 +32,35 @@ impl Window {
 #[derive(Clone, Debug)]
 #[expect(clippy::large_enum_variant, reason = "hardly any are plans")]
 pub enum Message {
-    /// A cycle.
+    /// The record of a cycle.
     Cycle(Telemetry),
-    /// What the controller was given in one step.
+    /// The input of the controller in one step.
     Step(Step),
     /// A plan that a later step may load.
     Plan(Box<Plan>),
 }
 
-/// The contents of a file but its messages.
+/// The contents of a recording other than its messages.
 #[derive(Clone, Debug, Default)]
 pub struct Recording {
-    /// What identifies the run.
+    /// Keys and values that identify the run, from the record [`DETAILS`].
     pub details: BTreeMap<String, String>,
     /// Names and texts of the settings.
     pub files: Vec<(String, String)>,
-    /// Why the file ends early: its process was killed, or it is damaged.
+    /// Reason why the file ends early (its process was killed, or it is damaged); `None` if it is complete.
     pub cut: Option<String>,
-    /// What in it cannot be read, though more follows.
+    /// Description of the unreadable parts before the end of the file; `None` if there are none.
     pub damage: Option<String>,
 }
 
 impl Recording {
-    /// Text of one of the settings files.
+    /// Text of the settings file `name`.
     pub fn file_text(&self, name: &str) -> Option<&str> {
         self.files.iter().find(|(n, _)| n == name).map(|(_, text)| text.as_str())
     }
 }
 
-/// Reads a file with its cycles, which must fit into memory: 5 MB per second at 8 kHz.
+/// Reads the cycles of a window and the other contents of a recording into memory: 5 MB per second at 8 kHz.
 ///
 /// # Errors
 /// As [`scan`].
@@ -75,11 +76,11 @@ pub fn read(path: &Path, window: Window) -> Result<(Vec<Telemetry>, Recording), 
     Ok((cycles, recording))
 }
 
-/// Goes through a file, which need not fit into memory: `each` gets the messages in the order of their recording, of the
-/// cycles those of the window, each with what else stands before it. `progress` is told how many bytes have been read of how many.
+/// Streams a recording, which need not fit into memory: `each` gets the messages in the order of recording (all steps and plans,
+/// the cycles of the window) with the other contents read so far. `progress` gets the bytes read and the length of the file.
 ///
 /// # Errors
-/// [`RecordingError`] if it is no recording of this version or holds no cycle in the window; what `each` says. A file that
+/// [`RecordingError`] if the file is no recording of this version or has no cycle in the window; errors of `each`. A file that
 /// ends early or is damaged is no error, see [`Recording::cut`] and [`Recording::damage`].
 pub fn scan<E: From<RecordingError>>(
     path: &Path,
@@ -101,7 +102,7 @@ pub fn scan<E: From<RecordingError>>(
     while !finished {
         let part = file.next().map_err(unreadable)?;
         let cut = matches!(part, Part::Cut(_));
-        // Where something else than a chunk cannot be read, its place is in doubt, too.
+        // If a record other than a chunk is unreadable, its length is in doubt, too.
         let lost = cut || matches!(part, Part::Record { opcode, .. } if opcode != op::CHUNK);
         let read = match part {
             Part::End => break,
@@ -121,7 +122,7 @@ pub fn scan<E: From<RecordingError>>(
         let Err(why) = read else { continue };
         let resumed = lost && file.resume().map_err(unreadable)?;
         for (opcode, body) in file.definitions().map_err(unreadable)? {
-            // Those of another version have been found before, or are found where they stand.
+            // Errors are ignored: definitions of another version are refused at their place in the data section.
             let _ = mcap::parse_record(*opcode, body).map(|record| reader.take(record, &mut recording));
         }
         if cut && !resumed {
@@ -144,7 +145,7 @@ pub fn scan<E: From<RecordingError>>(
     Ok(recording)
 }
 
-/// What cannot be read.
+/// Unreadable parts of a file: their number, and offset (bytes) and reason of the first.
 #[derive(Default)]
 struct Damage {
     parts: u64,
@@ -166,33 +167,33 @@ impl Damage {
     }
 }
 
-/// What a message holds, of what is read here.
+/// Kind of a message that the reader decodes.
 #[derive(Clone, Copy)]
 enum MessageKind {
     Cycle,
-    /// A cycle of the first version of the message: its clock is that of the step before it.
+    /// A cycle in the first version of the message: its clock is that of the step before it.
     CycleWithoutClock,
     Step,
     Plan,
 }
 
-/// What is known so far.
+/// Decoder of messages, with the schemas and channels read so far.
 struct MessageReader<'a> {
     path: &'a Path,
     window: Window,
-    /// Name and definition by id.
+    /// Names and definitions of message types by schema id.
     schemas: BTreeMap<u16, (String, String)>,
-    /// What the messages of a channel are.
+    /// Kinds of the messages by channel id.
     channels: BTreeMap<u16, MessageKind>,
-    /// Bytes of the settings so far.
+    /// Size of the settings read so far, bytes.
     settings: usize,
     elapsed: Elapsed,
-    /// Code of the plant's clock in the newest step; a number that is no code before the first one.
+    /// Code of the plant's clock in the newest step; before the first step a number that is no code.
     clock: u64,
 }
 
 impl MessageReader<'_> {
-    /// Notes what a record says; the message, if it is one of the window.
+    /// Stores the contents of a record; returns the message if it is a step, a plan, or a cycle of the window.
     fn take(&mut self, record: Record<'_>, into: &mut Recording) -> Result<Option<Message>, RecordingError> {
         let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
         match record {
@@ -266,7 +267,7 @@ impl MessageReader<'_> {
         Ok(None)
     }
 
-    /// Whether the messages of a schema have the name and the fields of this version.
+    /// Fails unless the messages of a schema have the name and the fields of this version.
     fn check(&self, schema: u16, expected_name: &str, expected: &str) -> Result<(), RecordingError> {
         let (name, got) = self.schemas.get(&schema).map_or(("", ""), |(n, text)| (n.as_str(), text.as_str()));
         let (expected, got) = (cycle::layout_of(expected), cycle::layout_of(got));

@@ -1,51 +1,51 @@
-//! The robot's links as its URDF draws them: frames for recordings, shapes for pictures.
+//! Links of the robot in its URDF: frames for recordings, shapes for pictures.
 
 use nalgebra::{Isometry3, Point3, Unit, UnitQuaternion, Vector3};
 use serde::Serialize;
 use upswing_model::{JointVector, Model, Urdf, UrdfError, UrdfLink, UrdfShape, UrdfVisual};
 
-/// A capsule: all points within `radius` (m) of the line from `a` to `b` (m, frame of the link).
+/// A capsule: all points within `radius` of the line segment from `a` to `b`.
 #[derive(Clone, Debug, Serialize)]
 pub struct Capsule {
-    /// One end.
+    /// First end of the segment, m, frame of the link.
     pub a: [f64; 3],
-    /// The other end.
+    /// Second end of the segment, m, frame of the link.
     pub b: [f64; 3],
-    /// m
+    /// Radius, m.
     pub radius: f64,
-    /// Red, green, blue, 0 to 255.
+    /// Colour: red, green, blue, 0 to 255.
     pub colour: [u8; 3],
 }
 
-/// One link.
+/// A link of the robot.
 #[derive(Clone, Debug)]
 pub struct Link {
     /// Name in the URDF.
     pub name: String,
-    /// Index of the parent, which stands before it; `None`: the root.
+    /// Index of the parent link, lower than that of this link; `None` for the root.
     pub parent: Option<usize>,
-    /// Frame in the parent's at q = 0.
+    /// Pose of the link in the frame of its parent at q = 0, m.
     pub origin: Isometry3<f64>,
-    /// Index of its joint in q and the axis in its own frame; `None`: fixed.
+    /// Index of the joint in q and its axis in the frame of the link; `None` for a fixed link.
     pub joint: Option<(usize, Unit<Vector3<f64>>)>,
-    /// What it looks like.
+    /// Shapes of the link for pictures.
     pub shapes: Vec<Capsule>,
 }
 
-/// A tree of links.
+/// Kinematic tree of the links of a robot, with its URDF.
 #[derive(Clone, Debug)]
 pub struct Robot {
-    /// Parents first; the root is the first one.
+    /// Links, parents before children; the root is the first link.
     pub links: Vec<Link>,
-    /// The text it was read from.
+    /// Text of the URDF.
     pub urdf: String,
 }
 
 impl Robot {
-    /// Reads the links; `model` was read from the same text and says which joint is which.
+    /// Reads the links from a URDF; `model`, read from the same URDF, gives the indices of the joints in q.
     ///
     /// # Errors
-    /// [`UrdfError`]
+    /// [`UrdfError`] if the text is no usable URDF.
     pub fn from_urdf(urdf: &str, model: &Model) -> Result<Self, UrdfError> {
         let robot = Urdf::read(urdf)?;
         let names = model.joint_names();
@@ -57,7 +57,7 @@ impl Robot {
             joint: None,
             shapes: shapes(root),
         }];
-        // Index of the parent in `links` and the joint, those of a link in the order of the file.
+        // Index of the parent in `links`, and the joints of a link, reversed: they are popped in the order of the file.
         let on = |link: &UrdfLink, place: usize| {
             let joints: Vec<_> = link.children.iter().rev().map(|joint| (place, *joint)).collect();
             joints
@@ -79,7 +79,8 @@ impl Robot {
         Ok(Self { links, urdf: urdf.to_owned() })
     }
 
-    /// Name of the parent, name, and frame in the parent's, of each link but the root, at the angles q, rad.
+    /// Name of the parent, name of the link, and its pose in the frame of the parent (m), for each link except the root, at the
+    /// joint positions q (rad).
     pub fn transforms(&self, q: &JointVector) -> impl Iterator<Item = (&str, &str, Isometry3<f64>)> {
         self.links.iter().filter_map(|link| {
             let turn = link.joint.map_or_else(UnitQuaternion::identity, |(i, axis)| {
@@ -91,9 +92,9 @@ impl Robot {
     }
 }
 
-/// The shapes of a link, each as the capsule that is closest to it.
+/// The visual shapes of a link, each approximated by a capsule, m.
 fn shapes(link: &UrdfLink) -> Vec<Capsule> {
-    /// Where the URDF names none.
+    /// Colour of a shape without one in the URDF: red, green, blue, alpha, 0 to 1.
     const GREY: [f64; 4] = [0.6, 0.6, 0.6, 1.0];
     let capsule = |visual: &UrdfVisual| {
         let (half, radius) = match visual.shape {

@@ -1,9 +1,9 @@
-//! Counts cycles and the time that they take.
+//! Count of recorded and lost cycles, and the time that they span.
 
 use serde::Serialize;
 use upswing_ipc::Telemetry;
 
-/// Time on the clock of the plant, which begins anew with another plant; the gap between two plants counts nothing.
+/// Elapsed time on the clock of the plant. The clock restarts with each plant; the gap between two plants does not count.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Elapsed {
     last_ns: Option<u64>,
@@ -11,7 +11,7 @@ pub struct Elapsed {
 }
 
 impl Elapsed {
-    /// Time from the first cycle to this one, the next, which began at `t_ns`; ns.
+    /// Time from the first cycle to the next cycle in order, which began at `t_ns`; ns.
     pub fn until(&mut self, t_ns: u64) -> u64 {
         let last = self.last_ns.replace(t_ns).unwrap_or(t_ns);
         self.ns = self.ns.saturating_add(t_ns.saturating_sub(last));
@@ -19,16 +19,16 @@ impl Elapsed {
     }
 }
 
-/// What has arrived so far.
+/// Numbers of received, lost and restarted cycles, and their time span.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Tally {
-    /// Cycles that arrived.
+    /// Number of received cycles.
     pub cycles: u64,
-    /// Cycles missing between two that arrived.
+    /// Number of cycles missing between received cycles.
     pub lost: u64,
-    /// How often the numbers of the cycles began anew: another daemon.
+    /// Number of restarts of the cycle numbers, each by another daemon.
     pub restarts: u64,
-    /// From the first to the last cycle, as [`Elapsed`], s.
+    /// Time from the first to the last cycle, as [`Elapsed`], s.
     pub seconds: f64,
     #[serde(skip)]
     elapsed: Elapsed,
@@ -49,7 +49,7 @@ impl Tally {
         self.seconds = self.elapsed.until(record.t_ns) as f64 * 1e-9;
     }
 
-    /// Counts cycles in their order.
+    /// Counts `records`, in their order.
     pub fn of(records: &[Telemetry]) -> Self {
         let mut tally = Self::default();
         records.iter().for_each(|record| tally.count(record));

@@ -1,9 +1,9 @@
-//! From a running system into a recording.
+//! Recording of a running system: subscriptions to its telemetry, steps and plans.
 
 use super::{Recorder, RecordingError};
 use upswing_ipc::{IpcError, Node, Plan, StepBatch, Subscriber, Telemetry, TelemetryBatch};
 
-/// All that a recording is made of, as it comes from a running system.
+/// Subscriptions to the messages of a running system that a recording contains.
 pub struct Tap {
     telemetry: Subscriber<TelemetryBatch>,
     steps: Subscriber<StepBatch>,
@@ -11,15 +11,15 @@ pub struct Tap {
 }
 
 impl Tap {
-    /// Listens from now on.
+    /// Subscribes; messages published from now on are received.
     ///
     /// # Errors
-    /// If there are too many listeners, or shared memory cannot be used.
+    /// [`IpcError`] if there are too many subscribers, or shared memory cannot be used.
     pub fn new(node: &Node) -> Result<Self, IpcError> {
         Ok(Self { telemetry: node.subscriber()?, steps: node.subscriber()?, plans: node.subscriber()? })
     }
 
-    /// Takes all that is waiting: into `recorder` where there is one, and the cycles to `see`, too.
+    /// Receives all waiting messages and writes them to `recorder`, if given; `see` gets the cycles, too.
     ///
     /// # Errors
     /// [`RecordingError::Ipc`], [`RecordingError::Write`].
@@ -29,7 +29,7 @@ impl Tap {
         mut see: impl FnMut(&[Telemetry]),
     ) -> Result<(), RecordingError> {
         while let Some(steps) = self.steps.receive()? {
-            // A plan was published before the step that loads it: it is there by now.
+            // A plan is published before the step that loads it, so that it has arrived by now.
             while let Some(plan) = self.plans.receive()? {
                 if let Some(recorder) = &mut recorder {
                     recorder.write_plan(&plan)?;
