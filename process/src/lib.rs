@@ -1,5 +1,5 @@
-//! What every program starts with: command-line options, logging, the shutdown flag, exit codes, messages to the service manager, and
-//! the files it writes.
+//! Common functions of all programs: command-line options, logging, the shutdown flag, exit codes, notifications to the service
+//! manager, and output files.
 
 pub mod notify;
 pub mod number;
@@ -27,7 +27,7 @@ pub struct ProcessArgs {
 }
 
 impl ProcessArgs {
-    /// Reads the settings.
+    /// Reads the settings in the folder `config`, or the embedded settings.
     ///
     /// # Errors
     /// [`Failure::BadInput`] with the message of the [`ConfigError`].
@@ -36,7 +36,7 @@ impl ProcessArgs {
     }
 }
 
-/// Why a process failed; determines its exit code.
+/// Failure of a process; determines its exit code.
 #[derive(Debug, thiserror::Error)]
 pub enum Failure {
     /// An input (command line, file, request) cannot be used: exit code 2.
@@ -54,7 +54,7 @@ impl From<ConfigError> for Failure {
 }
 
 impl Failure {
-    /// The process's exit code.
+    /// Exit code of the process.
     pub fn code(&self) -> u8 {
         match self {
             Self::Failed(_) => 1,
@@ -92,7 +92,7 @@ pub fn start_logging() {
     let filter = tracing_subscriber::EnvFilter::builder()
         .with_default_directive(tracing_subscriber::filter::LevelFilter::INFO.into())
         .from_env_lossy();
-    // Its own complaints about a stderr that cannot be written would go there, too, and panic.
+    // Without internal errors: the logger would report an unwritable stderr on stderr, and panic.
     let logger = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)
@@ -105,14 +105,14 @@ pub fn start_logging() {
     };
 }
 
-/// Whether stderr is the stream that systemd connected to journald, systemd.exec(5); it may be another one by now.
+/// Whether stderr is the stream that systemd connected to journald, systemd.exec(5); it may have been redirected since.
 fn stderr_is_journal() -> bool {
     use std::os::unix::fs::MetadataExt;
     let stream = std::env::var("JOURNAL_STREAM").unwrap_or_default();
     std::fs::metadata("/proc/self/fd/2").is_ok_and(|fd| stream == format!("{}:{}", fd.dev(), fd.ino()))
 }
 
-/// Lines that begin with their level as in sd-daemon(3); journald adds the time.
+/// Format of log lines for journald: each begins with its level as in sd-daemon(3); journald adds the time.
 struct JournalFormat(Format<Full, ()>);
 
 impl Default for JournalFormat {
@@ -143,7 +143,7 @@ where
     }
 }
 
-/// A flag that SIGINT, SIGTERM and SIGHUP raise.
+/// Installs handlers of SIGINT, SIGTERM and SIGHUP, and returns the flag that they raise.
 ///
 /// # Errors
 /// [`Failure::Failed`] if a handler is already installed.

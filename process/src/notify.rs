@@ -1,17 +1,17 @@
-//! What a process tells the service manager that started it (sd_notify(3)); without one it tells nobody.
+//! Notifications of a process to its service manager (sd_notify(3)); without a service manager nothing is sent.
 
 use sd_notify::NotifyState;
 use std::time::{Duration, Instant};
 use tracing::warn;
 
-/// How often a process that is not ready yet says that it lives; each time the manager may wait for it this much longer.
+/// Interval of the notifications of a process that is not ready yet.
 const SIGN_OF_LIFE: Duration = Duration::from_secs(1);
+/// Extension of the start timeout by each of these notifications, us.
 const PATIENCE_US: u32 = 10_000_000;
-/// Signs of life within the time after which the manager takes a process for dead.
+/// Number of watchdog notifications per watchdog timeout of the manager.
 const SIGNS: u32 = 4;
 
-/// Tells the service manager how a process is. Each call that tells something is a system call: not for the real-time
-/// thread.
+/// Sender of notifications to the service manager. A notification is a system call: not for the real-time thread.
 #[derive(Debug)]
 pub struct Notifier {
     managed: bool,
@@ -24,7 +24,7 @@ pub struct Notifier {
 }
 
 impl Notifier {
-    /// For the manager that the environment names (`NOTIFY_SOCKET`, `WATCHDOG_USEC`), if any.
+    /// Creates a notifier for the service manager in the environment (`NOTIFY_SOCKET`, `WATCHDOG_USEC`), if any.
     pub fn new() -> Self {
         Self {
             managed: std::env::var_os("NOTIFY_SOCKET").is_some(),
@@ -37,23 +37,23 @@ impl Notifier {
         }
     }
 
-    /// The process does its work from now on. Only the first call counts.
+    /// Notifies that the process is ready. Only the first call sends a notification.
     pub fn ready(&mut self) {
         if !std::mem::replace(&mut self.ready, true) {
             self.tell(&[NotifyState::Ready]);
         }
     }
 
-    /// One line for people; repeated ones are dropped.
+    /// Sets the status line of the process; an unchanged line is not sent again.
     pub fn status(&mut self, text: &str) {
         if self.managed && self.status != text {
             text.clone_into(&mut self.status);
-            // A second line would be another message.
+            // A second line would be another notification.
             self.tell(&[NotifyState::Status(&text.replace('\n', " "))]);
         }
     }
 
-    /// The process makes progress: call it often, it tells as much as the manager needs.
+    /// Notifies that the process makes progress. To be called often: notifications are sent only as often as the manager needs.
     pub fn alive(&mut self) {
         if !self.managed {
             return;
@@ -69,7 +69,7 @@ impl Notifier {
         }
     }
 
-    /// The process is about to end. Only the first call counts.
+    /// Notifies that the process is about to end. Only the first call sends a notification.
     pub fn stopping(&mut self) {
         if !std::mem::replace(&mut self.stopping, true) {
             self.tell(&[NotifyState::Stopping]);

@@ -1,6 +1,5 @@
-//! Files that commands write, and the one rule for those that exist already: they are left as they are unless `--force` is
-//! given. A file is written beside its place and renamed, so that a reader sees the old one or the new one, and a write that
-//! fails loses nothing.
+//! Output files of commands. An existing file is not changed unless `--force` is given. A file is written to a temporary file in
+//! the same folder and renamed, so that a reader sees the old or the new file, and a failed write loses nothing.
 
 use std::ffi::OsString;
 use std::fs::File;
@@ -18,7 +17,7 @@ pub struct Overwrite {
     pub force: bool,
 }
 
-/// Path of an output file, as the value of an option or argument; input files have another type.
+/// Path of an output file, as the value of an option or argument; paths of input files have another type.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Destination(PathBuf);
 
@@ -37,58 +36,58 @@ impl Deref for Destination {
 }
 
 impl Overwrite {
-    /// The file at `path` under this rule.
+    /// The output file at `path`, which may replace an existing file if `--force` is given.
     pub fn output(self, path: &Path) -> Output {
         Output { path: path.to_owned(), force: self.force }
     }
 }
 
-/// Why a file cannot be written.
+/// Error of writing an output file.
 #[derive(Debug, thiserror::Error)]
 pub enum OutputError {
     /// The file exists already.
     #[error("{} exists already, and is not overwritten: choose another name, or --force", path.display())]
     Exists {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
     },
     /// The file cannot be written.
     #[error("cannot write {}: {cause}", path.display())]
     Io {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
         /// The error of the operating system.
         cause: io::Error,
     },
 }
 
-/// A file to be written, and whether it may replace one.
+/// An output file, and whether it may replace an existing file.
 #[derive(Clone, Debug)]
 pub struct Output {
     path: PathBuf,
     force: bool,
 }
 
-/// Kind of an output file.
+/// Kind of the path of an output file.
 enum Place {
     Free,
     Occupied,
-    /// A terminal, a null device, or what this process has open: written to as it is.
+    /// A terminal, a null device, or an open descriptor of this process: written to directly.
     Stream,
 }
 
 impl Output {
-    /// A file that must not exist yet.
+    /// An output file that must not exist yet.
     pub fn new(path: &Path) -> Self {
         Overwrite::default().output(path)
     }
 
-    /// Its path.
+    /// Path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// A file beside it, under the same rule.
+    /// The output file `name` in the same folder, which may replace an existing file if this one may.
     pub fn beside(&self, name: &str) -> Self {
         Self { path: self.path.with_file_name(name), force: self.force }
     }
@@ -106,7 +105,7 @@ impl Output {
             Ok(state) if state.is_file() => Ok(Place::Occupied),
             Ok(state) if state.file_type().is_char_device() => Ok(Place::Stream),
             Ok(state) if state.is_dir() => Err(ErrorKind::IsADirectory.into()),
-            // Opening a pipe could wait for ever.
+            // Opening a pipe could block for ever.
             Ok(_) => Err(io::Error::other("it is not a regular file")),
             Err(e) if e.kind() == ErrorKind::NotFound => match self.path.symlink_metadata() {
                 Ok(_) => Err(io::Error::other("it is a link to a file that does not exist")),
@@ -116,13 +115,13 @@ impl Output {
         }
     }
 
-    /// The folder to write in; where the path is a link, that of the file behind it.
+    /// The folder to write to; if the path is a link, the folder of its target.
     fn folder(&self) -> io::Result<PathBuf> {
         let path = self.path.canonicalize().unwrap_or_else(|_| self.path.clone());
         Ok(path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_owned())
     }
 
-    /// Whether it can be written, without changing anything: to know it before a long run, not after it.
+    /// Checks that the file can be written, without changing it: before a long run, not after it.
     ///
     /// # Errors
     /// [`OutputError`]
@@ -136,7 +135,7 @@ impl Output {
         }
     }
 
-    /// Makes room for a file that is written piece by piece in its place, such as a recording: what may be replaced is removed.
+    /// Removes an existing file that may be replaced, for a file that is written in place, such as a recording.
     ///
     /// # Errors
     /// [`OutputError`]
@@ -149,7 +148,7 @@ impl Output {
         }
     }
 
-    /// Begins to write; nothing is at the path before [`Pending::finish`].
+    /// Begins to write; the file appears at its path with [`Pending::finish`].
     ///
     /// # Errors
     /// [`OutputError`]
@@ -159,12 +158,12 @@ impl Output {
             if !matches!(self.place()?, Place::Stream) {
                 let file = tempfile::Builder::new()
                     .prefix(".upswing-")
-                    // As any other new file, less the umask.
+                    // As for any other new file, less the umask.
                     .permissions(std::fs::Permissions::from_mode(0o666))
                     .tempfile_in(self.folder()?)?;
                 return Ok(Sink::Whole(BufWriter::new(file)));
             }
-            // Through the descriptor that is open already: what is printed later comes behind.
+            // Through the open descriptor, so that later output is appended.
             if self.path == Path::new("/dev/stdout") {
                 return Ok(Sink::Stream(Box::new(BufWriter::new(io::stdout()))));
             }
@@ -175,7 +174,7 @@ impl Output {
         Ok(Pending { output: self.clone(), sink })
     }
 
-    /// Writes all of it.
+    /// Writes `bytes` as the whole file.
     ///
     /// # Errors
     /// [`OutputError`], for example if the disk is full.
@@ -191,7 +190,7 @@ enum Sink {
     Whole(BufWriter<NamedTempFile>),
 }
 
-/// A file that is being written. Dropped before its end it leaves nothing behind.
+/// An output file being written. Dropped before [`Pending::finish`], it leaves no file.
 pub struct Pending {
     output: Output,
     sink: Sink,
@@ -214,10 +213,10 @@ impl Write for Pending {
 }
 
 impl Pending {
-    /// Completes the file and puts it in its place.
+    /// Completes the file and moves it to its path.
     ///
     /// # Errors
-    /// [`OutputError`], also if somebody else has made the file meanwhile.
+    /// [`OutputError`], also if another process has created the file meanwhile.
     pub fn finish(self) -> Result<(), OutputError> {
         let Self { output, sink } = self;
         let file = match sink {
@@ -280,7 +279,7 @@ mod tests {
         drop(pending);
         assert_eq!(std::fs::read(&path).unwrap(), b"one");
         assert_eq!(names(folder.path()), ["a"]);
-        // Made by somebody else meanwhile.
+        // Another process creates the file meanwhile.
         let other = folder.path().join("b");
         let mut pending = Output::new(&other).begin().unwrap();
         pending.write_all(b"two").unwrap();
@@ -310,7 +309,7 @@ mod tests {
                 assert!(output.write(b"one").is_err() && output.clear().is_err());
             }
         }
-        // A link stays one.
+        // A link remains a link.
         let (file, link) = (folder.path().join("file"), folder.path().join("link"));
         std::fs::write(&file, b"one").unwrap();
         std::os::unix::fs::symlink(&file, &link).unwrap();

@@ -1,4 +1,4 @@
-//! What a swing-up was like, from its telemetry.
+//! Evaluation of a swing-up from its telemetry: motion statistics and success.
 
 use serde::Serialize;
 use std::collections::VecDeque;
@@ -8,12 +8,12 @@ use upswing_ipc::{Mode, PlannerResponse, Telemetry};
 use upswing_model::thresholds::{REPORT_POSITION_SLACK, REST_SPEED_REPORT};
 use upswing_model::{JointVector, Limits, Model, NQ, NU};
 
-/// Figures of any stretch of records.
+/// Statistics of the motion in a sequence of telemetry records.
 #[derive(Clone, Debug, Serialize)]
 pub struct MotionStatistics {
-    /// Largest difference between a joint angle and its reference while tracking, rad, of joints 1-7 and 8-9.
+    /// Largest difference between a position of joints 1-7 and its reference while tracking, rad.
     pub tracking_error_arm: f64,
-    /// See `tracking_error_arm`.
+    /// Largest difference between a position of joints 8-9 and its reference while tracking, rad.
     pub tracking_error_pendulum: f64,
     /// Largest share of the 100 % position limits that joints 1-7 reached.
     pub peak_position: f64,
@@ -21,7 +21,7 @@ pub struct MotionStatistics {
     pub peak_velocity: f64,
     /// Largest share of the 100 % velocity limits that joints 8 and 9 reached while tracking or balancing.
     pub peak_velocity_pendulum: f64,
-    /// Largest share of the 100 % torque limits, as commanded: the limiter cuts it at 1.
+    /// Largest share of the 100 % torque limits in the commanded torques, at most 1 because of the limiter.
     pub peak_torque: f64,
     /// Share of the cycles of tracking and balancing in which the limiter cut a torque.
     pub limited_share: f64,
@@ -31,50 +31,50 @@ pub struct MotionStatistics {
     pub final_speed: f64,
     /// Time in balance, s.
     pub balance_s: f64,
-    /// Cycles recorded.
+    /// Number of recorded cycles.
     pub cycles: u64,
-    /// Records lost between daemon and here.
+    /// Number of records lost between daemon and recorder.
     pub dropped: u64,
-    /// Cycles that ended late (clocks `wall` and `paced`).
+    /// Number of late cycles (clocks `wall` and `paced`).
     pub overruns: u64,
 }
 
-/// A swing-up and whether it was one.
+/// Evaluation of a swing-up: success, failures, plan and motion statistics.
 #[derive(Clone, Debug, Serialize)]
 pub struct SwingUpEvaluation {
-    /// Balanced to the end, all limits kept.
+    /// Whether the pendulum balanced to the end within all limits.
     pub success: bool,
-    /// Why not, for people.
+    /// Failed criteria as sentences; empty after a success.
     pub failures: Vec<String>,
     /// Duration of the planned swing-up t_F, s.
     pub t_f: f64,
     /// Time from the request to the plan, s.
     pub planning_s: f64,
-    /// Index of the database entry and its distance, rad.
+    /// Index of the database entry that the plan was adapted from.
     pub nearest_entry: u64,
-    /// See `nearest_entry`.
+    /// Weighted distance of the start to that entry, rad.
     pub distance: f64,
-    /// Defect of the plan's real dynamics, rad/s per interval.
+    /// Largest defect of the plan under the nonlinear dynamics, rad or rad/s per interval.
     pub defect: f64,
-    /// What the records show.
+    /// Motion statistics of the records.
     #[serde(flatten)]
     pub statistics: MotionStatistics,
 }
 
-/// Tilt up to which the pendulum counts as balanced, deg.
+/// Largest tilt of a balanced pendulum, deg.
 const BALANCED_DEG: f64 = 2.0;
 
-/// Share of the cycles in which a torque may have been cut. Assumed: while the limiter cuts, the loop is not the one that
-/// the gains were made for; two hundredths of a second in two seconds is what one hard push takes.
+/// Largest share of the cycles in which the limiter may cut a torque. Assumed: while the limiter cuts, the loop is not the loop
+/// for which the gains were computed; one hard push takes about 0.02 s in two seconds.
 const LIMITED_SHARE: f64 = 0.01;
 
-/// Angle of the rod from upright, rad: between the line from the last joint to the tip and the vertical.
+/// Angle of the rod from upright at joint positions q (rad), rad: between the line from joint 9 to the tip and the vertical.
 pub fn tilt(model: &Model, q: &JointVector) -> f64 {
     let rod = model.rod(q);
     (rod.z / rod.norm()).clamp(-1.0, 1.0).acos()
 }
 
-/// How far an angle was past its limit, and when.
+/// Excess of a joint position over its limit, with the joint (from 0) and the record.
 struct LimitExcess<'a> {
     rad: f64,
     joint: usize,
@@ -91,7 +91,7 @@ impl std::fmt::Display for LimitExcess<'_> {
     }
 }
 
-/// Makes [`MotionStatistics`] of one record after the other.
+/// Accumulator of [`MotionStatistics`], one record after the other.
 #[derive(Clone, Debug, Default)]
 pub struct MotionStatisticsCounter {
     tracking_error_arm: f64,
@@ -102,24 +102,25 @@ pub struct MotionStatisticsCounter {
     peak_torque: f64,
     cycles: u64,
     overruns: u64,
-    /// Cycles of tracking and balancing, and those of them in which the limiter cut a torque.
+    /// Number of cycles of tracking and balancing.
     controlled: u64,
+    /// Number of these cycles in which the limiter cut a torque.
     limited: u64,
-    /// Time from one balanced cycle to the next, ns: by the clock, because a cycle that the controller missed between two
-    /// others is balanced, too.
+    /// Sum of the times between successive balanced cycles, ns: by the clock, because a cycle missed between balanced cycles
+    /// counts as balanced, too.
     balance_ns: u64,
-    /// How often a balance began; each has one cycle more than steps.
+    /// Number of phases of balance; each has one cycle more than intervals.
     balances: u64,
-    /// When the cycle before was balanced, ns.
+    /// Time of the preceding cycle if it was balanced, ns.
     balanced_ns: Option<u64>,
-    /// The last second of balance: time, ns, angle of the rod from upright, rad, and fastest joint of the arm, rad/s.
+    /// Cycles of the last second of balance: time (ns), tilt of the rod (rad), speed of the fastest joint of the arm (rad/s).
     end: VecDeque<(u64, f64, f64)>,
 }
 
 impl MotionStatisticsCounter {
-    /// The next record.
+    /// Adds the next record.
     pub fn count(&mut self, model: &Model, limits: &Limits, t: &Telemetry) {
-        /// ns
+        /// One second, ns.
         const SECOND: u64 = 1_000_000_000;
         self.cycles += 1;
         self.overruns += u64::from(t.flags & Telemetry::OVERRUN != 0);
@@ -152,7 +153,7 @@ impl MotionStatisticsCounter {
                 None => self.balances += 1,
             }
             self.balanced_ns = Some(t.t_ns);
-            // Another plant began anew.
+            // The time restarts with another plant.
             if self.end.back().is_some_and(|(last, ..)| t.t_ns < *last) {
                 self.end.clear();
             }
@@ -164,7 +165,7 @@ impl MotionStatisticsCounter {
         }
     }
 
-    /// The figures of all records so far, of which `dropped` were lost. `period` in s.
+    /// The statistics of all records so far; `dropped`: number of lost records; `period`: control period, s.
     pub fn statistics(&self, period: f64, dropped: u64) -> MotionStatistics {
         let most = |of: fn(&(u64, f64, f64)) -> f64| match self.end.is_empty() {
             true => f64::NAN,
@@ -204,8 +205,8 @@ impl<'a> LimitExcess<'a> {
 }
 
 impl SwingUpEvaluation {
-    /// Evaluates the records of a swing-up that shall balance for `seconds`. `fastest`: the largest true speeds of all
-    /// joints, rad/s, where a simulated plant knows them; they count besides the estimated ones, which the filter smooths.
+    /// Evaluates the records of a swing-up that has to balance for `seconds`. `fastest`: the largest true speeds of all joints,
+    /// rad/s, if a simulated plant provides them; they count in addition to the estimated speeds, which the filter smooths.
     pub fn new(
         config: &Config,
         plan: &PlannerResponse,

@@ -97,7 +97,7 @@ pub enum RecordingError {
         /// Missing contents.
         expected: String,
     },
-    /// The URDF of the recording cannot be used.
+    /// The URDF of the settings to be recorded cannot be used.
     #[error("{}: {cause}", path.display())]
     Robot {
         /// Path of the file.

@@ -10,22 +10,22 @@ use upswingd::os::flush_to_zero;
 use upswingd::plan::{PlanRefusal, accept};
 use upswingd::step::StepInput;
 
-/// Fields that tell of the thread, not of the controller.
+/// Fields that describe the timing of the real-time thread, not the controller; they are not compared.
 const OF_THE_THREAD: [&str; 5] = ["degraded", "wake_ns", "read_ns", "compute_ns", "write_ns"];
 
-/// A recorded run, all in memory: 10 MB per second at 8 kHz.
+/// A recorded run in memory: 10 MB per second at 8 kHz.
 #[derive(Clone, Debug, Default)]
 pub struct RecordedRun {
     /// The cycles, in the order of their recording; at least one.
     pub cycles: Vec<Telemetry>,
     /// The inputs of the controller, in the order of their recording: steps and plans.
     pub inputs: Vec<Message>,
-    /// What else is known of it.
+    /// The other contents of the recording.
     pub recording: Recording,
 }
 
 impl RecordedRun {
-    /// Reads a recording.
+    /// Reads the whole recording at `path`.
     ///
     /// # Errors
     /// As [`scan`].
@@ -43,10 +43,10 @@ impl RecordedRun {
     }
 }
 
-/// Why a recording cannot be replayed.
+/// Error of a replay.
 #[derive(Debug, thiserror::Error)]
 pub enum ReplayError {
-    /// It has no steps.
+    /// The recording has no steps.
     #[error("expected steps to replay, got none: the recording is of an older version")]
     NoSteps,
     /// Earlier steps are missing, so that the state of the controller is unknown.
@@ -57,10 +57,10 @@ pub enum ReplayError {
     Gap {
         /// Number of the step that is missing.
         expected: u64,
-        /// Number of the one that comes instead.
+        /// Number of the step found in its place.
         got: u64,
     },
-    /// A step whose request does not exist, or whose plan is missing or refused.
+    /// The request of a step does not exist, or its plan is missing or refused.
     #[error("step {number}: request {code} with plan {plan_id} cannot be given: {reason}")]
     Request {
         /// Number of the step.
@@ -69,28 +69,28 @@ pub enum ReplayError {
         code: u64,
         /// Plan to be loaded or started.
         plan_id: u64,
-        /// What is wrong.
+        /// Error of the request.
         #[source]
         reason: RequestError,
     },
-    /// A settings file is not in it.
+    /// A settings file is missing in the recording.
     #[error("expected the settings file {0} in the recording, got none")]
     NoSettings(&'static str),
-    /// Its settings cannot be used.
+    /// The settings in the recording cannot be used.
     #[error(transparent)]
     Settings(#[from] ConfigError),
-    /// Its settings cannot be unpacked.
+    /// The settings cannot be unpacked to a temporary folder.
     #[error("cannot unpack the settings: {0}")]
     Unpack(#[from] std::io::Error),
 }
 
-/// Why the request of a recorded step cannot be given to a controller.
+/// Error of the request in a recorded step.
 #[derive(Debug, thiserror::Error)]
 pub enum RequestError {
     /// No request has this code.
     #[error(transparent)]
     Unknown(#[from] UnknownCode),
-    /// The recording has no such plan before the step.
+    /// The recording does not contain the requested plan before the step.
     #[error("no such plan before it")]
     NoPlan,
     /// This version of the daemon refuses the plan.
@@ -98,40 +98,40 @@ pub enum RequestError {
     Refused(#[from] PlanRefusal),
 }
 
-/// The first number that came out differently.
+/// A number that differs between recording and replay.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Difference {
     /// Number of the cycle.
     pub cycle: u64,
-    /// Name of the field, with the joint where it has several numbers.
+    /// Name of the field; for an array with the number of the joint, from 1.
     pub field: String,
-    /// In the recording.
+    /// Value in the recording.
     pub recorded: String,
-    /// Now.
+    /// Value in the replay.
     pub replayed: String,
 }
 
-/// What a replay gave.
+/// Result of a replay: its cycles and their first differences from the recording.
 #[derive(Clone, Debug, Default)]
 pub struct Replay {
-    /// Steps given to the controller.
+    /// Number of steps given to the controller.
     pub steps: u64,
-    /// Cycles that were compared.
+    /// Number of compared cycles.
     pub compared: u64,
     /// The first number that is not bit for bit the same.
     pub difference: Option<Difference>,
-    /// The first cycle with another mode or fault.
+    /// The first difference in mode or fault.
     pub decision: Option<Difference>,
-    /// The cycles as they came out.
+    /// The replayed cycles.
     pub cycles: Vec<Telemetry>,
 }
 
-/// Replays with some settings; those of the recording are [`settings`].
+/// Replays a recorded run with the given settings; [`settings`] reads those of the recording.
 ///
 /// # Errors
 /// [`ReplayError`] if the recording does not contain the complete input of the controller.
 pub fn replay(recorded: &RecordedRun, config: &Config) -> Result<Replay, ReplayError> {
-    // As in the real-time thread: the replay has to round as that does. In a thread of its own, for the caller's sake.
+    // Flush-to-zero as in the real-time thread, so that the replay rounds alike; in its own thread, so that the caller's is unchanged.
     std::thread::scope(|threads| {
         let run = threads.spawn(|| {
             flush_to_zero();
@@ -142,7 +142,7 @@ pub fn replay(recorded: &RecordedRun, config: &Config) -> Result<Replay, ReplayE
 }
 
 fn run(run: &RecordedRun, config: &Config) -> Result<Replay, ReplayError> {
-    // By daemon and cycle: a recording may go on over restarts of the daemon.
+    // In the order of daemons and cycles: a recording may continue over restarts of the daemon.
     let mut recorded = run.cycles.iter().peekable();
     let mut plans = BTreeMap::new();
     let mut controller = Controller::new(config);
@@ -158,7 +158,7 @@ fn run(run: &RecordedRun, config: &Config) -> Result<Replay, ReplayError> {
             Message::Cycle(_) => continue,
         };
         if step.number == 1 && number > 0 {
-            // Another daemon; what the file has of the last one's cycles ends here.
+            // Another daemon: skip the remaining recorded cycles of the previous daemon.
             (controller, number, cycle) = (Controller::new(config), 0, 0);
             while recorded.peek().is_some_and(|record| record.seq > step.cycle) {
                 recorded.next();
@@ -169,7 +169,7 @@ fn run(run: &RecordedRun, config: &Config) -> Result<Replay, ReplayError> {
         }
         number = step.number;
         replay.steps += 1;
-        // Plans are checked as in the daemon.
+        // Plans are checked as by the daemon.
         let plan = |id| Ok(accept(plans.get(&id).ok_or(RequestError::NoPlan)?, config)?);
         let input = StepInput::from_payload(step, plan).map_err(|reason| {
             let Step { number, request: code, plan_id, .. } = *step;
@@ -189,7 +189,7 @@ fn run(run: &RecordedRun, config: &Config) -> Result<Replay, ReplayError> {
     if replay.steps == 0 { Err(ReplayError::NoSteps) } else { Ok(replay) }
 }
 
-/// Notes the first differences of two records of the same cycle.
+/// Compares two records of the same cycle and stores the first differences in `replay`.
 fn compare(recorded: &Telemetry, replayed: &Telemetry, replay: &mut Replay) {
     let mut recorded = *recorded;
     recorded.flags &= !Telemetry::OVERRUN;
@@ -216,10 +216,10 @@ fn compare(recorded: &Telemetry, replayed: &Telemetry, replay: &mut Replay) {
     }
 }
 
-/// The settings in a recording.
+/// Reads the settings in a recording.
 ///
 /// # Errors
-/// [`ReplayError`] if one is missing, or cannot be used by this version.
+/// [`ReplayError`] if a settings file is missing, or cannot be used by this version.
 pub fn settings(recording: &Recording) -> Result<Config, ReplayError> {
     let folder = tempfile::tempdir()?;
     let write = |name: &str, bytes: &[u8]| {

@@ -1,4 +1,4 @@
-//! Writes recordings.
+//! Writer of recordings.
 
 use super::{CHUNK, CYCLE_TOPIC, DETAILS, RecordingError, Tally, cdr, cycle, messages};
 use crate::robot::Robot;
@@ -13,10 +13,10 @@ use upswing_config::Config;
 use upswing_ipc::{Plan, Step, Telemetry};
 use upswing_model::NQ;
 
-/// Rate of the topics that are for looking at the robot, Hz: more than screens show.
+/// Rate of the topics for the display of the robot, Hz: higher than the refresh rate of most screens.
 const VIEW_RATE: f64 = 125.0;
 
-/// A recording being written. Complete once [`Recorder::finish`] succeeded; readable up to the last chunk if not.
+/// Writer of a recording. The file is complete after [`Recorder::finish`], and readable up to its last chunk before that.
 pub struct Recorder {
     path: PathBuf,
     writer: Writer<BufWriter<File>>,
@@ -29,7 +29,7 @@ pub struct Recorder {
     last_ns: u64,
 }
 
-/// Ids of the topics.
+/// Channel ids of the topics.
 struct Channels {
     cycle: u16,
     step: u16,
@@ -40,10 +40,10 @@ struct Channels {
 }
 
 impl Recorder {
-    /// Makes the file, which must not exist yet, with the settings as attachments and `details` of the run.
+    /// Creates the file, which must not exist yet, with the settings as attachments and the `details` that identify the run.
     ///
     /// # Errors
-    /// [`RecordingError`] that names the file and why it cannot be made.
+    /// [`RecordingError`] if the file cannot be created or written, or the settings or their URDF cannot be read.
     pub fn create(
         path: &Path,
         config: &Config,
@@ -84,7 +84,7 @@ impl Recorder {
         result.map_err(|cause| self.error(cause))
     }
 
-    /// Appends steps.
+    /// Appends inputs of the controller.
     ///
     /// # Errors
     /// As [`Recorder::write`].
@@ -96,7 +96,7 @@ impl Recorder {
         steps.iter().try_for_each(&mut put).map_err(|cause| self.error(cause))
     }
 
-    /// Appends a plan; before the step that loads it.
+    /// Appends a plan; call it before the step that loads the plan is written.
     ///
     /// # Errors
     /// As [`Recorder::write`].
@@ -136,12 +136,12 @@ impl Recorder {
         self.writer.write_to_known_channel(&header, data)
     }
 
-    /// What has been recorded so far.
+    /// Numbers of cycles recorded and lost so far.
     pub fn tally(&self) -> Tally {
         self.tally
     }
 
-    /// Writes the index at the end of the file.
+    /// Completes the file with its index, and returns the numbers of cycles.
     ///
     /// # Errors
     /// [`RecordingError::Write`].
@@ -152,7 +152,7 @@ impl Recorder {
     }
 }
 
-/// Everything that comes before the first cycle.
+/// Writes the part of a recording before the first cycle: details, settings, schemas and channels.
 fn begin(
     file: File,
     texts: Vec<(&'static str, String)>,
@@ -161,7 +161,7 @@ fn begin(
     let mut writer = WriteOptions::new()
         .profile("ros2")
         .library(concat!("upswing ", env!("CARGO_PKG_VERSION")))
-        // Chunks end where `append` says; one thread is enough and leaves the other CPUs to the loop.
+        // `append` ends the chunks; one thread is enough and leaves the other CPUs to the control loop.
         .chunk_size(None)
         .compression_threads(0)
         .compression_level(1)
@@ -186,7 +186,7 @@ fn begin(
     let (joint_states, transforms, description) =
         (known(&messages::JOINT_STATES)?, known(&messages::TRANSFORMS)?, known(&messages::DESCRIPTION)?);
     let cycle = channel(CYCLE_TOPIC, cycle::TYPE, &cycle::definition())?;
-    // What a killed process leaves is complete up to here.
+    // From here on the file is readable if the process is killed.
     writer.flush()?;
     Ok((writer, Channels { cycle, step, plan, joint_states, transforms, description }))
 }
