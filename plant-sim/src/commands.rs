@@ -1,28 +1,28 @@
-//! The commands of the daemon, read from shared memory.
+//! Reader of the daemon's commands in shared memory.
 
 use tracing::warn;
 use upswing_ipc::{Command, Commands, FinderThread, IpcError, Node, Reader};
 
-/// The commands of the newest daemon. Nothing in them is trusted.
+/// Reader of the commands of the newest daemon; their contents are not trusted.
 pub(crate) struct DaemonCommands {
     daemon: Option<Daemon>,
-    // Outlives the readers.
+    // Declared last, so that it outlives the reader.
     finder: FinderThread<Command>,
 }
 
-/// A daemon that was found.
+/// Commands of a daemon that was found.
 struct Daemon {
     reader: Reader<Command>,
-    /// `seq` of the newest command that was looked at.
+    /// `seq` of the newest command that was read.
     seq: u64,
 }
 
 impl DaemonCommands {
-    /// Waits until the first search has ended. To be called before the first measurement is published: a command that is
-    /// there already answers another plant, and is never taken.
+    /// Starts the search for daemons and waits for its first result. To be called before the first measurement is published: a
+    /// command that exists already answers another plant, and is never taken.
     ///
     /// # Errors
-    /// If no thread can be started.
+    /// If the thread of the search cannot be started.
     pub(crate) fn new(node: &Node) -> std::io::Result<Self> {
         let finder = FinderThread::start(node)?;
         let daemon = logged(finder.first()).map(|reader| Daemon { seq: reader.read().seq, reader });
@@ -50,7 +50,7 @@ impl Commands for DaemonCommands {
     }
 }
 
-/// The daemon that was found, if any; an error is logged.
+/// The reader of the commands of a daemon, if one was found; an error is logged.
 fn logged(found: Result<Option<Reader<Command>>, IpcError>) -> Option<Reader<Command>> {
     found.unwrap_or_else(|e| {
         warn!("cannot look for a daemon: {e}");

@@ -1,4 +1,4 @@
-//! Drives and brakes of the arm: from a command to the torque on the joints, and when the brakes close.
+//! Drives and brakes of the arm: torque on the joints under a command, and closing of the brakes.
 
 use upswing_config::{DriveSettings, MAX_DELAY};
 use upswing_ipc::Command;
@@ -10,7 +10,7 @@ const DELAY_LINE: usize = MAX_DELAY as usize + 1;
 /// The actuation of the arm over one control period.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Actuation {
-    /// Released brakes and this torque on the actuated joints, N m.
+    /// Released brakes, with the torque on the actuated joints, N m.
     Torque(ActuatedVector),
     /// Closed brakes.
     Brakes,
@@ -21,22 +21,22 @@ pub(crate) enum Actuation {
 pub(crate) struct Drives {
     tau_max: ActuatedVector,
     offset: ActuatedVector,
-    /// Share of the difference to the commanded torque that one period removes: the lag of first order, discretised.
+    /// Share of the difference to the commanded torque that one period removes: first-order lag, discretised.
     lag_share: f64,
     watchdog_cycles: u32,
     engage_cycles: u64,
     delay: u64,
-    /// Commands that have not arrived yet, a ring by cycle number.
+    /// Commands in transit, a ring buffer by cycle number.
     delay_line: [Option<Command>; DELAY_LINE],
     /// The newest command that has arrived, until the watchdog drops it.
     active: Option<Command>,
-    /// Cycles since a command arrived.
+    /// Number of cycles since a command arrived.
     silent_cycles: u32,
-    /// Whether a command has come since power-up.
+    /// Whether a command was sent since power-up.
     commanded: bool,
-    /// Cycles until closing brakes hold.
+    /// Number of cycles until closing brakes hold.
     engage_left: u64,
-    /// Torque that the sensors show, N m.
+    /// Measured torque of the drives, N m.
     tau: ActuatedVector,
     tau_peak: ActuatedVector,
     /// Whether the brakes are commanded to close.
@@ -77,7 +77,7 @@ impl Drives {
         self.fault = false;
     }
 
-    /// The actuation in cycle `seq`, in which the daemon sends `command`, or none.
+    /// Advances by cycle `seq`, in which the daemon sends `command` (`None`: no command), and returns the actuation in it.
     pub(crate) fn step(&mut self, seq: u64, command: Option<&Command>) -> Actuation {
         self.commanded |= command.is_some();
         self.delay_line[slot(seq)] = command.copied();
@@ -95,19 +95,19 @@ impl Drives {
         }
     }
 
-    /// A drive fault with brakes that hold at once, until a command closes the brakes, too.
+    /// Sets a drive fault; the brakes hold at once. It lasts until a command closes the brakes.
     pub(crate) fn fail(&mut self) {
         self.fault = true;
         self.braking = true;
         self.engage_left = 0;
     }
 
-    /// The sensors' reading of a load that the brakes hold, N m: less their offset, as for the drives' own torque.
+    /// Measured torque of a load (N m) that the brakes hold, N m: less the offset of the sensors, within the torque limits.
     pub(crate) fn sensed_load(&self, load: &ActuatedVector) -> ActuatedVector {
         (load - self.offset).inf(&self.tau_max).sup(&-self.tau_max)
     }
 
-    /// The sensors' reading of the drives' torque, N m.
+    /// Measured torque of the drives, N m.
     pub(crate) fn tau(&self) -> &ActuatedVector {
         &self.tau
     }
@@ -126,7 +126,7 @@ impl Drives {
         self.saturated
     }
 
-    /// Whether the drives follow torque commands: a command has come since power-up, and there is no fault.
+    /// Whether the drives follow torque commands: a command was sent since power-up, and there is no drive fault.
     pub(crate) fn ready(&self) -> bool {
         self.commanded && !self.fault
     }
@@ -156,9 +156,9 @@ impl Drives {
         Some(torque)
     }
 
-    /// The torque on the joints, N m, with released brakes: the lagged commanded torque and its offset.
+    /// Releases the brakes and returns the torque on the joints, N m: the commanded torque with lag, plus the offset.
     fn apply(&mut self, commanded: &ActuatedVector) -> ActuatedVector {
-        // While the brakes hold, the torque loops have time to settle.
+        // No lag in the first period: while the brakes hold, the torque loops settle.
         if self.braking || self.lag_share >= 1.0 {
             self.tau = *commanded;
         } else {
@@ -169,7 +169,7 @@ impl Drives {
         self.tau + self.offset
     }
 
-    /// Closes the brakes; until they hold the arm moves without torque.
+    /// Closes the brakes; until they hold, the arm moves without torque.
     fn brake(&mut self) -> Actuation {
         self.engage_left = if self.braking { self.engage_left.saturating_sub(1) } else { self.engage_cycles };
         self.braking = true;

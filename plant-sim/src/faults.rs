@@ -1,34 +1,34 @@
-//! Faults: of measurements on their way to the daemon, of commands on their way to the drives, and external torques.
+//! Faults of the transmission of measurements and commands, faults of encoders, and external torques.
 
 use upswing_config::{EventError, Fault, FaultKind, MAX_DELAY};
 use upswing_ipc::Measurement;
 use upswing_model::JointVector;
 
-/// Most faults, and most pushes, that can be set at the same time.
+/// Largest number of faults, and of pushes, that can be set at the same time.
 const MOST_FAULTS: usize = 16;
-/// Newest true measurements that are kept: as many as a fault can delay, and the present one.
+/// Number of true measurements in the history: the longest delay of a fault, and the present measurement.
 const HISTORY: usize = MAX_DELAY as usize + 1;
 
-/// Why a fault or a push cannot be added.
+/// Error of adding a fault or a push.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum SetEventError {
-    /// Its numbers are impossible.
+    /// A value of the fault or push is impossible.
     #[error(transparent)]
     Impossible(#[from] EventError),
-    /// It would begin in a cycle that is over.
+    /// The fault or push would begin in a past cycle.
     #[error("expected a cycle from {next} on, got {got}: past cycles cannot be changed")]
     Past {
         /// First cycle that can still change.
         next: u64,
-        /// Cycle that was asked for.
+        /// Requested first cycle.
         got: u64,
     },
-    /// Too many are set already.
+    /// Too many faults or pushes are set already.
     #[error("expected at most {MOST_FAULTS} at a time: clear some first")]
     TooMany,
 }
 
-/// Fails if `count` events leave no room for another one, or it would begin in `from`, before the cycle `next`.
+/// Fails if `count` events leave no room for another event, or if its first cycle `from` is before the cycle `next`.
 pub(crate) fn check_room(count: usize, next: u64, from: u64) -> Result<(), SetEventError> {
     if from < next {
         return Err(SetEventError::Past { next, got: from });
@@ -36,7 +36,7 @@ pub(crate) fn check_room(count: usize, next: u64, from: u64) -> Result<(), SetEv
     if count >= MOST_FAULTS { Err(SetEventError::TooMany) } else { Ok(()) }
 }
 
-/// A fault with the measurement that it may freeze.
+/// A fault, with the measurement that it may freeze.
 #[derive(Clone, Debug)]
 struct FaultState {
     fault: Fault,
@@ -47,12 +47,12 @@ struct FaultState {
 /// The faults that are set, and the measurements that they delay, freeze or repeat.
 #[derive(Clone, Debug)]
 pub(crate) struct Faults {
-    /// In the order of their kinds, whichever was set first: the kinds that choose a measurement come before those that
+    /// Faults in the order of their kinds, not of their addition: the kinds that select a measurement come before the kinds that
     /// falsify it.
     states: Vec<FaultState>,
-    /// True measurements, a ring by cycle number.
+    /// True measurements, a ring buffer by cycle number.
     history: [Measurement; HISTORY],
-    /// The measurement that the daemon found in the last cycle.
+    /// The measurement that the daemon received in the last cycle.
     last_shown: Measurement,
 }
 
@@ -82,7 +82,7 @@ impl Faults {
         self.states.clear();
     }
 
-    /// Stores the true measurement of the present cycle; once more if the state is reset in it.
+    /// Stores the true measurement of the present cycle; called again if the state is reset in the cycle.
     pub(crate) fn measured(&mut self, measurement: Measurement) {
         self.history[slot(measurement.seq)] = measurement;
         for state in &mut self.states {
@@ -92,12 +92,12 @@ impl Faults {
         }
     }
 
-    /// Ends cycle `seq`: the daemon has found its measurement.
+    /// Ends cycle `seq`: the daemon has received its measurement.
     pub(crate) fn end(&mut self, seq: u64) {
         self.last_shown = self.show(seq);
     }
 
-    /// The measurement that the daemon finds in cycle `seq`, the present one; that of the last cycle if none arrives.
+    /// The measurement that the daemon receives in the present cycle `seq`; that of the last cycle if no new one arrives.
     pub(crate) fn show(&self, seq: u64) -> Measurement {
         let mut measurement = self.at(seq);
         for FaultState { fault, at_begin } in self.states.iter().filter(|state| state.fault.acts(seq)) {
@@ -108,7 +108,7 @@ impl Faults {
                 FaultKind::DuplicateMeasurement if !odd => return self.last_shown,
                 FaultKind::ReorderMeasurement if odd => measurement = self.at(seq.saturating_sub(2)),
                 FaultKind::DelayMeasurement => {
-                    // A checked whole number.
+                    // A whole number, as checked by `Fault::check`.
                     let delay = fault.amount as u64;
                     if since < delay {
                         return self.last_shown;
@@ -146,7 +146,7 @@ impl Faults {
         })
     }
 
-    /// The true measurement of cycle `seq`, one of the newest.
+    /// The true measurement of cycle `seq`, one of the last [`HISTORY`] cycles.
     fn at(&self, seq: u64) -> Measurement {
         self.history[slot(seq)]
     }

@@ -1,19 +1,19 @@
 //! The simulated robot: dynamics (1) of arm and pendulum, drives, encoders, brakes and faults.
 //!
-//! [`Plant`] is the simulation: pure and deterministic, without clock or shared memory, also for a controller in the same
-//! process. [`run`] is the plant process, which steps a [`Plant`] on one of the clocks `wall`, `paced` and `lockstep`
-//! ([`upswing_ipc::PlantPacing`] has their rules).
+//! [`Plant`] is the simulation: deterministic, without clock or shared memory, usable with a controller in the same process.
+//! [`run`] is the plant process, which steps a [`Plant`] on one of the clocks `wall`, `paced` and `lockstep`
+//! ([`upswing_ipc::PlantPacing`] implements their rules).
 //!
 //! | module | contents |
 //! |---|---|
-//! | `plant` | the plant in one moment, and its step |
+//! | `plant` | the plant: state, measurement and step |
 //! | `mechanism` | arm and pendulum: dynamics, friction, stops, brakes, external loads, integration |
-//! | `drives`, `encoders`, `faults` | actuators, sensors, and what goes wrong with them |
-//! | `start` | which states are accepted |
+//! | `drives`, `encoders`, `faults` | actuators, sensors, and their faults |
+//! | `start` | check of requested states |
 //! | `service`, `commands`, `requests` | the process: its loop, the daemon's commands, the `plant` service |
 //!
 //! On every clock the drives close the brakes when no command has arrived for `drive.watchdog_cycles` cycles. A cycle in
-//! which a fault keeps the measurement from the daemon does not wait for an answer.
+//! which a fault withholds the measurement from the daemon does not wait for a command.
 //!
 //! A cycle is complete when its measurement is answered and the state has moved on. The `plant` service reports the last
 //! complete cycle and the true state that the next measurement will show. A paused plant therefore has no unanswered

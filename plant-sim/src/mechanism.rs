@@ -8,7 +8,7 @@ use upswing_model::{ActuatedVector, JointVector, Model, N_UNACTUATED, NU, Unactu
 /// A force on the tip of the rod, world frame, N.
 pub(crate) type TipForce = [f64; 3];
 
-/// A load that acts on the mechanism from outside, constant over a control period.
+/// External load on the mechanism, constant over a control period.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct ExternalLoad {
     pub tip_force: Option<TipForce>,
@@ -16,7 +16,7 @@ pub(crate) struct ExternalLoad {
     pub joint_torque: Option<JointVector>,
 }
 
-/// Arm and pendulum with their state.
+/// Mechanism of arm and pendulum with its state and integrator.
 #[derive(Clone, Debug)]
 pub(crate) struct Mechanism {
     /// q, rad.
@@ -35,7 +35,7 @@ pub(crate) struct Mechanism {
 }
 
 impl Mechanism {
-    /// The mechanism in a state (rad, rad/s).
+    /// Creates the mechanism in the state q (rad), qd (rad/s).
     pub(crate) fn new(config: &Config, model: Model, q: &JointVector, qd: &JointVector) -> Self {
         let settings = &config.plant;
         let step = config.daemon.cycle.period.seconds() / f64::from(settings.integrator.substeps);
@@ -52,7 +52,7 @@ impl Mechanism {
         }
     }
 
-    /// Integrates one control period. `None` if the state diverges: then its last finite value remains.
+    /// Integrates one control period. `None` if the state diverges: its last finite value remains.
     pub(crate) fn advance(&mut self, actuation: &Actuation, external: &ExternalLoad) -> Option<()> {
         for _ in 0..self.substeps {
             self.integrate(actuation, external)?;
@@ -87,7 +87,7 @@ impl Mechanism {
         Some(())
     }
 
-    /// qdd, rad/s^2.
+    /// Joint accelerations qdd at (q, qd), rad/s^2; `None` if the mass matrix cannot be factorised.
     fn acceleration(
         &mut self,
         q: &JointVector,
@@ -130,7 +130,7 @@ impl Mechanism {
         Some(force.fixed_rows::<NU>(0).into())
     }
 
-    /// qdd = [u, qdd_U] with u = -qd_A / time constant: (3a) with the load of the pendulum (N m),
+    /// Accelerations with closed brakes, rad/s^2: qdd = [u, qdd_U], u = -qd_A / time constant, (3a) with the pendulum's load (N m),
     /// M_UU qdd_U = load_U - (M_UA u + C_U qd + g_U).
     fn braked_acceleration(
         &mut self,
@@ -161,14 +161,14 @@ fn stop_torque(stops: &JointStopSettings, joint: usize, q: f64, qd: f64) -> f64 
     -q.signum() * back.max(0.0)
 }
 
-/// Joint friction, viscous qd + coulomb tanh(qd / smoothing), less what the drives compensate.
+/// Joint friction, viscous qd + coulomb tanh(qd / smoothing), less the share that the drives compensate.
 #[derive(Clone, Debug)]
 struct Friction {
-    /// N m s/rad
+    /// Viscous coefficients, N m s/rad.
     viscous: JointVector,
-    /// N m
+    /// Coulomb torques, N m.
     coulomb: JointVector,
-    /// rad/s
+    /// Speed over which the Coulomb torque changes its sign, rad/s.
     smoothing: f64,
 }
 
@@ -185,11 +185,11 @@ impl Friction {
         }
     }
 
-    /// Torque against the motion, N m.
+    /// Magnitude of friction against the motion at velocities qd (rad/s), N m.
     fn torque(&self, qd: &JointVector) -> JointVector {
         JointVector::from_fn(|i, _| {
             let viscous = self.viscous[i] * qd[i];
-            // Where the drives compensate all of it, nothing is left to compute.
+            // No tanh where the Coulomb torque is fully compensated or 0.
             if self.coulomb[i] == 0.0 {
                 return viscous;
             }

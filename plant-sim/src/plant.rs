@@ -1,4 +1,4 @@
-//! The plant in one moment, advanced one control period per step.
+//! The simulated plant: its state, and its step of one control period.
 
 use crate::drives::Drives;
 use crate::encoders::Encoders;
@@ -81,17 +81,17 @@ impl Plant {
         Ok(())
     }
 
-    /// The measurement that the daemon finds in the present cycle.
+    /// The measurement that the daemon receives in the present cycle.
     ///
     /// Angles have bias and noise and are rounded to the encoders' resolution. Torques are those of the drives in the last
-    /// period; where the brakes hold the arm at rest, those of the load, as sensors on the side of the links show them (none
-    /// while it still moves, and under a drive fault). The time is simulated, `seq` * period, the clock `lockstep`. Under a
+    /// period; while the brakes hold the arm at rest, those of the load, as measured by sensors on the link side (0 while the arm
+    /// still moves, and under a drive fault). The time is simulated, `seq` * period, the clock `lockstep`. Under a
     /// fault of the transmission it may be an earlier measurement, or that of the last cycle again: see its `seq`.
     pub fn measure(&self) -> Measurement {
         self.faults.show(self.seq)
     }
 
-    /// Advances the plant by one control period under `command`; `None` if the daemon sent no new one.
+    /// Advances the plant by one control period under `command`; `None` if the daemon sent no new command.
     ///
     /// The drives follow the newest command until none has arrived for `drive.watchdog_cycles`: then, and before the first
     /// command, the brakes are closed. The drives limit each torque to 100 % of its limit and report that. A torque that is
@@ -111,7 +111,7 @@ impl Plant {
         self.sense();
     }
 
-    /// Adds a fault that begins in the present cycle, if that was not measured yet, or in a later one.
+    /// Adds a fault that begins in the present cycle, if the cycle was not measured yet, or in a later cycle.
     ///
     /// # Errors
     /// [`SetEventError`] if its numbers are impossible, it begins too early, or there are too many faults.
@@ -124,7 +124,7 @@ impl Plant {
         self.faults.clear();
     }
 
-    /// Adds a push on the tip of the rod that begins in the present cycle or in a later one.
+    /// Adds a push on the tip of the rod that begins in the present or in a later cycle.
     ///
     /// # Errors
     /// As [`Plant::set_fault`].
@@ -182,7 +182,7 @@ impl Plant {
         self.period
     }
 
-    /// Takes the true measurement of the present cycle.
+    /// Computes and stores the true measurement of the present cycle.
     fn sense(&mut self) {
         let bit = |set: bool, bit: u64| if set { bit } else { 0 };
         let external = self.external_load();
@@ -208,12 +208,12 @@ impl Plant {
         });
     }
 
-    /// The load of pushes and faults in the present cycle.
+    /// External load of pushes and faults in the present cycle.
     fn external_load(&self) -> ExternalLoad {
         ExternalLoad { tip_force: self.tip_force(), joint_torque: self.faults.torque(self.seq) }
     }
 
-    /// The sum of all pushes of the present cycle.
+    /// Force of all pushes in the present cycle, world frame, N; `None` without a push.
     fn tip_force(&self) -> Option<TipForce> {
         self.pushes.iter().filter(|push| push.acts(self.seq)).fold(None, |sum: Option<TipForce>, push| {
             let sum = sum.unwrap_or_default();

@@ -1,4 +1,4 @@
-//! The `plant` service: resets, grants of cycles, faults, pushes, status.
+//! Server of the `plant` service: resets, grants of cycles, faults, pushes, status.
 
 use crate::{Plant, SetEventError, StateError};
 use tracing::warn;
@@ -12,13 +12,15 @@ use upswing_model::JointVector;
 /// The server of the `plant` service.
 pub(crate) struct RequestServer {
     server: Server<PlantRequest>,
-    /// Whether the last look at the service failed.
+    /// Whether the last poll of the service failed.
     failing: bool,
 }
 
 impl RequestServer {
+    /// Creates the server of the service.
+    ///
     /// # Errors
-    /// If the domain has a plant already, or shared memory cannot be used.
+    /// [`IpcError`] if the domain has a plant already, or shared memory cannot be used.
     pub(crate) fn new(node: &Node) -> Result<Self, IpcError> {
         Ok(Self { server: node.server::<PlantRequest>()?, failing: false })
     }
@@ -36,19 +38,19 @@ impl RequestServer {
     }
 }
 
-/// Why the plant refuses a request. The text is the reason in the response.
+/// Error of a request to the plant. Its text is the reason in the response.
 #[derive(Debug, thiserror::Error)]
 enum RequestError {
     /// The kind of the request does not exist.
     #[error(transparent)]
     UnknownKind(#[from] UnknownCode),
-    /// The plant cannot be in this state.
+    /// The plant cannot be put into the requested state.
     #[error(transparent)]
     State(#[from] StateError),
     /// The cycles cannot be granted.
     #[error(transparent)]
     Grant(#[from] GrantError),
-    /// The fault or push is not possible.
+    /// The fault or push cannot be added.
     #[error(transparent)]
     Event(#[from] SetEventError),
     /// The kind of the fault does not exist.
@@ -56,7 +58,7 @@ enum RequestError {
     UnknownFault { got: u64, max: usize },
 }
 
-/// Executes a request; the response has the reason if it is refused.
+/// Executes a request; the response to a refused request contains the reason.
 fn answer(plant: &mut Plant, pacing: &mut PlantPacing, request: &PlantRequest) -> PlantResponse {
     // A cycle whose measurement is published cannot change any more.
     let next = plant.seq() + u64::from(pacing.is_published());
@@ -99,14 +101,14 @@ fn set_fault(plant: &mut Plant, from: u64, request: &PlantRequest) -> Result<(),
     let Some(kind) = kind.copied() else {
         return Err(RequestError::UnknownFault { got: request.fault, max: FaultKind::all().len() - 1 });
     };
-    // Kinds that concern no joint come with joint 0, which is no joint either.
+    // Kinds of faults without a joint come with joint 0, which becomes an invalid index.
     let joint = usize::try_from(request.joint).unwrap_or(usize::MAX).wrapping_sub(1);
     let (cycles, amount) = (request.cycles, request.amount);
     let fault = Fault { kind, from, cycles, joint, amount };
     Ok(plant.set_fault(&fault)?)
 }
 
-/// The first cycle of the fault or push of a request; `next`: the first cycle that can still change.
+/// The first cycle of the fault or push in a request; `next`: the first cycle that can still change.
 fn first_cycle(next: u64, request: &PlantRequest) -> Result<u64, SetEventError> {
     match request.seq {
         0 => Ok(next),

@@ -32,7 +32,7 @@ pub(crate) fn serve(
     shutdown: &AtomicBool,
 ) -> Result<(), ServiceError> {
     let node = domain.join("plant")?;
-    // The server first: it refuses a second plant before that disturbs the daemon.
+    // The server first: it fails for a second plant before that plant disturbs the daemon.
     let requests = RequestServer::new(&node)?;
     let commands = DaemonCommands::new(&node)?;
     let writer = node.writer::<Measurement>()?;
@@ -63,10 +63,11 @@ struct PlantProcess {
     published: u64,
     requests: RequestServer,
     manager: Notifier,
-    /// The presence of the daemon as the log has it.
+    /// Presence of the daemon that was logged last.
     daemon: Presence,
-    /// How often the deadlines moved, and when the log last said so.
+    /// Number of times that the deadlines moved.
     moves: u64,
+    /// Time of the last warning of moved deadlines.
     warned: Option<Instant>,
 }
 
@@ -92,7 +93,7 @@ impl PlantProcess {
         info!(cycle = self.plant.completed(), "plant stopped");
     }
 
-    /// Publishes the measurement of the cycle that begins, unless a fault keeps it from the daemon.
+    /// Publishes the measurement of the cycle that begins, unless a fault withholds it from the daemon.
     fn publish(&mut self, begin: CycleBegin) {
         if begin.moved_ns > 0 {
             self.warn_of_moved_deadlines(begin.moved_ns);
@@ -101,7 +102,7 @@ impl PlantProcess {
         let new = measurement.seq != self.published;
         if new {
             self.published = measurement.seq;
-            // A delayed measurement, or a stale time, is as old on one clock as on the others.
+            // The age of a delayed measurement or a stale time is the same on all clocks.
             let age = self.plant.time_ns().saturating_sub(measurement.t_ns);
             let t_ns = begin.deadline_ns.map_or(measurement.t_ns, |now| now.saturating_sub(age));
             self.writer.write(Measurement { t_ns, clock: self.pacing.clock().code(), ..measurement });

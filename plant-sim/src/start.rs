@@ -1,9 +1,9 @@
-//! The check of a state before the plant is put into it.
+//! Check of a requested state of the plant.
 
 use upswing_config::RobotSettings;
 use upswing_model::{JointVector, NQ, StartError};
 
-/// Why the plant refuses a state. Joints count from 1.
+/// Error of a requested state of the plant. Joints count from 1.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum StateError {
     /// An angle is not a number or outside the limits open to plans, or the pendulum has no rest position there.
@@ -12,9 +12,9 @@ pub enum StateError {
     /// A velocity is not a number or outside the limits of `robot.toml`.
     #[error("joint {joint}: expected a velocity from -{max:.1} to {max:.1} deg/s, got {got:.2}")]
     Velocity {
-        /// The joint.
+        /// Number of the joint, from 1.
         joint: usize,
-        /// Highest speed, deg/s.
+        /// Speed limit, deg/s.
         max: f64,
         /// Velocity of the refused state, deg/s.
         got: f64,

@@ -124,7 +124,7 @@ impl Output {
     /// Checks that the file can be written, without changing it: before a long run, not after it.
     ///
     /// # Errors
-    /// [`OutputError`]
+    /// [`OutputError`] if the file exists and may not be replaced, or cannot be written.
     pub fn check(&self) -> Result<(), OutputError> {
         match self.place().map_err(|e| self.io(e))? {
             Place::Stream => Ok(()),
@@ -138,7 +138,7 @@ impl Output {
     /// Removes an existing file that may be replaced, for a file that is written in place, such as a recording.
     ///
     /// # Errors
-    /// [`OutputError`]
+    /// [`OutputError`] if the file exists and may not be replaced, or cannot be written.
     pub fn clear(&self) -> Result<(), OutputError> {
         self.check()?;
         match self.place().map_err(|e| self.io(e))? {
@@ -151,7 +151,7 @@ impl Output {
     /// Begins to write; the file appears at its path with [`Pending::finish`].
     ///
     /// # Errors
-    /// [`OutputError`]
+    /// [`OutputError`] if the file exists and may not be replaced, or cannot be written.
     pub fn begin(&self) -> Result<Pending, OutputError> {
         self.check()?;
         let open = || -> io::Result<Sink> {
