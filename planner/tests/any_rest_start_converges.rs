@@ -1,5 +1,5 @@
 //! Random starts at rest in the paper's ranges converge to a trajectory with defect at most 1e-8 within all limits;
-//! starts at q8 = q9 = 0 near the level flange do, too; what is infeasible is named with its limit.
+//! starts at q8 = q9 = 0 near the level flange do, too; for an infeasible start the limit is named.
 
 use upswing_config::{Config, PendulumStart};
 use upswing_model::{LimitKind, NQ, State, Workspace};
@@ -7,7 +7,7 @@ use upswing_ocp::interior_point::{Solution, Status};
 use upswing_ocp::multistart::Search;
 use upswing_planner::offline::{optimize, options};
 
-/// Enough to meet rare trouble, few enough for a test; 1000 were run while this was written.
+/// Number of random starts, a compromise between coverage and duration; 1000 were run when the test was written.
 const STARTS: usize = 60;
 
 fn solve(config: &Config, start: State) -> Solution {
@@ -58,7 +58,7 @@ fn at_rest_over_the_papers_ranges() {
     }
 }
 
-/// q8 = q9 = 0 with the flange at `pitch` deg.
+/// Start state at rest with q8 = q9 = 0 and the flange at `pitch` deg; rad.
 fn zero_start(config: &Config, pitch: f64) -> State {
     let q = [0.0, 0.0, 0.0, -90.0, 0.0, pitch - 90.0, 0.0].map(f64::to_radians);
     config.start_state(&q, PendulumStart::Zero).expect("within the limits")

@@ -1,4 +1,5 @@
-//! Where the structured QP solver makes no progress, Clarabel solves the QP: the plan, the answer and the planner's status say so.
+//! Where the structured QP solver makes no progress, Clarabel solves the QP: plan, answer and status of the
+//! planner report it.
 
 use upswing_config::{Config, PendulumStart};
 use upswing_ipc::operator::Manoeuvre;
@@ -19,13 +20,13 @@ fn planner(factor: f64) -> Planner {
     Planner::new(config).expect("the shipped database fits")
 }
 
-/// A start beside an entry of the database.
+/// A start state at rest near a database entry, rad.
 fn start(planner: &Planner) -> State {
     let q = [44.0, 0.0, 0.0, -90.0, 0.0, 20.0, 0.0].map(f64::to_radians);
     planner.config().start_state(&q, PendulumStart::Rest).expect("a start at rest")
 }
 
-/// A plan by QPs alone.
+/// A plan from QPs, without the full optimisation.
 fn plan(planner: &Planner) -> Replan {
     let effort = Effort { optimise: false, ..Effort::iterations(planner.config().planner.replan.iterations) };
     let replan = planner.replan_with(&mut planner.solver(), Manoeuvre::SwingUp, &start(planner), &effort);

@@ -1,5 +1,5 @@
 //! A database has the same bytes however it is built: on any number of cores, in shards, with interruptions and after
-//! a kill. What is finished is never lost; what does not belong together is refused.
+//! a kill. Finished lines are never lost; files of different builds are refused.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -22,7 +22,7 @@ fn small_grid() -> Config {
     config
 }
 
-/// As of the planner, over whatever is there.
+/// [`database::build`] that may replace an existing output file.
 fn build(
     config: &Config,
     shard: Shard,
@@ -33,7 +33,7 @@ fn build(
     database::build(config, shard, &Overwrite { force: true }.output(path), stop, progress)
 }
 
-/// See [`build`].
+/// [`database::merge`] that may replace an existing output file.
 fn merge(inputs: &[PathBuf], path: &Path) -> Result<Summary, BuildError> {
     database::merge(inputs, &Overwrite { force: true }.output(path))
 }
@@ -95,7 +95,7 @@ fn in_one_piece_in_shards_and_on_one_core() {
 
 #[test]
 fn interrupted_between_two_guesses_for_a_pose() {
-    /// Moments in the course of a solve at which it is interrupted.
+    /// Number of moments during a solve at which it is interrupted.
     const MOMENTS: u32 = 16;
     let dir = tempfile::tempdir().expect("a folder");
     let mut config = small_grid();
@@ -139,7 +139,7 @@ fn after_an_interruption_and_after_a_kill() {
     });
     let summary = summary.expect("an interruption is no error");
     assert_eq!((summary.left, path.exists()), (4, false));
-    // A process killed while it writes leaves half a record.
+    // A process killed while writing leaves half a record.
     let journal = dir.path().join("interrupted.bin.journal");
     let mut torn = bytes(&journal);
     torn.extend_from_slice(&[7; 100]);
@@ -197,7 +197,7 @@ fn a_file_of_another_build_is_left_as_it_is_unless_it_may_be_replaced() {
     }
     merge(&shards, &path).expect("it is replaced");
     database::merge(&shards, &carefully).expect("it is the same");
-    // It is the file of this build now.
+    // The file is the result of this build now: it is not changed.
     let summary =
         database::build(&small_grid(), Shard::WHOLE, &carefully, &go(), |_| ()).expect("nothing to do");
     assert_eq!(summary.resumed, 6);
@@ -254,7 +254,7 @@ fn consistent_records_of_something_else_are_found() {
         assert_eq!(found.len(), 1, "{found:?}");
         found[0].finding
     };
-    // Each with the certificate of its own trajectory.
+    // Changed entries, each with the certificate of its changed trajectory.
     let entry = |change: &dyn Fn(&mut Trajectory)| {
         found(&|record: &mut Record| {
             let Outcome::Solved(entry) = &record.outcome else { panic!("solved") };
@@ -279,7 +279,7 @@ fn consistent_records_of_something_else_are_found() {
     assert!(matches!(failed, Finding::Solvable { .. }), "{failed}");
     let rejected = found(&|record| record.outcome = Outcome::Rejected);
     assert_eq!(rejected, Finding::Rule { leaves_out: false });
-    // Limits that the trajectories were not made for.
+    // Narrower limits than those for which the trajectories were computed.
     let mut narrower = config.clone();
     narrower.robot.planning.tau_max *= 0.5;
     let mut database = whole.clone();
@@ -328,7 +328,7 @@ fn a_full_disk_gives_one_clear_error_and_loses_nothing_that_was_finished() {
     let dir = tempfile::tempdir().expect("a folder");
     let disk = dir.path().join("disk");
     std::fs::create_dir(&disk).expect("a folder");
-    // Room for the records of one or two poses.
+    // Disk space for the records of one or two poses.
     let Some(_mounted) = Tmpfs::mount(&disk, "size=32k") else {
         println!("skipped: mounting a small tmpfs needs rights that this user does not have");
         return;
@@ -338,7 +338,7 @@ fn a_full_disk_gives_one_clear_error_and_loses_nothing_that_was_finished() {
     let text = refusal.to_string();
     assert!(text.starts_with("cannot write") && text.contains("No space left on device"), "{text}");
 
-    // With more room the build goes on where it was.
+    // With more disk space the build continues after its last line.
     run("mount", &["-o", "remount,size=4m", &disk.to_string_lossy()]).expect("a larger disk");
     let summary = build(&small_grid(), Shard::WHOLE, &path, &go(), |_| ()).expect("it builds");
     assert!(summary.resumed > 0, "nothing was left to resume from");

@@ -1,5 +1,5 @@
-//! From every pose at rest from which the optimisation finds a swing-up the planner does, too, wherever the database's
-//! entries are: a plan that meets the criteria of the daemon, and is hardly longer than the optimum.
+//! The planner finds a plan from every pose at rest from which the optimisation finds a swing-up, also far from the database
+//! entries; the plan meets the daemon's criteria of acceptance and is at most 5 % longer than the optimum.
 
 use rayon::prelude::*;
 use upswing_config::{Config, PendulumStart};
@@ -11,9 +11,9 @@ use upswing_planner::offline::{optimize, options};
 use upswing_planner::replan::{Effort, Method, Planner};
 use upswing_trajectory::{Certificate, Entry, N};
 
-/// Duration of a plan, of that of the optimum.
+/// Largest ratio of the duration of a plan to that of the optimum.
 const LONGEST: f64 = 1.05;
-/// Random poses; 300 and more were run while this was written.
+/// Number of random poses; more than 300 were run when the test was written.
 const POSES: usize = 60;
 
 fn planner() -> Planner {
@@ -24,7 +24,7 @@ fn rest(config: &Config, degrees: [f64; NU]) -> State {
     config.start_state(&degrees.map(f64::to_radians), PendulumStart::Rest).expect("a rest position")
 }
 
-/// Whether there is an optimum from `start`; if so, there has to be a plan.
+/// Returns whether there is an optimum from `start` (rad, rad/s); asserts that there is a plan then.
 fn plans_where_there_is_an_optimum(planner: &Planner, start: &State) -> bool {
     let config = planner.config();
     let optimum = optimize(config, *start, Search::Best, None, &options(config));
@@ -85,7 +85,7 @@ fn over_the_whole_range_of_every_joint() {
     };
     let mut starts = Vec::new();
     while starts.len() < POSES {
-        // Two of three anywhere, the third where the database has entries.
+        // Two of three poses anywhere, the third in the range of the database.
         let mut q = [0.0; NU];
         if starts.len() % 3 == 0 {
             config.grid.axes.iter().for_each(|axis| q[axis.joint] = between(axis.from, axis.to));
@@ -122,7 +122,7 @@ fn one_qp_is_not_followed_by_an_optimisation() {
 #[test]
 fn with_a_target_on_its_limit() {
     let mut config = Config::embedded().expect("embedded settings");
-    // As with position_margin_deg = [0, 0]: Table II as printed.
+    // The position limits of Table II as printed, as with position_margin_deg = [0, 0].
     let printed = config.robot.limits;
     (config.robot.planning.q_min, config.robot.planning.q_max) = (printed.q_min, printed.q_max);
     let origins = [[0.0, 0.0, 0.0, -90.0, 0.0, 0.0, 0.0], [25.0, 15.0, 0.0, -75.0, 0.0, 10.0, 0.0]];

@@ -1,5 +1,5 @@
-//! The gains of swing-ups are those of the Riccati recursion with dense matrices, and the gain that balances does so with a
-//! free rod and with one that its bearings hold.
+//! The gains of swing-ups are those of the Riccati recursion with dense matrices, and the gain at the end balances the pendulum
+//! with and without friction in its bearings.
 
 use nalgebra::SMatrix;
 use upswing_config::Config;
@@ -81,7 +81,7 @@ fn the_gains_of_a_swing_are_those_of_the_dense_recursion() {
         let d = config.model.derivatives(x, u, work);
         (d.a(), d.b())
     };
-    // (21) by going back from no weight at all until nothing changes any more.
+    // (21) by backward recursion from zero weight until it converges.
     let at_end = ab(&trajectory.x[N], &ActuatedVector::zeros());
     let from_far = |q: &StateMatrix| {
         let (mut p, mut k) = (StateMatrix::zeros(), Gain::zeros());
@@ -92,7 +92,7 @@ fn the_gains_of_a_swing_are_those_of_the_dense_recursion() {
     };
     let (end, mut p) = from_far(&q);
     let scale = end.amax();
-    // The gain that balances, for other weights of the angles.
+    // The gain that balances, which has other weights of the angles.
     let balance = &config.planner.balance;
     let mut q_balance = q;
     for i in 0..NQ {
@@ -112,12 +112,12 @@ fn the_gains_of_a_swing_are_those_of_the_dense_recursion() {
         let b = knots[k].1 * (1.0 - share) + knots[k + 1].1 * share;
         (by_period[i], p) = dense_step(&p, (&a, &b), &q, weights.r, ts);
     }
-    // The period in which a knot lies; no period begins at or after t_F.
+    // Number of the control period that contains knot k; no period begins at or after t_F.
     let at = |k: usize| ((k as f64 * trajectory.h() / ts) as usize).min(periods - 1);
     for k in 0..=N {
         let error = (gains.knots[k] - by_period[at(k)]).amax();
         assert!(error < 1e-6 * scale, "knot {k}: {}", error / scale);
-        // The gains of the neighbours are others.
+        // The gains of neighbouring knots differ.
         for neighbour in [k.saturating_sub(1), (k + 1).min(N)].into_iter().filter(|n| *n != k) {
             let change = (gains.knots[k] - by_period[at(neighbour)]).amax();
             assert!(change > 1e-4 * scale, "knots {k} and {neighbour}: {}", change / scale);

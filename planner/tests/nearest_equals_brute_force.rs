@@ -1,4 +1,4 @@
-//! The K-D tree finds what a linear search finds, on regular grids too, ties included.
+//! The K-D tree finds the same poses as a linear search, also on regular grids with ties.
 
 use proptest::prelude::*;
 use upswing_model::NU;
@@ -35,7 +35,7 @@ fn indices(tree: &NearestPose, q: &[f64; NU], count: usize) -> Vec<usize> {
 }
 
 proptest! {
-    // Two queries each.
+    // Each case has two queries.
     #![proptest_config(ProptestConfig::with_cases(50_000))]
 
     #[test]

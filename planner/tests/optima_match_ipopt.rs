@@ -1,5 +1,5 @@
-//! From the eight starts that IPOPT solved the offline optimisation finds a trajectory at most 0.5 % more costly,
-//! with defects up to 1e-8 and all limits kept.
+//! From each of the eight starts solved with IPOPT, the offline optimisation finds a trajectory of at most 0.5 % higher cost,
+//! with defects up to 1e-8 and within all limits.
 
 use serde::Deserialize;
 use upswing_config::{Config, PendulumStart, TorqueConstraint};
@@ -22,7 +22,7 @@ struct Known {
 }
 
 fn assert_limits(config: &Config, trajectory: &Trajectory) {
-    // The interior-point method keeps bounds strictly; torque follows its slack to the tolerance.
+    // The interior-point method satisfies bounds strictly, and torque limits to its tolerance, through slacks.
     const SLACK: f64 = 1e-6;
     let limits = &config.robot.planning;
     let problem = problem(config, trajectory.x[0]);

@@ -1,4 +1,4 @@
-//! Both back ends solve (16), one around each of many database entries, to the same answer, and call the same ones
+//! Both QP back ends solve (16), linearised around many database entries, to the same solution, and report the same QPs as
 //! infeasible.
 
 use upswing_config::{Config, PendulumStart};
@@ -9,10 +9,10 @@ use upswing_planner::offline::{problem, qp_weights};
 use upswing_planner::replan::Planner;
 use upswing_trajectory::{N, Trajectory};
 
-/// `Structured` first.
+/// The QP back ends, `Structured` first.
 const BACKENDS: [Backend; 2] = [Backend::Structured, Backend::Clarabel];
 
-/// Tight, so that inputs agree even where a bound is hardly active.
+/// Options with tight tolerances, so that inputs agree even where a bound is weakly active.
 const PRECISE: Options<'_> =
     Options { tolerance: 1e-9, complementarity: 1e-16, max_iterations: 100, deadline: None, cancelled: None };
 
@@ -20,7 +20,7 @@ fn planner() -> Planner {
     Planner::new(Config::embedded().expect("embedded settings")).expect("the shipped database fits")
 }
 
-/// SplitMix64 (Steele, Lea, Flood 2014).
+/// Random number generator SplitMix64 (Steele, Lea, Flood 2014).
 struct Random(u64);
 
 impl Random {
@@ -31,13 +31,13 @@ impl Random {
         z ^ (z >> 31)
     }
 
-    /// Uniform in -1..1.
+    /// A random number, uniform in -1..1.
     fn sign(&mut self) -> f64 {
         (self.next() >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
     }
 }
 
-/// The QP of a start `offset` away from an entry, at rest.
+/// The QP for a start at rest that is `offset` (rad) away from the start of an entry.
 fn qp_at(planner: &Planner, entry: usize, offset: &[f64; NU]) -> Option<Qp> {
     let reference = &planner.entries()[entry].trajectory;
     let q: [f64; NU] = std::array::from_fn(|i| reference.x[0][i] + offset[i]);
@@ -83,7 +83,7 @@ fn difference(qp: &Qp, a: &Solver, b: &Solver) -> f64 {
 
 #[test]
 fn on_random_starts_up_to_the_corners_of_a_cell() {
-    /// QPs; Clarabel takes nearly all of the time.
+    /// Number of QPs; Clarabel takes nearly all of the time.
     const QPS: usize = 200;
     /// Half spacings of the paper's grid, rad.
     const CELL: [f64; NU] = [0.305, 0.175, 0.0, 0.175, 0.0, 0.349, 0.0];
@@ -96,9 +96,9 @@ fn on_random_starts_up_to_the_corners_of_a_cell() {
         let offset = match done % 4 {
             // A corner of the cell.
             0 => CELL.map(|half| half * random.sign().signum()),
-            // Far outside it: some of these are infeasible.
+            // Far outside the cell: some of these QPs are infeasible.
             1 => CELL.map(|half| 2.5 * half * random.sign()),
-            // All seven joints.
+            // Offsets of all seven joints.
             2 => std::array::from_fn(|_| 0.1 * random.sign()),
             _ => CELL.map(|half| half * random.sign()),
         };
@@ -110,7 +110,7 @@ fn on_random_starts_up_to_the_corners_of_a_cell() {
             }
         }
         if done % 10 == 9 {
-            // One joint on its stop moves towards it, at a speed that may be too high.
+            // One joint at its position limit moves towards the limit, at a speed that may be too high.
             let joint = [1, 3, 5][random.next() as usize % 3];
             let limits = &planner.config().robot.planning;
             qp.start[joint] = limits.q_max[joint] - planner.entries()[entry].trajectory.x[0][joint];
@@ -146,7 +146,7 @@ fn touches_a_limit(qp: &Qp, solver: &Solver) -> bool {
     })
 }
 
-/// The QP around entry `entry` for a start at it that moves with `fast` (rad/s) towards the upper stop of `joint`.
+/// The QP around an entry for a start at the upper position limit of `joint`, with speed `fast` (rad/s) towards the limit.
 fn towards_its_stop(planner: &Planner, entry: usize, joint: usize, fast: f64) -> Qp {
     let reference = &planner.entries()[entry].trajectory;
     let mut start = reference.x[0];
@@ -171,7 +171,7 @@ fn infeasible_ones_are_infeasible_for_both() {
                 assert_eq!(conflict.is_some(), backend == Backend::Structured, "{backend:?}");
             }
         }
-        // A duration that no motion between the limits takes, and a target beyond its bounds.
+        // A duration that no motion within the limits has, and a target outside its bounds.
         let mut qp = qp_at(&planner, 40, &[0.0; NU]).expect("an entry starts at rest");
         qp.t = (50.0, 60.0);
         assert!(
@@ -190,7 +190,7 @@ fn infeasible_ones_are_infeasible_for_both() {
 #[test]
 fn softened_limits_yield_where_hard_ones_contradict() {
     let mut config = Config::embedded().expect("embedded settings");
-    // With a heavier one Clarabel comes no closer than 1e-5 to the solution of a soft program.
+    // With a larger weight Clarabel comes no closer than 1e-5 to the solution of a soft program.
     config.planner.replan.weight_t_f = 1.0;
     let planner = Planner::new(config).expect("the shipped database fits");
     let limits = &planner.config().robot.planning;
@@ -207,7 +207,7 @@ fn softened_limits_yield_where_hard_ones_contradict() {
             assert!(excess > 1e-4, "joint {joint}, compliance {compliance:e}: exceeded by {excess:e} only");
         }
     }
-    // Where nothing contradicts, a bound that hardly yields is one that does not.
+    // If the constraints are consistent, soft bounds of small compliance give the solution of hard bounds.
     let mut qp = qp_at(&planner, 77, &[0.05; NU]).expect("a start at rest");
     let [mut hard, mut soft] = [Solver::new(Backend::Structured, N), Solver::new(Backend::Structured, N)];
     assert_eq!(hard.solve(&qp, &PRECISE), Status::Solved);
@@ -221,7 +221,7 @@ fn softened_limits_yield_where_hard_ones_contradict() {
 fn a_limit_that_jumps_away_is_named() {
     let planner = planner();
     for (joint, knot) in [(0, 1), (3, 40), (5, 90)] {
-        // The joint would have to be at 0.5 rad or more at the knot, at 0 or less one interval later.
+        // Contradicting bounds: at least 0.5 rad at the knot, at most 0 one interval later.
         let mut qp = qp_at(&planner, 40, &[0.0; NU]).expect("an entry starts at rest");
         qp.x[knot - 1].0[joint] = 0.5;
         qp.x[knot - 1].1[joint] = 1.0;
@@ -266,7 +266,7 @@ fn a_warm_start_ends_where_a_cold_one_does() {
 #[test]
 fn equal_qps_give_equal_bits_whatever_was_solved_before() {
     let planner = planner();
-    // Entries whose start stays within the limits when it is moved.
+    // Entries whose start remains within the limits when it is moved.
     let mut qps = (0..planner.entries().len()).filter_map(|entry| qp_at(&planner, entry, &[0.02; NU]));
     let (first, other) = (qps.nth(20).expect("one"), qps.nth(20).expect("another"));
     let options = Options::new(1e-9);
@@ -303,7 +303,7 @@ fn what_is_less_accurate_than_asked_for_is_not_solved() {
     let planner = planner();
     let entries = 0..planner.entries().len();
     let qp = entries.filter_map(|entry| qp_at(&planner, entry, &[0.02; NU])).next().expect("a start at rest");
-    // No solver meets this tolerance: Clarabel then says that it is almost there.
+    // No solver meets this tolerance: Clarabel stops with an almost solved program.
     let mut solver = Solver::new(Backend::Clarabel, N);
     let status = solver.solve(&qp, &Options::new(1e-20));
     assert!(matches!(status, Status::Stalled(_)), "{status:?}");

@@ -13,7 +13,7 @@ fn planner() -> Planner {
     Planner::new(Config::embedded().expect("embedded settings")).expect("the shipped database fits")
 }
 
-/// The paper's mode.
+/// A planner in the mode of the paper: one QP per plan.
 fn planner_of_one_qp() -> Planner {
     let mut config = Config::embedded().expect("embedded settings");
     config.planner.replan.iterations = 1;
@@ -63,7 +63,7 @@ fn one_qp_is_enough_only_where_the_settings_say_so() {
     let refusal = planner().replan(&x, 1, None).expect_err("a defect").to_string();
     assert!(refusal.contains("after 1 QPs: ") && refusal.contains("defect (6b)"), "{refusal}");
     planner_of_one_qp().replan(&x, 1, None).expect("the paper's mode");
-    // Its limit is larger, not none.
+    // The limit of the defect of one QP is larger, but still a limit.
     let mut config = planner_of_one_qp().config().clone();
     config.daemon.plans.defect_of_one_qp = 1e-3;
     let planner = Planner::new(config).expect("the shipped database fits");
@@ -87,7 +87,7 @@ fn two_sub_horizons_meet_and_more_give_a_plan_or_a_reason() {
                     "{sub_horizons} parts: not upright"
                 );
             }
-            // The first part decides on the duration, and the last of many may not reach the target in it.
+            // The first sub-horizon determines the duration; the last of many may not reach the target within it.
             Err(refusal) => assert!(sub_horizons > 2, "{sub_horizons} parts: {refusal}"),
         }
     }
@@ -125,7 +125,7 @@ fn an_entry_of_the_database_is_found_and_kept() {
     let replan = planner.replan(&x, 1, None).expect("a plan");
     assert_eq!((replan.entry.index, replan.entry.distance), (entry, 0.0));
     let want = &planner.entries()[entry].trajectory;
-    // The entry uses its limits to the full, the replan leaves a margin of 1.5 %.
+    // The entry uses its full limits; the replan keeps the knot margin of 1.5 %.
     assert!((replan.trajectory.t_f / want.t_f - 1.0).abs() <= 0.04, "t_F {}", replan.trajectory.t_f);
 }
 
@@ -139,7 +139,7 @@ fn a_swing_down_ends_where_an_entry_began_on_a_limit_too() {
     for entry in entries {
         let effort = Effort::iterations(planner.config().planner.replan.iterations);
         let mut start = entry.trajectory.x[N];
-        // Not where a swing-up ends, as after a push.
+        // Off the end of the swing-up, as after a push.
         start[0] += 0.01;
         let replan = planner.replan_with(&mut solver, Manoeuvre::SwingDown, &start, &effort);
         let replan = replan.unwrap_or_else(|e| panic!("{e}"));
@@ -151,7 +151,7 @@ fn a_swing_down_ends_where_an_entry_began_on_a_limit_too() {
 fn an_impossible_start_is_refused_with_the_reason_of_each_entry() {
     let planner = planner();
     let mut x = start(&planner, STARTS[0]);
-    // At full speed towards its stop the arm cannot stay within it.
+    // At full speed towards a position limit the arm cannot stay within the limit.
     x[1] = planner.config().robot.planning.q_max[1];
     x[10] = planner.config().robot.planning.qd_max[1];
     let quadratic = Effort { optimise: false, ..Effort::iterations(2) };
@@ -162,7 +162,7 @@ fn an_impossible_start_is_refused_with_the_reason_of_each_entry() {
         refusal.refused.iter().all(|a| matches!(a.refusal, Refusal::Infeasible { conflict: Some(_), .. })),
         "{refusal}"
     );
-    // Nor does the full optimisation find one.
+    // The full optimisation finds no trajectory either.
     let refusal = planner.replan(&x, 2, None).expect_err("no plan");
     assert!(matches!(refusal.optimisation, Some(Refusal::Optimisation(Ending::Infeasible(_)))), "{refusal}");
 }

@@ -19,7 +19,7 @@ fn rest(planner: &Planner) -> State {
     planner.config().start_state(&q, PendulumStart::Rest).expect("a start at rest")
 }
 
-/// A record of a daemon whose clock runs, unless in `lockstep`.
+/// A telemetry record at state `x` (rad, rad/s), with clock `lockstep` or a clock that runs.
 fn record(x: &State, mode: Mode, lockstep: bool) -> Telemetry {
     let mut record = Telemetry { mode: mode.code(), ..Telemetry::default() };
     for i in 0..NQ {
@@ -54,7 +54,7 @@ fn a_plan_is_ready_while_the_arm_holds() {
     assert_eq!(answer.plan_id, plan.id);
     assert!((plan.trajectory.x[0] - x).amax() < 1e-6);
 
-    // A hair elsewhere it still serves, farther away it does not.
+    // The prepared plan serves a slightly different start, but not one farther away.
     for (shift, ready) in [(1e-4, true), (1e-2, false)] {
         let mut moved = x;
         moved[1] += shift;
@@ -103,7 +103,7 @@ fn a_moving_start_is_predicted_for_the_activation_of_its_plan() {
     let ahead = Duration::from_nanos(activation - now.t_ns);
     assert!(ahead >= planner.config().planner.replan.lead, "{ahead:?}");
     let start = plan.trajectory.x[0];
-    // The pendulum has swung on by about its speed times that; the arm still holds.
+    // The pendulum has moved on by about its speed times the lead; the arm still holds.
     let swung = start[7] - x[7];
     let want = 0.5 * ahead.as_secs_f64();
     assert!(swung > 0.5 * want && swung < 1.5 * want, "swung by {swung} rad instead of about {want}");
@@ -117,7 +117,7 @@ fn a_pendulum_that_turns_round_is_not_at_rest() {
     let mut x = rest(&planner);
     x[7] += 10_f64.to_radians();
     handler.observe(record(&x, Mode::Hold, false), Instant::now());
-    // Nothing is kept ready for a moment that does not come again.
+    // No plan is prepared for a state that does not last.
     handler.prepare(&|| true);
     let mut reason = String::new();
     let plan = (0..100).find_map(|_| {
@@ -129,7 +129,7 @@ fn a_pendulum_that_turns_round_is_not_at_rest() {
     let plan = plan.expect(&reason);
     assert!(plan.activation_ns.is_some());
     let start = plan.trajectory.x[0];
-    // It falls back meanwhile.
+    // The pendulum falls back during the lead.
     assert!(start[7] < x[7] - 1e-3, "{start}");
 }
 
@@ -194,13 +194,13 @@ fn from_a_daemon_that_has_fallen_silent() {
         handler.observe(record(&x, mode, false), long_ago);
         refused(ask(&mut handler, &PlannerRequest::from_now(manoeuvre)), PlannerStatus::NotReady, reason);
     }
-    // Nothing is prepared for it, either.
+    // No plan is prepared from old telemetry either.
     handler.observe(record(&rest(&planner), Mode::Hold, false), long_ago);
     handler.prepare(&|| true);
     handler.observe(record(&rest(&planner), Mode::Hold, false), Instant::now());
     let (answer, _) = ask(&mut handler, &PlannerRequest::from_now(Manoeuvre::SwingUp));
     assert_eq!(answer.reason.as_str(), Ok(""));
-    // In lockstep time stands still while a plan is made.
+    // In lockstep the clock stands still while a plan is made.
     handler.observe(record(&moving, Mode::Hold, true), long_ago);
     assert!(ask(&mut handler, &PlannerRequest::from_now(Manoeuvre::SwingUp)).1.is_some());
 }
@@ -265,7 +265,7 @@ fn a_plan_that_nobody_waits_for_any_more_is_given_up() {
         asked.get() < 4
     };
     refused(handler.answer(&request, &wanted), PlannerStatus::Infeasible, "cancelled before QP 1");
-    // With every neighbour given up at once.
+    // Planning stops at once, with one more check per neighbour at most.
     assert!(asked.get() <= 4 + planner.config().planner.replan.neighbours);
 }
 

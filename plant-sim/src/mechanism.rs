@@ -185,7 +185,7 @@ impl Friction {
         }
     }
 
-    /// Magnitude of friction against the motion at velocities qd (rad/s), N m.
+    /// Friction torque at velocities qd (rad/s), N m, with the sign of the velocity: it acts as -torque.
     fn torque(&self, qd: &JointVector) -> JointVector {
         JointVector::from_fn(|i, _| {
             let viscous = self.viscous[i] * qd[i];

@@ -1,4 +1,4 @@
-//! Measuring and stepping use no heap, on no path.
+//! The measurement and the step of the plant never allocate.
 
 mod common;
 

@@ -46,7 +46,7 @@ fn event() -> impl Strategy<Value = Event> {
     ]
 }
 
-/// Measurements and states of all cycles, bit by bit.
+/// Measurements and states of all cycles as bit patterns.
 fn run(scenario: &str, events: &[Event]) -> Vec<u64> {
     let mut config = settings();
     config.use_scenario(scenario).unwrap();
@@ -70,7 +70,7 @@ fn run(scenario: &str, events: &[Event]) -> Vec<u64> {
                     seen.extend([measured.seq, measured.t_ns, measured.status]);
                 }
             }
-            // Refusals are part of what may happen.
+            // The plant may refuse an event.
             Event::Fault(fault) => _ = plant.set_fault(fault),
             Event::Clear => plant.clear_faults(),
             Event::Push(push) => _ = plant.push(push),

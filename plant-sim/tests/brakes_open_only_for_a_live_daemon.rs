@@ -1,4 +1,4 @@
-//! On every clock: brakes are closed without a daemon, open for one that answers, and close when it falls silent.
+//! On every clock the brakes are closed without a daemon, open for a daemon that answers, and close when the daemon falls silent.
 
 mod common;
 
@@ -79,7 +79,7 @@ fn commands_that_answer_nothing_do_not_count() {
     let commands = peer.commands();
     let mut worst = 0;
     for seq in 1..2_000 {
-        // Of a measurement that never was, or with the same number as before.
+        // The first command answers a measurement that does not exist; the second has a number that is not new.
         let measurement_seq = if seq % 2 == 0 { 0 } else { u64::MAX };
         commands.write(Command { seq, measurement_seq, ..Command::default() });
         commands.write(Command { seq: 0, measurement_seq: measurements.read().seq, ..Command::default() });

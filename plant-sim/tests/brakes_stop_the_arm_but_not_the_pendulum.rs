@@ -1,4 +1,4 @@
-//! Closed brakes stop the arm exponentially and for good; the pendulum swings on and feels it.
+//! Closed brakes stop the arm exponentially and hold it; the pendulum keeps swinging and reacts to the deceleration.
 
 mod common;
 
@@ -59,7 +59,7 @@ fn friction_is_the_torque_that_the_settings_state() {
         let mut with = settings();
         with.plant.friction.arm_compensation = compensation;
         let mut without = frictionless();
-        // So short that friction changes neither itself nor Coriolis torques.
+        // So short that the change of velocity affects neither friction nor Coriolis torques.
         let period = Period::from_micros(2);
         with.daemon.cycle.period = period;
         without.daemon.cycle.period = period;

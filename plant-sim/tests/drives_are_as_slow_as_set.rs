@@ -38,7 +38,7 @@ fn the_torque_approaches_its_command_exponentially() {
     let mut config = settings();
     config.plant.drive.torque_lag = 0.001;
     let mut plant = plant(&config);
-    // With closed brakes the loop settles, so the first torque is there at once.
+    // With closed brakes the torque loop settles, so that the first torque acts without lag.
     plant.step(Some(&torque([2.0; NU])));
     assert_eq!(plant.measure().tau_measured, [2.0; NU]);
     for k in 1..80 {

@@ -1,4 +1,4 @@
-//! Drives limit torques to what they can deliver, report saturation, and fault on a command that is not finite.
+//! Drives limit torques to their limits, report saturation, and go into fault on a command that is not finite.
 
 mod common;
 

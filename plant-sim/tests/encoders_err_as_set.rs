@@ -12,7 +12,7 @@ const CYCLES: usize = 4_000;
 fn noisy(seed: u64) -> Config {
     let mut config = settings();
     let encoder = &mut config.plant.encoder;
-    // So fine that rounding does not show.
+    // So fine that rounding is negligible.
     (encoder.arm_resolution, encoder.pendulum_resolution) = (1e-9, 1e-9);
     encoder.noise = std::array::from_fn(|i| 1e-4 * (i as f64 + 1.0));
     encoder.bias = std::array::from_fn(|i| 0.01 * (i as f64 - 4.0));

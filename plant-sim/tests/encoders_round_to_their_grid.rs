@@ -1,4 +1,4 @@
-//! A measured angle is the multiple of the encoder's step that is nearest to the true one.
+//! A measured angle is the multiple of the encoder's resolution nearest to the true angle.
 
 mod common;
 

@@ -1,4 +1,4 @@
-//! Nothing but friction, brakes and drives changes the energy: the integration does not.
+//! Without friction, brakes and drives the integration conserves the energy.
 
 mod common;
 
@@ -9,7 +9,7 @@ use upswing_plant::Plant;
 #[test]
 fn a_pendulum_on_a_braked_arm_keeps_its_energy_for_ten_seconds() {
     let mut config = frictionless();
-    // Eight times the real period: what holds here holds there, where the drift is too small to see.
+    // Eight times the real period: at the real period the drift is too small to measure.
     config.daemon.cycle.period = Period::from_micros(1000);
     let mut plant = Plant::at(&config, &level_pose(), &JointVector::zeros()).unwrap();
     let at_rest = energy(&config.model, &plant);
@@ -36,7 +36,7 @@ fn a_pendulum_on_a_braked_arm_keeps_its_energy_for_ten_seconds() {
 #[test]
 fn the_whole_robot_keeps_its_energy_in_ten_seconds_of_free_fall() {
     let mut config = frictionless();
-    // In a tumble light joints spin at twenty times their limits.
+    // In this motion light joints reach twenty times their velocity limits.
     config.plant.integrator.substeps = 2;
     let mut q = level_pose();
     (q[1], q[5], q[7]) = (0.4, 0.3, 1.0);

@@ -10,8 +10,7 @@ use upswing_plant::Plant;
 
 const END: u64 = 120;
 
-/// The plant in-process under an answer to every measurement that is new, as the [`Answerer`] gives.
-/// Before cycle 11 `disturb` is called.
+/// The plant in-process, with a command for each new measurement as by the [`Answerer`]. `disturb` is called before cycle 11.
 fn twin(config: &Config, disturb: impl Fn(&mut Plant)) -> Plant {
     let mut plant = Plant::new(config).unwrap();
     let mut answered = 0;
@@ -72,7 +71,7 @@ fn every_fault() {
 fn a_push_under_a_scenario() {
     let mut config = settings();
     config.use_scenario("everyday").unwrap();
-    // 0 in the request: the next cycle.
+    // Cycle 0 in the request means the next cycle.
     let push = Push { from: 11, cycles: 8, impulse: [0.01, -0.02, 0.03] };
     let request =
         PlantRequest { cycles: push.cycles, impulse: push.impulse, ..PlantRequest::new(PlantKind::Push) };
@@ -90,7 +89,7 @@ fn a_request_in_the_middle_of_a_cycle_takes_effect_with_the_next() {
     let fault = FaultKind::DropMeasurement.code();
     let drop = PlantRequest { fault, cycles: 5, ..PlantRequest::new(PlantKind::SetFault) };
     for _ in 0..20 {
-        // This measurement is out, and the plant waits for its answer while it serves the request.
+        // The measurement is published, and the plant waits for its command while it serves the request.
         let out = wait_for("a measurement", || Some(daemon.measurements.read()).filter(|m| m.seq > 0));
         assert_eq!(peer.ask(drop).accepted, 1);
         let past = peer.ask(PlantRequest { seq: out.seq, ..drop });

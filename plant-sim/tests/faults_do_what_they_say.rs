@@ -1,4 +1,4 @@
-//! Each fault does what its name says in its cycles, and nothing before and after.
+//! Each fault has the effect that its name states in its cycles, and no effect before and after.
 
 mod common;
 
@@ -12,7 +12,7 @@ const FROM: u64 = 100;
 const CYCLES: u64 = 10;
 const END: u64 = 140;
 
-/// True measurements and those under `faults`, index 0 unused.
+/// Measurements by cycle under `faults`; index 0 is unused.
 fn measurements(faults: impl IntoIterator<Item = Fault>) -> Vec<Measurement> {
     let mut config = settings();
     config.plant.faults.extend(faults);
@@ -25,7 +25,7 @@ fn measurements(faults: impl IntoIterator<Item = Fault>) -> Vec<Measurement> {
     seen
 }
 
-/// Numbers of what is seen in the cycles of the fault, relative to its first one.
+/// Numbers of the measurements received in the cycles of the fault, relative to its first cycle.
 fn order(kind: FaultKind, amount: f64) -> Vec<i64> {
     let truth = measurements(None);
     let seen = measurements([Fault { amount, ..Fault::new(kind, FROM, CYCLES) }]);
@@ -47,7 +47,7 @@ fn measurements_are_dropped_delayed_duplicated_and_reordered() {
     assert_eq!(order(FaultKind::ReorderMeasurement, 0.0), [0, -1, 2, 1, 4, 3, 6, 5, 8, 7]);
 }
 
-/// What is seen and what is true in the cycles of an endless fault, and what was seen when it began.
+/// Pairs of received and true measurements in the cycles of an endless fault, and the true measurement of its first cycle.
 fn corrupted(kind: FaultKind, joint: usize, amount: f64) -> (Vec<(Measurement, Measurement)>, Measurement) {
     let truth = measurements(None);
     let seen = measurements([Fault { kind, from: FROM, cycles: 0, joint, amount }]);
@@ -129,7 +129,7 @@ fn an_encoder_is_as_broken_in_an_old_measurement_whichever_broke_first() {
             assert_eq!(seen[seq as usize], expected, "cycle {seq}");
         }
     }
-    // Set in a run, too.
+    // The same for faults that are set in a run.
     for faults in [[late, jump], [jump, late]] {
         let mut plant = Plant::at(&settings(), &level_pose(), &JointVector::zeros()).unwrap();
         for fault in faults {
@@ -206,7 +206,7 @@ fn what_cannot_be_is_refused_and_changes_nothing() {
     assert_eq!(plant.set_fault(&fault), Err(SetEventError::TooMany));
     assert!((1..1000).contains(&accepted));
     plant.clear_faults();
-    // What is over makes room.
+    // Faults that have ended make room.
     for _ in 0..2 * accepted {
         plant.set_fault(&Fault { from: plant.seq(), cycles: 1, ..fault }).unwrap();
         plant.push(&Push { from: plant.seq(), ..push }).unwrap();

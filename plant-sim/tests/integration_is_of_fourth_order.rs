@@ -36,7 +36,7 @@ fn a_period_agrees_with_much_finer_steps() {
 #[test]
 fn halving_the_step_divides_the_error_by_sixteen() {
     let mut config = settings();
-    // Long enough that rounding does not matter; the steep part of Coulomb friction is no power series.
+    // Long enough that rounding is negligible. No Coulomb friction: it is too steep for the order of the method.
     config.daemon.cycle.period = Period::from_micros(4000);
     config.plant.friction.pendulum_coulomb = [0.0; _];
     config.plant.drive.brake_time_constant = 0.1;

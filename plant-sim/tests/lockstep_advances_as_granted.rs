@@ -47,7 +47,7 @@ fn cycle_one_waits_for_the_first_daemon() {
     let measurements = peer.measurements();
     peer.advance_to(10);
     common::wait_for("cycle 1", || Some(measurements.read().seq).filter(|s| *s == 1));
-    // A daemon that lost contact would be given up after one second: one that never was is not.
+    // A daemon that falls silent is lost after one second; cycle 1 waits for the first daemon without limit.
     std::thread::sleep(Duration::from_millis(1500));
     assert_eq!((measurements.read().seq, peer.status().seq), (1, 0));
     drop(measurements);
@@ -76,7 +76,7 @@ fn without_answers_the_brakes_close_and_granted_time_goes_on() {
     let last = daemon.measurements.read();
     assert_eq!((last.seq, last.status & Measurement::BRAKES_CLOSED), (100, Measurement::BRAKES_CLOSED));
 
-    // It answers again: the next cycle waits for it.
+    // The daemon answers again: the next cycle waits for it.
     daemon.answer();
     peer.advance_to(120);
     daemon.answer_until("cycle 120", || peer.status().seq == 120);

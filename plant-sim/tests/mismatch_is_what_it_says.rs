@@ -1,4 +1,4 @@
-//! Rod length, payload, rotors, stops and pushes act as mechanics says, each against another way to compute it.
+//! The effects of rod length, payload, rotors, stops and pushes agree with independent computations.
 
 mod common;
 
@@ -11,14 +11,14 @@ fn pose() -> JointVector {
     level_pose() + JointVector::from_fn(|i, _| 0.3 * (1.3 * i as f64).sin())
 }
 
-/// d point / dt at (q, qd) by central differences.
+/// Velocity of `point` at (q, qd) by central differences, m/s.
 fn velocity_of(point: impl Fn(&JointVector) -> [f64; 3], q: &JointVector, qd: &JointVector) -> [f64; 3] {
     let h = 1e-5;
     let (after, before) = (point(&(q + qd * h)), point(&(q - qd * h)));
     std::array::from_fn(|i| (after[i] - before[i]) / (2.0 * h))
 }
 
-/// Velocity after one period so short that positions do not change, divided by it: qdd, rad/s^2.
+/// Accelerations qdd, rad/s^2: velocities after one period, divided by the period, which is so short that positions do not change.
 fn acceleration(config: &Config, tau: [f64; NU]) -> JointVector {
     let mut config = config.clone();
     config.daemon.cycle.period = Period::from_micros(1);
@@ -40,7 +40,7 @@ fn a_longer_rod_has_its_tip_and_its_gravity_farther_out() {
     let (q, work) = (pose(), &mut Workspace::default());
     let joint = short.poses(&q)[NQ - 1].translation.vector;
     assert!((long.tip(&q) - joint - (short.tip(&q) - joint) * 1.2).norm() < 1e-12);
-    // About the rod's own joint, torque of gravity goes with the length and inertia with its square.
+    // About joint 9 the gravity torque is proportional to the length of the rod, and the inertia to its square.
     let (g_short, g_long) = (short.gravity_torque(&q, work)[8], long.gravity_torque(&q, work)[8]);
     assert!((g_long - 1.2 * g_short).abs() < 1e-12 && g_short.abs() > 0.01);
     let (j_short, j_long) = (mass_matrix(&short)[(8, 8)], mass_matrix(&long)[(8, 8)]);
@@ -101,7 +101,7 @@ fn a_push_changes_the_momentum_by_its_impulse() {
     let impulse = [0.02, -0.01, 0.03];
     let mut plant = Plant::at(&config, &q, &JointVector::zeros()).unwrap();
     let mut twin = plant.clone();
-    // Short, so that the position does not change.
+    // So short that the positions do not change.
     plant.push(&Push { from: 1, cycles: 2, impulse }).unwrap();
     for plant in [&mut plant, &mut twin] {
         for _ in 0..2 {

@@ -1,4 +1,4 @@
-//! The simulated motion agrees with the closed form of a pendulum and with an integrator of high order.
+//! The simulated motion agrees with the closed-form period of a pendulum and with an integrator of high order.
 
 mod common;
 
@@ -7,7 +7,7 @@ use upswing_config::Config;
 use upswing_model::{JointVector, Model, NU, State, StateParts, Workspace, state};
 use upswing_plant::Plant;
 
-/// Period of a pendulum over that of its small swings: 1 / agm(1, cos(amplitude / 2)).
+/// Ratio of the period of a pendulum to that of small swings: 1 / agm(1, cos(amplitude / 2)); amplitude in rad.
 fn slowing(amplitude: f64) -> f64 {
     let (mut a, mut g) = (1.0_f64, (0.5 * amplitude).cos());
     while (a - g).abs() > 1e-15 {
@@ -72,7 +72,7 @@ fn the_rod_swings_like_a_uniform_rod_of_half_a_metre() {
     assert!((got / (small * slowing(0.3)) - 1.0).abs() < 1e-10, "{got} s");
 }
 
-/// f of the free arm under a constant torque.
+/// State derivative of the arm without brakes under joint torques `tau` (N m).
 fn free(model: &Model, x: &State, tau: &JointVector, work: &mut Workspace) -> State {
     let (q, qd) = (x.q(), x.qd());
     state(&qd, &model.forward_dynamics(&q, &qd, tau, work).unwrap())

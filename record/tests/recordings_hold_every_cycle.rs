@@ -1,5 +1,5 @@
-//! A recording holds every cycle bit for bit, up to its last complete chunk if it was cut off anywhere, and what is no
-//! recording is refused.
+//! A recording contains every cycle bit for bit, up to the last complete chunk of a truncated file; a file that is no recording
+//! is refused.
 
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
@@ -107,7 +107,7 @@ fn a_file_cut_anywhere_is_readable_to_its_last_chunk() {
                 assert_eq!(read_back, cycles[..n]);
                 most = n;
             }
-            // Shorter than what stands before the first chunk, and that chunk.
+            // The file ends before the first chunk is complete.
             Err(RecordingError::Missing { .. }) => assert_eq!(most, 0),
             Err(e) => panic!("{eighth}/8: {e}"),
         }
@@ -115,7 +115,7 @@ fn a_file_cut_anywhere_is_readable_to_its_last_chunk() {
     assert!(most >= 2 * CHUNK, "{most} cycles");
 }
 
-/// A file rewritten part by part: what `change` makes of opcode and body of each record stands in its place.
+/// Rewrites a file: replaces each record by the bytes that `change` returns for its opcode and body.
 fn rewritten(bytes: &[u8], mut change: impl FnMut(u8, &[u8]) -> Vec<u8>) -> Vec<u8> {
     let (mut rest, mut out) = (&bytes[8..bytes.len() - 8], bytes[..8].to_vec());
     while let Some((head, more)) = rest.split_first_chunk::<9>() {
@@ -131,7 +131,7 @@ fn part(opcode: u8, body: &[u8]) -> Vec<u8> {
     [&[opcode][..], &(body.len() as u64).to_le_bytes(), body].concat()
 }
 
-/// A chunk with a header of its own choice.
+/// Body of a chunk with arbitrary values in its header.
 fn chunk(size: u64, crc: u32, compression: &str, data: &[u8]) -> Vec<u8> {
     let mut body = vec![0; 16];
     body.extend(size.to_le_bytes());
@@ -213,8 +213,8 @@ fn behind_a_flipped_bit_all_chunks_are_read() {
         Vec::new()
     });
     assert!(chunks.len() >= 6, "{chunks:?}");
-    // Opcode, length (shorter, beyond the end), sizes and name in the header of the chunk, contents; of chunks in front, in
-    // the middle, and the last but one.
+    // Damage to opcode, length (too short, beyond the end), sizes and name in the chunk header, and contents; of chunks at the
+    // start, in the middle, and the last but one.
     for chunk in [0, 1, 3, chunks.len() - 2] {
         let (body, length) = chunks[chunk];
         for place in [

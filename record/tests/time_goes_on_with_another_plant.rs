@@ -7,12 +7,12 @@ use upswing_model::JointVector;
 use upswing_record::evaluation::{MotionStatisticsCounter, tilt};
 use upswing_record::{Recorder, Window, read};
 
-/// Cycles of each plant: more than the second that is judged.
+/// Number of cycles of each plant: more than the last second, which the summary evaluates.
 const CYCLES: u64 = 10_000;
 const PERIOD_NS: u64 = 125_000;
 const PERIOD: f64 = 125e-6;
 
-/// Two plants in balance, their arms at different angles; the daemon counts on.
+/// Cycles of two plants in balance with different arm positions; the cycle numbers of the daemon continue.
 fn cycles() -> Vec<Telemetry> {
     let cycle = |seq: u64| {
         let mut t = Telemetry { seq, t_ns: (seq - 1) % CYCLES * PERIOD_NS, ..Telemetry::default() };
@@ -38,7 +38,7 @@ fn in_a_recording() {
 
     assert_eq!(read(&path, Window::ALL).expect("it reads").0, cycles);
     let half = Window { from: total / 2.0 - 0.5 * PERIOD, to: f64::INFINITY };
-    // The last of the old one began when the first of the new one did.
+    // The last cycle of the old plant and the first cycle of the new plant have the same time.
     assert_eq!(read(&path, half).expect("it reads").0, cycles[CYCLES as usize - 1..]);
 }
 

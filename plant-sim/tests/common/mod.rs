@@ -1,4 +1,4 @@
-//! Settings, plant processes and a daemon that only answers, for tests.
+//! Test support: settings, plant processes, and a minimal daemon that answers measurements.
 #![allow(dead_code)] // each test file uses its own part
 
 use std::process::{Child, Command as Process, Stdio};
@@ -14,7 +14,7 @@ pub fn settings() -> Config {
     Config::embedded().unwrap()
 }
 
-/// The settings without any friction, and without stops.
+/// The settings without friction and stops.
 pub fn frictionless() -> Config {
     let mut config = settings();
     let friction = &mut config.plant.friction;
@@ -25,24 +25,24 @@ pub fn frictionless() -> Config {
     config
 }
 
-/// [0, 0, 0, -90, 0, 0, 0] deg, where the pendulum hangs at q8 = q9 = 0.
+/// Arm pose [0, 0, 0, -90, 0, 0, 0] deg, in which the pendulum hangs at q8 = q9 = 0; rad.
 pub fn level_pose() -> JointVector {
     let mut q = JointVector::zeros();
     q[3] = -90_f64.to_radians();
     q
 }
 
-/// Released brakes and these torques, N m.
+/// Command with released brakes and torques `tau`, N m.
 pub fn torque(tau: [f64; NU]) -> Command {
     Command { tau, brake: 0, ..Command::default() }
 }
 
-/// Kinetic and potential energy, J.
+/// Sum of kinetic and potential energy, J.
 pub fn energy(model: &Model, plant: &Plant) -> f64 {
     model.energy(&state(plant.position(), plant.velocity()), &mut Workspace::default())
 }
 
-/// The torque that holds the arm where it is, N m.
+/// Torque that holds the arm in its present position, N m.
 pub fn holding_torque(model: &Model, plant: &Plant) -> ActuatedVector {
     model.torque(
         &state(plant.position(), plant.velocity()),
@@ -66,7 +66,7 @@ impl PlantProcess {
         Self(child)
     }
 
-    /// SIGTERM; the exit code.
+    /// Sends SIGTERM and returns the exit code.
     pub fn terminate(mut self) -> Option<i32> {
         let id = libc::pid_t::try_from(self.0.id()).unwrap();
         // SAFETY: a plain system call; the process is our child and not yet waited for.
@@ -86,7 +86,7 @@ impl Drop for PlantProcess {
     }
 }
 
-/// What a harness and a daemon have in common with the plant.
+/// Connection to the plant process, for the roles of harness and daemon.
 pub struct Peer {
     client: Client<PlantRequest>,
     node: Node,
@@ -98,7 +98,7 @@ impl Peer {
         Self { client: node.client::<PlantRequest>().unwrap(), node }
     }
 
-    /// A reader of the measurements; as long as it is needed it keeps their memory.
+    /// A reader of the measurements, which keeps their shared memory mapped.
     pub fn measurements(&self) -> Reader<Measurement> {
         let mut finder = self.node.finder::<Measurement>();
         wait_for("a plant", || finder.poll().unwrap())
@@ -121,7 +121,7 @@ impl Peer {
     }
 }
 
-/// Answers each measurement once with released brakes and no torque.
+/// Minimal daemon that answers each measurement once, with released brakes and no torque.
 pub struct Answerer {
     pub measurements: Reader<Measurement>,
     commands: Writer<Command>,
@@ -138,7 +138,7 @@ impl Answerer {
         Self { measurements, commands, seq: 0, answered: 0 }
     }
 
-    /// Answers the newest measurement if it is a new one, and returns it.
+    /// Answers the newest measurement if it is not answered yet, and returns it.
     pub fn answer(&mut self) -> Option<Measurement> {
         let measurement = self.measurements.read();
         if measurement.seq == self.answered {
@@ -155,7 +155,7 @@ impl Answerer {
         Some(measurement)
     }
 
-    /// Answers until `done`.
+    /// Answers measurements until `done` returns true.
     pub fn answer_until(&mut self, what: &str, mut done: impl FnMut() -> bool) {
         let start = Instant::now();
         while !done() {
@@ -168,7 +168,7 @@ impl Answerer {
     }
 }
 
-/// Repeats `attempt` until it yields something; gives up when the test is clearly stuck.
+/// Repeats `attempt` until it returns a value; panics when the test is clearly stuck.
 pub fn wait_for<T>(what: &str, mut attempt: impl FnMut() -> Option<T>) -> T {
     let start = Instant::now();
     loop {
