@@ -303,7 +303,7 @@ fn what_is_less_accurate_than_asked_for_is_not_solved() {
     let planner = planner();
     let entries = 0..planner.entries().len();
     let qp = entries.filter_map(|entry| qp_at(&planner, entry, &[0.02; NU])).next().expect("a start at rest");
-    // No solver meets this tolerance: Clarabel stops with an almost solved program.
+    // No solver meets this tolerance: Clarabel reports `SolverStatus::AlmostSolved`.
     let mut solver = Solver::new(Backend::Clarabel, N);
     let status = solver.solve(&qp, &Options::new(1e-20));
     assert!(matches!(status, Status::Stalled(_)), "{status:?}");
