@@ -131,7 +131,7 @@ fn part(opcode: u8, body: &[u8]) -> Vec<u8> {
     [&[opcode][..], &(body.len() as u64).to_le_bytes(), body].concat()
 }
 
-/// Body of a chunk with arbitrary values in its header.
+/// A chunk record with arbitrary values in its header.
 fn chunk(size: u64, crc: u32, compression: &str, data: &[u8]) -> Vec<u8> {
     let mut body = vec![0; 16];
     body.extend(size.to_le_bytes());
