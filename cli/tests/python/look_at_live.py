@@ -24,12 +24,13 @@ def expect(what, good):
 def watch(page, wanted):
     """Waits until the state on the page has a text."""
     page.wait_for_function(
-        "wanted => document.getElementById('summary').textContent.includes(wanted)", arg=wanted, timeout=LONG
+        "wanted => document.getElementById('summary').textContent.includes(wanted)", arg=wanted
     )
 
 
 def look(browser, url, token, folder, blind):
     page = browser.new_page(viewport={"width": 1400, "height": 1000})
+    page.set_default_timeout(LONG)
     asked = []
     page.on("dialog", lambda d: (asked.append(d.message), d.accept()))
     page.on("pageerror", lambda e: findings.append(f"the script failed: {e}"))
@@ -69,8 +70,9 @@ def look(browser, url, token, folder, blind):
     expect(f"a stop asks first: {asked}", len(asked) == 1)
 
     reader = browser.new_page()
+    reader.set_default_timeout(LONG)
     reader.goto(url)
-    reader.wait_for_function("() => document.getElementById('summary').rows.length > 3", timeout=LONG)
+    reader.wait_for_function("() => document.getElementById('summary').rows.length > 3")
     expect("buttons without a token", not reader.locator("#requests").is_visible())
     # A new page has the last seconds at once: the mode before the stop is still in its events.
     expect("no history", "mode balance" in reader.locator("#events").text_content())
@@ -79,7 +81,7 @@ def look(browser, url, token, folder, blind):
     watch(page, "modefault")
     watch(page, "rodunknown")
     # The newest sample of the motion may be a frame older than the state.
-    page.wait_for_function("() => document.getElementById('readout').textContent.includes('q9     NaN deg')", timeout=LONG)
+    page.wait_for_function("() => document.getElementById('readout').textContent.includes('q9     NaN deg')")
     page.screenshot(path=folder / "blind.png", full_page=True)
 
 
