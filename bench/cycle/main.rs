@@ -15,7 +15,7 @@ use upswing_config::Config;
 use upswing_ipc::{Command, Measurement, Mode, TempDomain};
 use upswing_model::{ActuatedVector, NQ, State, Workspace};
 use upswingd::controller::Controller;
-use upswingd::step::{Request, StepInput};
+use upswingd::step::{StepInput, StepRequest};
 
 /// Swing-ups, about 17 000 cycles each.
 const SWINGS: usize = 12;
@@ -65,7 +65,7 @@ fn cycles(config: &Config) -> Vec<f64> {
     for _ in 0..SWINGS {
         let (mut controller, mut arm) = (Controller::new(config), Arm::new(config, at_rest(&q)));
         let mut requests =
-            [Request::Enable, Request::Load(plan.clone()), Request::Start(plan.id)].into_iter();
+            [StepRequest::Enable, StepRequest::Load(plan.clone()), StepRequest::Start(plan.id)].into_iter();
         loop {
             measurements.write(arm.measure());
             let request = requests.next();

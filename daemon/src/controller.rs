@@ -18,7 +18,7 @@ use crate::modes::{ActiveMode, LoadedPlan, Setpoint};
 use crate::observer::{Observation, Observer};
 use crate::plan::Ending;
 use crate::standstill::Standstill;
-use crate::step::{CycleRecord, Output, StepInput};
+use crate::step::{CycleRecord, StepInput, StepOutput};
 use crate::supervisor::Event;
 use crate::trip::{Trip, TripCause};
 use upswing_config::{Config, HoldGains, PlanWhileTracking};
@@ -126,7 +126,7 @@ impl Controller {
 
     /// Computes one cycle.
     #[cfg_attr(rtsan, sanitize(realtime = "nonblocking"))]
-    pub fn step(&mut self, input: StepInput) -> Output {
+    pub fn step(&mut self, input: StepInput) -> StepOutput {
         self.step += 1;
         let recorded = input.to_payload(self.step, 0);
         let StepInput { measurement, now_ns, late_cycles, lost_cycles, restarted, request } = input;
@@ -162,7 +162,7 @@ impl Controller {
 
         let t_ns = if wall { now_ns } else { measurement.t_ns };
         let telemetry = self.telemetry(&measurement, t_ns, is_new, &setpoint, &torque);
-        Output {
+        StepOutput {
             command: Command {
                 seq: self.cycle,
                 t_ns,

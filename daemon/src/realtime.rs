@@ -4,7 +4,7 @@
 //! All data come and go through wait-free rings, whose other ends are in [`RealtimeLink`].
 
 use crate::controller::Controller;
-use crate::step::{CycleRecord, Request, StepInput};
+use crate::step::{CycleRecord, StepInput, StepRequest};
 use crate::supervisor::Refusal;
 use rtrb::{Consumer, Producer, RingBuffer};
 use std::sync::Arc;
@@ -30,7 +30,7 @@ pub struct NumberedRequest {
     /// Number, unique within this daemon.
     pub number: u64,
     /// The request.
-    pub request: Request,
+    pub request: StepRequest,
 }
 
 /// A message from the controller to the service thread.

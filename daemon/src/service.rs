@@ -7,7 +7,7 @@ use crate::os::{self, Refused};
 use crate::plan::{self, PlanRefusal};
 use crate::realtime::{NumberedRequest, RealtimeLink, RealtimeThread, Reply};
 use crate::recovery::{Recovery, RecoveryAction};
-use crate::step::{CycleRecord, Request};
+use crate::step::{CycleRecord, StepRequest};
 use crate::supervisor::{Refusal, is_braked};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -298,7 +298,7 @@ impl<'a> ServiceThread<'a> {
             info!("shutting down");
             self.manager.stopping();
             self.recovery.yield_to_operator();
-            if self.send(Request::Shutdown).is_err() {
+            if self.send(StepRequest::Shutdown).is_err() {
                 self.warn_once("the real-time thread does not take the request to shut down".into());
             }
             Instant::now()
@@ -321,11 +321,11 @@ impl<'a> ServiceThread<'a> {
                 self.fetch();
                 return self.respond(true, &self.remark());
             }
-            Ok(ControlKind::Enable) => Request::Enable,
-            Ok(ControlKind::Hold) => Request::Hold,
-            Ok(ControlKind::Start) => Request::Start(request.plan_id),
-            Ok(ControlKind::Stop) => Request::Stop,
-            Ok(ControlKind::Reset) => Request::Reset,
+            Ok(ControlKind::Enable) => StepRequest::Enable,
+            Ok(ControlKind::Hold) => StepRequest::Hold,
+            Ok(ControlKind::Start) => StepRequest::Start(request.plan_id),
+            Ok(ControlKind::Stop) => StepRequest::Stop,
+            Ok(ControlKind::Reset) => StepRequest::Reset,
             Err(unknown) => return self.respond(false, &unknown.to_string()),
         };
         self.recovery.yield_to_operator();
@@ -334,7 +334,7 @@ impl<'a> ServiceThread<'a> {
         self.recovery.yield_to_operator();
         match asked {
             Ok(remark) => {
-                if matches!(request, Request::Enable | Request::Start(_) | Request::Reset) {
+                if matches!(request, StepRequest::Enable | StepRequest::Start(_) | StepRequest::Reset) {
                     self.log.forget_warnings();
                 }
                 self.respond(true, remark)
@@ -348,10 +348,10 @@ impl<'a> ServiceThread<'a> {
     }
 
     /// Sends `request` and waits for the answer of the real-time thread. Returns a remark, or the reason for the refusal.
-    fn ask(&mut self, request: &Request) -> Result<&'static str, RequestError> {
+    fn ask(&mut self, request: &StepRequest) -> Result<&'static str, RequestError> {
         let begin = Instant::now();
         // An enable right after the start of a plant is meant for this plant.
-        while *request == Request::Enable && !self.found && begin.elapsed() < ANSWER {
+        while *request == StepRequest::Enable && !self.found && begin.elapsed() < ANSWER {
             self.find_plant();
             sleep(PAUSE);
         }
@@ -382,7 +382,7 @@ impl<'a> ServiceThread<'a> {
     }
 
     /// Sends a request to the real-time thread; returns the number of the request.
-    fn send(&mut self, request: Request) -> Result<u64, RequestError> {
+    fn send(&mut self, request: StepRequest) -> Result<u64, RequestError> {
         self.requests += 1;
         let request = NumberedRequest { number: self.requests, request };
         self.link.requests.push(request).map_err(|_| RequestError::TooMany)?;
@@ -391,7 +391,7 @@ impl<'a> ServiceThread<'a> {
 
     fn load(&mut self, payload: &Plan) {
         let accepted = self.at_normal_priority(|| plan::accept(payload, self.config));
-        let sent = accepted.map_err(RequestError::from).and_then(|plan| self.send(Request::Load(plan)));
+        let sent = accepted.map_err(RequestError::from).and_then(|plan| self.send(StepRequest::Load(plan)));
         match sent {
             Ok(number) => {
                 info!("plan {} loaded, t_F = {:.3} s", payload.id, payload.t_f);
@@ -469,7 +469,7 @@ impl<'a> ServiceThread<'a> {
                 Some(RecoveryAction::AskPlanner) => self.ask_planner(),
                 Some(RecoveryAction::Start(plan_id)) => {
                     info!("recovery: swinging up again");
-                    if self.send(Request::Start(plan_id)).is_err() {
+                    if self.send(StepRequest::Start(plan_id)).is_err() {
                         self.warn_once("too many requests wait for the next cycle".into());
                     }
                 }

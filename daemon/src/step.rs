@@ -6,9 +6,9 @@ use std::fmt;
 use upswing_ipc::{Command, Measurement, Step, Telemetry, UnknownCode};
 use upswing_trajectory::Plan;
 
-/// A request to the controller, of an operator or of the daemon itself.
+/// A request that the controller executes in a step: of an operator, or of the daemon itself.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Request {
+pub enum StepRequest {
     /// Release the brakes and hold the arm.
     Enable,
     /// Hold the current pose of the arm.
@@ -25,7 +25,7 @@ pub enum Request {
     Load(Box<Plan>),
 }
 
-impl Request {
+impl StepRequest {
     /// Event of the request in the table of modes; `None` if it does not change the mode.
     pub const fn event(&self) -> Option<Event> {
         match self {
@@ -53,7 +53,7 @@ impl Request {
     }
 }
 
-impl fmt::Display for Request {
+impl fmt::Display for StepRequest {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.pad(self.name())
     }
@@ -75,13 +75,13 @@ pub struct StepInput {
     /// Whether the plant is another one than in the previous step, or has restarted.
     pub restarted: bool,
     /// A request of an operator or of the daemon itself.
-    pub request: Option<Request>,
+    pub request: Option<StepRequest>,
 }
 
 impl StepInput {
     /// Creates the input of a step without overruns and lost measurements. `now_ns`: planned time of the cycle, as in
     /// [`StepInput::now_ns`].
-    pub const fn new(measurement: Measurement, now_ns: u64, request: Option<Request>) -> Self {
+    pub const fn new(measurement: Measurement, now_ns: u64, request: Option<StepRequest>) -> Self {
         Self { measurement, now_ns, late_cycles: 0, lost_cycles: 0, restarted: false, request }
     }
 
@@ -89,13 +89,13 @@ impl StepInput {
     pub fn to_payload(&self, number: u64, cycle: u64) -> Step {
         let (request, plan_id) = match &self.request {
             None => (0, 0),
-            Some(Request::Load(plan)) => (1, plan.id),
-            Some(Request::Enable) => (2, 0),
-            Some(Request::Hold) => (3, 0),
-            Some(Request::Start(plan_id)) => (4, *plan_id),
-            Some(Request::Stop) => (5, 0),
-            Some(Request::Reset) => (6, 0),
-            Some(Request::Shutdown) => (7, 0),
+            Some(StepRequest::Load(plan)) => (1, plan.id),
+            Some(StepRequest::Enable) => (2, 0),
+            Some(StepRequest::Hold) => (3, 0),
+            Some(StepRequest::Start(plan_id)) => (4, *plan_id),
+            Some(StepRequest::Stop) => (5, 0),
+            Some(StepRequest::Reset) => (6, 0),
+            Some(StepRequest::Shutdown) => (7, 0),
         };
         Step {
             number,
@@ -120,13 +120,13 @@ impl StepInput {
     ) -> Result<Self, E> {
         let request = match step.request {
             0 => None,
-            1 => Some(Request::Load(plan(step.plan_id)?)),
-            2 => Some(Request::Enable),
-            3 => Some(Request::Hold),
-            4 => Some(Request::Start(step.plan_id)),
-            5 => Some(Request::Stop),
-            6 => Some(Request::Reset),
-            7 => Some(Request::Shutdown),
+            1 => Some(StepRequest::Load(plan(step.plan_id)?)),
+            2 => Some(StepRequest::Enable),
+            3 => Some(StepRequest::Hold),
+            4 => Some(StepRequest::Start(step.plan_id)),
+            5 => Some(StepRequest::Stop),
+            6 => Some(StepRequest::Reset),
+            7 => Some(StepRequest::Shutdown),
             got => return Err(UnknownCode { what: "recorded request", got, max: 7 }.into()),
         };
         Ok(Self {
@@ -142,7 +142,7 @@ impl StepInput {
 
 /// Output of one step of the controller.
 #[derive(Debug)]
-pub struct Output {
+pub struct StepOutput {
     /// The command for the drives.
     pub command: Command,
     /// Mode, reference, torque and limits of this cycle.

@@ -8,7 +8,7 @@ use proptest::prelude::*;
 use upswing_ipc::{Measurement, Mode};
 use upswing_model::{NQ, NU};
 use upswingd::controller::Controller;
-use upswingd::step::{Request, StepInput};
+use upswingd::step::{StepInput, StepRequest};
 use upswingd::supervisor::is_braked;
 
 #[derive(Clone, Debug)]
@@ -45,11 +45,11 @@ fn disturbances() -> impl Strategy<Value = Disturbance> {
 #[derive(Clone, Debug)]
 enum Told {
     Load,
-    Do(Request),
+    Do(StepRequest),
 }
 
 fn told() -> impl Strategy<Value = Option<Told>> {
-    use Request::{Enable, Hold, Reset, Shutdown, Start, Stop};
+    use StepRequest::{Enable, Hold, Reset, Shutdown, Start, Stop};
     let any = [Enable, Hold, Stop, Reset, Start(7)].map(Told::Do).into_iter().chain([Told::Load]);
     prop_oneof![
         40 => Just(None),
@@ -94,10 +94,10 @@ proptest! {
             }
             last = next;
             let request = told.map(|told| match told {
-                Told::Load => Request::Load(plan.clone()),
+                Told::Load => StepRequest::Load(plan.clone()),
                 Told::Do(request) => request,
             });
-            let reset = matches!(request, Some(Request::Reset));
+            let reset = matches!(request, Some(StepRequest::Reset));
             let before = controller.mode();
             let input = StepInput::new(next, next.t_ns, request);
             let output = controller.step(StepInput { late_cycles, lost_cycles, restarted, ..input });

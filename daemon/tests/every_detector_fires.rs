@@ -8,7 +8,7 @@ use upswing_config::{Config, Level};
 use upswing_ipc::{Clock, Measurement, Mode, Telemetry};
 use upswing_model::{ActuatedVector, JointVector, NU, Workspace};
 use upswingd::controller::Controller;
-use upswingd::step::{Output, Request, StepInput};
+use upswingd::step::{StepInput, StepOutput, StepRequest};
 use upswingd::supervisor::Refusal;
 use upswingd::trip::{Trip, TripCause};
 
@@ -23,7 +23,7 @@ fn enabled_at(q: JointVector) -> (Controller, JointVector) {
 
 fn enabled_with(config: &Config, q: JointVector) -> (Controller, JointVector) {
     let mut controller = Controller::new(config);
-    controller.step(StepInput::new(measurement(1, &q), 0, Some(Request::Enable)));
+    controller.step(StepInput::new(measurement(1, &q), 0, Some(StepRequest::Enable)));
     controller.step(StepInput::new(measurement(2, &q), 0, None));
     assert_eq!(controller.mode(), Mode::Hold);
     (controller, q)
@@ -39,8 +39,8 @@ fn flickering(seq: u64, q: &JointVector) -> Measurement {
 fn balancing(config: &Config) -> (Controller, JointVector) {
     let (mut controller, q) = enabled_with(config, upright_pose());
     let plan = rest_plan(config, &at_rest(&q), 0.0005);
-    controller.step(StepInput::new(measurement(3, &q), 0, Some(Request::Load(plan))));
-    controller.step(StepInput::new(measurement(4, &q), 0, Some(Request::Start(7))));
+    controller.step(StepInput::new(measurement(3, &q), 0, Some(StepRequest::Load(plan))));
+    controller.step(StepInput::new(measurement(4, &q), 0, Some(StepRequest::Start(7))));
     assert_eq!(controller.mode(), Mode::Track);
     (5..=10).for_each(|seq| {
         controller.step(StepInput::new(measurement(seq, &q), 0, None));
@@ -54,11 +54,11 @@ fn trip(controller: &Controller) -> Option<(Mode, TripCause, usize)> {
 }
 
 /// Whether the cycle exceeded the warning level of `cause`.
-fn warns(output: &Output, cause: TripCause) -> bool {
+fn warns(output: &StepOutput, cause: TripCause) -> bool {
     output.record.telemetry.warnings & cause.bit() != 0
 }
 
-fn faults_on(spoil: impl Fn(&mut Measurement), cause: TripCause, joint: usize) -> Output {
+fn faults_on(spoil: impl Fn(&mut Measurement), cause: TripCause, joint: usize) -> StepOutput {
     let (mut controller, q) = enabled();
     let mut bad = measurement(3, &q);
     spoil(&mut bad);
@@ -69,7 +69,7 @@ fn faults_on(spoil: impl Fn(&mut Measurement), cause: TripCause, joint: usize) -
     // It stays, with its cause, until the reset.
     controller.step(StepInput::new(measurement(4, &q), 0, None));
     assert_eq!(trip(&controller), Some((Mode::Fault, cause, joint)));
-    controller.step(StepInput::new(measurement(5, &q), 0, Some(Request::Reset)));
+    controller.step(StepInput::new(measurement(5, &q), 0, Some(StepRequest::Reset)));
     assert_eq!((controller.mode(), controller.trip()), (Mode::Idle, None));
     output
 }
@@ -137,8 +137,8 @@ fn torque_rate() {
         change[0] = jump * config.robot.limits.tau_max[0];
         // u_d is linear between knots 10 ms apart.
         plan.trajectory.u[1] = mass.lu().solve(&change).unwrap() * (0.01 / common::PERIOD);
-        controller.step(StepInput::new(measurement(3, &q), 0, Some(Request::Load(plan))));
-        controller.step(StepInput::new(measurement(4, &q), 0, Some(Request::Start(7))));
+        controller.step(StepInput::new(measurement(3, &q), 0, Some(StepRequest::Load(plan))));
+        controller.step(StepInput::new(measurement(4, &q), 0, Some(StepRequest::Start(7))));
         let output = controller.step(StepInput::new(measurement(5, &q), 0, None));
         assert_eq!((controller.mode(), warns(&output, TripCause::TorqueRate)), expected, "{jump}");
         if expected.0 == Mode::Fault {
@@ -157,8 +157,8 @@ fn late_cycles() {
     assert_eq!(controller.mode(), Mode::Hold, "Hold is what a lateness leads to anyway");
     assert!(warns(&output, TripCause::LateCycles));
     let plan = rest_plan(&config, &at_rest(&q), 1.0);
-    controller.step(StepInput::new(measurement(4, &q), 0, Some(Request::Load(plan))));
-    controller.step(StepInput::new(measurement(5, &q), 0, Some(Request::Start(7))));
+    controller.step(StepInput::new(measurement(4, &q), 0, Some(StepRequest::Load(plan))));
+    controller.step(StepInput::new(measurement(5, &q), 0, Some(StepRequest::Start(7))));
     for (seq, late_cycles, expected) in
         [(6, 1, (Mode::Track, false)), (7, 20, (Mode::Track, true)), (8, 21, (Mode::Stop, true))]
     {
@@ -187,7 +187,7 @@ fn a_jump_with_closed_brakes_is_no_fault() {
     let mut controller = Controller::new(&config);
     controller.step(StepInput::new(measurement(1, &q), 0, None));
     q[0] = 1.0;
-    let output = controller.step(StepInput::new(measurement(2, &q), 0, Some(Request::Enable)));
+    let output = controller.step(StepInput::new(measurement(2, &q), 0, Some(StepRequest::Enable)));
     assert_eq!((output.answer, controller.mode()), (Some(Ok(())), Mode::Hold));
 }
 
@@ -281,7 +281,7 @@ fn frozen_measurement() {
         let mut controller = Controller::new(&config());
         let mut first = measurement(1, &q);
         first.status |= Measurement::BRAKES_CLOSED | senses;
-        controller.step(StepInput::new(first, 0, Some(Request::Enable)));
+        controller.step(StepInput::new(first, 0, Some(StepRequest::Enable)));
         controller.step(StepInput::new(measurement(2, &q), 0, None));
         // A step of an encoder away from the held pose: the command changes, nothing else does.
         let away = q.add_scalar(2e-5);
@@ -327,10 +327,10 @@ fn drive_fault_period_and_clock() {
     controller.step(StepInput::new(bad, 0, None));
     // A clock that changes is also a plant that restarted.
     assert_eq!(trip(&controller), Some((Mode::Fault, TripCause::MeasurementRestarted, 0)));
-    let answer = controller.step(StepInput::new(bad, 0, Some(Request::Reset))).answer;
+    let answer = controller.step(StepInput::new(bad, 0, Some(StepRequest::Reset))).answer;
     assert_eq!(answer, Some(Ok(())));
     bad.seq = 4;
-    let answer = controller.step(StepInput::new(bad, 0, Some(Request::Enable))).answer;
+    let answer = controller.step(StepInput::new(bad, 0, Some(StepRequest::Enable))).answer;
     assert!(
         matches!(answer, Some(Err(Refusal::Unfit(trip))) if trip.cause == TripCause::UnknownClock),
         "{answer:?}"
@@ -348,7 +348,7 @@ fn stale_measurement() {
         let output = controller.step(StepInput::new(last, now * PERIOD_NS, request));
         (controller.mode(), output.record.telemetry.flags & Telemetry::STALE != 0, output.record.trip)
     };
-    assert_eq!(cycle(1, Some(Request::Enable)), (Mode::Hold, false, None));
+    assert_eq!(cycle(1, Some(StepRequest::Enable)), (Mode::Hold, false, None));
     for age in 1..=20 {
         assert_eq!(cycle(1 + age, None), (Mode::Hold, true, None));
     }
@@ -399,7 +399,7 @@ fn measurement_that_comes_late() {
             controller.step(StepInput::new(measured, now * PERIOD_NS, request));
             controller.mode()
         };
-        assert_eq!(cycle(1, 1, Some(Request::Enable)), Mode::Hold);
+        assert_eq!(cycle(1, 1, Some(StepRequest::Enable)), Mode::Hold);
         assert_eq!(cycle(2, 2 + late, None), expected);
     }
 }
@@ -458,8 +458,8 @@ fn law_not_finite() {
     let (mut controller, q) = enabled();
     let mut plan = rest_plan(&config, &at_rest(&q), 1.0);
     plan.gains.knots.iter_mut().for_each(|gain| gain.fill(f64::NAN));
-    controller.step(StepInput::new(measurement(3, &q), 0, Some(Request::Load(plan))));
-    let output = controller.step(StepInput::new(measurement(4, &q), 0, Some(Request::Start(7))));
+    controller.step(StepInput::new(measurement(3, &q), 0, Some(StepRequest::Load(plan))));
+    let output = controller.step(StepInput::new(measurement(4, &q), 0, Some(StepRequest::Start(7))));
     assert_eq!(trip(&controller), Some((Mode::Fault, TripCause::LawNotFinite, 0)));
     assert_eq!((output.command.brake, output.command.tau), (1, [0.0; 7]));
 }
@@ -470,8 +470,8 @@ fn the_limiter_cuts_and_says_so() {
     let (mut controller, q) = enabled();
     let mut plan = rest_plan(&config, &at_rest(&q), 1.0);
     plan.trajectory.u.iter_mut().for_each(|u| u[0] = 1e4);
-    controller.step(StepInput::new(measurement(3, &q), 0, Some(Request::Load(plan))));
-    controller.step(StepInput::new(measurement(4, &q), 0, Some(Request::Start(7))));
+    controller.step(StepInput::new(measurement(3, &q), 0, Some(StepRequest::Load(plan))));
+    controller.step(StepInput::new(measurement(4, &q), 0, Some(StepRequest::Start(7))));
     // The way there takes a ms.
     (5..13).for_each(|seq| drop(controller.step(StepInput::new(measurement(seq, &q), 0, None))));
     let output = controller.step(StepInput::new(measurement(13, &q), 0, None));
@@ -498,7 +498,7 @@ fn no_mode_begins_with_a_step() {
 
     let mut controller = Controller::new(&config);
     let (mut seq, mut last) = (0, ActuatedVector::zeros());
-    let mut cycles = |controller: &mut Controller, mut request: Option<Request>, n: usize| {
+    let mut cycles = |controller: &mut Controller, mut request: Option<StepRequest>, n: usize| {
         let mut outputs = Vec::new();
         for _ in 0..n {
             seq += 1;
@@ -517,12 +517,12 @@ fn no_mode_begins_with_a_step() {
         (last, limited)
     };
     // The brakes held.
-    let request = Some(Request::Enable);
+    let request = Some(StepRequest::Enable);
     let (held, _) = cycles(&mut controller, request, 20);
     let gravity = config.model.torque(&at_rest(&away), &ActuatedVector::zeros(), &mut work);
     assert!((held - gravity).amax() < 1e-6, "{held}");
-    cycles(&mut controller, Some(Request::Load(plan)), 1);
-    let (tracked, limited) = cycles(&mut controller, Some(Request::Start(7)), 20);
+    cycles(&mut controller, Some(StepRequest::Load(plan)), 1);
+    let (tracked, limited) = cycles(&mut controller, Some(StepRequest::Start(7)), 20);
     assert_eq!(controller.mode(), Mode::Track);
     assert!((tracked - gravity)[0] / tau_max[0] < -0.2, "{tracked}");
     // 12.5 % per cycle; what it takes is on its way in all of them but the last.
@@ -530,7 +530,7 @@ fn no_mode_begins_with_a_step() {
     assert!(steps > 2.0, "{steps}");
     let on_the_way = |limited: Vec<bool>| limited.iter().filter(|limited| **limited).count();
     assert_eq!(on_the_way(limited), steps.ceil() as usize - 1);
-    let (stopped, limited) = cycles(&mut controller, Some(Request::Stop), 20);
+    let (stopped, limited) = cycles(&mut controller, Some(StepRequest::Stop), 20);
     assert_eq!(controller.mode(), Mode::Stop);
     // But for what the estimate of disturbances makes of an arm that does not move.
     assert!((stopped - gravity).amax() < 5.0, "{stopped}");
@@ -544,9 +544,9 @@ fn a_mode_begins_for_two_milliseconds_at_most() {
     let (mut controller, mut q) = enabled();
     let mut plan = rest_plan(&config, &at_rest(&q), 1.0);
     plan.gains.knots.iter_mut().for_each(|k| k[(0, 0)] = -1e7);
-    controller.step(StepInput::new(measurement(3, &q), 0, Some(Request::Load(plan))));
+    controller.step(StepInput::new(measurement(3, &q), 0, Some(StepRequest::Load(plan))));
     q[0] += 1e-4;
-    controller.step(StepInput::new(measurement(4, &q), 0, Some(Request::Start(7))));
+    controller.step(StepInput::new(measurement(4, &q), 0, Some(StepRequest::Start(7))));
     let mut seq = 4;
     while controller.mode() == Mode::Track {
         seq += 1;
@@ -564,8 +564,8 @@ fn tracking_error() {
     let config = config();
     let (mut controller, mut q) = enabled();
     let plan = rest_plan(&config, &at_rest(&q), 10.0);
-    controller.step(StepInput::new(measurement(3, &q), 0, Some(Request::Load(plan))));
-    controller.step(StepInput::new(measurement(4, &q), 0, Some(Request::Start(7))));
+    controller.step(StepInput::new(measurement(3, &q), 0, Some(StepRequest::Load(plan))));
+    controller.step(StepInput::new(measurement(4, &q), 0, Some(StepRequest::Start(7))));
     let mut seq = 4;
     let mut warned = None;
     while controller.mode() == Mode::Track {
@@ -632,7 +632,7 @@ fn pendulum_range() {
     let mut q = upright_pose();
     let mut controller = Controller::new(&config);
     let plan = rest_plan(&config, &at_rest(&q), 0.0005);
-    let requests = [Request::Enable, Request::Load(plan), Request::Start(7)];
+    let requests = [StepRequest::Enable, StepRequest::Load(plan), StepRequest::Start(7)];
     let mut seq = 0;
     for request in requests {
         seq += 1;
@@ -651,7 +651,7 @@ fn pendulum_range() {
 fn no_measurement_and_unready_drives_refuse_enable() {
     let config = config();
     let mut controller = Controller::new(&config);
-    let enable = || Some(Request::Enable);
+    let enable = || Some(StepRequest::Enable);
     let output = controller.step(StepInput::new(Measurement::default(), 0, enable()));
     let answer = output.answer;
     assert!(
@@ -686,8 +686,8 @@ fn stuck_encoder() {
         let (mut controller, q) = enabled();
         let mut plan = rest_plan(&config, &at_rest(&q), 1.0);
         plan.trajectory.u.iter_mut().for_each(|u| u[0] = 10.0);
-        controller.step(StepInput::new(measurement(3, &q), 0, Some(Request::Load(plan))));
-        controller.step(StepInput::new(measurement(4, &q), 0, Some(Request::Start(7))));
+        controller.step(StepInput::new(measurement(3, &q), 0, Some(StepRequest::Load(plan))));
+        controller.step(StepInput::new(measurement(4, &q), 0, Some(StepRequest::Start(7))));
         for seq in 5..400 {
             let next = if stuck { measurement(seq, &q) } else { flickering(seq, &q) };
             controller.step(StepInput::new(next, 0, None));

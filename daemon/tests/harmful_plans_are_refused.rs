@@ -11,7 +11,7 @@ use upswing_model::{ActuatedVector, NQ, NU, NX, State, Workspace};
 use upswing_trajectory::{KNOTS, N};
 use upswingd::controller::Controller;
 use upswingd::plan::accept;
-use upswingd::step::{Request, StepInput};
+use upswingd::step::{StepInput, StepRequest};
 
 /// Uniform numbers, the same in every run (SplitMix64).
 struct Random(u64);
@@ -114,7 +114,7 @@ fn fly(config: &Config, plan: &Payload, number: usize) -> Mode {
     }
     let cycles = ((plan.trajectory.t_f + 0.5) / common::PERIOD) as usize;
     let (mut controller, mut arm) = (Controller::new(config), Arm::new(config, x));
-    let mut requests = vec![Request::Start(plan.id), Request::Load(plan), Request::Enable];
+    let mut requests = vec![StepRequest::Start(plan.id), StepRequest::Load(plan), StepRequest::Enable];
     for _ in 0..cycles {
         let output = controller.step(StepInput::new(arm.measure(), 0, requests.pop()));
         if let Some(answer) = output.answer {

@@ -7,7 +7,7 @@ use upswing_config::Config;
 use upswing_ipc::{Mode, Telemetry};
 use upswing_model::{ActuatedVector, JointVector, NQ, NU, State, StateParts};
 use upswingd::controller::Controller;
-use upswingd::step::{Request, StepInput};
+use upswingd::step::{StepInput, StepRequest};
 use upswingd::supervisor::is_braked;
 
 /// One second.
@@ -19,14 +19,14 @@ struct Loop {
 }
 
 impl Loop {
-    fn cycle(&mut self, request: Option<Request>) -> Telemetry {
+    fn cycle(&mut self, request: Option<StepRequest>) -> Telemetry {
         let output = self.controller.step(StepInput::new(self.arm.measure(), 0, request));
         assert!(output.answer.is_none_or(|answer| answer.is_ok()), "{:?}", output.answer);
         self.arm.advance(&output.command);
         output.record.telemetry
     }
 
-    fn ask(&mut self, request: Request) -> Telemetry {
+    fn ask(&mut self, request: StepRequest) -> Telemetry {
         self.cycle(Some(request))
     }
 }
@@ -42,7 +42,7 @@ fn enabled_at(q: &JointVector) -> (Loop, State) {
 fn enabled_with(config: &Config, q: &JointVector) -> (Loop, State) {
     let x = at_rest(q);
     let mut system = Loop { arm: Arm::new(config, x), controller: Controller::new(config) };
-    assert_eq!(system.ask(Request::Enable).mode, Mode::Hold.code());
+    assert_eq!(system.ask(StepRequest::Enable).mode, Mode::Hold.code());
     (system, x)
 }
 
@@ -73,8 +73,8 @@ fn hold_returns_after_a_push() {
 fn a_plan_that_stands_is_tracked_and_then_balanced() {
     let (mut system, x) = enabled_at(&upright_pose());
     let config = config();
-    system.cycle(Some(Request::Load(rest_plan(&config, &x, 0.05))));
-    let first = system.ask(Request::Start(7));
+    system.cycle(Some(StepRequest::Load(rest_plan(&config, &x, 0.05))));
+    let first = system.ask(StepRequest::Start(7));
     assert_eq!((first.mode, first.plan_id, first.t_plan), (Mode::Track.code(), 7, 0.0));
     for k in 1..800 {
         let record = system.cycle(None);
@@ -84,9 +84,9 @@ fn a_plan_that_stands_is_tracked_and_then_balanced() {
         assert!((record.t_plan - t).abs() < 1e-9);
         assert!((system.arm.x.q() - x.q()).amax() < 1e-3);
     }
-    let held = system.ask(Request::Hold);
+    let held = system.ask(StepRequest::Hold);
     assert_eq!((held.mode, held.plan_id), (Mode::Hold.code(), 0));
-    assert_eq!(system.ask(Request::Start(7)).plan_id, 7, "the plan is still loaded");
+    assert_eq!(system.ask(StepRequest::Start(7)).plan_id, 7, "the plan is still loaded");
 }
 
 #[test]
@@ -99,13 +99,13 @@ fn stop_decelerates_as_set_and_then_holds() {
         system.arm.x[NQ + i] = 0.5;
     }
     // The filter needs some T_1 to see the velocity.
-    let mut record = system.ask(Request::Hold);
+    let mut record = system.ask(StepRequest::Hold);
     for _ in 0..200 {
-        record = system.ask(Request::Hold);
+        record = system.ask(StepRequest::Hold);
     }
     assert!(record.qd[0] > 0.3, "{}", record.qd[0]);
     let mut cycles = 0;
-    record = system.ask(Request::Stop);
+    record = system.ask(StepRequest::Stop);
     while record.mode == Mode::Stop.code() {
         for i in 0..NU {
             assert!(record.u_d[i].abs() <= 6.0);
@@ -125,7 +125,7 @@ fn shutdown_comes_to_rest_before_the_brakes_close() {
     (0..100).for_each(|_| {
         system.cycle(None);
     });
-    system.ask(Request::Shutdown);
+    system.ask(StepRequest::Shutdown);
     assert!(!is_braked(system.controller.mode()));
     let mut cycles = 0;
     while !is_braked(system.controller.mode()) {
@@ -135,7 +135,7 @@ fn shutdown_comes_to_rest_before_the_brakes_close() {
     }
     assert_eq!(system.controller.mode(), Mode::Idle);
     assert!(system.arm.x.fixed_rows::<NU>(NQ).amax() < 0.02);
-    let output = system.controller.step(StepInput::new(system.arm.measure(), 0, Some(Request::Enable)));
+    let output = system.controller.step(StepInput::new(system.arm.measure(), 0, Some(StepRequest::Enable)));
     assert!(output.answer.unwrap().is_err(), "nothing starts any more");
 }
 
@@ -144,7 +144,7 @@ fn a_pendulum_that_turned_over_hangs_at_zero_again() {
     let config = config();
     let q = rest_pose(&config);
     let mut controller = Controller::new(&config);
-    controller.step(StepInput::new(common::measurement(1, &q), 0, Some(Request::Enable)));
+    controller.step(StepInput::new(common::measurement(1, &q), 0, Some(StepRequest::Enable)));
     let (mut turning, turn) = (q, std::f64::consts::TAU);
     let mut seq = 1;
     // A turn and a half, at 10 rad/s.
@@ -165,13 +165,15 @@ fn a_pendulum_that_turned_over_hangs_at_zero_again() {
         seq += 1;
         controller.step(StepInput::new(common::measurement(seq, &turning), 0, None));
     });
-    for request in [Request::Reset, Request::Enable, Request::Load(rest_plan(&config, &at_rest(&q), 1.0))] {
+    for request in
+        [StepRequest::Reset, StepRequest::Enable, StepRequest::Load(rest_plan(&config, &at_rest(&q), 1.0))]
+    {
         seq += 1;
         let _ = controller.step(StepInput::new(common::measurement(seq, &turning), 0, Some(request))).answer;
     }
     seq += 1;
     let output =
-        controller.step(StepInput::new(common::measurement(seq, &turning), 0, Some(Request::Start(7))));
+        controller.step(StepInput::new(common::measurement(seq, &turning), 0, Some(StepRequest::Start(7))));
     assert_eq!((output.answer, controller.mode()), (Some(Ok(())), Mode::Track));
 }
 
@@ -191,9 +193,9 @@ fn known_friction_is_added_at_the_speed_of_the_reference() {
         // Both see the arm that the first one moves.
         let [(free, command), (known, _)] = controllers.each_mut().map(|controller| {
             let request = match cycle {
-                0 => Some(Request::Enable),
-                1 => Some(Request::Load(plan.clone())),
-                2 => Some(Request::Start(plan.id)),
+                0 => Some(StepRequest::Enable),
+                1 => Some(StepRequest::Load(plan.clone())),
+                2 => Some(StepRequest::Start(plan.id)),
                 _ => None,
             };
             let output = controller.step(StepInput::new(measurement, 0, request));

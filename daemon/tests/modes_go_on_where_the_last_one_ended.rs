@@ -7,7 +7,7 @@ use upswing_config::PlanWhileTracking;
 use upswing_ipc::{Clock, Measurement, Mode, Telemetry};
 use upswing_model::{ActuatedVector, JointVector, NQ, NU, Workspace};
 use upswingd::controller::Controller;
-use upswingd::step::{Output, Request, StepInput};
+use upswingd::step::{StepInput, StepOutput, StepRequest};
 use upswingd::supervisor::Refusal;
 use upswingd::trip::TripCause;
 
@@ -24,12 +24,12 @@ impl Told {
         Self { controller: Controller::new(&config), q: rest_pose(&config), seq: 0 }
     }
 
-    fn step(&mut self, request: Option<Request>) -> Output {
+    fn step(&mut self, request: Option<StepRequest>) -> StepOutput {
         self.seq += 1;
         self.controller.step(StepInput::new(measurement(self.seq, &self.q), 0, request))
     }
 
-    fn ask(&mut self, request: Request) -> Output {
+    fn ask(&mut self, request: StepRequest) -> StepOutput {
         let output = self.step(Some(request));
         assert_eq!(output.answer, Some(Ok(())));
         output
@@ -38,9 +38,9 @@ impl Told {
     /// In Track on a plan of `t_f` s (id 7) that stays where it is.
     fn tracking(mut self, t_f: f64) -> Self {
         let plan = rest_plan(&config(), &at_rest(&self.q), t_f);
-        self.ask(Request::Enable);
-        self.step(Some(Request::Load(plan)));
-        self.ask(Request::Start(7));
+        self.ask(StepRequest::Enable);
+        self.step(Some(StepRequest::Load(plan)));
+        self.ask(StepRequest::Start(7));
         self
     }
 }
@@ -57,24 +57,24 @@ fn a_stop_that_is_asked_for_again_goes_on_and_ends_in_the_pose_of_its_reference(
     config.daemon.disturbance.bandwidth = 0.0;
     let mut arm = Arm::new(&config, at_rest(&rest_pose(&config)));
     let mut controller = Controller::new(&config);
-    let mut cycle = |controller: &mut Controller, request: Option<Request>| {
+    let mut cycle = |controller: &mut Controller, request: Option<StepRequest>| {
         let output = controller.step(StepInput::new(arm.measure(), 0, request.clone()));
-        if request == Some(Request::Enable) {
+        if request == Some(StepRequest::Enable) {
             (0..NU).for_each(|i| arm.x[NQ + i] = 0.5);
         }
         arm.advance(&output.command);
         output.record.telemetry
     };
-    cycle(&mut controller, Some(Request::Enable));
+    cycle(&mut controller, Some(StepRequest::Enable));
     for _ in 0..200 {
-        cycle(&mut controller, Some(Request::Hold));
+        cycle(&mut controller, Some(StepRequest::Hold));
     }
-    let mut last = cycle(&mut controller, Some(Request::Stop));
+    let mut last = cycle(&mut controller, Some(StepRequest::Stop));
     for _ in 0..40 {
         last = cycle(&mut controller, None);
     }
     let mut asked_again = controller.clone();
-    let again = cycle(&mut asked_again, Some(Request::Shutdown));
+    let again = cycle(&mut asked_again, Some(StepRequest::Shutdown));
     for (i, ((q, qd), (q_next, qd_next))) in reference(&last).into_iter().zip(reference(&again)).enumerate() {
         let a = config.daemon.stop.deceleration[i];
         let slower = (qd.abs() - a * PERIOD).max(0.0).copysign(qd);
@@ -97,9 +97,9 @@ fn a_plan_that_hangs_ends_in_the_hold_of_its_end() {
     let end = told.q;
     // Held elsewhere, within what a start tolerates.
     told.q[0] += 1e-4;
-    told.ask(Request::Enable);
-    told.step(Some(Request::Load(rest_plan(&config(), &at_rest(&end), 0.001))));
-    told.ask(Request::Start(7));
+    told.ask(StepRequest::Enable);
+    told.step(Some(StepRequest::Load(rest_plan(&config(), &at_rest(&end), 0.001))));
+    told.ask(StepRequest::Start(7));
     let mut last = told.step(None);
     while told.controller.mode() == Mode::Track {
         last = told.step(None);
@@ -140,11 +140,11 @@ fn the_time_of_a_plan_goes_on_with_the_measurements_whatever_their_stamps() {
 fn a_plan_that_waits_for_its_plant_does_not_age() {
     let mut told = Told::new();
     let plan = rest_plan(&config(), &at_rest(&told.q), 1.0);
-    told.controller.step(StepInput::new(Measurement::default(), 0, Some(Request::Load(plan))));
+    told.controller.step(StepInput::new(Measurement::default(), 0, Some(StepRequest::Load(plan))));
     // Twenty minutes.
     told.seq = 10_000_000;
-    told.ask(Request::Enable);
-    told.ask(Request::Start(7));
+    told.ask(StepRequest::Enable);
+    told.ask(StepRequest::Start(7));
     assert_eq!(told.controller.mode(), Mode::Track);
 }
 
@@ -169,7 +169,7 @@ fn a_start_forgets_why_the_last_plan_was_given_up() {
     }
     let cause = last.record.trip.map(|trip| trip.cause);
     assert_eq!((told.controller.mode(), cause), (Mode::Hold, Some(TripCause::TrackingError)));
-    assert_eq!(told.ask(Request::Start(7)).record.trip, None);
+    assert_eq!(told.ask(StepRequest::Start(7)).record.trip, None);
 }
 
 #[test]
@@ -181,7 +181,7 @@ fn plans_are_taken_while_another_is_tracked_as_set() {
             let next = |id| {
                 let mut plan = rest_plan(&config, &at_rest(&q), 0.0005);
                 plan.id = id;
-                Some(Request::Load(plan))
+                Some(StepRequest::Load(plan))
             };
             let mut told = Told { controller: Controller::new(&config), q, seq: 0 }.tracking(0.01);
             let output = told.step(next(8));
@@ -214,10 +214,12 @@ fn turns_of_a_pendulum_that_swings_behind_closed_brakes_do_not_count() {
 #[test]
 fn a_shutdown_can_be_asked_for_twice_and_nothing_else_after_it() {
     let mut told = Told::new();
-    told.ask(Request::Enable);
-    told.ask(Request::Shutdown);
-    told.ask(Request::Shutdown);
-    for request in [Request::Enable, Request::Hold, Request::Start(7), Request::Stop, Request::Reset] {
+    told.ask(StepRequest::Enable);
+    told.ask(StepRequest::Shutdown);
+    told.ask(StepRequest::Shutdown);
+    for request in
+        [StepRequest::Enable, StepRequest::Hold, StepRequest::Start(7), StepRequest::Stop, StepRequest::Reset]
+    {
         assert_eq!(told.step(Some(request.clone())).answer, Some(Err(Refusal::ShuttingDown)), "{request}");
     }
 }
@@ -246,7 +248,7 @@ fn only_a_load_that_is_sensed_behind_closed_brakes_is_an_offset() {
         }
         let last =
             Measurement { status: Measurement::DRIVES_READY | status, tau_measured, ..measurement(11, &q) };
-        let output = controller.step(StepInput::new(last, 0, Some(Request::Enable)));
+        let output = controller.step(StepInput::new(last, 0, Some(StepRequest::Enable)));
         assert_eq!(output.answer, Some(Ok(())));
         let mut tau = ActuatedVector::zeros();
         for seq in 12..30 {

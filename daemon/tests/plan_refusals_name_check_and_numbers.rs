@@ -11,7 +11,7 @@ use upswing_planner::replan::{Effort, Planner};
 use upswing_trajectory::{Gain, KNOTS, N, Unfit};
 use upswingd::controller::Controller;
 use upswingd::plan::{PlanRefusal, accept};
-use upswingd::step::{Request, StepInput};
+use upswingd::step::{StepInput, StepRequest};
 use upswingd::supervisor::Refusal;
 use upswingd::trip::TripCause;
 
@@ -545,15 +545,15 @@ fn an_old_plan() {
     controller.step(StepInput::new(
         common::measurement(1, &q),
         0,
-        Some(Request::Load(rest_plan(&config, &x, 1.0))),
+        Some(StepRequest::Load(rest_plan(&config, &x, 1.0))),
     ));
     let mut at = |s: f64| {
         let m = common::measurement(seconds(s), &q);
-        controller.step(StepInput::new(m, 0, Some(Request::Enable)));
+        controller.step(StepInput::new(m, 0, Some(StepRequest::Enable)));
         let m = common::measurement(seconds(s) + 1, &q);
-        let output = controller.step(StepInput::new(m, 0, Some(Request::Start(7))));
+        let output = controller.step(StepInput::new(m, 0, Some(StepRequest::Start(7))));
         let warned = output.record.telemetry.warnings & TripCause::PlanAge.bit() != 0;
-        controller.step(StepInput::new(m, 0, Some(Request::Stop)));
+        controller.step(StepInput::new(m, 0, Some(StepRequest::Stop)));
         (output.answer.unwrap(), warned)
     };
     // The levels are 60 s and 600 s.
@@ -575,17 +575,21 @@ fn a_plan_ages_by_the_clock_of_the_plant_that_is_there() {
             controller.step(StepInput::new(
                 Measurement::default(),
                 1_000_000_000_000,
-                Some(Request::Load(plan)),
+                Some(StepRequest::Load(plan)),
             ));
         } else {
-            controller.step(StepInput::new(common::measurement(loaded_at, &q), 0, Some(Request::Load(plan))));
+            controller.step(StepInput::new(
+                common::measurement(loaded_at, &q),
+                0,
+                Some(StepRequest::Load(plan)),
+            ));
         }
         let first = StepInput::new(common::measurement(1, &q), 0, None);
         controller.step(StepInput { restarted: restarts, ..first });
         let now = seconds(s);
-        controller.step(StepInput::new(common::measurement(now, &q), 0, Some(Request::Enable)));
+        controller.step(StepInput::new(common::measurement(now, &q), 0, Some(StepRequest::Enable)));
         let output =
-            controller.step(StepInput::new(common::measurement(now + 1, &q), 0, Some(Request::Start(7))));
+            controller.step(StepInput::new(common::measurement(now + 1, &q), 0, Some(StepRequest::Start(7))));
         output.answer.unwrap()
     };
     for (loaded_at, restarts) in [(0, false), (seconds(5000.0), true), (seconds(5000.0), false)] {
@@ -599,7 +603,7 @@ fn a_plan_ages_by_the_clock_of_the_plant_that_is_there() {
 fn no_time_passes_before_there_is_a_plant() {
     let (config, _) = rest();
     let mut controller = Controller::new(&config);
-    let request = Some(Request::Enable);
+    let request = Some(StepRequest::Enable);
     let output = controller.step(StepInput::new(Measurement::default(), 1_000_000_000_000, request));
     assert!(output.answer.is_some_and(|answer| answer.is_err()));
     assert_eq!((output.record.telemetry.seq, output.record.telemetry.t_ns), (0, 0));
@@ -614,10 +618,12 @@ fn a_plan_that_arrives_while_one_is_tracked() {
         let mut controller = Controller::new(&config);
         let mut arm = common::Arm::new(&config, x);
         let mut step = |request| controller.step(StepInput::new(arm.measure(), 0, Some(request)));
-        for request in [Request::Enable, Request::Load(rest_plan(&config, &x, 1.0)), Request::Start(7)] {
+        for request in
+            [StepRequest::Enable, StepRequest::Load(rest_plan(&config, &x, 1.0)), StepRequest::Start(7)]
+        {
             assert_eq!(step(request).answer, Some(Ok(())));
         }
-        let output = step(Request::Load(rest_plan(&config, &x, 1.0)));
+        let output = step(StepRequest::Load(rest_plan(&config, &x, 1.0)));
         let expected = if refused { Err(Refusal::Tracking { running: 7 }) } else { Ok(()) };
         assert_eq!(output.answer, Some(expected));
         assert_eq!((output.retired[0].is_some(), output.record.telemetry.plan_id), (refused, 7));
@@ -691,12 +697,12 @@ fn start_elsewhere() {
     let mut controller = Controller::new(&config);
     let mut arm = common::Arm::new(&config, x);
     let mut step = |request| controller.step(StepInput::new(arm.measure(), 0, Some(request))).answer.unwrap();
-    step(Request::Enable).unwrap();
-    assert_eq!(step(Request::Start(7)), Err(Refusal::NoPlan));
+    step(StepRequest::Enable).unwrap();
+    assert_eq!(step(StepRequest::Start(7)), Err(Refusal::NoPlan));
     let mut elsewhere = x;
     elsewhere[2] += 0.1;
-    step(Request::Load(rest_plan(&config, &elsewhere, 1.0))).unwrap();
-    let refusal = step(Request::Start(7)).unwrap_err();
+    step(StepRequest::Load(rest_plan(&config, &elsewhere, 1.0))).unwrap();
+    let refusal = step(StepRequest::Start(7)).unwrap_err();
     let expected = Refusal::StartMismatch {
         joint: 2,
         velocity: false,
@@ -712,7 +718,7 @@ fn start_elsewhere() {
     );
     let mut moving = rest_plan(&config, &x, 1.0);
     moving.trajectory.x[0][NQ] = 0.3;
-    step(Request::Load(moving)).unwrap();
-    let text = step(Request::Start(7)).unwrap_err().to_string();
+    step(StepRequest::Load(moving)).unwrap();
+    let text = step(StepRequest::Start(7)).unwrap_err().to_string();
     assert!(text.contains("joint 1") && text.contains("0.3000 rad/s"), "{text}");
 }

@@ -13,7 +13,7 @@ use upswing_planner::service::RequestHandler;
 use upswing_trajectory::Plan;
 use upswingd::controller::Controller;
 use upswingd::plan::accept;
-use upswingd::step::{Request, StepInput};
+use upswingd::step::{StepInput, StepRequest};
 use upswingd::supervisor::Refusal;
 use upswingd::trip::TripCause;
 
@@ -21,7 +21,7 @@ use upswingd::trip::TripCause;
 fn holding(config: &Config, q: &JointVector) -> Controller {
     let mut controller = Controller::new(config);
     for seq in 1..=3 {
-        let request = (seq == 2).then_some(Request::Enable);
+        let request = (seq == 2).then_some(StepRequest::Enable);
         controller.step(StepInput::new(measurement(seq, q), 0, request));
     }
     assert_eq!(controller.mode(), Mode::Hold);
@@ -41,13 +41,17 @@ fn a_start_names_its_plan() {
     let config = config();
     let q = rest_pose(&config);
     let mut controller = holding(&config, &q);
-    controller.step(StepInput::new(measurement(4, &q), 0, Some(Request::Load(rest_plan(&config, &q, 0)))));
+    controller.step(StepInput::new(
+        measurement(4, &q),
+        0,
+        Some(StepRequest::Load(rest_plan(&config, &q, 0))),
+    ));
     for (seq, id) in [(5, 0), (6, 8), (7, u64::MAX)] {
-        let output = controller.step(StepInput::new(measurement(seq, &q), 0, Some(Request::Start(id))));
+        let output = controller.step(StepInput::new(measurement(seq, &q), 0, Some(StepRequest::Start(id))));
         assert_eq!(output.answer, Some(Err(Refusal::OtherPlan { asked: id, loaded: 7 })));
         assert_eq!(controller.mode(), Mode::Hold);
     }
-    let output = controller.step(StepInput::new(measurement(8, &q), 0, Some(Request::Start(7))));
+    let output = controller.step(StepInput::new(measurement(8, &q), 0, Some(StepRequest::Start(7))));
     assert_eq!((output.answer, controller.mode()), (Some(Ok(())), Mode::Track));
 }
 
@@ -60,12 +64,12 @@ fn time_of_a_plan_runs_from_its_activation_and_otherwise_from_its_start() {
         controller.step(StepInput::new(
             measurement(4, &q),
             0,
-            Some(Request::Load(rest_plan(&config, &q, activation_ns))),
+            Some(StepRequest::Load(rest_plan(&config, &q, activation_ns))),
         ));
         controller
     };
     let start = |controller: &mut Controller, seq| {
-        let output = controller.step(StepInput::new(measurement(seq, &q), 0, Some(Request::Start(7))));
+        let output = controller.step(StepInput::new(measurement(seq, &q), 0, Some(StepRequest::Start(7))));
         (output.answer.unwrap(), output.record.telemetry)
     };
     // Whenever it is started.
@@ -96,15 +100,15 @@ fn a_late_start_has_to_be_where_the_plan_is_by_then() {
     let seconds = |t: f64| (t / PERIOD) as u64;
     let mut controller = holding(&config, &q);
     let plan = Box::new(Plan { activation_ns: Some(4 * PERIOD_NS), ..*up });
-    controller.step(StepInput::new(measurement(4, &q), 0, Some(Request::Load(plan.clone()))));
+    controller.step(StepInput::new(measurement(4, &q), 0, Some(StepRequest::Load(plan.clone()))));
     // Two cycles later the robot is as good as there; half a second later the plan has moved on.
     let mut soon = controller.clone();
-    soon.step(StepInput::new(measurement(6, &q), 0, Some(Request::Start(id)))).answer.unwrap().unwrap();
+    soon.step(StepInput::new(measurement(6, &q), 0, Some(StepRequest::Start(id)))).answer.unwrap().unwrap();
     for seq in 5..4 + seconds(0.5) {
         controller.step(StepInput::new(measurement(seq, &q), 0, None));
     }
     let m = measurement(4 + seconds(0.5), &q);
-    let answer = controller.step(StepInput::new(m, 0, Some(Request::Start(id)))).answer.unwrap();
+    let answer = controller.step(StepInput::new(m, 0, Some(StepRequest::Start(id)))).answer.unwrap();
     let Err(Refusal::StartMismatch { joint, velocity, expected, t_plan, .. }) = answer else {
         panic!("{answer:?}")
     };
@@ -125,7 +129,7 @@ fn a_predicted_start_is_met_and_ends_balanced() {
     x[7] += 0.15;
     let mut arm = Arm::new(&config, x);
     let mut controller = Controller::new(&config);
-    let mut cycle = |request: Option<Request>| -> (Telemetry, Option<Result<(), Refusal>>) {
+    let mut cycle = |request: Option<StepRequest>| -> (Telemetry, Option<Result<(), Refusal>>) {
         let measurement = arm.measure();
         let output = controller.step(StepInput::new(measurement, 0, request));
         arm.advance(&output.command);
@@ -133,7 +137,7 @@ fn a_predicted_start_is_met_and_ends_balanced() {
         (Telemetry { clock: Clock::Paced.code(), ..output.record.telemetry }, output.answer)
     };
     cycle(None);
-    cycle(Some(Request::Enable));
+    cycle(Some(StepRequest::Enable));
     let mut newest = Telemetry::default();
     for _ in 0..2500 {
         newest = cycle(None).0;
@@ -150,19 +154,19 @@ fn a_predicted_start_is_met_and_ends_balanced() {
     let (id, t_f, x_0) = (plan.id, plan.trajectory.t_f, plan.trajectory.x[0]);
     let activation = plan.activation_ns.expect("a moving start has its moment");
     assert!(activation > newest.t_ns);
-    let (mut request, mut early) = (Some(Request::Load(plan)), false);
+    let (mut request, mut early) = (Some(StepRequest::Load(plan)), false);
     while newest.t_ns + PERIOD_NS < activation {
         let (telemetry, answer) = cycle(request.take());
         newest = telemetry;
         if !early {
             assert_eq!(answer, Some(Ok(())), "loaded");
             early = true;
-            let (telemetry, answer) = cycle(Some(Request::Start(id)));
+            let (telemetry, answer) = cycle(Some(StepRequest::Start(id)));
             newest = telemetry;
             assert!(matches!(answer, Some(Err(Refusal::BeforeActivation { .. }))), "{answer:?}");
         }
     }
-    let (telemetry, answer) = cycle(Some(Request::Start(id)));
+    let (telemetry, answer) = cycle(Some(StepRequest::Start(id)));
     assert_eq!(answer, Some(Ok(())));
     assert!(telemetry.t_plan < PERIOD, "t = {} s", telemetry.t_plan);
     for i in 0..NQ {
@@ -194,9 +198,9 @@ fn a_plan_that_cannot_start_where_the_robot_is_gives_no_warning_of_its_age() {
         controller.step(StepInput::new(
             measurement(1, &q),
             0,
-            Some(Request::Load(rest_plan(&config, q_plan, 0))),
+            Some(StepRequest::Load(rest_plan(&config, q_plan, 0))),
         ));
-        controller.step(StepInput::new(measurement(seq, &q), 0, Some(Request::Enable)));
+        controller.step(StepInput::new(measurement(seq, &q), 0, Some(StepRequest::Enable)));
         let telemetry = controller.step(StepInput::new(measurement(seq + 1, &q), 0, None)).record.telemetry;
         assert_eq!(telemetry.mode(), Ok(Mode::Hold));
         telemetry.warnings & TripCause::PlanAge.bit() != 0

@@ -6,7 +6,7 @@ use common::{Arm, PERIOD, at_rest, config, rest_pose, swing};
 use upswing_ipc::{Mode, Telemetry};
 use upswing_model::{NU, StateParts};
 use upswingd::controller::Controller;
-use upswingd::step::{Request, StepInput};
+use upswingd::step::{StepInput, StepRequest};
 use upswingd::supervisor::Refusal;
 
 /// Largest angle from the plan at its end, rad: the velocity filter lags.
@@ -18,13 +18,13 @@ struct Loop {
 }
 
 impl Loop {
-    fn cycle(&mut self, request: Option<Request>) -> (Telemetry, Option<Result<(), Refusal>>) {
+    fn cycle(&mut self, request: Option<StepRequest>) -> (Telemetry, Option<Result<(), Refusal>>) {
         let output = self.controller.step(StepInput::new(self.arm.measure(), 0, request));
         self.arm.advance(&output.command);
         (output.record.telemetry, output.answer)
     }
 
-    fn ask(&mut self, request: Request) {
+    fn ask(&mut self, request: StepRequest) {
         assert_eq!(self.cycle(Some(request)).1, Some(Ok(())));
     }
 
@@ -41,21 +41,21 @@ fn up_down_and_up_again() {
     let q = rest_pose(&config);
     let (up, down) = swing(&config, &q);
     let mut system = Loop { arm: Arm::new(&config, at_rest(&q)), controller: Controller::new(&config) };
-    system.ask(Request::Enable);
+    system.ask(StepRequest::Enable);
 
-    system.ask(Request::Load(up.clone()));
-    system.ask(Request::Start(up.id));
+    system.ask(StepRequest::Load(up.clone()));
+    system.ask(StepRequest::Start(up.id));
     system.run(up.trajectory.t_f + 1.0);
     assert_eq!(system.controller.mode(), Mode::Balance);
 
     // The same plan again starts elsewhere, and is refused without a change.
-    system.ask(Request::Load(up.clone()));
-    let (record, answer) = system.cycle(Some(Request::Start(up.id)));
+    system.ask(StepRequest::Load(up.clone()));
+    let (record, answer) = system.cycle(Some(StepRequest::Start(up.id)));
     assert!(matches!(answer, Some(Err(Refusal::StartMismatch { .. }))), "{answer:?}");
     assert_eq!((record.mode, record.plan_id), (Mode::Balance.code(), up.id));
 
-    system.ask(Request::Load(down.clone()));
-    system.ask(Request::Start(down.id));
+    system.ask(StepRequest::Load(down.clone()));
+    system.ask(StepRequest::Start(down.id));
     assert_eq!(system.controller.mode(), Mode::Track);
     system.run(down.trajectory.t_f + 0.2);
     assert_eq!(system.controller.mode(), Mode::Hold);
@@ -67,8 +67,8 @@ fn up_down_and_up_again() {
     assert_eq!(record.q_d[..NU], down.trajectory.x[100].as_slice()[..NU]);
 
     system.run(1.0);
-    system.ask(Request::Load(up.clone()));
-    system.ask(Request::Start(up.id));
+    system.ask(StepRequest::Load(up.clone()));
+    system.ask(StepRequest::Start(up.id));
     system.run(up.trajectory.t_f + 0.5);
     assert_eq!(system.controller.mode(), Mode::Balance);
 }

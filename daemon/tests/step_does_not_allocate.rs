@@ -6,7 +6,7 @@ use allocation_counter::measure;
 use common::{Arm, at_rest, config, rest_plan, upright_pose};
 use upswing_ipc::Mode;
 use upswingd::controller::Controller;
-use upswingd::step::{Request, StepInput};
+use upswingd::step::{StepInput, StepRequest};
 
 #[test]
 fn in_any_mode() {
@@ -20,11 +20,11 @@ fn in_any_mode() {
     for k in 0..4000_u64 {
         let mut measurement = arm.measure();
         let request = match k {
-            1 => Some(Request::Start(7)),
-            2 => Some(Request::Enable),
-            100 | 101 => plans.next().map(Request::Load),
-            102 => Some(Request::Start(7)),
-            400 => Some(Request::Stop),
+            1 => Some(StepRequest::Start(7)),
+            2 => Some(StepRequest::Enable),
+            100 | 101 => plans.next().map(StepRequest::Load),
+            102 => Some(StepRequest::Start(7)),
+            400 => Some(StepRequest::Stop),
             _ => None,
         };
         if k == 3900 {

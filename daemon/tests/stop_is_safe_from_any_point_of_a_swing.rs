@@ -8,7 +8,7 @@ use upswing_ipc::{Mode, Telemetry};
 use upswing_model::{NQ, NU, State};
 use upswing_trajectory::Plan;
 use upswingd::controller::Controller;
-use upswingd::step::{Request, StepInput};
+use upswingd::step::{StepInput, StepRequest};
 
 /// Cycles between two stops: 25 ms.
 const STEP: usize = 200;
@@ -19,7 +19,9 @@ const BEGINNING: usize = 16;
 
 fn start(config: &Config, plan: &Plan, q: State) -> (Controller, Arm) {
     let (mut controller, mut arm) = (Controller::new(config), Arm::new(config, q));
-    for request in [Request::Enable, Request::Load(Box::new(plan.clone())), Request::Start(plan.id)] {
+    for request in
+        [StepRequest::Enable, StepRequest::Load(Box::new(plan.clone())), StepRequest::Start(plan.id)]
+    {
         let output = controller.step(StepInput::new(arm.measure(), 0, Some(request)));
         assert_eq!(output.answer, Some(Ok(())));
         arm.advance(&output.command);
@@ -30,7 +32,7 @@ fn start(config: &Config, plan: &Plan, q: State) -> (Controller, Arm) {
 fn stop(config: &Config, mut controller: Controller, mut arm: Arm, at: usize) {
     let limits = &config.robot.limits;
     let fastest = arm.x.fixed_rows::<NU>(NQ).abs();
-    let mut request = Some(Request::Stop);
+    let mut request = Some(StepRequest::Stop);
     for cycle in 0..LONGEST {
         let output = controller.step(StepInput::new(arm.measure(), 0, request.take()));
         arm.advance(&output.command);

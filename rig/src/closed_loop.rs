@@ -12,7 +12,7 @@ use upswing_plant::{Plant, SetEventError, StateError};
 use upswing_record::evaluation::SwingUpEvaluation;
 use upswingd::controller::Controller;
 use upswingd::plan::{PlanRefusal, accept};
-use upswingd::step::{Output, Request, StepInput};
+use upswingd::step::{StepInput, StepOutput, StepRequest};
 use upswingd::supervisor::Refusal;
 use upswingd::trip::Trip;
 
@@ -116,7 +116,7 @@ impl ClosedLoop {
 
     /// Steps controller and plant by one cycle and returns the output of the controller. Without a new measurement (a fault of the plant)
     /// the controller does not run, as in the daemon: the output is `None` and the request stays pending.
-    pub fn cycle(&mut self, request: &mut Option<Request>) -> Option<Output> {
+    pub fn cycle(&mut self, request: &mut Option<StepRequest>) -> Option<StepOutput> {
         let measurement = self.plant.measure();
         let new = measurement.seq != self.measured;
         self.measured = measurement.seq;
@@ -141,7 +141,7 @@ struct SwingUpRun<'a, D> {
 }
 
 impl<D> SwingUpRun<'_, D> {
-    fn cycle(&mut self, request: Option<Request>) -> Result<(), Aborted> {
+    fn cycle(&mut self, request: Option<StepRequest>) -> Result<(), Aborted> {
         let before = self.system.controller.mode();
         let (name, mut request) = request.map(|request| (request.name(), request)).unzip();
         let output = (0..MOST_SILENT).find_map(|_| self.system.cycle(&mut request)).ok_or(Aborted::Silent)?;
@@ -192,7 +192,7 @@ impl<D: FnOnce(f64) -> Disturbances> Course for SwingUpRun<'_, D> {
     }
 
     fn hold(&mut self, cycles: u64) -> Result<(), Aborted> {
-        self.cycle(Some(Request::Enable))?;
+        self.cycle(Some(StepRequest::Enable))?;
         self.cycles(cycles - 1)
     }
 
@@ -204,8 +204,8 @@ impl<D: FnOnce(f64) -> Disturbances> Course for SwingUpRun<'_, D> {
         let replan = self.planner.replan_with(self.solver, manoeuvre, &start, &effort)?;
         let plan = accept(&Box::<upswing_ipc::Plan>::from(&replan.plan(self.config)), self.config)?;
         let id = plan.id;
-        self.cycle(Some(Request::Load(plan)))?;
-        self.cycle(Some(Request::Start(id)))?;
+        self.cycle(Some(StepRequest::Load(plan)))?;
+        self.cycle(Some(StepRequest::Start(id)))?;
         if let Some(disturbances) = self.disturbances.take() {
             let Disturbances { pushes, missed } = disturbances(replan.trajectory.t_f);
             let now = self.system.plant.seq();

@@ -11,7 +11,7 @@ use upswing_plant::Plant;
 use upswing_rig::closed_loop::ClosedLoop;
 use upswing_rig::fault_args::FaultArgs;
 use upswingd::plan::accept;
-use upswingd::step::{CycleRecord, Request};
+use upswingd::step::{CycleRecord, StepRequest};
 use upswingd::supervisor::is_braked;
 use upswingd::trip::Trip;
 
@@ -169,7 +169,7 @@ impl Case {
     pub fn in_mode(mut self, mode: Mode) -> Self {
         self.run(1);
         if mode != Mode::Idle {
-            self.request(Request::Enable);
+            self.request(StepRequest::Enable);
             self.run(SETTLE);
         }
         if matches!(mode, Mode::Track | Mode::Balance | Mode::Stop) {
@@ -182,7 +182,7 @@ impl Case {
         }
         match mode {
             Mode::Stop => {
-                self.request(Request::Stop);
+                self.request(StepRequest::Stop);
                 self.run(STOPPING);
             }
             Mode::Fault => {
@@ -211,8 +211,8 @@ impl Case {
         let Ok(accepted) = accept(&plan, &self.config) else { return false };
         let id = accepted.id;
         self.plan = Some(plan);
-        self.request(Request::Load(accepted));
-        self.request(Request::Start(id));
+        self.request(StepRequest::Load(accepted));
+        self.request(StepRequest::Start(id));
         self.system.controller.mode() == Mode::Track
     }
 
@@ -225,7 +225,7 @@ impl Case {
 
     /// Sends a request to the controller and runs cycles, at most [`WATCHED`], until the controller receives it with a new
     /// measurement.
-    pub fn request(&mut self, request: Request) {
+    pub fn request(&mut self, request: StepRequest) {
         let mut request = Some(request);
         for _ in 0..WATCHED {
             self.cycle(&mut request);
@@ -239,7 +239,7 @@ impl Case {
     ///
     /// # Panics
     /// If a commanded torque is NaN or beyond its limit, or not 0 while the brakes are commanded closed.
-    fn cycle(&mut self, request: &mut Option<Request>) {
+    fn cycle(&mut self, request: &mut Option<StepRequest>) {
         let mode = self.system.controller.mode();
         let Some(output) = self.system.cycle(request) else { return };
         let command = &output.command;

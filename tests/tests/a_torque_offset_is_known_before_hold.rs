@@ -6,7 +6,7 @@ use upswing_ipc::Mode;
 use upswing_model::{NU, StateParts};
 use upswing_plant::Plant;
 use upswing_rig::closed_loop::ClosedLoop;
-use upswingd::step::Request;
+use upswingd::step::StepRequest;
 
 #[test]
 fn the_arm_stays_where_it_is_when_the_brakes_open() {
@@ -19,7 +19,7 @@ fn the_arm_stays_where_it_is_when_the_brakes_open() {
         let plant = Plant::at(&config, &x.q(), &x.qd()).expect("inside its limits");
         let mut system = ClosedLoop::new(&config, plant);
         system.cycle(&mut None);
-        let mut order = Some(Request::Enable);
+        let mut order = Some(StepRequest::Enable);
         let mut fastest: f64 = 0.0;
         for _ in 0..4000 {
             system.cycle(&mut order);

@@ -5,7 +5,7 @@ use upswing_config::{Config, Push};
 use upswing_ipc::{Mode, Telemetry};
 use upswing_model::{ActuatedVector, NU};
 use upswing_tests::matrix::Case;
-use upswingd::step::Request;
+use upswingd::step::StepRequest;
 
 const SECOND: u64 = 8_000;
 /// Cycles between two stops: 100 ms.
@@ -63,7 +63,7 @@ fn stop(mut case: Case, at: u64) {
     let limits = Config::embedded().expect("settings").robot.limits;
     let fastest = qd(&case).abs();
     case.records = Some(Vec::new());
-    case.request(Request::Stop);
+    case.request(StepRequest::Stop);
     let mut cycles = 1;
     while case.mode().0 != Mode::Hold {
         assert_eq!(case.mode(), (Mode::Stop, false), "stop at {at}: {:?}", case.system.controller.trip());

@@ -3,7 +3,7 @@
 use super::Controller;
 use crate::arm::ArmReference;
 use crate::modes::{ActiveMode, LoadedPlan, RunningPlan};
-use crate::step::Request;
+use crate::step::StepRequest;
 use crate::supervisor::{Event, Refusal, transition};
 use crate::trip::{Trip, TripCause};
 use upswing_config::PlanWhileTracking;
@@ -20,7 +20,7 @@ impl Controller {
     }
 
     /// Performs a request, unless it is refused; a refused request changes nothing.
-    pub(super) fn obey(&mut self, request: Request) -> Result<(), Refusal> {
+    pub(super) fn obey(&mut self, request: StepRequest) -> Result<(), Refusal> {
         if let Some(event) = request.event() {
             if self.shutting_down && event != Event::Shutdown {
                 return Err(Refusal::ShuttingDown);
@@ -28,22 +28,22 @@ impl Controller {
             transition(self.mode(), event)?;
         }
         match request {
-            Request::Load(plan) => self.load(plan)?,
-            Request::Start(id) => self.start(id)?,
-            Request::Enable => {
+            StepRequest::Load(plan) => self.load(plan)?,
+            StepRequest::Start(id) => self.start(id)?,
+            StepRequest::Enable => {
                 self.unready().map_or(Ok(()), Err)?;
                 self.trip = None;
                 self.enter(Event::Enable, ActiveMode::Hold(ArmReference::at_rest(&self.observer.x)));
             }
-            Request::Hold => {
+            StepRequest::Hold => {
                 self.enter(Event::Hold, ActiveMode::Hold(ArmReference::at_rest(&self.observer.x)))
             }
-            Request::Stop => self.decelerate(Event::Stop),
-            Request::Reset => {
+            StepRequest::Stop => self.decelerate(Event::Stop),
+            StepRequest::Reset => {
                 self.trip = None;
                 self.enter(Event::Reset, ActiveMode::Idle);
             }
-            Request::Shutdown => {
+            StepRequest::Shutdown => {
                 self.shutting_down = true;
                 if !self.mode.is_braked() {
                     self.decelerate(Event::Shutdown);
