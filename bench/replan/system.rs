@@ -3,7 +3,7 @@
 use crate::{config, print, starts};
 use std::time::{Duration, Instant};
 use upswing_config::Config;
-use upswing_ipc::operator::{Manoeuvre, Request};
+use upswing_ipc::operator::{Manoeuvre, OperatorRequest};
 use upswing_ipc::{Clock, PlannerRequest, PlannerResponse};
 use upswing_model::State;
 use upswing_planner::database::DatabaseFile;
@@ -35,7 +35,7 @@ fn requests(starts: &[State]) {
     let period = system.period();
     let session = &mut system.session;
     session.advance(1).expect("time passes");
-    session.request(Request::Enable).unwrap_or_else(|e| panic!("{e}"));
+    session.request(OperatorRequest::Enable).unwrap_or_else(|e| panic!("{e}"));
     // Time to settle, and for the planner to make its plan.
     session.advance((1.0 / period) as u64).expect("time passes");
     let from_now = PlannerRequest::from_now(Manoeuvre::SwingUp);

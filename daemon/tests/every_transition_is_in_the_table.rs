@@ -1,7 +1,7 @@
 //! Every pair of mode and event has the result that docs/daemon.md names.
 
 use upswing_ipc::Mode::{self, Balance, Fault, Hold, Idle, Stop, Track};
-use upswing_ipc::operator::{self, Manoeuvre, NextAction};
+use upswing_ipc::operator::{Manoeuvre, NextAction, OperatorRequest};
 use upswingd::plan::Ending;
 use upswingd::supervisor::{Event, Refusal, transition};
 
@@ -56,7 +56,7 @@ fn a_refusal_names_a_step_that_is_accepted() {
     for mode in Mode::ALL.iter().copied() {
         let accepted = match mode.next_action() {
             // The planner makes such plans in these modes; then one starts.
-            NextAction::Make(operator::Request::Manoeuvre(manoeuvre)) => {
+            NextAction::Make(OperatorRequest::Manoeuvre(manoeuvre)) => {
                 let needed = if manoeuvre == Manoeuvre::SwingUp { Hold } else { Balance };
                 assert_eq!(mode, needed);
                 transition(mode, Event::Start)
@@ -76,9 +76,9 @@ fn a_refusal_names_a_step_that_is_accepted() {
         }
     }
     // From a fault the steps lead to a balanced rod.
-    assert_eq!(Fault.next_action(), NextAction::Make(operator::Request::Reset));
-    assert_eq!(Idle.next_action(), NextAction::Make(operator::Request::Enable));
-    let swing_up = operator::Request::Manoeuvre(Manoeuvre::SwingUp);
+    assert_eq!(Fault.next_action(), NextAction::Make(OperatorRequest::Reset));
+    assert_eq!(Idle.next_action(), NextAction::Make(OperatorRequest::Enable));
+    let swing_up = OperatorRequest::Manoeuvre(Manoeuvre::SwingUp);
     assert_eq!(Hold.next_action(), NextAction::Make(swing_up));
 }
 

@@ -54,7 +54,7 @@ impl From<Manoeuvre> for PlannerKind {
 
 /// A request that an operator can make.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Request {
+pub enum OperatorRequest {
     /// Plan the manoeuvre from the present state, then start the plan.
     Manoeuvre(Manoeuvre),
     /// Hold the present pose of the arm.
@@ -67,7 +67,7 @@ pub enum Request {
     Reset,
 }
 
-impl Request {
+impl OperatorRequest {
     /// All requests.
     pub const ALL: [Self; 6] = [
         Self::Manoeuvre(Manoeuvre::SwingUp),
@@ -123,7 +123,7 @@ impl Request {
     }
 }
 
-impl fmt::Display for Request {
+impl fmt::Display for OperatorRequest {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.pad(self.name())
     }
@@ -133,9 +133,9 @@ impl fmt::Display for Request {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NextAction {
     /// Make this request.
-    Make(Request),
+    Make(OperatorRequest),
     /// Wait for the end of the motion, or make this request.
-    WaitOr(Request),
+    WaitOr(OperatorRequest),
     /// Wait until the arm has decelerated and holds.
     WaitForRest,
 }
@@ -154,12 +154,12 @@ impl Mode {
     /// What an operator does next in this mode; in Idle, if measurement and drives are fit.
     pub const fn next_action(self) -> NextAction {
         match self {
-            Self::Idle => NextAction::Make(Request::Enable),
-            Self::Hold => NextAction::Make(Request::Manoeuvre(Manoeuvre::SwingUp)),
-            Self::Track => NextAction::WaitOr(Request::Stop),
-            Self::Balance => NextAction::Make(Request::Manoeuvre(Manoeuvre::SwingDown)),
+            Self::Idle => NextAction::Make(OperatorRequest::Enable),
+            Self::Hold => NextAction::Make(OperatorRequest::Manoeuvre(Manoeuvre::SwingUp)),
+            Self::Track => NextAction::WaitOr(OperatorRequest::Stop),
+            Self::Balance => NextAction::Make(OperatorRequest::Manoeuvre(Manoeuvre::SwingDown)),
             Self::Stop => NextAction::WaitForRest,
-            Self::Fault => NextAction::Make(Request::Reset),
+            Self::Fault => NextAction::Make(OperatorRequest::Reset),
         }
     }
 }
@@ -312,7 +312,11 @@ impl Operator {
     ///
     /// # Errors
     /// [`OperatorError`] with the reason.
-    pub fn request(&self, request: Request, interrupted: &AtomicBool) -> Result<Accepted, OperatorError> {
+    pub fn request(
+        &self,
+        request: OperatorRequest,
+        interrupted: &AtomicBool,
+    ) -> Result<Accepted, OperatorError> {
         let command = match request.command() {
             Ok(command) => command,
             Err(manoeuvre) => return self.execute(manoeuvre, interrupted),

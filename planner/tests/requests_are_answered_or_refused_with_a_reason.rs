@@ -3,7 +3,7 @@
 use std::cell::Cell;
 use std::time::{Duration, Instant};
 use upswing_config::{Config, PendulumStart};
-use upswing_ipc::operator::{Manoeuvre, NextAction, Request};
+use upswing_ipc::operator::{Manoeuvre, NextAction, OperatorRequest};
 use upswing_ipc::{Clock, Mode, PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus, Telemetry};
 use upswing_model::{NQ, State, StateParts};
 use upswing_planner::replan::Planner;
@@ -171,7 +171,7 @@ fn from_another_mode_or_without_a_daemon() {
             let answer = ask(&mut handler, &PlannerRequest::from_now(manoeuvre));
             if mode == needed {
                 assert!(answer.1.is_some(), "{manoeuvre} in {mode}: {:?}", answer.0.reason);
-                assert_eq!(mode.next_action(), NextAction::Make(Request::Manoeuvre(manoeuvre)));
+                assert_eq!(mode.next_action(), NextAction::Make(OperatorRequest::Manoeuvre(manoeuvre)));
             } else {
                 refused(answer, PlannerStatus::NotReady, &format!("next: {}", mode.next_action()));
             }

@@ -3,7 +3,7 @@
 
 use crate::session::{Session, SessionError};
 use std::sync::atomic::{AtomicBool, Ordering};
-use upswing_ipc::operator::{Manoeuvre, Request};
+use upswing_ipc::operator::{Manoeuvre, OperatorRequest};
 use upswing_ipc::{Mode, PlannerResponse};
 
 /// Time in which the arm settles in Hold before the plan is made, s.
@@ -114,7 +114,7 @@ impl Course for SessionCourse<'_> {
     }
 
     fn hold(&mut self, cycles: u64) -> Result<(), SessionError> {
-        self.session.request(Request::Enable)?;
+        self.session.request(OperatorRequest::Enable)?;
         self.session.advance(cycles)?;
         self.expect_mode(&[Mode::Hold])
     }

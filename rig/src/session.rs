@@ -6,7 +6,7 @@ pub use process::{Programs, Role, SessionOptions};
 
 use process::Process;
 use std::time::{Duration, Instant};
-use upswing_ipc::operator::{Manoeuvre, Operator, OperatorError, PublishedPlan, Request};
+use upswing_ipc::operator::{Manoeuvre, Operator, OperatorError, OperatorRequest, PublishedPlan};
 use upswing_ipc::{
     CallError, Client, ControlKind, ControlRequest, ControlResponse, Domain, IpcError, Mode, Node,
     PlannerResponse, PlantKind, PlantRequest, PlantResponse, Telemetry,
@@ -231,8 +231,8 @@ impl Session {
     ///
     /// # Errors
     /// [`SessionError::Operator`] with the reason of a refusal.
-    pub fn request(&mut self, request: Request) -> Result<ControlResponse, SessionError> {
-        if request == Request::Enable && !self.options.clock.stands_still() {
+    pub fn request(&mut self, request: OperatorRequest) -> Result<ControlResponse, SessionError> {
+        if request == OperatorRequest::Enable && !self.options.clock.stands_still() {
             self.wait_for_drives()?;
         }
         match request.command() {

@@ -13,7 +13,7 @@ use crate::session::{Role, Session, SessionError};
 use serde::Serialize;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-use upswing_ipc::operator::{Manoeuvre, OperatorError, Request};
+use upswing_ipc::operator::{Manoeuvre, OperatorError, OperatorRequest};
 use upswing_ipc::{Clock, ControlResponse, Mode, PlantKind, PlantRequest, Telemetry};
 use upswing_model::{JointVector, State, StateParts};
 use upswing_record::evaluation::tilt;
@@ -188,7 +188,7 @@ impl<'a> Soak<'a> {
         let reset = PlantRequest { q, ..PlantRequest::new(PlantKind::ResetState) };
         self.session.plant(&reset)?;
         self.pass(SETTLE)?;
-        self.session.request(Request::Enable)?;
+        self.session.request(OperatorRequest::Enable)?;
         self.pass(SETTLE)?;
         self.expect(Mode::Hold)?;
 
@@ -317,7 +317,7 @@ impl<'a> Soak<'a> {
             self.look()?;
             let status = self.session.status()?;
             match status.mode() {
-                Ok(Mode::Fault) => match self.session.request(Request::Reset) {
+                Ok(Mode::Fault) => match self.session.request(OperatorRequest::Reset) {
                     // A reset that is refused is repeated.
                     Ok(_) | Err(SessionError::Operator(OperatorError::Daemon { .. })) => {}
                     Err(e) => return Err(e),

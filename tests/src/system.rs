@@ -5,7 +5,7 @@ use crate::programs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use upswing_config::Config;
-use upswing_ipc::operator::{Manoeuvre, Request};
+use upswing_ipc::operator::{Manoeuvre, OperatorRequest};
 use upswing_ipc::{Clock, ControlResponse, Mode, Telemetry, TempDomain};
 use upswing_record::Recorder;
 use upswing_record::evaluation::SwingUpEvaluation;
@@ -133,7 +133,7 @@ impl System {
     ///
     /// # Panics
     /// If the daemon refuses the request.
-    pub fn request(&mut self, request: Request) -> ControlResponse {
+    pub fn request(&mut self, request: OperatorRequest) -> ControlResponse {
         let response = self.session.request(request);
         self.must(response)
     }
@@ -164,7 +164,7 @@ impl System {
     pub fn bring_to(&mut self, goal: Mode) {
         self.advance(1);
         if goal != Mode::Idle {
-            self.request(Request::Enable);
+            self.request(OperatorRequest::Enable);
         }
         // The arm settles, and a plant that waits for the daemon receives its first command.
         self.advance(SETTLE);
@@ -177,7 +177,7 @@ impl System {
             }
         }
         match goal {
-            Mode::Stop => drop(self.request(Request::Stop)),
+            Mode::Stop => drop(self.request(OperatorRequest::Stop)),
             Mode::Fault => self.inject("encoder-nan --joint 1 --cycles 1"),
             _ => {}
         }

@@ -4,7 +4,7 @@
 use std::sync::{LazyLock, mpsc};
 use std::time::{Duration, Instant};
 use upswing_config::Config;
-use upswing_ipc::operator::{OperatorError, Request};
+use upswing_ipc::operator::{OperatorError, OperatorRequest};
 use upswing_ipc::{Clock, Mode, Plan, PlannerKind, PlannerRequest};
 use upswing_planner::replan::Planner;
 use upswing_rig::session::{Role, SessionError};
@@ -82,7 +82,7 @@ fn check(column: Mode) {
         }
         if expected.starts_with("Fault") {
             let refusal =
-                system.session.request(Request::Enable).expect_err("a fault is left by a reset only");
+                system.session.request(OperatorRequest::Enable).expect_err("a fault is left by a reset only");
             assert!(matches!(refusal, SessionError::Operator(OperatorError::Daemon { .. })), "{refusal}");
         }
     }

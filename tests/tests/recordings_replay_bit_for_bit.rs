@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use upswing_config::Config;
-use upswing_ipc::operator::Request;
+use upswing_ipc::operator::OperatorRequest;
 use upswing_ipc::{Clock, Mode};
 use upswing_record::Message;
 use upswing_record::replay::{RecordedRun, Replay, ReplayError, settings};
@@ -22,7 +22,7 @@ fn recorded(folder: &Path, clock: Clock, goal: Mode) -> (PathBuf, RecordedRun) {
     system.inject("encoder-nan --joint 8 --cycles 1");
     system.wait_until("a fault", |record| record.mode() == Ok(Mode::Fault));
     system.advance(400);
-    system.request(Request::Reset);
+    system.request(OperatorRequest::Reset);
     system.advance(400);
     system.end();
     let recording = RecordedRun::read(&file).unwrap_or_else(|e| panic!("{e}"));
@@ -60,7 +60,7 @@ fn from_a_run_on_the_wall_clock() {
     let mut system = System::start_recorded(Clock::Wall, START, None, Some(&file));
     system.advance(1);
     // Whatever becomes of it where the machine is busy: late cycles and their faults replay like all others.
-    let _ = system.session.request(Request::Enable);
+    let _ = system.session.request(OperatorRequest::Enable);
     system.advance(2000);
     system.end();
     let recording = RecordedRun::read(&file).unwrap_or_else(|e| panic!("{e}"));

@@ -2,7 +2,7 @@
 //! processes, the robot is in this state at the activation, and the swing-up ends balanced.
 
 use std::time::{Duration, Instant};
-use upswing_ipc::operator::{Manoeuvre, OperatorError, Request};
+use upswing_ipc::operator::{Manoeuvre, OperatorError, OperatorRequest};
 use upswing_ipc::{Clock, Mode, Plan, PlantKind, PlantRequest, Telemetry};
 use upswing_model::{NQ, NU};
 use upswing_rig::session::SessionError;
@@ -37,7 +37,7 @@ fn on_a_clock_that_runs() {
     // What was measured before the pendulum was moved by hand is of no use.
     let begin = Instant::now();
     loop {
-        match system.session.request(Request::Enable) {
+        match system.session.request(OperatorRequest::Enable) {
             Ok(_) => break,
             Err(SessionError::Operator(OperatorError::Daemon { .. })) => {}
             Err(e) => panic!("{e}"),

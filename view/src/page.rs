@@ -13,7 +13,7 @@ use data::RobotDrawing;
 use serde::Serialize;
 use std::io::{self, Write};
 use upswing_config::Config;
-use upswing_ipc::operator::Request;
+use upswing_ipc::operator::OperatorRequest;
 use upswing_model::UrdfError;
 use upswing_record::robot::Robot;
 
@@ -36,7 +36,7 @@ pub struct LivePageSetup {
     domain: String,
     /// Whether the page can make requests.
     control: bool,
-    requests: [&'static str; Request::ALL.len()],
+    requests: [&'static str; OperatorRequest::ALL.len()],
     period_us: f64,
     #[serde(flatten)]
     body: RobotDrawing,
@@ -51,7 +51,7 @@ impl LivePageSetup {
         Ok(Self {
             domain: domain.to_owned(),
             control,
-            requests: Request::ALL.map(Request::name),
+            requests: OperatorRequest::ALL.map(OperatorRequest::name),
             period_us: config.daemon.cycle.period.seconds() * 1e6,
             body: RobotDrawing::new(Robot::from_urdf(&config.urdf, &config.model)?, &config.robot.limits),
         })

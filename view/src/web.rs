@@ -16,7 +16,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 use upswing_ipc::IpcError;
-use upswing_ipc::operator::Request;
+use upswing_ipc::operator::OperatorRequest;
 
 /// Period of the server-sent events.
 const FRAME: Duration = Duration::from_millis(40);
@@ -127,7 +127,7 @@ impl LivePage {
                 http::respond(200, http::EVENTS, String::new())
             }
             (true, "/events") => self.stream(),
-            (false, path) => match path.strip_prefix("/request/").and_then(Request::from_name) {
+            (false, path) => match path.strip_prefix("/request/").and_then(OperatorRequest::from_name) {
                 Some(request) => self.ask(request).await,
                 None => refuse(404, format!("expected /request/ and one of {}", names())),
             },
@@ -150,7 +150,7 @@ impl LivePage {
         response
     }
 
-    async fn ask(&self, request: Request) -> Response {
+    async fn ask(&self, request: OperatorRequest) -> Response {
         let answer = self.requests.ask(request);
         match tokio::task::spawn_blocking(move || answer.recv_timeout(PATIENCE)).await {
             Ok(Ok(Ok(accepted))) => http::respond(200, JSON, json(&accepted)),
@@ -177,7 +177,7 @@ impl Drop for OpenPage {
 }
 
 fn names() -> String {
-    Request::ALL.map(Request::name).join(", ")
+    OperatorRequest::ALL.map(OperatorRequest::name).join(", ")
 }
 
 fn refuse(status: u16, error: String) -> Response {

@@ -2,17 +2,17 @@
 
 use proptest::prelude::*;
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyEventKind};
-use upswing_ipc::operator::{Manoeuvre, Request};
+use upswing_ipc::operator::{Manoeuvre, OperatorRequest};
 use upswing_view::monitor::{KeyAction, KeyState};
 
-fn action_of(key: char) -> Option<Request> {
+fn action_of(key: char) -> Option<OperatorRequest> {
     let keys = "eudhr".chars();
     let actions = [
-        Request::Enable,
-        Request::Manoeuvre(Manoeuvre::SwingUp),
-        Request::Manoeuvre(Manoeuvre::SwingDown),
-        Request::Hold,
-        Request::Reset,
+        OperatorRequest::Enable,
+        OperatorRequest::Manoeuvre(Manoeuvre::SwingUp),
+        OperatorRequest::Manoeuvre(Manoeuvre::SwingDown),
+        OperatorRequest::Hold,
+        OperatorRequest::Reset,
     ];
     keys.zip(actions).find(|(k, _)| *k == key).map(|(_, request)| request)
 }
@@ -28,7 +28,7 @@ proptest! {
         for key in typed {
             let wish = keys.press(&KeyEvent::from(KeyCode::Char(key)));
             let expected = match (key, waiting.take()) {
-                ('s', _) => KeyAction::Ask(Request::Stop),
+                ('s', _) => KeyAction::Ask(OperatorRequest::Stop),
                 ('y', Some(request)) => KeyAction::Ask(request),
                 ('q', None) => KeyAction::Quit,
                 (_, Some(_)) => KeyAction::Nothing,

@@ -6,7 +6,7 @@ use ratatui::backend::TestBackend;
 use ratatui::crossterm::event::{KeyCode, KeyEvent};
 use std::sync::LazyLock;
 use upswing_config::Config;
-use upswing_ipc::operator::Request;
+use upswing_ipc::operator::OperatorRequest;
 use upswing_ipc::{Mode, Telemetry};
 use upswing_planner::replan::Planner;
 use upswing_plant::Plant;
@@ -146,7 +146,7 @@ fn a_question_mark_explains_the_keys() {
     assert_eq!(press('?'), KeyAction::Nothing);
     // Nothing but a stop is asked for while it is shown.
     assert_eq!(press('y'), KeyAction::Nothing);
-    assert_eq!((press('?'), press('s')), (KeyAction::Nothing, KeyAction::Ask(Request::Stop)));
+    assert_eq!((press('?'), press('s')), (KeyAction::Nothing, KeyAction::Ask(OperatorRequest::Stop)));
     assert_eq!(press('?'), KeyAction::Nothing);
     let text = picture(&view, &keys, 80, 24);
     for shown in ["swing-down", "The brakes open", "any other key no", "s still stops"] {

@@ -2,7 +2,7 @@
 
 use super::{CommonArgs, failed};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use upswing_ipc::operator::{Operator, Request};
+use upswing_ipc::operator::{Operator, OperatorRequest};
 use upswing_process::{Failure, shutdown_flag};
 
 /// Sends a request to the running system.
@@ -17,14 +17,14 @@ pub struct RequestArgs {
     pub common: CommonArgs,
     /// The request
     #[arg(value_parser = requests())]
-    pub what: Request,
+    pub what: OperatorRequest,
 }
 
 /// Returns the parser of the name of a request.
-fn requests() -> impl TypedValueParser<Value = Request> {
-    let value = |request: Request| PossibleValue::new(request.name()).help(request.purpose());
-    let known = |name: String| Request::from_name(&name).ok_or("no such request");
-    PossibleValuesParser::new(Request::ALL.map(value)).try_map(known)
+fn requests() -> impl TypedValueParser<Value = OperatorRequest> {
+    let value = |request: OperatorRequest| PossibleValue::new(request.name()).help(request.purpose());
+    let known = |name: String| OperatorRequest::from_name(&name).ok_or("no such request");
+    PossibleValuesParser::new(OperatorRequest::ALL.map(value)).try_map(known)
 }
 
 /// Sends the request to the running system.

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
-use upswing_ipc::operator::{Accepted, Operator, OperatorError, Request};
+use upswing_ipc::operator::{Accepted, Operator, OperatorError, OperatorRequest};
 use upswing_ipc::{ControlResponse, Node};
 
 /// Time between two requests for the daemon's status.
@@ -21,13 +21,13 @@ pub(super) enum LiveUpdate {
     /// State of the daemon; `None` if it does not respond.
     Status(Option<Box<ControlResponse>>),
     /// A request was sent.
-    Sent(Request),
+    Sent(OperatorRequest),
     /// A request was answered.
-    Answered(Request, RequestResult),
+    Answered(OperatorRequest, RequestResult),
 }
 
 struct PendingRequest {
-    request: Request,
+    request: OperatorRequest,
     reply: Sender<RequestResult>,
 }
 
@@ -37,7 +37,7 @@ pub struct RequestSender(Sender<PendingRequest>);
 
 impl RequestSender {
     /// Sends a request. Its result arrives in the returned receiver and as an event of the view.
-    pub fn ask(&self, request: Request) -> Receiver<RequestResult> {
+    pub fn ask(&self, request: OperatorRequest) -> Receiver<RequestResult> {
         let (reply, answer) = channel();
         // If the request thread has ended, `reply` is dropped with the request, and the receiver reports that.
         let _ = self.0.send(PendingRequest { request, reply });
@@ -159,17 +159,22 @@ impl RequestWorker {
             let _ = reply.send(result);
         };
         match request {
-            Request::Hold | Request::Stop | Request::Enable | Request::Reset => {
+            OperatorRequest::Hold
+            | OperatorRequest::Stop
+            | OperatorRequest::Enable
+            | OperatorRequest::Reset => {
                 if let Some(planning) = &self.planning {
                     planning.withdrawn.store(true, Ordering::Release);
                 }
                 let done = self.operator.request(request, &AtomicBool::new(false));
                 answer(done.map_err(|e| e.to_string()));
             }
-            Request::Manoeuvre(_) if self.planning.as_ref().is_some_and(|p| !p.thread.is_finished()) => {
+            OperatorRequest::Manoeuvre(_)
+                if self.planning.as_ref().is_some_and(|p| !p.thread.is_finished()) =>
+            {
                 answer(Err("a plan is being made already; stop withdraws it".into()));
             }
-            Request::Manoeuvre(_) => {
+            OperatorRequest::Manoeuvre(_) => {
                 let (node, withdrawn) = (self.node.clone(), Arc::new(AtomicBool::new(false)));
                 let flag = Arc::clone(&withdrawn);
                 let plan = move || Operator::new(&node)?.request(request, &flag);

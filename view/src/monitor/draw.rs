@@ -10,7 +10,7 @@ use ratatui::text::{Line, Span};
 use ratatui::widgets::canvas::{Canvas, Circle, Line as Stroke};
 use ratatui::widgets::{Block, Borders, Clear, Paragraph};
 use std::collections::VecDeque;
-use upswing_ipc::operator::Request;
+use upswing_ipc::operator::OperatorRequest;
 
 /// Style of the drawing: with colours, or with reversed and bold text instead.
 #[derive(Clone, Copy, Debug)]
@@ -294,13 +294,13 @@ fn help(frame: &mut Frame, theme: Theme) {
 }
 
 /// Effect of a request on the robot.
-fn effect(request: Request) -> &'static str {
+fn effect(request: OperatorRequest) -> &'static str {
     match request {
-        Request::Enable => "The brakes open and the arm holds its pose.",
-        Request::Manoeuvre(_) => "The arm moves fast.",
-        Request::Hold => "The arm holds its pose; a rod that stands falls.",
-        Request::Stop => "The arm decelerates.",
-        Request::Reset => "The fault is forgotten; brakes stay closed.",
+        OperatorRequest::Enable => "The brakes open and the arm holds its pose.",
+        OperatorRequest::Manoeuvre(_) => "The arm moves fast.",
+        OperatorRequest::Hold => "The arm holds its pose; a rod that stands falls.",
+        OperatorRequest::Stop => "The arm decelerates.",
+        OperatorRequest::Reset => "The fault is forgotten; brakes stay closed.",
     }
 }
 
@@ -315,7 +315,7 @@ fn popup(frame: &mut Frame, width: u16, title: &str, lines: Vec<Line<'_>>, cente
     frame.render_widget(if centered { text.centered() } else { text }, area);
 }
 
-fn confirm(frame: &mut Frame, request: Request, theme: Theme) {
+fn confirm(frame: &mut Frame, request: OperatorRequest, theme: Theme) {
     let lines = vec![
         Line::raw(effect(request)),
         Line::raw(""),

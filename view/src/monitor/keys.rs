@@ -1,16 +1,16 @@
 //! Keys of the monitor in the terminal.
 
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
-use upswing_ipc::operator::{Manoeuvre, Request};
+use upswing_ipc::operator::{Manoeuvre, OperatorRequest};
 
 /// Key and request, in the order of the bottom line.
-pub(super) const REQUESTS: [(char, Request); 6] = [
-    ('e', Request::Enable),
-    ('u', Request::Manoeuvre(Manoeuvre::SwingUp)),
-    ('d', Request::Manoeuvre(Manoeuvre::SwingDown)),
-    ('h', Request::Hold),
-    ('s', Request::Stop),
-    ('r', Request::Reset),
+pub(super) const REQUESTS: [(char, OperatorRequest); 6] = [
+    ('e', OperatorRequest::Enable),
+    ('u', OperatorRequest::Manoeuvre(Manoeuvre::SwingUp)),
+    ('d', OperatorRequest::Manoeuvre(Manoeuvre::SwingDown)),
+    ('h', OperatorRequest::Hold),
+    ('s', OperatorRequest::Stop),
+    ('r', OperatorRequest::Reset),
 ];
 
 /// Action of a key.
@@ -21,19 +21,19 @@ pub enum KeyAction {
     /// End the monitor.
     Quit,
     /// Make a request.
-    Ask(Request),
+    Ask(OperatorRequest),
 }
 
 /// State of the keys. Each request but a stop has to be confirmed by `y`; any other key cancels it. Any key closes the help.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct KeyState {
-    waiting: Option<Request>,
+    waiting: Option<OperatorRequest>,
     help: bool,
 }
 
 impl KeyState {
     /// The request that waits for `y`.
-    pub fn waiting(&self) -> Option<Request> {
+    pub fn waiting(&self) -> Option<OperatorRequest> {
         self.waiting
     }
 
@@ -51,7 +51,7 @@ impl KeyState {
         let helped = std::mem::take(&mut self.help);
         match (key.code, waiting) {
             (KeyCode::Char('c'), _) if key.modifiers.contains(KeyModifiers::CONTROL) => KeyAction::Quit,
-            (KeyCode::Char('s'), _) => KeyAction::Ask(Request::Stop),
+            (KeyCode::Char('s'), _) => KeyAction::Ask(OperatorRequest::Stop),
             (KeyCode::Char('y'), Some(request)) => KeyAction::Ask(request),
             // Any other key cancels the waiting request, and does nothing else.
             (_, Some(_)) => KeyAction::Nothing,
