@@ -54,9 +54,9 @@ const HEADERS: [(HeaderName, &str); 5] = [
 pub const EVENTS: &str = "text/event-stream";
 
 /// HTTP request without a body: the server refuses a request with a body before it calls `answer`.
-pub type Request = hyper::Request<Incoming>;
-/// HTTP response.
-pub type Response = hyper::Response<BoxBody<Bytes, Infallible>>;
+pub type HttpRequest = hyper::Request<Incoming>;
+/// HTTP response with a body of text or a stream.
+pub type HttpResponse = hyper::Response<BoxBody<Bytes, Infallible>>;
 
 /// Error of a server that cannot listen at its address.
 #[derive(Debug, thiserror::Error)]
@@ -100,10 +100,10 @@ impl Listener {
     pub fn serve<F>(
         self,
         stop: &Arc<AtomicBool>,
-        answer: impl Fn(Request) -> F + Send + Sync + 'static,
-    ) -> Server
+        answer: impl Fn(HttpRequest) -> F + Send + Sync + 'static,
+    ) -> HttpServer
     where
-        F: Future<Output = Response> + Send + 'static,
+        F: Future<Output = HttpResponse> + Send + 'static,
     {
         let (stop, address) = (Arc::clone(stop), self.address);
         let serve = move || {
@@ -120,17 +120,17 @@ impl Listener {
             });
             served.map_err(|cause| ServeError { address, cause })
         };
-        Server { thread: Some(std::thread::spawn(serve)), address }
+        HttpServer { thread: Some(std::thread::spawn(serve)), address }
     }
 }
 
 /// Thread of a running HTTP server.
-pub struct Server {
+pub struct HttpServer {
     thread: Option<std::thread::JoinHandle<Result<(), ServeError>>>,
     address: SocketAddr,
 }
 
-impl Server {
+impl HttpServer {
     /// Checks that the server still answers.
     ///
     /// # Errors
@@ -183,10 +183,10 @@ impl Connections {
 async fn accept<F>(
     socket: TcpListener,
     stop: &AtomicBool,
-    answer: Arc<impl Fn(Request) -> F + Send + Sync + 'static>,
+    answer: Arc<impl Fn(HttpRequest) -> F + Send + Sync + 'static>,
 ) -> io::Result<()>
 where
-    F: Future<Output = Response> + Send + 'static,
+    F: Future<Output = HttpResponse> + Send + 'static,
 {
     let socket = tokio::net::TcpListener::from_std(socket)?;
     let most = CONNECTIONS.min((FILES * files() as f64) as usize).max(1);
@@ -252,15 +252,15 @@ fn files() -> u64 {
 async fn connection<F>(
     stream: TcpStream,
     answers: Arc<AtomicUsize>,
-    answer: Arc<impl Fn(Request) -> F + Send + Sync + 'static>,
+    answer: Arc<impl Fn(HttpRequest) -> F + Send + Sync + 'static>,
 ) where
-    F: Future<Output = Response> + Send + 'static,
+    F: Future<Output = HttpResponse> + Send + 'static,
 {
     // Small events are sent at once. On failure they are sent, but later.
     let _ = stream.set_nodelay(true);
     let mut stream = TimeoutStream::new(stream);
     stream.set_write_timeout(Some(WRITE_TIMEOUT));
-    let service = hyper::service::service_fn(|request: Request| {
+    let service = hyper::service::service_fn(|request: HttpRequest| {
         let under_way = UnderWay::begin(&answers);
         // A body is never read: a request with a body is refused.
         let answer = request.body().is_end_stream().then(|| answer(request));
@@ -312,23 +312,23 @@ impl Drop for UnderWay {
 }
 
 /// Whether a request only reads: GET, or HEAD, whose answer is sent without its body.
-pub fn reads(request: &Request) -> bool {
+pub fn reads(request: &HttpRequest) -> bool {
     matches!(*request.method(), Method::GET | Method::HEAD)
 }
 
 /// Path of a request without query and trailing slash: `/` gives an empty text.
-pub fn path(request: &Request) -> &str {
+pub fn path(request: &HttpRequest) -> &str {
     let path = request.uri().path();
     path.strip_suffix('/').unwrap_or(path)
 }
 
 /// Value of a request header; `None` if it is absent, occurs more than once or is no text.
-pub fn header(request: &Request, name: HeaderName) -> Option<&str> {
+pub fn header(request: &HttpRequest, name: HeaderName) -> Option<&str> {
     let mut values = request.headers().get_all(name).iter();
     values.next().filter(|_| values.next().is_none())?.to_str().ok()
 }
 
-fn with_headers(status: u16, kind: &str, body: BoxBody<Bytes, Infallible>) -> Response {
+fn with_headers(status: u16, kind: &str, body: BoxBody<Bytes, Infallible>) -> HttpResponse {
     let mut response = hyper::Response::new(body);
     *response.status_mut() = StatusCode::from_u16(status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
     for (name, value) in HEADERS.into_iter().chain([(header::CONTENT_TYPE, kind)]) {
@@ -340,7 +340,7 @@ fn with_headers(status: u16, kind: &str, body: BoxBody<Bytes, Infallible>) -> Re
 }
 
 /// Builds a response with a text of the content type `kind` as its body.
-pub fn respond(status: u16, kind: &str, body: String) -> Response {
+pub fn respond(status: u16, kind: &str, body: String) -> HttpResponse {
     let length = body.len();
     let mut response = with_headers(status, kind, Full::new(Bytes::from(body)).boxed());
     response.headers_mut().insert(header::CONTENT_LENGTH, length.into());
@@ -348,22 +348,22 @@ pub fn respond(status: u16, kind: &str, body: String) -> Response {
 }
 
 /// Builds a response that refuses the method of a request; `allowed`: the allowed methods, separated by commas.
-pub fn refuse_method(kind: &str, body: String, allowed: &'static str) -> Response {
+pub fn refuse_method(kind: &str, body: String, allowed: &'static str) -> HttpResponse {
     let mut response = respond(405, kind, body);
     response.headers_mut().insert(header::ALLOW, HeaderValue::from_static(allowed));
     response
 }
 
 /// Builds a response that is an endless stream of server-sent events.
-pub fn stream() -> (Events, Response) {
+pub fn stream() -> (EventStream, HttpResponse) {
     let (events, body) = Channel::new(1);
-    (Events(events), with_headers(200, EVENTS, body.boxed()))
+    (EventStream(events), with_headers(200, EVENTS, body.boxed()))
 }
 
 /// Sender of the events of a stream; dropping it ends the stream.
-pub struct Events(channel::Sender<Bytes>);
+pub struct EventStream(channel::Sender<Bytes>);
 
-impl Events {
+impl EventStream {
     /// Sends an event, once the previous event has been taken. Returns whether the client is still connected.
     pub async fn send(&mut self, event: &str) -> bool {
         self.0.send_data(Bytes::from(format!("data: {event}\n\n"))).await.is_ok()
@@ -378,18 +378,18 @@ mod tests {
     use std::os::fd::AsRawFd;
     use tokio::sync::watch;
 
-    /// Running server; it ends when the test drops it.
-    struct Site {
+    /// HTTP server of a test; it ends when the test drops it.
+    struct TestServer {
         address: SocketAddr,
         stop: Arc<AtomicBool>,
-        server: Server,
+        server: HttpServer,
         /// Number of requests received.
         came: Arc<AtomicUsize>,
         /// Releases the answer to `/held`.
         release: watch::Sender<bool>,
     }
 
-    impl Site {
+    impl TestServer {
         fn begin() -> (Self, TcpListener) {
             let listener = Listener::bind(([127, 0, 0, 1], 0).into()).expect("a free port");
             let (address, socket) = (listener.address, listener.socket.try_clone().expect("a copy"));
@@ -435,7 +435,7 @@ mod tests {
         }
     }
 
-    impl Drop for Site {
+    impl Drop for TestServer {
         fn drop(&mut self) {
             self.stop.store(true, Ordering::Release);
             self.server.end().expect("it was asked to end");
@@ -451,7 +451,7 @@ mod tests {
 
     #[test]
     fn bodies_and_large_headers_are_refused() {
-        let (site, _) = Site::begin();
+        let (site, _) = TestServer::begin();
         for (length, expected) in
             [("99999999999999", 413), ("1", 413), ("18446744073709551616", 400), ("0", 200)]
         {
@@ -471,7 +471,7 @@ mod tests {
 
     #[test]
     fn clients_that_never_finish_a_request_push_out_each_other() {
-        let (site, _) = Site::begin();
+        let (site, _) = TestServer::begin();
         let half_open: Vec<_> = (0..CONNECTIONS + 20).map(|_| site.send("GET / HTTP/1.1\r\nX: ")).collect();
         assert_eq!(status(site.ask("/")), Some(200));
         // The oldest connections are closed, the newest stay open.
@@ -480,7 +480,7 @@ mod tests {
 
     #[test]
     fn clients_that_do_not_read_keep_no_other_waiting() {
-        let (site, _) = Site::begin();
+        let (site, _) = TestServer::begin();
         let _deaf: Vec<_> = (0..32).map(|_| site.ask("/endless")).collect();
         site.wait_for(32);
         assert_eq!(status(site.ask("/")), Some(200));
@@ -488,7 +488,7 @@ mod tests {
 
     #[test]
     fn what_is_being_answered_is_not_pushed_out() {
-        let (site, _) = Site::begin();
+        let (site, _) = TestServer::begin();
         let held: Vec<_> = (0..CONNECTIONS).map(|_| site.ask("/held")).collect();
         site.wait_for(CONNECTIONS);
         assert_eq!(status(site.ask("/")), None);
@@ -499,7 +499,7 @@ mod tests {
 
     #[test]
     fn the_end_of_a_listener_is_an_error() {
-        let (mut site, socket) = Site::begin();
+        let (mut site, socket) = TestServer::begin();
         assert_eq!(status(site.ask("/")), Some(200));
         site.server.check().expect("it listens");
         // SAFETY: plain system call on an open socket; it also affects the server's copies of the socket.

@@ -5,7 +5,7 @@ mod guard;
 
 pub use guard::{HttpRefusal, RequestHead, Token, check};
 
-use crate::http::{self, Listener, Response, ServeError};
+use crate::http::{self, HttpRequest, HttpResponse, Listener, ServeError};
 use crate::live::{Live, RequestSender};
 use crate::page;
 use frames::{FrameBuffer, MotionSampler};
@@ -101,7 +101,7 @@ pub fn run(
 }
 
 impl LivePage {
-    async fn answer(self: Arc<Self>, request: http::Request) -> Response {
+    async fn answer(self: Arc<Self>, request: HttpRequest) -> HttpResponse {
         let head = RequestHead {
             post: *request.method() == Method::POST,
             get: http::reads(&request),
@@ -135,7 +135,7 @@ impl LivePage {
         }
     }
 
-    fn stream(self: Arc<Self>) -> Response {
+    fn stream(self: Arc<Self>) -> HttpResponse {
         let Some(page) = OpenPage::open(&self) else {
             return refuse(503, format!("{PAGES} pages are open already; close one"));
         };
@@ -150,7 +150,7 @@ impl LivePage {
         response
     }
 
-    async fn ask(&self, request: OperatorRequest) -> Response {
+    async fn ask(&self, request: OperatorRequest) -> HttpResponse {
         let answer = self.requests.ask(request);
         match tokio::task::spawn_blocking(move || answer.recv_timeout(PATIENCE)).await {
             Ok(Ok(Ok(accepted))) => http::respond(200, JSON, json(&accepted)),
@@ -180,7 +180,7 @@ fn names() -> String {
     OperatorRequest::ALL.map(OperatorRequest::name).join(", ")
 }
 
-fn refuse(status: u16, error: String) -> Response {
+fn refuse(status: u16, error: String) -> HttpResponse {
     http::respond(status, JSON, json(&ErrorDocument::because(error)))
 }
 

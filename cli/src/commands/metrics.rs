@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use upswing_process::number::within;
 use upswing_process::output::{Destination, Overwrite};
 use upswing_process::{Failure, shutdown_flag};
-use upswing_view::http::{self, Listener, Request, Response, Server};
+use upswing_view::http::{self, HttpRequest, HttpResponse, HttpServer, Listener};
 use upswing_view::live::Live;
 use upswing_view::metrics::{self, CONTENT_TYPE};
 
@@ -127,7 +127,7 @@ pub fn run(args: &MetricsArgs) -> Result<(), Failure> {
     };
     let result = watch();
     stop.store(true, Ordering::Release);
-    let ended = server.as_mut().map_or(Ok(()), Server::end).map_err(failed);
+    let ended = server.as_mut().map_or(Ok(()), HttpServer::end).map_err(failed);
     // The file is removed: values without updates would look like a system that stands still.
     if let Some(file) = &file {
         let _ = std::fs::remove_file(file.path());
@@ -135,7 +135,7 @@ pub fn run(args: &MetricsArgs) -> Result<(), Failure> {
     result.and(ended)
 }
 
-fn answer(request: &Request, newest: &Mutex<String>) -> Response {
+fn answer(request: &HttpRequest, newest: &Mutex<String>) -> HttpResponse {
     match (http::reads(request), http::path(request)) {
         (true, "/metrics") => {
             http::respond(200, CONTENT_TYPE, newest.lock().unwrap_or_else(PoisonError::into_inner).clone())
