@@ -7,7 +7,7 @@ mod view_builder;
 
 pub use request_thread::{RequestResult, RequestSender};
 pub use status::{DaemonStatus, LatencyPercentiles};
-pub use view::{CycleView, Event, JointView, PlanView, Severity, View};
+pub use view::{CycleView, EventView, JointView, PlanView, Severity, View};
 pub use view_builder::ViewBuilder;
 
 use request_thread::RequestThread;

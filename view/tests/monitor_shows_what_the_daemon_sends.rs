@@ -11,7 +11,7 @@ use upswing_ipc::{Mode, Telemetry};
 use upswing_planner::replan::Planner;
 use upswing_plant::Plant;
 use upswing_rig::closed_loop::{Disturbances, swing_up};
-use upswing_view::live::{DaemonStatus, Event, LatencyPercentiles, Severity, View, ViewBuilder};
+use upswing_view::live::{DaemonStatus, EventView, LatencyPercentiles, Severity, View, ViewBuilder};
 use upswing_view::monitor::{KeyAction, KeyState, Theme, draw};
 
 static CONFIG: LazyLock<Config> = LazyLock::new(|| Config::embedded().expect("embedded settings"));
@@ -106,7 +106,7 @@ fn on_80x24_nothing_is_cut() {
     let cause = "cycle 123456789 late in compute: wake 12.3 read 1.2 compute 312.3 write 0.4 us; 2 preemptions, \
                  212.3 us ready without a CPU, 0 page faults in the last 50 ms";
     let status = DaemonStatus { overruns: 98_765, last_overrun: Some(cause.into()), ..status };
-    let late = Event { t: 12.3, kind: Severity::Warning, text: format!("late: {cause}") };
+    let late = EventView { t: 12.3, kind: Severity::Warning, text: format!("late: {cause}") };
     let events = [balanced.events.clone(), vec![late]].concat();
     assert!(status.to_string().ends_with("\nnext       upswing request swing-down"), "{status}");
     let view = View { status: Some(status), lost: 12_345, events, ..balanced };

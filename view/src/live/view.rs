@@ -36,7 +36,7 @@ pub struct View {
     /// Name of the request that is in progress.
     pub asking: Option<&'static str>,
     /// Events, oldest first.
-    pub events: Vec<Event>,
+    pub events: Vec<EventView>,
 }
 
 /// One control cycle.
@@ -102,7 +102,7 @@ pub struct PlanView {
 
 /// An event of the system or of a request.
 #[derive(Clone, Debug, Serialize)]
-pub struct Event {
+pub struct EventView {
     /// Time of the event, as [`View::t`], s.
     pub t: f64,
     /// Severity of the event.

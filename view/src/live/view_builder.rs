@@ -1,7 +1,7 @@
 //! Builds a [`View`] from telemetry, plans and the reports of the request thread.
 
 use super::request_thread::LiveUpdate;
-use super::{CycleView, DaemonStatus, Event, JointView, PlanView, Severity, View};
+use super::{CycleView, DaemonStatus, EventView, JointView, PlanView, Severity, View};
 use std::collections::VecDeque;
 use upswing_config::Config;
 use upswing_ipc::{Mode, Plan, Telemetry};
@@ -39,7 +39,7 @@ pub struct ViewBuilder {
     asking: Option<&'static str>,
     faults: u64,
     plans: u64,
-    events: VecDeque<Event>,
+    events: VecDeque<EventView>,
 }
 
 impl ViewBuilder {
@@ -160,7 +160,7 @@ impl ViewBuilder {
         if self.events.len() == EVENTS {
             self.events.pop_front();
         }
-        self.events.push_back(Event { t: self.t, kind, text });
+        self.events.push_back(EventView { t: self.t, kind, text });
     }
 
     /// Returns the view of the current state.

@@ -55,8 +55,9 @@ impl Default for Motion {
     }
 }
 
+/// One message of the live page: the view, and the motion since the previous message.
 #[derive(Serialize)]
-struct Frame {
+struct LiveFrame {
     view: View,
     motion: Motion,
     times: Vec<LatencyHistogram>,
@@ -97,7 +98,7 @@ impl MotionSampler {
         view.events.drain(..view.events.len().saturating_sub(EVENTS));
         let motion = std::mem::take(&mut self.frame);
         // Non-finite numbers become null, which the page does not draw.
-        serde_json::to_string(&Frame { view, motion, times: self.times.times() }).unwrap_or_default()
+        serde_json::to_string(&LiveFrame { view, motion, times: self.times.times() }).unwrap_or_default()
     }
 }
 
