@@ -19,7 +19,7 @@ use crate::observer::{Observation, Observer};
 use crate::plan::Ending;
 use crate::standstill::Standstill;
 use crate::step::{CycleRecord, StepInput, StepOutput};
-use crate::supervisor::Event;
+use crate::supervisor::ModeEvent;
 use crate::trip::{Trip, TripCause};
 use upswing_config::{Config, HoldGains, PlanWhileTracking};
 use upswing_ipc::{Clock, Command, Measurement, Mode, Step, Telemetry};
@@ -303,7 +303,7 @@ impl Controller {
         match plan.ending(self.now_ns) {
             Some(Ending::Hanging) => {
                 let hold = ActiveMode::Hold(ArmReference::at_rest(&plan.end().x));
-                self.enter(Event::PlanEnded(Ending::Hanging), hold);
+                self.enter(ModeEvent::PlanEnded(Ending::Hanging), hold);
             }
             Some(Ending::Upright) => {
                 self.mode.balance();
@@ -322,9 +322,9 @@ impl Controller {
             u_d = reference.decelerate(&self.stop_deceleration, elapsed);
             if reference.is_settled(&x, self.now_ns) {
                 let (event, next) = if self.shutting_down {
-                    (Event::AtRestAtShutdown, ActiveMode::Idle)
+                    (ModeEvent::AtRestAtShutdown, ActiveMode::Idle)
                 } else {
-                    (Event::AtRest, ActiveMode::Hold(*reference))
+                    (ModeEvent::AtRest, ActiveMode::Hold(*reference))
                 };
                 self.enter(event, next);
             }

@@ -1,6 +1,6 @@
 //! Input and output of one step of the controller, and the recorded form of the input.
 
-use crate::supervisor::{Event, Refusal};
+use crate::supervisor::{ModeEvent, Refusal};
 use crate::trip::Trip;
 use std::fmt;
 use upswing_ipc::{Command, Measurement, Step, Telemetry, UnknownCode};
@@ -26,15 +26,15 @@ pub enum StepRequest {
 }
 
 impl StepRequest {
-    /// Event of the request in the table of modes; `None` if it does not change the mode.
-    pub const fn event(&self) -> Option<Event> {
+    /// The event of the request in the table of modes; `None` if it does not change the mode.
+    pub const fn event(&self) -> Option<ModeEvent> {
         match self {
-            Self::Enable => Some(Event::Enable),
-            Self::Hold => Some(Event::Hold),
-            Self::Start(_) => Some(Event::Start),
-            Self::Stop => Some(Event::Stop),
-            Self::Reset => Some(Event::Reset),
-            Self::Shutdown => Some(Event::Shutdown),
+            Self::Enable => Some(ModeEvent::Enable),
+            Self::Hold => Some(ModeEvent::Hold),
+            Self::Start(_) => Some(ModeEvent::Start),
+            Self::Stop => Some(ModeEvent::Stop),
+            Self::Reset => Some(ModeEvent::Reset),
+            Self::Shutdown => Some(ModeEvent::Shutdown),
             Self::Load(_) => None,
         }
     }

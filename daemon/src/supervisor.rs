@@ -11,7 +11,7 @@ use upswing_ipc::Mode;
 
 /// An event that can change the mode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Event {
+pub enum ModeEvent {
     /// Request: release the brakes and hold the arm.
     Enable,
     /// Request: hold the current pose.
@@ -37,13 +37,13 @@ pub enum Event {
     AtRestAtShutdown,
 }
 
-impl Event {
+impl ModeEvent {
     /// The requests of an operator or of the daemon itself.
     pub const REQUESTS: [Self; 6] =
         [Self::Enable, Self::Hold, Self::Start, Self::Stop, Self::Reset, Self::Shutdown];
 }
 
-impl fmt::Display for Event {
+impl fmt::Display for ModeEvent {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.pad(match self {
             Self::Enable => "enable",
@@ -70,22 +70,22 @@ impl fmt::Display for Event {
 ///
 /// # Errors
 /// [`Refusal::Mode`] for every transition that is not in the table; it changes nothing.
-pub fn transition(mode: Mode, event: Event) -> Result<Mode, Refusal> {
+pub fn transition(mode: Mode, event: ModeEvent) -> Result<Mode, Refusal> {
     use Mode::{Balance, Fault, Hold, Idle, Stop, Track};
     match (mode, event) {
-        (Idle, Event::Enable) => Ok(Hold),
-        (Hold | Balance, Event::Start) => Ok(Track),
-        (Hold | Balance, Event::Hold) => Ok(Hold),
-        (Hold | Track | Balance, Event::Stop) => Ok(Stop),
-        (Fault, Event::Reset) => Ok(Idle),
-        (Hold | Track | Balance | Stop, Event::Shutdown) => Ok(Stop),
-        (Idle | Fault, Event::Shutdown) => Ok(mode),
-        (Track, Event::PlanEnded(Ending::Upright)) => Ok(Balance),
-        (Track, Event::PlanEnded(Ending::Hanging)) => Ok(Hold),
-        (Track | Balance, Event::TripToStop) => Ok(Stop),
-        (Stop, Event::AtRest) => Ok(Hold),
-        (Stop, Event::AtRestAtShutdown) => Ok(Idle),
-        (Hold | Track | Balance | Stop, Event::TripToFault) => Ok(Fault),
+        (Idle, ModeEvent::Enable) => Ok(Hold),
+        (Hold | Balance, ModeEvent::Start) => Ok(Track),
+        (Hold | Balance, ModeEvent::Hold) => Ok(Hold),
+        (Hold | Track | Balance, ModeEvent::Stop) => Ok(Stop),
+        (Fault, ModeEvent::Reset) => Ok(Idle),
+        (Hold | Track | Balance | Stop, ModeEvent::Shutdown) => Ok(Stop),
+        (Idle | Fault, ModeEvent::Shutdown) => Ok(mode),
+        (Track, ModeEvent::PlanEnded(Ending::Upright)) => Ok(Balance),
+        (Track, ModeEvent::PlanEnded(Ending::Hanging)) => Ok(Hold),
+        (Track | Balance, ModeEvent::TripToStop) => Ok(Stop),
+        (Stop, ModeEvent::AtRest) => Ok(Hold),
+        (Stop, ModeEvent::AtRestAtShutdown) => Ok(Idle),
+        (Hold | Track | Balance | Stop, ModeEvent::TripToFault) => Ok(Fault),
         _ => Err(Refusal::Mode { mode, event }),
     }
 }
@@ -104,7 +104,7 @@ pub enum Refusal {
         /// The mode at the time of the request.
         mode: Mode,
         /// The event of the request.
-        event: Event,
+        event: ModeEvent,
     },
     /// The measurement cannot be trusted.
     #[error("the robot cannot be enabled: {0}; next: {remedy}, then {enable}", remedy = .0.cause.remedy(), enable = Mode::Idle.next_action())]

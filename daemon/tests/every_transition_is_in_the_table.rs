@@ -3,22 +3,22 @@
 use upswing_ipc::Mode::{self, Balance, Fault, Hold, Idle, Stop, Track};
 use upswing_ipc::operator::{Manoeuvre, NextAction, OperatorRequest};
 use upswingd::plan::Ending;
-use upswingd::supervisor::{Event, Refusal, transition};
+use upswingd::supervisor::{ModeEvent, Refusal, transition};
 
 /// Rows: modes in the order of [`Mode::ALL`]; columns: [`EVENTS`]. `None`: refused.
-const EVENTS: [Event; 12] = [
-    Event::Enable,
-    Event::Hold,
-    Event::Start,
-    Event::Stop,
-    Event::Reset,
-    Event::Shutdown,
-    Event::PlanEnded(Ending::Upright),
-    Event::PlanEnded(Ending::Hanging),
-    Event::TripToStop,
-    Event::AtRest,
-    Event::AtRestAtShutdown,
-    Event::TripToFault,
+const EVENTS: [ModeEvent; 12] = [
+    ModeEvent::Enable,
+    ModeEvent::Hold,
+    ModeEvent::Start,
+    ModeEvent::Stop,
+    ModeEvent::Reset,
+    ModeEvent::Shutdown,
+    ModeEvent::PlanEnded(Ending::Upright),
+    ModeEvent::PlanEnded(Ending::Hanging),
+    ModeEvent::TripToStop,
+    ModeEvent::AtRest,
+    ModeEvent::AtRestAtShutdown,
+    ModeEvent::TripToFault,
 ];
 const NO: Option<Mode> = None;
 #[rustfmt::skip]
@@ -48,7 +48,7 @@ fn the_machine_follows_the_table() {
 
 #[test]
 fn every_request_is_in_the_table() {
-    assert!(Event::REQUESTS.iter().all(|request| EVENTS.contains(request)));
+    assert!(ModeEvent::REQUESTS.iter().all(|request| EVENTS.contains(request)));
 }
 
 #[test]
@@ -59,17 +59,17 @@ fn a_refusal_names_a_step_that_is_accepted() {
             NextAction::Make(OperatorRequest::Manoeuvre(manoeuvre)) => {
                 let needed = if manoeuvre == Manoeuvre::SwingUp { Hold } else { Balance };
                 assert_eq!(mode, needed);
-                transition(mode, Event::Start)
+                transition(mode, ModeEvent::Start)
             }
             NextAction::Make(request) | NextAction::WaitOr(request) => {
-                let asked = Event::REQUESTS.into_iter().find(|r| r.to_string() == request.name());
+                let asked = ModeEvent::REQUESTS.into_iter().find(|r| r.to_string() == request.name());
                 transition(mode, asked.expect("a request"))
             }
-            NextAction::WaitForRest => transition(mode, Event::AtRest),
+            NextAction::WaitForRest => transition(mode, ModeEvent::AtRest),
         };
         let next = accepted.expect("it is accepted");
         assert_ne!(next, mode, "it leads somewhere");
-        let refused = Event::REQUESTS.into_iter().filter_map(|r| transition(mode, r).err());
+        let refused = ModeEvent::REQUESTS.into_iter().filter_map(|r| transition(mode, r).err());
         for refusal in refused {
             let text = refusal.to_string();
             assert!(text.ends_with(&format!("next: {}", mode.next_action())), "{text}");
@@ -84,6 +84,6 @@ fn a_refusal_names_a_step_that_is_accepted() {
 
 #[test]
 fn a_refusal_names_mode_and_request() {
-    let refusal = transition(Idle, Event::Start).unwrap_err().to_string();
+    let refusal = transition(Idle, ModeEvent::Start).unwrap_err().to_string();
     assert!(refusal.contains("start") && refusal.contains("idle"), "{refusal}");
 }

@@ -4,7 +4,7 @@ use super::Controller;
 use crate::arm::ArmReference;
 use crate::modes::{ActiveMode, LoadedPlan, RunningPlan};
 use crate::step::StepRequest;
-use crate::supervisor::{Event, Refusal, transition};
+use crate::supervisor::{ModeEvent, Refusal, transition};
 use crate::trip::{Trip, TripCause};
 use upswing_config::PlanWhileTracking;
 use upswing_trajectory::Plan;
@@ -22,7 +22,7 @@ impl Controller {
     /// Performs a request, unless it is refused; a refused request changes nothing.
     pub(super) fn obey(&mut self, request: StepRequest) -> Result<(), Refusal> {
         if let Some(event) = request.event() {
-            if self.shutting_down && event != Event::Shutdown {
+            if self.shutting_down && event != ModeEvent::Shutdown {
                 return Err(Refusal::ShuttingDown);
             }
             transition(self.mode(), event)?;
@@ -33,20 +33,20 @@ impl Controller {
             StepRequest::Enable => {
                 self.unready().map_or(Ok(()), Err)?;
                 self.trip = None;
-                self.enter(Event::Enable, ActiveMode::Hold(ArmReference::at_rest(&self.observer.x)));
+                self.enter(ModeEvent::Enable, ActiveMode::Hold(ArmReference::at_rest(&self.observer.x)));
             }
             StepRequest::Hold => {
-                self.enter(Event::Hold, ActiveMode::Hold(ArmReference::at_rest(&self.observer.x)))
+                self.enter(ModeEvent::Hold, ActiveMode::Hold(ArmReference::at_rest(&self.observer.x)))
             }
-            StepRequest::Stop => self.decelerate(Event::Stop),
+            StepRequest::Stop => self.decelerate(ModeEvent::Stop),
             StepRequest::Reset => {
                 self.trip = None;
-                self.enter(Event::Reset, ActiveMode::Idle);
+                self.enter(ModeEvent::Reset, ActiveMode::Idle);
             }
             StepRequest::Shutdown => {
                 self.shutting_down = true;
                 if !self.mode.is_braked() {
-                    self.decelerate(Event::Shutdown);
+                    self.decelerate(ModeEvent::Shutdown);
                 }
             }
         }
@@ -72,7 +72,7 @@ impl Controller {
             Ok(start_ns) => {
                 self.trip = None;
                 let running = RunningPlan::new(loaded, start_ns, &self.model);
-                self.enter(Event::Start, ActiveMode::Track(running));
+                self.enter(ModeEvent::Start, ActiveMode::Track(running));
                 Ok(())
             }
             Err(refusal) => {
@@ -96,7 +96,7 @@ impl Controller {
     pub(super) fn warn_of_plan_age(&mut self) {
         if let Some(loaded) = &self.loaded
             && self.checks.is_plan_old(loaded.age(self.now_ns))
-            && transition(self.mode(), Event::Start).is_ok()
+            && transition(self.mode(), ModeEvent::Start).is_ok()
             && self.start_time(loaded).is_ok()
         {
             self.checks.warn(TripCause::PlanAge);
@@ -116,22 +116,22 @@ impl Controller {
 
     /// Trips to Fault if the table of modes has that transition. In Fault the first trip is kept.
     pub(super) fn trip_to_fault(&mut self, trip: Trip) {
-        if transition(self.mode(), Event::TripToFault).is_ok() {
+        if transition(self.mode(), ModeEvent::TripToFault).is_ok() {
             self.trip = Some(trip);
-            self.enter(Event::TripToFault, ActiveMode::Fault);
+            self.enter(ModeEvent::TripToFault, ActiveMode::Fault);
         }
     }
 
     /// Trips to Stop if the table of modes has that transition.
     pub(super) fn trip_to_stop(&mut self, trip: Trip) {
-        if transition(self.mode(), Event::TripToStop).is_ok() {
+        if transition(self.mode(), ModeEvent::TripToStop).is_ok() {
             self.trip = Some(trip);
-            self.decelerate(Event::TripToStop);
+            self.decelerate(ModeEvent::TripToStop);
         }
     }
 
     /// Enters Stop; an arm that already decelerates continues to do so.
-    fn decelerate(&mut self, event: Event) {
+    fn decelerate(&mut self, event: ModeEvent) {
         let reference = match &self.mode {
             ActiveMode::Stop(reference) => *reference,
             _ => ArmReference::moving(&self.observer.x),
@@ -141,7 +141,7 @@ impl Controller {
 
     /// Changes the mode to `next`, the mode of the table of modes for `event`. A running plan becomes the loaded plan again, unless a
     /// newer one is loaded.
-    pub(super) fn enter(&mut self, event: Event, next: ActiveMode) {
+    pub(super) fn enter(&mut self, event: ModeEvent, next: ActiveMode) {
         // Not in release builds, whose real-time path cannot panic; the tests of the table watch the modes from outside.
         debug_assert_eq!(transition(self.mode(), event), Ok(next.mode()));
         let is_start = matches!(next, ActiveMode::Track(_));
