@@ -1,7 +1,7 @@
 //! Checks of the limits in every cycle and at the start of a plan. Each check collects a warning if a value exceeds its
 //! warning level, and returns a trip for the first value that exceeds its trip level.
 
-use crate::supervisor::Refusal;
+use crate::supervisor::RequestRefusal;
 use crate::trip::{Trip, TripCause, Warnings};
 use std::ops::Range;
 use upswing_config::{Config, Level, Levels, StartTolerance};
@@ -230,11 +230,11 @@ impl Checks {
     /// Checks the age of a loaded plan at its start, s.
     ///
     /// # Errors
-    /// [`Refusal::PlanExpired`] if the plan is too old to be started.
-    pub fn plan_age(&mut self, age: f64) -> Result<(), Refusal> {
+    /// [`RequestRefusal::PlanExpired`] if the plan is too old to be started.
+    pub fn plan_age(&mut self, age: f64) -> Result<(), RequestRefusal> {
         let level = self.levels.plan_age;
         match count(TripCause::PlanAge, age, level, &mut self.warnings) {
-            Some(_) => Err(Refusal::PlanExpired { age, limit: level.trip }),
+            Some(_) => Err(RequestRefusal::PlanExpired { age, limit: level.trip }),
             None => Ok(()),
         }
     }
@@ -242,14 +242,14 @@ impl Checks {
     /// Checks that the state `x` is close enough to the state `x_d` at time `t_plan` (s) of a plan, at which it is to start.
     ///
     /// # Errors
-    /// [`Refusal::StartMismatch`] for the first joint that is too far away.
-    pub fn start(&self, x: &State, x_d: &State, t_plan: f64) -> Result<(), Refusal> {
+    /// [`RequestRefusal::StartMismatch`] for the first joint that is too far away.
+    pub fn start(&self, x: &State, x_d: &State, t_plan: f64) -> Result<(), RequestRefusal> {
         for i in 0..NX {
             let velocity = i >= NQ;
             let tolerance = if velocity { self.start.velocity } else { self.start.position };
             if exceeds(x[i] - x_d[i], tolerance) {
                 let (joint, measured, expected) = (i % NQ, x[i], x_d[i]);
-                return Err(Refusal::StartMismatch {
+                return Err(RequestRefusal::StartMismatch {
                     joint,
                     velocity,
                     measured,

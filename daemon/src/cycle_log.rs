@@ -4,7 +4,7 @@ use crate::flight::FlightRecorder;
 use crate::histogram::Histogram;
 use crate::overrun::{Overrun, ThreadWatch};
 use crate::step::CycleRecord;
-use crate::supervisor::Refusal;
+use crate::supervisor::RequestRefusal;
 use crate::trip::{TripCause, warning_texts};
 use std::time::{Duration, Instant};
 use tracing::{error, info, warn};
@@ -222,7 +222,7 @@ impl<'a> CycleLog<'a> {
     pub fn next_action(&self) -> String {
         let remedy = match &self.newest {
             None => Some(TripCause::NoMeasurement.remedy()),
-            Some(record) => record.unready.as_ref().and_then(Refusal::remedy),
+            Some(record) => record.unready.as_ref().and_then(RequestRefusal::remedy),
         };
         remedy.map_or_else(|| self.mode().next_action().to_string(), str::to_owned)
     }

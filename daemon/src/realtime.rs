@@ -5,7 +5,7 @@
 
 use crate::controller::Controller;
 use crate::step::{CycleRecord, StepInput, StepRequest};
-use crate::supervisor::Refusal;
+use crate::supervisor::RequestRefusal;
 use rtrb::{Consumer, Producer, RingBuffer};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -40,7 +40,7 @@ pub enum Reply {
         /// Number of the request.
         number: u64,
         /// The refusal, if the request was refused.
-        result: Result<(), Refusal>,
+        result: Result<(), RequestRefusal>,
     },
     /// A plan that the service thread has to free.
     Retired(Box<Plan>),
@@ -94,7 +94,7 @@ pub struct RealtimeThread {
     /// Whether the plant has changed or restarted since the last step.
     restarted: bool,
     /// Answer to the request of this cycle, with the number of the request.
-    answer: Option<(u64, Result<(), Refusal>)>,
+    answer: Option<(u64, Result<(), RequestRefusal>)>,
     /// Plans that the controller no longer needs.
     retired: [Option<Box<Plan>>; 2],
 }

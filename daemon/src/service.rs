@@ -8,7 +8,7 @@ use crate::plan::{self, PlanRefusal};
 use crate::realtime::{NumberedRequest, RealtimeLink, RealtimeThread, Reply};
 use crate::recovery::{Recovery, RecoveryAction};
 use crate::step::{CycleRecord, StepRequest};
-use crate::supervisor::{Refusal, is_braked};
+use crate::supervisor::{RequestRefusal, is_braked};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
@@ -122,7 +122,7 @@ fn failed(e: IpcError) -> Failure {
 enum RequestError {
     /// The controller refused the request.
     #[error(transparent)]
-    Refused(#[from] Refusal),
+    Refused(#[from] RequestRefusal),
     /// The plan fails a check.
     #[error(transparent)]
     Plan(#[from] PlanRefusal),
@@ -162,7 +162,7 @@ struct ServiceThread<'a> {
     requests: u64,
     /// Number of the request whose answer an operator waits for; 0: none.
     awaited: u64,
-    answer: Option<Result<(), Refusal>>,
+    answer: Option<Result<(), RequestRefusal>>,
     loads: Loads,
     last_refusal: String,
     last_complaint: String,

@@ -1,6 +1,6 @@
 //! Input and output of one step of the controller, and the recorded form of the input.
 
-use crate::supervisor::{ModeEvent, Refusal};
+use crate::supervisor::{ModeEvent, RequestRefusal};
 use crate::trip::Trip;
 use std::fmt;
 use upswing_ipc::{Command, Measurement, Step, Telemetry, UnknownCode};
@@ -148,7 +148,7 @@ pub struct StepOutput {
     /// Mode, reference, torque and limits of this cycle.
     pub record: CycleRecord,
     /// The answer to the request of this step, if there was one.
-    pub answer: Option<Result<(), Refusal>>,
+    pub answer: Option<Result<(), RequestRefusal>>,
     /// Plans that the controller no longer needs, to be freed outside of the real-time thread.
     pub retired: [Option<Box<Plan>>; 2],
 }
@@ -163,7 +163,7 @@ pub struct CycleRecord {
     /// Trip that led to the last Fault or Stop; kept until the next enable, start or reset.
     pub trip: Option<Trip>,
     /// Reason for which an enable would be refused; `None` if it would not be, or outside Idle.
-    pub unready: Option<Refusal>,
+    pub unready: Option<RequestRefusal>,
     /// Number of overruns since the start of the daemon; the controller, which reads no clock, returns 0.
     pub overruns: u64,
 }

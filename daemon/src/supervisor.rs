@@ -69,8 +69,8 @@ impl fmt::Display for ModeEvent {
 /// | (24) with u = u_d + K (x - x_d) | Track, Balance (x_d = x_N, u_d = 0) |
 ///
 /// # Errors
-/// [`Refusal::Mode`] for every transition that is not in the table; it changes nothing.
-pub fn transition(mode: Mode, event: ModeEvent) -> Result<Mode, Refusal> {
+/// [`RequestRefusal::Mode`] for every transition that is not in the table; it changes nothing.
+pub fn transition(mode: Mode, event: ModeEvent) -> Result<Mode, RequestRefusal> {
     use Mode::{Balance, Fault, Hold, Idle, Stop, Track};
     match (mode, event) {
         (Idle, ModeEvent::Enable) => Ok(Hold),
@@ -86,7 +86,7 @@ pub fn transition(mode: Mode, event: ModeEvent) -> Result<Mode, Refusal> {
         (Stop, ModeEvent::AtRest) => Ok(Hold),
         (Stop, ModeEvent::AtRestAtShutdown) => Ok(Idle),
         (Hold | Track | Balance | Stop, ModeEvent::TripToFault) => Ok(Fault),
-        _ => Err(Refusal::Mode { mode, event }),
+        _ => Err(RequestRefusal::Mode { mode, event }),
     }
 }
 
@@ -97,7 +97,7 @@ pub fn is_braked(mode: Mode) -> bool {
 
 /// Refusal of a request, which changed nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
-pub enum Refusal {
+pub enum RequestRefusal {
     /// The mode does not allow the request.
     #[error("{event} is not possible in mode {mode}; next: {}", .mode.next_action())]
     Mode {
@@ -175,7 +175,7 @@ pub enum Refusal {
 /// Remedy for drives that are not ready.
 const DRIVES_ON: &str = "switch the drives on";
 
-impl Refusal {
+impl RequestRefusal {
     /// Remedy for the reason of a refused enable, in a few words; `None` for other refusals.
     pub fn remedy(&self) -> Option<&'static str> {
         match self {

@@ -9,7 +9,7 @@ use upswing_ipc::{Clock, Measurement, Mode, Telemetry};
 use upswing_model::{ActuatedVector, JointVector, NU, Workspace};
 use upswingd::controller::Controller;
 use upswingd::step::{StepInput, StepOutput, StepRequest};
-use upswingd::supervisor::Refusal;
+use upswingd::supervisor::RequestRefusal;
 use upswingd::trip::{Trip, TripCause};
 
 /// An enabled controller after its second measurement, and the pose it holds.
@@ -332,7 +332,7 @@ fn drive_fault_period_and_clock() {
     bad.seq = 4;
     let answer = controller.step(StepInput::new(bad, 0, Some(StepRequest::Enable))).answer;
     assert!(
-        matches!(answer, Some(Err(Refusal::Unfit(trip))) if trip.cause == TripCause::UnknownClock),
+        matches!(answer, Some(Err(RequestRefusal::Unfit(trip))) if trip.cause == TripCause::UnknownClock),
         "{answer:?}"
     );
 }
@@ -655,11 +655,11 @@ fn no_measurement_and_unready_drives_refuse_enable() {
     let output = controller.step(StepInput::new(Measurement::default(), 0, enable()));
     let answer = output.answer;
     assert!(
-        matches!(answer, Some(Err(Refusal::Unfit(trip))) if trip.cause == TripCause::NoMeasurement),
+        matches!(answer, Some(Err(RequestRefusal::Unfit(trip))) if trip.cause == TripCause::NoMeasurement),
         "{answer:?}"
     );
     // Refusal and status name what has to be done first, and then the request.
-    let told = |refusal: Refusal, remedy: &str| {
+    let told = |refusal: RequestRefusal, remedy: &str| {
         assert_eq!(refusal.remedy(), Some(remedy));
         let text = refusal.to_string();
         assert!(text.ends_with(&format!("next: {remedy}, then upswing request enable")), "{text}");
@@ -668,7 +668,7 @@ fn no_measurement_and_unready_drives_refuse_enable() {
     let mut unready = measurement(1, &rest_pose(&config));
     unready.status = 0;
     let output = controller.step(StepInput::new(unready, 0, enable()));
-    assert_eq!(output.answer, Some(Err(Refusal::DrivesNotReady)));
+    assert_eq!(output.answer, Some(Err(RequestRefusal::DrivesNotReady)));
     assert_eq!(controller.mode(), Mode::Idle);
     told(output.record.unready.expect("a reason"), "switch the drives on");
     let ready = controller.step(StepInput::new(measurement(2, &rest_pose(&config)), 0, None));

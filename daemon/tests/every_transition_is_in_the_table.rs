@@ -3,7 +3,7 @@
 use upswing_ipc::Mode::{self, Balance, Fault, Hold, Idle, Stop, Track};
 use upswing_ipc::operator::{Manoeuvre, NextAction, OperatorRequest};
 use upswingd::plan::Ending;
-use upswingd::supervisor::{ModeEvent, Refusal, transition};
+use upswingd::supervisor::{ModeEvent, RequestRefusal, transition};
 
 /// Rows: modes in the order of [`Mode::ALL`]; columns: [`EVENTS`]. `None`: refused.
 const EVENTS: [ModeEvent; 12] = [
@@ -39,7 +39,7 @@ fn the_machine_follows_the_table() {
         for (event, expected) in EVENTS.into_iter().zip(row) {
             assert_eq!(
                 transition(mode, event),
-                expected.ok_or(Refusal::Mode { mode, event }),
+                expected.ok_or(RequestRefusal::Mode { mode, event }),
                 "{mode}, {event:?}"
             );
         }

@@ -8,7 +8,7 @@ use upswing_ipc::{Clock, Measurement, Mode, Telemetry};
 use upswing_model::{ActuatedVector, JointVector, NQ, NU, Workspace};
 use upswingd::controller::Controller;
 use upswingd::step::{StepInput, StepOutput, StepRequest};
-use upswingd::supervisor::Refusal;
+use upswingd::supervisor::RequestRefusal;
 use upswingd::trip::TripCause;
 
 /// A controller that is told every next measurement.
@@ -185,7 +185,7 @@ fn plans_are_taken_while_another_is_tracked_as_set() {
             };
             let mut told = Told { controller: Controller::new(&config), q, seq: 0 }.tracking(0.01);
             let output = told.step(next(8));
-            let expected = if taken { Ok(()) } else { Err(Refusal::Tracking { running: 7 }) };
+            let expected = if taken { Ok(()) } else { Err(RequestRefusal::Tracking { running: 7 }) };
             assert_eq!(output.answer, Some(expected));
             assert_eq!(
                 output.retired[0].as_ref().map(|plan| plan.id),
@@ -220,7 +220,11 @@ fn a_shutdown_can_be_asked_for_twice_and_nothing_else_after_it() {
     for request in
         [StepRequest::Enable, StepRequest::Hold, StepRequest::Start(7), StepRequest::Stop, StepRequest::Reset]
     {
-        assert_eq!(told.step(Some(request.clone())).answer, Some(Err(Refusal::ShuttingDown)), "{request}");
+        assert_eq!(
+            told.step(Some(request.clone())).answer,
+            Some(Err(RequestRefusal::ShuttingDown)),
+            "{request}"
+        );
     }
 }
 

@@ -12,7 +12,7 @@ use upswing_trajectory::{Gain, KNOTS, N, Unfit};
 use upswingd::controller::Controller;
 use upswingd::plan::{PlanRefusal, accept};
 use upswingd::step::{StepInput, StepRequest};
-use upswingd::supervisor::Refusal;
+use upswingd::supervisor::RequestRefusal;
 use upswingd::trip::TripCause;
 
 fn rest() -> (Config, State) {
@@ -558,7 +558,7 @@ fn an_old_plan() {
     };
     // The levels are 60 s and 600 s.
     let (answer, warned) = at(601.0);
-    assert!(matches!(answer, Err(Refusal::PlanExpired { limit: 600.0, .. })), "{answer:?}");
+    assert!(matches!(answer, Err(RequestRefusal::PlanExpired { limit: 600.0, .. })), "{answer:?}");
     assert!(warned);
 }
 
@@ -594,7 +594,10 @@ fn a_plan_ages_by_the_clock_of_the_plant_that_is_there() {
     };
     for (loaded_at, restarts) in [(0, false), (seconds(5000.0), true), (seconds(5000.0), false)] {
         let answer = start_after(loaded_at, restarts, 601.0);
-        assert!(matches!(answer, Err(Refusal::PlanExpired { .. })), "{loaded_at}, {restarts}: {answer:?}");
+        assert!(
+            matches!(answer, Err(RequestRefusal::PlanExpired { .. })),
+            "{loaded_at}, {restarts}: {answer:?}"
+        );
         assert_eq!(start_after(loaded_at, restarts, 50.0), Ok(()), "{loaded_at}, {restarts}");
     }
 }
@@ -624,7 +627,7 @@ fn a_plan_that_arrives_while_one_is_tracked() {
             assert_eq!(step(request).answer, Some(Ok(())));
         }
         let output = step(StepRequest::Load(rest_plan(&config, &x, 1.0)));
-        let expected = if refused { Err(Refusal::Tracking { running: 7 }) } else { Ok(()) };
+        let expected = if refused { Err(RequestRefusal::Tracking { running: 7 }) } else { Ok(()) };
         assert_eq!(output.answer, Some(expected));
         assert_eq!((output.retired[0].is_some(), output.record.telemetry.plan_id), (refused, 7));
     }
@@ -698,12 +701,12 @@ fn start_elsewhere() {
     let mut arm = common::Arm::new(&config, x);
     let mut step = |request| controller.step(StepInput::new(arm.measure(), 0, Some(request))).answer.unwrap();
     step(StepRequest::Enable).unwrap();
-    assert_eq!(step(StepRequest::Start(7)), Err(Refusal::NoPlan));
+    assert_eq!(step(StepRequest::Start(7)), Err(RequestRefusal::NoPlan));
     let mut elsewhere = x;
     elsewhere[2] += 0.1;
     step(StepRequest::Load(rest_plan(&config, &elsewhere, 1.0))).unwrap();
     let refusal = step(StepRequest::Start(7)).unwrap_err();
-    let expected = Refusal::StartMismatch {
+    let expected = RequestRefusal::StartMismatch {
         joint: 2,
         velocity: false,
         measured: x[2],

@@ -14,7 +14,7 @@ use upswing_trajectory::Plan;
 use upswingd::controller::Controller;
 use upswingd::plan::accept;
 use upswingd::step::{StepInput, StepRequest};
-use upswingd::supervisor::Refusal;
+use upswingd::supervisor::RequestRefusal;
 use upswingd::trip::TripCause;
 
 /// In Hold at `q`, cycle 3.
@@ -48,7 +48,7 @@ fn a_start_names_its_plan() {
     ));
     for (seq, id) in [(5, 0), (6, 8), (7, u64::MAX)] {
         let output = controller.step(StepInput::new(measurement(seq, &q), 0, Some(StepRequest::Start(id))));
-        assert_eq!(output.answer, Some(Err(Refusal::OtherPlan { asked: id, loaded: 7 })));
+        assert_eq!(output.answer, Some(Err(RequestRefusal::OtherPlan { asked: id, loaded: 7 })));
         assert_eq!(controller.mode(), Mode::Hold);
     }
     let output = controller.step(StepInput::new(measurement(8, &q), 0, Some(StepRequest::Start(7))));
@@ -79,7 +79,7 @@ fn time_of_a_plan_runs_from_its_activation_and_otherwise_from_its_start() {
     let activation = 20 * PERIOD_NS;
     let mut controller = load(activation);
     let (answer, telemetry) = start(&mut controller, 19);
-    assert_eq!(answer, Err(Refusal::BeforeActivation { wait: PERIOD_NS as f64 * 1e-9 }));
+    assert_eq!(answer, Err(RequestRefusal::BeforeActivation { wait: PERIOD_NS as f64 * 1e-9 }));
     assert_eq!(telemetry.mode(), Ok(Mode::Hold));
     for (late, seq) in [(0_u64, 20), (16, 36)] {
         let (answer, telemetry) = start(&mut controller.clone(), seq);
@@ -88,7 +88,7 @@ fn time_of_a_plan_runs_from_its_activation_and_otherwise_from_its_start() {
     }
     // A moment that no clock reaches.
     let (answer, _) = start(&mut load(u64::MAX), 20);
-    assert!(matches!(answer, Err(Refusal::BeforeActivation { .. })));
+    assert!(matches!(answer, Err(RequestRefusal::BeforeActivation { .. })));
 }
 
 #[test]
@@ -109,7 +109,7 @@ fn a_late_start_has_to_be_where_the_plan_is_by_then() {
     }
     let m = measurement(4 + seconds(0.5), &q);
     let answer = controller.step(StepInput::new(m, 0, Some(StepRequest::Start(id)))).answer.unwrap();
-    let Err(Refusal::StartMismatch { joint, velocity, expected, t_plan, .. }) = answer else {
+    let Err(RequestRefusal::StartMismatch { joint, velocity, expected, t_plan, .. }) = answer else {
         panic!("{answer:?}")
     };
     assert!((t_plan - 0.5).abs() < 1e-9);
@@ -129,7 +129,7 @@ fn a_predicted_start_is_met_and_ends_balanced() {
     x[7] += 0.15;
     let mut arm = Arm::new(&config, x);
     let mut controller = Controller::new(&config);
-    let mut cycle = |request: Option<StepRequest>| -> (Telemetry, Option<Result<(), Refusal>>) {
+    let mut cycle = |request: Option<StepRequest>| -> (Telemetry, Option<Result<(), RequestRefusal>>) {
         let measurement = arm.measure();
         let output = controller.step(StepInput::new(measurement, 0, request));
         arm.advance(&output.command);
@@ -163,7 +163,7 @@ fn a_predicted_start_is_met_and_ends_balanced() {
             early = true;
             let (telemetry, answer) = cycle(Some(StepRequest::Start(id)));
             newest = telemetry;
-            assert!(matches!(answer, Some(Err(Refusal::BeforeActivation { .. }))), "{answer:?}");
+            assert!(matches!(answer, Some(Err(RequestRefusal::BeforeActivation { .. }))), "{answer:?}");
         }
     }
     let (telemetry, answer) = cycle(Some(StepRequest::Start(id)));

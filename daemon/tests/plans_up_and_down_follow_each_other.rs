@@ -7,7 +7,7 @@ use upswing_ipc::{Mode, Telemetry};
 use upswing_model::{NU, StateParts};
 use upswingd::controller::Controller;
 use upswingd::step::{StepInput, StepRequest};
-use upswingd::supervisor::Refusal;
+use upswingd::supervisor::RequestRefusal;
 
 /// Largest angle from the plan at its end, rad: the velocity filter lags.
 const CLOSE: f64 = 0.05;
@@ -18,7 +18,7 @@ struct Loop {
 }
 
 impl Loop {
-    fn cycle(&mut self, request: Option<StepRequest>) -> (Telemetry, Option<Result<(), Refusal>>) {
+    fn cycle(&mut self, request: Option<StepRequest>) -> (Telemetry, Option<Result<(), RequestRefusal>>) {
         let output = self.controller.step(StepInput::new(self.arm.measure(), 0, request));
         self.arm.advance(&output.command);
         (output.record.telemetry, output.answer)
@@ -51,7 +51,7 @@ fn up_down_and_up_again() {
     // The same plan again starts elsewhere, and is refused without a change.
     system.ask(StepRequest::Load(up.clone()));
     let (record, answer) = system.cycle(Some(StepRequest::Start(up.id)));
-    assert!(matches!(answer, Some(Err(Refusal::StartMismatch { .. }))), "{answer:?}");
+    assert!(matches!(answer, Some(Err(RequestRefusal::StartMismatch { .. }))), "{answer:?}");
     assert_eq!((record.mode, record.plan_id), (Mode::Balance.code(), up.id));
 
     system.ask(StepRequest::Load(down.clone()));

@@ -13,7 +13,7 @@ use upswing_record::evaluation::SwingUpEvaluation;
 use upswingd::controller::Controller;
 use upswingd::plan::{PlanRefusal, accept};
 use upswingd::step::{StepInput, StepOutput, StepRequest};
-use upswingd::supervisor::Refusal;
+use upswingd::supervisor::RequestRefusal;
 use upswingd::trip::Trip;
 
 /// Consecutive cycles without a new measurement after which a run is aborted; one second at 8 kHz.
@@ -37,7 +37,7 @@ pub enum Aborted {
         /// Name of the request.
         request: &'static str,
         /// Reason of the refusal.
-        refusal: Refusal,
+        refusal: RequestRefusal,
     },
     /// The plant refused a push.
     #[error("push: {0}")]

@@ -12,7 +12,7 @@ use upswing_ipc::{
     PlannerResponse, PlantKind, PlantRequest, PlantResponse, Telemetry,
 };
 use upswing_record::{Recorder, RecordingError, Tally, Tap};
-use upswingd::supervisor::Refusal;
+use upswingd::supervisor::RequestRefusal;
 use upswingd::trip::TripCause;
 
 /// Longest wait for a process to start; a start takes well below a second on an idle machine.
@@ -247,7 +247,7 @@ impl Session {
     /// Waits until the daemon receives measurements and the plant receives commands; until then the daemon refuses to be enabled.
     /// No error after [`START_PATIENCE`]: the refusal that follows tells more than a timeout.
     fn wait_for_drives(&mut self) -> Result<(), SessionError> {
-        let remedies = [Refusal::DrivesNotReady.remedy(), Some(TripCause::NoMeasurement.remedy())];
+        let remedies = [RequestRefusal::DrivesNotReady.remedy(), Some(TripCause::NoMeasurement.remedy())];
         let ready = self.wait_for("the drives to be ready", START_PATIENCE, |s| {
             let status = s.status()?;
             Ok(status.mode != Mode::Idle.code() || !remedies.contains(&status.next.as_str().ok()))

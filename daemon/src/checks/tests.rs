@@ -185,7 +185,7 @@ fn the_age_of_a_plan() {
     ] {
         checks.begin_cycle();
         let got = checks.plan_age(age);
-        let expected = if refused { Err(Refusal::PlanExpired { age, limit: trip }) } else { Ok(()) };
+        let expected = if refused { Err(RequestRefusal::PlanExpired { age, limit: trip }) } else { Ok(()) };
         assert_eq!((got, checks.warnings.contains(TripCause::PlanAge)), (expected, warns), "{age} s");
         assert_eq!(checks.is_plan_old(age), warns, "{age} s");
     }
@@ -395,8 +395,14 @@ fn the_start_of_a_plan() {
             assert_eq!(at(tolerance - 1e-9).0, Ok(()), "row {row}");
             let (refusal, measured) = at(tolerance + 1e-9);
             let (joint, velocity, expected) = (row % NQ, row >= NQ, x_0[row]);
-            let want =
-                Refusal::StartMismatch { joint, velocity, measured, expected, t_plan: 0.25, tolerance };
+            let want = RequestRefusal::StartMismatch {
+                joint,
+                velocity,
+                measured,
+                expected,
+                t_plan: 0.25,
+                tolerance,
+            };
             assert_eq!(refusal, Err(want), "row {row}");
         }
         let mut x = x_0;

@@ -4,26 +4,26 @@ use super::Controller;
 use crate::arm::ArmReference;
 use crate::modes::{ActiveMode, LoadedPlan, RunningPlan};
 use crate::step::StepRequest;
-use crate::supervisor::{ModeEvent, Refusal, transition};
+use crate::supervisor::{ModeEvent, RequestRefusal, transition};
 use crate::trip::{Trip, TripCause};
 use upswing_config::PlanWhileTracking;
 use upswing_trajectory::Plan;
 
 impl Controller {
     /// Returns the reason for which an enable would be refused now.
-    pub(super) fn unready(&self) -> Option<Refusal> {
+    pub(super) fn unready(&self) -> Option<RequestRefusal> {
         if !matches!(self.mode, ActiveMode::Idle) {
             return None;
         }
-        let unfit = self.observer.unfit.map(Refusal::Unfit);
-        unfit.or((!self.observer.drives_ready).then_some(Refusal::DrivesNotReady))
+        let unfit = self.observer.unfit.map(RequestRefusal::Unfit);
+        unfit.or((!self.observer.drives_ready).then_some(RequestRefusal::DrivesNotReady))
     }
 
     /// Performs a request, unless it is refused; a refused request changes nothing.
-    pub(super) fn obey(&mut self, request: StepRequest) -> Result<(), Refusal> {
+    pub(super) fn obey(&mut self, request: StepRequest) -> Result<(), RequestRefusal> {
         if let Some(event) = request.event() {
             if self.shutting_down && event != ModeEvent::Shutdown {
-                return Err(Refusal::ShuttingDown);
+                return Err(RequestRefusal::ShuttingDown);
             }
             transition(self.mode(), event)?;
         }
@@ -54,10 +54,10 @@ impl Controller {
     }
 
     /// Loads a plan for the next start, in place of an earlier one.
-    fn load(&mut self, plan: Box<Plan>) -> Result<(), Refusal> {
+    fn load(&mut self, plan: Box<Plan>) -> Result<(), RequestRefusal> {
         if matches!(self.mode, ActiveMode::Track(_)) && self.while_tracking == PlanWhileTracking::Refuse {
             self.retire(plan);
-            return Err(Refusal::Tracking { running: self.mode.plan_id() });
+            return Err(RequestRefusal::Tracking { running: self.mode.plan_id() });
         }
         if let Some(replaced) = self.loaded.replace(LoadedPlan { plan, since_ns: self.now_ns }) {
             self.retire(replaced.plan);
@@ -66,8 +66,8 @@ impl Controller {
     }
 
     /// Starts the loaded plan if it has this id; a plan that cannot be started stays loaded.
-    fn start(&mut self, id: u64) -> Result<(), Refusal> {
-        let loaded = self.loaded.take().ok_or(Refusal::NoPlan)?;
+    fn start(&mut self, id: u64) -> Result<(), RequestRefusal> {
+        let loaded = self.loaded.take().ok_or(RequestRefusal::NoPlan)?;
         match self.check_start(&loaded, id) {
             Ok(start_ns) => {
                 self.trip = None;
@@ -83,9 +83,9 @@ impl Controller {
     }
 
     /// Checks that the loaded plan has this id and can be started now; returns the time of its t = 0, ns.
-    fn check_start(&mut self, loaded: &LoadedPlan, id: u64) -> Result<u64, Refusal> {
+    fn check_start(&mut self, loaded: &LoadedPlan, id: u64) -> Result<u64, RequestRefusal> {
         if loaded.plan.id != id {
-            return Err(Refusal::OtherPlan { asked: id, loaded: loaded.plan.id });
+            return Err(RequestRefusal::OtherPlan { asked: id, loaded: loaded.plan.id });
         }
         let start_ns = self.start_time(loaded)?;
         self.checks.plan_age(loaded.age(self.now_ns))?;
@@ -104,10 +104,10 @@ impl Controller {
     }
 
     /// Returns the time of t = 0 (ns) of a loaded plan if it is started now: its activation, otherwise the current time.
-    fn start_time(&self, loaded: &LoadedPlan) -> Result<u64, Refusal> {
+    fn start_time(&self, loaded: &LoadedPlan) -> Result<u64, RequestRefusal> {
         let start_ns = loaded.plan.activation_ns.unwrap_or(self.now_ns);
         if start_ns > self.now_ns {
-            return Err(Refusal::BeforeActivation { wait: (start_ns - self.now_ns) as f64 * 1e-9 });
+            return Err(RequestRefusal::BeforeActivation { wait: (start_ns - self.now_ns) as f64 * 1e-9 });
         }
         let t_plan = (self.now_ns - start_ns) as f64 * 1e-9;
         self.checks.start(&self.observer.x, &loaded.plan.reference(t_plan).x, t_plan)?;
