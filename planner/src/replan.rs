@@ -8,7 +8,7 @@
 
 mod outcome;
 
-pub use outcome::{Attempt, Method, NoPlan, Refusal, Replan, SecondOpinion, Statistics};
+pub use outcome::{FailedAttempt, Method, NoPlan, PlanningFailure, Replan, ReplanStatistics, SecondOpinion};
 
 use crate::database::{DatabaseFile, NearestPose, Neighbour};
 use crate::offline::{self, lqr_weights, problem, problem_fingerprint, qp_weights, torque_constraint};
@@ -44,7 +44,7 @@ const AROUND: usize = 24;
 const NARROWED: usize = 20;
 
 /// A trajectory from the requested start that meets the daemon's criteria of acceptance.
-struct Accepted {
+struct AcceptableTrajectory {
     trajectory: Trajectory,
     gains: Gains,
     method: Method,
@@ -210,8 +210,8 @@ impl Planner {
     ) -> Result<Replan, NoPlan> {
         let begin = Instant::now();
         let neighbours = self.nearest(manoeuvre, start);
-        let mut statistics = Statistics { nearest: begin.elapsed(), ..Statistics::default() };
-        let mut refused = Vec::new();
+        let mut statistics = ReplanStatistics { nearest: begin.elapsed(), ..ReplanStatistics::default() };
+        let mut failed = Vec::new();
         let mut adapted = None;
         for entry in &neighbours {
             if effort.optimise && entry.distance > REACH {
@@ -222,12 +222,15 @@ impl Planner {
                     adapted = Some((*entry, accepted));
                     break;
                 }
-                Err(refusal) => {
-                    let no_time = matches!(refusal, Refusal::Deadline { .. } | Refusal::Cancelled { .. });
-                    refused.push(Attempt { entry: *entry, refusal });
+                Err(failure) => {
+                    let no_time = matches!(
+                        failure,
+                        PlanningFailure::Deadline { .. } | PlanningFailure::Cancelled { .. }
+                    );
+                    failed.push(FailedAttempt { entry: *entry, failure });
                     if no_time {
                         return Err(NoPlan {
-                            refused,
+                            failed,
                             optimisation: None,
                             second_opinions: statistics.second_opinions,
                         });
@@ -243,7 +246,7 @@ impl Planner {
         // The nearest entries may all belong to another, longer local optimum.
         let around = self.tree(manoeuvre).nearest(&pose(start), AROUND);
         let longest = (LONGER * shortest(&neighbours)).min(MUCH_LONGER * shortest(&around));
-        let good = |(_, accepted): &(Neighbour, Accepted)| {
+        let good = |(_, accepted): &(Neighbour, AcceptableTrajectory)| {
             accepted.defect <= self.config.planner.replan.defect && accepted.trajectory.t_f <= longest
         };
         if effort.optimise
@@ -252,15 +255,15 @@ impl Planner {
         {
             match self.optimise(manoeuvre, start, nearest.index, effort, &mut statistics) {
                 Ok(optimised) => adapted = Some((*nearest, optimised)),
-                Err(refusal) => optimisation = Some(refusal),
+                Err(failure) => optimisation = Some(failure),
             }
         }
         let Some((entry, accepted)) = adapted else {
-            return Err(NoPlan { refused, optimisation, second_opinions: statistics.second_opinions });
+            return Err(NoPlan { failed, optimisation, second_opinions: statistics.second_opinions });
         };
         statistics.total = begin.elapsed();
-        let Accepted { trajectory, gains, method, iterations, defect, margins } = accepted;
-        Ok(Replan { trajectory, gains, method, entry, refused, iterations, defect, margins, statistics })
+        let AcceptableTrajectory { trajectory, gains, method, iterations, defect, margins } = accepted;
+        Ok(Replan { trajectory, gains, method, entry, failed, iterations, defect, margins, statistics })
     }
 
     /// The trajectory of an entry, reversed in time for a swing-down.
@@ -296,8 +299,8 @@ impl Planner {
         entry: usize,
         effort: &Effort<'_>,
         solver: &mut Solver,
-        statistics: &mut Statistics,
-    ) -> Result<Accepted, Refusal> {
+        statistics: &mut ReplanStatistics,
+    ) -> Result<AcceptableTrajectory, PlanningFailure> {
         let iterations = effort.iterations.max(1);
         let reference = self.reference(manoeuvre, entry);
         let problem = self.problem_of(manoeuvre, start, &reference, self.config.planner.replan.knot_margin);
@@ -331,8 +334,8 @@ impl Planner {
         start: &State,
         entry: usize,
         effort: &Effort<'_>,
-        statistics: &mut Statistics,
-    ) -> Result<Accepted, Refusal> {
+        statistics: &mut ReplanStatistics,
+    ) -> Result<AcceptableTrajectory, PlanningFailure> {
         use interior_point::Status as Ending;
         let mut begin = Instant::now();
         let reference = self.reference(manoeuvre, entry);
@@ -356,21 +359,21 @@ impl Planner {
                     _ if effort.out_of_time() => Ending::OutOfTime,
                     ending => ending,
                 };
-                return tolerable.ok_or(Refusal::Optimisation(ending));
+                return tolerable.ok_or(PlanningFailure::Optimisation(ending));
             }
             let found = solution.trajectory;
             let verdict = self.accept(found.clone(), Method::Optimisation, iterations, statistics);
             let exceeds = problem.narrow(&found);
             match verdict {
                 Ok(plan) if exceeds && tolerable.is_none() => tolerable = Some(plan),
-                Err(Refusal::Unfit { unfit: Unfit::Limit { kind, joint, got, highest, .. }, .. })
-                    if tolerable.is_none() && round < NARROWED =>
-                {
+                Err(PlanningFailure::Unfit {
+                    unfit: Unfit::Limit { kind, joint, got, highest, .. }, ..
+                }) if tolerable.is_none() && round < NARROWED => {
                     if kind == LimitKind::Torque {
                         problem.limits.tau_max[joint] -= 1.5 * (got.abs() - highest);
                     }
                 }
-                verdict => return verdict.or_else(|refusal| tolerable.ok_or(refusal)),
+                verdict => return verdict.or_else(|failure| tolerable.ok_or(failure)),
             }
             begin = Instant::now();
             solution = interior_point::solve(&problem, &found, &options);
@@ -388,13 +391,13 @@ impl Planner {
         trajectory: Trajectory,
         method: Method,
         iterations: usize,
-        statistics: &mut Statistics,
-    ) -> Result<Accepted, Refusal> {
+        statistics: &mut ReplanStatistics,
+    ) -> Result<AcceptableTrajectory, PlanningFailure> {
         let mut work = Workspace::default();
         let begin = Instant::now();
         let model = &self.config.model;
         let criteria = self.config.plan_criteria();
-        let unfit = |unfit| Refusal::Unfit { method, iterations, unfit };
+        let unfit = |unfit| PlanningFailure::Unfit { method, iterations, unfit };
         let f = trajectory.f(model, &mut work);
         let spline = trajectory.spline(&f);
         let margins = criteria.check_motion(model, &spline).map_err(unfit)?;
@@ -407,7 +410,7 @@ impl Planner {
         let begin = Instant::now();
         criteria.check_feedback(model, &trajectory, &gains).map_err(unfit)?;
         statistics.check += begin.elapsed();
-        Ok(Accepted { trajectory, gains, method, iterations, defect, margins })
+        Ok(AcceptableTrajectory { trajectory, gains, method, iterations, defect, margins })
     }
 
     /// The optimisation problem of a replan from `start` (rad, rad/s): limits narrowed by the knot margin, which the trapezoidal
@@ -443,7 +446,7 @@ impl Planner {
         effort: &Effort<'_>,
         trajectory: &mut Trajectory,
         second_opinions: &mut Vec<SecondOpinion>,
-    ) -> Result<(), Refusal> {
+    ) -> Result<(), PlanningFailure> {
         let options = Options {
             deadline: effort.deadline,
             cancelled: effort.cancelled,
@@ -489,13 +492,13 @@ impl Planner {
 }
 
 /// The solution of `solver` in the linearisation `iteration`, or the reason of its failure.
-fn solution_of(solver: &Solver, status: Status, iteration: usize) -> Result<Solution, Refusal> {
+fn solution_of(solver: &Solver, status: Status, iteration: usize) -> Result<Solution, PlanningFailure> {
     match status {
         Status::Solved => Ok(solver.solution().clone()),
-        Status::Infeasible(conflict) => Err(Refusal::Infeasible { iteration, conflict }),
-        Status::Deadline => Err(Refusal::Deadline { iteration }),
-        Status::Cancelled => Err(Refusal::Cancelled { iteration }),
-        Status::Stalled(stall) => Err(Refusal::Stalled { iteration, stall }),
+        Status::Infeasible(conflict) => Err(PlanningFailure::Infeasible { iteration, conflict }),
+        Status::Deadline => Err(PlanningFailure::Deadline { iteration }),
+        Status::Cancelled => Err(PlanningFailure::Cancelled { iteration }),
+        Status::Stalled(stall) => Err(PlanningFailure::Stalled { iteration, stall }),
     }
 }
 

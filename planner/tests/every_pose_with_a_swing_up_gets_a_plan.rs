@@ -116,7 +116,7 @@ fn one_qp_is_not_followed_by_an_optimisation() {
     let planner = Planner::new(config).expect("the shipped database fits");
     let far = rest(planner.config(), [120.0, 0.0, 0.0, -90.0, 0.0, 0.0, 0.0]);
     let refusal = planner.replan(&far, 1, None).expect_err("no entry is near");
-    assert!(refusal.optimisation.is_none() && !refusal.refused.is_empty(), "{refusal}");
+    assert!(refusal.optimisation.is_none() && !refusal.failed.is_empty(), "{refusal}");
 }
 
 #[test]

@@ -6,7 +6,7 @@ use upswing_config::{Config, PendulumStart, SUB_HORIZONS, TorqueConstraint};
 use upswing_ipc::operator::Manoeuvre;
 use upswing_model::State;
 use upswing_ocp::interior_point::Status as Ending;
-use upswing_planner::replan::{Effort, Planner, Refusal};
+use upswing_planner::replan::{Effort, Planner, PlanningFailure};
 use upswing_trajectory::{Entry, N};
 
 fn planner() -> Planner {
@@ -157,14 +157,20 @@ fn an_impossible_start_is_refused_with_the_reason_of_each_entry() {
     let quadratic = Effort { optimise: false, ..Effort::iterations(2) };
     let refusal = planner.replan_with(&mut planner.solver(), Manoeuvre::SwingUp, &x, &quadratic);
     let refusal = refusal.expect_err("no plan");
-    assert_eq!(refusal.refused.len(), planner.config().planner.replan.neighbours);
+    assert_eq!(refusal.failed.len(), planner.config().planner.replan.neighbours);
     assert!(
-        refusal.refused.iter().all(|a| matches!(a.refusal, Refusal::Infeasible { conflict: Some(_), .. })),
+        refusal
+            .failed
+            .iter()
+            .all(|a| matches!(a.failure, PlanningFailure::Infeasible { conflict: Some(_), .. })),
         "{refusal}"
     );
     // The full optimisation finds no trajectory either.
     let refusal = planner.replan(&x, 2, None).expect_err("no plan");
-    assert!(matches!(refusal.optimisation, Some(Refusal::Optimisation(Ending::Infeasible(_)))), "{refusal}");
+    assert!(
+        matches!(refusal.optimisation, Some(PlanningFailure::Optimisation(Ending::Infeasible(_)))),
+        "{refusal}"
+    );
 }
 
 #[test]

@@ -39,7 +39,7 @@ impl PlanSummary {
         Self {
             nearest_entry: replan.entry.index,
             distance: replan.entry.distance,
-            attempts: replan.refused.len() + 1,
+            attempts: replan.failed.len() + 1,
             iterations: replan.iterations,
             defect: replan.defect,
             margins: (&replan.margins).into(),

@@ -11,16 +11,16 @@ use upswing_trajectory::{Gains, Margins, Plan, Trajectory, Unfit};
 
 /// A database entry from which no plan could be made.
 #[derive(Clone, Debug)]
-pub struct Attempt {
+pub struct FailedAttempt {
     /// The entry and its distance from the start.
     pub entry: Neighbour,
     /// Reason of the failure.
-    pub refusal: Refusal,
+    pub failure: PlanningFailure,
 }
 
 /// The reason why a database entry gave no plan.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum Refusal {
+pub enum PlanningFailure {
     /// The constraints of a QP cannot be met together.
     #[error("QP {iteration} is infeasible{}", conflict.map_or(String::new(), |c| format!(": it would exceed {c}")))]
     Infeasible {
@@ -89,7 +89,7 @@ impl std::fmt::Display for SecondOpinion {
 
 /// Durations of the steps of a replan, and its second opinions.
 #[derive(Clone, Debug, Default)]
-pub struct Statistics {
+pub struct ReplanStatistics {
     /// Search of the database.
     pub nearest: Duration,
     /// Solution of all QPs, with their linearisations.
@@ -127,7 +127,7 @@ pub struct Replan {
     /// The database entry that was adapted; for the full optimisation the nearest entry.
     pub entry: Neighbour,
     /// The entries tried before it, which gave no plan, in order.
-    pub refused: Vec<Attempt>,
+    pub failed: Vec<FailedAttempt>,
     /// Number of QPs for the entry used, each linearised around the result before, or of iterations of the full optimisation.
     pub iterations: usize,
     /// Largest defect (6b) of the nonlinear dynamics, rad or rad/s per interval.
@@ -135,7 +135,7 @@ pub struct Replan {
     /// Margins to the limits, between knots too.
     pub margins: Margins,
     /// Durations of the steps, and the second opinions.
-    pub statistics: Statistics,
+    pub statistics: ReplanStatistics,
 }
 
 impl Replan {
@@ -150,9 +150,9 @@ impl Replan {
 #[derive(Clone, Debug)]
 pub struct NoPlan {
     /// The entries tried, in order.
-    pub refused: Vec<Attempt>,
+    pub failed: Vec<FailedAttempt>,
     /// Reason for which the full optimisation gave no plan; `None` if it was not tried.
-    pub optimisation: Option<Refusal>,
+    pub optimisation: Option<PlanningFailure>,
     /// The QPs, of all entries tried, on which Clarabel was asked.
     pub second_opinions: Vec<SecondOpinion>,
 }
@@ -160,14 +160,14 @@ pub struct NoPlan {
 impl std::fmt::Display for NoPlan {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         // The most important part first: a response may truncate the text.
-        match (&self.optimisation, self.refused.len()) {
-            (Some(refusal), 0) => return write!(f, "full optimisation: {refusal}"),
-            (Some(refusal), n) => write!(f, "full optimisation: {refusal}; none of the {n}")?,
+        match (&self.optimisation, self.failed.len()) {
+            (Some(failure), 0) => return write!(f, "full optimisation: {failure}"),
+            (Some(failure), n) => write!(f, "full optimisation: {failure}; none of the {n}")?,
             (None, n) => write!(f, "none of the {n}")?,
         }
         f.write_str(" nearest database entries could be adapted")?;
-        self.refused.iter().try_for_each(|Attempt { entry, refusal }| {
-            write!(f, "; entry {} ({:.3} rad away): {refusal}", entry.index, entry.distance)
+        self.failed.iter().try_for_each(|FailedAttempt { entry, failure }| {
+            write!(f, "; entry {} ({:.3} rad away): {failure}", entry.index, entry.distance)
         })?;
         match self.second_opinions.len() {
             0 => Ok(()),
@@ -182,8 +182,8 @@ impl NoPlan {
     /// Whether the time budget was the reason, not feasibility.
     pub fn out_of_time(&self) -> bool {
         use interior_point::Status::OutOfTime;
-        matches!(self.optimisation, Some(Refusal::Optimisation(OutOfTime)))
-            || self.refused.iter().any(|a| matches!(a.refusal, Refusal::Deadline { .. }))
+        matches!(self.optimisation, Some(PlanningFailure::Optimisation(OutOfTime)))
+            || self.failed.iter().any(|a| matches!(a.failure, PlanningFailure::Deadline { .. }))
     }
 }
 
