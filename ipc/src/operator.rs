@@ -246,7 +246,7 @@ pub enum OperatorError {
 
 /// An accepted request.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Accepted {
+pub struct AcceptedRequest {
     /// Always true.
     pub success: bool,
     /// Mode of the daemon afterwards.
@@ -259,7 +259,7 @@ pub struct Accepted {
     pub planning_s: Option<f64>,
 }
 
-impl fmt::Display for Accepted {
+impl fmt::Display for AcceptedRequest {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "accepted; mode {}", self.mode)?;
         if let (Some(t_f), Some(planning)) = (self.t_f, self.planning_s) {
@@ -316,13 +316,13 @@ impl Operator {
         &self,
         request: OperatorRequest,
         interrupted: &AtomicBool,
-    ) -> Result<Accepted, OperatorError> {
+    ) -> Result<AcceptedRequest, OperatorError> {
         let command = match request.command() {
             Ok(command) => command,
             Err(manoeuvre) => return self.execute(manoeuvre, interrupted),
         };
         let mode = self.control(&ControlRequest::new(command), &mut || true)?.mode_text();
-        Ok(Accepted { success: true, mode, plan_id: None, t_f: None, planning_s: None })
+        Ok(AcceptedRequest { success: true, mode, plan_id: None, t_f: None, planning_s: None })
     }
 
     /// The state of the daemon.
@@ -374,7 +374,11 @@ impl Operator {
         Ok(self.planner.get_or_init(|| planner))
     }
 
-    fn execute(&self, manoeuvre: Manoeuvre, interrupted: &AtomicBool) -> Result<Accepted, OperatorError> {
+    fn execute(
+        &self,
+        manoeuvre: Manoeuvre,
+        interrupted: &AtomicBool,
+    ) -> Result<AcceptedRequest, OperatorError> {
         let is_interrupted = || interrupted.load(Ordering::Acquire);
         let plan = match self.plan(manoeuvre, &mut || !is_interrupted()) {
             Err(OperatorError::Call(CallError::Interrupted { .. })) => {
@@ -402,7 +406,7 @@ impl Operator {
             self.control(&ControlRequest::new(ControlKind::Stop), &mut || true)?;
             return Err(OperatorError::Stopped);
         }
-        Ok(Accepted {
+        Ok(AcceptedRequest {
             success: true,
             mode: response.mode_text(),
             plan_id: Some(format!("{:016x}", plan.plan_id)),

@@ -5,14 +5,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
-use upswing_ipc::operator::{Accepted, Operator, OperatorError, OperatorRequest};
+use upswing_ipc::operator::{AcceptedRequest, Operator, OperatorError, OperatorRequest};
 use upswing_ipc::{ControlResponse, Node};
 
 /// Time between two requests for the daemon's status.
 const PERIOD: Duration = Duration::from_millis(200);
 
 /// Result of a request; an error is text for people.
-pub type RequestResult = Result<Accepted, String>;
+pub type RequestResult = Result<AcceptedRequest, String>;
 
 /// What the request thread reports to the view.
 pub(super) enum LiveUpdate {
