@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 use upswing_config::Config;
-use upswing_ipc::{DamagedPlan, Plan as Payload};
+use upswing_ipc::{DamagedPlan, PlanMessage};
 pub use upswing_trajectory::Ending;
 use upswing_trajectory::{Plan, Unfit};
 
@@ -25,13 +25,13 @@ pub enum PlanRefusal {
     Unfit(#[from] Unfit),
 }
 
-/// Checks a plan: checksum, id, fingerprint, and [`Config::plan_criteria`]. `payload` must be a copy to which no other
+/// Checks a plan: checksum, id, fingerprint, and [`Config::plan_criteria`]. `message` must be a copy to which no other
 /// process can write.
 ///
 /// # Errors
 /// The first check that failed, with its numbers.
-pub fn accept(payload: &Payload, config: &Config) -> Result<Box<Plan>, PlanRefusal> {
-    let plan = Box::<Plan>::try_from(payload)?;
+pub fn accept(message: &PlanMessage, config: &Config) -> Result<Box<Plan>, PlanRefusal> {
+    let plan = Box::<Plan>::try_from(message)?;
     let expected = config.model.fingerprint();
     if plan.fingerprint != expected {
         return Err(PlanRefusal::Fingerprint { expected, got: plan.fingerprint });

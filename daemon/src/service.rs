@@ -19,7 +19,7 @@ use upswing_config::{Config, RealtimeMode};
 use upswing_ipc::operator::{Manoeuvre, OperatorError, PublishedPlan, request_plan};
 use upswing_ipc::{
     Command, ControlKind, ControlRequest, ControlResponse, Degradation, Domain, FinderThread, IpcError,
-    Measurement, Mode, Node, Plan, PlannerRequest, Reader, Text,
+    Measurement, Mode, Node, PlanMessage, PlannerRequest, Reader, Text,
 };
 use upswing_process::Failure;
 use upswing_process::notify::Notifier;
@@ -204,7 +204,7 @@ impl<'a> ServiceThread<'a> {
         shutdown: &AtomicBool,
         thread: &JoinHandle<()>,
     ) -> Result<(), Failure> {
-        let plans = self.node.subscriber::<Plan>().map_err(failed)?;
+        let plans = self.node.subscriber::<PlanMessage>().map_err(failed)?;
         let mut shutdown_begin = None;
         while !thread.is_finished() {
             self.find_plant();
@@ -389,18 +389,18 @@ impl<'a> ServiceThread<'a> {
         Ok(self.requests)
     }
 
-    fn load(&mut self, payload: &Plan) {
-        let accepted = self.at_normal_priority(|| plan::accept(payload, self.config));
+    fn load(&mut self, message: &PlanMessage) {
+        let accepted = self.at_normal_priority(|| plan::accept(message, self.config));
         let sent = accepted.map_err(RequestError::from).and_then(|plan| self.send(StepRequest::Load(plan)));
         match sent {
             Ok(number) => {
-                info!("plan {} loaded, t_F = {:.3} s", payload.id, payload.t_f);
-                self.loads.sent(number, payload.id);
+                info!("plan {} loaded, t_F = {:.3} s", message.id, message.t_f);
+                self.loads.sent(number, message.id);
                 self.last_refusal.clear();
             }
             Err(reason) => {
-                warn!("plan {} refused: {reason}", payload.id);
-                self.last_refusal = format!("plan {}: {reason}", payload.id);
+                warn!("plan {} refused: {reason}", message.id);
+                self.last_refusal = format!("plan {}: {reason}", message.id);
             }
         }
     }

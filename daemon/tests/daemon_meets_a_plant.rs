@@ -10,7 +10,7 @@ use std::thread::{JoinHandle, sleep, spawn};
 use std::time::{Duration, Instant};
 use upswing_config::Config;
 use upswing_ipc::{
-    Clock, ControlKind, ControlRequest, Domain, Mode, Plan, Telemetry, TelemetryBatch, TempDomain,
+    Clock, ControlKind, ControlRequest, Domain, Mode, PlanMessage, Telemetry, TelemetryBatch, TempDomain,
 };
 use upswing_process::Failure;
 use upswingd::service::serve;
@@ -43,7 +43,7 @@ fn on_lockstep_every_measurement_gets_one_cycle_and_requests_wait_for_the_next()
     let domain = TempDomain::new("daemon").unwrap();
     let node = domain.join("plant").unwrap();
     let telemetry = node.subscriber::<TelemetryBatch>().unwrap();
-    let plans = node.publisher::<Plan>().unwrap();
+    let plans = node.publisher::<PlanMessage>().unwrap();
     let client = node.client::<ControlRequest>().unwrap();
     let mut plant = Plant::new(&node, Clock::Lockstep);
     let daemon = Daemon::start(&domain);

@@ -6,7 +6,7 @@ mod common;
 use common::{Arm, at_rest, config, rest_payload, rest_pose, swing, upright_pose};
 use std::collections::BTreeMap;
 use upswing_config::Config;
-use upswing_ipc::{Mode, Plan as Payload};
+use upswing_ipc::{Mode, PlanMessage};
 use upswing_model::{ActuatedVector, NQ, NU, NX, State, Workspace};
 use upswing_trajectory::{KNOTS, N};
 use upswingd::controller::Controller;
@@ -51,7 +51,7 @@ fn scale(gain: &mut [[f64; NX]; NU], factor: f64) {
 }
 
 /// f_k of the model at every knot: nobody who wants to be believed forgets that.
-fn follow_the_model(plan: &mut Payload, config: &Config) {
+fn follow_the_model(plan: &mut PlanMessage, config: &Config) {
     let mut work = Workspace::default();
     for k in 0..KNOTS {
         let (x, u) = (State::from(plan.x[k]), ActuatedVector::from(plan.u[k]));
@@ -59,7 +59,7 @@ fn follow_the_model(plan: &mut Payload, config: &Config) {
     }
 }
 
-type Mutation = fn(&mut Payload, &mut Random);
+type Mutation = fn(&mut PlanMessage, &mut Random);
 
 const MUTATIONS: [(&str, Mutation); 16] = [
     ("gains of the opposite sign", |p, _| p.k.iter_mut().for_each(|k| scale(k, -1.0))),
@@ -105,7 +105,7 @@ const MUTATIONS: [(&str, Mutation); 16] = [
 
 /// The robot follows the plan from near its start, another one for each `number`, where its drives are far from their limits
 /// with a good plan. The mode in which it ends.
-fn fly(config: &Config, plan: &Payload, number: usize) -> Mode {
+fn fly(config: &Config, plan: &PlanMessage, number: usize) -> Mode {
     let mut random = Random(number as u64);
     let plan = accept(plan, config).expect("accepted before");
     let mut x = plan.trajectory.x[0];

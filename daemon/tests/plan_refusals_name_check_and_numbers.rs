@@ -5,7 +5,7 @@ mod common;
 use common::{at_rest, config, rest_payload, rest_plan, rest_pose, upright_pose};
 use upswing_config::{Config, PendulumStart, PlanWhileTracking, VelocityEstimate};
 use upswing_ipc::operator::Manoeuvre;
-use upswing_ipc::{DamagedPlan, Measurement, Plan as Payload};
+use upswing_ipc::{DamagedPlan, Measurement, PlanMessage};
 use upswing_model::{ActuatedVector, LimitKind, NQ, NU, NX, State, StateParts, Workspace};
 use upswing_planner::replan::{Effort, Planner};
 use upswing_trajectory::{Gain, KNOTS, N, Unfit};
@@ -22,7 +22,7 @@ fn rest() -> (Config, State) {
 }
 
 /// What is said about a good plan after `spoil`, sealed again.
-fn refusal(spoil: impl Fn(&mut Payload)) -> PlanRefusal {
+fn refusal(spoil: impl Fn(&mut PlanMessage)) -> PlanRefusal {
     let (config, x) = rest();
     let mut payload = rest_payload(&config, &x, 1.0);
     spoil(&mut payload);
@@ -33,7 +33,7 @@ fn refusal(spoil: impl Fn(&mut Payload)) -> PlanRefusal {
 }
 
 /// f_k of the model at every knot.
-fn follow_the_model(plan: &mut Payload, config: &Config) {
+fn follow_the_model(plan: &mut PlanMessage, config: &Config) {
     for k in 0..KNOTS {
         let (x, u) = (State::from(plan.x[k]), ActuatedVector::from(plan.u[k]));
         plan.f[k] = config.model.f(&x, &u, &mut Workspace::default()).into();
@@ -41,7 +41,7 @@ fn follow_the_model(plan: &mut Payload, config: &Config) {
 }
 
 /// What is said about a plan that rests at `x` for 1 s after `spoil`, with f_k of the model, sealed again.
-fn verdict(config: &Config, x: &State, spoil: impl Fn(&mut Payload)) -> Option<Unfit> {
+fn verdict(config: &Config, x: &State, spoil: impl Fn(&mut PlanMessage)) -> Option<Unfit> {
     let mut payload = rest_payload(config, x, 1.0);
     spoil(&mut payload);
     follow_the_model(&mut payload, config);
@@ -54,7 +54,7 @@ fn verdict(config: &Config, x: &State, spoil: impl Fn(&mut Payload)) -> Option<U
 }
 
 /// A swing-up from rest with the arm at `degrees`, and a swing-down from its end, for the weight r of (20).
-fn planned(r: f64, degrees: [f64; 7]) -> (Config, [Box<Payload>; 2]) {
+fn planned(r: f64, degrees: [f64; 7]) -> (Config, [Box<PlanMessage>; 2]) {
     let mut config = config();
     config.planner.lqr.r = r;
     let planner = Planner::new(config.clone()).unwrap();
@@ -278,7 +278,7 @@ fn a_limit_just_before_a_knot() {
 fn torques_between_knots() {
     // On its way between two knots the arm passes a pose that needs more torque.
     let (mut config, x) = rest();
-    let spoil = |p: &mut Payload| {
+    let spoil = |p: &mut PlanMessage| {
         p.t_f = 60.0;
         (p.x[4][NQ + 1], p.x[5][NQ + 1]) = (0.7, -0.7);
         // The other way before and after.
@@ -345,7 +345,7 @@ fn half_the_duration() {
 #[test]
 fn gains_that_drive_away_from_the_plan() {
     let (config, [good, _]) = planned(0.01, START);
-    let verdict = |spoil: &dyn Fn(&mut Payload)| {
+    let verdict = |spoil: &dyn Fn(&mut PlanMessage)| {
         let mut payload = good.boxed_copy();
         spoil(&mut payload);
         payload.seal();
@@ -374,7 +374,7 @@ fn gains_that_drive_away_from_the_plan() {
 
 /// The amplification of the closed loop from `knot` on: plant (19), filter and delay simulated one after the other for the
 /// deviation of each row by its tolerance; half of an interval with A, B and K of one knot, half with those of the next.
-fn amplification(config: &Config, plan: &Payload, knot: usize, stands: bool) -> f64 {
+fn amplification(config: &Config, plan: &PlanMessage, knot: usize, stands: bool) -> f64 {
     let tolerance = |row: usize| {
         if row < NQ { config.daemon.start.position } else { config.daemon.start.velocity }
     };
@@ -423,24 +423,25 @@ fn amplification(config: &Config, plan: &Payload, knot: usize, stands: bool) -> 
 #[test]
 fn the_amplification_is_that_of_a_simulation() {
     let (config, [up, down]) = planned(0.01, START);
-    let check = |plan: &Payload, stands: bool, position: f64, velocity: f64, spoil: &dyn Fn(&mut Payload)| {
-        let mut config = config.clone();
-        (config.daemon.start.position, config.daemon.start.velocity) = (position, velocity);
-        let mut plan = plan.boxed_copy();
-        spoil(&mut plan);
-        plan.seal();
-        let refusal = accept(&plan, &config).unwrap_err();
-        let PlanRefusal::Unfit(Unfit::Amplification { knot, got }) = refusal else { panic!("{refusal}") };
-        let expected = amplification(&config, &plan, knot, stands);
-        assert!((got / expected - 1.0).abs() < 0.01, "at knot {knot} {got}, expected {expected}");
-        // It is the last knot with so much of it.
-        let later = if knot < N { amplification(&config, &plan, knot + 1, stands) } else { 0.0 };
-        assert!(expected > 100.0 && later < 101.0, "at knot {knot} {expected}, then {later}");
-        knot
-    };
+    let check =
+        |plan: &PlanMessage, stands: bool, position: f64, velocity: f64, spoil: &dyn Fn(&mut PlanMessage)| {
+            let mut config = config.clone();
+            (config.daemon.start.position, config.daemon.start.velocity) = (position, velocity);
+            let mut plan = plan.boxed_copy();
+            spoil(&mut plan);
+            plan.seal();
+            let refusal = accept(&plan, &config).unwrap_err();
+            let PlanRefusal::Unfit(Unfit::Amplification { knot, got }) = refusal else { panic!("{refusal}") };
+            let expected = amplification(&config, &plan, knot, stands);
+            assert!((got / expected - 1.0).abs() < 0.01, "at knot {knot} {got}, expected {expected}");
+            // It is the last knot with so much of it.
+            let later = if knot < N { amplification(&config, &plan, knot + 1, stands) } else { 0.0 };
+            assert!(expected > 100.0 && later < 101.0, "at knot {knot} {expected}, then {later}");
+            knot
+        };
     let scale =
         |gain: &mut [[f64; NX]; NU], by: f64| gain.as_flattened_mut().iter_mut().for_each(|v| *v *= by);
-    let opposite = |p: &mut Payload| p.k.iter_mut().for_each(|k| scale(k, -1.0));
+    let opposite = |p: &mut PlanMessage| p.k.iter_mut().for_each(|k| scale(k, -1.0));
     assert!(check(&up, true, 0.05, 0.2, &opposite) < N);
     assert!(check(&down, false, 0.05, 0.2, &opposite) < N);
     // With so little tolerance for velocities the angles are what matters, and the other way round.
@@ -453,7 +454,7 @@ fn the_amplification_is_that_of_a_simulation() {
 #[test]
 fn gains_that_answer_a_tolerated_start_with_a_blow() {
     let (config, [good, _]) = planned(0.01, START);
-    let verdict = |spoil: &dyn Fn(&mut Payload)| {
+    let verdict = |spoil: &dyn Fn(&mut PlanMessage)| {
         let mut payload = good.boxed_copy();
         spoil(&mut payload);
         payload.seal();

@@ -6,7 +6,7 @@ use common::{Arm, PERIOD, PERIOD_NS, at_rest, config, measurement, rest_payload,
 use std::time::Instant;
 use upswing_config::Config;
 use upswing_ipc::operator::Manoeuvre;
-use upswing_ipc::{Clock, Mode, PlannerRequest, Telemetry};
+use upswing_ipc::{Clock, Mode, PlanMessage, PlannerRequest, Telemetry};
 use upswing_model::{JointVector, NQ};
 use upswing_planner::replan::Planner;
 use upswing_planner::service::RequestHandler;
@@ -150,7 +150,7 @@ fn a_predicted_start_is_met_and_ends_balanced() {
         handler.observe(newest, Instant::now());
         handler.answer(&PlannerRequest::from_now(Manoeuvre::SwingUp), &|| true).1
     });
-    let plan = accept(&Box::<upswing_ipc::Plan>::from(&plan.expect("a plan")), &config).unwrap();
+    let plan = accept(&Box::<PlanMessage>::from(&plan.expect("a plan")), &config).unwrap();
     let (id, t_f, x_0) = (plan.id, plan.trajectory.t_f, plan.trajectory.x[0]);
     let activation = plan.activation_ns.expect("a moving start has its moment");
     assert!(activation > newest.t_ns);

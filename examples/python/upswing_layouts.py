@@ -173,7 +173,7 @@ class TelemetryBatch(Structure):
         return "upswing.TelemetryBatch.v3"
 
 
-class Plan(Structure):
+class PlanMessage(Structure):
     SIZE = 137600
     OFFSETS = {
         "id": 0,
@@ -464,7 +464,7 @@ MAX_READERS = 8
 MAX_NODES = 24
 
 # Publish and subscribe: service, payload, samples that wait for a slow subscriber.
-PLAN = ("plan", Plan, 2)
+PLAN = ("plan", PlanMessage, 2)
 TELEMETRY = ("telemetry", TelemetryBatch, 256)
 
 # Request and response: service, request, response.

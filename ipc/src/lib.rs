@@ -4,7 +4,7 @@
 //! |---|---|---|---|
 //! | `measurement/<epoch>` | blackboard | plant -> daemon | [`Measurement`] |
 //! | `command/<epoch>` | blackboard | daemon -> plant | [`Command`] |
-//! | `plan` | pub/sub, history 1 | planner -> daemon | [`Plan`] |
+//! | `plan` | pub/sub, history 1 | planner -> daemon | [`PlanMessage`] |
 //! | `telemetry` | pub/sub, no history | daemon -> planner, cli | [`TelemetryBatch`] |
 //! | `steps` | pub/sub, no history | daemon -> cli | [`StepBatch`] |
 //! | `control` | request/response | cli -> daemon | [`ControlRequest`] -> [`ControlResponse`] |
@@ -33,7 +33,7 @@
 //! # Trust
 //! Every process of a domain can write into the memory that it shares with the others. Payloads therefore hold numbers
 //! only, codes become enumerations through checked conversions ([`UnknownCode`]), [`Text`] is checked when it is read, and
-//! a [`Plan`] carries a checksum. The reader checks sequence, age, range and finiteness.
+//! a [`PlanMessage`] carries a checksum. The reader checks sequence, age, range and finiteness.
 //!
 //! # Layers
 //! From the bottom: `iox` (the private file layout of iceoryx2), domains and nodes, `services` (ports); beside them `payload`
@@ -62,7 +62,7 @@ pub use pacing::{
 };
 pub use payload::{
     Clock, Command, ControlKind, ControlRequest, ControlResponse, DamagedPlan, Degradation, Measurement,
-    Mode, Percentiles, Plan, PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus, PlantKind,
+    Mode, Percentiles, PlanMessage, PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus, PlantKind,
     PlantRequest, PlantResponse, Step, StepBatch, Telemetry, TelemetryBatch, Text, TextError, UnknownClock,
     UnknownCode,
 };

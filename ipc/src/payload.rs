@@ -17,7 +17,7 @@ pub use codes::{
 };
 pub use control::{ControlRequest, ControlResponse, Percentiles};
 pub use cycle::{Command, Measurement, Telemetry, TelemetryBatch};
-pub use plan::{DamagedPlan, Plan};
+pub use plan::{DamagedPlan, PlanMessage};
 pub use planner::{PlannerRequest, PlannerResponse};
 pub use plant::{PlantRequest, PlantResponse};
 pub use step::{Step, StepBatch};

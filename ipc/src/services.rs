@@ -17,7 +17,7 @@ pub use request_response::{Client, RequestPayload, Server};
 use crate::error::{CallError, IpcError};
 use crate::node::Node;
 use crate::payload::{
-    Command, ControlRequest, ControlResponse, Measurement, Plan, PlannerRequest, PlannerResponse,
+    Command, ControlRequest, ControlResponse, Measurement, PlanMessage, PlannerRequest, PlannerResponse,
     PlantRequest, PlantResponse, StepBatch, TelemetryBatch,
 };
 use request_response::Handler;
@@ -75,7 +75,7 @@ macro_rules! topic {
     };
 }
 
-topic!(Plan, "plan", buffer 2, history 1);
+topic!(PlanMessage, "plan", buffer 2, history 1);
 topic!(TelemetryBatch, "telemetry", buffer 256, history 0);
 topic!(StepBatch, "steps", buffer 128, history 0);
 

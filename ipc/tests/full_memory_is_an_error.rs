@@ -3,7 +3,7 @@
 //! The parent runs itself with a /dev/shm of its own. Where the system does not allow that, the test says so.
 
 use std::process::Command;
-use upswing_ipc::{ControlRequest, Domain, IpcError, Plan, TelemetryBatch};
+use upswing_ipc::{ControlRequest, Domain, IpcError, PlanMessage, TelemetryBatch};
 
 const CHILD: &str = "UPSWING_TEST_SMALL_MEMORY";
 
@@ -70,7 +70,7 @@ fn full_later_does_no_harm() {
     if is_child() {
         let node = Domain::new("later").unwrap().join("daemon").unwrap();
         let telemetry = node.publisher::<TelemetryBatch>().unwrap();
-        let plans = node.publisher::<Plan>().unwrap();
+        let plans = node.publisher::<PlanMessage>().unwrap();
         let subscribers: Vec<_> = (0..8).map(|_| node.subscriber::<TelemetryBatch>().unwrap()).collect();
         telemetry.publish(&TelemetryBatch::boxed_zeroed()).unwrap();
         // All but the room for connections, which are there already.
@@ -81,7 +81,7 @@ fn full_later_does_no_harm() {
         // Every place of every queue is written.
         for _ in 0..5000 {
             telemetry.publish(&TelemetryBatch::boxed_zeroed()).unwrap();
-            plans.publish(&Plan::boxed_zeroed()).unwrap();
+            plans.publish(&PlanMessage::boxed_zeroed()).unwrap();
         }
         assert!(subscribers.iter().all(|s| s.receive().unwrap().is_some()));
         return expect_full(node.server::<ControlRequest>());

@@ -5,7 +5,8 @@ mod common;
 use common::{Victim, domain_of_child, until_killed, wait_for};
 use std::os::unix::fs::{PermissionsExt, symlink};
 use upswing_ipc::{
-    Command, ControlRequest, Domain, IpcError, Measurement, Plan, PlantRequest, TelemetryBatch, TempDomain,
+    Command, ControlRequest, Domain, IpcError, Measurement, PlanMessage, PlantRequest, TelemetryBatch,
+    TempDomain,
 };
 
 /// Entry of the child process: holds every kind of end until it is killed.
@@ -15,7 +16,7 @@ fn child_holds_everything() {
     let node = domain.join("victim").unwrap();
     let writer = node.writer::<Measurement>().unwrap();
     let publisher = node.publisher::<TelemetryBatch>().unwrap();
-    let _subscriber = node.subscriber::<Plan>().unwrap();
+    let _subscriber = node.subscriber::<PlanMessage>().unwrap();
     let _server = node.server::<PlantRequest>().unwrap();
     let _client = node.client::<ControlRequest>().unwrap();
     let batch = TelemetryBatch::boxed_zeroed();
@@ -40,7 +41,7 @@ fn after_an_orderly_end() {
     let mut finder = node.finder::<Command>();
     let reader = finder.poll().unwrap();
     let ends = (
-        (node.publisher::<Plan>().unwrap(), node.subscriber::<Plan>().unwrap()),
+        (node.publisher::<PlanMessage>().unwrap(), node.subscriber::<PlanMessage>().unwrap()),
         (node.publisher::<TelemetryBatch>().unwrap(), node.subscriber::<TelemetryBatch>().unwrap()),
         (node.server::<ControlRequest>().unwrap(), node.client::<ControlRequest>().unwrap()),
     );

@@ -4,11 +4,11 @@ mod common;
 
 use common::wait_for;
 use proptest::prelude::*;
-use upswing_ipc::{Plan, TempDomain};
+use upswing_ipc::{PlanMessage, TempDomain};
 
 /// A sealed plan without a zero byte pattern that a truncation could reproduce.
-fn plan(id: u64) -> Box<Plan> {
-    let mut plan = Plan::boxed_zeroed();
+fn plan(id: u64) -> Box<PlanMessage> {
+    let mut plan = PlanMessage::boxed_zeroed();
     let mut next = id as f64;
     let mut number = || {
         next += 1.0 / 3.0;
@@ -26,9 +26,9 @@ fn plan(id: u64) -> Box<Plan> {
     plan
 }
 
-fn bytes_of(plan: &mut Plan) -> &mut [u8] {
+fn bytes_of(plan: &mut PlanMessage) -> &mut [u8] {
     // SAFETY: plain numbers without padding; every bit pattern is a valid plan.
-    unsafe { std::slice::from_raw_parts_mut(std::ptr::from_mut(plan).cast(), size_of::<Plan>()) }
+    unsafe { std::slice::from_raw_parts_mut(std::ptr::from_mut(plan).cast(), size_of::<PlanMessage>()) }
 }
 
 #[test]
@@ -40,13 +40,13 @@ fn sealed_plans_are_intact_and_unsealed_ones_are_not() {
     assert!(!plan.is_intact());
     plan.seal();
     assert!(plan.is_intact());
-    assert!(!Plan::boxed_zeroed().is_intact(), "memory that nobody wrote is not a plan");
+    assert!(!PlanMessage::boxed_zeroed().is_intact(), "memory that nobody wrote is not a plan");
 }
 
 #[test]
 fn a_flip_in_every_region_is_found() {
     let mut plan = plan(2);
-    let size = size_of::<Plan>();
+    let size = size_of::<PlanMessage>();
     let edges = (0..64).chain(size - 64..size);
     // A step that is coprime to 8 meets every byte of a number.
     for at in edges.chain((0..size).step_by(331)) {
@@ -61,21 +61,21 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
 
     #[test]
-    fn any_flip_anywhere_is_found(at in 0..size_of::<Plan>(), mask in 1..=u8::MAX) {
+    fn any_flip_anywhere_is_found(at in 0..size_of::<PlanMessage>(), mask in 1..=u8::MAX) {
         let mut plan = plan(3);
         bytes_of(&mut plan)[at] ^= mask;
         prop_assert!(!plan.is_intact());
     }
 
     #[test]
-    fn any_truncation_is_found(from in 0..size_of::<Plan>()) {
+    fn any_truncation_is_found(from in 0..size_of::<PlanMessage>()) {
         let mut plan = plan(4);
         bytes_of(&mut plan)[from..].fill(0);
         prop_assert!(!plan.is_intact());
     }
 
     #[test]
-    fn any_shift_is_found(from in 0..size_of::<Plan>() / 2, by in 1..1000_usize) {
+    fn any_shift_is_found(from in 0..size_of::<PlanMessage>() / 2, by in 1..1000_usize) {
         let mut plan = plan(5);
         let bytes = bytes_of(&mut plan);
         bytes.copy_within(from + by.., from);
@@ -87,17 +87,17 @@ proptest! {
 fn plans_arrive_intact_also_late_and_from_a_restarted_planner() {
     let domain = TempDomain::new("plan").unwrap();
     let daemon = domain.join("daemon").unwrap();
-    let early = daemon.subscriber::<Plan>().unwrap();
+    let early = daemon.subscriber::<PlanMessage>().unwrap();
     for id in 1..=3 {
         let planner = domain.join("planner").unwrap();
-        let publisher = planner.publisher::<Plan>().unwrap();
+        let publisher = planner.publisher::<PlanMessage>().unwrap();
         publisher.publish(&plan(id)).unwrap();
         let received = wait_for("the plan", || early.receive().unwrap());
         let copy = received.boxed_copy();
         assert!(copy.is_intact());
         assert_eq!(copy.id, id);
 
-        let late = daemon.subscriber::<Plan>().unwrap();
+        let late = daemon.subscriber::<PlanMessage>().unwrap();
         assert!(late.receive().unwrap().is_none());
         publisher.deliver_history().unwrap();
         let received = wait_for("the history", || late.receive().unwrap());
@@ -110,8 +110,8 @@ fn plans_arrive_intact_also_late_and_from_a_restarted_planner() {
 fn a_slow_subscriber_keeps_the_newest_plans() {
     let domain = TempDomain::new("newest").unwrap();
     let node = domain.join("both").unwrap();
-    let subscriber = node.subscriber::<Plan>().unwrap();
-    let publisher = node.publisher::<Plan>().unwrap();
+    let subscriber = node.subscriber::<PlanMessage>().unwrap();
+    let publisher = node.publisher::<PlanMessage>().unwrap();
     for id in 1..=10 {
         publisher.publish(&plan(id)).unwrap();
     }

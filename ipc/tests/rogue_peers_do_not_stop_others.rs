@@ -11,7 +11,7 @@ use std::sync::mpsc;
 use std::time::Duration;
 use upswing_ipc::{
     BlackboardPayload, Command, ControlKind, ControlRequest, ControlResponse, Domain, FinderThread, IpcError,
-    Measurement, Plan, TempDomain,
+    Measurement, PlanMessage, TempDomain,
 };
 
 /// Far beyond anything that is waited for.
@@ -53,7 +53,7 @@ fn nobody_waits_for_a_lock_whose_holder_is_stopped() {
     let _server = node.server::<ControlRequest>().unwrap();
     let client = plant.client::<ControlRequest>().unwrap();
     assert!(client.has_server());
-    let _ends = (node.publisher::<Plan>().unwrap(), plant.subscriber::<Plan>().unwrap());
+    let _ends = (node.publisher::<PlanMessage>().unwrap(), plant.subscriber::<PlanMessage>().unwrap());
     let writer = plant.writer::<Measurement>().unwrap();
     assert_eq!(finder.poll().unwrap().unwrap().epoch(), writer.epoch());
     victim.kill();

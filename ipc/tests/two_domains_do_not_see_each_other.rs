@@ -1,7 +1,9 @@
 //! Domains are separate, even if the name of one is a prefix of the other's.
 
 use std::time::Duration;
-use upswing_ipc::{CallError, Command, ControlKind, ControlRequest, Domain, DomainError, Plan, TempDomain};
+use upswing_ipc::{
+    CallError, Command, ControlKind, ControlRequest, Domain, DomainError, PlanMessage, TempDomain,
+};
 
 #[test]
 fn writers_plans_and_servers_stay_in_their_domain() {
@@ -14,10 +16,10 @@ fn writers_plans_and_servers_stay_in_their_domain() {
     assert!(far.finder::<Command>().poll().unwrap().is_none());
 
     let (subscriber_near, subscriber_far) =
-        (near.subscriber::<Plan>().unwrap(), far.subscriber::<Plan>().unwrap());
+        (near.subscriber::<PlanMessage>().unwrap(), far.subscriber::<PlanMessage>().unwrap());
     let (publisher_near, _publisher_far) =
-        (near.publisher::<Plan>().unwrap(), far.publisher::<Plan>().unwrap());
-    publisher_near.publish(&Plan::boxed_zeroed()).unwrap();
+        (near.publisher::<PlanMessage>().unwrap(), far.publisher::<PlanMessage>().unwrap());
+    publisher_near.publish(&PlanMessage::boxed_zeroed()).unwrap();
     assert!(subscriber_near.receive().unwrap().is_some());
     assert!(subscriber_far.receive().unwrap().is_none());
 
@@ -56,13 +58,17 @@ fn removing_a_domain_leaves_those_whose_names_begin_alike() {
     let ends: Vec<_> = nodes
         .iter()
         .map(|n| {
-            (n.subscriber::<Plan>().unwrap(), n.publisher::<Plan>().unwrap(), n.writer::<Command>().unwrap())
+            (
+                n.subscriber::<PlanMessage>().unwrap(),
+                n.publisher::<PlanMessage>().unwrap(),
+                n.writer::<Command>().unwrap(),
+            )
         })
         .collect();
     let before: Vec<_> = longer.iter().map(files).collect();
     assert!(before.iter().all(|names| names.iter().any(|n| n.ends_with(".connection"))), "{before:?}");
 
-    drop(short.join("daemon").unwrap().publisher::<Plan>().unwrap());
+    drop(short.join("daemon").unwrap().publisher::<PlanMessage>().unwrap());
     assert!(short.remove_if_unused().unwrap());
     let after: Vec<_> = longer.iter().map(files).collect();
     assert_eq!(before, after);

@@ -10,8 +10,8 @@ use tracing::{info, warn};
 use upswing_config::ReplanSettings;
 use upswing_ipc::operator::Manoeuvre;
 use upswing_ipc::{
-    Clock, Domain, Mode, PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus, Subscriber, Telemetry,
-    TelemetryBatch, Text, TopicPayload as _,
+    Clock, Domain, Mode, PlanMessage, PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus,
+    Subscriber, Telemetry, TelemetryBatch, Text, TopicPayload as _,
 };
 use upswing_model::thresholds::{HELD_ACCELERATION, REST_SPEED_START, SAME_START, START_SLACK};
 use upswing_model::{ActuatedVector, Model, NQ, NU, NX, State, Workspace};
@@ -53,7 +53,7 @@ pub fn run(args: &ProcessArgs) -> Result<(), Failure> {
 fn serve(planner: &Planner, domain: &Domain, stop: &Arc<AtomicBool>) -> Result<(), upswing_ipc::IpcError> {
     let node = domain.join("planner")?;
     let server = node.server()?;
-    let publisher = node.publisher::<upswing_ipc::Plan>()?;
+    let publisher = node.publisher::<PlanMessage>()?;
     let telemetry = node.subscriber()?;
     let mut handler = RequestHandler::new(planner);
     info!(entries = planner.entries().len(), domain = domain.name(), "planner ready");
@@ -95,7 +95,7 @@ fn serve(planner: &Planner, domain: &Domain, stop: &Arc<AtomicBool>) -> Result<(
             response
         })?;
         for plan in &published {
-            publisher.publish(&Box::<upswing_ipc::Plan>::from(plan))?;
+            publisher.publish(&Box::<PlanMessage>::from(plan))?;
             info!(id = format!("{:016x}", plan.id), t_f = plan.trajectory.t_f, "plan published");
         }
         publisher.deliver_history()?;

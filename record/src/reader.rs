@@ -5,7 +5,7 @@ use super::{CYCLE_TOPIC, DETAILS, Elapsed, RecordingError, cdr, cycle, messages}
 use mcap::records::{Record, op};
 use std::collections::BTreeMap;
 use std::path::Path;
-use upswing_ipc::{Plan, Step, Telemetry};
+use upswing_ipc::{PlanMessage, Step, Telemetry};
 
 /// Largest definition of a message type, bytes; larger ones are not from this program.
 const DEFINITION: usize = 64 << 10;
@@ -37,7 +37,7 @@ pub enum Message {
     /// The input of the controller in one step.
     Step(Step),
     /// A plan that a later step may load.
-    Plan(Box<Plan>),
+    Plan(Box<PlanMessage>),
 }
 
 /// The contents of a recording other than its messages.
@@ -257,7 +257,7 @@ impl MessageReader<'_> {
                         Ok(Some(Message::Step(step)))
                     }
                     MessageKind::Plan => {
-                        let plan = words.and_then(Plan::from_words).ok_or_else(other)?;
+                        let plan = words.and_then(PlanMessage::from_words).ok_or_else(other)?;
                         Ok(Some(Message::Plan(plan)))
                     }
                 };

@@ -1,13 +1,13 @@
 //! Recording of a running system: subscriptions to its telemetry, steps and plans.
 
 use super::{Recorder, RecordingError};
-use upswing_ipc::{IpcError, Node, Plan, StepBatch, Subscriber, Telemetry, TelemetryBatch};
+use upswing_ipc::{IpcError, Node, PlanMessage, StepBatch, Subscriber, Telemetry, TelemetryBatch};
 
 /// Subscriptions to the messages of a running system that a recording contains.
 pub struct Tap {
     telemetry: Subscriber<TelemetryBatch>,
     steps: Subscriber<StepBatch>,
-    plans: Subscriber<Plan>,
+    plans: Subscriber<PlanMessage>,
 }
 
 impl Tap {

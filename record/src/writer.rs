@@ -10,7 +10,7 @@ use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 use upswing_config::Config;
-use upswing_ipc::{Plan, Step, Telemetry};
+use upswing_ipc::{PlanMessage, Step, Telemetry};
 use upswing_model::NQ;
 
 /// Rate of the topics for the display of the robot, Hz: higher than the refresh rate of most screens.
@@ -100,7 +100,7 @@ impl Recorder {
     ///
     /// # Errors
     /// As [`Recorder::write`].
-    pub fn write_plan(&mut self, plan: &Plan) -> Result<(), RecordingError> {
+    pub fn write_plan(&mut self, plan: &PlanMessage) -> Result<(), RecordingError> {
         let message = cdr::of_words(plan.words());
         self.put(self.channels.plan, plan.id, self.last_ns, &message).map_err(|cause| self.error(cause))
     }

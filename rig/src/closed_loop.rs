@@ -3,7 +3,7 @@
 use crate::course::{self, Course};
 use upswing_config::{Config, Push};
 use upswing_ipc::operator::Manoeuvre;
-use upswing_ipc::{Mode, PlannerResponse, Telemetry};
+use upswing_ipc::{Mode, PlanMessage, PlannerResponse, Telemetry};
 use upswing_model::JointVector;
 use upswing_ocp::qp::Solver;
 use upswing_planner::replan::{Effort, NoPlan, Planner};
@@ -202,7 +202,7 @@ impl<D: FnOnce(f64) -> Disturbances> Course for SwingUpRun<'_, D> {
         let settings = &self.config.planner.replan;
         let effort = Effort::iterations(settings.iterations);
         let replan = self.planner.replan_with(self.solver, manoeuvre, &start, &effort)?;
-        let plan = accept(&Box::<upswing_ipc::Plan>::from(&replan.plan(self.config)), self.config)?;
+        let plan = accept(&Box::<PlanMessage>::from(&replan.plan(self.config)), self.config)?;
         let id = plan.id;
         self.cycle(Some(StepRequest::Load(plan)))?;
         self.cycle(Some(StepRequest::Start(id)))?;

@@ -4,7 +4,7 @@
 use clap::Parser;
 use std::sync::LazyLock;
 use upswing_config::{Config, Fault, FaultKind};
-use upswing_ipc::{Mode, Plan};
+use upswing_ipc::{Mode, PlanMessage};
 use upswing_model::{JointVector, NU};
 use upswing_planner::replan::Planner;
 use upswing_plant::Plant;
@@ -120,7 +120,7 @@ pub struct Case {
     /// Records of every cycle since the start; `None`: no recording.
     pub records: Option<Vec<CycleRecord>>,
     /// The plan that was started last.
-    pub plan: Option<Box<Plan>>,
+    pub plan: Option<Box<PlanMessage>>,
     config: Config,
     /// Duration t_F of the plan, cycles.
     pub plan_cycles: u64,

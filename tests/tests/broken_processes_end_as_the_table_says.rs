@@ -5,7 +5,7 @@ use std::sync::{LazyLock, mpsc};
 use std::time::{Duration, Instant};
 use upswing_config::Config;
 use upswing_ipc::operator::{OperatorError, OperatorRequest};
-use upswing_ipc::{Clock, Mode, Plan, PlannerKind, PlannerRequest};
+use upswing_ipc::{Clock, Mode, PlanMessage, PlannerKind, PlannerRequest};
 use upswing_planner::replan::Planner;
 use upswing_rig::session::{Role, SessionError};
 use upswing_tests::matrix::{PAGE, mode, table};
@@ -182,10 +182,10 @@ fn kill_planner_at_work(system: &mut System) {
     system.restart(Role::Planner);
 }
 
-type Damage = fn(&mut Plan);
+type Damage = fn(&mut PlanMessage);
 
 /// A plan without damage.
-static GOOD: LazyLock<Box<Plan>> = LazyLock::new(|| {
+static GOOD: LazyLock<Box<PlanMessage>> = LazyLock::new(|| {
     let config = Config::embedded().expect("settings");
     let planner = Planner::new(config.clone()).expect("the database fits");
     let x = config.start_state(&START.map(f64::to_radians), config.plant.start.pendulum).expect("a start");
@@ -209,7 +209,7 @@ fn damage_plans(system: &mut System) {
     ];
     let before = system.status().plan_id;
     system.kill(Role::Planner);
-    let publisher = system.session.node().publisher::<Plan>().expect("the planner's place");
+    let publisher = system.session.node().publisher::<PlanMessage>().expect("the planner's place");
     for (i, (word, damage)) in damages.into_iter().enumerate() {
         let mut plan = GOOD.boxed_copy();
         plan.id = 1000 + i as u64;

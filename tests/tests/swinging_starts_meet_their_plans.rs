@@ -3,7 +3,7 @@
 
 use std::time::{Duration, Instant};
 use upswing_ipc::operator::{Manoeuvre, OperatorError, OperatorRequest};
-use upswing_ipc::{Clock, Mode, Plan, PlantKind, PlantRequest, Telemetry};
+use upswing_ipc::{Clock, Mode, PlanMessage, PlantKind, PlantRequest, Telemetry};
 use upswing_model::{NQ, NU};
 use upswing_rig::session::SessionError;
 use upswing_tests::{START, System};
@@ -26,7 +26,7 @@ fn distances(record: &Telemetry, x: &[f64], (position, velocity): (f64, f64)) ->
 #[test]
 fn on_a_clock_that_runs() {
     let mut system = System::start(Clock::Paced, START);
-    let plans = system.session.node().subscriber::<Plan>().expect("a subscriber");
+    let plans = system.session.node().subscriber::<PlanMessage>().expect("a subscriber");
     system.advance(1);
     let rest = system.session.plant_status().expect("a state");
     let mut swung = PlantRequest { q: rest.q, ..PlantRequest::new(PlantKind::ResetState) };

@@ -14,7 +14,7 @@ use request_thread::RequestThread;
 use std::time::{Duration, Instant};
 use upswing_config::Config;
 use upswing_ipc::operator::OperatorError;
-use upswing_ipc::{IpcError, Node, Plan, Subscriber, Telemetry, TelemetryBatch};
+use upswing_ipc::{IpcError, Node, PlanMessage, Subscriber, Telemetry, TelemetryBatch};
 
 /// Time without telemetry after which the newest cycle no longer counts as the present state.
 const SILENCE: Duration = Duration::from_secs(1);
@@ -22,7 +22,7 @@ const SILENCE: Duration = Duration::from_secs(1);
 /// Client of a system, which need not be running yet. The client stays in the thread that opened it.
 pub struct Live {
     telemetry: Subscriber<TelemetryBatch>,
-    plans: Subscriber<Plan>,
+    plans: Subscriber<PlanMessage>,
     request_thread: RequestThread,
     builder: ViewBuilder,
     begin: Instant,

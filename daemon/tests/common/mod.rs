@@ -4,7 +4,7 @@
 pub mod live;
 
 use upswing_config::Config;
-use upswing_ipc::{Clock, Command, Measurement, Plan as Payload};
+use upswing_ipc::{Clock, Command, Measurement, PlanMessage};
 use upswing_model::{ActuatedVector, JointVector, NQ, NU, State, StateParts, Workspace, state};
 use upswing_ocp::lqr;
 use upswing_planner::offline::lqr_weights;
@@ -91,9 +91,9 @@ impl Arm {
 
 /// A sealed plan that stays at `x` for `t_f` s, with gains that stiffen the arm where the rod hangs, and that balance it
 /// where it stands.
-pub fn rest_payload(config: &Config, x: &State, t_f: f64) -> Box<Payload> {
+pub fn rest_payload(config: &Config, x: &State, t_f: f64) -> Box<PlanMessage> {
     let f = config.model.f(x, &nalgebra::SVector::zeros(), &mut Workspace::default());
-    let mut payload = Payload::boxed_zeroed();
+    let mut payload = PlanMessage::boxed_zeroed();
     (payload.id, payload.fingerprint, payload.t_f) = (7, config.model.fingerprint(), t_f);
     payload.x.fill((*x).into());
     payload.f.fill(f.into());
@@ -133,7 +133,7 @@ pub fn swing(config: &Config, q: &JointVector) -> (Box<Plan>, Box<Plan>) {
     };
     // Through shared memory and the checks, as in life.
     let [up, down] =
-        [up, down].map(|plan| upswingd::plan::accept(&Box::<Payload>::from(&plan), config).unwrap());
+        [up, down].map(|plan| upswingd::plan::accept(&Box::<PlanMessage>::from(&plan), config).unwrap());
     (up, down)
 }
 

@@ -5,7 +5,7 @@ use std::fmt::{Debug, Write};
 use std::mem::offset_of;
 use upswing_ipc::{
     BlackboardPayload, Clock, Command, ControlKind, ControlRequest, ControlResponse, Degradation, Domain,
-    MAX_NODES, MAX_READERS, Measurement, Mode, Percentiles, Plan, PlannerKind, PlannerRequest,
+    MAX_NODES, MAX_READERS, Measurement, Mode, Percentiles, PlanMessage, PlannerKind, PlannerRequest,
     PlannerResponse, PlannerStatus, PlantKind, PlantRequest, PlantResponse, RequestPayload, Telemetry,
     TelemetryBatch, Text, TopicPayload,
 };
@@ -128,7 +128,7 @@ pub fn module() -> String {
         }
     );
     class!(out, TelemetryBatch { count, dropped, records });
-    class!(out, Plan { id, fingerprint, activation_ns, t_f, x, u, f, k, k_final, checksum });
+    class!(out, PlanMessage { id, fingerprint, activation_ns, t_f, x, u, f, k, k_final, checksum });
     class!(out, ControlRequest { kind, plan_id });
     class!(
         out,
@@ -208,7 +208,7 @@ fn services(out: &mut String) {
     let _ = writeln!(out, "COMMAND_CHANNEL = \"{}\"", Command::CHANNEL);
     constants(out, &[("MAX_READERS", MAX_READERS as u64), ("MAX_NODES", MAX_NODES as u64)]);
     out.push_str("\n# Publish and subscribe: service, payload, samples that wait for a slow subscriber.\n");
-    let _ = writeln!(out, "PLAN = (\"{}\", Plan, {})", Plan::SERVICE, Plan::BUFFER);
+    let _ = writeln!(out, "PLAN = (\"{}\", PlanMessage, {})", PlanMessage::SERVICE, PlanMessage::BUFFER);
     let _ = writeln!(
         out,
         "TELEMETRY = (\"{}\", TelemetryBatch, {})",

@@ -3,17 +3,17 @@
 use super::words::{WORD, Zeroable, boxed_zeroed};
 use iceoryx2::prelude::ZeroCopySend;
 use upswing_model::{ActuatedVector, NU, NX, State};
-use upswing_trajectory::{self as trajectory, Gain, Gains, KNOTS, Trajectory};
+use upswing_trajectory::{Gain, Gains, KNOTS, Plan, Trajectory};
 use xxhash_rust::xxh3::xxh3_64;
 
 /// A trajectory xi with its gain schedule, planner -> daemon; x = [q, qd], knots uniform over [0, t_F].
 ///
-/// About 140 KB: keep it in a box, start from [`Plan::boxed_zeroed`]. [`Plan::seal`] before it is published;
-/// the receiver copies it out of shared memory first and asks [`Plan::is_intact`] of the copy.
+/// About 140 KB: keep it in a box, start from [`PlanMessage::boxed_zeroed`]. [`PlanMessage::seal`] before it is published;
+/// the receiver copies it out of shared memory first and asks [`PlanMessage::is_intact`] of the copy.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, ZeroCopySend)]
 #[type_name("upswing.Plan.v2")]
-pub struct Plan {
+pub struct PlanMessage {
     /// Identity of the plan, unique per planner, above 0.
     pub id: u64,
     /// Fingerprint of the model that the plan was made for.
@@ -37,16 +37,16 @@ pub struct Plan {
     pub checksum: u64,
 }
 
-const _: () = assert!(size_of::<Plan>() == WORD * (5 + KNOTS * (2 * NX + NU + NU * NX) + NU * NX));
+const _: () = assert!(size_of::<PlanMessage>() == WORD * (5 + KNOTS * (2 * NX + NU + NU * NX) + NU * NX));
 // The checksum covers all that lies before it, so it must be last.
-const _: () = assert!(std::mem::offset_of!(Plan, checksum) == size_of::<Plan>() - WORD);
+const _: () = assert!(std::mem::offset_of!(PlanMessage, checksum) == size_of::<PlanMessage>() - WORD);
 
-const WORDS: usize = size_of::<Plan>() / WORD;
+const WORDS: usize = size_of::<PlanMessage>() / WORD;
 
 // SAFETY: numbers only, size above zero.
-unsafe impl Zeroable for Plan {}
+unsafe impl Zeroable for PlanMessage {}
 
-impl Plan {
+impl PlanMessage {
     /// A plan of zeros on the heap; it has never been on the stack.
     pub fn boxed_zeroed() -> Box<Self> {
         boxed_zeroed()
@@ -81,7 +81,7 @@ impl Plan {
 
     /// The checksum that belongs to the contents; `checksum` itself does not enter.
     pub fn checksum_of(&self) -> u64 {
-        let covered = std::mem::offset_of!(Plan, checksum);
+        let covered = std::mem::offset_of!(PlanMessage, checksum);
         // SAFETY: `repr(C)` without padding (size assertion above), so all of these bytes are initialized.
         xxh3_64(unsafe { std::slice::from_raw_parts(std::ptr::from_ref(self).cast::<u8>(), covered) })
     }
@@ -97,10 +97,10 @@ impl Plan {
     }
 }
 
-impl From<&trajectory::Plan> for Box<Plan> {
+impl From<&Plan> for Box<PlanMessage> {
     /// The sealed message of a plan.
-    fn from(plan: &trajectory::Plan) -> Self {
-        let mut message = Plan::boxed_zeroed();
+    fn from(plan: &Plan) -> Self {
+        let mut message = PlanMessage::boxed_zeroed();
         message.id = plan.id;
         message.fingerprint = plan.fingerprint;
         message.activation_ns = plan.activation_ns.unwrap_or(0);
@@ -133,18 +133,18 @@ pub enum DamagedPlan {
     Id,
 }
 
-impl TryFrom<&Plan> for Box<trajectory::Plan> {
+impl TryFrom<&PlanMessage> for Box<Plan> {
     type Error = DamagedPlan;
 
     /// The plan in a message, of which nothing else is checked. `message` must be a copy that no other process can write to.
-    fn try_from(message: &Plan) -> Result<Self, DamagedPlan> {
+    fn try_from(message: &PlanMessage) -> Result<Self, DamagedPlan> {
         if !message.is_intact() {
             return Err(DamagedPlan::Checksum { expected: message.checksum, got: message.checksum_of() });
         }
         if message.id == 0 {
             return Err(DamagedPlan::Id);
         }
-        Ok(Self::new(trajectory::Plan {
+        Ok(Self::new(Plan {
             id: message.id,
             fingerprint: message.fingerprint,
             activation_ns: Some(message.activation_ns).filter(|ns| *ns != 0),

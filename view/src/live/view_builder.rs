@@ -4,7 +4,7 @@ use super::request_thread::LiveUpdate;
 use super::{CycleView, DaemonStatus, EventView, JointView, PlanView, Severity, View};
 use std::collections::VecDeque;
 use upswing_config::Config;
-use upswing_ipc::{Mode, Plan, Telemetry};
+use upswing_ipc::{Mode, PlanMessage, Telemetry};
 use upswing_model::{JointVector, Limits, Model, NQ, NU};
 use upswing_record::Tally;
 use upswing_record::evaluation::tilt;
@@ -105,7 +105,7 @@ impl ViewBuilder {
     }
 
     /// Takes a plan. A damaged plan, which the daemon refuses, is only an event here.
-    pub fn plan(&mut self, plan: &Plan) {
+    pub fn plan(&mut self, plan: &PlanMessage) {
         if !plan.is_intact() {
             return self.tell(Severity::Warning, "a damaged plan was published".into());
         }

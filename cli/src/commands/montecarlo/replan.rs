@@ -4,6 +4,7 @@ use super::{SamplingArgs, failed, list_failures, study_failure, writable, write_
 use crate::commands::PlanSummary;
 use serde::Serialize;
 use std::time::Instant;
+use upswing_ipc::PlanMessage;
 use upswing_ipc::operator::Manoeuvre;
 use upswing_model::{NU, State};
 use upswing_ocp::qp::Solver;
@@ -75,7 +76,7 @@ fn sample(
     let (plan, failure, times) = match &result {
         Ok(replan) => {
             let config = planner.config();
-            let message = Box::<upswing_ipc::Plan>::from(&replan.plan(config));
+            let message = Box::<PlanMessage>::from(&replan.plan(config));
             let refused = upswingd::plan::accept(&message, config).err();
             let failure = refused.map(|e| format!("the daemon refused the plan: {e}"));
             let figures = PlanStatistics { t_f: replan.trajectory.t_f, plan: PlanSummary::new(replan) };
