@@ -4,7 +4,7 @@
 //! |---|---|---|---|
 //! | `/upswing/cycle` | `upswing_msgs/msg/Cycle` | every cycle | all fields of [`upswing_ipc::Telemetry`] |
 //! | `/upswing/step` | `upswing_msgs/msg/Step` | every step | the input of the controller, [`upswing_ipc::Step`] |
-//! | `/upswing/plan` | `upswing_msgs/msg/Plan` | each plan | [`upswing_ipc::Plan`], before the step that loads it |
+//! | `/upswing/plan` | `upswing_msgs/msg/Plan` | each plan | [`upswing_ipc::PlanMessage`], before the step that loads it |
 //! | `/joint_states` | `sensor_msgs/msg/JointState` | 125 Hz | q, qd, measured torque |
 //! | `/tf` | `tf2_msgs/msg/TFMessage` | 125 Hz | pose of each link of the URDF in the frame of its parent |
 //! | `/robot_description` | `std_msgs/msg/String` | once | the URDF |
