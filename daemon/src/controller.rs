@@ -22,7 +22,7 @@ use crate::step::{CycleRecord, StepInput, StepOutput};
 use crate::supervisor::ModeEvent;
 use crate::trip::{Trip, TripCause};
 use upswing_config::{Config, HoldGains, PlanWhileTracking};
-use upswing_ipc::{Clock, Command, Measurement, Mode, Step, Telemetry};
+use upswing_ipc::{Clock, Command, Measurement, Mode, RecordedStep, Telemetry};
 use upswing_model::{ActuatedVector, JointFriction, JointParts, Model, NU, State, StateParts, Workspace};
 use upswing_trajectory::Plan;
 
@@ -172,7 +172,7 @@ impl Controller {
             },
             record: CycleRecord {
                 telemetry,
-                step: Step { cycle: self.cycle, ..recorded },
+                step: RecordedStep { cycle: self.cycle, ..recorded },
                 trip: self.trip,
                 unready: self.unready(),
                 overruns: 0,

@@ -3,7 +3,7 @@
 use crate::supervisor::{ModeEvent, RequestRefusal};
 use crate::trip::Trip;
 use std::fmt;
-use upswing_ipc::{Command, Measurement, Step, Telemetry, UnknownCode};
+use upswing_ipc::{Command, Measurement, RecordedStep, Telemetry, UnknownCode};
 use upswing_trajectory::Plan;
 
 /// A request that the controller executes in a step: of an operator, or of the daemon itself.
@@ -86,7 +86,7 @@ impl StepInput {
     }
 
     /// Converts the input of step `number`, in the cycle `cycle`, to its recorded form, which contains only the id of a plan.
-    pub fn to_payload(&self, number: u64, cycle: u64) -> Step {
+    pub fn to_payload(&self, number: u64, cycle: u64) -> RecordedStep {
         let (request, plan_id) = match &self.request {
             None => (0, 0),
             Some(StepRequest::Load(plan)) => (1, plan.id),
@@ -97,7 +97,7 @@ impl StepInput {
             Some(StepRequest::Reset) => (6, 0),
             Some(StepRequest::Shutdown) => (7, 0),
         };
-        Step {
+        RecordedStep {
             number,
             cycle,
             now_ns: self.now_ns,
@@ -115,7 +115,7 @@ impl StepInput {
     /// # Errors
     /// [`UnknownCode`] for an unknown request, otherwise the error of `plan`.
     pub fn from_payload<E: From<UnknownCode>>(
-        step: &Step,
+        step: &RecordedStep,
         plan: impl FnOnce(u64) -> Result<Box<Plan>, E>,
     ) -> Result<Self, E> {
         let request = match step.request {
@@ -159,7 +159,7 @@ pub struct CycleRecord {
     /// The published telemetry.
     pub telemetry: Telemetry,
     /// The recorded input of the step.
-    pub step: Step,
+    pub step: RecordedStep,
     /// Trip that led to the last Fault or Stop; kept until the next enable, start or reset.
     pub trip: Option<Trip>,
     /// Reason for which an enable would be refused; `None` if it would not be, or outside Idle.

@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use std::time::Duration;
 use upswing_config::RecoverySettings;
 use upswing_ipc::operator::PublishedPlan;
-use upswing_ipc::{Mode, Step, Telemetry};
+use upswing_ipc::{Mode, RecordedStep, Telemetry};
 use upswingd::recovery::{Recovery, RecoveryAction};
 use upswingd::step::CycleRecord;
 use upswingd::trip::{Trip, TripCause};
@@ -20,7 +20,13 @@ fn settings(attempts: u32) -> RecoverySettings {
 fn record(mode: Mode, t_ns: u64, speed: f64, cause: Option<TripCause>) -> CycleRecord {
     let mut telemetry = Telemetry { mode: mode.code(), t_ns, ..Telemetry::default() };
     telemetry.qd[8] = speed;
-    CycleRecord { telemetry, step: Step::default(), trip: cause.map(Trip::plain), unready: None, overruns: 0 }
+    CycleRecord {
+        telemetry,
+        step: RecordedStep::default(),
+        trip: cause.map(Trip::plain),
+        unready: None,
+        overruns: 0,
+    }
 }
 
 /// Balances at 0 s and loses the rod at 1 s.

@@ -20,5 +20,5 @@ pub use cycle::{Command, Measurement, Telemetry, TelemetryBatch};
 pub use plan::{DamagedPlan, PlanMessage};
 pub use planner::{PlannerRequest, PlannerResponse};
 pub use plant::{PlantRequest, PlantResponse};
-pub use step::{Step, StepBatch};
+pub use step::{RecordedStep, StepBatch};
 pub use text::{Text, TextError};

@@ -5,7 +5,7 @@ use super::{CYCLE_TOPIC, DETAILS, Elapsed, RecordingError, cdr, cycle, messages}
 use mcap::records::{Record, op};
 use std::collections::BTreeMap;
 use std::path::Path;
-use upswing_ipc::{PlanMessage, Step, Telemetry};
+use upswing_ipc::{PlanMessage, RecordedStep, Telemetry};
 
 /// Largest definition of a message type, bytes; larger ones are not from this program.
 const DEFINITION: usize = 64 << 10;
@@ -35,7 +35,7 @@ pub enum Message {
     /// The record of a cycle.
     Cycle(Telemetry),
     /// The input of the controller in one step.
-    Step(Step),
+    RecordedStep(RecordedStep),
     /// A plan that a later step may load.
     Plan(Box<PlanMessage>),
 }
@@ -252,7 +252,7 @@ impl MessageReader<'_> {
                         Ok(inside.then_some(Message::Cycle(cycle)))
                     }
                     MessageKind::Step => {
-                        let step = words.and_then(Step::from_words).ok_or_else(other)?;
+                        let step = words.and_then(RecordedStep::from_words).ok_or_else(other)?;
                         self.clock = step.measurement.clock;
                         Ok(Some(Message::Step(step)))
                     }

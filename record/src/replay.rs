@@ -4,7 +4,7 @@ use crate::{Message, Recording, RecordingError, Window, cycle, scan};
 use std::collections::BTreeMap;
 use std::path::Path;
 use upswing_config::{Config, ConfigError};
-use upswing_ipc::{Step, Telemetry, UnknownCode};
+use upswing_ipc::{RecordedStep, Telemetry, UnknownCode};
 use upswingd::controller::Controller;
 use upswingd::os::flush_to_zero;
 use upswingd::plan::{PlanRefusal, accept};
@@ -172,7 +172,7 @@ fn run(run: &RecordedRun, config: &Config) -> Result<Replay, ReplayError> {
         // Plans are checked as by the daemon.
         let plan = |id| Ok(accept(plans.get(&id).ok_or(RequestError::NoPlan)?, config)?);
         let input = StepInput::from_payload(step, plan).map_err(|reason| {
-            let Step { number, request: code, plan_id, .. } = *step;
+            let RecordedStep { number, request: code, plan_id, .. } = *step;
             ReplayError::Request { number, code, plan_id, reason }
         })?;
         let telemetry = controller.step(input).record.telemetry;

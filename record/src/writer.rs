@@ -10,7 +10,7 @@ use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 use upswing_config::Config;
-use upswing_ipc::{PlanMessage, Step, Telemetry};
+use upswing_ipc::{PlanMessage, RecordedStep, Telemetry};
 use upswing_model::NQ;
 
 /// Rate of the topics for the display of the robot, Hz: higher than the refresh rate of most screens.
@@ -88,8 +88,8 @@ impl Recorder {
     ///
     /// # Errors
     /// As [`Recorder::write`].
-    pub fn write_steps(&mut self, steps: &[Step]) -> Result<(), RecordingError> {
-        let mut put = |step: &Step| {
+    pub fn write_steps(&mut self, steps: &[RecordedStep]) -> Result<(), RecordingError> {
+        let mut put = |step: &RecordedStep| {
             let t_ns = step.measurement.t_ns;
             self.put(self.channels.step, step.number, t_ns, &cdr::of_words(step.words()))
         };

@@ -4,12 +4,12 @@ use super::cycle::Measurement;
 use super::words::{WORD, Zeroable, batch, words};
 use iceoryx2::prelude::ZeroCopySend;
 
-/// The input of the controller in one step, daemon -> recordings. Together with the plans it determines all modes and
+/// The recorded input of the controller in one step, daemon -> recordings. Together with the plans it determines all modes and
 /// commands. Every cycle is a step; on the paced clock there are also steps between two cycles.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
 #[type_name("upswing.Step.v1")]
-pub struct Step {
+pub struct RecordedStep {
     /// Number of the step since the start of the daemon, counts from 1.
     pub number: u64,
     /// `seq` of the cycle that it is, or that came before it.
@@ -30,14 +30,14 @@ pub struct Step {
     pub measurement: Measurement,
 }
 
-const _: () = assert!(size_of::<Step>() == WORD * 8 + size_of::<Measurement>());
+const _: () = assert!(size_of::<RecordedStep>() == WORD * 8 + size_of::<Measurement>());
 
-words!(Step);
+words!(RecordedStep);
 
 /// Steps in one [`StepBatch`].
 const STEP_BATCH: usize = 64;
 
-/// Consecutive steps in one sample.
+/// Consecutive steps in one message.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, ZeroCopySend)]
 #[type_name("upswing.StepBatch.v1")]
@@ -45,9 +45,9 @@ pub struct StepBatch {
     /// Steps in use, 0..=64; not to be trusted, read with [`StepBatch::used`].
     pub count: u64,
     /// The steps, oldest first; meaningless from `count` on.
-    pub records: [Step; STEP_BATCH],
+    pub records: [RecordedStep; STEP_BATCH],
 }
 
-const _: () = assert!(size_of::<StepBatch>() == WORD + STEP_BATCH * size_of::<Step>());
+const _: () = assert!(size_of::<StepBatch>() == WORD + STEP_BATCH * size_of::<RecordedStep>());
 
-batch!(StepBatch of Step, STEP_BATCH);
+batch!(StepBatch of RecordedStep, STEP_BATCH);
