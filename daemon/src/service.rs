@@ -119,7 +119,7 @@ fn failed(e: IpcError) -> Failure {
 
 /// Reason for which a request to the real-time thread has no effect, or no known effect.
 #[derive(Debug, thiserror::Error)]
-enum RequestError {
+enum ControlRequestError {
     /// The controller refused the request.
     #[error(transparent)]
     Refused(#[from] RequestRefusal),
@@ -348,7 +348,7 @@ impl<'a> ServiceThread<'a> {
     }
 
     /// Sends `request` and waits for the answer of the real-time thread. Returns a remark, or the reason for the refusal.
-    fn ask(&mut self, request: &StepRequest) -> Result<&'static str, RequestError> {
+    fn ask(&mut self, request: &StepRequest) -> Result<&'static str, ControlRequestError> {
         let begin = Instant::now();
         // An enable right after the start of a plant is meant for this plant.
         while *request == StepRequest::Enable && !self.found && begin.elapsed() < ANSWER {
@@ -375,23 +375,24 @@ impl<'a> ServiceThread<'a> {
             }
             if begin.elapsed() > ANSWER {
                 self.awaited = 0;
-                return Err(RequestError::NoAnswer);
+                return Err(ControlRequestError::NoAnswer);
             }
             sleep(Duration::from_micros(50));
         }
     }
 
     /// Sends a request to the real-time thread; returns the number of the request.
-    fn send(&mut self, request: StepRequest) -> Result<u64, RequestError> {
+    fn send(&mut self, request: StepRequest) -> Result<u64, ControlRequestError> {
         self.requests += 1;
         let request = NumberedRequest { number: self.requests, request };
-        self.link.requests.push(request).map_err(|_| RequestError::TooMany)?;
+        self.link.requests.push(request).map_err(|_| ControlRequestError::TooMany)?;
         Ok(self.requests)
     }
 
     fn load(&mut self, message: &PlanMessage) {
         let accepted = self.at_normal_priority(|| plan::accept(message, self.config));
-        let sent = accepted.map_err(RequestError::from).and_then(|plan| self.send(StepRequest::Load(plan)));
+        let sent =
+            accepted.map_err(ControlRequestError::from).and_then(|plan| self.send(StepRequest::Load(plan)));
         match sent {
             Ok(number) => {
                 info!("plan {} loaded, t_F = {:.3} s", message.id, message.t_f);

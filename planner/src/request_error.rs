@@ -7,7 +7,7 @@ use upswing_ipc::{Mode, PlannerStatus, UnknownCode};
 
 /// Error of a request to the planner. Its text is the reason in the response.
 #[derive(Debug, thiserror::Error)]
-pub(crate) enum RequestError {
+pub(crate) enum PlannerRequestError {
     /// The kind of the request does not exist.
     #[error(transparent)]
     UnknownKind(UnknownCode),
@@ -61,7 +61,7 @@ pub(crate) enum RequestError {
     NoPlan(#[from] NoPlan),
 }
 
-impl RequestError {
+impl PlannerRequestError {
     /// Status code in the response for this error.
     pub(crate) fn status(&self) -> PlannerStatus {
         match self {

@@ -2,7 +2,7 @@
 
 use crate::predict;
 use crate::replan::{Effort, Method, NoPlan, Planner, Replan};
-use crate::request_error::RequestError;
+use crate::request_error::PlannerRequestError;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -206,7 +206,7 @@ impl<'a> RequestHandler<'a> {
         let begin = Instant::now();
         self.late = false;
         let mut answer = match request.kind() {
-            Err(unknown) => Err(RequestError::UnknownKind(unknown)),
+            Err(unknown) => Err(PlannerRequestError::UnknownKind(unknown)),
             Ok(PlannerKind::Status) => {
                 let mut reason = format!("ready with {} database entries", self.planner.entries().len());
                 if self.second_opinions > 0 {
@@ -234,14 +234,14 @@ impl<'a> RequestHandler<'a> {
         request: &PlannerRequest,
         begin: Instant,
         wanted: &dyn Fn() -> bool,
-    ) -> Result<(PlannerResponse, Option<Plan>), RequestError> {
+    ) -> Result<(PlannerResponse, Option<Plan>), PlannerRequestError> {
         /// Largest number of linearisations in a request; further ones change nothing.
         const MOST_ITERATIONS: u64 = 100;
         let settings = &self.planner.config().planner.replan;
         let iterations = match request.iterations {
             0 => settings.iterations,
             n if n <= MOST_ITERATIONS => n as usize,
-            got => return Err(RequestError::Iterations { got, max: MOST_ITERATIONS }),
+            got => return Err(PlannerRequestError::Iterations { got, max: MOST_ITERATIONS }),
         };
         let Start { x: start, activation_ns, due } = if request.from_now == 1 {
             self.start_from_now(manoeuvre, begin)?
@@ -285,7 +285,7 @@ impl<'a> RequestHandler<'a> {
             self.lead = (took * 2).clamp(self.planner.config().planner.replan.lead, LONGEST_LEAD);
             if Instant::now() > due {
                 self.late = true;
-                return Err(RequestError::TooLate { took, lead });
+                return Err(PlannerRequestError::TooLate { took, lead });
             }
         }
         let plan = Plan { activation_ns, ..replan.plan(self.planner.config()) };
@@ -296,12 +296,12 @@ impl<'a> RequestHandler<'a> {
     /// The start of a plan "from now": the measured state if the daemon holds it (at rest in Hold, or balanced); while the
     /// pendulum moves, the state predicted for the activation of the plan. In lockstep always the measured state, because there
     /// the operator decides how much time passes during planning.
-    fn start_from_now(&self, manoeuvre: Manoeuvre, begin: Instant) -> Result<Start, RequestError> {
+    fn start_from_now(&self, manoeuvre: Manoeuvre, begin: Instant) -> Result<Start, PlannerRequestError> {
         let Some((record, seen)) = &self.newest else {
-            return Err(RequestError::NoTelemetry);
+            return Err(PlannerRequestError::NoTelemetry);
         };
         if stale(record, *seen) {
-            return Err(RequestError::DaemonSilent);
+            return Err(PlannerRequestError::DaemonSilent);
         }
         let needed = match manoeuvre {
             Manoeuvre::SwingUp => Mode::Hold,
@@ -309,8 +309,8 @@ impl<'a> RequestHandler<'a> {
         };
         match record.mode() {
             Ok(mode) if mode == needed => {}
-            Ok(mode) => return Err(RequestError::Mode { manoeuvre, needed, mode }),
-            Err(unknown) => return Err(RequestError::UnknownMode(unknown)),
+            Ok(mode) => return Err(PlannerRequestError::Mode { manoeuvre, needed, mode }),
+            Err(unknown) => return Err(PlannerRequestError::UnknownMode(unknown)),
         }
         let x = measured(record);
         let config = self.planner.config();
@@ -322,7 +322,7 @@ impl<'a> RequestHandler<'a> {
         }
         let age = begin.saturating_duration_since(*seen);
         if age > EXTRAPOLATED {
-            return Err(RequestError::TelemetryTooOld { age, limit: EXTRAPOLATED });
+            return Err(PlannerRequestError::TelemetryTooOld { age, limit: EXTRAPOLATED });
         }
         let q_hold = ActuatedVector::from_fn(|i, _| record.q_d[i]);
         let due = begin + self.lead;
@@ -365,19 +365,19 @@ fn near(a: &State, b: &State) -> bool {
     at_rest(a) && at_rest(b) && (0..NQ).all(|i| (a[i] - b[i]).abs() <= SAME_START)
 }
 
-fn check_start(planner: &Planner, start: &State) -> Result<(), RequestError> {
+fn check_start(planner: &Planner, start: &State) -> Result<(), PlannerRequestError> {
     if let Some(entry) = start.iter().position(|v| !v.is_finite()) {
-        return Err(RequestError::StartNotFinite { entry, got: start[entry] });
+        return Err(PlannerRequestError::StartNotFinite { entry, got: start[entry] });
     }
     let limits = &planner.config().robot.planning;
     for i in 0..NQ {
         let (joint, q, qd) = (i + 1, start[i], start[NQ + i]);
         let (min, max) = (limits.q_min[i], limits.q_max[i]);
         if !(q >= min - START_SLACK && q <= max + START_SLACK) {
-            return Err(RequestError::StartPosition { joint, min, max, got: q });
+            return Err(PlannerRequestError::StartPosition { joint, min, max, got: q });
         }
         if !(qd.abs() <= limits.qd_max[i]) {
-            return Err(RequestError::StartVelocity { joint, max: limits.qd_max[i], got: qd });
+            return Err(PlannerRequestError::StartVelocity { joint, max: limits.qd_max[i], got: qd });
         }
     }
     Ok(())

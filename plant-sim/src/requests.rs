@@ -40,7 +40,7 @@ impl RequestServer {
 
 /// Error of a request to the plant. Its text is the reason in the response.
 #[derive(Debug, thiserror::Error)]
-enum RequestError {
+enum PlantRequestError {
     /// The kind of the request does not exist.
     #[error(transparent)]
     UnknownKind(#[from] UnknownCode),
@@ -79,7 +79,7 @@ fn execute(
     pacing: &mut PlantPacing,
     next: u64,
     request: &PlantRequest,
-) -> Result<(), RequestError> {
+) -> Result<(), PlantRequestError> {
     match request.kind()? {
         PlantKind::Status => {}
         PlantKind::ResetState => {
@@ -96,10 +96,10 @@ fn execute(
     Ok(())
 }
 
-fn set_fault(plant: &mut Plant, from: u64, request: &PlantRequest) -> Result<(), RequestError> {
+fn set_fault(plant: &mut Plant, from: u64, request: &PlantRequest) -> Result<(), PlantRequestError> {
     let kind = usize::try_from(request.fault).ok().and_then(|code| FaultKind::all().get(code));
     let Some(kind) = kind.copied() else {
-        return Err(RequestError::UnknownFault { got: request.fault, max: FaultKind::all().len() - 1 });
+        return Err(PlantRequestError::UnknownFault { got: request.fault, max: FaultKind::all().len() - 1 });
     };
     // Kinds of faults without a joint come with joint 0, which becomes an invalid index.
     let joint = usize::try_from(request.joint).unwrap_or(usize::MAX).wrapping_sub(1);

@@ -35,7 +35,7 @@ pub enum Message {
     /// The record of a cycle.
     Cycle(Telemetry),
     /// The input of the controller in one step.
-    RecordedStep(RecordedStep),
+    Step(RecordedStep),
     /// A plan that a later step may load.
     Plan(Box<PlanMessage>),
 }

@@ -71,7 +71,7 @@ pub enum ReplayError {
         plan_id: u64,
         /// Error of the request.
         #[source]
-        reason: RequestError,
+        reason: RecordedRequestError,
     },
     /// A settings file is missing in the recording.
     #[error("expected the settings file {0} in the recording, got none")]
@@ -86,7 +86,7 @@ pub enum ReplayError {
 
 /// Error of the request in a recorded step.
 #[derive(Debug, thiserror::Error)]
-pub enum RequestError {
+pub enum RecordedRequestError {
     /// No request has this code.
     #[error(transparent)]
     Unknown(#[from] UnknownCode),
@@ -170,7 +170,7 @@ fn run(run: &RecordedRun, config: &Config) -> Result<Replay, ReplayError> {
         number = step.number;
         replay.steps += 1;
         // Plans are checked as by the daemon.
-        let plan = |id| Ok(accept(plans.get(&id).ok_or(RequestError::NoPlan)?, config)?);
+        let plan = |id| Ok(accept(plans.get(&id).ok_or(RecordedRequestError::NoPlan)?, config)?);
         let input = StepInput::from_payload(step, plan).map_err(|reason| {
             let RecordedStep { number, request: code, plan_id, .. } = *step;
             ReplayError::Request { number, code, plan_id, reason }
