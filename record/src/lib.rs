@@ -3,7 +3,7 @@
 //! | topic | type | rate | contents |
 //! |---|---|---|---|
 //! | `/upswing/cycle` | `upswing_msgs/msg/Cycle` | every cycle | all fields of [`upswing_ipc::Telemetry`] |
-//! | `/upswing/step` | `upswing_msgs/msg/RecordedStep` | every step | the input of the controller, [`upswing_ipc::RecordedStep`] |
+//! | `/upswing/step` | `upswing_msgs/msg/Step` | every step | the input of the controller, [`upswing_ipc::RecordedStep`] |
 //! | `/upswing/plan` | `upswing_msgs/msg/Plan` | each plan | [`upswing_ipc::PlanMessage`], before the step that loads it |
 //! | `/joint_states` | `sensor_msgs/msg/JointState` | 125 Hz | q, qd, measured torque |
 //! | `/tf` | `tf2_msgs/msg/TFMessage` | 125 Hz | pose of each link of the URDF in the frame of its parent |
