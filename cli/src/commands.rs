@@ -33,7 +33,7 @@ use std::path::Path;
 use upswing_ipc::{
     CallError, Clock, ControlRequest, Domain, IpcError, Node, RequestPayload as _, TempDomain,
 };
-use upswing_process::output::{Destination, Output, OutputError, Overwrite};
+use upswing_process::output::{Destination, OutputError, OutputFile, Overwrite};
 use upswing_process::{Failure, ProcessArgs};
 use upswing_rig::session::{SessionError, SessionOptions};
 
@@ -152,9 +152,9 @@ fn writable(
     option: &str,
     destination: Option<&Destination>,
     overwrite: Overwrite,
-) -> Result<Option<Output>, Failure> {
+) -> Result<Option<OutputFile>, Failure> {
     let output = destination.map(|path| overwrite.output(path));
-    match output.as_ref().map_or(Ok(()), Output::check) {
+    match output.as_ref().map_or(Ok(()), OutputFile::check) {
         Ok(()) => Ok(output),
         Err(e @ OutputError::Exists { .. }) => Err(Failure::BadInput(format!("{option}: {e}"))),
         Err(e) => Err(Failure::BadInput(format!("{option}: {e}; choose a place that can be written"))),

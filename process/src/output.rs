@@ -37,8 +37,8 @@ impl Deref for Destination {
 
 impl Overwrite {
     /// The output file at `path`, which may replace an existing file if `--force` is given.
-    pub fn output(self, path: &Path) -> Output {
-        Output { path: path.to_owned(), force: self.force }
+    pub fn output(self, path: &Path) -> OutputFile {
+        OutputFile { path: path.to_owned(), force: self.force }
     }
 }
 
@@ -63,20 +63,20 @@ pub enum OutputError {
 
 /// An output file, and whether it may replace an existing file.
 #[derive(Clone, Debug)]
-pub struct Output {
+pub struct OutputFile {
     path: PathBuf,
     force: bool,
 }
 
 /// Kind of the path of an output file.
-enum Place {
+enum PathState {
     Free,
     Occupied,
     /// A terminal, a null device, or an open descriptor of this process: written to directly.
     Stream,
 }
 
-impl Output {
+impl OutputFile {
     /// An output file that must not exist yet.
     pub fn new(path: &Path) -> Self {
         Overwrite::default().output(path)
@@ -96,20 +96,20 @@ impl Output {
         OutputError::Io { path: self.path.clone(), cause }
     }
 
-    fn place(&self) -> io::Result<Place> {
+    fn state(&self) -> io::Result<PathState> {
         let opened = ["/dev/stdout", "/dev/stderr", "/dev/fd/", "/proc/self/fd/"];
         if self.path.to_str().is_some_and(|path| opened.iter().any(|open| path.starts_with(open))) {
-            return Ok(Place::Stream);
+            return Ok(PathState::Stream);
         }
         match self.path.metadata() {
-            Ok(state) if state.is_file() => Ok(Place::Occupied),
-            Ok(state) if state.file_type().is_char_device() => Ok(Place::Stream),
+            Ok(state) if state.is_file() => Ok(PathState::Occupied),
+            Ok(state) if state.file_type().is_char_device() => Ok(PathState::Stream),
             Ok(state) if state.is_dir() => Err(ErrorKind::IsADirectory.into()),
             // Opening a pipe could block for ever.
             Ok(_) => Err(io::Error::other("it is not a regular file")),
             Err(e) if e.kind() == ErrorKind::NotFound => match self.path.symlink_metadata() {
                 Ok(_) => Err(io::Error::other("it is a link to a file that does not exist")),
-                Err(_) => Ok(Place::Free),
+                Err(_) => Ok(PathState::Free),
             },
             Err(e) => Err(e),
         }
@@ -126,10 +126,10 @@ impl Output {
     /// # Errors
     /// [`OutputError`] if the file exists and may not be replaced, or cannot be written.
     pub fn check(&self) -> Result<(), OutputError> {
-        match self.place().map_err(|e| self.io(e))? {
-            Place::Stream => Ok(()),
-            Place::Occupied if !self.force => Err(OutputError::Exists { path: self.path.clone() }),
-            Place::Occupied | Place::Free => {
+        match self.state().map_err(|e| self.io(e))? {
+            PathState::Stream => Ok(()),
+            PathState::Occupied if !self.force => Err(OutputError::Exists { path: self.path.clone() }),
+            PathState::Occupied | PathState::Free => {
                 self.folder().and_then(tempfile::tempfile_in).map(drop).map_err(|e| self.io(e))
             }
         }
@@ -141,21 +141,21 @@ impl Output {
     /// [`OutputError`] if the file exists and may not be replaced, or cannot be written.
     pub fn clear(&self) -> Result<(), OutputError> {
         self.check()?;
-        match self.place().map_err(|e| self.io(e))? {
-            Place::Occupied => std::fs::remove_file(&self.path).map_err(|e| self.io(e)),
-            Place::Free => Ok(()),
-            Place::Stream => Err(self.io(io::Error::other("it is not a regular file"))),
+        match self.state().map_err(|e| self.io(e))? {
+            PathState::Occupied => std::fs::remove_file(&self.path).map_err(|e| self.io(e)),
+            PathState::Free => Ok(()),
+            PathState::Stream => Err(self.io(io::Error::other("it is not a regular file"))),
         }
     }
 
-    /// Begins to write; the file appears at its path with [`Pending::finish`].
+    /// Begins to write; the file appears at its path with [`PendingFile::finish`].
     ///
     /// # Errors
     /// [`OutputError`] if the file exists and may not be replaced, or cannot be written.
-    pub fn begin(&self) -> Result<Pending, OutputError> {
+    pub fn begin(&self) -> Result<PendingFile, OutputError> {
         self.check()?;
         let open = || -> io::Result<Sink> {
-            if !matches!(self.place()?, Place::Stream) {
+            if !matches!(self.state()?, PathState::Stream) {
                 let file = tempfile::Builder::new()
                     .prefix(".upswing-")
                     // As for any other new file, less the umask.
@@ -171,7 +171,7 @@ impl Output {
             Ok(Sink::Stream(Box::new(BufWriter::new(file))))
         };
         let sink = open().map_err(|e| self.io(e))?;
-        Ok(Pending { output: self.clone(), sink })
+        Ok(PendingFile { output: self.clone(), sink })
     }
 
     /// Writes `bytes` as the whole file.
@@ -190,13 +190,13 @@ enum Sink {
     Whole(BufWriter<NamedTempFile>),
 }
 
-/// An output file being written. Dropped before [`Pending::finish`], it leaves no file.
-pub struct Pending {
-    output: Output,
+/// An output file being written. Dropped before [`PendingFile::finish`], it leaves no file.
+pub struct PendingFile {
+    output: OutputFile,
     sink: Sink,
 }
 
-impl Write for Pending {
+impl Write for PendingFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         match &mut self.sink {
             Sink::Stream(sink) => sink.write(bytes),
@@ -212,7 +212,7 @@ impl Write for Pending {
     }
 }
 
-impl Pending {
+impl PendingFile {
     /// Completes the file and moves it to its path.
     ///
     /// # Errors
@@ -238,7 +238,7 @@ impl Pending {
 
 #[cfg(test)]
 mod tests {
-    use super::{Output, OutputError, Overwrite, Path};
+    use super::{OutputError, OutputFile, Overwrite, Path};
     use std::io::Write;
 
     fn names(folder: &Path) -> Vec<String> {
@@ -252,10 +252,12 @@ mod tests {
     fn an_existing_file_stays_unless_it_may_be_replaced() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a");
-        Output::new(&path).write(b"one").unwrap();
-        for refused in
-            [Output::new(&path).check(), Output::new(&path).write(b"two"), Output::new(&path).clear()]
-        {
+        OutputFile::new(&path).write(b"one").unwrap();
+        for refused in [
+            OutputFile::new(&path).check(),
+            OutputFile::new(&path).write(b"two"),
+            OutputFile::new(&path).clear(),
+        ] {
             assert!(matches!(refused, Err(OutputError::Exists { .. })), "{refused:?}");
         }
         assert_eq!(std::fs::read(&path).unwrap(), b"one");
@@ -281,7 +283,7 @@ mod tests {
         assert_eq!(names(folder.path()), ["a"]);
         // Another process creates the file meanwhile.
         let other = folder.path().join("b");
-        let mut pending = Output::new(&other).begin().unwrap();
+        let mut pending = OutputFile::new(&other).begin().unwrap();
         pending.write_all(b"two").unwrap();
         std::fs::write(&other, b"theirs").unwrap();
         assert!(matches!(pending.finish(), Err(OutputError::Exists { .. })));
@@ -293,8 +295,8 @@ mod tests {
 
     #[test]
     fn devices_are_written_and_pipes_and_folders_refused() {
-        Output::new(Path::new("/dev/null")).write(b"one").unwrap();
-        let full = Output::new(Path::new("/dev/full"));
+        OutputFile::new(Path::new("/dev/null")).write(b"one").unwrap();
+        let full = OutputFile::new(Path::new("/dev/full"));
         full.check().unwrap();
         assert!(full.write(b"one").unwrap_err().to_string().contains("/dev/full"));
         let folder = tempfile::tempdir().unwrap();
@@ -313,7 +315,7 @@ mod tests {
         let (file, link) = (folder.path().join("file"), folder.path().join("link"));
         std::fs::write(&file, b"one").unwrap();
         std::os::unix::fs::symlink(&file, &link).unwrap();
-        assert!(Output::new(&link).check().is_err());
+        assert!(OutputFile::new(&link).check().is_err());
         Overwrite { force: true }.output(&link).write(b"two").unwrap();
         assert!(link.is_symlink() && std::fs::read(&file).unwrap() == b"two");
     }

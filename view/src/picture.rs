@@ -10,7 +10,7 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 use upswing_ipc::{Mode, Telemetry};
 use upswing_model::{Limits, NQ, NU};
-use upswing_process::output::Output;
+use upswing_process::output::OutputFile;
 
 /// Size of a picture, px.
 const SIZE: (u32, u32) = (1200, 820);
@@ -56,7 +56,7 @@ fn svg(size: (u32, u32), draw: impl FnOnce(&Area<'_>) -> Drawn) -> Result<String
 }
 
 /// Writes a drawing to a file. The file output of plotters would not report a full disk.
-fn write(output: &Output, drawing: &[u8]) -> Result<(), String> {
+fn write(output: &OutputFile, drawing: &[u8]) -> Result<(), String> {
     output.write(drawing).map_err(|e| e.to_string())
 }
 
@@ -65,7 +65,7 @@ fn write(output: &Output, drawing: &[u8]) -> Result<(), String> {
 ///
 /// # Errors
 /// A message if there is no swing-up, or the picture could not be drawn or written.
-pub fn draw(output: &Output, records: &[Telemetry], limits: &Limits, period: f64) -> Result<(), String> {
+pub fn draw(output: &OutputFile, records: &[Telemetry], limits: &Limits, period: f64) -> Result<(), String> {
     write(output, swing_up(records, limits, period)?.as_bytes())
 }
 

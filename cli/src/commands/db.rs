@@ -7,7 +7,7 @@ use std::time::Instant;
 use upswing_config::Config;
 use upswing_planner::database::{self, BuildError, DatabaseFile, Shard, Summary};
 use upswing_process::number::whole;
-use upswing_process::output::{Destination, Output, OutputError, Overwrite};
+use upswing_process::output::{Destination, OutputError, OutputFile, Overwrite};
 use upswing_process::{Failure, shutdown_flag};
 use upswing_trajectory::{Certificate, Database, Entry, Outcome};
 
@@ -162,7 +162,7 @@ impl std::fmt::Display for DbBuildResult {
     }
 }
 
-fn build(common: &CommonArgs, grid: Option<&Path>, shard: Shard, output: &Output) -> Result<(), Failure> {
+fn build(common: &CommonArgs, grid: Option<&Path>, shard: Shard, output: &OutputFile) -> Result<(), Failure> {
     let mut config = common.process.load()?;
     use_grid(&mut config, grid)?;
     let stop = shutdown_flag()?;
@@ -184,7 +184,7 @@ fn build(common: &CommonArgs, grid: Option<&Path>, shard: Shard, output: &Output
     conclude(common, output.path(), summary, begin)
 }
 
-fn merge(common: &CommonArgs, output: &Output, shards: &[PathBuf]) -> Result<(), Failure> {
+fn merge(common: &CommonArgs, output: &OutputFile, shards: &[PathBuf]) -> Result<(), Failure> {
     let begin = Instant::now();
     let summary = database::merge(shards, output).map_err(failure)?;
     conclude(common, output.path(), summary, begin)

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use upswing_ipc::Telemetry;
 use upswing_process::Failure;
 use upswing_process::number::{whole, within};
-use upswing_process::output::{Destination, Overwrite, Pending};
+use upswing_process::output::{Destination, Overwrite, PendingFile};
 use upswing_record::cycle::FIELDS;
 use upswing_record::{Message, RecordingFile, scan};
 
@@ -95,7 +95,7 @@ pub fn run(args: &ExportArgs) -> Result<(), Failure> {
     });
     bar.finish_and_clear();
     let recording = recording?;
-    table.map_or(Ok(()), Pending::finish).map_err(failed)?;
+    table.map_or(Ok(()), PendingFile::finish).map_err(failed)?;
     args.common.print(&ExportResult {
         csv: &args.csv,
         lines,

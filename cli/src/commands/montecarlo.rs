@@ -14,7 +14,7 @@ use upswing_planner::database::{self, DatabaseFile, Shard};
 use upswing_planner::replan::Planner;
 use upswing_process::Failure;
 use upswing_process::number::whole;
-use upswing_process::output::Output;
+use upswing_process::output::OutputFile;
 use upswing_rig::montecarlo::{RandomStarts, Spread, Study, StudyError};
 
 pub use closed_loop::ClosedLoopArgs;
@@ -224,7 +224,7 @@ fn list_failures<'a>(
 /// Builds the database of the settings' grid in the file `path`.
 fn build_database(config: &Config, path: &Path, stop: &AtomicBool) -> Result<(), Failure> {
     let bar = progress_bar(config.grid.poses() as u64, "poses of the database");
-    let summary = database::build(config, Shard::WHOLE, &Output::new(path), stop, |n| bar.inc(n as u64))
+    let summary = database::build(config, Shard::WHOLE, &OutputFile::new(path), stop, |n| bar.inc(n as u64))
         .map_err(failed)?;
     bar.finish_and_clear();
     match (summary.left, summary.failed.len()) {

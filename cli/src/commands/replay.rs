@@ -5,7 +5,7 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use upswing_config::Config;
 use upswing_process::Failure;
-use upswing_process::output::{Destination, Output, Overwrite};
+use upswing_process::output::{Destination, OutputFile, Overwrite};
 use upswing_record::replay::{Difference, RecordedRun, Replay, replay, settings};
 use upswing_record::{Message, Recorder, RecordingError};
 
@@ -97,7 +97,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
 }
 
 /// Writes a recording of all inputs, and of those replayed cycles that are first, last, or change mode or fault.
-fn keep(file: &Output, config: &Config, recorded: &RecordedRun, replay: &Replay) -> Result<(), Failure> {
+fn keep(file: &OutputFile, config: &Config, recorded: &RecordedRun, replay: &Replay) -> Result<(), Failure> {
     file.clear().map_err(|e| Failure::BadInput(format!("--keep: {e}")))?;
     let details = [("kept", env!("CARGO_PKG_VERSION").to_owned())];
     let write = || -> Result<_, RecordingError> {

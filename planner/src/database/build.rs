@@ -18,7 +18,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use upswing_config::{Config, GridSettings};
 use upswing_ocp::interior_point::{Options, Status};
 use upswing_ocp::multistart::Search;
-use upswing_process::output::Output;
+use upswing_process::output::OutputFile;
 use upswing_trajectory::{Database, DatabaseError, Entry, Heading, Outcome, Record, Trajectory};
 
 /// Numbers of the poses of one line of the grid, in order.
@@ -48,7 +48,7 @@ fn journal_path(output: &Path) -> PathBuf {
 pub fn build(
     config: &Config,
     shard: Shard,
-    output: &Output,
+    output: &OutputFile,
     stop: &AtomicBool,
     progress: impl Fn(usize) + Sync,
 ) -> Result<Summary, BuildError> {

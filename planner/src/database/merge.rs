@@ -3,7 +3,7 @@
 use super::{BuildError, Summary, read, same_origin, summary};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
-use upswing_process::output::{Output, OutputError};
+use upswing_process::output::{OutputError, OutputFile};
 use upswing_trajectory::{Database, Heading, Record};
 
 /// Merges the shards of one build into `output` and returns the numbers of poses. The order of the files does not matter; the
@@ -11,7 +11,7 @@ use upswing_trajectory::{Database, Heading, Record};
 ///
 /// # Errors
 /// [`BuildError`] for missing shards, files of different builds, and poses that differ between files.
-pub fn merge(inputs: &[PathBuf], output: &Output) -> Result<Summary, BuildError> {
+pub fn merge(inputs: &[PathBuf], output: &OutputFile) -> Result<Summary, BuildError> {
     // An existing output is tolerated here: it may already be the result of this merge.
     if let Err(e @ OutputError::Io { .. }) = output.check() {
         return Err(e.into());

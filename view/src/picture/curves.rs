@@ -2,7 +2,7 @@
 
 use super::{Area, COLOURS, Drawn, svg, write};
 use plotters::prelude::*;
-use upswing_process::output::Output;
+use upswing_process::output::OutputFile;
 
 /// Most panels side by side.
 const COLUMNS: usize = 3;
@@ -34,7 +34,7 @@ pub struct Panel {
 ///
 /// # Errors
 /// A message if the picture could not be drawn or written.
-pub fn draw(output: &Output, panels: &[Panel]) -> Result<(), String> {
+pub fn draw(output: &OutputFile, panels: &[Panel]) -> Result<(), String> {
     let columns = panels.len().clamp(1, COLUMNS);
     let rows = panels.len().div_ceil(columns).max(1);
     let size = (PANEL.0 * columns as u32, PANEL.1 * rows as u32);

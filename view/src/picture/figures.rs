@@ -7,7 +7,7 @@ use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use std::path::PathBuf;
 use upswing_ipc::Mode;
-use upswing_process::output::{Output, OutputError};
+use upswing_process::output::{OutputError, OutputFile};
 
 /// Size of the figure of the cycle times, px.
 const TIMES_SIZE: (u32, u32) = (900, 420);
@@ -21,7 +21,7 @@ const MODES: &str = "modes";
 const CYCLE_TIMES: &str = "cycle-times";
 
 /// Returns the file of a figure, in the directory of `page`.
-fn figure(page: &Output, name: &str, extension: &str) -> Output {
+fn figure(page: &OutputFile, name: &str, extension: &str) -> OutputFile {
     let stem = page.path().file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned());
     page.beside(&format!("{stem}-{name}.{extension}"))
 }
@@ -30,7 +30,7 @@ fn figure(page: &Output, name: &str, extension: &str) -> Output {
 ///
 /// # Errors
 /// [`OutputError`] of the first figure that cannot be written.
-pub fn check(page: &Output, as_svg: bool, as_png: bool) -> Result<(), OutputError> {
+pub fn check(page: &OutputFile, as_svg: bool, as_png: bool) -> Result<(), OutputError> {
     let kinds = [(as_svg, "svg"), (as_png, "png")];
     let names = [TRAJECTORIES, MODES, CYCLE_TIMES];
     kinds
@@ -45,7 +45,7 @@ pub fn check(page: &Output, as_svg: bool, as_png: bool) -> Result<(), OutputErro
 /// # Errors
 /// A message if a figure could not be drawn or written.
 pub fn draw(
-    page: &Output,
+    page: &OutputFile,
     digest: &RecordingDigest,
     as_svg: bool,
     as_png: bool,

@@ -5,7 +5,7 @@ use super::{Area, Drawn, svg, write};
 use plotters::prelude::*;
 use upswing_config::GridAxis;
 use upswing_model::NU;
-use upswing_process::output::Output;
+use upswing_process::output::OutputFile;
 
 /// Edge length of a panel, px.
 const PANEL: u32 = 200;
@@ -59,7 +59,7 @@ impl MapAxis {
 ///
 /// # Errors
 /// A message if fewer than two joints have a range, or the picture could not be drawn or written.
-pub fn draw(output: &Output, axes: &[GridAxis], points: &[MapPoint]) -> Result<(), String> {
+pub fn draw(output: &OutputFile, axes: &[GridAxis], points: &[MapPoint]) -> Result<(), String> {
     let cells = (points.len() as f64 / STARTS_PER_CELL).sqrt().clamp(CELLS.0, CELLS.1) as usize;
     let sides: Vec<MapAxis> = axes
         .iter()

@@ -2,7 +2,7 @@
 
 use super::{CurvePair, POINTS, PanelStyle, draw_panels, write};
 use upswing_model::{ActuatedVector, Limits, Model, NQ, NU, State, Workspace};
-use upswing_process::output::Output;
+use upswing_process::output::OutputFile;
 use upswing_trajectory::Trajectory;
 
 /// Samples of the spline (12) of a trajectory, with the torques (9).
@@ -37,7 +37,7 @@ impl Samples {
 /// # Errors
 /// A message if the picture could not be drawn or written.
 pub fn draw(
-    output: &Output,
+    output: &OutputFile,
     model: &Model,
     limits: &Limits,
     plan: &Trajectory,
