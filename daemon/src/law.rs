@@ -33,9 +33,9 @@ impl Torque {
     }
 }
 
-/// Inertia of the robot in the state for which a torque was computed, kg m^2.
+/// Joint-space inertia of the robot in the state for which a torque was computed, kg m^2.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Inertia {
+pub struct JointSpaceInertia {
     /// Reduced inertia M~ (10).
     pub reduced: ActuatedMatrix,
     /// Columns of M for the unactuated joints.
@@ -52,7 +52,7 @@ pub fn torque(
     disturbance: &ActuatedVector,
     tau_max: &ActuatedVector,
     work: &mut Workspace,
-) -> Option<(Torque, Inertia)> {
+) -> Option<(Torque, JointSpaceInertia)> {
     let HybridDynamics { qdd_u, tau } = model.hybrid_dynamics(x, u, work);
     let tau = tau - disturbance;
     if !tau.iter().all(|v| v.is_finite()) {
@@ -63,7 +63,8 @@ pub fn torque(
     qdd.unactuated_mut().copy_from(&qdd_u);
     let within = ActuatedVector::from_fn(|i, _| tau[i].min(tau_max[i]).max(-tau_max[i]));
     let limited = (0..NU).any(|i| within[i] != tau[i]);
-    let inertia = Inertia { reduced: model.reduced_inertia(work), unactuated: work.unactuated_columns() };
+    let inertia =
+        JointSpaceInertia { reduced: model.reduced_inertia(work), unactuated: work.unactuated_columns() };
     Some((Torque { tau: within, cut: tau - within, limited, qdd }, inertia))
 }
 

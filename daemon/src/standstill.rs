@@ -17,7 +17,7 @@
 //! If torques are measured, a frozen measurement is detected without the model: the commanded torque changes, but neither
 //! the measured torques nor any angle do.
 
-use crate::law::{Inertia, Torque};
+use crate::law::{JointSpaceInertia, Torque};
 use crate::trip::{Trip, TripCause};
 use upswing_config::StandstillSettings;
 use upswing_model::thresholds::REST_SPEED_ESTIMATE;
@@ -180,7 +180,7 @@ impl Standstill {
         u: &ActuatedVector,
         torque: &Torque,
         estimate: &ActuatedVector,
-        Inertia { reduced, unactuated: columns }: &Inertia,
+        JointSpaceInertia { reduced, unactuated: columns }: &JointSpaceInertia,
         qd: &ActuatedVector,
     ) {
         if let Some(unchanged) = &mut self.unchanged {

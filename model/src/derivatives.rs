@@ -12,7 +12,7 @@
 //! w . qdd_U + mu . tau equals w . a_U + [mu, nu] . r(q, qd, [u, a_U]) for every a_U near qdd_U to first order.
 
 use crate::dynamics::{solve_unactuated, state_derivative, unactuated_block};
-use crate::spatial::{Spatial, skew};
+use crate::spatial::{SpatialVector, skew};
 use crate::{
     ActuatedVector, HybridDynamics, JointMatrix, JointParts, JointVector, Model, N_UNACTUATED, NQ, NU, NX,
     NZ, State, StateParts, UnactuatedVector, Workspace,
@@ -191,12 +191,12 @@ struct Coriolis {
 }
 
 impl Coriolis {
-    fn apply(&self, p_ang: &Vector3<f64>) -> Spatial {
-        Spatial::new(self.d1 * p_ang, 2.0 * p_ang.cross(&self.momentum))
+    fn apply(&self, p_ang: &Vector3<f64>) -> SpatialVector {
+        SpatialVector::new(self.d1 * p_ang, 2.0 * p_ang.cross(&self.momentum))
     }
 
     /// The angular part of D^T m (the linear part vanishes).
-    fn apply_transposed(&self, m: &Spatial) -> Vector3<f64> {
+    fn apply_transposed(&self, m: &SpatialVector) -> Vector3<f64> {
         self.d1.tr_mul(&m.ang) + 2.0 * self.momentum.cross(&m.lin)
     }
 }
@@ -220,7 +220,7 @@ impl Workspace {
     }
 
     /// psi''_i = A_{i-1} x S_i + V_{i-1} x psi_i
-    fn psi_dd(&self, i: usize) -> Spatial {
+    fn psi_dd(&self, i: usize) -> SpatialVector {
         self.acceleration[i].cross_motion(&self.axis[i]) + self.velocity[i].cross_motion(&self.psi[i])
     }
 
@@ -228,7 +228,7 @@ impl Workspace {
     /// rad and per rad/s.
     pub(crate) fn inverse_dynamics_derivatives(&self) -> (JointMatrix, JointMatrix) {
         let coriolis = self.coriolis();
-        let carried: [Spatial; NQ] = std::array::from_fn(|k| self.composite_axis(k));
+        let carried: [SpatialVector; NQ] = std::array::from_fn(|k| self.composite_axis(k));
         let swept: [Vector3<f64>; NQ] = std::array::from_fn(|k| coriolis[k].apply_transposed(&self.axis[k]));
         let (mut r_q, mut r_qd) = (JointMatrix::zeros(), JointMatrix::zeros());
         for i in 0..NQ {
@@ -252,17 +252,17 @@ impl Workspace {
     /// Second derivatives of eta . r at the state of the last [`Model::derivatives`].
     fn second_derivatives(&self, eta: &JointVector) -> SecondDerivatives {
         let coriolis = self.coriolis();
-        let psi_dd: [Spatial; NQ] = std::array::from_fn(|i| self.psi_dd(i));
+        let psi_dd: [SpatialVector; NQ] = std::array::from_fn(|i| self.psi_dd(i));
         // W_{i-1}, omega_i = W_{i-1} x S_i
-        let mut w = [Spatial::ZERO; NQ + 1];
-        let mut omega = [Spatial::ZERO; NQ];
+        let mut w = [SpatialVector::ZERO; NQ + 1];
+        let mut omega = [SpatialVector::ZERO; NQ];
         for i in 0..NQ {
             omega[i] = w[i].cross_motion(&self.axis[i]);
             w[i + 1] = w[i] + self.axis[i] * eta[i];
         }
         // Sums over bodies i..NQ: G = I W, H = D^T W (angular), and e1 of
         // E p = [e1 p_ang + 2 p_lin x G_lin, 0], the derivative of D^T W along V.
-        let mut g = Spatial::ZERO;
+        let mut g = SpatialVector::ZERO;
         let mut h = Vector3::zeros();
         let mut e1 = Matrix3::zeros();
         let mut second = SecondDerivatives {
@@ -289,13 +289,13 @@ impl Workspace {
 
             // E^T v, for v with angular part v_ang.
             let e_transposed =
-                |v_ang: &Vector3<f64>| Spatial::new(e1.tr_mul(v_ang), 2.0 * g.lin.cross(v_ang));
+                |v_ang: &Vector3<f64>| SpatialVector::new(e1.tr_mul(v_ang), 2.0 * g.lin.cross(v_ang));
             let (s, psi, inertia, d) = (&self.axis[i], &self.psi[i], &self.composite[i], &coriolis[i]);
             // Derivatives of d(eta.r)/dq_i along (omega, psi'', psi) of an earlier joint ...
             let q_omega = s.cross_force(&self.force[i]) + inertia.apply(&psi_dd[i]) + d.apply(&psi.ang);
             let q_psi_dd = s.cross_force(&g) + inertia.apply(&omega[i]);
             let q_psi = psi.cross_force(&g) * 2.0
-                + Spatial::new(s.ang.cross(&h) + d.apply_transposed(&omega[i]), Vector3::zeros())
+                + SpatialVector::new(s.ang.cross(&h) + d.apply_transposed(&omega[i]), Vector3::zeros())
                 + e_transposed(&psi.ang);
             // ... of d(eta.r)/dqd_i ...
             let qd_omega = inertia.apply(psi) * 2.0 + d.apply(&s.ang);

@@ -1,7 +1,7 @@
 //! Equations of motion (1)-(5), (9), (11), (24), by recursions over the chain in the world frame.
 
 use crate::positive;
-use crate::spatial::{Inertia, Spatial};
+use crate::spatial::{SpatialInertia, SpatialVector};
 use crate::{
     ActuatedMatrix, ActuatedVector, JointMatrix, JointParts, JointVector, Model, N_UNACTUATED, NQ, NU, State,
     StateParts, UnactuatedVector,
@@ -19,32 +19,32 @@ type UnactuatedMatrix = SMatrix<f64, N_UNACTUATED, N_UNACTUATED>;
 #[derive(Clone, Debug)]
 pub struct Workspace {
     /// S_i, axis of joint i.
-    pub(crate) axis: [Spatial; NQ],
+    pub(crate) axis: [SpatialVector; NQ],
     /// I_i, inertia of body i.
-    pub(crate) body: [Inertia; NQ],
+    pub(crate) body: [SpatialInertia; NQ],
     /// I^C_i, inertia of the bodies i..NQ together.
-    pub(crate) composite: [Inertia; NQ],
+    pub(crate) composite: [SpatialInertia; NQ],
     /// V_i, velocity.
-    pub(crate) velocity: [Spatial; NQ + 1],
+    pub(crate) velocity: [SpatialVector; NQ + 1],
     /// A_i, acceleration, with gravity as an upward acceleration of the base.
-    pub(crate) acceleration: [Spatial; NQ + 1],
+    pub(crate) acceleration: [SpatialVector; NQ + 1],
     /// psi_i = V_{i-1} x S_i
-    pub(crate) psi: [Spatial; NQ],
+    pub(crate) psi: [SpatialVector; NQ],
     /// F_i, force that the bodies i..NQ need for their motion.
-    pub(crate) force: [Spatial; NQ],
+    pub(crate) force: [SpatialVector; NQ],
 }
 
 impl Default for Workspace {
     fn default() -> Self {
-        let none = Inertia { mass: 0.0, moment: Vector3::zeros(), rotational: Matrix3::zeros() };
+        let none = SpatialInertia { mass: 0.0, moment: Vector3::zeros(), rotational: Matrix3::zeros() };
         Self {
-            axis: [Spatial::ZERO; NQ],
+            axis: [SpatialVector::ZERO; NQ],
             body: [none; NQ],
             composite: [none; NQ],
-            velocity: [Spatial::ZERO; NQ + 1],
-            acceleration: [Spatial::ZERO; NQ + 1],
-            psi: [Spatial::ZERO; NQ],
-            force: [Spatial::ZERO; NQ],
+            velocity: [SpatialVector::ZERO; NQ + 1],
+            acceleration: [SpatialVector::ZERO; NQ + 1],
+            psi: [SpatialVector::ZERO; NQ],
+            force: [SpatialVector::ZERO; NQ],
         }
     }
 }
@@ -52,7 +52,7 @@ impl Default for Workspace {
 impl Workspace {
     /// I^C_i S_i: its product with S_j, j <= i, is the entry M_ji.
     #[inline]
-    pub(crate) fn composite_axis(&self, i: usize) -> Spatial {
+    pub(crate) fn composite_axis(&self, i: usize) -> SpatialVector {
         self.composite[i].apply(&self.axis[i])
     }
 
@@ -183,7 +183,7 @@ impl Model {
         self.update_positions(q, work);
         self.update_velocities(qd, work);
         // Without gravity and without qdd, C qd is what remains of (1).
-        accelerate_chain(Spatial::ZERO, qd, &JointVector::zeros(), work);
+        accelerate_chain(SpatialVector::ZERO, qd, &JointVector::zeros(), work);
         reduce(&generalized_force(work), work).tau
     }
 
@@ -241,7 +241,7 @@ impl Model {
         for (i, joint) in self.joints.iter().enumerate() {
             parent = joint.frame(&parent, q[i]);
             let axis = parent.rotation * joint.axis;
-            work.axis[i] = Spatial::new(axis, parent.origin.cross(&axis));
+            work.axis[i] = SpatialVector::new(axis, parent.origin.cross(&axis));
             work.body[i] = joint.world_inertia(&parent);
         }
         work.composite[NQ - 1] = work.body[NQ - 1];
@@ -252,7 +252,7 @@ impl Model {
 
     /// Computes velocities at qd, after [`Self::update_positions`].
     pub(crate) fn update_velocities(&self, qd: &JointVector, work: &mut Workspace) {
-        work.velocity[0] = Spatial::ZERO;
+        work.velocity[0] = SpatialVector::ZERO;
         for i in 0..NQ {
             work.psi[i] = work.velocity[i].cross_motion(&work.axis[i]);
             work.velocity[i + 1] = work.velocity[i] + work.axis[i] * qd[i];
@@ -261,18 +261,18 @@ impl Model {
 
     /// Computes accelerations and forces at qdd, after [`Self::update_velocities`].
     pub(crate) fn update_accelerations(&self, qd: &JointVector, qdd: &JointVector, work: &mut Workspace) {
-        accelerate_chain(Spatial::new(Vector3::zeros(), -self.gravity), qd, qdd, work);
+        accelerate_chain(SpatialVector::new(Vector3::zeros(), -self.gravity), qd, qdd, work);
     }
 }
 
 /// Computes accelerations and forces at qdd of a chain whose base accelerates with `base`, after
 /// [`Model::update_velocities`].
-fn accelerate_chain(base: Spatial, qd: &JointVector, qdd: &JointVector, work: &mut Workspace) {
+fn accelerate_chain(base: SpatialVector, qd: &JointVector, qdd: &JointVector, work: &mut Workspace) {
     work.acceleration[0] = base;
     for i in 0..NQ {
         work.acceleration[i + 1] = work.acceleration[i] + work.axis[i] * qdd[i] + work.psi[i] * qd[i];
     }
-    let mut carried = Spatial::ZERO;
+    let mut carried = SpatialVector::ZERO;
     for i in (0..NQ).rev() {
         let (v, body) = (&work.velocity[i + 1], &work.body[i]);
         carried += body.apply(&work.acceleration[i + 1]) + v.cross_force(&body.apply(v));

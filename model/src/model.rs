@@ -1,7 +1,7 @@
 //! The model of a robot: its constants and its forward kinematics.
 
 use crate::description::Body;
-use crate::spatial::{Inertia, skew};
+use crate::spatial::{SpatialInertia, skew};
 use crate::{ActuatedVector, JointVector, Limits, NQ, NU};
 use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion, Vector3};
 
@@ -58,9 +58,9 @@ impl Joint {
 
     /// Spatial inertia of the body in the world frame, for its `frame`.
     #[inline]
-    pub(crate) fn world_inertia(&self, frame: &Frame) -> Inertia {
+    pub(crate) fn world_inertia(&self, frame: &Frame) -> SpatialInertia {
         let about_com = frame.rotation * self.inertia * frame.rotation.transpose();
-        Inertia::new(self.mass, frame.rotation * self.com + frame.origin, about_com)
+        SpatialInertia::new(self.mass, frame.rotation * self.com + frame.origin, about_com)
     }
 }
 

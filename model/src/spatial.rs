@@ -8,12 +8,12 @@ use std::ops::{Add, AddAssign, Mul, Sub};
 /// A spatial vector: a motion (angular velocity, linear velocity of the body point at the origin) or a force (moment about
 /// the origin, force).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Spatial {
+pub(crate) struct SpatialVector {
     pub ang: Vector3<f64>,
     pub lin: Vector3<f64>,
 }
 
-impl Spatial {
+impl SpatialVector {
     pub(crate) const ZERO: Self = Self { ang: Vector3::new(0.0, 0.0, 0.0), lin: Vector3::new(0.0, 0.0, 0.0) };
 
     pub(crate) fn new(ang: Vector3<f64>, lin: Vector3<f64>) -> Self {
@@ -39,7 +39,7 @@ impl Spatial {
     }
 }
 
-impl Add for Spatial {
+impl Add for SpatialVector {
     type Output = Self;
     #[inline]
     fn add(self, o: Self) -> Self {
@@ -47,7 +47,7 @@ impl Add for Spatial {
     }
 }
 
-impl Sub for Spatial {
+impl Sub for SpatialVector {
     type Output = Self;
     #[inline]
     fn sub(self, o: Self) -> Self {
@@ -55,7 +55,7 @@ impl Sub for Spatial {
     }
 }
 
-impl AddAssign for Spatial {
+impl AddAssign for SpatialVector {
     #[inline]
     fn add_assign(&mut self, o: Self) {
         self.ang += o.ang;
@@ -63,7 +63,7 @@ impl AddAssign for Spatial {
     }
 }
 
-impl Mul<f64> for Spatial {
+impl Mul<f64> for SpatialVector {
     type Output = Self;
     #[inline]
     fn mul(self, s: f64) -> Self {
@@ -73,7 +73,7 @@ impl Mul<f64> for Spatial {
 
 /// Spatial inertia of one rigid body, or of several joined ones, about the world origin.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Inertia {
+pub(crate) struct SpatialInertia {
     /// m, mass, kg.
     pub mass: f64,
     /// m c, mass times centre of mass, kg m.
@@ -82,7 +82,7 @@ pub(crate) struct Inertia {
     pub rotational: Matrix3<f64>,
 }
 
-impl Inertia {
+impl SpatialInertia {
     /// From mass (kg), centre of mass (m) and rotational inertia about that centre (kg m^2), world axes.
     pub(crate) fn new(mass: f64, com: Vector3<f64>, about_com: Matrix3<f64>) -> Self {
         let parallel_axis = (Matrix3::identity() * com.dot(&com) - com * com.transpose()) * mass;
@@ -91,15 +91,15 @@ impl Inertia {
 
     /// Momentum of the body in the motion `m`, or the force that the acceleration `m` needs.
     #[inline]
-    pub(crate) fn apply(&self, m: &Spatial) -> Spatial {
-        Spatial::new(
+    pub(crate) fn apply(&self, m: &SpatialVector) -> SpatialVector {
+        SpatialVector::new(
             self.rotational * m.ang + self.moment.cross(&m.lin),
             m.lin * self.mass - self.moment.cross(&m.ang),
         )
     }
 }
 
-impl Add for Inertia {
+impl Add for SpatialInertia {
     type Output = Self;
     #[inline]
     fn add(self, o: Self) -> Self {
