@@ -21,7 +21,7 @@ use upswing_trajectory::{KNOTS, Knots, N, Trajectory};
 
 /// When to stop.
 #[derive(Clone, Copy)]
-pub struct Options<'a> {
+pub struct NlpOptions<'a> {
     /// Largest residual of a solution: defects (rad, rad/s), scaled stationarity and complementarity.
     pub tolerance: f64,
     /// Most iterations.
@@ -34,7 +34,7 @@ pub struct Options<'a> {
 
 /// How a solve ended.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Status {
+pub enum NlpStatus {
     /// All residuals are within the tolerance.
     Solved,
     /// The iteration budget was used up.
@@ -67,7 +67,7 @@ impl std::fmt::Display for Limit {
     }
 }
 
-impl std::fmt::Display for Status {
+impl std::fmt::Display for NlpStatus {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Solved => f.write_str("solved"),
@@ -84,11 +84,11 @@ impl std::fmt::Display for Status {
 
 /// A trajectory with how it was found.
 #[derive(Clone, Debug)]
-pub struct Solution {
+pub struct NlpSolution {
     /// The last iterate.
     pub trajectory: Trajectory,
     /// Why the method stopped.
-    pub status: Status,
+    pub status: NlpStatus,
     /// J (6a).
     pub cost: f64,
     /// Iterations done.
@@ -155,7 +155,7 @@ struct Trial {
     alpha: f64,
 }
 
-struct Solver<'a> {
+struct NlpSolver<'a> {
     problem: &'a Problem<'a>,
     work: Workspace,
     /// Centre and half range of the constrained torque.
@@ -176,15 +176,15 @@ struct Solver<'a> {
 }
 
 /// Solves the problem from the `guess`.
-pub fn solve(problem: &Problem<'_>, guess: &Trajectory, options: &Options<'_>) -> Solution {
-    Solver::new(problem, guess).run(options)
+pub fn solve(problem: &Problem<'_>, guess: &Trajectory, options: &NlpOptions<'_>) -> NlpSolution {
+    NlpSolver::new(problem, guess).run(options)
 }
 
 /// Barrier parameter to begin with: takes a third fewer iterations than the publication's 0.1 on the paper's grid, to
 /// equally good optima.
 const BARRIER: f64 = 1e-3;
 
-impl<'a> Solver<'a> {
+impl<'a> NlpSolver<'a> {
     fn new(problem: &'a Problem<'a>, guess: &Trajectory) -> Self {
         let mut work = Workspace::default();
         let mu = BARRIER;
@@ -282,7 +282,7 @@ impl<'a> Solver<'a> {
 
     /// The solver's loop: check convergence, update the barrier, compute the search direction, find an acceptable trial point,
     /// accept it.
-    fn run(mut self, options: &Options<'_>) -> Solution {
+    fn run(mut self, options: &NlpOptions<'_>) -> NlpSolution {
         let begin = Instant::now();
         let mut filter = Filter::default();
         let mut iterations = 0;
@@ -305,12 +305,12 @@ impl<'a> Solver<'a> {
             self.condense(&mut linear);
             match self.iterate(&mut linear, &c, &mut filter) {
                 Some(next) => c = next,
-                None if violation <= options.tolerance => break (Status::Stalled, stationarity),
-                None => break (Status::Infeasible(self.blocking_limit()), stationarity),
+                None if violation <= options.tolerance => break (NlpStatus::Stalled, stationarity),
+                None => break (NlpStatus::Infeasible(self.blocking_limit()), stationarity),
             }
         };
         let cost = self.problem.cost(self.primal.t, &*self.primal.u);
-        Solution {
+        NlpSolution {
             trajectory: Trajectory { t_f: self.primal.t, x: self.primal.x, u: self.primal.u },
             status,
             cost,
@@ -326,16 +326,16 @@ impl<'a> Solver<'a> {
         infeasibility: f64,
         iterations: usize,
         begin: Instant,
-        options: &Options<'_>,
-    ) -> Option<Status> {
+        options: &NlpOptions<'_>,
+    ) -> Option<NlpStatus> {
         if infeasibility.max(self.complementarity(0.0)) <= options.tolerance {
-            Some(Status::Solved)
+            Some(NlpStatus::Solved)
         } else if iterations >= options.max_iterations {
-            Some(Status::MaxIterations)
+            Some(NlpStatus::MaxIterations)
         } else if options.time_budget.is_some_and(|budget| begin.elapsed() >= budget) {
-            Some(Status::OutOfTime)
+            Some(NlpStatus::OutOfTime)
         } else if options.cancelled.is_some_and(|cancelled| cancelled()) {
-            Some(Status::Interrupted)
+            Some(NlpStatus::Interrupted)
         } else {
             None
         }

@@ -1,6 +1,6 @@
 //! Solves the nonlinear program from several initial guesses and keeps the cheapest solution: it has several local optima.
 
-use crate::interior_point::{self, Limit, Options, Solution, Status};
+use crate::interior_point::{self, Limit, NlpOptions, NlpSolution, NlpStatus};
 use crate::problem::Problem;
 use upswing_model::{LimitKind, NQ, NU, StateParts, Workspace};
 use upswing_trajectory::Trajectory;
@@ -30,13 +30,13 @@ pub fn solve(
     problem: &Problem<'_>,
     search: Search,
     neighbour: Option<&Trajectory>,
-    options: &Options<'_>,
-) -> Solution {
-    let mut best: Option<Solution> = None;
-    let mut attempt = |guess: &Trajectory, options: &Options<'_>| {
+    options: &NlpOptions<'_>,
+) -> NlpSolution {
+    let mut best: Option<NlpSolution> = None;
+    let mut attempt = |guess: &Trajectory, options: &NlpOptions<'_>| {
         let solution = interior_point::solve(problem, guess, options);
-        let solved = solution.status == Status::Solved;
-        let better = best.as_ref().is_none_or(|b| match (solved, b.status == Status::Solved) {
+        let solved = solution.status == NlpStatus::Solved;
+        let better = best.as_ref().is_none_or(|b| match (solved, b.status == NlpStatus::Solved) {
             (true, true) => solution.cost < b.cost,
             (false, false) => solution.violation < b.violation,
             (this, _) => this,
@@ -68,7 +68,7 @@ pub fn solve(
 
 /// The limit without which a start that has no trajectory would have one: each kind of limit is lifted in turn, those
 /// of the pendulum first, which the arm cannot influence at once; what the trajectory then exceeds most is the answer.
-pub fn limit_in_the_way(problem: &Problem<'_>, options: &Options<'_>) -> Option<Limit> {
+pub fn limit_in_the_way(problem: &Problem<'_>, options: &NlpOptions<'_>) -> Option<Limit> {
     /// As good as none.
     const LIFTED: f64 = 100.0;
     let (arm, pendulum) = (0..NU, NU..NQ);
@@ -90,7 +90,7 @@ pub fn limit_in_the_way(problem: &Problem<'_>, options: &Options<'_>) -> Option<
             }
         }
         let solution = interior_point::solve(&lifted, &lifted.bent_line(BENT_DURATION, BENDS[0]), options);
-        (solution.status == Status::Solved)
+        (solution.status == NlpStatus::Solved)
             .then(|| most_exceeded(problem, &solution.trajectory, kind, joints))
             .flatten()
     })

@@ -2,7 +2,7 @@
 
 use upswing_config::{Config, PlannerSettings, ReplanSettings};
 use upswing_model::{ActuatedVector, N_UNACTUATED, NQ, NU, NX, State};
-use upswing_ocp::interior_point::{Options, Solution, Status};
+use upswing_ocp::interior_point::{NlpOptions, NlpSolution, NlpStatus};
 use upswing_ocp::kkt::KnotVector;
 use upswing_ocp::lqr;
 use upswing_ocp::multistart::{self, Search, limit_in_the_way};
@@ -64,22 +64,22 @@ pub fn optimize(
     start: State,
     search: Search,
     neighbour: Option<&Trajectory>,
-    options: &Options<'_>,
-) -> Solution {
+    options: &NlpOptions<'_>,
+) -> NlpSolution {
     let problem = problem(config, start);
     let mut best = multistart::solve(&problem, search, neighbour, options);
-    if matches!(best.status, Status::Infeasible(_))
+    if matches!(best.status, NlpStatus::Infeasible(_))
         && let Some(limit) = limit_in_the_way(&problem, options)
     {
-        best.status = Status::Infeasible(limit);
+        best.status = NlpStatus::Infeasible(limit);
     }
     best
 }
 
 /// The options of the interior-point method in the settings; no time budget.
-pub fn options(config: &Config) -> Options<'static> {
+pub fn options(config: &Config) -> NlpOptions<'static> {
     let offline = &config.planner.offline;
-    Options {
+    NlpOptions {
         tolerance: offline.tolerance,
         max_iterations: offline.max_iterations,
         time_budget: None,

@@ -16,7 +16,7 @@ use std::time::Instant;
 use upswing_config::{Config, ConfigError, QpBackend};
 use upswing_ipc::operator::Manoeuvre;
 use upswing_model::{LimitKind, NU, NX, State, StateParts, Workspace};
-use upswing_ocp::interior_point;
+use upswing_ocp::interior_point::{self, NlpOptions, NlpStatus};
 use upswing_ocp::kkt::{KnotVector, TargetRow};
 use upswing_ocp::lqr;
 use upswing_ocp::multistart::{self, Search};
@@ -336,14 +336,13 @@ impl Planner {
         effort: &Effort<'_>,
         statistics: &mut ReplanStatistics,
     ) -> Result<AcceptableTrajectory, PlanningFailure> {
-        use interior_point::Status as Ending;
         let mut begin = Instant::now();
         let reference = self.reference(manoeuvre, entry);
         let halted = || effort.is_cancelled() || effort.out_of_time();
-        let options = interior_point::Options { cancelled: Some(&halted), ..offline::options(&self.config) };
+        let options = NlpOptions { cancelled: Some(&halted), ..offline::options(&self.config) };
         let mut problem = self.problem_of(manoeuvre, start, &reference, 0.0);
         let mut solution = multistart::solve(&problem, Search::Best, None, &options);
-        if solution.status != Ending::Solved {
+        if solution.status != NlpStatus::Solved {
             solution = interior_point::solve(&problem, &problem.shifted(&reference), &options);
         }
         let mut iterations = 0;
@@ -353,10 +352,10 @@ impl Planner {
             statistics.optimisation += begin.elapsed();
             iterations += solution.iterations;
             // A stalled solution satisfies all constraints, too.
-            if !matches!(solution.status, Ending::Solved | Ending::Stalled) {
+            if !matches!(solution.status, NlpStatus::Solved | NlpStatus::Stalled) {
                 let ending = match solution.status {
-                    _ if effort.is_cancelled() => Ending::Interrupted,
-                    _ if effort.out_of_time() => Ending::OutOfTime,
+                    _ if effort.is_cancelled() => NlpStatus::Interrupted,
+                    _ if effort.out_of_time() => NlpStatus::OutOfTime,
                     ending => ending,
                 };
                 return tolerable.ok_or(PlanningFailure::Optimisation(ending));
@@ -377,7 +376,7 @@ impl Planner {
             }
             begin = Instant::now();
             solution = interior_point::solve(&problem, &found, &options);
-            let solved = matches!(solution.status, Ending::Solved | Ending::Stalled);
+            let solved = matches!(solution.status, NlpStatus::Solved | NlpStatus::Stalled);
             if !solved && tolerable.is_none() && !halted() {
                 solution = multistart::solve(&problem, Search::Best, Some(&reference), &options);
             }

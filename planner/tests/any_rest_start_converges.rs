@@ -3,21 +3,21 @@
 
 use upswing_config::{Config, PendulumStart};
 use upswing_model::{LimitKind, NQ, State, Workspace};
-use upswing_ocp::interior_point::{Solution, Status};
+use upswing_ocp::interior_point::{NlpSolution, NlpStatus};
 use upswing_ocp::multistart::Search;
 use upswing_planner::offline::{optimize, options};
 
 /// Number of random starts, a compromise between coverage and duration; 1000 were run when the test was written.
 const STARTS: usize = 60;
 
-fn solve(config: &Config, start: State) -> Solution {
+fn solve(config: &Config, start: State) -> NlpSolution {
     optimize(config, start, Search::First, None, &options(config))
 }
 
 fn assert_solved(config: &Config, start: State) {
     let solution = solve(config, start);
     let q = start.fixed_rows::<NQ>(0).map(f64::to_degrees);
-    assert_eq!(solution.status, Status::Solved, "from {q}");
+    assert_eq!(solution.status, NlpStatus::Solved, "from {q}");
     let t = &solution.trajectory;
     assert!(t.defect(&config.model, &mut Workspace::default()) <= 1e-8, "from {q}");
     let limits = &config.robot.planning;
@@ -77,7 +77,7 @@ fn a_rod_that_falls_too_fast_is_infeasible() {
     let config = Config::embedded().expect("embedded settings");
     // From pitch 30 deg the rod falls faster than joint 9 may move, whatever the arm does.
     match solve(&config, zero_start(&config, 30.0)).status {
-        Status::Infeasible(limit) => {
+        NlpStatus::Infeasible(limit) => {
             assert_eq!((limit.kind, limit.joint), (LimitKind::Velocity, NQ - 1), "{limit}");
         }
         other => panic!("expected infeasible, got {other}"),
@@ -91,12 +91,12 @@ fn budgets_end_a_solve_with_what_it_has() {
     let mut limited = options(&config);
     limited.max_iterations = 3;
     let solution = optimize(&config, start, Search::First, None, &limited);
-    assert_eq!(solution.status, Status::MaxIterations);
+    assert_eq!(solution.status, NlpStatus::MaxIterations);
     assert!(solution.trajectory.x.iter().all(|x| x.iter().all(|v| v.is_finite())));
     let mut stopped = options(&config);
     stopped.cancelled = Some(&|| true);
-    assert_eq!(optimize(&config, start, Search::First, None, &stopped).status, Status::Interrupted);
+    assert_eq!(optimize(&config, start, Search::First, None, &stopped).status, NlpStatus::Interrupted);
     let mut brief = options(&config);
     brief.time_budget = Some(std::time::Duration::ZERO);
-    assert_eq!(optimize(&config, start, Search::First, None, &brief).status, Status::OutOfTime);
+    assert_eq!(optimize(&config, start, Search::First, None, &brief).status, NlpStatus::OutOfTime);
 }

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use upswing_config::{Config, PendulumStart};
 use upswing_ipc::operator::Manoeuvre;
 use upswing_model::{NU, State};
-use upswing_ocp::interior_point::Status;
+use upswing_ocp::interior_point::NlpStatus;
 use upswing_ocp::multistart::Search;
 use upswing_planner::offline::{optimize, options};
 use upswing_planner::replan::{Effort, Method, Planner};
@@ -28,7 +28,7 @@ fn rest(config: &Config, degrees: [f64; NU]) -> State {
 fn plans_where_there_is_an_optimum(planner: &Planner, start: &State) -> bool {
     let config = planner.config();
     let optimum = optimize(config, *start, Search::Best, None, &options(config));
-    if optimum.status != Status::Solved {
+    if optimum.status != NlpStatus::Solved {
         return false;
     }
     let q = start.fixed_rows::<NU>(0).map(f64::to_degrees).transpose();
@@ -130,7 +130,7 @@ fn with_a_target_on_its_limit() {
         .iter()
         .map(|degrees| {
             let optimum = optimize(&config, rest(&config, *degrees), Search::Best, None, &options(&config));
-            assert_eq!(optimum.status, Status::Solved, "from {degrees:?}");
+            assert_eq!(optimum.status, NlpStatus::Solved, "from {degrees:?}");
             let input_weight = config.planner.offline.input_weight;
             Entry::new(&optimum.trajectory, |t| {
                 Certificate::of(t, &config.model, &config.robot.planning, input_weight)

@@ -4,7 +4,7 @@
 use serde::Deserialize;
 use upswing_config::{Config, PendulumStart, TorqueConstraint};
 use upswing_model::{NQ, NU, Workspace};
-use upswing_ocp::interior_point::Status;
+use upswing_ocp::interior_point::NlpStatus;
 use upswing_ocp::multistart::Search;
 use upswing_planner::offline::{optimize, options, problem};
 use upswing_trajectory::Trajectory;
@@ -59,7 +59,7 @@ fn check(torque: TorqueConstraint) {
         assert!((start[NQ - 1].to_degrees() - known.start_q9_deg).abs() < 1e-9);
         let solution = optimize(&config, start, Search::First, None, &options(&config));
         let name = format!("{:?} ({torque:?})", known.start_deg);
-        assert_eq!(solution.status, Status::Solved, "{name}");
+        assert_eq!(solution.status, NlpStatus::Solved, "{name}");
         let defect = solution.trajectory.defect(&config.model, &mut Workspace::default());
         assert!(defect <= 1e-8, "{name}: defect {defect:e}");
         assert!((solution.trajectory.x[0] - start).amax() == 0.0, "{name}: another start");

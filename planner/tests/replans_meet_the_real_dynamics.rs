@@ -5,7 +5,7 @@ use std::time::Instant;
 use upswing_config::{Config, PendulumStart, SUB_HORIZONS, TorqueConstraint};
 use upswing_ipc::operator::Manoeuvre;
 use upswing_model::State;
-use upswing_ocp::interior_point::Status as Ending;
+use upswing_ocp::interior_point::NlpStatus;
 use upswing_planner::replan::{Effort, Planner, PlanningFailure};
 use upswing_trajectory::{Entry, N};
 
@@ -168,7 +168,7 @@ fn an_impossible_start_is_refused_with_the_reason_of_each_entry() {
     // The full optimisation finds no trajectory either.
     let refusal = planner.replan(&x, 2, None).expect_err("no plan");
     assert!(
-        matches!(refusal.optimisation, Some(PlanningFailure::Optimisation(Ending::Infeasible(_)))),
+        matches!(refusal.optimisation, Some(PlanningFailure::Optimisation(NlpStatus::Infeasible(_)))),
         "{refusal}"
     );
 }

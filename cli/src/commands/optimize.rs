@@ -6,8 +6,7 @@ use serde::Serialize;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 use upswing_config::PendulumStart;
-use upswing_ocp::interior_point::Options;
-use upswing_ocp::interior_point::Status;
+use upswing_ocp::interior_point::{NlpOptions, NlpStatus};
 use upswing_ocp::multistart::Search;
 use upswing_planner::offline::{optimize, options};
 use upswing_process::number::within;
@@ -64,7 +63,7 @@ pub fn run(args: &OptimizeArgs) -> Result<(), Failure> {
     let stop = shutdown_flag()?;
     let search = if args.best { Search::Best } else { Search::First };
     let stopped = || stop.load(Ordering::Acquire);
-    let options = Options { time_budget, cancelled: Some(&stopped), ..options(&config) };
+    let options = NlpOptions { time_budget, cancelled: Some(&stopped), ..options(&config) };
     let waiting = spinner("optimising; Ctrl-C prints what there is");
     let solution = optimize(&config, start, search, None, &options);
     waiting.finish_and_clear();
@@ -97,5 +96,5 @@ pub fn run(args: &OptimizeArgs) -> Result<(), Failure> {
             result.margins
         ))?;
     }
-    if solution.status == Status::Solved { Ok(()) } else { Err(failed(format!("no solution: {status}"))) }
+    if solution.status == NlpStatus::Solved { Ok(()) } else { Err(failed(format!("no solution: {status}"))) }
 }

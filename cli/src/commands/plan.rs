@@ -7,7 +7,7 @@ use upswing_config::{Config, PendulumStart};
 use upswing_ipc::PlannerStatus;
 use upswing_ipc::operator::Manoeuvre;
 use upswing_model::State;
-use upswing_ocp::interior_point::Status;
+use upswing_ocp::interior_point::NlpStatus;
 use upswing_ocp::multistart::Search;
 use upswing_planner::database::certify;
 use upswing_planner::offline::{optimize, options};
@@ -144,7 +144,7 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
 /// Optimises the trajectory from `start` as a database entry.
 fn optimal_entry(config: &Config, start: State) -> Result<Entry, Failure> {
     let solution = optimize(config, start, Search::Best, None, &options(config));
-    if solution.status != Status::Solved {
+    if solution.status != NlpStatus::Solved {
         return Err(failed(format!("--reference: no trajectory: {}", solution.status)));
     }
     Ok(Entry::new(&solution.trajectory, |t| certify(config, t)))

@@ -1,7 +1,7 @@
 //! How far an iterate is from the conditions of an optimum, and which limit is in its way.
 
 use super::newton::Linear;
-use super::{Bounded, Limit, Scalar, Solver};
+use super::{Bounded, Limit, NlpSolver, Scalar};
 use upswing_model::{LimitKind, NU, NX};
 use upswing_trajectory::{KNOTS, N};
 
@@ -10,7 +10,7 @@ const S_MAX: f64 = 100.0;
 /// Number of bounds of states and slacks.
 const BOUNDS: f64 = (2 * (N * NX + KNOTS * NU)) as f64;
 
-impl Solver<'_> {
+impl NlpSolver<'_> {
     /// Largest residual of the stationarity conditions, scaled by the size of the multipliers.
     pub(super) fn stationarity(&self, linear: &mut Linear) -> f64 {
         let Linear { kkt, torque, rhs, .. } = linear;

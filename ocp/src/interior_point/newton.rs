@@ -1,6 +1,6 @@
 //! The linear system of an iteration, its factorisation and the step that it gives.
 
-use super::{Residuals, Scalar, Solver};
+use super::{NlpSolver, Residuals, Scalar};
 use crate::kkt::{
     Factor, Kkt, KnotDynamics, KnotMatrix, KnotVector, NewtonStep, Rhs, SolveWorkspace, TargetRow,
 };
@@ -60,7 +60,7 @@ impl Linear {
     }
 }
 
-impl Solver<'_> {
+impl NlpSolver<'_> {
     /// Multiplier sum w_k = lambda_{k-1} + lambda_k of the defects at knot k.
     pub(super) fn defect_multiplier(&self, k: usize) -> State {
         let mut w = State::zeros();

@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 use upswing_config::{Config, GridSettings};
-use upswing_ocp::interior_point::{Options, Status};
+use upswing_ocp::interior_point::{NlpOptions, NlpStatus};
 use upswing_ocp::multistart::Search;
 use upswing_process::output::OutputFile;
 use upswing_trajectory::{Database, DatabaseError, Entry, Heading, Outcome, Record, Trajectory};
@@ -113,7 +113,7 @@ fn solve_line(
     stop: &AtomicBool,
 ) -> Option<Vec<Record>> {
     let stopped = || stop.load(Ordering::Acquire);
-    let options = Options { cancelled: Some(&stopped), ..options(config) };
+    let options = NlpOptions { cancelled: Some(&stopped), ..options(config) };
     let mut neighbour: Option<Trajectory> = None;
     let mut records = Vec::with_capacity(line.len());
     for pose in line {
@@ -129,7 +129,7 @@ fn solve_line(
                     return None;
                 }
                 match solution.status {
-                    Status::Solved => {
+                    NlpStatus::Solved => {
                         let entry = Entry::new(&solution.trajectory, |t| certify(config, t));
                         neighbour = Some(entry.trajectory.clone());
                         Outcome::Solved(Box::new(entry))

@@ -5,7 +5,7 @@ use crate::offline::{optimize, options, problem};
 use rayon::prelude::*;
 use upswing_config::Config;
 use upswing_model::State;
-use upswing_ocp::interior_point::Status;
+use upswing_ocp::interior_point::NlpStatus;
 use upswing_ocp::multistart::Search;
 use upswing_trajectory::{Certificate, Database, Entry, Margins, N, Outcome, Record};
 
@@ -135,7 +135,7 @@ fn has_start(config: &Config, record: &Record, start: &State) -> Result<(), Find
         _ => {
             let solution = optimize(config, *start, Search::Best, None, &options(config));
             match solution.status {
-                Status::Solved => Err(Finding::Solvable { cost: solution.cost }),
+                NlpStatus::Solved => Err(Finding::Solvable { cost: solution.cost }),
                 _ => Ok(()),
             }
         }

@@ -4,7 +4,7 @@ use crate::database::Neighbour;
 use std::time::Duration;
 use upswing_config::Config;
 use upswing_model::Workspace;
-use upswing_ocp::interior_point;
+use upswing_ocp::interior_point::NlpStatus;
 use upswing_ocp::lqr;
 use upswing_ocp::qp::{self, Conflict, Stall};
 use upswing_trajectory::{Gains, Margins, Plan, Trajectory, Unfit};
@@ -61,7 +61,7 @@ pub enum PlanningFailure {
     },
     /// The full optimisation found no trajectory.
     #[error("{0}")]
-    Optimisation(interior_point::Status),
+    Optimisation(NlpStatus),
     /// There is no stabilising gain at the end of the trajectory.
     #[error(transparent)]
     Gain(#[from] lqr::NotStabilisable),
@@ -181,8 +181,7 @@ impl std::error::Error for NoPlan {}
 impl NoPlan {
     /// Whether the time budget was the reason, not feasibility.
     pub fn out_of_time(&self) -> bool {
-        use interior_point::Status::OutOfTime;
-        matches!(self.optimisation, Some(PlanningFailure::Optimisation(OutOfTime)))
+        matches!(self.optimisation, Some(PlanningFailure::Optimisation(NlpStatus::OutOfTime)))
             || self.failed.iter().any(|a| matches!(a.failure, PlanningFailure::Deadline { .. }))
     }
 }
