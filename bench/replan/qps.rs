@@ -2,7 +2,7 @@
 
 use crate::solvers::Took;
 use upswing_model::{NU, NX};
-use upswing_ocp::qp::{Qp, Solution};
+use upswing_ocp::qp::{Qp, QpSolution};
 use upswing_trajectory::N;
 
 /// First N, NX, NU and the number of target rows; then one record per QP, all of the same length, in the order of
@@ -12,7 +12,7 @@ pub struct QpFile(Vec<f64>);
 
 impl QpFile {
     /// Adds a QP with the times and solutions of the structured solver and of Clarabel.
-    pub fn push(&mut self, qp: &Qp, results: [(Took, &Solution); 2]) {
+    pub fn push(&mut self, qp: &Qp, results: [(Took, &QpSolution); 2]) {
         let out = &mut self.0;
         if out.is_empty() {
             out.extend([N, NX, NU, qp.target.len()].map(|n| n as f64));

@@ -7,15 +7,20 @@ use std::time::{Duration, Instant};
 use upswing_ipc::operator::Manoeuvre;
 use upswing_model::{State, Workspace};
 use upswing_ocp::lqr;
-use upswing_ocp::qp::{Backend, Options, Qp, Solver, Status};
+use upswing_ocp::qp::{Backend, Qp, QpOptions, QpSolver, QpStatus};
 use upswing_planner::offline::{lqr_weights, qp_weights};
 use upswing_planner::replan::{Effort, Planner, Replan};
 use upswing_trajectory::N;
 
 /// As in a replan (`planner/src/replan.rs`) but for a tenth of its complementarity, with which all solvers come equally
 /// close to the exact solution.
-const OPTIONS: Options<'_> =
-    Options { tolerance: 1e-9, complementarity: 1e-13, max_iterations: 100, deadline: None, cancelled: None };
+const OPTIONS: QpOptions<'_> = QpOptions {
+    tolerance: 1e-9,
+    complementarity: 1e-13,
+    max_iterations: 100,
+    deadline: None,
+    cancelled: None,
+};
 
 /// How long something took.
 #[derive(Clone, Copy)]
@@ -60,7 +65,7 @@ pub fn run(folder: &Path, count: u64) {
 /// The first QP of each replan.
 fn one_qp(planner: &Planner, starts: &[State], path: &Path) {
     let backends = [Backend::Structured, Backend::Clarabel];
-    let mut solvers = backends.map(|backend| Solver::new(backend, N));
+    let mut solvers = backends.map(|backend| QpSolver::new(backend, N));
     let mut file = QpFile::default();
     let mut infeasible = 0;
     for start in starts {
@@ -70,10 +75,10 @@ fn one_qp(planner: &Planner, starts: &[State], path: &Path) {
             (status, took, solver.solution())
         });
         match results.each_ref().map(|(status, ..)| *status) {
-            [Status::Solved, Status::Solved] => {
+            [QpStatus::Solved, QpStatus::Solved] => {
                 file.push(&qp, results.map(|(_, took, solution)| (took, solution)));
             }
-            [Status::Infeasible(_), Status::Infeasible(_)] => infeasible += 1,
+            [QpStatus::Infeasible(_), QpStatus::Infeasible(_)] => infeasible += 1,
             other => panic!("the back ends do not agree: {other:?}"),
         }
     }

@@ -6,7 +6,7 @@
 //!   - dt (f_k + f_{k+1}) / (2 N) + r_k = 0 (14), dx_0 given (15), the rows of the target (8),
 //! - bounds of dx_1..dx_N and dt, and the linearised torque (9) or (11) of every knot within its bounds.
 //!
-//! [`Solver`] has two back ends. [`structured`] uses the stages and is fast. Clarabel, a general sparse solver of other authors, is
+//! [`QpSolver`] has two back ends. [`structured`] uses the stages and is fast. Clarabel, a general sparse solver of other authors, is
 //! slower and scales the program; it is a second opinion where [`structured`] makes no progress, and the reference of the tests.
 
 mod clarabel;
@@ -210,7 +210,7 @@ impl std::fmt::Display for Conflict {
 
 /// How a solve ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Status {
+pub enum QpStatus {
     /// All residuals are within the tolerance.
     Solved,
     /// No point meets all constraints; names the limit that weighs most in the contradiction where the back end
@@ -224,7 +224,7 @@ pub enum Status {
     Stalled(Stall),
 }
 
-impl std::fmt::Display for Status {
+impl std::fmt::Display for QpStatus {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Solved => f.write_str("solved"),
@@ -265,7 +265,7 @@ impl std::fmt::Display for Stall {
 
 /// When a solver stops.
 #[derive(Clone, Copy)]
-pub struct Options<'a> {
+pub struct QpOptions<'a> {
     /// Largest residual of a solution: constraints (rad, rad/s, shares of half a torque range) and stationarity,
     /// relative to the largest multiplier where that is above one.
     pub tolerance: f64,
@@ -280,13 +280,13 @@ pub struct Options<'a> {
     pub cancelled: Option<&'a dyn Fn() -> bool>,
 }
 
-impl Options<'_> {
+impl QpOptions<'_> {
     /// Why no further iteration may begin, if so.
-    fn stop(&self) -> Option<Status> {
+    fn stop(&self) -> Option<QpStatus> {
         if self.cancelled.is_some_and(|cancelled| cancelled()) {
-            return Some(Status::Cancelled);
+            return Some(QpStatus::Cancelled);
         }
-        self.deadline.is_some_and(|d| Instant::now() >= d).then_some(Status::Deadline)
+        self.deadline.is_some_and(|d| Instant::now() >= d).then_some(QpStatus::Deadline)
     }
 
     /// With the given tolerance for everything, no deadline, and more iterations than any feasible QP seen has needed.
@@ -297,7 +297,7 @@ impl Options<'_> {
 
 /// The last iterate of a solve.
 #[derive(Clone, Debug)]
-pub struct Solution {
+pub struct QpSolution {
     /// dz_k, N + 1 of them.
     pub z: Vec<KnotVector>,
     /// dt, s.
@@ -306,7 +306,7 @@ pub struct Solution {
     pub iterations: usize,
 }
 
-impl Solution {
+impl QpSolution {
     fn zeros(n: usize) -> Self {
         Self { z: vec![KnotVector::zeros(); n + 1], t: 0.0, iterations: 0 }
     }
@@ -323,24 +323,24 @@ pub enum Backend {
 
 /// A back end with its memory, to be used for one QP after the other.
 #[derive(Clone, Debug)]
-pub enum Solver {
+pub enum QpSolver {
     /// See [`structured`].
     Structured(Box<Structured>),
     /// See <https://clarabel.org>.
-    Clarabel(Box<Solution>),
+    Clarabel(Box<QpSolution>),
 }
 
-impl Solver {
+impl QpSolver {
     /// Allocates all that `backend` can keep between QPs of `n` intervals; one of another size allocates again.
     pub fn new(backend: Backend, n: usize) -> Self {
         match backend {
             Backend::Structured => Self::Structured(Box::new(Structured::new(n))),
-            Backend::Clarabel => Self::Clarabel(Box::new(Solution::zeros(n))),
+            Backend::Clarabel => Self::Clarabel(Box::new(QpSolution::zeros(n))),
         }
     }
 
     /// Solves `qp` from scratch.
-    pub fn solve(&mut self, qp: &Qp, options: &Options<'_>) -> Status {
+    pub fn solve(&mut self, qp: &Qp, options: &QpOptions<'_>) -> QpStatus {
         match self {
             Self::Structured(s) => s.solve(qp, false, options),
             Self::Clarabel(solution) => clarabel::solve(qp, options, solution),
@@ -349,7 +349,7 @@ impl Solver {
 
     /// Solves `qp`, the linearisation around the solution of the QP before, from that one's multipliers where the
     /// back end can use them.
-    pub fn solve_again(&mut self, qp: &Qp, options: &Options<'_>) -> Status {
+    pub fn solve_again(&mut self, qp: &Qp, options: &QpOptions<'_>) -> QpStatus {
         match self {
             Self::Structured(s) => s.solve(qp, true, options),
             Self::Clarabel(solution) => clarabel::solve(qp, options, solution),
@@ -358,7 +358,7 @@ impl Solver {
 
     /// What the last solve left: the solution or, where there is none, the last iterate. No iterate of [`structured`] before
     /// it violates the constraints less: each step takes the same share of all their residuals away.
-    pub fn solution(&self) -> &Solution {
+    pub fn solution(&self) -> &QpSolution {
         match self {
             Self::Structured(s) => s.solution(),
             Self::Clarabel(solution) => solution,

@@ -21,7 +21,7 @@ use upswing_ocp::kkt::{KnotVector, TargetRow};
 use upswing_ocp::lqr;
 use upswing_ocp::multistart::{self, Search};
 use upswing_ocp::problem::Problem;
-use upswing_ocp::qp::{Backend, Options, Qp, Solution, Solver, Status};
+use upswing_ocp::qp::{Backend, Qp, QpOptions, QpSolution, QpSolver, QpStatus};
 use upswing_trajectory::{Database, DatabaseError, Entry, Gains, Margins, N, Trajectory, Unfit};
 
 /// Tolerance of each QP: a tenth of the defect that four linearisations reach.
@@ -174,13 +174,13 @@ impl Planner {
     }
 
     /// A QP solver of the back end in the settings, with its memory.
-    pub fn solver(&self) -> Solver {
+    pub fn solver(&self) -> QpSolver {
         let settings = &self.config.planner.replan;
         let backend = match settings.backend {
             QpBackend::Structured => Backend::Structured,
             QpBackend::Clarabel => Backend::Clarabel,
         };
-        Solver::new(backend, N / settings.sub_horizons)
+        QpSolver::new(backend, N / settings.sub_horizons)
     }
 
     /// Plans a swing-up from `start` (rad, rad/s): [`Self::replan_with`] a new solver.
@@ -203,7 +203,7 @@ impl Planner {
     /// [`NoPlan`] with the reason for each entry tried.
     pub fn replan_with(
         &self,
-        solver: &mut Solver,
+        solver: &mut QpSolver,
         manoeuvre: Manoeuvre,
         start: &State,
         effort: &Effort<'_>,
@@ -298,7 +298,7 @@ impl Planner {
         start: &State,
         entry: usize,
         effort: &Effort<'_>,
-        solver: &mut Solver,
+        solver: &mut QpSolver,
         statistics: &mut ReplanStatistics,
     ) -> Result<AcceptableTrajectory, PlanningFailure> {
         let iterations = effort.iterations.max(1);
@@ -440,17 +440,17 @@ impl Planner {
     fn move_by_qp(
         &self,
         qp: &Qp,
-        solver: &mut Solver,
+        solver: &mut QpSolver,
         (entry, iteration): (usize, usize),
         effort: &Effort<'_>,
         trajectory: &mut Trajectory,
         second_opinions: &mut Vec<SecondOpinion>,
     ) -> Result<(), PlanningFailure> {
-        let options = Options {
+        let options = QpOptions {
             deadline: effort.deadline,
             cancelled: effort.cancelled,
             complementarity: QP_COMPLEMENTARITY,
-            ..Options::new(QP_TOLERANCE)
+            ..QpOptions::new(QP_TOLERANCE)
         };
         // A solve that stalled leaves no multipliers to start from.
         let stalled_before =
@@ -458,8 +458,8 @@ impl Planner {
         let warm = iteration > 1 && !stalled_before;
         let mut solve = |qp: &Qp, again: bool| {
             let status = if again { solver.solve_again(qp, &options) } else { solver.solve(qp, &options) };
-            if let (Status::Stalled(stall), Solver::Structured(_)) = (status, &*solver) {
-                let mut second = Solver::new(Backend::Clarabel, qp.defects.len());
+            if let (QpStatus::Stalled(stall), QpSolver::Structured(_)) = (status, &*solver) {
+                let mut second = QpSolver::new(Backend::Clarabel, qp.defects.len());
                 let clarabel = second.solve(qp, &options);
                 second_opinions.push(SecondOpinion { entry, iteration, stall, clarabel });
                 return solution_of(&second, clarabel, iteration);
@@ -491,13 +491,13 @@ impl Planner {
 }
 
 /// The solution of `solver` in the linearisation `iteration`, or the reason of its failure.
-fn solution_of(solver: &Solver, status: Status, iteration: usize) -> Result<Solution, PlanningFailure> {
+fn solution_of(solver: &QpSolver, status: QpStatus, iteration: usize) -> Result<QpSolution, PlanningFailure> {
     match status {
-        Status::Solved => Ok(solver.solution().clone()),
-        Status::Infeasible(conflict) => Err(PlanningFailure::Infeasible { iteration, conflict }),
-        Status::Deadline => Err(PlanningFailure::Deadline { iteration }),
-        Status::Cancelled => Err(PlanningFailure::Cancelled { iteration }),
-        Status::Stalled(stall) => Err(PlanningFailure::Stalled { iteration, stall }),
+        QpStatus::Solved => Ok(solver.solution().clone()),
+        QpStatus::Infeasible(conflict) => Err(PlanningFailure::Infeasible { iteration, conflict }),
+        QpStatus::Deadline => Err(PlanningFailure::Deadline { iteration }),
+        QpStatus::Cancelled => Err(PlanningFailure::Cancelled { iteration }),
+        QpStatus::Stalled(stall) => Err(PlanningFailure::Stalled { iteration, stall }),
     }
 }
 

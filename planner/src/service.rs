@@ -15,7 +15,7 @@ use upswing_ipc::{
 };
 use upswing_model::thresholds::{HELD_ACCELERATION, REST_SPEED_START, SAME_START, START_SLACK};
 use upswing_model::{ActuatedVector, Model, NQ, NU, NX, State, Workspace};
-use upswing_ocp::qp::Solver;
+use upswing_ocp::qp::QpSolver;
 use upswing_process::notify::Notifier;
 use upswing_process::{Failure, ProcessArgs, shutdown_flag};
 use upswing_trajectory::Plan;
@@ -123,7 +123,7 @@ fn drain(telemetry: &Subscriber<TelemetryBatch>) -> Result<Option<Telemetry>, up
 /// Handler of requests for plans, with the state that the planner process keeps between requests.
 pub struct RequestHandler<'a> {
     planner: &'a Planner,
-    solver: Solver,
+    solver: QpSolver,
     /// The newest record of the daemon and the time of its arrival.
     newest: Option<(Telemetry, Instant)>,
     /// A state at rest and the prepared swing-up from it; the swing-up is `None` if the replan failed.

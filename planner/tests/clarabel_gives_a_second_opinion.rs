@@ -5,7 +5,7 @@ use upswing_config::{Config, PendulumStart};
 use upswing_ipc::operator::Manoeuvre;
 use upswing_ipc::{PlannerKind, PlannerRequest, PlannerStatus};
 use upswing_model::State;
-use upswing_ocp::qp::Status;
+use upswing_ocp::qp::QpStatus;
 use upswing_planner::replan::{Effort, Planner, Replan};
 use upswing_planner::service::RequestHandler;
 
@@ -39,7 +39,7 @@ fn a_plan_with_weights_that_the_structured_solver_cannot_handle_is_the_same() {
     assert_eq!(usual.statistics.second_opinions, []);
     let opinions = &scaled.statistics.second_opinions;
     assert!(!opinions.is_empty() && opinions.len() <= scaled.iterations, "{opinions:?}");
-    assert!(opinions.iter().all(|o| o.clarabel == Status::Solved && o.entry == scaled.entry.index));
+    assert!(opinions.iter().all(|o| o.clarabel == QpStatus::Solved && o.entry == scaled.entry.index));
     assert_eq!(usual.entry, scaled.entry);
     let states = usual.trajectory.x.iter().zip(scaled.trajectory.x.iter());
     let difference = states.map(|(a, b)| (a - b).amax()).fold(0.0, f64::max);

@@ -4,7 +4,7 @@
 use upswing_config::{Config, PendulumStart};
 use upswing_model::{LimitKind, NQ, NU, NX, NZ, State, Workspace};
 use upswing_ocp::kkt::KnotVector;
-use upswing_ocp::qp::{Backend, Bound, Options, Qp, Solver, Status};
+use upswing_ocp::qp::{Backend, Bound, Qp, QpOptions, QpSolver, QpStatus};
 use upswing_planner::offline::{problem, qp_weights};
 use upswing_planner::replan::Planner;
 use upswing_trajectory::{N, Trajectory};
@@ -13,8 +13,8 @@ use upswing_trajectory::{N, Trajectory};
 const BACKENDS: [Backend; 2] = [Backend::Structured, Backend::Clarabel];
 
 /// Options with tight tolerances, so that inputs agree even where a bound is weakly active.
-const PRECISE: Options<'_> =
-    Options { tolerance: 1e-9, complementarity: 1e-16, max_iterations: 100, deadline: None, cancelled: None };
+const PRECISE: QpOptions<'_> =
+    QpOptions { tolerance: 1e-9, complementarity: 1e-16, max_iterations: 100, deadline: None, cancelled: None };
 
 fn planner() -> Planner {
     Planner::new(Config::embedded().expect("embedded settings")).expect("the shipped database fits")
@@ -52,7 +52,7 @@ fn qp_from(planner: &Planner, reference: &Trajectory, at: &Trajectory, start: St
 }
 
 /// Largest violation of any constraint (rad, rad/s, share of half a torque range), computed from the statement.
-fn violation(qp: &Qp, solver: &Solver) -> f64 {
+fn violation(qp: &Qp, solver: &QpSolver) -> f64 {
     let s = solver.solution();
     let x = |k: usize| -> State { s.z[k].fixed_rows::<NX>(0).into() };
     let f =
@@ -74,7 +74,7 @@ fn violation(qp: &Qp, solver: &Solver) -> f64 {
 
 /// Largest difference of states (rad, rad/s) and durations (s), and of inputs as they count in the objective: times
 /// the root of their weight.
-fn difference(qp: &Qp, a: &Solver, b: &Solver) -> f64 {
+fn difference(qp: &Qp, a: &QpSolver, b: &QpSolver) -> f64 {
     let scale = KnotVector::from_fn(|i, _| if i < NX { 1.0 } else { qp.weight[0][i].sqrt() });
     let (a, b) = (a.solution(), b.solution());
     let z = a.z.iter().zip(&b.z).map(|(a, b)| (a - b).component_mul(&scale).amax());
@@ -89,7 +89,7 @@ fn on_random_starts_up_to_the_corners_of_a_cell() {
     const CELL: [f64; NU] = [0.305, 0.175, 0.0, 0.175, 0.0, 0.349, 0.0];
     let planner = planner();
     let mut random = Random(1);
-    let [mut structured, mut clarabel] = BACKENDS.map(|backend| Solver::new(backend, N));
+    let [mut structured, mut clarabel] = BACKENDS.map(|backend| QpSolver::new(backend, N));
     let (mut done, mut active, mut infeasible) = (0, 0, 0);
     while done < QPS {
         let entry = random.next() as usize % planner.entries().len();
@@ -119,12 +119,12 @@ fn on_random_starts_up_to_the_corners_of_a_cell() {
         let verdicts = [structured.solve(&qp, &PRECISE), clarabel.solve(&qp, &PRECISE)];
         done += 1;
         let name = format!("QP {done}, entry {entry}, offset {offset:?}");
-        if matches!(verdicts[0], Status::Infeasible(_)) {
-            assert!(matches!(verdicts[1], Status::Infeasible(_)), "{name}: {verdicts:?}");
+        if matches!(verdicts[0], QpStatus::Infeasible(_)) {
+            assert!(matches!(verdicts[1], QpStatus::Infeasible(_)), "{name}: {verdicts:?}");
             infeasible += 1;
             continue;
         }
-        assert_eq!(verdicts, [Status::Solved; 2], "{name}");
+        assert_eq!(verdicts, [QpStatus::Solved; 2], "{name}");
         for solver in [&structured, &clarabel] {
             let violation = violation(&qp, solver);
             assert!(violation <= 1e-8, "{name}: violation {violation:e}");
@@ -138,7 +138,7 @@ fn on_random_starts_up_to_the_corners_of_a_cell() {
     assert!(infeasible >= 5, "only {infeasible} are infeasible");
 }
 
-fn touches_a_limit(qp: &Qp, solver: &Solver) -> bool {
+fn touches_a_limit(qp: &Qp, solver: &QpSolver) -> bool {
     let z = &solver.solution().z;
     (0..N).any(|k| {
         let x: State = z[k + 1].fixed_rows::<NX>(0).into();
@@ -159,13 +159,13 @@ fn towards_its_stop(planner: &Planner, entry: usize, joint: usize, fast: f64) ->
 fn infeasible_ones_are_infeasible_for_both() {
     let planner = planner();
     for backend in BACKENDS {
-        let mut solver = Solver::new(backend, N);
+        let mut solver = QpSolver::new(backend, N);
         for entry in [3, 40, 99, 150] {
             for joint in [1, 3, 5] {
                 let fast = planner.config().robot.planning.qd_max[joint];
                 let qp = towards_its_stop(&planner, entry, joint, fast);
-                let status = solver.solve(&qp, &Options::new(1e-9));
-                let Status::Infeasible(conflict) = status else {
+                let status = solver.solve(&qp, &QpOptions::new(1e-9));
+                let QpStatus::Infeasible(conflict) = status else {
                     panic!("{backend:?}, entry {entry}, joint {joint}: {status:?}")
                 };
                 assert_eq!(conflict.is_some(), backend == Backend::Structured, "{backend:?}");
@@ -175,13 +175,13 @@ fn infeasible_ones_are_infeasible_for_both() {
         let mut qp = qp_at(&planner, 40, &[0.0; NU]).expect("an entry starts at rest");
         qp.t = (50.0, 60.0);
         assert!(
-            matches!(solver.solve(&qp, &Options::new(1e-9)), Status::Infeasible(_)),
+            matches!(solver.solve(&qp, &QpOptions::new(1e-9)), QpStatus::Infeasible(_)),
             "{backend:?}: duration"
         );
         let mut qp = qp_at(&planner, 40, &[0.0; NU]).expect("an entry starts at rest");
         qp.target[4].value += 10.0;
         assert!(
-            matches!(solver.solve(&qp, &Options::new(1e-9)), Status::Infeasible(_)),
+            matches!(solver.solve(&qp, &QpOptions::new(1e-9)), QpStatus::Infeasible(_)),
             "{backend:?}: target"
         );
     }
@@ -198,9 +198,9 @@ fn softened_limits_yield_where_hard_ones_contradict() {
         let mut qp = towards_its_stop(&planner, 40, joint, limits.qd_max[joint]);
         for compliance in [1e-2, 1e-4] {
             qp.compliance = compliance;
-            let [mut structured, mut clarabel] = BACKENDS.map(|backend| Solver::new(backend, N));
+            let [mut structured, mut clarabel] = BACKENDS.map(|backend| QpSolver::new(backend, N));
             let verdicts = [structured.solve(&qp, &PRECISE), clarabel.solve(&qp, &PRECISE)];
-            assert_eq!(verdicts, [Status::Solved; 2], "joint {joint}, compliance {compliance:e}");
+            assert_eq!(verdicts, [QpStatus::Solved; 2], "joint {joint}, compliance {compliance:e}");
             let difference = difference(&qp, &structured, &clarabel);
             assert!(difference <= 1e-6, "joint {joint}, compliance {compliance:e}: {difference:e}");
             let excess = violation(&qp, &structured);
@@ -209,10 +209,10 @@ fn softened_limits_yield_where_hard_ones_contradict() {
     }
     // If the constraints are consistent, soft bounds of small compliance give the solution of hard bounds.
     let mut qp = qp_at(&planner, 77, &[0.05; NU]).expect("a start at rest");
-    let [mut hard, mut soft] = [Solver::new(Backend::Structured, N), Solver::new(Backend::Structured, N)];
-    assert_eq!(hard.solve(&qp, &PRECISE), Status::Solved);
+    let [mut hard, mut soft] = [QpSolver::new(Backend::Structured, N), QpSolver::new(Backend::Structured, N)];
+    assert_eq!(hard.solve(&qp, &PRECISE), QpStatus::Solved);
     qp.compliance = 1e-9;
-    assert_eq!(soft.solve(&qp, &PRECISE), Status::Solved);
+    assert_eq!(soft.solve(&qp, &PRECISE), QpStatus::Solved);
     let difference = difference(&qp, &hard, &soft);
     assert!(difference <= 1e-6, "{difference:e}");
 }
@@ -226,8 +226,8 @@ fn a_limit_that_jumps_away_is_named() {
         qp.x[knot - 1].0[joint] = 0.5;
         qp.x[knot - 1].1[joint] = 1.0;
         qp.x[knot].1[joint] = 0.0;
-        let status = Solver::new(Backend::Structured, N).solve(&qp, &Options::new(1e-9));
-        let Status::Infeasible(Some(conflict)) = status else { panic!("joint {joint}: {status:?}") };
+        let status = QpSolver::new(Backend::Structured, N).solve(&qp, &QpOptions::new(1e-9));
+        let QpStatus::Infeasible(Some(conflict)) = status else { panic!("joint {joint}: {status:?}") };
         assert_eq!(conflict.bound, Bound::Joint(LimitKind::Position, joint), "{conflict}");
         assert!(conflict.knot == knot || conflict.knot == knot + 1, "{conflict}");
     }
@@ -241,15 +241,15 @@ fn a_warm_start_ends_where_a_cold_one_does() {
         let q: [f64; NU] = std::array::from_fn(|i| reference.x[0][i] + offset * [1.0, 0.5, 0.0][i % 3]);
         let start = planner.config().start_state(&q, PendulumStart::Rest).expect("a start at rest");
         let mut at = reference.clone();
-        let mut warm = Solver::new(Backend::Structured, N);
+        let mut warm = QpSolver::new(Backend::Structured, N);
         for iteration in 0..4 {
             let qp = qp_from(&planner, reference, &at, start);
             let status =
                 if iteration == 0 { warm.solve(&qp, &PRECISE) } else { warm.solve_again(&qp, &PRECISE) };
-            let mut cold = Solver::new(Backend::Structured, N);
+            let mut cold = QpSolver::new(Backend::Structured, N);
             assert_eq!(
                 [status, cold.solve(&qp, &PRECISE)],
-                [Status::Solved; 2],
+                [QpStatus::Solved; 2],
                 "entry {entry}, QP {iteration}"
             );
             let difference = difference(&qp, &warm, &cold);
@@ -269,13 +269,13 @@ fn equal_qps_give_equal_bits_whatever_was_solved_before() {
     // Entries whose start remains within the limits when it is moved.
     let mut qps = (0..planner.entries().len()).filter_map(|entry| qp_at(&planner, entry, &[0.02; NU]));
     let (first, other) = (qps.nth(20).expect("one"), qps.nth(20).expect("another"));
-    let options = Options::new(1e-9);
-    let mut fresh = Solver::new(Backend::Structured, N);
-    assert_eq!(fresh.solve(&first, &options), Status::Solved);
-    let mut used = Solver::new(Backend::Structured, N);
-    assert_eq!(used.solve(&other, &options), Status::Solved);
-    assert_eq!(used.solve(&first, &options), Status::Solved);
-    let bits = |s: &Solver| -> Vec<u64> {
+    let options = QpOptions::new(1e-9);
+    let mut fresh = QpSolver::new(Backend::Structured, N);
+    assert_eq!(fresh.solve(&first, &options), QpStatus::Solved);
+    let mut used = QpSolver::new(Backend::Structured, N);
+    assert_eq!(used.solve(&other, &options), QpStatus::Solved);
+    assert_eq!(used.solve(&first, &options), QpStatus::Solved);
+    let bits = |s: &QpSolver| -> Vec<u64> {
         s.solution().z.iter().flat_map(|z| z.iter().map(|v| v.to_bits()).collect::<Vec<_>>()).collect()
     };
     assert_eq!(bits(&fresh), bits(&used));
@@ -288,11 +288,11 @@ fn a_deadline_in_the_past_leaves_the_first_iterate() {
     let entries = 0..planner.entries().len();
     let qp = entries.filter_map(|entry| qp_at(&planner, entry, &[0.02; NU])).next().expect("a start at rest");
     for backend in BACKENDS {
-        let mut solver = Solver::new(backend, N);
-        let options = Options { deadline: Some(std::time::Instant::now()), ..Options::new(1e-9) };
-        let solved = Options { deadline: None, ..options };
-        assert_eq!(solver.solve(&qp, &solved), Status::Solved, "{backend:?}");
-        assert_eq!(solver.solve(&qp, &options), Status::Deadline, "{backend:?}");
+        let mut solver = QpSolver::new(backend, N);
+        let options = QpOptions { deadline: Some(std::time::Instant::now()), ..QpOptions::new(1e-9) };
+        let solved = QpOptions { deadline: None, ..options };
+        assert_eq!(solver.solve(&qp, &solved), QpStatus::Solved, "{backend:?}");
+        assert_eq!(solver.solve(&qp, &options), QpStatus::Deadline, "{backend:?}");
         assert_eq!(solver.solution().iterations, 0);
         assert!(solver.solution().z[1..].iter().all(|z| z.amax() == 0.0), "{backend:?}: no step yet");
     }
@@ -304,9 +304,9 @@ fn what_is_less_accurate_than_asked_for_is_not_solved() {
     let entries = 0..planner.entries().len();
     let qp = entries.filter_map(|entry| qp_at(&planner, entry, &[0.02; NU])).next().expect("a start at rest");
     // No solver meets this tolerance: Clarabel reports `SolverStatus::AlmostSolved`.
-    let mut solver = Solver::new(Backend::Clarabel, N);
-    let status = solver.solve(&qp, &Options::new(1e-20));
-    assert!(matches!(status, Status::Stalled(_)), "{status:?}");
+    let mut solver = QpSolver::new(Backend::Clarabel, N);
+    let status = solver.solve(&qp, &QpOptions::new(1e-20));
+    assert!(matches!(status, QpStatus::Stalled(_)), "{status:?}");
 }
 
 #[test]
@@ -317,10 +317,10 @@ fn the_last_iterate_of_a_stopped_solve_is_the_best() {
         .map(|(entry, joint)| towards_its_stop(&planner, entry, joint, fast(joint)));
     let solvable = qp_at(&planner, 40, &[0.05; NU]).expect("a start at rest");
     for qp in hopeless.iter().chain([&solvable]) {
-        let mut solver = Solver::new(Backend::Structured, N);
+        let mut solver = QpSolver::new(Backend::Structured, N);
         let mut before = f64::INFINITY;
         for max_iterations in 0..12 {
-            let status = solver.solve(qp, &Options { max_iterations, ..Options::new(1e-9) });
+            let status = solver.solve(qp, &QpOptions { max_iterations, ..QpOptions::new(1e-9) });
             let violation = violation(qp, &solver);
             assert!(violation <= before + 1e-9, "{status:?} after {max_iterations}: {violation} > {before}");
             before = violation;

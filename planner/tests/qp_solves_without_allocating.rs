@@ -3,7 +3,7 @@
 use allocation_counter::measure;
 use upswing_config::Config;
 use upswing_model::Workspace;
-use upswing_ocp::qp::{Backend, Options, Qp, Solver, Status};
+use upswing_ocp::qp::{Backend, Qp, QpOptions, QpSolver, QpStatus};
 use upswing_planner::offline::{problem, qp_weights};
 use upswing_planner::replan::Planner;
 use upswing_trajectory::N;
@@ -19,13 +19,13 @@ fn after_the_first_one() {
         Qp::new(&problem, reference, reference, &weights, &mut Workspace::default())
     };
     let (first, second) = (qp(40), qp(41));
-    let mut solver = Solver::new(Backend::Structured, N);
-    let options = Options::new(1e-9);
-    let heap = measure(|| assert_eq!(solver.solve(&first, &options), Status::Solved));
+    let mut solver = QpSolver::new(Backend::Structured, N);
+    let options = QpOptions::new(1e-9);
+    let heap = measure(|| assert_eq!(solver.solve(&first, &options), QpStatus::Solved));
     assert!(heap.count_total > 0, "the counter counts");
     let heap = measure(|| {
-        assert_eq!(solver.solve(&second, &options), Status::Solved);
-        assert_eq!(solver.solve_again(&second, &options), Status::Solved);
+        assert_eq!(solver.solve(&second, &options), QpStatus::Solved);
+        assert_eq!(solver.solve_again(&second, &options), QpStatus::Solved);
     });
     assert_eq!(heap.count_total, 0);
 }

@@ -5,7 +5,7 @@ use upswing_config::{Config, Push};
 use upswing_ipc::operator::Manoeuvre;
 use upswing_ipc::{Mode, PlanMessage, PlannerResponse, Telemetry};
 use upswing_model::JointVector;
-use upswing_ocp::qp::Solver;
+use upswing_ocp::qp::QpSolver;
 use upswing_planner::replan::{Effort, NoPlan, Planner};
 use upswing_planner::service::describe;
 use upswing_plant::{Plant, SetEventError, StateError};
@@ -131,7 +131,7 @@ struct SwingUpRun<'a, D> {
     system: ClosedLoop,
     config: &'a Config,
     planner: &'a Planner,
-    solver: &'a mut Solver,
+    solver: &'a mut QpSolver,
     disturbances: Option<D>,
     /// Cycles that the controller misses after the start of the plan.
     missed: Vec<MissedCycles>,
@@ -231,7 +231,7 @@ impl<D: FnOnce(f64) -> Disturbances> Course for SwingUpRun<'_, D> {
 /// [`Aborted`] if the run ended early; the evaluation of a finished run contains its success or its failures.
 pub fn swing_up(
     planner: &Planner,
-    solver: &mut Solver,
+    solver: &mut QpSolver,
     config: &Config,
     plant: Plant,
     seconds: f64,

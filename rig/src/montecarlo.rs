@@ -16,7 +16,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use upswing_config::{Config, PendulumStart};
 use upswing_ipc::Telemetry;
 use upswing_model::{NU, State, StateParts};
-use upswing_ocp::qp::Solver;
+use upswing_ocp::qp::QpSolver;
 use upswing_planner::replan::Planner;
 use upswing_plant::Plant;
 use upswing_record::evaluation::SwingUpEvaluation;
@@ -152,7 +152,7 @@ impl Study<'_> {
 
 /// Scratch memory of a thread, reused from one swing-up to the next.
 struct Scratch {
-    solver: Solver,
+    solver: QpSolver,
     /// Every control cycle of the last swing-up.
     records: Vec<Telemetry>,
 }

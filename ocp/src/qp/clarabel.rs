@@ -1,6 +1,6 @@
 //! Clarabel as a back end: the QP as one sparse matrix.
 
-use super::{Options, Qp, Solution, Stall, Status};
+use super::{Qp, QpOptions, QpSolution, QpStatus, Stall};
 use crate::kkt::KnotDynamics;
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::{
@@ -51,13 +51,13 @@ impl Rows {
 }
 
 /// Solves the QP from scratch.
-pub(super) fn solve(qp: &Qp, options: &Options<'_>, solution: &mut Solution) -> Status {
+pub(super) fn solve(qp: &Qp, options: &QpOptions<'_>, solution: &mut QpSolution) -> QpStatus {
     let n = qp.defects.len();
     // Variables: z_0..z_n, dt and, where bounds yield, by how much each of them does.
     let t = (n + 1) * NZ;
     let soft = if qp.compliance > 0.0 { 2 * (n * NX + (n + 1) * NU + 1) } else { 0 };
     let variables = t + 1 + soft;
-    *solution = Solution::zeros(n);
+    *solution = QpSolution::zeros(n);
     if let Some(status) = options.stop() {
         return status;
     }
@@ -146,7 +146,7 @@ pub(super) fn solve(qp: &Qp, options: &Options<'_>, solution: &mut Solution) -> 
     };
     let Ok(mut solver) = DefaultSolver::new(&hessian, &gradient, &matrix, &rows.bound, &cones, settings)
     else {
-        return Status::Stalled(Stall::Numerical);
+        return QpStatus::Stalled(Stall::Numerical);
     };
     solver.solve();
     let found = &solver.solution;
@@ -156,12 +156,12 @@ pub(super) fn solve(qp: &Qp, options: &Options<'_>, solution: &mut Solution) -> 
     solution.t = found.x[t];
     solution.iterations = found.iterations as usize;
     match found.status {
-        SolverStatus::Solved => Status::Solved,
-        SolverStatus::AlmostSolved => Status::Stalled(Stall::Inaccurate),
-        SolverStatus::PrimalInfeasible | SolverStatus::AlmostPrimalInfeasible => Status::Infeasible(None),
-        SolverStatus::MaxTime => Status::Deadline,
-        SolverStatus::MaxIterations => Status::Stalled(Stall::Iterations),
-        SolverStatus::InsufficientProgress => Status::Stalled(Stall::ShortStep),
-        _ => Status::Stalled(Stall::Numerical),
+        SolverStatus::Solved => QpStatus::Solved,
+        SolverStatus::AlmostSolved => QpStatus::Stalled(Stall::Inaccurate),
+        SolverStatus::PrimalInfeasible | SolverStatus::AlmostPrimalInfeasible => QpStatus::Infeasible(None),
+        SolverStatus::MaxTime => QpStatus::Deadline,
+        SolverStatus::MaxIterations => QpStatus::Stalled(Stall::Iterations),
+        SolverStatus::InsufficientProgress => QpStatus::Stalled(Stall::ShortStep),
+        _ => QpStatus::Stalled(Stall::Numerical),
     }
 }

@@ -9,7 +9,7 @@
 //!
 //! A softened bound yields: w >= l - c y with the compliance c, which is a quadratic penalty of weight 1 / c.
 
-use super::{Bound, Conflict, Options, Qp, Solution, Stall, Status};
+use super::{Bound, Conflict, Qp, QpOptions, QpSolution, QpStatus, Stall};
 use crate::kkt::{
     Factor, Kkt, KnotDynamics, KnotMatrix, KnotVector, NewtonStep, Rhs, SolveWorkspace, TargetRow,
 };
@@ -69,7 +69,7 @@ pub struct Structured {
     /// What a bounded quantity contributes to the gradient.
     pull: Vec<f64>,
     sigma: Vec<f64>,
-    solution: Solution,
+    solution: QpSolution,
 }
 
 /// Slacks of one side, their multipliers, the steps of both, and the residual of the slack.
@@ -185,11 +185,11 @@ impl Structured {
             above: Side::new(rows),
             pull: zeros(),
             sigma: zeros(),
-            solution: Solution::zeros(n),
+            solution: QpSolution::zeros(n),
         }
     }
 
-    pub(super) fn solution(&self) -> &Solution {
+    pub(super) fn solution(&self) -> &QpSolution {
         &self.solution
     }
 
@@ -501,11 +501,11 @@ impl Structured {
     }
 
     /// Solves `qp`, from the multipliers of the last one if `warm`.
-    pub(super) fn solve(&mut self, qp: &Qp, warm: bool, options: &Options<'_>) -> Status {
+    pub(super) fn solve(&mut self, qp: &Qp, warm: bool, options: &QpOptions<'_>) -> QpStatus {
         self.load(qp);
         self.start(qp, warm);
         let mut status = self.run(qp, options);
-        if warm && matches!(status, Status::Stalled(_)) {
+        if warm && matches!(status, QpStatus::Stalled(_)) {
             self.start(qp, false);
             status = self.run(qp, options);
         }
@@ -514,7 +514,7 @@ impl Structured {
         status
     }
 
-    fn run(&mut self, qp: &Qp, options: &Options<'_>) -> Status {
+    fn run(&mut self, qp: &Qp, options: &QpOptions<'_>) -> QpStatus {
         for iteration in 0..=options.max_iterations {
             self.solution.iterations = iteration;
             self.residuals(qp);
@@ -524,17 +524,17 @@ impl Structured {
             let mu = mean(self.below.product(), self.above.product());
             let resolved = mean(self.below.resolved_product(), self.above.resolved_product());
             if primal.max(dual) <= options.tolerance && resolved <= options.complementarity {
-                return Status::Solved;
+                return QpStatus::Solved;
             }
             if let Some(conflict) = self.contradiction(qp) {
-                return Status::Infeasible(Some(conflict));
+                return QpStatus::Infeasible(Some(conflict));
             }
             if let Some(status) = options.stop() {
                 return status;
             }
             self.condense(qp);
             if !self.factor() {
-                return Status::Stalled(Stall::Factorisation);
+                return QpStatus::Stalled(Stall::Factorisation);
             }
             for side in [&mut self.below, &mut self.above] {
                 for i in 0..rows {
@@ -558,10 +558,10 @@ impl Structured {
             self.direction((1, 1e-6));
             let alpha = (TO_BOUNDARY * self.below.longest().min(self.above.longest())).min(1.0);
             if !(alpha > SHORTEST) {
-                return Status::Stalled(Stall::ShortStep);
+                return QpStatus::Stalled(Stall::ShortStep);
             }
             self.advance(alpha);
         }
-        Status::Stalled(Stall::Iterations)
+        QpStatus::Stalled(Stall::Iterations)
     }
 }

@@ -6,7 +6,7 @@ use upswing_config::Config;
 use upswing_model::Workspace;
 use upswing_ocp::interior_point::NlpStatus;
 use upswing_ocp::lqr;
-use upswing_ocp::qp::{self, Conflict, Stall};
+use upswing_ocp::qp::{Conflict, QpStatus, Stall};
 use upswing_trajectory::{Gains, Margins, Plan, Trajectory, Unfit};
 
 /// A database entry from which no plan could be made.
@@ -77,7 +77,7 @@ pub struct SecondOpinion {
     /// Reason for which the structured solver stopped.
     pub stall: Stall,
     /// Status with which Clarabel stopped.
-    pub clarabel: qp::Status,
+    pub clarabel: QpStatus,
 }
 
 impl std::fmt::Display for SecondOpinion {
@@ -141,7 +141,7 @@ pub struct Replan {
 impl Replan {
     /// Number of the QPs for the entry used that Clarabel solved in place of the structured solver.
     pub fn solved_by_clarabel(&self) -> usize {
-        let of_entry = |o: &&SecondOpinion| o.entry == self.entry.index && o.clarabel == qp::Status::Solved;
+        let of_entry = |o: &&SecondOpinion| o.entry == self.entry.index && o.clarabel == QpStatus::Solved;
         self.statistics.second_opinions.iter().filter(of_entry).count()
     }
 }

@@ -7,7 +7,7 @@ use std::time::Instant;
 use upswing_ipc::PlanMessage;
 use upswing_ipc::operator::Manoeuvre;
 use upswing_model::{NU, State};
-use upswing_ocp::qp::Solver;
+use upswing_ocp::qp::QpSolver;
 use upswing_planner::replan::{Effort, Planner};
 use upswing_process::number::whole;
 use upswing_process::output::{Destination, Overwrite};
@@ -65,7 +65,7 @@ struct StartTimes {
 
 fn sample(
     planner: &Planner,
-    solver: &mut Solver,
+    solver: &mut QpSolver,
     iterations: usize,
     index: u64,
     start: &State,
@@ -175,7 +175,7 @@ pub fn run(args: &ReplanArgs) -> Result<(), Failure> {
     let config = planner.config();
     let iterations = config.planner.replan.iterations;
     let results = args.sampling.study(&planner, args.sampling.indices().len(), &stop, |study| {
-        let work = |solver: &mut Solver, index: u64| -> Result<StartResult, NoStart> {
+        let work = |solver: &mut QpSolver, index: u64| -> Result<StartResult, NoStart> {
             Ok(sample(&planner, solver, iterations, index, &study.starts.start(index)?))
         };
         study.each(&study.indices, || planner.solver(), work).map_err(study_failure)
