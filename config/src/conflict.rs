@@ -7,7 +7,7 @@ use upswing_model::Limits;
 /// A setting that meets its own rule but conflicts with another setting.
 #[derive(Debug, thiserror::Error)]
 #[error("{key}: expected {expected}, got {got}: {fix}")]
-pub(crate) struct Conflict {
+pub(crate) struct SettingsConflict {
     /// The key with its section.
     pub key: Cow<'static, str>,
     /// Values that the other setting allows.
@@ -18,7 +18,7 @@ pub(crate) struct Conflict {
     pub fix: String,
 }
 
-impl Conflict {
+impl SettingsConflict {
     pub fn new(
         key: impl Into<Cow<'static, str>>,
         expected: impl Display,
@@ -66,7 +66,7 @@ mod tests {
 
     #[test]
     fn ranges_hold_up_to_their_ends() {
-        let above = |v| Conflict::unless_above("k", v, 1.0, "l").is_ok();
+        let above = |v| SettingsConflict::unless_above("k", v, 1.0, "l").is_ok();
         assert!(above(1.1) && !above(1.0) && !above(f64::NAN));
         let mut limits = Limits {
             q_min: [-1.0; NQ].into(),
@@ -75,7 +75,7 @@ mod tests {
             tau_max: [1.0; NU].into(),
         };
         (limits.q_min[8], limits.q_max[8]) = (-0.5, 0.25);
-        let within = |rad: f64| Conflict::unless_within("k", rad, 8, &limits).is_ok();
+        let within = |rad: f64| SettingsConflict::unless_within("k", rad, 8, &limits).is_ok();
         assert!(within(0.25) && within(-0.5) && !within(0.26) && !within(-0.51) && !within(f64::NAN));
     }
 }

@@ -1,7 +1,7 @@
 //! Settings of the control daemon, `daemon.toml`.
 
 use crate::RobotSettings;
-use crate::conflict::{Conflict, milliseconds};
+use crate::conflict::{SettingsConflict, milliseconds};
 use crate::rule::{
     AcuteAngle, BetweenZeroAndOne, Count, NonNegative, Positive, Quantity, Rule, Share, WaitingTime, Whole,
 };
@@ -142,7 +142,7 @@ impl Quantity for Level {
             rule: PhantomData<R>,
         }
         let InFile { warn, trip, .. } = InFile::<R>::deserialize(from)?;
-        Conflict::unless_above(".trip", trip, warn, "warn").map_err(D::Error::custom)?;
+        SettingsConflict::unless_above(".trip", trip, warn, "warn").map_err(D::Error::custom)?;
         Ok(Self { warn: warn * unit, trip: trip * unit })
     }
 }
@@ -307,14 +307,19 @@ pub enum RealtimeMode {
 
 impl DaemonSettings {
     /// Checks the rules between the settings of the daemon, and between them and the limits of the robot.
-    pub(crate) fn validate(&self, robot: &RobotSettings) -> Result<(), Conflict> {
+    pub(crate) fn validate(&self, robot: &RobotSettings) -> Result<(), SettingsConflict> {
         let period = milliseconds(self.cycle.period.seconds());
         let filter = milliseconds(self.cycle.velocity_filter);
-        Conflict::unless_above("cycle.velocity_filter_ms", filter, period, "cycle.period_us (in ms)")?;
+        SettingsConflict::unless_above(
+            "cycle.velocity_filter_ms",
+            filter,
+            period,
+            "cycle.period_us (in ms)",
+        )?;
 
         let DisturbanceSettings { bandwidth, light_bandwidth, .. } = self.disturbance;
         if light_bandwidth < bandwidth {
-            return Err(Conflict::new(
+            return Err(SettingsConflict::new(
                 "disturbance.light_bandwidth_rad_s",
                 format!("at least disturbance.bandwidth_rad_s, {bandwidth}"),
                 light_bandwidth,
@@ -326,7 +331,7 @@ impl DaemonSettings {
         (0..NQ).try_for_each(|i| {
             let planned = robot.planning.qd_max[i] / robot.limits.qd_max[i];
             let planned_key = "usage.velocity_fraction_* in robot.toml";
-            Conflict::unless_above("limits.velocity_fraction.trip", trip, planned, planned_key)
+            SettingsConflict::unless_above("limits.velocity_fraction.trip", trip, planned, planned_key)
         })
     }
 }

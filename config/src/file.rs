@@ -1,7 +1,7 @@
 //! Settings files, embedded or in a folder: their text, and the line of an error.
 
 use crate::ConfigError;
-use crate::conflict::Conflict;
+use crate::conflict::SettingsConflict;
 use serde::de::DeserializeOwned;
 use std::borrow::Cow;
 use std::path::Path;
@@ -65,7 +65,7 @@ impl TextFile {
     /// Parses TOML into settings as [`TextFile::parse`], then checks the rules between settings with `validate`.
     pub fn settings<T: DeserializeOwned>(
         &self,
-        validate: impl FnOnce(&T) -> Result<(), Conflict>,
+        validate: impl FnOnce(&T) -> Result<(), SettingsConflict>,
     ) -> Result<T, ConfigError> {
         let settings = self.parse()?;
         validate(&settings).map_err(|conflict| self.refuse(conflict))?;
@@ -73,7 +73,7 @@ impl TextFile {
     }
 
     /// The error of a violated rule between settings, with the line of the key.
-    pub fn refuse(&self, Conflict { key, expected, got, fix }: Conflict) -> ConfigError {
+    pub fn refuse(&self, SettingsConflict { key, expected, got, fix }: SettingsConflict) -> ConfigError {
         let at = DeTable::parse(&self.text).map_or(0, |table| position(table.get_ref(), &key));
         self.error(at, Some(key.into()), format!("expected {expected}, got {got}: {fix}"))
     }

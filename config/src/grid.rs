@@ -1,6 +1,6 @@
 //! Settings of the start poses of a trajectory database, `grid.toml`.
 
-use crate::conflict::{Conflict, degrees};
+use crate::conflict::{SettingsConflict, degrees};
 use crate::rule::{Finite, Positive, Rule, Whole};
 use crate::{PendulumStart, RobotSettings};
 use serde::Deserialize;
@@ -66,33 +66,43 @@ impl GridSettings {
     }
 
     /// Checks the rules between the settings of the grid, and between them and the limits of the robot.
-    pub(crate) fn validate(&self, robot: &RobotSettings) -> Result<(), Conflict> {
+    pub(crate) fn validate(&self, robot: &RobotSettings) -> Result<(), SettingsConflict> {
         for (i, axis) in self.axes.iter().enumerate() {
             if self.axes[..i].iter().any(|known| known.joint == axis.joint) {
                 let got = format!("joint {} twice", axis.joint + 1);
-                return Err(Conflict::new(
+                return Err(SettingsConflict::new(
                     "joints.joint",
                     "each joint at most once",
                     got,
                     "remove one of them",
                 ));
             }
-            Conflict::unless_within("joints.from_deg", axis.from, axis.joint, &robot.planning)?;
-            Conflict::unless_within("joints.to_deg", axis.to, axis.joint, &robot.planning)?;
+            SettingsConflict::unless_within("joints.from_deg", axis.from, axis.joint, &robot.planning)?;
+            SettingsConflict::unless_within("joints.to_deg", axis.to, axis.joint, &robot.planning)?;
             let (from, to) = (degrees(axis.from), degrees(axis.to));
             if axis.points == 1 && from != to {
                 let expected = format!("a whole number from 2 to {MOST_POSES}");
-                return Err(Conflict::new("joints.points", expected, 1, "one point is from_deg and to_deg"));
+                return Err(SettingsConflict::new(
+                    "joints.points",
+                    expected,
+                    1,
+                    "one point is from_deg and to_deg",
+                ));
             }
             if axis.points > 1 {
-                Conflict::unless_above("joints.to_deg", to, from, "joints.from_deg")?;
+                SettingsConflict::unless_above("joints.to_deg", to, from, "joints.from_deg")?;
             }
         }
         let poses = self.axes.iter().fold(1, |poses: usize, axis| poses.saturating_mul(axis.points));
         if self.axes.is_empty() || poses > MOST_POSES {
             let expected = format!("at least one joint and at most {MOST_POSES} start poses");
             let got = format!("{} joints, {poses} start poses", self.axes.len());
-            return Err(Conflict::new("joints", expected, got, "change the list or its numbers of points"));
+            return Err(SettingsConflict::new(
+                "joints",
+                expected,
+                got,
+                "change the list or its numbers of points",
+            ));
         }
         Ok(())
     }

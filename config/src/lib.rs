@@ -36,7 +36,7 @@ pub use plant::{
 };
 pub use robot::{CoriolisBound, RobotSettings, Target};
 
-use conflict::{Conflict, degrees};
+use conflict::{SettingsConflict, degrees};
 use file::{EmbeddedFile, TextFile};
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
@@ -304,7 +304,7 @@ fn read_plant_model(dir: Option<&Path>, file: &TextFile, urdf: &str) -> Result<M
         None if urdf.contains('/') => TextFile::at(Path::new(urdf)).map_err(|e| match e {
             ConfigError::NoFile { cause, .. } => {
                 let got = format!("{urdf} ({cause})");
-                file.refuse(Conflict::new(
+                file.refuse(SettingsConflict::new(
                     "model.urdf",
                     "a file that can be read",
                     got,
@@ -316,7 +316,7 @@ fn read_plant_model(dir: Option<&Path>, file: &TextFile, urdf: &str) -> Result<M
         None => {
             let expected = format!("{}, {}, or a path with a `/`", URDF.name, SECOND_URDF.name);
             let fix = "name a file of the set or a path";
-            return Err(file.refuse(Conflict::new("model.urdf", expected, urdf, fix)));
+            return Err(file.refuse(SettingsConflict::new("model.urdf", expected, urdf, fix)));
         }
     };
     if urdf == URDF.name {

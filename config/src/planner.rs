@@ -1,6 +1,6 @@
 //! Settings of the planner, `planner.toml`.
 
-use crate::conflict::Conflict;
+use crate::conflict::SettingsConflict;
 use crate::rule::{BetweenZeroAndOne, MotionTime, Positive, Rule, ShareBelowOne, Whole, refused};
 use serde::{Deserialize, Deserializer};
 use std::time::Duration;
@@ -149,8 +149,8 @@ pub struct BalanceWeights {
 
 impl PlannerSettings {
     /// Checks the rules between the settings of the planner.
-    pub(crate) fn validate(&self) -> Result<(), Conflict> {
+    pub(crate) fn validate(&self) -> Result<(), SettingsConflict> {
         let OfflineSettings { t_f_min, t_f_max, .. } = self.offline;
-        Conflict::unless_above("offline.t_f_max_s", t_f_max, t_f_min, "offline.t_f_min_s")
+        SettingsConflict::unless_above("offline.t_f_max_s", t_f_max, t_f_min, "offline.t_f_min_s")
     }
 }

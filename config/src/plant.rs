@@ -1,6 +1,6 @@
 //! Settings of the simulated plant, `plant.toml`.
 
-use crate::conflict::Conflict;
+use crate::conflict::SettingsConflict;
 use crate::rule::{Angle, Finite, NonNegative, Positive, Rule, Share, Whole};
 use crate::{Fault, Push, RobotSettings};
 use serde::{Deserialize, Deserializer};
@@ -191,8 +191,8 @@ pub enum PendulumStart {
 
 impl PlantSettings {
     /// Checks that the start pose is within the rated limits of the robot.
-    pub(crate) fn validate(&self, robot: &RobotSettings) -> Result<(), Conflict> {
+    pub(crate) fn validate(&self, robot: &RobotSettings) -> Result<(), SettingsConflict> {
         let mut angles = self.start.q.iter().enumerate();
-        angles.try_for_each(|(i, q)| Conflict::unless_within("start.q_deg", *q, i, &robot.limits))
+        angles.try_for_each(|(i, q)| SettingsConflict::unless_within("start.q_deg", *q, i, &robot.limits))
     }
 }

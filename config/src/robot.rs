@@ -1,6 +1,6 @@
 //! Limits of the robot and target of the swing-up, `robot.toml`.
 
-use crate::conflict::{Conflict, degrees};
+use crate::conflict::{SettingsConflict, degrees};
 use crate::rule::{Angle, Finite, Negative, NonNegative, Positive, PositiveShare, Rule};
 use serde::Deserialize;
 use upswing_model::{
@@ -134,7 +134,7 @@ impl From<RobotFile> for RobotSettings {
 
 impl RobotSettings {
     /// Checks the rules between the settings of the robot, and between them and the `model` of the URDF.
-    pub(crate) fn validate(&self, model: &Model) -> Result<(), Conflict> {
+    pub(crate) fn validate(&self, model: &Model) -> Result<(), SettingsConflict> {
         let CoriolisBound { lower, upper } = &self.coriolis_bound;
         for i in 0..NU {
             for (key, c) in [("coriolis_bound.upper_nm", upper[i]), ("coriolis_bound.lower_nm", lower[i])] {
@@ -142,18 +142,23 @@ impl RobotSettings {
                     let expected =
                         format!("less than the {} N m that a plan may use", self.planning.tau_max[i]);
                     let got = format!("{c} for joint {}", i + 1);
-                    return Err(Conflict::new(key, expected, got, "lower it or raise usage.torque_fraction"));
+                    return Err(SettingsConflict::new(
+                        key,
+                        expected,
+                        got,
+                        "lower it or raise usage.torque_fraction",
+                    ));
                 }
             }
         }
-        Conflict::unless_within("target.q8_deg", self.target.q8, NU, &self.planning)?;
+        SettingsConflict::unless_within("target.q8_deg", self.target.q8, NU, &self.planning)?;
         self.agree_with(model.rated_limits())?;
         self.target_is_equilibrium(model)
     }
 
     /// Checks that the rated limits (Table II) agree in `robot.toml` and, for other programs, in the URDF. A joint that is continuous in
     /// the URDF has the limit of `robot.toml`.
-    fn agree_with(&self, urdf: &Limits) -> Result<(), Conflict> {
+    fn agree_with(&self, urdf: &Limits) -> Result<(), SettingsConflict> {
         /// Rounding of the URDF's numbers, deg, deg/s, N m.
         const ROUNDING: f64 = 1e-4;
         let agree = |key, joint: usize, toml: f64, urdf: f64| {
@@ -162,7 +167,7 @@ impl RobotSettings {
                 return Ok(());
             }
             let expected = format!("the {urdf} of joint {} in {}", joint + 1, crate::URDF.name);
-            Err(Conflict::new(key, expected, toml, "change both files alike"))
+            Err(SettingsConflict::new(key, expected, toml, "change both files alike"))
         };
         let toml = &self.limits;
         for i in 0..NQ {
@@ -174,7 +179,7 @@ impl RobotSettings {
     }
 
     /// Refuses a target (8) that is no equilibrium of the pendulum: no trajectory can end at rest in such a target.
-    fn target_is_equilibrium(&self, model: &Model) -> Result<(), Conflict> {
+    fn target_is_equilibrium(&self, model: &Model) -> Result<(), SettingsConflict> {
         let Target { pitch, q8 } = self.target;
         let mut work = Workspace::default();
         // (8) fixes q2 - q4 + q6 only: the target must be an equilibrium whichever joint pitches the flange.
@@ -183,7 +188,7 @@ impl RobotSettings {
             (x[joint], x[NU]) = (sign * pitch, q8);
             let f = model.f(&x, &ActuatedVector::zeros(), &mut work);
             if let Some(i) = (NU..NQ).find(|i| !(f[NQ + i].abs() <= EQUILIBRIUM_ACCELERATION)) {
-                return Err(Conflict::new(
+                return Err(SettingsConflict::new(
                     "target.pitch_deg",
                     "with target.q8_deg an equilibrium of the pendulum",
                     format!(

@@ -1,6 +1,6 @@
 //! Scenarios of the simulated plant: changes to its settings, with faults and pushes at given cycles.
 
-use crate::conflict::Conflict;
+use crate::conflict::SettingsConflict;
 use crate::fault::{Fault, FaultInFile};
 use crate::file::TextFile;
 use crate::{ConfigError, PlantSettings, Push, RobotSettings};
@@ -27,7 +27,7 @@ pub(crate) fn read(
     let Scenario { purpose, fault, push } = file.settings(|scenario: &Scenario| {
         let fix = "say what the scenario is for";
         let blank = scenario.purpose.trim().is_empty();
-        if blank { Err(Conflict::new("purpose", "a sentence", "none", fix)) } else { Ok(()) }
+        if blank { Err(SettingsConflict::new("purpose", "a sentence", "none", fix)) } else { Ok(()) }
     })?;
     let faults = fault.into_iter().map(|fault| {
         let at = fault.span().start;
@@ -58,7 +58,7 @@ fn overlay<'a>(
     for (key, value) in changes {
         let name = format!("{section}{}", key.get_ref());
         let refuse = |expected: String, got: String, fix: &str| {
-            Err(file.refuse(Conflict::new(name.clone(), expected, got, fix)))
+            Err(file.refuse(SettingsConflict::new(name.clone(), expected, got, fix)))
         };
         let Some(old) = base.get_mut(key.get_ref().as_ref()) else {
             return refuse("a key of plant.toml".into(), "none".into(), "correct its name or remove it");

@@ -176,9 +176,9 @@ impl Qp {
     }
 }
 
-/// The limit that a solver could not keep together with everything else.
+/// The bound that a solver could not keep together with all other constraints.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Conflict {
+pub struct ConflictingBound {
     /// What is bounded.
     pub bound: Bound,
     /// Knot, 0 to N; of no meaning for the duration.
@@ -196,7 +196,7 @@ pub enum Bound {
     Duration,
 }
 
-impl std::fmt::Display for Conflict {
+impl std::fmt::Display for ConflictingBound {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let side = if self.upper { "upper" } else { "lower" };
         match self.bound {
@@ -215,7 +215,7 @@ pub enum QpStatus {
     Solved,
     /// No point meets all constraints; names the limit that weighs most in the contradiction where the back end
     /// knows it.
-    Infeasible(Option<Conflict>),
+    Infeasible(Option<ConflictingBound>),
     /// The deadline passed.
     Deadline,
     /// Stopped from outside.

@@ -9,7 +9,7 @@
 //!
 //! A softened bound yields: w >= l - c y with the compliance c, which is a quadratic penalty of weight 1 / c.
 
-use super::{Bound, Conflict, Qp, QpOptions, QpSolution, QpStatus, Stall};
+use super::{Bound, ConflictingBound, Qp, QpOptions, QpSolution, QpStatus, Stall};
 use crate::kkt::{
     Factor, Kkt, KnotDynamics, KnotMatrix, KnotVector, NewtonStep, Rhs, SolveWorkspace, TargetRow,
 };
@@ -407,7 +407,7 @@ impl Structured {
 
     /// Whether the multipliers prove that no point meets all constraints: they combine the constraints to
     /// v' xi <= -c with c > 0, while |v' xi| < c for every xi within its bounds.
-    fn contradiction(&mut self, qp: &Qp) -> Option<Conflict> {
+    fn contradiction(&mut self, qp: &Qp) -> Option<ConflictingBound> {
         /// Inputs that no arm reaches, rad/s^2.
         const LARGEST_INPUT: f64 = 1e4;
         // Bounds that yield contradict nothing.
@@ -464,7 +464,7 @@ impl Structured {
 
     /// The limit whose multipliers, measured against its range and summed over all knots, are the largest, and the
     /// knot with the largest of them.
-    fn heaviest(&self) -> Conflict {
+    fn heaviest(&self) -> ConflictingBound {
         /// Limits of one knot, and the duration.
         const KINDS: usize = NZ + 1;
         let kind = |row: usize| if row == self.t_row() { NZ } else { (row + NX) % NZ };
@@ -497,7 +497,7 @@ impl Structured {
             i if i < NZ => Bound::Joint(LimitKind::Torque, i - NX),
             _ => Bound::Duration,
         };
-        Conflict { bound, knot, upper }
+        ConflictingBound { bound, knot, upper }
     }
 
     /// Solves `qp`, from the multipliers of the last one if `warm`.

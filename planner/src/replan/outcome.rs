@@ -6,7 +6,7 @@ use upswing_config::Config;
 use upswing_model::Workspace;
 use upswing_ocp::interior_point::NlpStatus;
 use upswing_ocp::lqr;
-use upswing_ocp::qp::{Conflict, QpStatus, Stall};
+use upswing_ocp::qp::{ConflictingBound, QpStatus, Stall};
 use upswing_trajectory::{Gains, Margins, Plan, Trajectory, Unfit};
 
 /// A database entry from which no plan could be made.
@@ -27,7 +27,7 @@ pub enum PlanningFailure {
         /// Number of the linearisation, from 1.
         iteration: usize,
         /// Limit that the solution would exceed, if the solver knows it.
-        conflict: Option<Conflict>,
+        conflict: Option<ConflictingBound>,
     },
     /// A QP was neither solved nor found infeasible.
     #[error("QP {iteration}: {stall}")]
