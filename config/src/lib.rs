@@ -27,7 +27,7 @@ pub use fault::{EventError, Fault, FaultKind, Push};
 pub use file::{check_regular, open_file, read_file};
 pub use grid::{GridAxis, GridSettings};
 pub use planner::{
-    BalanceWeights, LqrWeights, OfflineSettings, PlannerSettings, QpBackend, ReplanSettings, SUB_HORIZONS,
+    BalanceSettings, LqrSettings, OfflineSettings, PlannerSettings, QpBackend, ReplanSettings, SUB_HORIZONS,
     TorqueConstraint,
 };
 pub use plant::{

@@ -15,9 +15,9 @@ pub struct PlannerSettings {
     /// Replanning from a measured start.
     pub replan: ReplanSettings,
     /// Weights of the trajectory controller.
-    pub lqr: LqrWeights,
+    pub lqr: LqrSettings,
     /// Weights of the gain of the mode Balance.
-    pub balance: BalanceWeights,
+    pub balance: BalanceSettings,
 }
 
 /// Settings of the trajectory optimisation (6), (8) with (9) or (11).
@@ -117,10 +117,10 @@ pub enum QpBackend {
     Clarabel,
 }
 
-/// Weights Q_c and R_c of (20).
+/// Settings of the LQR along a trajectory: its weights Q_c and R_c of (20).
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct LqrWeights {
+pub struct LqrSettings {
     /// Weight of all angles, 1/rad^2.
     #[serde(deserialize_with = "Positive::read")]
     pub q_angles: f64,
@@ -135,10 +135,10 @@ pub struct LqrWeights {
     pub r: f64,
 }
 
-/// Weights of the LQR gain of the mode Balance, which holds x_N; they replace those of [`LqrWeights`].
+/// Settings of the LQR gain of the mode Balance, which holds x_N: its weights, which replace those of [`LqrSettings`].
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct BalanceWeights {
+pub struct BalanceSettings {
     /// Weight of the angles of the actuated joints, 1/rad^2.
     #[serde(deserialize_with = "Positive::read")]
     pub q_angles_actuated: f64,

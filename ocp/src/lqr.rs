@@ -7,17 +7,17 @@ use upswing_trajectory::{Gain, Gains, KNOTS, N, Trajectory};
 
 type StateMatrix = SMatrix<f64, NX, NX>;
 
-/// A symmetric weight of the state, by rows.
-type Weight = [StateRow; NX];
+/// The symmetric matrix P of the cost-to-go x' P x, by rows.
+type CostToGo = [StateRow; NX];
 
 /// The rows of A and B that are not constant: d qdd_U / dx and d qdd_U / du.
 #[derive(Clone, Copy, Debug)]
-struct Rows {
+struct DynamicsRows {
     a: [StateRow; N_UNACTUATED],
     b: [[f64; NU]; N_UNACTUATED],
 }
 
-impl Rows {
+impl DynamicsRows {
     fn new(d: &Derivatives) -> Self {
         let mut a = [[0.0; STATE_ROW]; N_UNACTUATED];
         for (m, row) in a.iter_mut().enumerate() {
@@ -50,7 +50,7 @@ pub struct NotStabilisable;
 
 /// Weights Q_c and R_c of (20).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Weights {
+pub struct LqrWeights {
     /// Diagonal of Q_c along the trajectory: 1/rad^2 for angles, s^2/rad^2 for velocities.
     pub q: State,
     /// The same for the gain that holds x_N. With the weights of the trajectory that gain is unstable if the bearings of the
@@ -68,16 +68,16 @@ pub struct Weights {
 pub fn synthesize(
     model: &Model,
     trajectory: &Trajectory,
-    weights: &Weights,
+    weights: &LqrWeights,
     ts: f64,
     work: &mut Workspace,
 ) -> Result<Gains, NotStabilisable> {
-    let rows: Vec<Rows> =
-        trajectory.knots().map(|(x, u)| Rows::new(&model.derivatives(x, u, work))).collect();
+    let rows: Vec<DynamicsRows> =
+        trajectory.knots().map(|(x, u)| DynamicsRows::new(&model.derivatives(x, u, work))).collect();
     // The end is an equilibrium: u = 0 there, whatever the last knot's input.
-    let at_end = Rows::new(&model.derivatives(&trajectory.x[N], &ActuatedVector::zeros(), work));
+    let at_end = DynamicsRows::new(&model.derivatives(&trajectory.x[N], &ActuatedVector::zeros(), work));
     let mut p = algebraic_riccati(&at_end, &weights.q, weights.r, ts).ok_or(NotStabilisable)?;
-    let step = |p: &mut Weight, rows: &Rows, q: &State| {
+    let step = |p: &mut CostToGo, rows: &DynamicsRows, q: &State| {
         riccati_step(p, rows, q, weights.r, ts).ok_or(NotStabilisable)
     };
     let end = {
@@ -124,9 +124,9 @@ impl GainFactors {
     }
 }
 
-/// One step of (23): moves the weight P one period back. With `Phi = I + Ts A` and `A = [[0, I], [0], [a]]`,
+/// One step of (23): moves P one period back. With `Phi = I + Ts A` and `A = [[0, I], [0], [a]]`,
 /// `Gamma = Ts [[0], [I], [b]]` all products are a few row operations.
-fn riccati_step(p: &mut Weight, rows: &Rows, q: &State, r: f64, ts: f64) -> Option<GainFactors> {
+fn riccati_step(p: &mut CostToGo, rows: &DynamicsRows, q: &State, r: f64, ts: f64) -> Option<GainFactors> {
     /// First row of the unactuated velocities.
     const V_U: usize = NX - N_UNACTUATED;
     // R + Gamma' P Gamma
@@ -170,11 +170,11 @@ fn riccati_step(p: &mut Weight, rows: &Rows, q: &State, r: f64, ts: f64) -> Opti
     let v_u: [StateRow; N_UNACTUATED] = std::array::from_fn(|m| p[V_U + m]);
     for i in (0..NX).rev() {
         match i / 4 {
-            0 => weight_row::<4>(p, i, rows, &v_u, &g, ts),
-            1 => weight_row::<8>(p, i, rows, &v_u, &g, ts),
-            2 => weight_row::<12>(p, i, rows, &v_u, &g, ts),
-            3 => weight_row::<16>(p, i, rows, &v_u, &g, ts),
-            _ => weight_row::<STATE_ROW>(p, i, rows, &v_u, &g, ts),
+            0 => cost_to_go_row::<4>(p, i, rows, &v_u, &g, ts),
+            1 => cost_to_go_row::<8>(p, i, rows, &v_u, &g, ts),
+            2 => cost_to_go_row::<12>(p, i, rows, &v_u, &g, ts),
+            3 => cost_to_go_row::<16>(p, i, rows, &v_u, &g, ts),
+            _ => cost_to_go_row::<STATE_ROW>(p, i, rows, &v_u, &g, ts),
         }
         p[i][i] += q[i];
     }
@@ -189,10 +189,10 @@ fn riccati_step(p: &mut Weight, rows: &Rows, q: &State, r: f64, ts: f64) -> Opti
 /// The first W entries of row i of Phi' (P Phi) - G' G, for P Phi in `p` (its rows up to i) and in `v_u` (those of the
 /// unactuated velocities).
 #[inline(always)]
-fn weight_row<const W: usize>(
-    p: &mut Weight,
+fn cost_to_go_row<const W: usize>(
+    p: &mut CostToGo,
     i: usize,
-    rows: &Rows,
+    rows: &DynamicsRows,
     v_u: &[StateRow; N_UNACTUATED],
     g: &[StateRow; NU],
     ts: f64,
@@ -214,7 +214,7 @@ fn weight_row<const W: usize>(
 }
 
 /// Phi = I + Ts A and Gamma = Ts B.
-fn discretised(rows: &Rows, ts: f64) -> (StateMatrix, SMatrix<f64, NX, NU>) {
+fn discretised(rows: &DynamicsRows, ts: f64) -> (StateMatrix, SMatrix<f64, NX, NU>) {
     let mut phi = StateMatrix::identity();
     let mut gamma = SMatrix::zeros();
     for i in 0..NQ {
@@ -237,7 +237,7 @@ fn discretised(rows: &Rows, ts: f64) -> (StateMatrix, SMatrix<f64, NX, NU>) {
 
 /// X of (21) by structured doubling (Chu, Fan, Lin, Wang, *Structure-preserving algorithms for periodic
 /// discrete-time algebraic Riccati equations*, Int. J. Control 77, 2004): each step doubles the horizon.
-fn algebraic_riccati(rows: &Rows, q: &State, r: f64, ts: f64) -> Option<Weight> {
+fn algebraic_riccati(rows: &DynamicsRows, q: &State, r: f64, ts: f64) -> Option<CostToGo> {
     /// 2^40 periods of 125 us are four years.
     const DOUBLINGS: usize = 40;
     let (mut a, gamma) = discretised(rows, ts);
@@ -256,13 +256,13 @@ fn algebraic_riccati(rows: &Rows, q: &State, r: f64, ts: f64) -> Option<Weight> 
             return None;
         }
         if step.amax() <= 1e-13 * h.amax() {
-            let mut weight = [[0.0; STATE_ROW]; NX];
-            for (i, row) in weight.iter_mut().enumerate() {
+            let mut x = [[0.0; STATE_ROW]; NX];
+            for (i, row) in x.iter_mut().enumerate() {
                 for j in 0..NX {
                     row[j] = h[(i, j)];
                 }
             }
-            return Some(weight);
+            return Some(x);
         }
     }
     None
@@ -272,7 +272,7 @@ fn algebraic_riccati(rows: &Rows, q: &State, r: f64, ts: f64) -> Option<Weight> 
 mod tests {
     use super::*;
 
-    fn rows() -> Rows {
+    fn rows() -> DynamicsRows {
         let mut a = [[0.0; STATE_ROW]; N_UNACTUATED];
         for (i, row) in a.iter_mut().enumerate() {
             for j in 0..NX {
@@ -280,11 +280,11 @@ mod tests {
             }
         }
         let b = |i, j| ((2 * i + 3 * j) % 5) as f64 * 0.4 - 0.9;
-        Rows { a, b: std::array::from_fn(|i| std::array::from_fn(|j| b(i, j))) }
+        DynamicsRows { a, b: std::array::from_fn(|i| std::array::from_fn(|j| b(i, j))) }
     }
 
-    fn matrix(weight: &Weight) -> StateMatrix {
-        StateMatrix::from_fn(|i, j| weight[i][j])
+    fn matrix(p: &CostToGo) -> StateMatrix {
+        StateMatrix::from_fn(|i, j| p[i][j])
     }
 
     #[test]

@@ -33,7 +33,7 @@ pub struct TorqueRows {
 
 /// The diagonal of Q (17), the same at every knot.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Weights {
+pub struct QpWeights {
     /// Of t_F, 1/s^2.
     pub t_f: f64,
     /// Of z_k: 1/rad^2 for angles, s^2/rad^2 for velocities, s^4/rad^2 for inputs.
@@ -78,7 +78,7 @@ impl Qp {
         problem: &Problem<'_>,
         reference: &Trajectory,
         at: &Trajectory,
-        weights: &Weights,
+        weights: &QpWeights,
         work: &mut Workspace,
     ) -> Self {
         let weight = &weights.z;

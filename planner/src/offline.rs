@@ -4,10 +4,10 @@ use upswing_config::{Config, PlannerSettings, ReplanSettings};
 use upswing_model::{ActuatedVector, N_UNACTUATED, NQ, NU, NX, State};
 use upswing_ocp::interior_point::{NlpOptions, NlpSolution, NlpStatus};
 use upswing_ocp::kkt::KnotVector;
-use upswing_ocp::lqr;
+use upswing_ocp::lqr::LqrWeights;
 use upswing_ocp::multistart::{self, Search, limit_in_the_way};
 use upswing_ocp::problem::{Problem, TorqueConstraint, upright_target};
-use upswing_ocp::qp;
+use upswing_ocp::qp::QpWeights;
 use upswing_trajectory::{N, Trajectory};
 use xxhash_rust::xxh3::Xxh3;
 
@@ -88,7 +88,7 @@ pub fn options(config: &Config) -> NlpOptions<'static> {
 }
 
 /// The weights of the settings for the gains (20), and for the gain that balances at x_N.
-pub fn lqr_weights(settings: &PlannerSettings) -> lqr::Weights {
+pub fn lqr_weights(settings: &PlannerSettings) -> LqrWeights {
     let PlannerSettings { lqr: weights, balance, .. } = settings;
     let q = State::from_fn(|i, _| match i {
         i if i < NQ => weights.q_angles,
@@ -98,15 +98,15 @@ pub fn lqr_weights(settings: &PlannerSettings) -> lqr::Weights {
     let mut q_end = q;
     q_end.fixed_rows_mut::<NU>(0).fill(balance.q_angles_actuated);
     q_end.fixed_rows_mut::<N_UNACTUATED>(NU).fill(balance.q_angles_unactuated);
-    lqr::Weights { q, q_end, r: weights.r }
+    LqrWeights { q, q_end, r: weights.r }
 }
 
 /// The weights of the settings for the objective (17) of a replan.
-pub fn qp_weights(settings: &ReplanSettings) -> qp::Weights {
+pub fn qp_weights(settings: &ReplanSettings) -> QpWeights {
     let z = KnotVector::from_fn(|i, _| match i {
         i if i < NQ => settings.weight_q[i],
         i if i < NX => settings.weight_qd[i - NQ],
         i => settings.weight_u[i - NX],
     });
-    qp::Weights { t_f: settings.weight_t_f, z }
+    QpWeights { t_f: settings.weight_t_f, z }
 }

@@ -11,14 +11,14 @@ use upswing_model::{N_UNACTUATED, NQ, NU, NX, NZ};
 
 /// Rows of A z + s = b, as triplets.
 #[derive(Default)]
-struct Rows {
+struct SparseRows {
     row: Vec<usize>,
     column: Vec<usize>,
     value: Vec<f64>,
     bound: Vec<f64>,
 }
 
-impl Rows {
+impl SparseRows {
     fn put(&mut self, column: usize, value: f64) {
         if value != 0.0 {
             self.row.push(self.bound.len());
@@ -74,7 +74,7 @@ pub(super) fn solve(qp: &Qp, options: &QpOptions<'_>, solution: &mut QpSolution)
     let hessian =
         CscMatrix::new(variables, variables, (0..=variables).collect(), (0..variables).collect(), weights);
 
-    let mut rows = Rows::default();
+    let mut rows = SparseRows::default();
     let half_h = 0.5 * qp.h;
     for i in 0..NX {
         rows.put(i, 1.0);
@@ -98,7 +98,7 @@ pub(super) fn solve(qp: &Qp, options: &QpOptions<'_>, solution: &mut QpSolution)
         rows.end(target.value);
     }
     let equalities = rows.bound.len();
-    let end_bound = |rows: &mut Rows, bound: f64| {
+    let end_bound = |rows: &mut SparseRows, bound: f64| {
         if soft > 0 {
             rows.put(t + 1 + rows.bound.len() - equalities, -1.0);
         }
