@@ -28,7 +28,7 @@ pub use file::{check_regular, open_file, read_file};
 pub use grid::{GridAxis, GridSettings};
 pub use planner::{
     BalanceSettings, LqrSettings, OfflineSettings, PlannerSettings, QpBackend, ReplanSettings, SUB_HORIZONS,
-    TorqueConstraint,
+    TorqueForm,
 };
 pub use plant::{
     DriveSettings, EncoderSettings, FrictionSettings, IntegratorSettings, JointStopSettings, MAX_DELAY,

@@ -34,7 +34,7 @@ pub struct OfflineSettings {
     #[serde(rename = "t_f_max_s", deserialize_with = "MotionTime::read")]
     pub t_f_max: f64,
     /// Form of the torque constraint.
-    pub torque: TorqueConstraint,
+    pub torque: TorqueForm,
     /// Largest scaled residual of a solution, no unit.
     #[serde(deserialize_with = "BetweenZeroAndOne::read")]
     pub tolerance: f64,
@@ -43,10 +43,10 @@ pub struct OfflineSettings {
     pub max_iterations: usize,
 }
 
-/// Form of the torque constraint.
+/// Form of the torque constraint: with the Coriolis torques or without.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum TorqueConstraint {
+pub enum TorqueForm {
     /// (9), with the Coriolis torques.
     Exact,
     /// (11), without the Coriolis torques but tightened by their bound c.
@@ -67,7 +67,7 @@ pub struct ReplanSettings {
     #[serde(deserialize_with = "ShareBelowOne::read")]
     pub knot_margin: f64,
     /// Form of the torque constraint (16c).
-    pub torque: TorqueConstraint,
+    pub torque: TorqueForm,
     /// Number of sub-horizons, solved one after the other, one of [`SUB_HORIZONS`]; 1: the whole horizon at once.
     #[serde(deserialize_with = "sub_horizons")]
     pub sub_horizons: usize,

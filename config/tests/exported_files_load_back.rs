@@ -2,7 +2,7 @@
 
 mod common;
 use common::{edit, exported};
-use upswing_config::{Config, PendulumStart, TorqueConstraint, VelocityEstimate};
+use upswing_config::{Config, PendulumStart, TorqueForm, VelocityEstimate};
 use upswing_model::Period;
 
 #[test]
@@ -35,7 +35,7 @@ fn an_edit_takes_effect_in_si_units() {
     edit(dir.path(), "daemon.toml", "cpu = -1", "cpu = 3");
     edit(dir.path(), "plant.toml", "pendulum = \"rest\"", "pendulum = \"zero\"");
     let config = Config::from_dir(dir.path()).expect("edited settings");
-    assert_eq!(config.planner.offline.torque, TorqueConstraint::Paper);
+    assert_eq!(config.planner.offline.torque, TorqueForm::Paper);
     assert_eq!(config.robot.planning.qd_max[7], 180_f64.to_radians());
     assert_eq!(config.robot.planning.qd_max[6], 135_f64.to_radians() * 0.5);
     assert_eq!(config.daemon.realtime.cpu, Some(3));

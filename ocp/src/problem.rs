@@ -8,7 +8,7 @@ use upswing_model::{
 };
 use upswing_trajectory::{KNOTS, N, Trajectory};
 
-/// Which form of the motor torque is kept within its limits.
+/// The form of the motor torque that is kept within its limits, with what its bounds need.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TorqueConstraint {
     /// (9): the torque itself.

@@ -1,6 +1,6 @@
 //! Offline optimisation of a swing-up, (6), (8), (9)/(11), under the settings of a configuration.
 
-use upswing_config::{Config, PlannerSettings, ReplanSettings};
+use upswing_config::{Config, PlannerSettings, ReplanSettings, TorqueForm};
 use upswing_model::{ActuatedVector, N_UNACTUATED, NQ, NU, NX, State};
 use upswing_ocp::interior_point::{NlpOptions, NlpSolution, NlpStatus};
 use upswing_ocp::kkt::KnotVector;
@@ -27,11 +27,11 @@ pub fn problem(config: &Config, start: State) -> Problem<'_> {
 }
 
 /// The torque constraint (9), or (11) with the bound c of the settings.
-pub fn torque_constraint(config: &Config, form: upswing_config::TorqueConstraint) -> TorqueConstraint {
+pub fn torque_constraint(config: &Config, form: TorqueForm) -> TorqueConstraint {
     let bound = &config.robot.coriolis_bound;
     match form {
-        upswing_config::TorqueConstraint::Exact => TorqueConstraint::Exact,
-        upswing_config::TorqueConstraint::Paper => TorqueConstraint::WithoutCoriolis {
+        TorqueForm::Exact => TorqueConstraint::Exact,
+        TorqueForm::Paper => TorqueConstraint::WithoutCoriolis {
             lower: ActuatedVector::from(bound.lower),
             upper: ActuatedVector::from(bound.upper),
         },

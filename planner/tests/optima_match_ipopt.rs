@@ -2,7 +2,7 @@
 //! with defects up to 1e-8 and within all limits.
 
 use serde::Deserialize;
-use upswing_config::{Config, PendulumStart, TorqueConstraint};
+use upswing_config::{Config, PendulumStart, TorqueForm};
 use upswing_model::{NQ, NU, Workspace};
 use upswing_ocp::interior_point::NlpStatus;
 use upswing_ocp::multistart::Search;
@@ -38,8 +38,8 @@ fn assert_limits(config: &Config, trajectory: &Trajectory) {
             assert!(x[NQ + i].abs() <= limits.qd_max[i] + SLACK, "qd{} at knot {k}", i + 1);
         }
         let tau = match config.planner.offline.torque {
-            TorqueConstraint::Exact => config.model.torque(x, u, &mut work),
-            TorqueConstraint::Paper => config.model.torque_without_coriolis(x, u, &mut work),
+            TorqueForm::Exact => config.model.torque(x, u, &mut work),
+            TorqueForm::Paper => config.model.torque_without_coriolis(x, u, &mut work),
         };
         for i in 0..NU {
             assert!(tau[i] >= low[i] - SLACK && tau[i] <= high[i] + SLACK, "tau{} at knot {k}", i + 1);
@@ -47,7 +47,7 @@ fn assert_limits(config: &Config, trajectory: &Trajectory) {
     }
 }
 
-fn check(torque: TorqueConstraint) {
+fn check(torque: TorqueForm) {
     let mut config = Config::embedded().expect("embedded settings");
     config.planner.offline.torque = torque;
     let reference: Reference =
@@ -74,10 +74,10 @@ fn check(torque: TorqueConstraint) {
 
 #[test]
 fn with_the_papers_torque_constraint() {
-    check(TorqueConstraint::Paper);
+    check(TorqueForm::Paper);
 }
 
 #[test]
 fn with_the_exact_torque_constraint() {
-    check(TorqueConstraint::Exact);
+    check(TorqueForm::Exact);
 }

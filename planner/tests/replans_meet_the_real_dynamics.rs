@@ -2,7 +2,7 @@
 //! leaves the defect of its linearisation; the answer names what was tried.
 
 use std::time::Instant;
-use upswing_config::{Config, PendulumStart, SUB_HORIZONS, TorqueConstraint};
+use upswing_config::{Config, PendulumStart, SUB_HORIZONS, TorqueForm};
 use upswing_ipc::operator::Manoeuvre;
 use upswing_model::State;
 use upswing_ocp::interior_point::NlpStatus;
@@ -96,7 +96,7 @@ fn two_sub_horizons_meet_and_more_give_a_plan_or_a_reason() {
 #[test]
 fn the_papers_torque_constraint_keeps_the_torques_too() {
     let mut config = Config::embedded().expect("embedded settings");
-    config.planner.replan.torque = TorqueConstraint::Paper;
+    config.planner.replan.torque = TorqueForm::Paper;
     let planner =
         Planner::new(config).expect("the mode of the database and that of a replan are independent");
     let replan = planner.replan(&start(&planner, STARTS[0]), 10, None).expect("a plan");
