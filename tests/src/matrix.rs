@@ -35,7 +35,7 @@ static PLANNER: LazyLock<Planner> =
 
 /// A row of a table of [`PAGE`]: a fault, and the outcome in each column.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Row {
+pub struct FaultRow {
     /// The fault: the first cell, without its backquotes.
     pub fault: String,
     /// The outcomes: the other cells.
@@ -46,7 +46,7 @@ pub struct Row {
 ///
 /// # Panics
 /// If the page has no such section, or the section has no table.
-pub fn table(page: &str, section: &str) -> (Vec<String>, Vec<Row>) {
+pub fn table(page: &str, section: &str) -> (Vec<String>, Vec<FaultRow>) {
     let heading = format!("\n## {section}\n");
     let (_, text) = page.split_once(&heading).unwrap_or_else(|| panic!("no `{section}` in the page"));
     let text = text.split("\n## ").next().unwrap_or("");
@@ -58,7 +58,7 @@ pub fn table(page: &str, section: &str) -> (Vec<String>, Vec<Row>) {
     let columns = lines.next().unwrap_or_else(|| panic!("no table in `{section}`"));
     let rows = lines.skip(1).map(|mut cells| {
         assert_eq!(cells.len(), columns.len(), "cells of the row {cells:?}");
-        Row { fault: cells.remove(0), outcomes: cells }
+        FaultRow { fault: cells.remove(0), outcomes: cells }
     });
     let rows = rows.collect();
     (columns[1..].to_vec(), rows)

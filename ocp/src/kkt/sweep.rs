@@ -1,7 +1,7 @@
 //! The factorisation, a sweep from the target to the start, and the solution of one right-hand side with it: a sweep back
 //! and one forth.
 
-use super::variables::{Entering, Leaving, Row, U};
+use super::variables::{Entering, KnotRow, Leaving, U};
 use super::{Kkt, KnotDynamics, NewtonStep, Rhs};
 use crate::rows::{Pivot, ROW, STATE_ROW, StateRow, add_scaled};
 use upswing_model::{ActuatedVector, NU, NX, NZ};
@@ -11,7 +11,7 @@ use upswing_model::{ActuatedVector, NU, NX, NZ};
 const TARGET_STIFFNESS: f64 = 1e6;
 
 /// The inputs' block of a quadratic.
-fn inputs_block(p: &[Row; NZ]) -> [[f64; NU]; NU] {
+fn inputs_block(p: &[KnotRow; NZ]) -> [[f64; NU]; NU] {
     std::array::from_fn(|i| std::array::from_fn(|j| p[U + i][U + j]))
 }
 
@@ -79,7 +79,7 @@ impl Kkt {
     fn try_factor(&self, damping: f64, input_damping: f64, factor: &mut Factor) -> Option<()> {
         let n = self.intervals();
         let half_h = 0.5 * self.h;
-        let add_knot = |p: &mut [Row; NZ], k: usize| {
+        let add_knot = |p: &mut [KnotRow; NZ], k: usize| {
             let columns = self.hessian[k].as_slice().chunks_exact(NZ);
             for (i, (row, column)) in p.iter_mut().zip(columns).enumerate() {
                 for j in 0..NZ {

@@ -11,15 +11,15 @@ const V: usize = NQ;
 const V_U: usize = NQ + NU;
 pub(super) const U: usize = NX;
 
-/// A row over z = (x, u) or (s, u).
-pub(super) type Row = [f64; ROW];
+/// A row of a matrix over z = (x, u) or (s, u).
+pub(super) type KnotRow = [f64; ROW];
 
 /// z = T (s, u): dz_{k+1} from the state s_k that enters the knot and its input, with the two dense rows of T.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Entering {
     half_h: f64,
     /// dqd_U = M (s, u)
-    m: [Row; N_UNACTUATED],
+    m: [KnotRow; N_UNACTUATED],
 }
 
 impl Entering {
@@ -79,7 +79,7 @@ impl Entering {
 
     /// T' p
     #[inline(always)]
-    pub(super) fn apply_transposed(&self, p: &KnotVector) -> Row {
+    pub(super) fn apply_transposed(&self, p: &KnotVector) -> KnotRow {
         let mut out = [0.0; ROW];
         out[..NZ].copy_from_slice(p.as_slice());
         self.columns(&mut out);
@@ -88,7 +88,7 @@ impl Entering {
 
     /// One row, or one column, of a quadratic: out = T' out.
     #[inline(always)]
-    fn columns(&self, out: &mut Row) {
+    fn columns(&self, out: &mut KnotRow) {
         for i in 0..NQ {
             out[V + i] += self.half_h * out[i];
         }
@@ -104,7 +104,7 @@ impl Entering {
 
     /// T' P T for a symmetric P.
     #[inline(always)]
-    pub(super) fn congruence(&self, p: &mut [Row; NZ]) {
+    pub(super) fn congruence(&self, p: &mut [KnotRow; NZ]) {
         for i in 0..NQ {
             let q = p[i];
             add_scaled(&mut p[V + i], self.half_h, &q);
@@ -113,7 +113,7 @@ impl Entering {
             let v = p[V + i];
             add_scaled(&mut p[U + i], self.half_h, &v);
         }
-        let on_v: [Row; N_UNACTUATED] = std::array::from_fn(|i| p[V_U + i]);
+        let on_v: [KnotRow; N_UNACTUATED] = std::array::from_fn(|i| p[V_U + i]);
         for i in 0..N_UNACTUATED {
             p[V_U + i] = [0.0; ROW];
         }
@@ -130,7 +130,7 @@ impl Entering {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Leaving {
     half_h: f64,
-    n: [Row; N_UNACTUATED],
+    n: [KnotRow; N_UNACTUATED],
 }
 
 impl Leaving {
@@ -170,7 +170,7 @@ impl Leaving {
 
     /// N' p
     #[inline(always)]
-    pub(super) fn apply_transposed(&self, p: &StateRow) -> Row {
+    pub(super) fn apply_transposed(&self, p: &StateRow) -> KnotRow {
         let mut out = [0.0; ROW];
         out[..V_U].copy_from_slice(&p[..V_U]);
         for i in 0..NQ {
@@ -187,7 +187,7 @@ impl Leaving {
 
     /// N' S N for a symmetric S.
     #[inline(always)]
-    pub(super) fn congruence(&self, s: &[StateRow; NX], p: &mut [Row; NZ]) {
+    pub(super) fn congruence(&self, s: &[StateRow; NX], p: &mut [KnotRow; NZ]) {
         for (j, out) in p.iter_mut().enumerate() {
             let mut row = [0.0; STATE_ROW];
             if j < V_U {
