@@ -29,7 +29,7 @@ impl Margin {
 }
 
 /// One point of the spline (12) with the motor torque that it needs.
-pub(crate) struct Sample {
+pub(crate) struct SplinePoint {
     /// s since the start of the trajectory.
     time: f64,
     x: State,
@@ -37,7 +37,7 @@ pub(crate) struct Sample {
     pub(crate) tau: ActuatedVector,
 }
 
-impl Sample {
+impl SplinePoint {
     /// Point number `i` of the `N * parts + 1` points that divide each interval into `parts` equal ones.
     pub(crate) fn new(
         spline: &Spline<'_>,
@@ -75,12 +75,12 @@ impl Margins {
         let parts = between + 1;
         let mut margins = Self::NONE;
         for i in 0..=N * parts {
-            margins.include(&Sample::new(&spline, i, parts, model, &mut work), limits);
+            margins.include(&SplinePoint::new(&spline, i, parts, model, &mut work), limits);
         }
         margins
     }
 
-    pub(crate) fn include(&mut self, sample: &Sample, limits: &Limits) {
+    pub(crate) fn include(&mut self, sample: &SplinePoint, limits: &Limits) {
         let (q, qd) = (sample.x.q(), sample.x.qd());
         for joint in 0..NQ {
             self.q.include(q[joint], limits.range(LimitKind::Position, joint), joint, sample.time);

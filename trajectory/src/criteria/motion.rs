@@ -1,7 +1,7 @@
 //! Criteria for the trajectory of a plan: limits, dynamics and end.
 
 use super::{DERIVATIVE_TOLERANCE, END_TILT, PlanCriteria, TORQUE_SLACK, Unfit, VELOCITY_SLACK, finite};
-use crate::margins::Sample;
+use crate::margins::SplinePoint;
 use crate::{Certificate, Margins, N, Spline, Trajectory};
 use upswing_model::thresholds::{PLAN_POSITION_SLACK, REST_SPEED_PLAN_END};
 use upswing_model::{LimitKind, Model, NU, NX, State, StateParts, Workspace};
@@ -33,7 +33,7 @@ impl PlanCriteria {
             }
             let points = if k < N { PARTS } else { 1 };
             for i in k * PARTS..k * PARTS + points {
-                let sample = Sample::new(spline, i, PARTS, model, &mut work);
+                let sample = SplinePoint::new(spline, i, PARTS, model, &mut work);
                 margins.include(&sample, &self.limits);
                 let knot = i as f64 / PARTS as f64;
                 (0..NU).try_for_each(|i| self.check_limit(LimitKind::Torque, i, sample.tau[i], knot))?;
