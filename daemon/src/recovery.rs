@@ -19,7 +19,7 @@ pub enum RecoveryAction {
 
 /// Stage of a recovery; times in ns on the daemon's clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Stage {
+enum RecoveryStage {
     /// No recovery is in progress.
     Off,
     /// Waiting until the pendulum hangs at rest: time of the lost balance, and time since which the pendulum has been at rest.
@@ -34,7 +34,7 @@ enum Stage {
 #[derive(Clone, Debug)]
 pub struct Recovery {
     settings: RecoverySettings,
-    stage: Stage,
+    stage: RecoveryStage,
     /// Attempts since the last request of the operator.
     attempts: u32,
     mode: Mode,
@@ -45,23 +45,23 @@ pub struct Recovery {
 impl Recovery {
     /// Creates the state without a recovery in progress.
     pub fn new(settings: RecoverySettings) -> Self {
-        Self { settings, stage: Stage::Off, attempts: 0, mode: Mode::Idle, now: 0 }
+        Self { settings, stage: RecoveryStage::Off, attempts: 0, mode: Mode::Idle, now: 0 }
     }
 
     /// Whether a recovery is in progress.
     pub fn is_active(&self) -> bool {
-        self.stage != Stage::Off
+        self.stage != RecoveryStage::Off
     }
 
     /// Ends a recovery in favour of the operator; all attempts are available again.
     pub fn yield_to_operator(&mut self) {
-        (self.stage, self.attempts) = (Stage::Off, 0);
+        (self.stage, self.attempts) = (RecoveryStage::Off, 0);
     }
 
     /// Takes the answer of the planner: the published plan, or `None` if there is none.
     pub fn planned(&mut self, plan: Option<PublishedPlan>) {
-        if let Stage::Planning { asked } = self.stage {
-            self.stage = plan.map_or(Stage::Off, |plan| Stage::Planned { plan, asked });
+        if let RecoveryStage::Planning { asked } = self.stage {
+            self.stage = plan.map_or(RecoveryStage::Off, |plan| RecoveryStage::Planned { plan, asked });
         }
     }
 
@@ -81,23 +81,23 @@ impl Recovery {
         // Later records keep the cause: only a stop from these modes is its consequence.
         let stops = self.mode == Mode::Stop && matches!(before, Mode::Track | Mode::Balance);
         if stops && fell && self.attempts < self.settings.attempts {
-            self.stage = Stage::Settling { lost: self.now, rest: None };
+            self.stage = RecoveryStage::Settling { lost: self.now, rest: None };
         }
         if !matches!(self.mode, Mode::Stop | Mode::Hold) {
-            self.stage = Stage::Off;
+            self.stage = RecoveryStage::Off;
         }
         match self.stage {
-            Stage::Off => None,
-            Stage::Settling { lost, rest } => self.settle(lost, rest, &telemetry.qd),
-            Stage::Planning { asked } => {
+            RecoveryStage::Off => None,
+            RecoveryStage::Settling { lost, rest } => self.settle(lost, rest, &telemetry.qd),
+            RecoveryStage::Planning { asked } => {
                 self.give_up_after(asked);
                 None
             }
-            Stage::Planned { plan, .. } if plan.is_due(loaded, self.now) => {
-                self.stage = Stage::Off;
+            RecoveryStage::Planned { plan, .. } if plan.is_due(loaded, self.now) => {
+                self.stage = RecoveryStage::Off;
                 Some(RecoveryAction::Start(plan.id))
             }
-            Stage::Planned { asked, .. } => {
+            RecoveryStage::Planned { asked, .. } => {
                 self.give_up_after(asked);
                 None
             }
@@ -107,9 +107,9 @@ impl Recovery {
     fn settle(&mut self, lost: u64, rest: Option<u64>, qd: &[f64; NQ]) -> Option<RecoveryAction> {
         let still = qd[NU..].iter().all(|qd| qd.abs() <= self.settings.rest_speed);
         let rest = if still && self.mode == Mode::Hold { Some(rest.unwrap_or(self.now)) } else { None };
-        self.stage = Stage::Settling { lost, rest };
+        self.stage = RecoveryStage::Settling { lost, rest };
         if rest.is_some_and(|since| self.elapsed(since) >= self.settings.rest.as_nanos()) {
-            self.stage = Stage::Planning { asked: self.now };
+            self.stage = RecoveryStage::Planning { asked: self.now };
             self.attempts += 1;
             return Some(RecoveryAction::AskPlanner);
         }
@@ -123,7 +123,7 @@ impl Recovery {
 
     fn give_up_after(&mut self, since: u64) {
         if self.elapsed(since) > self.settings.patience.as_nanos() {
-            self.stage = Stage::Off;
+            self.stage = RecoveryStage::Off;
         }
     }
 }

@@ -71,7 +71,7 @@ pub enum GrantError {
 
 /// How far the cycle of the plant is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Stage {
+enum CycleStage {
     /// It waits for its beginning.
     Between,
     /// Its measurement is published, with this number if it is a new one; it waits for its deadline.
@@ -89,7 +89,7 @@ pub struct PlantPacing {
     watchdog_cycles: u32,
     /// Last cycle that may begin on `lockstep`.
     granted: u64,
-    stage: Stage,
+    stage: CycleStage,
     /// Of the present stage, CLOCK_MONOTONIC, ns.
     deadline_ns: u64,
     patience: Patience,
@@ -107,7 +107,7 @@ impl PlantPacing {
             period,
             watchdog_cycles,
             granted: 0,
-            stage: Stage::Between,
+            stage: CycleStage::Between,
             deadline_ns: now,
             patience: Patience::since(now),
             daemon: Presence::Awaited,
@@ -127,7 +127,7 @@ impl PlantPacing {
 
     /// Whether the measurement of the present cycle is published.
     pub fn is_published(&self) -> bool {
-        self.stage != Stage::Between
+        self.stage != CycleStage::Between
     }
 
     /// On `lockstep`: the plant may advance to the end of cycle `seq`.
@@ -147,7 +147,7 @@ impl PlantPacing {
 
     /// The measurement of the cycle that has begun is published; `shown` is its number if the daemon finds something new.
     pub fn publish(&mut self, shown: Option<u64>) {
-        self.stage = Stage::Published { shown };
+        self.stage = CycleStage::Published { shown };
         if self.clock.is_paced() {
             self.deadline_ns = self.deadline_ns.saturating_add(self.period.nanos());
         }
@@ -165,9 +165,9 @@ impl PlantPacing {
                 return None;
             }
             let wake = match self.stage {
-                Stage::Between => self.begin(commands, seq),
-                Stage::Published { shown } => self.pace(commands, seq, shown),
-                Stage::Due { shown, due_ns } => self.answered(commands, seq, shown, due_ns),
+                CycleStage::Between => self.begin(commands, seq),
+                CycleStage::Published { shown } => self.pace(commands, seq, shown),
+                CycleStage::Due { shown, due_ns } => self.answered(commands, seq, shown, due_ns),
             };
             if wake.is_some() {
                 return wake;
@@ -221,7 +221,7 @@ impl PlantPacing {
         };
         match shown {
             Some(shown) if waits => {
-                self.stage = Stage::Due { shown, due_ns: now };
+                self.stage = CycleStage::Due { shown, due_ns: now };
                 self.patience = Patience::since(now);
                 None
             }
@@ -272,7 +272,7 @@ impl PlantPacing {
             answer = Some(command).filter(|command| Some(command.measurement_seq) == shown);
         }
         self.patience = Patience::since(now);
-        self.stage = Stage::Between;
+        self.stage = CycleStage::Between;
         PlantWake::End(answer)
     }
 
@@ -286,7 +286,7 @@ impl PlantPacing {
             self.daemon = Presence::Lost { silence: self.period.seconds_of(self.silent_cycles.into()) };
         }
         self.deadline_ns = self.deadline_ns.saturating_add(self.period.nanos());
-        self.stage = Stage::Between;
+        self.stage = CycleStage::Between;
         command
     }
 
