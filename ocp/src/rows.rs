@@ -8,8 +8,8 @@ use upswing_model::{ActuatedVector, NU, NX, NZ};
 /// Entries of a row over states, rounded up to full vector registers; those beyond NX are zero.
 pub(crate) const STATE_ROW: usize = NX.next_multiple_of(4);
 pub(crate) type StateRow = [f64; STATE_ROW];
-/// The same of a row over z = (x, u).
-pub(crate) const ROW: usize = NZ.next_multiple_of(4);
+/// Entries of a row over z = (x, u), rounded up in the same way.
+pub(crate) const KNOT_ROW: usize = NZ.next_multiple_of(4);
 
 /// c += s a
 #[inline(always)]

@@ -40,13 +40,14 @@ struct PanelStyle {
 }
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-type Drawn = Result<(), DrawingAreaErrorKind<std::io::Error>>;
+/// Result of a drawing function: the errors of the drawing library.
+type DrawResult = Result<(), DrawingAreaErrorKind<std::io::Error>>;
 
 /// Returns a drawing of `size` (px) as SVG text.
 ///
 /// # Errors
 /// The message of the drawing library.
-fn svg(size: (u32, u32), draw: impl FnOnce(&Area<'_>) -> Drawn) -> Result<String, String> {
+fn svg(size: (u32, u32), draw: impl FnOnce(&Area<'_>) -> DrawResult) -> Result<String, String> {
     let mut text = String::new();
     let root = SVGBackend::with_string(&mut text, size).into_drawing_area();
     let drawn = root.fill(&WHITE).and_then(|()| draw(&root)).and_then(|()| root.present());
@@ -133,7 +134,7 @@ fn draw_panel(
     bottom: bool,
     look: &PanelStyle,
     curves: &[(usize, CurvePair)],
-) -> Drawn {
+) -> DrawResult {
     let mut chart = ChartBuilder::on(area)
         .margin(8)
         .caption(title, ("sans-serif", 18))

@@ -3,7 +3,7 @@
 
 use super::variables::{Entering, KnotRow, Leaving, U};
 use super::{Kkt, KnotDynamics, NewtonStep, Rhs};
-use crate::rows::{Pivot, ROW, STATE_ROW, StateRow, add_scaled};
+use crate::rows::{KNOT_ROW, Pivot, STATE_ROW, StateRow, add_scaled};
 use upswing_model::{ActuatedVector, NU, NX, NZ};
 
 /// Stiffness of the target rows in the factorised matrix. Large against the curvature of the problem, small
@@ -88,7 +88,7 @@ impl Kkt {
                 row[i] += if i < NX { damping } else { input_damping };
             }
         };
-        let mut p = [[0.0; ROW]; NZ];
+        let mut p = [[0.0; KNOT_ROW]; NZ];
         add_knot(&mut p, n);
         for row in &self.target {
             let c = &row.coefficients;

@@ -2,7 +2,7 @@
 //! row operations.
 
 use super::{KnotDynamics, KnotVector};
-use crate::rows::{ROW, STATE_ROW, StateRow, add_scaled};
+use crate::rows::{KNOT_ROW, STATE_ROW, StateRow, add_scaled};
 use nalgebra::SMatrix;
 use upswing_model::{ActuatedVector, N_UNACTUATED, NQ, NU, NX, NZ, State};
 
@@ -12,7 +12,7 @@ const V_U: usize = NQ + NU;
 pub(super) const U: usize = NX;
 
 /// A row of a matrix over z = (x, u) or (s, u).
-pub(super) type KnotRow = [f64; ROW];
+pub(super) type KnotRow = [f64; KNOT_ROW];
 
 /// z = T (s, u): dz_{k+1} from the state s_k that enters the knot and its input, with the two dense rows of T.
 #[derive(Clone, Copy, Debug)]
@@ -24,7 +24,7 @@ pub(super) struct Entering {
 
 impl Entering {
     pub(super) fn new(half_h: f64, knot: &KnotDynamics) -> Self {
-        let mut rhs = [[0.0; ROW]; N_UNACTUATED];
+        let mut rhs = [[0.0; KNOT_ROW]; N_UNACTUATED];
         for (i, rhs) in rhs.iter_mut().enumerate() {
             for j in 0..NQ {
                 rhs[j] = half_h * knot.qdd_u_x[(i, j)];
@@ -44,7 +44,7 @@ impl Entering {
         })
         .try_inverse()
         .unwrap_or_else(|| SMatrix::from_element(f64::NAN));
-        let mut m = [[0.0; ROW]; N_UNACTUATED];
+        let mut m = [[0.0; KNOT_ROW]; N_UNACTUATED];
         for i in 0..N_UNACTUATED {
             for l in 0..N_UNACTUATED {
                 add_scaled(&mut m[i], block[(i, l)], &rhs[l]);
@@ -80,7 +80,7 @@ impl Entering {
     /// T' p
     #[inline(always)]
     pub(super) fn apply_transposed(&self, p: &KnotVector) -> KnotRow {
-        let mut out = [0.0; ROW];
+        let mut out = [0.0; KNOT_ROW];
         out[..NZ].copy_from_slice(p.as_slice());
         self.columns(&mut out);
         out
@@ -115,7 +115,7 @@ impl Entering {
         }
         let on_v: [KnotRow; N_UNACTUATED] = std::array::from_fn(|i| p[V_U + i]);
         for i in 0..N_UNACTUATED {
-            p[V_U + i] = [0.0; ROW];
+            p[V_U + i] = [0.0; KNOT_ROW];
         }
         for (j, row) in p.iter_mut().enumerate() {
             for (m, v) in self.m.iter().zip(&on_v) {
@@ -135,7 +135,7 @@ pub(super) struct Leaving {
 
 impl Leaving {
     pub(super) fn new(half_h: f64, knot: &KnotDynamics) -> Self {
-        let mut n = [[0.0; ROW]; N_UNACTUATED];
+        let mut n = [[0.0; KNOT_ROW]; N_UNACTUATED];
         for (i, n) in n.iter_mut().enumerate() {
             for j in 0..NX {
                 n[j] = half_h * knot.qdd_u_x[(i, j)];
@@ -171,7 +171,7 @@ impl Leaving {
     /// N' p
     #[inline(always)]
     pub(super) fn apply_transposed(&self, p: &StateRow) -> KnotRow {
-        let mut out = [0.0; ROW];
+        let mut out = [0.0; KNOT_ROW];
         out[..V_U].copy_from_slice(&p[..V_U]);
         for i in 0..NQ {
             out[V + i] += self.half_h * p[i];

@@ -13,13 +13,13 @@ pub struct PlantCondition {
     pub name: String,
     /// Purpose of the condition, a sentence.
     pub purpose: String,
-    drawn: Drawn,
+    parameter: RandomParameter,
     plant: Config,
 }
 
 /// Parameter of the plant that is drawn at random for each start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Drawn {
+enum RandomParameter {
     Nothing,
     ArmMass,
     PendulumMass,
@@ -33,16 +33,21 @@ impl PlantCondition {
     /// [`ConfigError`] if the scenario does not exist or is invalid.
     pub fn new(name: &str, config: &Config) -> Result<Self, ConfigError> {
         let mut plant = config.clone();
-        let (drawn, purpose) = match name {
-            "nominal" => (Drawn::Nothing, "The plant of the settings.".into()),
-            "arm-mass" => (Drawn::ArmMass, "All masses and inertias of the arm scaled by 0.9 to 1.1.".into()),
-            "pendulum-mass" => {
-                (Drawn::PendulumMass, "Masses and inertias of the pendulum scaled by 0.9 to 1.1.".into())
+        let (parameter, purpose) = match name {
+            "nominal" => (RandomParameter::Nothing, "The plant of the settings.".into()),
+            "arm-mass" => {
+                (RandomParameter::ArmMass, "All masses and inertias of the arm scaled by 0.9 to 1.1.".into())
             }
-            "pendulum-length" => (Drawn::PendulumLength, "The rod's length scaled by 0.9 to 1.1.".into()),
-            scenario => (Drawn::Nothing, plant.use_scenario(scenario)?),
+            "pendulum-mass" => (
+                RandomParameter::PendulumMass,
+                "Masses and inertias of the pendulum scaled by 0.9 to 1.1.".into(),
+            ),
+            "pendulum-length" => {
+                (RandomParameter::PendulumLength, "The rod's length scaled by 0.9 to 1.1.".into())
+            }
+            scenario => (RandomParameter::Nothing, plant.use_scenario(scenario)?),
         };
-        Ok(Self { name: name.into(), purpose, drawn, plant })
+        Ok(Self { name: name.into(), purpose, parameter, plant })
     }
 
     /// Settings of the plant for start number `index`.
@@ -50,11 +55,11 @@ impl PlantCondition {
         let mut config = self.plant.clone();
         let scale = 1.0 - SPREAD + 2.0 * SPREAD * starts.share(index);
         let model = &mut config.plant.model;
-        match self.drawn {
-            Drawn::Nothing => {}
-            Drawn::ArmMass => model.arm_mass_scale *= scale,
-            Drawn::PendulumMass => model.pendulum_mass_scale *= scale,
-            Drawn::PendulumLength => model.pendulum_length_scale *= scale,
+        match self.parameter {
+            RandomParameter::Nothing => {}
+            RandomParameter::ArmMass => model.arm_mass_scale *= scale,
+            RandomParameter::PendulumMass => model.pendulum_mass_scale *= scale,
+            RandomParameter::PendulumLength => model.pendulum_length_scale *= scale,
         }
         config
     }

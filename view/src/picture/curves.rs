@@ -1,6 +1,6 @@
 //! Success curves: the share of successful runs over a varied parameter, with the confidence interval of the probability.
 
-use super::{Area, COLOURS, Drawn, svg, write};
+use super::{Area, COLOURS, DrawResult, svg, write};
 use plotters::prelude::*;
 use upswing_process::output::OutputFile;
 
@@ -45,7 +45,7 @@ pub fn draw(output: &OutputFile, panels: &[Panel]) -> Result<(), String> {
     write(output, drawing.as_bytes())
 }
 
-fn draw_panel(area: &Area<'_>, panel: &Panel) -> Drawn {
+fn draw_panel(area: &Area<'_>, panel: &Panel) -> DrawResult {
     let values = panel.series.iter().flat_map(|(_, points)| points).map(|p| p.x);
     let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), x| (a.min(x), b.max(x)));
     // A range without width is extended, so that the axis has a length.

@@ -1,6 +1,6 @@
 //! Writes the figures of a recording to files: trajectories, modes, cycle times.
 
-use super::{Area, Drawn, svg, swing_up};
+use super::{Area, DrawResult, svg, swing_up};
 use crate::page::times::LatencyHistogram;
 use crate::page::{ModeSpan, RecordingDigest};
 use plotters::prelude::*;
@@ -111,7 +111,7 @@ fn modes(spans: &[ModeSpan]) -> Result<String, String> {
     svg(MODES_SIZE, |root| draw_modes(root, spans))
 }
 
-fn draw_modes(root: &Area<'_>, spans: &[ModeSpan]) -> Drawn {
+fn draw_modes(root: &Area<'_>, spans: &[ModeSpan]) -> DrawResult {
     let (from, to) =
         (spans.first().map_or(0.0, |s| s.from), spans.last().map_or(1.0, |s| s.to).max(f64::MIN_POSITIVE));
     let rows = Mode::ALL.len();
@@ -158,7 +158,7 @@ fn short(value: f64) -> String {
     format!("{}{letter}", (value / scale * 1e3).round() / 1e3)
 }
 
-fn draw_times(root: &Area<'_>, all: &[LatencyHistogram], period_us: f64) -> Drawn {
+fn draw_times(root: &Area<'_>, all: &[LatencyHistogram], period_us: f64) -> DrawResult {
     let ends = |t: &LatencyHistogram| (t.first, t.first * t.ratio.powi(t.counts.len() as i32));
     let from = all.iter().map(|t| ends(t).0).fold(period_us, f64::min);
     let to = all.iter().map(|t| ends(t).1).fold(period_us * 1.3, f64::max);

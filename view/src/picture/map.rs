@@ -1,7 +1,7 @@
 //! Map of plans over the ranges of their start angles: for each kind of limit and each pair of joints, the smallest margin of
 //! the plans whose start is in a cell of the two angles, over all values of the other angles.
 
-use super::{Area, Drawn, svg, write};
+use super::{Area, DrawResult, svg, write};
 use plotters::prelude::*;
 use upswing_config::GridAxis;
 use upswing_model::NU;
@@ -112,7 +112,7 @@ fn shade(share: f64) -> RGBColor {
     RGBColor(mix(0), mix(1), mix(2))
 }
 
-fn draw_panel(area: &Area<'_>, x: &MapAxis, y: &MapAxis, cells: &[MapCell], range: (f64, f64)) -> Drawn {
+fn draw_panel(area: &Area<'_>, x: &MapAxis, y: &MapAxis, cells: &[MapCell], range: (f64, f64)) -> DrawResult {
     let mut chart = ChartBuilder::on(area)
         .margin(6)
         .x_label_area_size(34)
@@ -144,7 +144,7 @@ fn draw_panel(area: &Area<'_>, x: &MapAxis, y: &MapAxis, cells: &[MapCell], rang
 }
 
 /// Draws the colour scale of a row and the range of its margins.
-fn draw_scale(area: &Area<'_>, name: &str, range: (f64, f64)) -> Drawn {
+fn draw_scale(area: &Area<'_>, name: &str, range: (f64, f64)) -> DrawResult {
     const STEPS: i32 = 40;
     let (top, height, left, width) = (44, 110, 6, 14);
     let text = |t: String, x: i32, y: i32| Text::new(t, (x, y), ("sans-serif", 12).into_font());
