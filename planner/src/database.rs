@@ -11,7 +11,7 @@ pub use build::build;
 pub use merge::merge;
 pub use nearest::{NearestPose, Neighbour};
 pub use stored::{DatabaseFile, SHIPPED};
-pub use verify::{Discrepancy, Finding, verify};
+pub use verify::{Discrepancy, RecordFlaw, verify};
 
 use crate::offline::problem_fingerprint;
 use std::path::{Path, PathBuf};

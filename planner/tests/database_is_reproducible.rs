@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Instant;
 use upswing_config::{Config, GridAxis};
-use upswing_planner::database::{self, BuildError, Finding, SHIPPED, Shard, Summary, certify, read, verify};
+use upswing_planner::database::{
+    self, BuildError, RecordFlaw, SHIPPED, Shard, Summary, certify, read, verify,
+};
 use upswing_planner::offline::problem_fingerprint;
 use upswing_planner::replan::{Planner, PlannerError};
 use upswing_process::output::{OutputError, Overwrite};
@@ -237,7 +239,7 @@ fn certificates_are_recomputed() {
     entry.trajectory.u[50][0] += 1e-3;
     let found = verify(&small_grid(), &database, || ());
     assert_eq!(found.iter().map(|d| d.pose).collect::<Vec<_>>(), [3]);
-    assert!(matches!(found[0].finding, Finding::Certificate { .. }), "{found:?}");
+    assert!(matches!(found[0].flaw, RecordFlaw::Certificate { .. }), "{found:?}");
 }
 
 #[test]
@@ -252,7 +254,7 @@ fn consistent_records_of_something_else_are_found() {
         change(&mut database.records[record]);
         let found = verify(&config, &database, || ());
         assert_eq!(found.len(), 1, "{found:?}");
-        found[0].finding
+        found[0].flaw
     };
     // Changed entries, each with the certificate of its changed trajectory.
     let entry = |change: &dyn Fn(&mut Trajectory)| {
@@ -268,17 +270,17 @@ fn consistent_records_of_something_else_are_found() {
         t.x.fill(start);
         t.u.fill(upswing_model::ActuatedVector::zeros());
     });
-    assert!(matches!(hanging, Finding::End { row: 4.., .. }), "{hanging}");
+    assert!(matches!(hanging, RecordFlaw::End { row: 4.., .. }), "{hanging}");
     let elsewhere = entry(&|t| t.x.iter_mut().for_each(|x| x[0] += 0.1));
-    assert!(matches!(elsewhere, Finding::Start { row: 0, .. }), "{elsewhere}");
+    assert!(matches!(elsewhere, RecordFlaw::Start { row: 0, .. }), "{elsewhere}");
     let jumping = entry(&|t| t.x[50][8] += 0.01);
-    assert!(matches!(jumping, Finding::Defect { .. }), "{jumping}");
+    assert!(matches!(jumping, RecordFlaw::Defect { .. }), "{jumping}");
     let hurried = entry(&|t| t.t_f *= 0.99);
-    assert!(matches!(hurried, Finding::Defect { .. }), "{hurried}");
+    assert!(matches!(hurried, RecordFlaw::Defect { .. }), "{hurried}");
     let failed = found(&|record| record.outcome = Outcome::Failed);
-    assert!(matches!(failed, Finding::Solvable { .. }), "{failed}");
+    assert!(matches!(failed, RecordFlaw::Solvable { .. }), "{failed}");
     let rejected = found(&|record| record.outcome = Outcome::Rejected);
-    assert_eq!(rejected, Finding::Rule { leaves_out: false });
+    assert_eq!(rejected, RecordFlaw::Rule { leaves_out: false });
     // Narrower limits than those for which the trajectories were computed.
     let mut narrower = config.clone();
     narrower.robot.planning.tau_max *= 0.5;
@@ -291,7 +293,7 @@ fn consistent_records_of_something_else_are_found() {
     }
     let found = verify(&narrower, &database, || ());
     assert_eq!(found.len(), 3, "{found:?}");
-    assert!(found.iter().all(|d| matches!(d.finding, Finding::Limit { what: "torque", .. })), "{found:?}");
+    assert!(found.iter().all(|d| matches!(d.flaw, RecordFlaw::Limit { what: "torque", .. })), "{found:?}");
 }
 
 #[test]
@@ -299,7 +301,7 @@ fn the_shipped_database_holds() {
     let config = Config::embedded().expect("embedded settings");
     let database = Database::decode(SHIPPED).expect("it decodes");
     let found = verify(&config, &database, || ());
-    assert!(found.is_empty(), "{}: {}", found[0].pose, found[0].finding);
+    assert!(found.is_empty(), "{}: {}", found[0].pose, found[0].flaw);
 }
 
 #[test]

@@ -312,7 +312,7 @@ fn verify(common: &CommonArgs, grid: Option<&Path>, file: Option<&Path>) -> Resu
     let discrepancies = database::verify(&config, &database, || bar.inc(1));
     bar.finish_and_clear();
     for d in &discrepancies {
-        tracing::warn!("pose {}: {}", d.pose, d.finding);
+        tracing::warn!("pose {}: {}", d.pose, d.flaw);
     }
     let success = discrepancies.is_empty();
     common.print(&DbVerifyResult {

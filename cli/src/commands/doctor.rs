@@ -46,7 +46,7 @@ pub enum Grade {
 
 /// One checked property of the host.
 #[derive(Clone, Debug, Serialize)]
-pub struct Finding {
+pub struct HostFinding {
     /// The property.
     pub what: &'static str,
     /// The verdict.
@@ -57,7 +57,7 @@ pub struct Finding {
     pub fix: String,
 }
 
-impl Finding {
+impl HostFinding {
     fn good(what: &'static str, found: String) -> Self {
         Self::new(what, Grade::Good, found, "")
     }
@@ -70,7 +70,7 @@ impl Finding {
 #[derive(Serialize)]
 struct DoctorResult {
     verdict: Grade,
-    findings: Vec<Finding>,
+    findings: Vec<HostFinding>,
     wake_us: Option<LatencyPercentiles>,
     /// Lower end of each octave, us, and its number of wake-ups.
     histogram: Vec<(f64, u64)>,
@@ -78,7 +78,7 @@ struct DoctorResult {
 
 impl fmt::Display for DoctorResult {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for Finding { what, grade, found, fix } in &self.findings {
+        for HostFinding { what, grade, found, fix } in &self.findings {
             let sign = match grade {
                 Grade::Good => "ok",
                 Grade::Advice => "advice",
@@ -140,7 +140,7 @@ pub fn run(args: &DoctorArgs) -> Result<(), Failure> {
     if overruns > 0 {
         let found = format!("{overruns} of {} came later than a period", percentiles.count);
         let fix = "see the advice above, and what else runs on this machine";
-        findings.push(Finding::new("wake-up", Grade::Advice, found, fix));
+        findings.push(HostFinding::new("wake-up", Grade::Advice, found, fix));
     }
     let report = DoctorResult {
         verdict: findings.iter().map(|finding| finding.grade).max().unwrap_or(Grade::Good),
@@ -153,48 +153,48 @@ pub fn run(args: &DoctorArgs) -> Result<(), Failure> {
 }
 
 /// Reports the real-time settings of the daemon that the system `refused`, or that all are granted.
-fn granted(refused: &[os::Refused], settings: &RealtimeSettings) -> Vec<Finding> {
+fn granted(refused: &[os::Refused], settings: &RealtimeSettings) -> Vec<HostFinding> {
     const NAME: &str = "real-time set-up";
     if refused.is_empty() {
         let found = format!("SCHED_FIFO {}, memory lock, timer and CPU are granted", settings.priority);
-        return vec![Finding::good(NAME, found)];
+        return vec![HostFinding::good(NAME, found)];
     }
     let bad = |refused: &os::Refused| {
-        Finding::new(NAME, Grade::Bad, refused.what.to_string(), &format!("refused: {}", refused.why))
+        HostFinding::new(NAME, Grade::Bad, refused.what.to_string(), &format!("refused: {}", refused.why))
     };
     refused.iter().map(bad).collect()
 }
 
-fn memory() -> Finding {
+fn memory() -> HostFinding {
     const NAME: &str = "shared memory";
     const MIB: u64 = 1 << 20;
     let needed = Domain::MEMORY / MIB;
     match Domain::free_memory() {
         Ok(free) if free >= Domain::MEMORY => {
-            Finding::good(NAME, format!("{} MiB free in /dev/shm", free / MIB))
+            HostFinding::good(NAME, format!("{} MiB free in /dev/shm", free / MIB))
         }
-        Ok(free) => Finding::new(
+        Ok(free) => HostFinding::new(
             NAME,
             Grade::Bad,
             format!("{} MiB free in /dev/shm, a system takes up to {needed}", free / MIB),
             "remove what is not needed there, or enlarge it: mount -o remount,size=1g /dev/shm",
         ),
-        Err(e) => Finding::new(NAME, Grade::Bad, format!("/dev/shm: {e}"), "mount a tmpfs at /dev/shm"),
+        Err(e) => HostFinding::new(NAME, Grade::Bad, format!("/dev/shm: {e}"), "mount a tmpfs at /dev/shm"),
     }
 }
 
 /// Reports files of dead processes in shared memory.
-fn leftovers(domain: &Domain) -> Finding {
+fn leftovers(domain: &Domain) -> HostFinding {
     const NAME: &str = "leftovers";
     match domain.count_dead() {
-        Ok(0) => Finding::good(NAME, format!("none in domain `{domain}`")),
-        Ok(n) => Finding::new(
+        Ok(0) => HostFinding::good(NAME, format!("none in domain `{domain}`")),
+        Ok(n) => HostFinding::new(
             NAME,
             Grade::Advice,
             format!("{n} dead process(es) in domain `{domain}`"),
             "the next process that starts there removes them",
         ),
-        Err(e) => Finding::new(NAME, Grade::Bad, e.to_string(), "run the doctor as the daemon's user"),
+        Err(e) => HostFinding::new(NAME, Grade::Bad, e.to_string(), "run the doctor as the daemon's user"),
     }
 }
 

@@ -15,12 +15,12 @@ pub struct Discrepancy {
     /// Number of the pose.
     pub pose: u64,
     /// Error in the record.
-    pub finding: Finding,
+    pub flaw: RecordFlaw,
 }
 
 /// Error in a record of a database.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-pub enum Finding {
+pub enum RecordFlaw {
     /// The certificate in the record differs from that of the trajectory.
     #[error("recorded {recorded:?}, computed {computed:?}")]
     Certificate {
@@ -105,7 +105,7 @@ pub fn verify(config: &Config, database: &Database, progress: impl Fn() + Sync) 
             let start = start_of(config, record.pose as usize);
             let leaves_out = start.is_none();
             if leaves_out != matches!(record.outcome, Outcome::Rejected) {
-                return Err(Finding::Rule { leaves_out });
+                return Err(RecordFlaw::Rule { leaves_out });
             }
             if let Some(start) = start {
                 has_start(config, record, &start)?;
@@ -121,43 +121,43 @@ pub fn verify(config: &Config, database: &Database, progress: impl Fn() + Sync) 
         }
     };
     let judged = database.records.par_iter().map(|record| (record.pose, judge(record)));
-    judged.filter_map(|(pose, verdict)| verdict.err().map(|finding| Discrepancy { pose, finding })).collect()
+    judged.filter_map(|(pose, verdict)| verdict.err().map(|flaw| Discrepancy { pose, flaw })).collect()
 }
 
 /// Checks that the trajectory of a record starts in `start` (rad, rad/s); without a trajectory, that none is found from there.
-fn has_start(config: &Config, record: &Record, start: &State) -> Result<(), Finding> {
+fn has_start(config: &Config, record: &Record, start: &State) -> Result<(), RecordFlaw> {
     match &record.outcome {
         Outcome::Solved(entry) => {
             let away = (entry.trajectory.x[0] - start).abs();
             let row = away.imax();
-            if away[row] <= ROUNDING { Ok(()) } else { Err(Finding::Start { row, by: away[row] }) }
+            if away[row] <= ROUNDING { Ok(()) } else { Err(RecordFlaw::Start { row, by: away[row] }) }
         }
         _ => {
             let solution = optimize(config, *start, Search::Best, None, &options(config));
             match solution.status {
-                NlpStatus::Solved => Err(Finding::Solvable { cost: solution.cost }),
+                NlpStatus::Solved => Err(RecordFlaw::Solvable { cost: solution.cost }),
                 _ => Ok(()),
             }
         }
     }
 }
 
-fn verify_entry(config: &Config, entry: &Entry) -> Result<(), Finding> {
+fn verify_entry(config: &Config, entry: &Entry) -> Result<(), RecordFlaw> {
     let (trajectory, recorded) = (&entry.trajectory, entry.certificate);
     let computed = certify(config, trajectory);
     if recorded.difference(&computed) > ROUNDING {
-        return Err(Finding::Certificate { recorded, computed });
+        return Err(RecordFlaw::Certificate { recorded, computed });
     }
     for (row, target) in problem(config, trajectory.x[0]).target.iter().enumerate() {
         let by = (target.coefficients.dot(&trajectory.x[N]) - target.value).abs();
         // Written so that NaN fails, here and below.
         if !(by <= ROUNDING) {
-            return Err(Finding::End { row, by });
+            return Err(RecordFlaw::End { row, by });
         }
     }
     let most = config.planner.replan.defect;
     if !(computed.defect <= most) {
-        return Err(Finding::Defect { got: computed.defect, most });
+        return Err(RecordFlaw::Defect { got: computed.defect, most });
     }
     let knots = Margins::of(trajectory, &config.model, &config.robot.planning, 0);
     let between = config.planner.replan.knot_margin;
@@ -169,12 +169,12 @@ fn verify_entry(config: &Config, entry: &Entry) -> Result<(), Finding> {
         for (at, margin, most) in [("at a knot", at_knots, ROUNDING), ("between knots", everywhere, between)]
         {
             if !(margin >= -most) {
-                return Err(Finding::Limit { what, at, by: -margin, most });
+                return Err(RecordFlaw::Limit { what, at, by: -margin, most });
             }
         }
     }
     if !(computed.end_error <= FARTHEST_END) {
-        return Err(Finding::EndError { got: computed.end_error });
+        return Err(RecordFlaw::EndError { got: computed.end_error });
     }
     Ok(())
 }
