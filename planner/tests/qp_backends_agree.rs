@@ -13,8 +13,13 @@ use upswing_trajectory::{N, Trajectory};
 const BACKENDS: [Backend; 2] = [Backend::Structured, Backend::Clarabel];
 
 /// Options with tight tolerances, so that inputs agree even where a bound is weakly active.
-const PRECISE: QpOptions<'_> =
-    QpOptions { tolerance: 1e-9, complementarity: 1e-16, max_iterations: 100, deadline: None, cancelled: None };
+const PRECISE: QpOptions<'_> = QpOptions {
+    tolerance: 1e-9,
+    complementarity: 1e-16,
+    max_iterations: 100,
+    deadline: None,
+    cancelled: None,
+};
 
 fn planner() -> Planner {
     Planner::new(Config::embedded().expect("embedded settings")).expect("the shipped database fits")

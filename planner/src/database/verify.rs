@@ -14,11 +14,11 @@ use upswing_trajectory::{Certificate, Database, Entry, Margins, N, Outcome, Reco
 pub struct Discrepancy {
     /// Number of the pose.
     pub pose: u64,
-    /// Error in the record.
+    /// Flaw of the record.
     pub flaw: RecordFlaw,
 }
 
-/// Error in a record of a database.
+/// Flaw of a record of a database.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum RecordFlaw {
     /// The certificate in the record differs from that of the trajectory.
