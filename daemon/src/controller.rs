@@ -12,7 +12,7 @@ mod mode_changes;
 
 use crate::arm::ArmReference;
 use crate::checks::Checks;
-use crate::disturbance::{CommandedMotion, Disturbance};
+use crate::disturbance::{CommandedMotion, DisturbanceEstimate};
 use crate::law::{self, Torque};
 use crate::modes::{ActiveMode, LoadedPlan, Setpoint};
 use crate::observer::{Observation, Observer};
@@ -54,7 +54,7 @@ pub struct Controller {
     last: LastCommand,
 
     observer: Observer,
-    disturbance: Disturbance,
+    disturbance: DisturbanceEstimate,
     standstill: Standstill,
     checks: Checks,
     /// Time for which the unexplained torque on the arm has been large enough for a collision, s.
@@ -91,7 +91,7 @@ impl Controller {
             now_ns: 0,
             last: LastCommand::default(),
             observer: Observer::new(&daemon.cycle),
-            disturbance: Disturbance::new(
+            disturbance: DisturbanceEstimate::new(
                 &daemon.disturbance,
                 tau_max * daemon.disturbance.most,
                 daemon.cycle.velocity_filter,

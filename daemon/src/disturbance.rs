@@ -28,7 +28,7 @@ pub struct CommandedMotion {
 
 /// Disturbance estimate with its filter states.
 #[derive(Clone, Debug)]
-pub struct Disturbance {
+pub struct DisturbanceEstimate {
     /// L_heavy, L_light, and the inertia m at their mean.
     settings: DisturbanceSettings,
     /// Largest tau^, N m: a larger torque is a collision or a fault, not a disturbance.
@@ -48,7 +48,7 @@ pub struct Disturbance {
     weighed: f64,
 }
 
-impl Disturbance {
+impl DisturbanceEstimate {
     /// Creates an estimate of 0 with the limit `most` (N m) and the time constant T_1 (s) of the velocity filter.
     pub fn new(settings: &DisturbanceSettings, most: ActuatedVector, time_constant: f64) -> Self {
         let none = ActuatedVector::zeros();
@@ -136,7 +136,7 @@ impl Disturbance {
 
 #[cfg(test)]
 mod tests {
-    use super::{CommandedMotion, Disturbance};
+    use super::{CommandedMotion, DisturbanceEstimate};
     use upswing_config::{Config, DisturbanceSettings, PendulumStart};
     use upswing_model::{
         ActuatedMatrix, ActuatedVector, JointParts, JointVector, State, StateParts, Workspace,
@@ -177,7 +177,7 @@ mod tests {
             let columns: Vec<_> = (0..7).map(|i| column(i, &mut work)).collect();
             nalgebra::SMatrix::<f64, 7, 7>::from_columns(&columns).try_inverse().expect("regular")
         };
-        let mut estimate = Disturbance::new(settings, ActuatedVector::repeat(30.0), T_1);
+        let mut estimate = DisturbanceEstimate::new(settings, ActuatedVector::repeat(30.0), T_1);
         let (mut filtered, mut u) = (ActuatedVector::zeros(), ActuatedVector::zeros());
         for i in 0..(seconds / T_S) as usize {
             estimate.update(&filtered, Some(&motion(&u, model.reduced_inertia(&work))), T_S);
@@ -219,7 +219,7 @@ mod tests {
         let (same, sooner) = (share(&settings()), share(&faster));
         assert!(same < 0.5 && sooner > 0.65, "{same} and {sooner} of it after 1 / L");
         // For the inertia m the bandwidth is the mean of both.
-        let estimate = Disturbance::new(&faster, ActuatedVector::repeat(30.0), T_1);
+        let estimate = DisturbanceEstimate::new(&faster, ActuatedVector::repeat(30.0), T_1);
         for (inertia, bandwidth) in [(1e-6, 10.0 * L), (faster.light_inertia, 5.5 * L), (1e6, L)] {
             let inertia = ActuatedMatrix::from_diagonal_element(inertia);
             let taken = estimate.share(&inertia, &ActuatedVector::repeat(1.0), 1e-6).amax() * 1e6;
@@ -234,7 +234,7 @@ mod tests {
         let x = config.start_state(&[0.0; 7], PendulumStart::Zero).expect("a start");
         let none = ActuatedVector::zeros();
         model.torque(&x, &none, &mut work);
-        let mut estimate = Disturbance::new(&settings(), ActuatedVector::repeat(30.0), T_1);
+        let mut estimate = DisturbanceEstimate::new(&settings(), ActuatedVector::repeat(30.0), T_1);
         estimate.update(&none, Some(&motion(&none, model.reduced_inertia(&work))), T_S);
         estimate.update(
             &ActuatedVector::repeat(0.1),
@@ -257,7 +257,7 @@ mod tests {
         let none = ActuatedVector::zeros();
         model.torque(&x, &none, &mut work);
         let most = ActuatedVector::from_column_slice(&[3.0, 3.0, 2.0, 2.0, 1.0, 0.4, 0.4]);
-        let mut estimate = Disturbance::new(&settings(), most, T_1);
+        let mut estimate = DisturbanceEstimate::new(&settings(), most, T_1);
         estimate.update(&none, Some(&motion(&none, model.reduced_inertia(&work))), T_S);
         estimate.update(
             &ActuatedVector::repeat(2.0),
@@ -271,7 +271,7 @@ mod tests {
     #[test]
     fn a_load_behind_closed_brakes_is_known_at_once_and_averaged() {
         let most = ActuatedVector::repeat(2.0);
-        let mut estimate = Disturbance::new(&settings(), most, T_1);
+        let mut estimate = DisturbanceEstimate::new(&settings(), most, T_1);
         let d = ActuatedVector::from_column_slice(&[0.5, -0.2, 0.1, 0.0, 0.3, -0.4, 0.05]);
         estimate.weigh(&d, T_S);
         assert_eq!(*estimate.estimate(), d);
@@ -297,7 +297,7 @@ mod tests {
         let (model, mut work) = (&config.model, Workspace::default());
         let x = config.start_state(&[0.0; 7], PendulumStart::Zero).expect("a start");
         model.torque(&x, &ActuatedVector::zeros(), &mut work);
-        let mut estimate = Disturbance::new(
+        let mut estimate = DisturbanceEstimate::new(
             &DisturbanceSettings { bandwidth: 0.0, ..settings() },
             ActuatedVector::repeat(30.0),
             T_1,
