@@ -21,31 +21,31 @@ pub fn thread_id() -> u32 {
 
 /// Refusal of a real-time setting by the system, with the remedy.
 #[derive(Clone, Debug)]
-pub struct Refused {
+pub struct RefusedSetting {
     /// Setting that was refused.
     pub what: Degradation,
     /// Reason and remedy.
     pub why: String,
 }
 
-/// Settings of the process, to be kept as long as it lives.
+/// Real-time settings of the process; dropping it withdraws them.
 #[derive(Debug)]
-pub struct Prepared {
+pub struct PreparedProcess {
     /// Request to the kernel; closing the file withdraws it.
     _latency: Option<File>,
 }
 
 /// Prepares the process before it opens or maps anything: locks and touches memory, forbids deep sleep of the CPU. Returns
 /// also the refusals.
-pub fn prepare_process() -> (Prepared, Vec<Refused>) {
+pub fn prepare_process() -> (PreparedProcess, Vec<RefusedSetting>) {
     touch_heap();
-    let memory = lock_memory().map_err(|why| Refused { what: Degradation::Memory, why });
-    let latency = forbid_deep_sleep().map_err(|why| Refused { what: Degradation::DmaLatency, why });
+    let memory = lock_memory().map_err(|why| RefusedSetting { what: Degradation::Memory, why });
+    let latency = forbid_deep_sleep().map_err(|why| RefusedSetting { what: Degradation::DmaLatency, why });
     let (latency, denied) = match latency {
         Ok(file) => (file, None),
         Err(refused) => (None, Some(refused)),
     };
-    (Prepared { _latency: latency }, memory.err().into_iter().chain(denied).collect())
+    (PreparedProcess { _latency: latency }, memory.err().into_iter().chain(denied).collect())
 }
 
 /// Locks all memory of the process, also future memory: no swap, and no page faults of present memory. Future memory
@@ -140,11 +140,11 @@ fn forbid_deep_sleep() -> Result<Option<File>, String> {
 
 /// Sets CPU, timer precision and arithmetic of the calling thread for real time, touches its stack, and checks whether it
 /// may have the priority that [`set_priority`] sets. Returns the refusals; the other settings are applied nevertheless.
-pub fn prepare_thread(settings: &RealtimeSettings) -> Vec<Refused> {
+pub fn prepare_thread(settings: &RealtimeSettings) -> Vec<RefusedSetting> {
     touch_stack();
     flush_to_zero();
     let mut refused = Vec::new();
-    let mut refuse = |what, why: String| refused.push(Refused { what, why });
+    let mut refuse = |what, why: String| refused.push(RefusedSetting { what, why });
     // SAFETY: no pointers. Matters only without real-time priority, where sleeps last 50 us longer by default.
     if unsafe { libc::prctl(libc::PR_SET_TIMERSLACK, 1_u64) } != 0 {
         refuse(Degradation::TimerSlack, format!("timer slack ({})", Error::last_os_error()));

@@ -3,7 +3,7 @@
 
 use crate::cycle_log::CycleLog;
 use crate::loads::Loads;
-use crate::os::{self, Refused};
+use crate::os::{self, RefusedSetting};
 use crate::plan::{self, PlanRefusal};
 use crate::realtime::{NumberedRequest, RealtimeLink, RealtimeThread, Reply};
 use crate::recovery::{Recovery, RecoveryAction};
@@ -76,7 +76,7 @@ pub fn serve(config: &Config, domain: &Domain, shutdown: &AtomicBool) -> Result<
 fn start_thread(
     config: &Config,
     realtime: RealtimeThread,
-    mut refused: Vec<Refused>,
+    mut refused: Vec<RefusedSetting>,
     service: &mut ServiceThread<'_>,
 ) -> Result<JoinHandle<()>, Failure> {
     let settings = config.daemon.realtime;

@@ -44,7 +44,7 @@ const WRIST: usize = 4;
 
 /// State of the test of one joint since the last change of its angle.
 #[derive(Clone, Copy, Debug)]
-struct Joint {
+struct JointTest {
     /// Measured angle, rad, and the time for which it has kept this value, s.
     angle: f64,
     time: f64,
@@ -54,7 +54,7 @@ struct Joint {
     /// y and y' for d = 1 N m and T_i = 0, rad and rad/s.
     per_torque: [f64; 2],
     /// Predictions if joints at rest stay at rest, if all joints move as commanded, and if none moves.
-    cases: [[Case; CASES]; VIEWS],
+    cases: [[PredictedMotion; CASES]; VIEWS],
 }
 
 /// Number of assumptions about the motion of the other joints.
@@ -64,17 +64,17 @@ const VIEWS: usize = 2;
 
 /// Motion predicted for one joint under one assumption about the other joints.
 #[derive(Clone, Copy, Debug)]
-struct Case {
+struct PredictedMotion {
     /// y and y' for d = 0, rad and rad/s.
     y: [f64; 2],
     /// Lower and upper end of the interval of d that explains the standstill, N m; empty if lower > upper.
     unknown: [f64; 2],
 }
 
-impl Joint {
+impl JointTest {
     /// Begins with the first measurement of `angle` (rad), with d in a band about `middle`, N m.
     fn new(angle: f64, middle: f64, band: f64) -> Self {
-        let case = Case { y: [0.0; 2], unknown: [middle - band, middle + band] };
+        let case = PredictedMotion { y: [0.0; 2], unknown: [middle - band, middle + band] };
         Self {
             angle,
             time: 0.0,
@@ -102,7 +102,7 @@ struct DrivingTorque {
 
 /// Last measurement, the time for which it has not changed, and the torques commanded meanwhile.
 #[derive(Clone, Copy, Debug)]
-struct Unchanged {
+struct UnchangedMeasurement {
     /// Measured angles, rad.
     q: JointVector,
     tau: ActuatedVector,
@@ -115,7 +115,7 @@ struct Unchanged {
     differs: f64,
 }
 
-impl Unchanged {
+impl UnchangedMeasurement {
     /// Begins with a changed measurement: angles `q` (rad) and torques `tau` (N m).
     fn new(q: &JointVector, tau: &ActuatedVector) -> Self {
         let (low, high) = (ActuatedVector::repeat(f64::INFINITY), ActuatedVector::repeat(f64::NEG_INFINITY));
@@ -129,10 +129,10 @@ pub struct Standstill {
     settings: StandstillSettings,
     /// Smallest changes of the torques that the sensors show, N m.
     resolution: ActuatedVector,
-    unchanged: Option<Unchanged>,
+    unchanged: Option<UnchangedMeasurement>,
     /// Angles beyond which a joint may rest on its mechanical stop, rad.
     reach: JointVector,
-    joints: [Joint; NQ],
+    joints: [JointTest; NQ],
     /// Time for which a jump of an angle still affects the disturbance estimate, s.
     pause: f64,
     /// Time for which the arm has been slow, s.
@@ -151,7 +151,7 @@ impl Standstill {
             resolution: tau_max * settings.torque,
             unchanged: None,
             reach: JointVector::from_fn(|i, _| if i < NU { f64::INFINITY } else { q_max[i] - NEAR_STOP }),
-            joints: [Joint::new(f64::NAN, 0.0, 0.0); NQ],
+            joints: [JointTest::new(f64::NAN, 0.0, 0.0); NQ],
             pause: 0.0,
             quiet: 0.0,
             estimate: ActuatedVector::zeros(),
@@ -206,7 +206,7 @@ impl Standstill {
             inertia[i] = reduced[(i, i)];
             let joint = &mut self.joints[i];
             if joint.time == 0.0 {
-                *joint = Joint::new(joint.angle, estimate[i], self.settings.unknown[i]);
+                *joint = JointTest::new(joint.angle, estimate[i], self.settings.unknown[i]);
                 let speed = (qd[i].abs() - NOISE - LAG * u[i].abs()).max(0.0).copysign(qd[i]);
                 joint.cases.as_flattened_mut().iter_mut().for_each(|case| case.y[1] = speed);
             } else {
@@ -232,9 +232,9 @@ impl Standstill {
     /// Takes the angles `q` (rad) and the measured torques `tau` (N m), `elapsed` (s) after the previous ones. Returns a trip if none
     /// of them changes although the commanded torque does.
     pub fn observe_all(&mut self, q: &JointVector, tau: &ActuatedVector, elapsed: f64) -> Option<Trip> {
-        let unchanged = self.unchanged.get_or_insert_with(|| Unchanged::new(q, tau));
+        let unchanged = self.unchanged.get_or_insert_with(|| UnchangedMeasurement::new(q, tau));
         if unchanged.q != *q || unchanged.tau != *tau {
-            *unchanged = Unchanged::new(q, tau);
+            *unchanged = UnchangedMeasurement::new(q, tau);
             return None;
         }
         unchanged.time += elapsed;
@@ -258,7 +258,7 @@ impl Standstill {
         for i in 0..NQ {
             let (joint, angle) = (&mut self.joints[i], self.settings.angle[i]);
             if q[i] != joint.angle || q[i].abs() > self.reach[i] {
-                *joint = Joint::new(q[i], 0.0, self.settings.unknown[i]);
+                *joint = JointTest::new(q[i], 0.0, self.settings.unknown[i]);
                 continue;
             }
             joint.time += elapsed;

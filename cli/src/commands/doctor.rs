@@ -153,13 +153,13 @@ pub fn run(args: &DoctorArgs) -> Result<(), Failure> {
 }
 
 /// Reports the real-time settings of the daemon that the system `refused`, or that all are granted.
-fn granted(refused: &[os::Refused], settings: &RealtimeSettings) -> Vec<HostFinding> {
+fn granted(refused: &[os::RefusedSetting], settings: &RealtimeSettings) -> Vec<HostFinding> {
     const NAME: &str = "real-time set-up";
     if refused.is_empty() {
         let found = format!("SCHED_FIFO {}, memory lock, timer and CPU are granted", settings.priority);
         return vec![HostFinding::good(NAME, found)];
     }
-    let bad = |refused: &os::Refused| {
+    let bad = |refused: &os::RefusedSetting| {
         HostFinding::new(NAME, Grade::Bad, refused.what.to_string(), &format!("refused: {}", refused.why))
     };
     refused.iter().map(bad).collect()
