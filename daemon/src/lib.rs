@@ -10,7 +10,7 @@
 //! | `observer`, [`filter`] | the state x from measurements, and the reason why it cannot be trusted |
 //! | `disturbance`, `standstill` | the torque that the model does not explain; encoders that are stuck |
 //! | `law` | the torque law (24) and the torque limiter |
-//! | [`plan`], `loads` | the check of a plan that arrives; the plan that the controller has loaded |
+//! | [`plan`], `sent_plans` | the check of a plan that arrives; the plan that the controller has loaded |
 //! | `realtime` | the real-time thread, which runs the cycle on time |
 //! | [`os`] | scheduler and memory settings, and those that the system refuses |
 //! | [`service`] | the service thread: requests, plans, telemetry, plants |
@@ -29,7 +29,6 @@ pub mod filter;
 pub mod flight;
 pub mod histogram;
 mod law;
-mod loads;
 mod modes;
 mod observer;
 pub mod os;
@@ -37,6 +36,7 @@ mod overrun;
 pub mod plan;
 mod realtime;
 pub mod recovery;
+mod sent_plans;
 pub mod service;
 mod standstill;
 pub mod step;

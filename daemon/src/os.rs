@@ -28,7 +28,7 @@ pub struct RefusedSetting {
     pub why: String,
 }
 
-/// Real-time settings of the process; dropping it withdraws them.
+/// Preparation of the process for real time, to be kept until its end: dropping it permits deep sleep of the CPU again.
 #[derive(Debug)]
 pub struct PreparedProcess {
     /// Request to the kernel; closing the file withdraws it.

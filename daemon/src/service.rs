@@ -2,11 +2,11 @@
 //! plants. It never waits for other processes, so that a request to stop the arm is answered at once.
 
 use crate::cycle_log::CycleLog;
-use crate::loads::Loads;
 use crate::os::{self, RefusedSetting};
 use crate::plan::{self, PlanRefusal};
 use crate::realtime::{NumberedRequest, RealtimeLink, RealtimeThread, Reply};
 use crate::recovery::{Recovery, RecoveryAction};
+use crate::sent_plans::SentPlans;
 use crate::step::{CycleRecord, StepRequest};
 use crate::supervisor::{RequestRefusal, is_braked};
 use std::sync::Arc;
@@ -163,7 +163,7 @@ struct ServiceThread<'a> {
     /// Number of the request whose answer an operator waits for; 0: none.
     awaited: u64,
     answer: Option<Result<(), RequestRefusal>>,
-    loads: Loads,
+    sent_plans: SentPlans,
     last_refusal: String,
     last_complaint: String,
 }
@@ -191,7 +191,7 @@ impl<'a> ServiceThread<'a> {
             requests: 0,
             awaited: 0,
             answer: None,
-            loads: Loads::default(),
+            sent_plans: SentPlans::default(),
             last_refusal: String::new(),
             last_complaint: String::new(),
         })
@@ -396,7 +396,7 @@ impl<'a> ServiceThread<'a> {
         match sent {
             Ok(number) => {
                 info!("plan {} loaded, t_F = {:.3} s", message.id, message.t_f);
-                self.loads.sent(number, message.id);
+                self.sent_plans.sent(number, message.id);
                 self.last_refusal.clear();
             }
             Err(reason) => {
@@ -433,7 +433,7 @@ impl<'a> ServiceThread<'a> {
         let next = if recovers { Text::new("wait for the recovery") } else { response.next };
         ControlResponse {
             accepted: u64::from(accepted),
-            plan_id: self.loads.newest(),
+            plan_id: self.sent_plans.newest(),
             degraded: self.degraded,
             reason: Text::new(reason),
             next,
@@ -452,7 +452,7 @@ impl<'a> ServiceThread<'a> {
             match reply {
                 Reply::Answer { number, result } if number == self.awaited => self.answer = Some(result),
                 Reply::Answer { number, result } => {
-                    let plan = self.loads.answered(number, result.is_ok());
+                    let plan = self.sent_plans.answered(number, result.is_ok());
                     if let Err(refusal) = result {
                         let request = plan.map_or("queued request".into(), |plan| format!("plan {plan}"));
                         warn!("{request} refused: {refusal}");
@@ -463,7 +463,7 @@ impl<'a> ServiceThread<'a> {
             }
         }
         while let Ok(record) = self.link.records.pop() {
-            let action = self.recovery.note(&record, self.loads.newest());
+            let action = self.recovery.note(&record, self.sent_plans.newest());
             let noted = self.log.note(record, self.dropped());
             self.warn_of_error(noted);
             match action {

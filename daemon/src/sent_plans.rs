@@ -4,14 +4,14 @@ use std::collections::VecDeque;
 
 /// Plans sent to the controller, with the numbers of their requests.
 #[derive(Debug, Default)]
-pub(crate) struct Loads {
+pub(crate) struct SentPlans {
     /// Id of the last plan that the controller accepted; 0: none.
     taken: u64,
     /// Numbers of the requests without an answer yet, and the ids of their plans.
     waiting: VecDeque<(u64, u64)>,
 }
 
-impl Loads {
+impl SentPlans {
     /// Notes that a plan was sent to the controller.
     pub(crate) fn sent(&mut self, request: u64, plan: u64) {
         self.waiting.push_back((request, plan));
@@ -36,19 +36,19 @@ impl Loads {
 
 #[cfg(test)]
 mod tests {
-    use super::Loads;
+    use super::SentPlans;
 
     #[test]
     fn a_refusal_leaves_the_plan_before() {
-        let mut loads = Loads::default();
-        loads.sent(1, 10);
-        assert_eq!((loads.answered(1, true), loads.newest()), (Some(10), 10));
+        let mut sent_plans = SentPlans::default();
+        sent_plans.sent(1, 10);
+        assert_eq!((sent_plans.answered(1, true), sent_plans.newest()), (Some(10), 10));
         // Two more plans wait for answers at the same time, and both are refused.
-        loads.sent(2, 20);
-        loads.sent(4, 30);
-        assert_eq!(loads.newest(), 30);
-        assert_eq!((loads.answered(2, false), loads.newest()), (Some(20), 30));
-        assert_eq!((loads.answered(3, false), loads.newest()), (None, 30));
-        assert_eq!((loads.answered(4, false), loads.newest()), (Some(30), 10));
+        sent_plans.sent(2, 20);
+        sent_plans.sent(4, 30);
+        assert_eq!(sent_plans.newest(), 30);
+        assert_eq!((sent_plans.answered(2, false), sent_plans.newest()), (Some(20), 30));
+        assert_eq!((sent_plans.answered(3, false), sent_plans.newest()), (None, 30));
+        assert_eq!((sent_plans.answered(4, false), sent_plans.newest()), (Some(30), 10));
     }
 }
