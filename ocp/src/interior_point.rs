@@ -11,10 +11,10 @@ mod filter;
 mod newton;
 
 use crate::problem::Problem;
-use bounded::Bounded;
+use bounded::BoundedVector;
 use filter::Filter;
 use nalgebra::SVector;
-use newton::{Direction, Linear};
+use newton::{Direction, LinearSystem};
 use std::time::{Duration, Instant};
 use upswing_model::{ActuatedVector, LimitKind, NU, NX, State, Workspace};
 use upswing_trajectory::{KNOTS, Knots, N, Trajectory};
@@ -167,9 +167,9 @@ struct NlpSolver<'a> {
     lambda_target: Vec<f64>,
     lambda_torque: Vec<ActuatedVector>,
     /// Bounds of x_1..x_N (x_0 is given).
-    bound_x: Vec<Bounded<NX>>,
-    bound_s: Vec<Bounded<NU>>,
-    bound_t: Bounded<1>,
+    bound_x: Vec<BoundedVector<NX>>,
+    bound_s: Vec<BoundedVector<NU>>,
+    bound_t: BoundedVector<1>,
     mu: f64,
     /// Last damping that a factorisation needed.
     last_damping: f64,
@@ -191,13 +191,13 @@ impl<'a> NlpSolver<'a> {
         let (low, high) = problem.torque.bounds(&problem.limits.tau_max);
         let (torque_centre, torque_half) = ((low + high) * 0.5, (high - low) * 0.5);
         let mut t = Scalar::new(guess.t_f);
-        let bound_t = Bounded::new(Scalar::new(problem.t_f.0), Scalar::new(problem.t_f.1), &mut t, mu);
+        let bound_t = BoundedVector::new(Scalar::new(problem.t_f.0), Scalar::new(problem.t_f.1), &mut t, mu);
         let mut primal = Primal { t: t[0], x: guess.x.clone(), u: guess.u.clone(), s: Vec::new() };
         primal.x[0] = problem.start;
         let bound_x = (1..KNOTS)
             .map(|k| {
                 let (lowest, highest) = problem.bounds(k);
-                Bounded::new(lowest, highest, &mut primal.x[k], mu)
+                BoundedVector::new(lowest, highest, &mut primal.x[k], mu)
             })
             .collect();
         let one = ActuatedVector::repeat(1.0);
@@ -205,7 +205,7 @@ impl<'a> NlpSolver<'a> {
         for k in 0..KNOTS {
             let (_, tau) = problem.knot(&primal.x[k], &primal.u[k], &mut work);
             let mut s = (tau - torque_centre).component_div(&torque_half);
-            bound_s.push(Bounded::new(-one, one, &mut s, mu));
+            bound_s.push(BoundedVector::new(-one, one, &mut s, mu));
             primal.s.push(s);
         }
         Self {
@@ -291,7 +291,7 @@ impl<'a> NlpSolver<'a> {
             self.residuals(&p)
         };
         filter.set_scale(c.total());
-        let mut linear = Linear::new(&self.problem.target);
+        let mut linear = LinearSystem::new(&self.problem.target);
         let (status, stationarity) = loop {
             self.linearise(&mut linear);
             let violation = c.largest();
@@ -357,7 +357,12 @@ impl<'a> NlpSolver<'a> {
     }
 
     /// Moves to the next iterate and returns its residuals; `None` if no search direction leads to an acceptable point.
-    fn iterate(&mut self, linear: &mut Linear, c: &Residuals, filter: &mut Filter) -> Option<Residuals> {
+    fn iterate(
+        &mut self,
+        linear: &mut LinearSystem,
+        c: &Residuals,
+        filter: &mut Filter,
+    ) -> Option<Residuals> {
         /// A direction that fails is tried again with more damping: shorter, and closer to the shortest one to feasibility.
         const RETRIES: usize = 12;
         let mut least = 0.0;
@@ -373,7 +378,12 @@ impl<'a> NlpSolver<'a> {
     }
 
     /// The primal-dual step, with at least the damping `least`; `None` if the matrix cannot be factorised.
-    fn search_direction(&mut self, linear: &mut Linear, least: f64, c: &Residuals) -> Option<Direction> {
+    fn search_direction(
+        &mut self,
+        linear: &mut LinearSystem,
+        least: f64,
+        c: &Residuals,
+    ) -> Option<Direction> {
         let damping = self.factor(linear, least)?;
         Some(self.direction(linear, damping, c))
     }
@@ -382,7 +392,7 @@ impl<'a> NlpSolver<'a> {
     /// step.
     fn acceptable_trial_point(
         &mut self,
-        linear: &mut Linear,
+        linear: &mut LinearSystem,
         d: Direction,
         c: &Residuals,
         filter: &mut Filter,
@@ -415,7 +425,7 @@ impl<'a> NlpSolver<'a> {
     /// Second-order corrections of a full step that left the constraints: `first` are its residuals.
     fn correct(
         &mut self,
-        linear: &mut Linear,
+        linear: &mut LinearSystem,
         damping: f64,
         c: &Residuals,
         (first, alpha, slope): (Residuals, f64, f64),

@@ -4,14 +4,14 @@ use nalgebra::SVector;
 
 /// A vector with lower and upper bounds, their multipliers and their steps.
 #[derive(Clone, Debug)]
-pub(super) struct Bounded<const D: usize> {
+pub(super) struct BoundedVector<const D: usize> {
     pub(super) lower: SVector<f64, D>,
     pub(super) upper: SVector<f64, D>,
     pub(super) z_lower: SVector<f64, D>,
     pub(super) z_upper: SVector<f64, D>,
 }
 
-impl<const D: usize> Bounded<D> {
+impl<const D: usize> BoundedVector<D> {
     /// Multipliers of a central point; `v` is moved inside by 1 % of the range where needed.
     pub(super) fn new(
         lower: SVector<f64, D>,

@@ -1,7 +1,7 @@
 //! How far an iterate is from the conditions of an optimum, and which limit is in its way.
 
-use super::newton::Linear;
-use super::{Bounded, Limit, NlpSolver, Scalar};
+use super::newton::LinearSystem;
+use super::{BoundedVector, Limit, NlpSolver, Scalar};
 use upswing_model::{LimitKind, NU, NX};
 use upswing_trajectory::{KNOTS, N};
 
@@ -12,8 +12,8 @@ const BOUNDS: f64 = (2 * (N * NX + KNOTS * NU)) as f64;
 
 impl NlpSolver<'_> {
     /// Largest residual of the stationarity conditions, scaled by the size of the multipliers.
-    pub(super) fn stationarity(&self, linear: &mut Linear) -> f64 {
-        let Linear { kkt, torque, rhs, .. } = linear;
+    pub(super) fn stationarity(&self, linear: &mut LinearSystem) -> f64 {
+        let LinearSystem { kkt, torque, rhs, .. } = linear;
         let g_t = self.objective_gradient(&mut rhs.g);
         let mut worst = 0.0_f64;
         let mut on_t = g_t - self.bound_t.z_lower[0] + self.bound_t.z_upper[0];
@@ -66,8 +66,8 @@ impl NlpSolver<'_> {
 
     /// Sum of the multipliers of the bounds of states and slacks.
     fn multiplier_sum(&self) -> f64 {
-        let x: f64 = self.bound_x.iter().map(Bounded::multiplier_sum).sum();
-        x + self.bound_s.iter().map(Bounded::multiplier_sum).sum::<f64>()
+        let x: f64 = self.bound_x.iter().map(BoundedVector::multiplier_sum).sum();
+        x + self.bound_s.iter().map(BoundedVector::multiplier_sum).sum::<f64>()
     }
 
     /// The limit with the largest multiplier, as a share of its range: at a point where the constraints contradict

@@ -36,7 +36,7 @@ pub(super) struct Direction {
 }
 
 /// The linear system of an iteration and the memory to solve it, made once.
-pub(super) struct Linear {
+pub(super) struct LinearSystem {
     pub(super) kkt: Kkt,
     pub(super) torque: Vec<TorqueGradients>,
     pub(super) factor: Factor,
@@ -44,7 +44,7 @@ pub(super) struct Linear {
     pub(super) work: SolveWorkspace,
 }
 
-impl Linear {
+impl LinearSystem {
     pub(super) fn new(target: &[TargetRow]) -> Self {
         let kkt = Kkt {
             h: 0.0,
@@ -74,7 +74,7 @@ impl NlpSolver<'_> {
     }
 
     /// Sets the matrix (without barrier and torque terms) and the torques' gradients to those of the current point.
-    pub(super) fn linearise(&mut self, linear: &mut Linear) {
+    pub(super) fn linearise(&mut self, linear: &mut LinearSystem) {
         let h = self.primal.t / N as f64;
         let r = self.problem.input_weight;
         let kkt = &mut linear.kkt;
@@ -122,7 +122,7 @@ impl NlpSolver<'_> {
     }
 
     /// Adds barrier and torque terms to the matrix.
-    pub(super) fn condense(&self, linear: &mut Linear) {
+    pub(super) fn condense(&self, linear: &mut LinearSystem) {
         linear.kkt.t_t += self.bound_t.sigma(&Scalar::new(self.primal.t))[0];
         for k in 0..KNOTS {
             let hessian = &mut linear.kkt.hessian[k];
@@ -139,7 +139,7 @@ impl NlpSolver<'_> {
         }
     }
 
-    fn right_hand_side(&self, linear: &mut Linear, c: &Residuals) {
+    fn right_hand_side(&self, linear: &mut LinearSystem, c: &Residuals) {
         let rhs = &mut linear.rhs;
         rhs.g_t = self.objective_gradient(&mut rhs.g)
             + self.bound_t.gradient(&Scalar::new(self.primal.t), self.mu)[0];
@@ -160,9 +160,9 @@ impl NlpSolver<'_> {
     }
 
     /// The step for the constraint residuals `c`; needs the factorised matrix.
-    pub(super) fn direction(&self, linear: &mut Linear, damping: f64, c: &Residuals) -> Direction {
+    pub(super) fn direction(&self, linear: &mut LinearSystem, damping: f64, c: &Residuals) -> Direction {
         self.right_hand_side(linear, c);
-        let Linear { kkt, torque, factor, rhs, work } = linear;
+        let LinearSystem { kkt, torque, factor, rhs, work } = linear;
         let mut step = NewtonStep::zeros(N, kkt.target.len());
         kkt.solve_into(
             factor,
@@ -201,7 +201,7 @@ impl NlpSolver<'_> {
     }
 
     /// Factorises with as little damping as gives the right inertia, at least `least`: that damping.
-    pub(super) fn factor(&mut self, linear: &mut Linear, least: f64) -> Option<f64> {
+    pub(super) fn factor(&mut self, linear: &mut LinearSystem, least: f64) -> Option<f64> {
         const FIRST: f64 = 1e-4;
         const MOST: f64 = 1e10;
         let mut damping = least;
