@@ -120,7 +120,7 @@ pub enum BuildError {
 
 /// Result of a build or merge: numbers of poses by outcome.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Summary {
+pub struct BuildSummary {
     /// Number of poses of this shard.
     pub poses: usize,
     /// Number of poses found in the journal or in the finished file.
@@ -135,8 +135,8 @@ pub struct Summary {
     pub left: usize,
 }
 
-fn summary(database: &Database, poses: usize, resumed: usize) -> Summary {
-    let mut s = Summary {
+fn summary(database: &Database, poses: usize, resumed: usize) -> BuildSummary {
+    let mut s = BuildSummary {
         poses,
         resumed,
         solved: 0,

@@ -137,7 +137,7 @@ pub struct RequestHandler<'a> {
 }
 
 /// Start of a plan: state and time.
-struct Start {
+struct PlanStart {
     /// rad, rad/s.
     x: State,
     /// Time of `x` on the daemon's clock, ns; `None`: the daemon holds the robot in `x`.
@@ -243,10 +243,10 @@ impl<'a> RequestHandler<'a> {
             n if n <= MOST_ITERATIONS => n as usize,
             got => return Err(PlannerRequestError::Iterations { got, max: MOST_ITERATIONS }),
         };
-        let Start { x: start, activation_ns, due } = if request.from_now == 1 {
+        let PlanStart { x: start, activation_ns, due } = if request.from_now == 1 {
             self.start_from_now(manoeuvre, begin)?
         } else {
-            Start { x: State::from(request.start), activation_ns: None, due: None }
+            PlanStart { x: State::from(request.start), activation_ns: None, due: None }
         };
         check_start(self.planner, &start)?;
         let deadline = (request.budget_ms > 0)
@@ -296,7 +296,7 @@ impl<'a> RequestHandler<'a> {
     /// The start of a plan "from now": the measured state if the daemon holds it (at rest in Hold, or balanced); while the
     /// pendulum moves, the state predicted for the activation of the plan. In lockstep always the measured state, because there
     /// the operator decides how much time passes during planning.
-    fn start_from_now(&self, manoeuvre: Manoeuvre, begin: Instant) -> Result<Start, PlannerRequestError> {
+    fn start_from_now(&self, manoeuvre: Manoeuvre, begin: Instant) -> Result<PlanStart, PlannerRequestError> {
         let Some((record, seen)) = &self.newest else {
             return Err(PlannerRequestError::NoTelemetry);
         };
@@ -315,10 +315,10 @@ impl<'a> RequestHandler<'a> {
         let x = measured(record);
         let config = self.planner.config();
         if manoeuvre == Manoeuvre::SwingDown || hangs(&config.model, &x) {
-            return Ok(Start { x, activation_ns: None, due: None });
+            return Ok(PlanStart { x, activation_ns: None, due: None });
         }
         if stands_still(record) || config.planner.replan.lead.is_zero() {
-            return Ok(Start { x, activation_ns: None, due: None });
+            return Ok(PlanStart { x, activation_ns: None, due: None });
         }
         let age = begin.saturating_duration_since(*seen);
         if age > EXTRAPOLATED {
@@ -330,7 +330,7 @@ impl<'a> RequestHandler<'a> {
         let (hold, seconds) = (&config.daemon.hold, ahead.as_secs_f64());
         let x = predict::held(&config.model, hold, &x, &q_hold, seconds, &mut Workspace::default());
         let activation_ns = record.t_ns.saturating_add(u64::try_from(ahead.as_nanos()).unwrap_or(u64::MAX));
-        Ok(Start { x, activation_ns: Some(activation_ns), due: Some(due) })
+        Ok(PlanStart { x, activation_ns: Some(activation_ns), due: Some(due) })
     }
 }
 

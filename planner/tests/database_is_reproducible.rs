@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Instant;
 use upswing_config::{Config, GridAxis};
 use upswing_planner::database::{
-    self, BuildError, RecordFlaw, SHIPPED, Shard, Summary, certify, read, verify,
+    self, BuildError, BuildSummary, RecordFlaw, SHIPPED, Shard, certify, read, verify,
 };
 use upswing_planner::offline::problem_fingerprint;
 use upswing_planner::replan::{Planner, PlannerError};
@@ -31,12 +31,12 @@ fn build(
     path: &Path,
     stop: &AtomicBool,
     progress: impl Fn(usize) + Sync,
-) -> Result<Summary, BuildError> {
+) -> Result<BuildSummary, BuildError> {
     database::build(config, shard, &Overwrite { force: true }.output(path), stop, progress)
 }
 
 /// [`database::merge`] that may replace an existing output file.
-fn merge(inputs: &[PathBuf], path: &Path) -> Result<Summary, BuildError> {
+fn merge(inputs: &[PathBuf], path: &Path) -> Result<BuildSummary, BuildError> {
     database::merge(inputs, &Overwrite { force: true }.output(path))
 }
 

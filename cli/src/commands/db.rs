@@ -5,7 +5,7 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 use upswing_config::Config;
-use upswing_planner::database::{self, BuildError, DatabaseFile, Shard, Summary};
+use upswing_planner::database::{self, BuildError, BuildSummary, DatabaseFile, Shard};
 use upswing_process::number::whole;
 use upswing_process::output::{Destination, OutputError, OutputFile, Overwrite};
 use upswing_process::{Failure, shutdown_flag};
@@ -200,8 +200,13 @@ fn use_grid(config: &mut Config, grid: Option<&Path>) -> Result<(), Failure> {
 }
 
 /// Prints the result of a build or merge that started at `begin`.
-fn conclude(common: &CommonArgs, output: &Path, summary: Summary, begin: Instant) -> Result<(), Failure> {
-    let Summary { poses, resumed, solved, rejected, failed: unsolved, left } = summary;
+fn conclude(
+    common: &CommonArgs,
+    output: &Path,
+    summary: BuildSummary,
+    begin: Instant,
+) -> Result<(), Failure> {
+    let BuildSummary { poses, resumed, solved, rejected, failed: unsolved, left } = summary;
     let count = unsolved.len();
     common.print(&DbBuildResult {
         success: count == 0 && left == 0,

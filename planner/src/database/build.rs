@@ -6,7 +6,7 @@
 //!
 //! Every finished line is appended to a journal beside the output; a build that finds a journal continues after its last line.
 
-use super::{BuildError, Shard, Summary, certify, heading, same_origin, start_of, summary};
+use super::{BuildError, BuildSummary, Shard, certify, heading, same_origin, start_of, summary};
 use crate::offline::{optimize, options};
 use rayon::prelude::*;
 use std::collections::HashSet;
@@ -22,9 +22,9 @@ use upswing_process::output::OutputFile;
 use upswing_trajectory::{Database, DatabaseError, Entry, Heading, Outcome, Record, Trajectory};
 
 /// Numbers of the poses of one line of the grid, in order.
-type Line = Vec<usize>;
+type GridLine = Vec<usize>;
 
-fn lines(grid: &GridSettings, shard: Shard) -> Vec<Line> {
+fn lines(grid: &GridSettings, shard: Shard) -> Vec<GridLine> {
     let length = grid.axes.last().map_or(1, |axis| axis.points);
     (0..grid.poses() / length)
         .filter(|line| *line as u64 % shard.of == shard.number - 1)
@@ -51,7 +51,7 @@ pub fn build(
     output: &OutputFile,
     stop: &AtomicBool,
     progress: impl Fn(usize) + Sync,
-) -> Result<Summary, BuildError> {
+) -> Result<BuildSummary, BuildError> {
     let heading = heading(config, shard);
     let lines = lines(&config.grid, shard);
     let poses = lines.iter().map(Vec::len).sum();
@@ -67,7 +67,7 @@ pub fn build(
     records.dedup_by_key(|r| r.pose);
     let done: HashSet<u64> = records.iter().map(|r| r.pose).collect();
     // Each line is journaled in one write: a partial line is left by a process that was killed while writing it.
-    let whole = |line: &Line| line.iter().all(|pose| done.contains(&(*pose as u64)));
+    let whole = |line: &GridLine| line.iter().all(|pose| done.contains(&(*pose as u64)));
     let kept: HashSet<u64> = lines.iter().filter(|line| whole(line)).flatten().map(|p| *p as u64).collect();
     records.retain(|r| kept.contains(&r.pose));
     let resumed = records.len();
@@ -108,7 +108,7 @@ pub fn build(
 /// Solves the poses of a line; `None` if the build was stopped or failed meanwhile.
 fn solve_line(
     config: &Config,
-    line: &Line,
+    line: &GridLine,
     halted: &impl Fn() -> bool,
     stop: &AtomicBool,
 ) -> Option<Vec<Record>> {

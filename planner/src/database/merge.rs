@@ -1,6 +1,6 @@
 //! Merge of the shards of one database build.
 
-use super::{BuildError, Summary, read, same_origin, summary};
+use super::{BuildError, BuildSummary, read, same_origin, summary};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use upswing_process::output::{OutputError, OutputFile};
@@ -11,7 +11,7 @@ use upswing_trajectory::{Database, Heading, Record};
 ///
 /// # Errors
 /// [`BuildError`] for missing shards, files of different builds, and poses that differ between files.
-pub fn merge(inputs: &[PathBuf], output: &OutputFile) -> Result<Summary, BuildError> {
+pub fn merge(inputs: &[PathBuf], output: &OutputFile) -> Result<BuildSummary, BuildError> {
     // An existing output is tolerated here: it may already be the result of this merge.
     if let Err(e @ OutputError::Io { .. }) = output.check() {
         return Err(e.into());

@@ -7,14 +7,14 @@
 use upswing_model::NU;
 
 /// A pose in coordinates scaled by the square root of the metric, in which the distance is Euclidean.
-type Point = [f64; NU];
+type MetricPoint = [f64; NU];
 
 /// K-D tree of poses, stored with their indices in the order of an in-order traversal of a balanced tree.
 #[derive(Clone, Debug)]
 pub struct NearestPose {
     /// Square roots of the weights of the metric.
-    scale: Point,
-    nodes: Vec<(Point, usize)>,
+    scale: MetricPoint,
+    nodes: Vec<(MetricPoint, usize)>,
 }
 
 /// A pose found by [`NearestPose::nearest`].
@@ -51,7 +51,7 @@ impl NearestPose {
 }
 
 /// Arranges `nodes` as a tree: the median of coordinate `depth` modulo NU in the middle, the halves recursively.
-fn arrange(nodes: &mut [(Point, usize)], depth: usize) {
+fn arrange(nodes: &mut [(MetricPoint, usize)], depth: usize) {
     if nodes.len() < 2 {
         return;
     }
@@ -65,9 +65,9 @@ fn arrange(nodes: &mut [(Point, usize)], depth: usize) {
 
 /// Collects the nearest nodes below a subtree as (squared distance, index), sorted, at most `count`.
 fn search(
-    nodes: &[(Point, usize)],
+    nodes: &[(MetricPoint, usize)],
     depth: usize,
-    point: &Point,
+    point: &MetricPoint,
     count: usize,
     found: &mut Vec<(f64, usize)>,
 ) {
