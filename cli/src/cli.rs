@@ -15,11 +15,11 @@ use upswing_process::{Failure, ProcessArgs};
 #[command(name = "upswing", version)]
 pub struct Cli {
     #[command(subcommand)]
-    command: Command,
+    command: CliCommand,
 }
 
 #[derive(Subcommand)]
-enum Command {
+enum CliCommand {
     Demo(commands::demo::DemoArgs),
     Request(commands::request::RequestArgs),
     Disturb(commands::disturb::DisturbArgs),
@@ -85,28 +85,28 @@ fn whole_command() -> clap::Command {
 /// [`Failure`] of the command.
 pub fn run(cli: &Cli) -> Result<(), Failure> {
     match &cli.command {
-        Command::Demo(args) => commands::demo::run(args),
-        Command::Request(args) => commands::request::run(args),
-        Command::Disturb(args) => commands::disturb::run(args),
-        Command::Soak(args) => commands::soak::run(args),
-        Command::Status(args) => commands::status::run(args),
-        Command::Monitor(args) => commands::monitor::run(args),
-        Command::Metrics(args) => commands::metrics::run(args),
-        Command::Doctor(args) => commands::doctor::run(args),
-        Command::Record(args) => commands::record::run(args),
-        Command::Replay(args) => commands::replay::run(args),
-        Command::Report(args) => commands::report::run(args),
-        Command::Export(args) => commands::export::run(args),
-        Command::Plan(args) => commands::plan::run(args),
-        Command::Optimize(args) => commands::optimize::run(args),
-        Command::Db(args) => commands::db::run(args),
-        Command::Model(args) => commands::model::run(args),
-        Command::MonteCarlo(args) => commands::montecarlo::run(args),
-        Command::Config(args) => commands::config::run(args),
-        Command::Completions(args) => commands::completions::completions(args, &mut whole_command()),
-        Command::Man(args) => commands::completions::man(args, whole_command()),
-        Command::Daemon(args) => upswingd::run(args),
-        Command::Planner(args) => upswing_planner::service::run(args),
-        Command::Plant(args) => upswing_plant::run(args),
+        CliCommand::Demo(args) => commands::demo::run(args),
+        CliCommand::Request(args) => commands::request::run(args),
+        CliCommand::Disturb(args) => commands::disturb::run(args),
+        CliCommand::Soak(args) => commands::soak::run(args),
+        CliCommand::Status(args) => commands::status::run(args),
+        CliCommand::Monitor(args) => commands::monitor::run(args),
+        CliCommand::Metrics(args) => commands::metrics::run(args),
+        CliCommand::Doctor(args) => commands::doctor::run(args),
+        CliCommand::Record(args) => commands::record::run(args),
+        CliCommand::Replay(args) => commands::replay::run(args),
+        CliCommand::Report(args) => commands::report::run(args),
+        CliCommand::Export(args) => commands::export::run(args),
+        CliCommand::Plan(args) => commands::plan::run(args),
+        CliCommand::Optimize(args) => commands::optimize::run(args),
+        CliCommand::Db(args) => commands::db::run(args),
+        CliCommand::Model(args) => commands::model::run(args),
+        CliCommand::MonteCarlo(args) => commands::montecarlo::run(args),
+        CliCommand::Config(args) => commands::config::run(args),
+        CliCommand::Completions(args) => commands::completions::completions(args, &mut whole_command()),
+        CliCommand::Man(args) => commands::completions::man(args, whole_command()),
+        CliCommand::Daemon(args) => upswingd::run(args),
+        CliCommand::Planner(args) => upswing_planner::service::run(args),
+        CliCommand::Plant(args) => upswing_plant::run(args),
     }
 }

@@ -22,12 +22,12 @@ pub struct DisturbArgs {
     pub common: CommonArgs,
     /// The disturbance
     #[command(subcommand)]
-    pub what: What,
+    pub command: DisturbCommand,
 }
 
 /// Disturbances of the plant.
 #[derive(Clone, Debug, clap::Subcommand)]
-pub enum What {
+pub enum DisturbCommand {
     /// Inject a fault
     ///
     /// Example: upswing disturb fault encoder-jump --joint 9 --amount 0.1
@@ -75,7 +75,7 @@ impl std::fmt::Display for DisturbResult {
 /// # Errors
 /// [`Failure::BadInput`] for invalid arguments, [`Failure::Failed`] with the reason if the plant refuses or does not answer.
 pub fn run(args: &DisturbArgs) -> Result<(), Failure> {
-    let request = request(&args.what)?;
+    let request = request(&args.command)?;
     let plant = args.common.join_existing()?.client::<PlantRequest>().map_err(failed)?;
     let answer = plant.call(&request, PATIENCE).map_err(failed)?;
     if answer.accepted == 0 {
@@ -85,11 +85,11 @@ pub fn run(args: &DisturbArgs) -> Result<(), Failure> {
     args.common.print(&DisturbResult { success: true, cycle: answer.seq })
 }
 
-fn request(what: &What) -> Result<PlantRequest, Failure> {
+fn request(command: &DisturbCommand) -> Result<PlantRequest, Failure> {
     let bad = |e: &dyn std::fmt::Display| Failure::BadInput(e.to_string());
-    match what {
-        What::Fault(fault) => fault.request().map_err(|e| bad(&e)),
-        What::Push { impulse, cycles, from } => {
+    match command {
+        DisturbCommand::Fault(fault) => fault.request().map_err(|e| bad(&e)),
+        DisturbCommand::Push { impulse, cycles, from } => {
             let impulse = impulse.as_slice().try_into().map_err(|_| {
                 bad(&format!("--impulse: expected 3 numbers, X,Y,Z in N s, got {}", impulse.len()))
             })?;
@@ -102,6 +102,6 @@ fn request(what: &What) -> Result<PlantRequest, Failure> {
                 ..PlantRequest::new(PlantKind::Push)
             })
         }
-        What::Clear => Ok(PlantRequest::new(PlantKind::ClearFaults)),
+        DisturbCommand::Clear => Ok(PlantRequest::new(PlantKind::ClearFaults)),
     }
 }
