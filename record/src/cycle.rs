@@ -12,7 +12,7 @@ const WORD: usize = size_of::<u64>();
 
 /// A field of the message of a cycle.
 #[derive(Clone, Copy, Debug)]
-pub struct Field {
+pub struct CycleField {
     /// Name of the field in [`Telemetry`].
     pub name: &'static str,
     /// Count of numbers in the field: 1, or the length of the array.
@@ -28,22 +28,22 @@ pub struct Field {
 }
 
 /// Types of fields.
-trait Numbers {
+trait FieldValue {
     const LENGTH: usize;
     const INTEGER: bool;
 }
 
-impl Numbers for u64 {
+impl FieldValue for u64 {
     const LENGTH: usize = 1;
     const INTEGER: bool = true;
 }
 
-impl Numbers for f64 {
+impl FieldValue for f64 {
     const LENGTH: usize = 1;
     const INTEGER: bool = false;
 }
 
-impl<const N: usize> Numbers for [f64; N] {
+impl<const N: usize> FieldValue for [f64; N] {
     const LENGTH: usize = N;
     const INTEGER: bool = false;
 }
@@ -51,13 +51,13 @@ impl<const N: usize> Numbers for [f64; N] {
 macro_rules! fields {
     ($($name:ident: $kind:ty, $unit:literal, $meaning:literal;)+) => {
         /// All fields in the order of their bytes.
-        pub const FIELDS: &[Field] = &[$({
+        pub const FIELDS: &[CycleField] = &[$({
             // Does not compile if the field of `Telemetry` has another type.
             const _: fn(&Telemetry) -> &$kind = |t| &t.$name;
-            Field {
+            CycleField {
                 name: stringify!($name),
-                length: <$kind as Numbers>::LENGTH,
-                integer: <$kind as Numbers>::INTEGER,
+                length: <$kind as FieldValue>::LENGTH,
+                integer: <$kind as FieldValue>::INTEGER,
                 offset: offset_of!(Telemetry, $name) / WORD,
                 unit: $unit,
                 meaning: $meaning,
@@ -114,7 +114,7 @@ pub fn first_definition() -> String {
     definition_of(&FIELDS[..FIELDS.len() - 1])
 }
 
-fn definition_of(fields: &[Field]) -> String {
+fn definition_of(fields: &[CycleField]) -> String {
     let mut text = String::from("# One control cycle of upswing. Joints run from the base to the tip.\n");
     for field in fields {
         // Foxglove shows the names of constants that stand before a field.

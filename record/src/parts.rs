@@ -19,7 +19,7 @@ const HEAD: usize = 9;
 const TAIL: usize = HEAD + 20 + MAGIC.len();
 
 /// Result of reading one record of a file, on the outermost level.
-pub(super) enum Part<'a> {
+pub(super) enum FilePart<'a> {
     /// A record, possibly a chunk, see [`each_record`].
     Record {
         /// An opcode of [`op`], or one that the format reserves for applications.
@@ -31,14 +31,14 @@ pub(super) enum Part<'a> {
     Foreign,
     /// A record that is too long to be read, with the reason; reading continues after it.
     TooLong(String),
-    /// The file is unreadable from here on, with the reason, unless [`Parts::resume`] finds a later chunk.
+    /// The file is unreadable from here on, with the reason, unless [`FileParts::resume`] finds a later chunk.
     Cut(String),
     /// End of the file.
     End,
 }
 
 /// An MCAP file, read from its start to its end.
-pub(super) struct Parts {
+pub(super) struct FileParts {
     file: BufReader<File>,
     length: u64,
     /// Offsets of the newest record, and of the record that follows it, bytes.
@@ -46,19 +46,19 @@ pub(super) struct Parts {
     next: u64,
     body: Vec<u8>,
     /// Read once the first damage is found.
-    index: Option<Index>,
+    index: Option<FileIndex>,
 }
 
 /// Contents of the summary at the end of a complete file.
 #[derive(Default)]
-struct Index {
+struct FileIndex {
     /// Offsets of the chunks, bytes, in ascending order.
     chunks: Vec<u64>,
     /// Opcodes and bodies of schemas and channels: those in the data section may be damaged.
     definitions: Vec<(u8, Vec<u8>)>,
 }
 
-impl Parts {
+impl FileParts {
     /// Opens a file; `None` if it is no MCAP file.
     pub fn open(path: &Path) -> io::Result<Option<Self>> {
         let file = upswing_config::open_file(path)?;
@@ -80,37 +80,37 @@ impl Parts {
     }
 
     /// Reads the next record.
-    pub fn next(&mut self) -> io::Result<Part<'_>> {
+    pub fn next(&mut self) -> io::Result<FilePart<'_>> {
         self.start = self.next;
         let left = self.length.saturating_sub(self.start);
         if left == 0 {
-            return Ok(Part::End);
+            return Ok(FilePart::End);
         }
         let mut head = [0; HEAD];
         if left < HEAD as u64 || !whole(self.file.read_exact(&mut head))? {
-            return Ok(Part::Cut(format!("{left} bytes are no record")));
+            return Ok(FilePart::Cut(format!("{left} bytes are no record")));
         }
         let (opcode, length) = (head[0], u64::from_le_bytes(head[1..].try_into().unwrap_or_default()));
         // Opcodes from 0x80 on are reserved for applications.
         if !(op::HEADER..=op::DATA_END).contains(&opcode) && opcode < 0x80 {
-            return Ok(Part::Cut(format!("there is no record with opcode {opcode:#04x}")));
+            return Ok(FilePart::Cut(format!("there is no record with opcode {opcode:#04x}")));
         }
         let behind = left - HEAD as u64;
         if length > behind {
-            return Ok(Part::Cut(format!("a record of {length} bytes where {behind} are left")));
+            return Ok(FilePart::Cut(format!("a record of {length} bytes where {behind} are left")));
         }
         self.next = self.start + HEAD as u64 + length;
         if length > LONGEST as u64 {
             self.file.seek(SeekFrom::Start(self.next))?;
             return Ok(match opcode {
-                op::ATTACHMENT => Part::Foreign,
-                _ => Part::TooLong(format!("a record of {length} bytes, of which {LONGEST} can be read")),
+                op::ATTACHMENT => FilePart::Foreign,
+                _ => FilePart::TooLong(format!("a record of {length} bytes, of which {LONGEST} can be read")),
             });
         }
         self.body.resize(length as usize, 0);
         Ok(match whole(self.file.read_exact(&mut self.body))? {
-            true => Part::Record { opcode, body: &self.body },
-            false => Part::Cut("the file became shorter".into()),
+            true => FilePart::Record { opcode, body: &self.body },
+            false => FilePart::Cut("the file became shorter".into()),
         })
     }
 
@@ -136,7 +136,7 @@ impl Parts {
         Ok(&self.index()?.definitions)
     }
 
-    fn index(&mut self) -> io::Result<&Index> {
+    fn index(&mut self) -> io::Result<&FileIndex> {
         if self.index.is_none() {
             self.index = Some(self.read_index()?);
             self.file.seek(SeekFrom::Start(self.next))?;
@@ -145,8 +145,8 @@ impl Parts {
     }
 
     /// Reads the summary; the index is empty if the file is not complete.
-    fn read_index(&mut self) -> io::Result<Index> {
-        let mut index = Index::default();
+    fn read_index(&mut self) -> io::Result<FileIndex> {
+        let mut index = FileIndex::default();
         let Some(footer) = self.length.checked_sub(TAIL as u64) else { return Ok(index) };
         self.file.seek(SeekFrom::Start(footer))?;
         let mut tail = [0; TAIL];

@@ -1,6 +1,6 @@
 //! Reader of recordings, also of recordings by a killed process, rewritten by other tools, or damaged.
 
-use super::parts::{self, Part, Parts};
+use super::parts::{self, FilePart, FileParts};
 use super::{CYCLE_TOPIC, DETAILS, Elapsed, RecordingError, cdr, cycle, messages};
 use mcap::records::{Record, op};
 use std::collections::BTreeMap;
@@ -89,7 +89,7 @@ pub fn scan<E: From<RecordingError>>(
     mut each: impl FnMut(&Recording, Message) -> Result<(), E>,
 ) -> Result<Recording, E> {
     let unreadable = |cause| RecordingError::Read { path: path.to_owned(), cause };
-    let mut file = Parts::open(path).map_err(unreadable)?.ok_or_else(|| RecordingError::NotMcap {
+    let mut file = FileParts::open(path).map_err(unreadable)?.ok_or_else(|| RecordingError::NotMcap {
         path: path.to_owned(),
         cause: Box::new(mcap::McapError::BadMagic),
     })?;
@@ -98,24 +98,26 @@ pub fn scan<E: From<RecordingError>>(
     let mut reader = MessageReader { path, window, schemas, channels, settings, elapsed, clock };
     let mut recording = Recording::default();
     let (mut finished, mut seen) = (false, 0_u64);
-    let mut damage = Damage::default();
+    let mut damage = DamagedParts::default();
     while !finished {
         let part = file.next().map_err(unreadable)?;
-        let cut = matches!(part, Part::Cut(_));
+        let cut = matches!(part, FilePart::Cut(_));
         // If a record other than a chunk is unreadable, its length is in doubt, too.
-        let lost = cut || matches!(part, Part::Record { opcode, .. } if opcode != op::CHUNK);
+        let lost = cut || matches!(part, FilePart::Record { opcode, .. } if opcode != op::CHUNK);
         let read = match part {
-            Part::End => break,
-            Part::Foreign => Ok(()),
-            Part::TooLong(why) | Part::Cut(why) => Err(why),
-            Part::Record { opcode, body } => parts::each_record(opcode, body, |record| -> Result<(), E> {
-                finished |= matches!(record, Record::Footer(_));
-                if let Some(message) = reader.take(record, &mut recording)? {
-                    seen += u64::from(matches!(message, Message::Cycle(_)));
-                    each(&recording, message)?;
-                }
-                Ok(())
-            })?,
+            FilePart::End => break,
+            FilePart::Foreign => Ok(()),
+            FilePart::TooLong(why) | FilePart::Cut(why) => Err(why),
+            FilePart::Record { opcode, body } => {
+                parts::each_record(opcode, body, |record| -> Result<(), E> {
+                    finished |= matches!(record, Record::Footer(_));
+                    if let Some(message) = reader.take(record, &mut recording)? {
+                        seen += u64::from(matches!(message, Message::Cycle(_)));
+                        each(&recording, message)?;
+                    }
+                    Ok(())
+                })?
+            }
         };
         let (place, length) = file.place();
         progress(place, length);
@@ -147,12 +149,12 @@ pub fn scan<E: From<RecordingError>>(
 
 /// Unreadable parts of a file: their number, and offset (bytes) and reason of the first.
 #[derive(Default)]
-struct Damage {
+struct DamagedParts {
     parts: u64,
     first: Option<(u64, String)>,
 }
 
-impl Damage {
+impl DamagedParts {
     fn note(&mut self, place: u64, why: String) {
         self.parts += 1;
         self.first.get_or_insert((place, why));
