@@ -133,7 +133,7 @@ impl Quantity for Level {
     fn read<'de, R: Rule, D: Deserializer<'de>>(from: D, unit: f64) -> Result<Self, D::Error> {
         #[derive(serde::Deserialize)]
         #[serde(deny_unknown_fields, bound = "R: Rule")]
-        struct InFile<R> {
+        struct LevelInFile<R> {
             #[serde(deserialize_with = "R::read")]
             warn: f64,
             #[serde(deserialize_with = "R::read")]
@@ -141,7 +141,7 @@ impl Quantity for Level {
             #[serde(skip)]
             rule: PhantomData<R>,
         }
-        let InFile { warn, trip, .. } = InFile::<R>::deserialize(from)?;
+        let LevelInFile { warn, trip, .. } = LevelInFile::<R>::deserialize(from)?;
         SettingsConflict::unless_above(".trip", trip, warn, "warn").map_err(D::Error::custom)?;
         Ok(Self { warn: warn * unit, trip: trip * unit })
     }

@@ -55,10 +55,10 @@ pub struct Target {
 #[serde(deny_unknown_fields)]
 struct RobotFile {
     limits: RatedLimits,
-    usage: Usage,
+    usage: LimitUsage,
     coriolis_bound: CoriolisBound,
     target: Target,
-    drives: Drives,
+    drives: DriveProperties,
 }
 
 #[derive(Deserialize)]
@@ -74,7 +74,7 @@ struct RatedLimits {
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Usage {
+struct LimitUsage {
     #[serde(deserialize_with = "PositiveShare::read")]
     velocity_fraction_actuated: f64,
     #[serde(deserialize_with = "PositiveShare::read")]
@@ -87,7 +87,7 @@ struct Usage {
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Drives {
+struct DriveProperties {
     #[serde(rename = "rotor_inertia_kg_m2", deserialize_with = "NonNegative::read")]
     rotor_inertia: [f64; NU],
     #[serde(deserialize_with = "NonNegative::read")]

@@ -191,7 +191,7 @@ impl Urdf {
         // The first of a name counts.
         let colours: HashMap<_, _> = colours.collect::<Vec<_>>().into_iter().rev().collect();
 
-        let mut warnings = Warnings::default();
+        let mut warnings = UrdfWarnings::default();
         warnings
             .check(robot, &["link", "joint", "material", "gazebo", "transmission", "ros2_control", "sensor"]);
         let (mut links, mut by_name) = (Vec::new(), HashMap::new());
@@ -404,7 +404,7 @@ fn origin(node: Node<'_, '_>) -> Result<Isometry3<f64>, UrdfError> {
 fn read_link(
     node: Node<'_, '_>,
     colours: &HashMap<&str, [f64; 4]>,
-    warnings: &mut Warnings,
+    warnings: &mut UrdfWarnings,
 ) -> Result<UrdfLink, UrdfError> {
     let name = name_of(node)?;
     warnings.check(node, &["inertial", "visual", "collision", "self_collision_checking", "contact"]);
@@ -463,7 +463,7 @@ fn read_body(node: Node<'_, '_>) -> Result<Body, UrdfError> {
 fn read_joint(
     node: Node<'_, '_>,
     links: &HashMap<String, usize>,
-    warnings: &mut Warnings,
+    warnings: &mut UrdfWarnings,
 ) -> Result<(UrdfJoint, usize), UrdfError> {
     let name = name_of(node)?;
     let known = [
@@ -529,7 +529,7 @@ fn read_joint(
 }
 
 /// Warns of friction and soft limits of a joint, which the settings state instead of the URDF.
-fn warn_of_motion(node: Node<'_, '_>, name: &str, warnings: &mut Warnings) -> Result<(), UrdfError> {
+fn warn_of_motion(node: Node<'_, '_>, name: &str, warnings: &mut UrdfWarnings) -> Result<(), UrdfError> {
     if let Some(dynamics) = child(node, "dynamics")? {
         for key in ["damping", "friction"] {
             let value = dynamics.attribute(key).unwrap_or("0");
@@ -571,9 +571,9 @@ fn colour(material: Node<'_, '_>) -> Option<[f64; 4]> {
 
 /// Warnings about skipped elements.
 #[derive(Default)]
-struct Warnings(Vec<String>);
+struct UrdfWarnings(Vec<String>);
 
-impl Warnings {
+impl UrdfWarnings {
     fn add(&mut self, warning: String) {
         if self.0.len() < WARNINGS && !self.0.contains(&warning) {
             self.0.push(warning);

@@ -5,13 +5,13 @@ use upswing_ipc::{Command, Commands, FinderThread, IpcError, Node, Reader};
 
 /// Reader of the commands of the newest daemon; their contents are not trusted.
 pub(crate) struct DaemonCommands {
-    daemon: Option<Daemon>,
+    daemon: Option<FoundDaemon>,
     // Declared last, so that it outlives the reader.
     finder: FinderThread<Command>,
 }
 
 /// Commands of a daemon that was found.
-struct Daemon {
+struct FoundDaemon {
     reader: Reader<Command>,
     /// `seq` of the newest command that was read.
     seq: u64,
@@ -25,7 +25,7 @@ impl DaemonCommands {
     /// If the thread of the search cannot be started.
     pub(crate) fn new(node: &Node) -> std::io::Result<Self> {
         let finder = FinderThread::start(node)?;
-        let daemon = logged(finder.first()).map(|reader| Daemon { seq: reader.read().seq, reader });
+        let daemon = logged(finder.first()).map(|reader| FoundDaemon { seq: reader.read().seq, reader });
         Ok(Self { daemon, finder })
     }
 }
@@ -34,7 +34,7 @@ impl Commands for DaemonCommands {
     /// No system call unless a new daemon was found.
     fn take(&mut self, newest: u64) -> Option<Command> {
         while let Some(reader) = logged(self.finder.poll()) {
-            self.daemon = Some(Daemon { reader, seq: 0 });
+            self.daemon = Some(FoundDaemon { reader, seq: 0 });
         }
         let daemon = self.daemon.as_mut()?;
         let command = daemon.reader.read();

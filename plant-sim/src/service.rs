@@ -37,7 +37,7 @@ pub(crate) fn serve(
     let commands = DaemonCommands::new(&node)?;
     let writer = node.writer::<Measurement>()?;
     wake_precisely();
-    let mut process = PlantProcess {
+    let mut process = PlantService {
         pacing: PlantPacing::new(clock, plant.period(), watchdog_cycles),
         plant,
         commands,
@@ -54,7 +54,7 @@ pub(crate) fn serve(
 }
 
 /// The plant with its connections to the other processes.
-struct PlantProcess {
+struct PlantService {
     plant: Plant,
     pacing: PlantPacing,
     commands: DaemonCommands,
@@ -71,7 +71,7 @@ struct PlantProcess {
     warned: Option<Instant>,
 }
 
-impl PlantProcess {
+impl PlantService {
     fn run(&mut self, shutdown: &AtomicBool) {
         let clock = self.pacing.clock();
         let q = self.plant.position().map(|v| (v.to_degrees() * 100.0).round() / 100.0);

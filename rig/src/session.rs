@@ -4,7 +4,7 @@ mod process;
 
 pub use process::{Programs, Role, SessionOptions};
 
-use process::Process;
+use process::SystemProcess;
 use std::time::{Duration, Instant};
 use upswing_ipc::operator::{Manoeuvre, Operator, OperatorError, OperatorRequest, PublishedPlan};
 use upswing_ipc::{
@@ -98,7 +98,7 @@ impl From<OperatorError> for SessionError {
 pub struct Session {
     programs: Programs,
     options: SessionOptions,
-    processes: [Option<Process>; 3],
+    processes: [Option<SystemProcess>; 3],
     operator: Operator,
     plant: Client<PlantRequest>,
     tap: Tap,
@@ -125,7 +125,7 @@ impl Session {
         let node = domain.join("session")?;
         let (operator, plant) = (Operator::with_patience(&node, RESPONSE_PATIENCE)?, node.client()?);
         let tap = Tap::new(&node)?;
-        let start = |role| Process::start(role, &programs, options).map(Some);
+        let start = |role| SystemProcess::start(role, &programs, options).map(Some);
         let processes = [start(Role::Daemon)?, start(Role::Planner)?, start(Role::Plant)?];
         let mut session = Self {
             programs,
@@ -173,7 +173,7 @@ impl Session {
     /// [`SessionError`] if the new process cannot be started or does not respond.
     pub fn restart(&mut self, role: Role) -> Result<(), SessionError> {
         self.kill(role);
-        self.processes[role as usize] = Some(Process::start(role, &self.programs, &self.options)?);
+        self.processes[role as usize] = Some(SystemProcess::start(role, &self.programs, &self.options)?);
         self.wait_for("the new process to answer", START_PATIENCE, |s| {
             Ok(match role {
                 Role::Daemon => s.operator.has_daemon(),
@@ -397,7 +397,7 @@ impl Session {
             self.check()?;
             let waited = begin.elapsed();
             if waited > patience {
-                let log = self.processes.iter().flatten().map(Process::tail).collect();
+                let log = self.processes.iter().flatten().map(SystemProcess::tail).collect();
                 return Err(SessionError::Timeout { what: what.into(), waited, log });
             }
             std::thread::sleep(PAUSE);
@@ -409,7 +409,7 @@ impl Session {
     /// # Errors
     /// [`SessionError::Ended`] with the end of the log of a process that exited.
     pub fn check(&mut self) -> Result<(), SessionError> {
-        self.processes.iter_mut().flatten().try_for_each(Process::check)
+        self.processes.iter_mut().flatten().try_for_each(SystemProcess::check)
     }
 
     /// Collects all pending telemetry and passes it to the recorder.

@@ -8,7 +8,7 @@ use upswing_config::Config;
 use upswing_ipc::Telemetry;
 use upswing_record::Recorder;
 use upswing_rig::fault_args::FaultArgs;
-use upswing_tests::matrix::{Case, WATCHED, mode};
+use upswing_tests::matrix::{FaultCase, WATCHED, mode};
 use upswingd::warning_texts;
 
 /// Cycles that are shown: two seconds; and every how many of them, where nothing changes.
@@ -29,7 +29,7 @@ struct Args {
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let args = Args::parse();
-    let mut case = Case::idle(None);
+    let mut case = FaultCase::idle(None);
     case.records = Some(Vec::new());
     let mut case = case.in_mode(mode(&args.mode));
     let first = case.system.plant.seq();

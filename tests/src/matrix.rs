@@ -114,7 +114,7 @@ macro_rules! in_each_mode {
 
 /// A test case of the fault matrix: controller and plant in one mode, and their trips since.
 #[derive(Clone)]
-pub struct Case {
+pub struct FaultCase {
     /// Controller and plant.
     pub system: ClosedLoop,
     /// Records of every cycle since the start; `None`: no recording.
@@ -131,7 +131,7 @@ pub struct Case {
     given_up: Vec<(Mode, Trip)>,
 }
 
-impl Case {
+impl FaultCase {
     /// A case in Idle, in the start pose of the settings, under a scenario of the plant if one is given.
     ///
     /// # Panics

@@ -4,14 +4,14 @@
 use upswing_config::{Config, Fault, FaultKind};
 use upswing_ipc::Mode;
 use upswing_model::NU;
-use upswing_tests::matrix::{Case, WATCHED};
+use upswing_tests::matrix::{FaultCase, WATCHED};
 use upswingd::trip::TripCause;
 
 /// Cycles of 200 ms.
 const SOON: u64 = 1_600;
 
 /// What a constant torque on a joint of the arm, a share of its 100 % limit, leads to.
-fn pushed(before: &Case, joint: usize, share: f64, cycles: u64) -> (Mode, Option<TripCause>, u64) {
+fn pushed(before: &FaultCase, joint: usize, share: f64, cycles: u64) -> (Mode, Option<TripCause>, u64) {
     let limits = Config::embedded().expect("settings").robot.limits;
     let mut case = before.clone();
     let amount = share * limits.tau_max[joint];
@@ -29,7 +29,7 @@ fn pushed(before: &Case, joint: usize, share: f64, cycles: u64) -> (Mode, Option
 #[test]
 fn a_strong_push_in_any_mode() {
     for mode in [Mode::Hold, Mode::Track, Mode::Balance] {
-        let before = Case::idle(None).in_mode(mode);
+        let before = FaultCase::idle(None).in_mode(mode);
         for joint in 0..NU {
             for share in [0.15, -0.15] {
                 let (then, cause, cycles) = pushed(&before, joint, share, 0);
@@ -44,7 +44,7 @@ fn a_strong_push_in_any_mode() {
 #[test]
 fn against_much_inertia_it_is_a_collision() {
     for mode in [Mode::Hold, Mode::Balance] {
-        let before = Case::idle(None).in_mode(mode);
+        let before = FaultCase::idle(None).in_mode(mode);
         for share in [0.1, -0.1] {
             assert_eq!(pushed(&before, 1, share, 0).1, Some(TripCause::Collision), "{mode}, {share}");
         }
@@ -53,7 +53,7 @@ fn against_much_inertia_it_is_a_collision() {
 
 #[test]
 fn a_weak_or_short_push_is_borne() {
-    let before = Case::idle(None).in_mode(Mode::Hold);
+    let before = FaultCase::idle(None).in_mode(Mode::Hold);
     // A person leans on the arm; and a blow of 10 ms.
     for (joint, share, cycles) in [(1, 0.03, 0), (3, 0.03, 0), (1, 0.1, 80), (3, 0.1, 80)] {
         let (mode, cause, _) = pushed(&before, joint, share, cycles);

@@ -3,7 +3,7 @@
 
 use upswing_config::FaultKind;
 use upswing_ipc::Mode;
-use upswing_tests::matrix::{Case, PAGE, WATCHED, fault, line, mode, table};
+use upswing_tests::matrix::{FaultCase, PAGE, WATCHED, fault, line, mode, table};
 
 const SECTION: &str = "In the plant";
 
@@ -11,7 +11,7 @@ const SECTION: &str = "In the plant";
 fn check(column: Mode) {
     let (columns, rows) = table(PAGE, SECTION);
     let index = columns.iter().position(|name| mode(name) == column).expect("a column of the mode");
-    let before = Case::idle(None).in_mode(column);
+    let before = FaultCase::idle(None).in_mode(column);
     let mut wrong = Vec::new();
     for row in rows {
         let fault = fault(&row.fault).and_then(|args| args.fault().map_err(|e| e.to_string()));

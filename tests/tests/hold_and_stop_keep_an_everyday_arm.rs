@@ -4,7 +4,7 @@
 use upswing_config::{Config, Push};
 use upswing_ipc::{Mode, Telemetry};
 use upswing_model::{ActuatedVector, NU};
-use upswing_tests::matrix::Case;
+use upswing_tests::matrix::FaultCase;
 use upswingd::step::StepRequest;
 
 const SECOND: u64 = 8_000;
@@ -15,16 +15,16 @@ const LONGEST: u64 = 4_000;
 /// In so many cycles at most the torque gets from that of the plan to that of the stop: 2 ms.
 const BEGINNING: u64 = 16;
 
-fn q(case: &Case) -> ActuatedVector {
+fn q(case: &FaultCase) -> ActuatedVector {
     case.system.plant.position().fixed_rows::<NU>(0).into()
 }
 
-fn qd(case: &Case) -> ActuatedVector {
+fn qd(case: &FaultCase) -> ActuatedVector {
     case.system.plant.velocity().fixed_rows::<NU>(0).into()
 }
 
-fn everyday(mode: Mode) -> Case {
-    Case::idle(Some("everyday")).in_mode(mode)
+fn everyday(mode: Mode) -> FaultCase {
+    FaultCase::idle(Some("everyday")).in_mode(mode)
 }
 
 #[test]
@@ -59,7 +59,7 @@ fn hold_returns_after_a_push_of_the_rod() {
 }
 
 /// Stops in cycle `at` of a swing-up, and holds for a second.
-fn stop(mut case: Case, at: u64) {
+fn stop(mut case: FaultCase, at: u64) {
     let limits = Config::embedded().expect("settings").robot.limits;
     let fastest = qd(&case).abs();
     case.records = Some(Vec::new());

@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use upswing_config::{Config, Push};
 use upswing_ipc::Mode;
 use upswing_model::NU;
-use upswing_tests::matrix::Case;
+use upswing_tests::matrix::FaultCase;
 use upswingd::trip::TripCause;
 
 /// Strengths of the pushes on the tip of the rod, N s: the last moves it at 2.4 m/s.
@@ -19,7 +19,7 @@ const WATCHED: u64 = 12_000;
 fn from_any_direction() {
     let config = Config::embedded().expect("settings");
     let (limits, fastest) = (&config.robot.limits, config.daemon.limits.velocity_fraction.trip);
-    let before = Case::idle(None).in_mode(Mode::Balance);
+    let before = FaultCase::idle(None).in_mode(Mode::Balance);
     for strength in STRENGTHS {
         let mut stops = 0;
         for direction in 0..DIRECTIONS {

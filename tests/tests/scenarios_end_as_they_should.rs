@@ -4,7 +4,7 @@
 use upswing_config::Config;
 use upswing_ipc::Mode;
 use upswing_record::evaluation::tilt;
-use upswing_tests::matrix::Case;
+use upswing_tests::matrix::FaultCase;
 
 /// Four seconds in Balance, and the rod within 2 deg of upright throughout the last one.
 const BALANCED: &str = "balanced";
@@ -38,7 +38,7 @@ fn all_of_them() {
     let model = Config::embedded().expect("embedded settings").model;
     let mut wrong = Vec::new();
     for (name, expected) in TABLE {
-        let mut case = Case::idle(Some(name)).in_mode(Mode::Hold);
+        let mut case = FaultCase::idle(Some(name)).in_mode(Mode::Hold);
         let started = case.start();
         case.run(case.plan_cycles + 3 * SECOND);
         let mut largest: f64 = 0.0;

@@ -5,7 +5,7 @@ use upswing_config::{Config, Fault, FaultKind};
 use upswing_ipc::Mode;
 use upswing_model::{NQ, NU};
 use upswing_rig::montecarlo::RandomStarts;
-use upswing_tests::matrix::Case;
+use upswing_tests::matrix::FaultCase;
 use upswingd::trip::TripCause;
 
 /// Cycles of 50 ms, and the longest run.
@@ -25,7 +25,7 @@ struct Ending {
     speed: f64,
 }
 
-fn broken(config: &Config, before: &Case, fault: Fault) -> Ending {
+fn broken(config: &Config, before: &FaultCase, fault: Fault) -> Ending {
     let mut case = before.clone();
     case.break_now(fault);
     let mut ending = Ending { noticed: None, hidden: 0.0, speed: 0.0 };
@@ -45,14 +45,14 @@ fn broken(config: &Config, before: &Case, fault: Fault) -> Ending {
 }
 
 /// From each pose, with each plant.
-fn each(mode: Mode, check: impl Fn(&Config, &Case, &str)) {
+fn each(mode: Mode, check: impl Fn(&Config, &FaultCase, &str)) {
     let config = Config::embedded().expect("settings");
     let starts = RandomStarts { config: &config, seed: SEED };
     for scenario in [None, Some("everyday")] {
         for start in 0..=POSES {
             let x = (start > 0).then(|| starts.start(start).expect("a start"));
             let pose = x.map(|x| std::array::from_fn(|i| x[i]));
-            let before = Case::idle_at(scenario, pose).in_mode(mode);
+            let before = FaultCase::idle_at(scenario, pose).in_mode(mode);
             check(&config, &before, &format!("{mode}, start {start}, {}", scenario.unwrap_or("ideal")));
         }
     }

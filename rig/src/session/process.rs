@@ -81,13 +81,13 @@ pub struct SessionOptions {
 }
 
 /// One process of the system; killed when dropped.
-pub(super) struct Process {
+pub(super) struct SystemProcess {
     pub role: Role,
     pub child: Child,
     log: PathBuf,
 }
 
-impl Process {
+impl SystemProcess {
     pub(super) fn start(
         role: Role,
         programs: &Programs,
@@ -147,7 +147,7 @@ impl Process {
     }
 }
 
-impl Drop for Process {
+impl Drop for SystemProcess {
     fn drop(&mut self) {
         if let Ok(None) = self.child.try_wait() {
             let _ = self.child.kill();

@@ -84,8 +84,8 @@ pub struct ResourceGrowth {
 impl ResourceGrowth {
     /// The growth of each role that occurs in the samples.
     pub fn of(samples: &[ResourceSample]) -> Vec<Self> {
-        type Of = fn(&ResourceSample) -> Option<ProcessResources>;
-        let roles: [(_, Of); 4] = [
+        type ProcessOf = fn(&ResourceSample) -> Option<ProcessResources>;
+        let roles: [(_, ProcessOf); 4] = [
             ("daemon", |s| s.daemon),
             ("planner", |s| s.planner),
             ("plant", |s| s.plant),
