@@ -9,7 +9,7 @@ use upswing_model::State;
 use upswing_planner::database::DatabaseFile;
 use upswing_rig::session::{Role, Session};
 use upswing_tests::System;
-use upswing_trajectory::{Database, Outcome};
+use upswing_trajectory::{Database, PoseOutcome};
 
 /// How long an answer may take.
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -88,7 +88,7 @@ fn shorten(settings: &std::path::Path) {
     let path = settings.join("database.bin");
     let bytes = std::fs::read(&path).expect("the exported database");
     let mut database = Database::decode(&bytes).unwrap_or_else(|e| panic!("{e}"));
-    database.records.retain(|r| matches!(r.outcome, Outcome::Solved(_)));
+    database.records.retain(|r| matches!(r.outcome, PoseOutcome::Solved(_)));
     database.records.truncate(PAPER_ENTRIES);
     std::fs::write(&path, database.encode()).expect("written");
 }

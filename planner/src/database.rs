@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 use upswing_config::{Config, GridSettings};
 use upswing_model::{State, StateParts};
 use upswing_process::output::OutputError;
-use upswing_trajectory::{Certificate, Database, DatabaseError, Heading, Outcome, Trajectory};
+use upswing_trajectory::{Certificate, Database, DatabaseError, DatabaseHeading, PoseOutcome, Trajectory};
 use xxhash_rust::xxh3::Xxh3;
 
 /// A share of the lines of a grid: the lines whose number, counted from 0, is `number - 1` modulo `of`.
@@ -146,17 +146,17 @@ fn summary(database: &Database, poses: usize, resumed: usize) -> BuildSummary {
     };
     for record in &database.records {
         match record.outcome {
-            Outcome::Solved(_) => s.solved += 1,
-            Outcome::Rejected => s.rejected += 1,
-            Outcome::Failed => s.failed.push(record.pose),
+            PoseOutcome::Solved(_) => s.solved += 1,
+            PoseOutcome::Rejected => s.rejected += 1,
+            PoseOutcome::Failed => s.failed.push(record.pose),
         }
     }
     s
 }
 
 /// The header of a database (or of one shard) for the robot, the optimisation problem and the grid of the settings.
-pub fn heading(config: &Config, shard: Shard) -> Heading {
-    Heading {
+pub fn heading(config: &Config, shard: Shard) -> DatabaseHeading {
+    DatabaseHeading {
         model: config.model.fingerprint(),
         problem: problem_fingerprint(config),
         grid: grid_fingerprint(&config.grid),
@@ -183,7 +183,7 @@ pub fn has_grid_of(config: &Config, database: &Database) -> bool {
 }
 
 /// Refuses a file that was made for another robot, other settings or another grid.
-fn same_origin(path: &Path, got: &Heading, expected: &Heading) -> Result<(), BuildError> {
+fn same_origin(path: &Path, got: &DatabaseHeading, expected: &DatabaseHeading) -> Result<(), BuildError> {
     for (what, expected, got) in [
         ("fingerprint of the robot model", expected.model, got.model),
         ("fingerprint of limits and weights", expected.problem, got.problem),

@@ -11,7 +11,7 @@ use upswing_planner::database::{
 use upswing_planner::offline::problem_fingerprint;
 use upswing_planner::replan::{Planner, PlannerError};
 use upswing_process::output::{OutputError, Overwrite};
-use upswing_trajectory::{Database, DatabaseError, Entry, Outcome, Record, Trajectory};
+use upswing_trajectory::{Database, DatabaseError, Entry, PoseOutcome, PoseRecord, Trajectory};
 
 /// Six poses in three lines; the first of each line has no rest position within the limits.
 fn small_grid() -> Config {
@@ -81,7 +81,7 @@ fn in_one_piece_in_shards_and_on_one_core() {
         assert_eq!(bytes(&whole), bytes(&merged));
     }
     let mut unsolved = read(&shards[1]).expect("it reads");
-    unsolved.records[0].outcome = Outcome::Failed;
+    unsolved.records[0].outcome = PoseOutcome::Failed;
     let with_unsolved = dir.path().join("unsolved.bin");
     std::fs::write(&with_unsolved, unsolved.encode()).expect("written");
     let summary = merge(&[shards[0].clone(), with_unsolved], &merged).expect("it merges");
@@ -223,7 +223,7 @@ fn disagreeing_duplicates_are_refused() {
     let dir = tempfile::tempdir().expect("a folder");
     let mut database = read(&whole(dir.path())).expect("it reads");
     let other = dir.path().join("other.bin");
-    let Outcome::Solved(entry) = &mut database.records[1].outcome else { panic!("solved") };
+    let PoseOutcome::Solved(entry) = &mut database.records[1].outcome else { panic!("solved") };
     entry.certificate.cost += 1e-12;
     std::fs::write(&other, database.encode()).expect("written");
     let refusal = merge(&[dir.path().join("whole.bin"), other], &dir.path().join("merged.bin"));
@@ -235,7 +235,7 @@ fn certificates_are_recomputed() {
     let dir = tempfile::tempdir().expect("a folder");
     let mut database = read(&whole(dir.path())).expect("it reads");
     assert!(verify(&small_grid(), &database, || ()).is_empty());
-    let Outcome::Solved(entry) = &mut database.records[3].outcome else { panic!("solved") };
+    let PoseOutcome::Solved(entry) = &mut database.records[3].outcome else { panic!("solved") };
     entry.trajectory.u[50][0] += 1e-3;
     let found = verify(&small_grid(), &database, || ());
     assert_eq!(found.iter().map(|d| d.pose).collect::<Vec<_>>(), [3]);
@@ -247,8 +247,8 @@ fn consistent_records_of_something_else_are_found() {
     let dir = tempfile::tempdir().expect("a folder");
     let config = small_grid();
     let whole = read(&whole(dir.path())).expect("it reads");
-    let solved = |d: &Database| d.records.iter().position(|r| matches!(r.outcome, Outcome::Solved(_)));
-    let found = |change: &dyn Fn(&mut Record)| {
+    let solved = |d: &Database| d.records.iter().position(|r| matches!(r.outcome, PoseOutcome::Solved(_)));
+    let found = |change: &dyn Fn(&mut PoseRecord)| {
         let mut database = whole.clone();
         let record = solved(&database).expect("an entry");
         change(&mut database.records[record]);
@@ -258,11 +258,11 @@ fn consistent_records_of_something_else_are_found() {
     };
     // Changed entries, each with the certificate of its changed trajectory.
     let entry = |change: &dyn Fn(&mut Trajectory)| {
-        found(&|record: &mut Record| {
-            let Outcome::Solved(entry) = &record.outcome else { panic!("solved") };
+        found(&|record: &mut PoseRecord| {
+            let PoseOutcome::Solved(entry) = &record.outcome else { panic!("solved") };
             let mut trajectory = entry.trajectory.clone();
             change(&mut trajectory);
-            record.outcome = Outcome::Solved(Box::new(Entry::new(&trajectory, |t| certify(&config, t))));
+            record.outcome = PoseOutcome::Solved(Box::new(Entry::new(&trajectory, |t| certify(&config, t))));
         })
     };
     let hanging = entry(&|t| {
@@ -277,18 +277,18 @@ fn consistent_records_of_something_else_are_found() {
     assert!(matches!(jumping, RecordFlaw::Defect { .. }), "{jumping}");
     let hurried = entry(&|t| t.t_f *= 0.99);
     assert!(matches!(hurried, RecordFlaw::Defect { .. }), "{hurried}");
-    let failed = found(&|record| record.outcome = Outcome::Failed);
+    let failed = found(&|record| record.outcome = PoseOutcome::Failed);
     assert!(matches!(failed, RecordFlaw::Solvable { .. }), "{failed}");
-    let rejected = found(&|record| record.outcome = Outcome::Rejected);
+    let rejected = found(&|record| record.outcome = PoseOutcome::Rejected);
     assert_eq!(rejected, RecordFlaw::Rule { leaves_out: false });
     // Narrower limits than those for which the trajectories were computed.
     let mut narrower = config.clone();
     narrower.robot.planning.tau_max *= 0.5;
     let mut database = whole.clone();
     for record in &mut database.records {
-        if let Outcome::Solved(entry) = &record.outcome {
+        if let PoseOutcome::Solved(entry) = &record.outcome {
             record.outcome =
-                Outcome::Solved(Box::new(Entry::new(&entry.trajectory, |t| certify(&narrower, t))));
+                PoseOutcome::Solved(Box::new(Entry::new(&entry.trajectory, |t| certify(&narrower, t))));
         }
     }
     let found = verify(&narrower, &database, || ());

@@ -37,7 +37,7 @@ pub struct Entry {
 
 /// The result for one pose of the grid.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Outcome {
+pub enum PoseOutcome {
     /// The grid leaves the pose out, because the pendulum has no rest position within the limits there.
     Rejected,
     /// The optimisation found no trajectory.
@@ -48,16 +48,16 @@ pub enum Outcome {
 
 /// One pose of the grid with its result.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Record {
+pub struct PoseRecord {
     /// Number of the pose in the order of the grid, from 0.
     pub pose: u64,
     /// The result for this pose.
-    pub outcome: Outcome,
+    pub outcome: PoseOutcome,
 }
 
 /// The robot, the settings and the grid that a database was made for, and the part of it that a file holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Heading {
+pub struct DatabaseHeading {
     /// Fingerprint of the model.
     pub model: u64,
     /// Fingerprint of the limits, weights and target of the optimisation.
@@ -76,9 +76,9 @@ pub struct Heading {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Database {
     /// The robot, settings and grid of the database.
-    pub heading: Heading,
+    pub heading: DatabaseHeading,
     /// One record per pose, in the order of the grid.
-    pub records: Vec<Record>,
+    pub records: Vec<PoseRecord>,
 }
 
 /// Why a file is not a usable database.
@@ -178,7 +178,7 @@ fn integrate_arm(mut t: Trajectory) -> Trajectory {
     t
 }
 
-impl Heading {
+impl DatabaseHeading {
     /// The bytes of the header of a file with this number of records.
     fn encode(&self, records: u64) -> Vec<u8> {
         let mut bytes = MAGIC.to_vec();
@@ -243,17 +243,17 @@ impl Heading {
     }
 }
 
-impl Record {
+impl PoseRecord {
     /// The bytes of the record.
     pub fn encode(&self) -> Vec<u8> {
         let mut bytes = self.pose.to_le_bytes().to_vec();
         let outcome: u64 = match &self.outcome {
-            Outcome::Rejected => 0,
-            Outcome::Failed => 1,
-            Outcome::Solved(_) => 2,
+            PoseOutcome::Rejected => 0,
+            PoseOutcome::Failed => 1,
+            PoseOutcome::Solved(_) => 2,
         };
         bytes.extend_from_slice(&outcome.to_le_bytes());
-        if let Outcome::Solved(entry) = &self.outcome {
+        if let PoseOutcome::Solved(entry) = &self.outcome {
             let mut put = |v: f64| bytes.extend_from_slice(&v.to_le_bytes());
             entry.certificate.to_array().into_iter().for_each(&mut put);
             let t = &entry.trajectory;
@@ -290,9 +290,9 @@ impl Record {
         let record = bytes.get(..length).ok_or_else(|| truncated(length))?;
         check(record, what)?;
         let outcome = match kind {
-            0 => Outcome::Rejected,
-            1 => Outcome::Failed,
-            _ => Outcome::Solved(Box::new(decode_entry(&record[16..], what)?)),
+            0 => PoseOutcome::Rejected,
+            1 => PoseOutcome::Failed,
+            _ => PoseOutcome::Solved(Box::new(decode_entry(&record[16..], what)?)),
         };
         Ok((Self { pose, outcome }, length))
     }
@@ -342,12 +342,12 @@ impl Database {
     /// # Errors
     /// [`DatabaseError`] if a part of the file is damaged or of another version.
     pub fn decode(bytes: &[u8]) -> Result<Self, DatabaseError> {
-        let (heading, count) = Heading::decode(bytes)?;
+        let (heading, count) = DatabaseHeading::decode(bytes)?;
         let mut records = Vec::new();
         let mut at = HEADER;
         // A journal has no number of records; its last record must be complete, too.
         while if count == OPEN_END { at < bytes.len() } else { (records.len() as u64) < count } {
-            let (record, length) = Record::decode(&bytes[at..], records.len())?;
+            let (record, length) = PoseRecord::decode(&bytes[at..], records.len())?;
             at += length;
             records.push(record);
         }
@@ -364,10 +364,10 @@ impl Database {
     /// # Errors
     /// [`DatabaseError`] if the header is damaged.
     pub fn recover(bytes: &[u8]) -> Result<(Self, usize), DatabaseError> {
-        let (heading, _) = Heading::decode(bytes)?;
+        let (heading, _) = DatabaseHeading::decode(bytes)?;
         let mut records = Vec::new();
         let mut at = HEADER;
-        while let Ok((record, length)) = Record::decode(&bytes[at..], records.len()) {
+        while let Ok((record, length)) = PoseRecord::decode(&bytes[at..], records.len()) {
             at += length;
             records.push(record);
         }
@@ -377,7 +377,7 @@ impl Database {
     /// The solved entries, in the order of the grid.
     pub fn entries(&self) -> impl Iterator<Item = &Entry> {
         self.records.iter().filter_map(|r| match &r.outcome {
-            Outcome::Solved(entry) => Some(&**entry),
+            PoseOutcome::Solved(entry) => Some(&**entry),
             _ => None,
         })
     }
@@ -402,7 +402,7 @@ impl Database {
             .records
             .into_iter()
             .filter_map(|r| match r.outcome {
-                Outcome::Solved(entry) => Some(*entry),
+                PoseOutcome::Solved(entry) => Some(*entry),
                 _ => None,
             })
             .collect();

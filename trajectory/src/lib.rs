@@ -17,7 +17,7 @@ mod trajectory;
 
 pub use certificate::{Certificate, open_loop_end};
 pub use criteria::{Ending, LoopDelays, PlanCriteria, Unfit};
-pub use database::{Database, DatabaseError, Entry, Heading, Outcome, Record};
+pub use database::{Database, DatabaseError, DatabaseHeading, Entry, PoseOutcome, PoseRecord};
 pub use margins::{Margin, Margins};
 pub use plan::{Gain, Gains, Plan, Reference};
 pub use trajectory::{Spline, Trajectory};

@@ -4,7 +4,7 @@
 use proptest::prelude::*;
 use upswing_model::{ActuatedVector, State};
 use upswing_trajectory::{
-    Certificate, Database, DatabaseError, Entry, Heading, KNOTS, Outcome, Record, Trajectory,
+    Certificate, Database, DatabaseError, DatabaseHeading, Entry, KNOTS, PoseOutcome, PoseRecord, Trajectory,
 };
 
 fn example() -> Database {
@@ -27,12 +27,12 @@ fn example() -> Database {
             margin_tau: 0.3,
             end_error: f64::NAN,
         };
-        Record { pose, outcome: Outcome::Solved(Box::new(Entry::new(&trajectory, figures))) }
+        PoseRecord { pose, outcome: PoseOutcome::Solved(Box::new(Entry::new(&trajectory, figures))) }
     };
-    let short = |pose, outcome| Record { pose, outcome };
+    let short = |pose, outcome| PoseRecord { pose, outcome };
     Database {
-        heading: Heading { model: 1, problem: 2, grid: 3, poses: 4, shard: 1, shards: 1 },
-        records: vec![solved(0), short(1, Outcome::Rejected), short(2, Outcome::Failed), solved(3)],
+        heading: DatabaseHeading { model: 1, problem: 2, grid: 3, poses: 4, shard: 1, shards: 1 },
+        records: vec![solved(0), short(1, PoseOutcome::Rejected), short(2, PoseOutcome::Failed), solved(3)],
     }
 }
 
@@ -78,7 +78,7 @@ fn another_version_is_named() {
 fn numbers_that_no_trajectory_has_are_refused() {
     let refused = |change: &dyn Fn(&mut Trajectory), part: &str| {
         let mut database = example();
-        let Outcome::Solved(entry) = &mut database.records[3].outcome else { panic!("solved") };
+        let PoseOutcome::Solved(entry) = &mut database.records[3].outcome else { panic!("solved") };
         change(&mut entry.trajectory);
         let bytes = database.encode();
         let refusal = Database::decode(&bytes).expect_err("refused");

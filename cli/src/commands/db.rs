@@ -9,7 +9,7 @@ use upswing_planner::database::{self, BuildError, BuildSummary, DatabaseFile, Sh
 use upswing_process::number::whole;
 use upswing_process::output::{Destination, OutputError, OutputFile, Overwrite};
 use upswing_process::{Failure, shutdown_flag};
-use upswing_trajectory::{Certificate, Database, Entry, Outcome};
+use upswing_trajectory::{Certificate, Database, Entry, PoseOutcome};
 
 /// Builds, joins, checks, describes or exports trajectory databases.
 ///
@@ -437,7 +437,7 @@ fn info(common: &CommonArgs, file: Option<&Path>) -> Result<(), Failure> {
         [.., rows, columns] => coverage_map(&entries, rows, columns),
         _ => String::new(),
     };
-    let count = |outcome: Outcome| database.records.iter().filter(|r| r.outcome == outcome).count();
+    let count = |outcome: PoseOutcome| database.records.iter().filter(|r| r.outcome == outcome).count();
     let (h, settings) = (database.heading, database::heading(&config, Shard::WHOLE));
     common.print(&DbInfoResult {
         origin,
@@ -445,8 +445,8 @@ fn info(common: &CommonArgs, file: Option<&Path>) -> Result<(), Failure> {
         shard: h.shard,
         shards: h.shards,
         entries: entries.len(),
-        rejected: count(Outcome::Rejected),
-        failed: count(Outcome::Failed),
+        rejected: count(PoseOutcome::Rejected),
+        failed: count(PoseOutcome::Failed),
         model: format!("{:016x}", h.model),
         problem: format!("{:016x}", h.problem),
         grid: format!("{:016x}", h.grid),

@@ -19,7 +19,9 @@ use upswing_config::{Config, GridSettings};
 use upswing_ocp::interior_point::{NlpOptions, NlpStatus};
 use upswing_ocp::multistart::Search;
 use upswing_process::output::OutputFile;
-use upswing_trajectory::{Database, DatabaseError, Entry, Heading, Outcome, Record, Trajectory};
+use upswing_trajectory::{
+    Database, DatabaseError, DatabaseHeading, Entry, PoseOutcome, PoseRecord, Trajectory,
+};
 
 /// Numbers of the poses of one line of the grid, in order.
 type GridLine = Vec<usize>;
@@ -72,13 +74,13 @@ pub fn build(
     records.retain(|r| kept.contains(&r.pose));
     let resumed = records.len();
     progress(resumed);
-    let results: Mutex<Result<Vec<Record>, BuildError>> = Mutex::new(Ok(records));
+    let results: Mutex<Result<Vec<PoseRecord>, BuildError>> = Mutex::new(Ok(records));
     let journal = Mutex::new(&mut file);
     lines.par_iter().filter(|line| !whole(line)).for_each(|line| {
         // Stop, too, if the write of another line failed.
         let halted = || stop.load(Ordering::Acquire) || results.lock().map_or(true, |r| r.is_err());
         let Some(solved) = solve_line(config, line, &halted, stop) else { return };
-        let bytes: Vec<u8> = solved.iter().flat_map(Record::encode).collect();
+        let bytes: Vec<u8> = solved.iter().flat_map(PoseRecord::encode).collect();
         let written = journal.lock().map(|mut file| file.write_all(&bytes));
         if let Ok(mut results) = results.lock() {
             match (written, &mut *results) {
@@ -111,7 +113,7 @@ fn solve_line(
     line: &GridLine,
     halted: &impl Fn() -> bool,
     stop: &AtomicBool,
-) -> Option<Vec<Record>> {
+) -> Option<Vec<PoseRecord>> {
     let stopped = || stop.load(Ordering::Acquire);
     let options = NlpOptions { cancelled: Some(&stopped), ..options(config) };
     let mut neighbour: Option<Trajectory> = None;
@@ -121,7 +123,7 @@ fn solve_line(
             return None;
         }
         let outcome = match start_of(config, *pose) {
-            None => Outcome::Rejected,
+            None => PoseOutcome::Rejected,
             Some(start) => {
                 let solution = optimize(config, start, Search::Best, neighbour.as_ref(), &options);
                 // An interrupted search has tried some guesses only: its best solution need not be the best of all.
@@ -132,19 +134,19 @@ fn solve_line(
                     NlpStatus::Solved => {
                         let entry = Entry::new(&solution.trajectory, |t| certify(config, t));
                         neighbour = Some(entry.trajectory.clone());
-                        Outcome::Solved(Box::new(entry))
+                        PoseOutcome::Solved(Box::new(entry))
                     }
-                    _ => Outcome::Failed,
+                    _ => PoseOutcome::Failed,
                 }
             }
         };
-        records.push(Record { pose: *pose as u64, outcome });
+        records.push(PoseRecord { pose: *pose as u64, outcome });
     }
     Some(records)
 }
 
 /// The finished database at `output` if its header is that of this build. A file of other settings is replaced at the end.
-fn finished(output: &Path, heading: &Heading) -> Result<Option<Database>, BuildError> {
+fn finished(output: &Path, heading: &DatabaseHeading) -> Result<Option<Database>, BuildError> {
     match upswing_config::read_file(output) {
         Ok(bytes) => Ok(Database::decode(&bytes).ok().filter(|d| d.heading == *heading)),
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(None),
@@ -153,7 +155,7 @@ fn finished(output: &Path, heading: &Heading) -> Result<Option<Database>, BuildE
 }
 
 /// Opens the journal for appending, locks it, and reads its complete records.
-fn open_journal(path: &Path, heading: &Heading) -> Result<(File, Vec<Record>), BuildError> {
+fn open_journal(path: &Path, heading: &DatabaseHeading) -> Result<(File, Vec<PoseRecord>), BuildError> {
     let failed = |action| move |cause| BuildError::File { action, path: path.to_owned(), cause };
     let open = || {
         upswing_config::check_regular(path).map_err(failed("write"))?;

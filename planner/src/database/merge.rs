@@ -4,7 +4,7 @@ use super::{BuildError, BuildSummary, read, same_origin, summary};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use upswing_process::output::{OutputError, OutputFile};
-use upswing_trajectory::{Database, Heading, Record};
+use upswing_trajectory::{Database, DatabaseHeading, PoseRecord};
 
 /// Merges the shards of one build into `output` and returns the numbers of poses. The order of the files does not matter; the
 /// result has the bytes of an unsharded build.
@@ -16,8 +16,8 @@ pub fn merge(inputs: &[PathBuf], output: &OutputFile) -> Result<BuildSummary, Bu
     if let Err(e @ OutputError::Io { .. }) = output.check() {
         return Err(e.into());
     }
-    let mut records: BTreeMap<u64, (Record, PathBuf)> = BTreeMap::new();
-    let mut first: Option<Heading> = None;
+    let mut records: BTreeMap<u64, (PoseRecord, PathBuf)> = BTreeMap::new();
+    let mut first: Option<DatabaseHeading> = None;
     let mut present = BTreeSet::new();
     for path in inputs {
         let database = read(path)?;
@@ -51,7 +51,7 @@ pub fn merge(inputs: &[PathBuf], output: &OutputFile) -> Result<BuildSummary, Bu
     if got != poses {
         return Err(BuildError::Incomplete { poses, got });
     }
-    let heading = Heading { shard: 1, shards: 1, ..heading };
+    let heading = DatabaseHeading { shard: 1, shards: 1, ..heading };
     let database = Database { heading, records: records.into_values().map(|(r, _)| r).collect() };
     let bytes = database.encode();
     if !upswing_config::read_file(output.path()).is_ok_and(|present| present == bytes) {

@@ -7,7 +7,7 @@ use upswing_config::Config;
 use upswing_model::State;
 use upswing_ocp::interior_point::NlpStatus;
 use upswing_ocp::multistart::Search;
-use upswing_trajectory::{Certificate, Database, Entry, Margins, N, Outcome, Record};
+use upswing_trajectory::{Certificate, Database, Entry, Margins, N, PoseOutcome, PoseRecord};
 
 /// A pose whose record differs from the result of a build with these settings.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -100,11 +100,11 @@ const FARTHEST_END: f64 = 2.0;
 /// be exceeded by `replan.knot_margin`, the margin that a replan keeps at the knots for this excess.
 pub fn verify(config: &Config, database: &Database, progress: impl Fn() + Sync) -> Vec<Discrepancy> {
     let compare_poses = has_grid_of(config, database);
-    let judge = |record: &Record| {
+    let judge = |record: &PoseRecord| {
         if compare_poses {
             let start = start_of(config, record.pose as usize);
             let leaves_out = start.is_none();
-            if leaves_out != matches!(record.outcome, Outcome::Rejected) {
+            if leaves_out != matches!(record.outcome, PoseOutcome::Rejected) {
                 return Err(RecordFlaw::Rule { leaves_out });
             }
             if let Some(start) = start {
@@ -112,7 +112,7 @@ pub fn verify(config: &Config, database: &Database, progress: impl Fn() + Sync) 
             }
         }
         match &record.outcome {
-            Outcome::Solved(entry) => {
+            PoseOutcome::Solved(entry) => {
                 let verdict = verify_entry(config, entry);
                 progress();
                 verdict
@@ -125,9 +125,9 @@ pub fn verify(config: &Config, database: &Database, progress: impl Fn() + Sync) 
 }
 
 /// Checks that the trajectory of a record starts in `start` (rad, rad/s); without a trajectory, that none is found from there.
-fn has_start(config: &Config, record: &Record, start: &State) -> Result<(), RecordFlaw> {
+fn has_start(config: &Config, record: &PoseRecord, start: &State) -> Result<(), RecordFlaw> {
     match &record.outcome {
-        Outcome::Solved(entry) => {
+        PoseOutcome::Solved(entry) => {
             let away = (entry.trajectory.x[0] - start).abs();
             let row = away.imax();
             if away[row] <= ROUNDING { Ok(()) } else { Err(RecordFlaw::Start { row, by: away[row] }) }
