@@ -4,8 +4,8 @@ use crate::conflict::{SettingsConflict, degrees};
 use crate::rule::{Angle, Finite, Negative, NonNegative, Positive, PositiveShare, Rule};
 use serde::Deserialize;
 use upswing_model::{
-    ActuatedVector, JointFriction, JointVector, Limits, Model, N_UNACTUATED, NQ, NU, State, Workspace,
-    thresholds::EQUILIBRIUM_ACCELERATION,
+    ActuatedVector, JointFriction, JointVector, Limits, Model, N_UNACTUATED, NQ, NU, State, StateParts,
+    Workspace, thresholds::EQUILIBRIUM_ACCELERATION,
 };
 
 /// Limits and drives of the robot, and the target of the swing-up.
@@ -186,8 +186,8 @@ impl RobotSettings {
         for (joint, sign) in [(1, 1.0), (3, -1.0), (5, 1.0)] {
             let mut x = State::zeros();
             (x[joint], x[NU]) = (sign * pitch, q8);
-            let f = model.f(&x, &ActuatedVector::zeros(), &mut work);
-            if let Some(i) = (NU..NQ).find(|i| !(f[NQ + i].abs() <= EQUILIBRIUM_ACCELERATION)) {
+            let qdd = model.f(&x, &ActuatedVector::zeros(), &mut work).qd();
+            if let Some(i) = (NU..NQ).find(|i| !(qdd[*i].abs() <= EQUILIBRIUM_ACCELERATION)) {
                 return Err(SettingsConflict::new(
                     "target.pitch_deg",
                     "with target.q8_deg an equilibrium of the pendulum",
@@ -197,7 +197,7 @@ impl RobotSettings {
                         q8.to_degrees(),
                         i + 1,
                         crate::URDF.name,
-                        f[NQ + i]
+                        qdd[i]
                     ),
                     "make axis 8 horizontal and the rod vertical; the shipped robot has 90 and 180",
                 ));

@@ -2,7 +2,7 @@
 
 use upswing_config::HoldGains;
 use upswing_model::thresholds::REST_SPEED_STOP;
-use upswing_model::{ActuatedVector, NQ, NU, State, StateParts};
+use upswing_model::{ActuatedVector, NU, State, StateParts};
 
 /// Time for which the arm has to be at rest before it counts as settled, ns.
 const REST_TIME_NS: u64 = 50_000_000;
@@ -46,7 +46,7 @@ impl ArmReference {
     /// Whether reference and arm have been at rest for `REST_TIME_NS` at the time `now`, ns.
     pub fn is_settled(&mut self, x: &State, now: u64) -> bool {
         // The maximum of all speeds would ignore a NaN.
-        let slow = (0..NU).all(|i| x[NQ + i].abs() < REST_SPEED_STOP);
+        let slow = x.qd_a().iter().all(|v| v.abs() < REST_SPEED_STOP);
         if !(self.qd.amax() == 0.0 && slow) {
             self.rest_since = None;
             return false;
@@ -65,8 +65,9 @@ impl ArmReference {
 
     /// Returns u = u_d + stiffness (q_d - q) + damping (qd_d - qd), rad/s^2.
     pub fn input(&self, gains: &HoldGains, x: &State, u_d: &ActuatedVector) -> ActuatedVector {
+        let (q, qd) = (x.q_a(), x.qd_a());
         ActuatedVector::from_fn(|i, _| {
-            u_d[i] + gains.stiffness[i] * (self.q[i] - x[i]) + gains.damping[i] * (self.qd[i] - x[NQ + i])
+            u_d[i] + gains.stiffness[i] * (self.q[i] - q[i]) + gains.damping[i] * (self.qd[i] - qd[i])
         })
     }
 }
@@ -75,7 +76,7 @@ impl ArmReference {
 mod tests {
     use super::ArmReference;
     use upswing_config::{Config, DaemonSettings};
-    use upswing_model::{ActuatedVector, NQ, NU, NX, State};
+    use upswing_model::{ActuatedVector, NQ, NU, NX, State, StateParts};
 
     const MS: u64 = 1_000_000;
 
@@ -119,7 +120,7 @@ mod tests {
         let u = arm.input(&settings.hold, &x, &u_d);
         for i in 0..NU {
             let (stiffness, damping) = (settings.hold.stiffness[i], settings.hold.damping[i]);
-            let expected = u_d[i] + stiffness * (pose[i] - x[i]) - damping * x[NQ + i];
+            let expected = u_d[i] + stiffness * (pose[i] - x[i]) - damping * x.qd()[i];
             assert!((u[i] - expected).abs() < 1e-12, "joint {}", i + 1);
         }
     }
@@ -134,17 +135,17 @@ mod tests {
                 let u_d = arm.decelerate(&settings.stop.deceleration, elapsed);
                 let x_d = arm.state(&State::zeros());
                 for i in 0..NU {
-                    let (v, a) = (x[NQ + i], settings.stop.deceleration[i]);
+                    let (v, a) = (x.qd()[i], settings.stop.deceleration[i]);
                     let rest = v.abs() / a;
                     let t = (cycle as f64 * elapsed).min(rest);
                     let (q, qd) = (x[i] + v * t - 0.5 * v.signum() * a * t * t, v - v.signum() * a * t);
                     assert!((x_d[i] - q).abs() < 1e-9, "{elapsed} s, joint {}: {} not {q}", i + 1, x_d[i]);
-                    assert!((x_d[NQ + i] - qd).abs() < 1e-9, "{elapsed} s, joint {}", i + 1);
+                    assert!((x_d.qd()[i] - qd).abs() < 1e-9, "{elapsed} s, joint {}", i + 1);
                     let expected = if t < rest { -v.signum() * a } else { 0.0 };
                     // If rest comes exactly at the end of a cycle, rounding decides.
                     let open = (cycle as f64 * elapsed - rest).abs() < 1e-9;
                     assert!(open || u_d[i] == expected, "{elapsed} s, joint {}", i + 1);
-                    assert!(open || t < rest || x_d[NQ + i] == 0.0, "{elapsed} s, joint {}: at rest", i + 1);
+                    assert!(open || t < rest || x_d.qd()[i] == 0.0, "{elapsed} s, joint {}: at rest", i + 1);
                 }
             }
             // The feedback follows the moving reference, not only its end.
@@ -152,7 +153,7 @@ mod tests {
             let arm = ArmReference::moving(&moving());
             let u = arm.input(&settings.hold, &x, &ActuatedVector::zeros());
             for i in 0..NU {
-                let (q, qd) = (moving()[i], moving()[NQ + i]);
+                let (q, qd) = (moving()[i], moving().qd()[i]);
                 let expected = settings.hold.stiffness[i] * q + settings.hold.damping[i] * qd;
                 assert!((u[i] - expected).abs() < 1e-12, "joint {}", i + 1);
             }
@@ -163,12 +164,12 @@ mod tests {
     fn the_arm_rests_when_it_and_its_reference_have_stood_for_50_ms() {
         let slow = |joint: usize, speed: f64| {
             let mut x = at_rest();
-            x[NQ + joint] = speed;
+            x.qd_mut()[joint] = speed;
             x
         };
         // The pendulum may swing.
         let mut still = slow(6, -0.099);
-        (still[NQ + 7], still[NQ + 8]) = (5.0, -5.0);
+        still.qd_u_mut().copy_from_slice(&[5.0, -5.0]);
         let mut arm = ArmReference::moving(&moving());
         for ms in [0, 60, 120] {
             assert!(!arm.is_settled(&still, ms * MS), "the reference moves");

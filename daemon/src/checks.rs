@@ -6,7 +6,7 @@ use crate::trip::{Trip, TripCause, Warnings};
 use std::ops::Range;
 use upswing_config::{Config, Level, Levels, StartTolerance};
 use upswing_ipc::Measurement;
-use upswing_model::{ActuatedVector, JointVector, NQ, NU, NX, Period, State};
+use upswing_model::{ActuatedVector, JointVector, NQ, NU, NX, Period, State, StateParts};
 
 /// Indices of the arm's joints, q_A.
 const ARM: Range<usize> = 0..NU;
@@ -146,7 +146,8 @@ impl Checks {
     /// Checks positions (rad) and velocities (rad/s) of the arm. The pendulum is not checked: it may fall.
     pub fn arm(&mut self, x: &State) -> Option<Trip> {
         let level = scaled(self.levels.velocity_fraction, |i| self.qd_max[i]);
-        let fast = beyond(TripCause::VelocityLimit, ARM, |i| x[NQ + i], level, &mut self.warnings);
+        let qd = x.qd_a();
+        let fast = beyond(TripCause::VelocityLimit, ARM, |i| qd[i], level, &mut self.warnings);
         self.range(TripCause::PositionLimit, ARM, x).or(fast)
     }
 

@@ -21,7 +21,7 @@ use crate::law::{JointSpaceInertia, Torque};
 use crate::trip::{Trip, TripCause};
 use upswing_config::StandstillSettings;
 use upswing_model::thresholds::REST_SPEED_ESTIMATE;
-use upswing_model::{ActuatedVector, JointVector, N_UNACTUATED, NQ, NU, UnactuatedVector};
+use upswing_model::{ActuatedVector, JointParts, JointVector, N_UNACTUATED, NQ, NU};
 
 /// Time without a change of its angle after which a joint counts as at rest, s: a joint that reverses rests for less.
 const STANDS: f64 = 0.01;
@@ -188,7 +188,7 @@ impl Standstill {
             unchanged.high = unchanged.high.sup(&torque.tau);
         }
         let cut = &torque.cut;
-        let qdd_u: UnactuatedVector = torque.qdd.fixed_rows::<N_UNACTUATED>(NU).into();
+        let qdd_u = torque.qdd.unactuated();
         let m_au = columns.fixed_rows::<NU>(0);
         let m_uu = columns.fixed_rows::<N_UNACTUATED>(NU);
         // Joints at rest do not follow u: the torque commanded for their acceleration drives the other joints.

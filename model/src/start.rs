@@ -1,7 +1,7 @@
 //! States at standstill within the limits of the joints: where a motion can start.
 
 use crate::{
-    ActuatedVector, JointVector, Limits, Model, N_UNACTUATED, NQ, NU, RestError, State, UnactuatedVector,
+    ActuatedVector, JointParts, JointVector, Limits, Model, NQ, NU, RestError, State, UnactuatedVector,
     Workspace, state,
 };
 
@@ -70,12 +70,12 @@ impl Model {
             return Err(StartError::Length { got: q_a.len() });
         }
         let mut q = JointVector::zeros();
-        q.fixed_rows_mut::<NU>(0).copy_from(&ActuatedVector::from_column_slice(q_a));
+        q.actuated_mut().copy_from(&ActuatedVector::from_column_slice(q_a));
         for i in 0..NU {
             limits.check_angle(i, q[i])?;
         }
         match q_u {
-            Some(q_u) => q.fixed_rows_mut::<N_UNACTUATED>(NU).copy_from(q_u),
+            Some(q_u) => q.unactuated_mut().copy_from(q_u),
             None => q = self.rest_position(&q, &mut Workspace::default())?,
         }
         for i in NU..NQ {

@@ -25,7 +25,7 @@ pub use sweep::Factor;
 
 use crate::rows::{STATE_ROW, StateRow};
 use nalgebra::{SMatrix, SVector};
-use upswing_model::{ActuatedVector, Derivatives, N_UNACTUATED, NQ, NU, NX, NZ, State};
+use upswing_model::{ActuatedVector, Derivatives, N_UNACTUATED, NQ, NU, NX, NZ, State, StateParts};
 
 /// z_k = (x_k, u_k) or a derivative with respect to it.
 pub type KnotVector = SVector<f64, NZ>;
@@ -58,10 +58,10 @@ impl KnotDynamics {
     pub fn apply(&self, dz: &KnotVector) -> State {
         let (dx, du) = (dz.fixed_rows::<NX>(0), dz.fixed_rows::<NU>(NX));
         let mut out = State::zeros();
-        out.fixed_rows_mut::<NQ>(0).copy_from(&dz.fixed_rows::<NQ>(NQ));
-        out.fixed_rows_mut::<NU>(NQ).copy_from(&du);
+        out.q_mut().copy_from(&dz.fixed_rows::<NQ>(NQ));
+        out.qd_a_mut().copy_from(&du);
         let unactuated = self.qdd_u_x * dx + self.qdd_u_u * du;
-        out.fixed_rows_mut::<N_UNACTUATED>(NX - N_UNACTUATED).copy_from(&unactuated);
+        out.qd_u_mut().copy_from(&unactuated);
         out
     }
 

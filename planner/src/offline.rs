@@ -1,7 +1,7 @@
 //! Offline optimisation of a swing-up, (6), (8), (9)/(11), under the settings of a configuration.
 
 use upswing_config::{Config, PlannerSettings, ReplanSettings, TorqueForm};
-use upswing_model::{ActuatedVector, N_UNACTUATED, NQ, NU, NX, State};
+use upswing_model::{ActuatedVector, NQ, NU, NX, State, StateParts};
 use upswing_ocp::interior_point::{NlpOptions, NlpSolution, NlpStatus};
 use upswing_ocp::kkt::KnotVector;
 use upswing_ocp::lqr::LqrWeights;
@@ -90,14 +90,13 @@ pub fn options(config: &Config) -> NlpOptions<'static> {
 /// The weights of the settings for the gains (20), and for the gain that balances at x_N.
 pub fn lqr_weights(settings: &PlannerSettings) -> LqrWeights {
     let PlannerSettings { lqr: weights, balance, .. } = settings;
-    let q = State::from_fn(|i, _| match i {
-        i if i < NQ => weights.q_angles,
-        i if i < NQ + NU => weights.q_velocities_actuated,
-        _ => weights.q_velocities_unactuated,
-    });
+    let mut q = State::zeros();
+    q.q_mut().fill(weights.q_angles);
+    q.qd_a_mut().fill(weights.q_velocities_actuated);
+    q.qd_u_mut().fill(weights.q_velocities_unactuated);
     let mut q_end = q;
-    q_end.fixed_rows_mut::<NU>(0).fill(balance.q_angles_actuated);
-    q_end.fixed_rows_mut::<N_UNACTUATED>(NU).fill(balance.q_angles_unactuated);
+    q_end.q_a_mut().fill(balance.q_angles_actuated);
+    q_end.q_u_mut().fill(balance.q_angles_unactuated);
     LqrWeights { q, q_end, r: weights.r }
 }
 

@@ -1,7 +1,7 @@
 //! Prediction of the state of a moving system at the start of a plan.
 
 use upswing_config::HoldGains;
-use upswing_model::{ActuatedVector, Model, NQ, State, Workspace};
+use upswing_model::{ActuatedVector, Model, State, StateParts, Workspace};
 
 /// Predicts the state `seconds` after `x` (rad, rad/s) while the daemon holds the arm at `q_hold` (rad) and the pendulum
 /// swings freely; classical Runge-Kutta method with steps of at most a millisecond.
@@ -19,8 +19,9 @@ pub fn held(
     /// Largest step, s.
     const STEP: f64 = 1e-3;
     let mut f = |x: &State| {
+        let (q, qd) = (x.q_a(), x.qd_a());
         let u = ActuatedVector::from_fn(|i, _| {
-            gains.stiffness[i] * (q_hold[i] - x[i]) - gains.damping[i] * x[NQ + i]
+            gains.stiffness[i] * (q_hold[i] - q[i]) - gains.damping[i] * qd[i]
         });
         model.f(x, &u, work)
     };

@@ -14,7 +14,7 @@ use upswing_ipc::{
     Subscriber, Telemetry, TelemetryBatch, Text, TopicPayload as _,
 };
 use upswing_model::thresholds::{HELD_ACCELERATION, REST_SPEED_START, SAME_START, START_SLACK};
-use upswing_model::{ActuatedVector, Model, NQ, NU, NX, State, Workspace};
+use upswing_model::{ActuatedVector, Model, NQ, State, StateParts, Workspace};
 use upswing_ocp::qp::QpSolver;
 use upswing_process::notify::Notifier;
 use upswing_process::{Failure, ProcessArgs, shutdown_flag};
@@ -351,13 +351,13 @@ fn stale(record: &Telemetry, seen: Instant) -> bool {
 
 /// Whether all velocities are within the noise of the velocity filter.
 fn at_rest(x: &State) -> bool {
-    x.iter().skip(NQ).all(|v| v.abs() <= REST_SPEED_START)
+    x.qd().iter().all(|v| v.abs() <= REST_SPEED_START)
 }
 
 /// Whether arm and pendulum are at rest and stay there: the pendulum is not at the turning point of a swing.
 fn hangs(model: &Model, x: &State) -> bool {
-    let f = model.f(x, &ActuatedVector::zeros(), &mut Workspace::default());
-    at_rest(x) && (NQ + NU..NX).all(|i| f[i].abs() <= HELD_ACCELERATION)
+    let qdd_u = model.f(x, &ActuatedVector::zeros(), &mut Workspace::default()).qd_u();
+    at_rest(x) && qdd_u.iter().all(|a| a.abs() <= HELD_ACCELERATION)
 }
 
 /// Whether a plan from `a` can start in `b`: both are at rest in the same pose.
@@ -371,7 +371,7 @@ fn check_start(planner: &Planner, start: &State) -> Result<(), PlannerRequestErr
     }
     let limits = &planner.config().robot.planning;
     for i in 0..NQ {
-        let (joint, q, qd) = (i + 1, start[i], start[NQ + i]);
+        let (joint, q, qd) = (i + 1, start.q()[i], start.qd()[i]);
         let (min, max) = (limits.q_min[i], limits.q_max[i]);
         if !(q >= min - START_SLACK && q <= max + START_SLACK) {
             return Err(PlannerRequestError::StartPosition { joint, min, max, got: q });

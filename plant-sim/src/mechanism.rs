@@ -3,7 +3,7 @@
 use crate::drives::Actuation;
 use upswing_config::{Config, FrictionSettings, JointStopSettings};
 use upswing_model::thresholds::REST_SPEED_BRAKED;
-use upswing_model::{ActuatedVector, JointVector, Model, N_UNACTUATED, NU, UnactuatedVector, Workspace};
+use upswing_model::{ActuatedVector, JointParts, JointVector, Model, N_UNACTUATED, NU, Workspace};
 
 /// A force on the tip of the rod, world frame, N.
 pub(crate) type TipForce = [f64; 3];
@@ -121,13 +121,13 @@ impl Mechanism {
     /// Torque with which closed brakes hold the arm at rest, N m; `None` while it moves.
     pub(crate) fn held_load(&mut self, external: &ExternalLoad) -> Option<ActuatedVector> {
         let (q, qd) = (self.q, self.qd);
-        if qd.fixed_rows::<NU>(0).amax() != 0.0 {
+        if qd.actuated().amax() != 0.0 {
             return None;
         }
         let load = self.passive_load(&q, &qd, external);
         let qdd = self.braked_acceleration(&q, &qd, &load)?;
         let force = self.model.inverse_dynamics(&q, &qd, &qdd, &mut self.work) - load;
-        Some(force.fixed_rows::<NU>(0).into())
+        Some(force.actuated())
     }
 
     /// Accelerations with closed brakes, rad/s^2: qdd = [u, qdd_U], u = -qd_A / time constant, (3a) with the pendulum's load (N m),
@@ -145,8 +145,7 @@ impl Mechanism {
         let force = self.model.inverse_dynamics(q, qd, &qdd, &mut self.work) - load;
         let mass = self.model.mass_matrix(q, &mut self.work);
         let mass_u = mass.fixed_view::<N_UNACTUATED, N_UNACTUATED>(NU, NU).into_owned();
-        let force_u: UnactuatedVector = force.fixed_rows::<N_UNACTUATED>(NU).into();
-        qdd.fixed_rows_mut::<N_UNACTUATED>(NU).copy_from(&-mass_u.cholesky()?.solve(&force_u));
+        qdd.unactuated_mut().copy_from(&-mass_u.cholesky()?.solve(&force.unactuated()));
         Some(qdd)
     }
 }

@@ -6,7 +6,7 @@ use upswing_config::Config;
 use upswing_ipc::operator::planning_text;
 use upswing_ipc::{Mode, PlannerResponse, Telemetry};
 use upswing_model::thresholds::{REPORT_POSITION_SLACK, REST_SPEED_REPORT};
-use upswing_model::{JointVector, Limits, Model, NQ, NU};
+use upswing_model::{JointParts, JointVector, Limits, Model, NQ, NU};
 
 /// Statistics of the motion in a sequence of telemetry records.
 #[derive(Clone, Debug, Serialize)]
@@ -222,9 +222,9 @@ impl SwingUpEvaluation {
         let mut statistics = counter.statistics(period, dropped);
         if let Some(fastest) = fastest {
             let shares = fastest.component_div(&limits.qd_max);
-            statistics.peak_velocity = shares.fixed_rows::<NU>(0).max().max(statistics.peak_velocity);
+            statistics.peak_velocity = shares.actuated().max().max(statistics.peak_velocity);
             statistics.peak_velocity_pendulum =
-                shares.fixed_rows::<{ NQ - NU }>(NU).max().max(statistics.peak_velocity_pendulum);
+                shares.unactuated().max().max(statistics.peak_velocity_pendulum);
         }
         let beyond = LimitExcess::most(limits, records);
         let mut failures = Vec::new();

@@ -3,6 +3,7 @@
 use super::*;
 use std::sync::LazyLock;
 use upswing_ipc::Clock;
+use upswing_model::JointParts;
 
 /// Settings with different limits for all joints.
 fn config() -> Config {
@@ -304,7 +305,7 @@ fn the_speed_that_a_balance_asks_for() {
     let Level { warn, trip } = config.daemon.limits.balance_speed;
     let level = |i: usize| Level { warn: warn * (1.0 + 0.1 * i as f64), trip: trip * (1.0 + 0.1 * i as f64) };
     let none = ActuatedVector::zeros();
-    let arm = |q: &JointVector| q.fixed_rows::<NU>(0).into();
+    let arm = |q: &JointVector| q.actuated();
     is_a_level(TripCause::BalanceSpeed, ARM, level, |checks, v| checks.balance_speed(&arm(v), &none));
     // The speed is predicted over T_1 = 12 ms and 8 ms.
     for (u, trips) in [(49.9, false), (50.1, true), (f64::NAN, true)] {
@@ -334,9 +335,7 @@ fn distances_of_the_arm_and_unexplained_torques() {
     );
     let Level { warn, trip } = levels.collision_torque;
     let level = |i: usize| Level { warn: warn * (10.0 + i as f64), trip: trip * (10.0 + i as f64) };
-    is_a_level(TripCause::Collision, ARM, level, |checks, tau| {
-        checks.unexplained(&tau.fixed_rows::<NU>(0).into())
-    });
+    is_a_level(TripCause::Collision, ARM, level, |checks, tau| checks.unexplained(&tau.actuated()));
 }
 
 #[test]

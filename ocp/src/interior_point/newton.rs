@@ -6,7 +6,7 @@ use crate::kkt::{
 };
 use crate::problem::KnotDerivatives;
 use nalgebra::SMatrix;
-use upswing_model::{ActuatedVector, N_UNACTUATED, NU, NX, NZ, State, UnactuatedVector};
+use upswing_model::{ActuatedVector, NU, NX, NZ, State, StateParts};
 use upswing_trajectory::{KNOTS, N};
 
 /// Of the linear solves: each refinement gains several digits; more than this many means there is nothing left to
@@ -83,7 +83,7 @@ impl NlpSolver<'_> {
         for k in 0..KNOTS {
             let (x, u) = (self.primal.x[k], self.primal.u[k]);
             let w = self.defect_multiplier(k);
-            let w_u: UnactuatedVector = w.fixed_rows::<N_UNACTUATED>(NX - N_UNACTUATED) * (-0.5 * h);
+            let w_u = w.qd_u() * (-0.5 * h);
             let mu = self.lambda_torque[k].component_div(&self.torque_half);
             let (knot, hessian) = self.problem.knot_derivatives(&x, &u, &w_u, &mu, &mut self.work);
             kkt.hessian[k] = hessian;

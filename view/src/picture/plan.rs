@@ -1,7 +1,7 @@
 //! Picture of a plan and the trajectory from which it was adapted, as in the paper's Fig. 4.
 
 use super::{CurvePair, POINTS, PanelStyle, draw_panels, write};
-use upswing_model::{ActuatedVector, Limits, Model, NQ, NU, State, Workspace};
+use upswing_model::{ActuatedVector, Limits, Model, NU, State, StateParts, Workspace};
 use upswing_process::output::OutputFile;
 use upswing_trajectory::Trajectory;
 
@@ -23,8 +23,12 @@ impl Samples {
         Self { t, x, tau }
     }
 
-    fn state(&self, i: usize, scale: f64) -> Vec<(f64, f64)> {
-        self.t.iter().zip(&self.x).map(|(t, x)| (*t, x[i] / scale)).collect()
+    fn position(&self, i: usize, scale: f64) -> Vec<(f64, f64)> {
+        self.t.iter().zip(&self.x).map(|(t, x)| (*t, x.q()[i] / scale)).collect()
+    }
+
+    fn velocity(&self, i: usize, scale: f64) -> Vec<(f64, f64)> {
+        self.t.iter().zip(&self.x).map(|(t, x)| (*t, x.qd()[i] / scale)).collect()
     }
 
     fn torque(&self, i: usize, scale: f64) -> Vec<(f64, f64)> {
@@ -51,8 +55,8 @@ pub fn draw(
             dashed: values(&reference),
         };
         [
-            Some(curve(&|s| s.state(i, limits.q_max[i]))),
-            Some(curve(&|s| s.state(NQ + i, limits.qd_max[i]))),
+            Some(curve(&|s| s.position(i, limits.q_max[i]))),
+            Some(curve(&|s| s.velocity(i, limits.qd_max[i]))),
             (i < NU).then(|| curve(&|s| s.torque(i, limits.tau_max[i]))),
         ]
     })?;
