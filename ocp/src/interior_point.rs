@@ -10,6 +10,7 @@ mod conditions;
 mod filter;
 mod newton;
 
+use crate::kkt::KnotParts;
 use crate::problem::Problem;
 use bounded::BoundedVector;
 use filter::Filter;
@@ -257,8 +258,8 @@ impl<'a> NlpSolver<'a> {
         let mut p = self.primal.clone();
         p.t += alpha * d.step.t;
         for k in 0..KNOTS {
-            p.x[k] += d.step.z[k].fixed_rows::<NX>(0) * alpha;
-            p.u[k] += d.step.z[k].fixed_rows::<NU>(NX) * alpha;
+            p.x[k] += d.step.z[k].x() * alpha;
+            p.u[k] += d.step.z[k].u() * alpha;
             p.s[k] += d.s[k] * alpha;
         }
         p
@@ -270,10 +271,10 @@ impl<'a> NlpSolver<'a> {
         let t = Scalar::new(self.primal.t);
         let mut slope = (self.objective_on_t() + self.bound_t.gradient(&t, self.mu)[0]) * d.step.t;
         for k in 0..KNOTS {
-            slope += self.primal.u[k].dot(&d.step.z[k].fixed_rows::<NU>(NX)) * (h * r);
+            slope += self.primal.u[k].dot(&d.step.z[k].u()) * (h * r);
             slope += self.bound_s[k].gradient(&self.primal.s[k], self.mu).dot(&d.s[k]);
             if k > 0 {
-                let dx = d.step.z[k].fixed_rows::<NX>(0);
+                let dx = d.step.z[k].x();
                 slope += self.bound_x[k - 1].gradient(&self.primal.x[k], self.mu).dot(&dx);
             }
         }

@@ -24,11 +24,50 @@ mod variables;
 pub use sweep::Factor;
 
 use crate::rows::{STATE_ROW, StateRow};
-use nalgebra::{SMatrix, SVector};
+use nalgebra::{Const, SMatrix, SVector, U1, VectorView, VectorViewMut};
 use upswing_model::{ActuatedVector, Derivatives, N_UNACTUATED, NQ, NU, NX, NZ, State, StateParts};
 
 /// z_k = (x_k, u_k) or a derivative with respect to it.
 pub type KnotVector = SVector<f64, NZ>;
+/// `R` consecutive components of a [`KnotVector`].
+pub type KnotPart<'a, const R: usize> = VectorView<'a, f64, Const<R>, U1, Const<NZ>>;
+/// The same, to be written.
+pub type KnotPartMut<'a, const R: usize> = VectorViewMut<'a, f64, Const<R>, U1, Const<NZ>>;
+
+/// The parts of z_k = (x_k, u_k), or of a derivative with respect to it.
+pub trait KnotParts {
+    /// The part of x_k.
+    fn x(&self) -> KnotPart<'_, NX>;
+    /// The part of u_k.
+    fn u(&self) -> KnotPart<'_, NU>;
+    /// The part of x_k, to be written.
+    fn x_mut(&mut self) -> KnotPartMut<'_, NX>;
+    /// The part of u_k, to be written.
+    fn u_mut(&mut self) -> KnotPartMut<'_, NU>;
+}
+
+impl KnotParts for KnotVector {
+    #[inline(always)]
+    fn x(&self) -> KnotPart<'_, NX> {
+        self.fixed_rows::<NX>(0)
+    }
+
+    #[inline(always)]
+    fn u(&self) -> KnotPart<'_, NU> {
+        self.fixed_rows::<NU>(NX)
+    }
+
+    #[inline(always)]
+    fn x_mut(&mut self) -> KnotPartMut<'_, NX> {
+        self.fixed_rows_mut::<NX>(0)
+    }
+
+    #[inline(always)]
+    fn u_mut(&mut self) -> KnotPartMut<'_, NU> {
+        self.fixed_rows_mut::<NU>(NX)
+    }
+}
+
 /// Second derivatives with respect to z_k.
 pub type KnotMatrix = SMatrix<f64, NZ, NZ>;
 
@@ -56,7 +95,7 @@ impl KnotDynamics {
 
     /// A dx + B du
     pub fn apply(&self, dz: &KnotVector) -> State {
-        let (dx, du) = (dz.fixed_rows::<NX>(0), dz.fixed_rows::<NU>(NX));
+        let (dx, du) = (dz.x(), dz.u());
         let mut out = State::zeros();
         out.q_mut().copy_from(&dz.fixed_rows::<NQ>(NQ));
         out.qd_a_mut().copy_from(&du);
@@ -69,12 +108,12 @@ impl KnotDynamics {
     pub fn apply_transposed(&self, w: &State) -> KnotVector {
         let w_u = w.fixed_rows::<N_UNACTUATED>(NX - N_UNACTUATED);
         let mut out = KnotVector::zeros();
-        out.fixed_rows_mut::<NX>(0).copy_from(&(self.qdd_u_x.transpose() * w_u));
+        out.x_mut().copy_from(&(self.qdd_u_x.transpose() * w_u));
         for i in 0..NQ {
             out[NQ + i] += w[i];
         }
         let on_u = self.qdd_u_u.transpose() * w_u + w.fixed_rows::<NU>(NQ);
-        out.fixed_rows_mut::<NU>(NX).copy_from(&on_u);
+        out.u_mut().copy_from(&on_u);
         out
     }
 }
@@ -273,9 +312,9 @@ impl Kkt {
             }
             near = far;
         }
-        left.start -= step.z[0].fixed_rows::<NX>(0);
+        left.start -= step.z[0].x();
         for (l, row) in left.target.iter_mut().zip(&self.target) {
-            *l += row.coefficients.dot(&step.z[n].fixed_rows::<NX>(0));
+            *l += row.coefficients.dot(&step.z[n].x());
         }
         // The multiplier of the start state is not computed: nothing needs it.
         for i in 0..NX {

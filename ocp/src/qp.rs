@@ -12,7 +12,7 @@
 mod clarabel;
 pub mod structured;
 
-use crate::kkt::{KnotDynamics, KnotVector, TargetRow};
+use crate::kkt::{KnotDynamics, KnotParts, KnotVector, TargetRow};
 use crate::problem::{KnotDerivatives, Problem, TorqueConstraint};
 use nalgebra::SMatrix;
 use std::time::Instant;
@@ -157,7 +157,7 @@ impl Qp {
             h: self.h,
             dynamics: self.dynamics[first..=last].to_vec(),
             defects: self.defects[first..last].to_vec(),
-            start: start.fixed_rows::<NX>(0).into(),
+            start: start.x().into(),
             target: if last == whole { self.target.clone() } else { Vec::new() },
             x: self.x[first..last].to_vec(),
             t: (self.t.0 * share, self.t.1 * share),

@@ -17,7 +17,7 @@ use upswing_config::{Config, ConfigError, QpBackend};
 use upswing_ipc::operator::Manoeuvre;
 use upswing_model::{LimitKind, NU, NX, State, StateParts, Workspace};
 use upswing_ocp::interior_point::{self, NlpOptions, NlpStatus};
-use upswing_ocp::kkt::{KnotVector, TargetRow};
+use upswing_ocp::kkt::{KnotParts, KnotVector, TargetRow};
 use upswing_ocp::lqr;
 use upswing_ocp::multistart::{self, Search};
 use upswing_ocp::problem::Problem;
@@ -469,7 +469,7 @@ impl Planner {
         let parts = self.config.planner.replan.sub_horizons;
         let length = N / parts;
         let mut z = vec![KnotVector::zeros(); N + 1];
-        z[0].fixed_rows_mut::<NX>(0).copy_from(&qp.start);
+        z[0].x_mut().copy_from(&qp.start);
         let mut dt = None;
         for first in (0..N).step_by(length) {
             let last = first + length;
@@ -483,8 +483,8 @@ impl Planner {
         }
         trajectory.t_f += dt.unwrap_or(0.0);
         for (k, dz) in z.iter().enumerate() {
-            trajectory.x[k] += dz.fixed_rows::<NX>(0);
-            trajectory.u[k] += dz.fixed_rows::<NU>(NX);
+            trajectory.x[k] += dz.x();
+            trajectory.u[k] += dz.u();
         }
         Ok(())
     }

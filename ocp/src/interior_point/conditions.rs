@@ -2,6 +2,7 @@
 
 use super::newton::LinearSystem;
 use super::{BoundedVector, Limit, NlpSolver, Scalar};
+use crate::kkt::KnotParts;
 use upswing_model::{LimitKind, NU, NX};
 use upswing_trajectory::{KNOTS, N};
 
@@ -47,7 +48,7 @@ impl NlpSolver<'_> {
                 worst = worst.max(grad.amax());
             } else {
                 // x_0 is given: only u_0 has a condition.
-                worst = worst.max(grad.fixed_rows::<NU>(NX).amax());
+                worst = worst.max(grad.u().amax());
             }
         }
         let equalities: f64 = self.lambda_torque.iter().map(|y| y.lp_norm(1)).sum::<f64>()

@@ -2,7 +2,7 @@
 
 use super::{NlpSolver, Residuals, Scalar};
 use crate::kkt::{
-    Factor, Kkt, KnotDynamics, KnotMatrix, KnotVector, NewtonStep, Rhs, SolveWorkspace, TargetRow,
+    Factor, Kkt, KnotDynamics, KnotMatrix, KnotParts, KnotVector, NewtonStep, Rhs, SolveWorkspace, TargetRow,
 };
 use crate::problem::KnotDerivatives;
 use nalgebra::SMatrix;
@@ -110,7 +110,7 @@ impl NlpSolver<'_> {
         let (h, r) = (self.primal.t / N as f64, self.problem.input_weight);
         for (g, u) in g.iter_mut().zip(self.primal.u.iter()) {
             g.fill(0.0);
-            g.fixed_rows_mut::<NU>(NX).copy_from(&(u * (h * r)));
+            g.u_mut().copy_from(&(u * (h * r)));
         }
         self.objective_on_t()
     }
@@ -188,7 +188,7 @@ impl NlpSolver<'_> {
             bound_s.push(dz);
             if k > 0 {
                 let (b, v) = (&self.bound_x[k - 1], &self.primal.x[k]);
-                let dx: State = step.z[k].fixed_rows::<NX>(0).into();
+                let dx: State = step.z[k].x().into();
                 let dz = b.dual_step(v, &dx, self.mu);
                 shorten(b.to_boundary(v, &dx, &dz, share));
                 bound_x.push(dz);

@@ -2,7 +2,7 @@
 //! and one forth.
 
 use super::variables::{Entering, KnotRow, Leaving, U};
-use super::{Kkt, KnotDynamics, NewtonStep, Rhs};
+use super::{Kkt, KnotDynamics, KnotParts, NewtonStep, Rhs};
 use crate::rows::{KNOT_ROW, Pivot, STATE_ROW, StateRow, add_scaled};
 use upswing_model::{ActuatedVector, NU, NX, NZ};
 
@@ -222,7 +222,7 @@ impl Kkt {
         let t = -on_t / factor.pivot_t;
         let u0 = factor.pivot.solve_negative(&on_u) + factor.gain_t * t;
         step.t = t;
-        step.z[0].fixed_rows_mut::<NX>(0).copy_from(&dx0);
+        step.z[0].x_mut().copy_from(&dx0);
         step.z[0].fixed_rows_mut::<NU>(U).copy_from(&u0);
         for k in 0..n {
             let i = &factor.intervals[k];
@@ -247,7 +247,7 @@ impl Kkt {
             step.z[k + 1] = i.entering.apply(&s, &u);
         }
         for (m, (row, r)) in step.lambda_target.iter_mut().zip(self.target.iter().zip(&rhs.target)) {
-            *m = TARGET_STIFFNESS * (row.coefficients.dot(&step.z[n].fixed_rows::<NX>(0)) + r);
+            *m = TARGET_STIFFNESS * (row.coefficients.dot(&step.z[n].x()) + r);
         }
     }
 }

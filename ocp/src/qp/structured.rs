@@ -11,7 +11,7 @@
 
 use super::{Bound, ConflictingBound, Qp, QpOptions, QpSolution, QpStatus, Stall};
 use crate::kkt::{
-    Factor, Kkt, KnotDynamics, KnotMatrix, KnotVector, NewtonStep, Rhs, SolveWorkspace, TargetRow,
+    Factor, Kkt, KnotDynamics, KnotMatrix, KnotParts, KnotVector, NewtonStep, Rhs, SolveWorkspace, TargetRow,
 };
 use crate::rows::ROW;
 use upswing_model::{LimitKind, NU, NX, NZ, State};
@@ -282,7 +282,7 @@ impl Structured {
     /// Starting point: no step; multipliers of the last QP if `warm`.
     fn start(&mut self, qp: &Qp, warm: bool) {
         self.at.z.fill(KnotVector::zeros());
-        self.at.z[0].fixed_rows_mut::<NX>(0).copy_from(&qp.start);
+        self.at.z[0].x_mut().copy_from(&qp.start);
         self.at.t = 0.0;
         Self::bounded(&self.jacobian, &self.at.z, 0.0, &mut self.value);
         let (slack, barrier) = if warm { WARM } else { COLD };
@@ -421,7 +421,7 @@ impl Structured {
             let mut v = self.residual.g[k] - self.at.z[k].component_mul(&qp.weight[k]) - qp.gradient[k];
             if k == 0 {
                 // All that acts on the start is a constant.
-                v.fixed_rows_mut::<NX>(0).fill(0.0);
+                v.x_mut().fill(0.0);
                 let on_start = self.on_start();
                 excess += on_start.dot(&qp.start);
             }
@@ -431,7 +431,7 @@ impl Structured {
                     slope += v[i].abs() * lower[i].abs().max(upper[i].abs());
                 }
             }
-            slope += v.fixed_rows::<NU>(NX).lp_norm(1) * LARGEST_INPUT;
+            slope += v.u().lp_norm(1) * LARGEST_INPUT;
         }
         let v_t = self.residual.g_t - qp.weight_t * self.at.t - qp.gradient_t;
         slope += v_t.abs() * qp.t.0.abs().max(qp.t.1.abs());
@@ -451,7 +451,7 @@ impl Structured {
     fn on_start(&self) -> State {
         let lambda = &self.at.lambda[0];
         let by_defects = self.kkt.dynamics[0].apply_transposed(lambda) * (-0.5 * self.kkt.h);
-        let mut out: State = by_defects.fixed_rows::<NX>(0).into();
+        let mut out: State = by_defects.x().into();
         out -= lambda;
         for i in 0..NU {
             let pull = self.above.multiplier[i] - self.below.multiplier[i];
