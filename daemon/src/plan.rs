@@ -4,7 +4,7 @@ use thiserror::Error;
 use upswing_config::Config;
 use upswing_ipc::{DamagedPlan, PlanMessage};
 pub use upswing_trajectory::Ending;
-use upswing_trajectory::{Plan, Unfit};
+use upswing_trajectory::{Plan, UnmetCriterion};
 
 /// Refusal of a plan: the first check that failed.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -22,7 +22,7 @@ pub enum PlanRefusal {
     },
     /// The plan violates a criterion: the robot cannot follow it.
     #[error(transparent)]
-    Unfit(#[from] Unfit),
+    Criterion(#[from] UnmetCriterion),
 }
 
 /// Checks a plan: checksum, id, fingerprint, and [`Config::plan_criteria`]. `message` must be a copy to which no other

@@ -8,7 +8,7 @@ use upswing_ipc::operator::Manoeuvre;
 use upswing_ipc::{DamagedPlan, Measurement, PlanMessage};
 use upswing_model::{ActuatedVector, LimitKind, NQ, NU, NX, State, StateParts, Workspace};
 use upswing_planner::replan::{Effort, Planner};
-use upswing_trajectory::{Gain, KNOTS, N, Unfit};
+use upswing_trajectory::{Gain, KNOTS, N, UnmetCriterion};
 use upswingd::controller::Controller;
 use upswingd::plan::{PlanRefusal, accept};
 use upswingd::step::{StepInput, StepRequest};
@@ -41,14 +41,14 @@ fn follow_the_model(plan: &mut PlanMessage, config: &Config) {
 }
 
 /// What is said about a plan that rests at `x` for 1 s after `spoil`, with f_k of the model, sealed again.
-fn verdict(config: &Config, x: &State, spoil: impl Fn(&mut PlanMessage)) -> Option<Unfit> {
+fn verdict(config: &Config, x: &State, spoil: impl Fn(&mut PlanMessage)) -> Option<UnmetCriterion> {
     let mut payload = rest_payload(config, x, 1.0);
     spoil(&mut payload);
     follow_the_model(&mut payload, config);
     payload.seal();
     match accept(&payload, config) {
         Ok(_) => None,
-        Err(PlanRefusal::Unfit(unfit)) => Some(unfit),
+        Err(PlanRefusal::Criterion(unfit)) => Some(unfit),
         Err(refusal) => panic!("{refusal}"),
     }
 }
@@ -125,13 +125,13 @@ fn fingerprint() {
 #[test]
 fn id_and_duration() {
     assert_eq!(refusal(|p| p.id = 0), PlanRefusal::Damaged(DamagedPlan::Id));
-    assert_eq!(refusal(|p| p.t_f = 0.0), Unfit::Duration { got: 0.0 }.into());
-    assert_eq!(refusal(|p| p.t_f = 60.1), Unfit::Duration { got: 60.1 }.into());
+    assert_eq!(refusal(|p| p.t_f = 0.0), UnmetCriterion::Duration { got: 0.0 }.into());
+    assert_eq!(refusal(|p| p.t_f = 60.1), UnmetCriterion::Duration { got: 60.1 }.into());
     let (config, x) = rest();
     accept(&rest_payload(&config, &x, 60.0), &config).unwrap();
     assert!(refusal(|p| p.t_f = -1.0).to_string().contains("-1 s"));
     assert!(refusal(|p| p.t_f = f64::INFINITY).to_string().contains("inf"));
-    assert!(matches!(refusal(|p| p.t_f = f64::NAN), PlanRefusal::Unfit(Unfit::Duration { .. })));
+    assert!(matches!(refusal(|p| p.t_f = f64::NAN), PlanRefusal::Criterion(UnmetCriterion::Duration { .. })));
 }
 
 #[test]
@@ -161,8 +161,8 @@ fn limits_at_a_knot() {
 fn every_limit_on_both_sides_up_to_its_slack() {
     let (config, x) = rest();
     let limits = &config.robot.planning;
-    let limit_of = |joint: usize, number: usize, kind: LimitKind, unfit: Option<Unfit>| {
-        matches!(unfit, Some(Unfit::Limit { kind: k, joint: j, knot, .. })
+    let limit_of = |joint: usize, number: usize, kind: LimitKind, unfit: Option<UnmetCriterion>| {
+        matches!(unfit, Some(UnmetCriterion::Limit { kind: k, joint: j, knot, .. })
             if (k, j, knot) == (kind, joint, number as f64))
     };
     for i in 0..NQ {
@@ -200,11 +200,14 @@ fn every_torque_limit_on_both_sides_up_to_its_slack() {
                 verdict(&config, &x, |p| p.u[knot] = u.into())
             };
             let unfit = at(1.051);
-            let expected = matches!(unfit, Some(Unfit::Limit { kind: LimitKind::Torque, joint, knot: k, .. })
+            let expected = matches!(unfit, Some(UnmetCriterion::Limit { kind: LimitKind::Torque, joint, knot: k, .. })
                 if joint == i && (k - knot as f64).abs() < 1.0);
             assert!(expected, "joint {i}, knot {knot}, {out}: {unfit:?}");
             let unfit = at(1.048);
-            assert!(!matches!(unfit, Some(Unfit::Limit { .. })), "joint {i}, knot {knot}, {out}: {unfit:?}");
+            assert!(
+                !matches!(unfit, Some(UnmetCriterion::Limit { .. })),
+                "joint {i}, knot {knot}, {out}: {unfit:?}"
+            );
         }
     }
 }
@@ -222,7 +225,7 @@ fn positions_between_knots() {
                 p.x[k][NQ + 1] = out * velocity;
             }
         });
-        let Some(Unfit::Limit { kind: LimitKind::Position, joint: 1, knot, .. }) = unfit else {
+        let Some(UnmetCriterion::Limit { kind: LimitKind::Position, joint: 1, knot, .. }) = unfit else {
             panic!("{unfit:?}")
         };
         assert_eq!(knot, 4.5);
@@ -246,7 +249,7 @@ fn velocities_between_knots_to_their_extremum() {
                 p.x[5][NQ + 6] = out * (fastest - 0.1);
                 p.u[5][6] = -out * b;
             });
-            let found = matches!(unfit, Some(Unfit::Limit { kind: LimitKind::Velocity, joint: 6, knot, .. })
+            let found = matches!(unfit, Some(UnmetCriterion::Limit { kind: LimitKind::Velocity, joint: 6, knot, .. })
                 if (knot - 4.0 - share).abs() < 1e-9);
             assert_eq!(found, beyond > 0.01, "{beyond} at {share}: {unfit:?}");
         }
@@ -268,7 +271,7 @@ fn a_limit_just_before_a_knot() {
     };
     let unfit = before(0.0101);
     assert!(
-        matches!(unfit, Some(Unfit::Limit { kind: LimitKind::Velocity, joint: 6, knot: 5.0, .. })),
+        matches!(unfit, Some(UnmetCriterion::Limit { kind: LimitKind::Velocity, joint: 6, knot: 5.0, .. })),
         "{unfit:?}"
     );
     assert_eq!(before(0.0099), None);
@@ -294,7 +297,7 @@ fn torques_between_knots() {
     config.robot.planning.tau_max[1] = 0.5 * (at_knots + between) / 1.05;
     let unfit = verdict(&config, &x, spoil);
     assert!(
-        matches!(unfit, Some(Unfit::Limit { kind: LimitKind::Torque, joint: 1, knot, .. }) if knot > 4.0 && knot < 5.0),
+        matches!(unfit, Some(UnmetCriterion::Limit { kind: LimitKind::Torque, joint: 1, knot, .. }) if knot > 4.0 && knot < 5.0),
         "{unfit:?}"
     );
 }
@@ -312,7 +315,7 @@ fn a_motion_that_jumps() {
         for (knot, sign) in [(1, 1.0), (50, -1.0), (N - 1, 1.0)] {
             let jumps = |by| verdict(&config, &x, |p| p.x[knot][row] += sign * by);
             let unfit = jumps(1.5e-3);
-            let Some(Unfit::Defect { kind, joint, knot: at, got, .. }) = unfit else {
+            let Some(UnmetCriterion::Defect { kind, joint, knot: at, got, .. }) = unfit else {
                 panic!("row {row}: {unfit:?}")
             };
             let expected = if row < NQ { LimitKind::Position } else { LimitKind::Velocity };
@@ -327,10 +330,10 @@ fn a_motion_that_jumps() {
 fn the_papers_mode_has_a_larger_defect_of_its_own() {
     let (mut config, x) = rest();
     let jumps = |config: &Config, by| verdict(config, &x, |p| p.x[50][0] += by);
-    assert!(matches!(jumps(&config, 0.04), Some(Unfit::Defect { most: 1e-3, .. })));
+    assert!(matches!(jumps(&config, 0.04), Some(UnmetCriterion::Defect { most: 1e-3, .. })));
     config.planner.replan.iterations = 1;
     assert_eq!(jumps(&config, 0.04), None);
-    assert!(matches!(jumps(&config, 0.06), Some(Unfit::Defect { most: 0.05, .. })));
+    assert!(matches!(jumps(&config, 0.06), Some(UnmetCriterion::Defect { most: 0.05, .. })));
 }
 
 #[test]
@@ -339,7 +342,7 @@ fn half_the_duration() {
     payload.t_f *= 0.5;
     payload.seal();
     let refusal = accept(&payload, &config).unwrap_err();
-    assert!(matches!(refusal, PlanRefusal::Unfit(Unfit::Defect { .. })), "{refusal}");
+    assert!(matches!(refusal, PlanRefusal::Criterion(UnmetCriterion::Defect { .. })), "{refusal}");
 }
 
 #[test]
@@ -351,25 +354,28 @@ fn gains_that_drive_away_from_the_plan() {
         payload.seal();
         let refusal = accept(&payload, &config).unwrap_err();
         assert!(refusal.to_string().len() < 200, "fits into an answer: {refusal}");
-        let PlanRefusal::Unfit(unfit) = refusal else { panic!("{refusal}") };
+        let PlanRefusal::Criterion(unfit) = refusal else { panic!("{refusal}") };
         unfit
     };
     let scale = |gains: &mut [[[f64; NX]; NU]], factor: f64| {
         gains.as_flattened_mut().as_flattened_mut().iter_mut().for_each(|v| *v *= factor);
     };
     let unfit = verdict(&|p| scale(&mut p.k, -1.0));
-    assert!(matches!(unfit, Unfit::Amplification { knot, got } if knot > 80 && got > 100.0), "{unfit}");
+    assert!(
+        matches!(unfit, UnmetCriterion::Amplification { knot, got } if knot > 80 && got > 100.0),
+        "{unfit}"
+    );
     let unfit = verdict(&|p| scale(&mut p.k[40..60], -1.0));
-    assert!(matches!(unfit, Unfit::Amplification { knot: 40..60, .. }), "{unfit}");
+    assert!(matches!(unfit, UnmetCriterion::Amplification { knot: 40..60, .. }), "{unfit}");
     // Their mean is right.
     let unfit = verdict(&|p| {
         p.k.iter_mut().enumerate().for_each(|(k, gain)| {
             scale(std::slice::from_mut(gain), if k % 2 == 0 { 11.0 } else { -9.0 });
         });
     });
-    assert!(matches!(unfit, Unfit::Amplification { .. }), "{unfit}");
+    assert!(matches!(unfit, UnmetCriterion::Amplification { .. }), "{unfit}");
     let unfit = verdict(&|p| scale(&mut p.k, 0.0));
-    assert!(matches!(unfit, Unfit::Amplification { .. }), "{unfit}");
+    assert!(matches!(unfit, UnmetCriterion::Amplification { .. }), "{unfit}");
 }
 
 /// The amplification of the closed loop from `knot` on: plant (19), filter and delay simulated one after the other for the
@@ -431,7 +437,9 @@ fn the_amplification_is_that_of_a_simulation() {
             spoil(&mut plan);
             plan.seal();
             let refusal = accept(&plan, &config).unwrap_err();
-            let PlanRefusal::Unfit(Unfit::Amplification { knot, got }) = refusal else { panic!("{refusal}") };
+            let PlanRefusal::Criterion(UnmetCriterion::Amplification { knot, got }) = refusal else {
+                panic!("{refusal}")
+            };
             let expected = amplification(&config, &plan, knot, stands);
             assert!((got / expected - 1.0).abs() < 0.01, "at knot {knot} {got}, expected {expected}");
             // It is the last knot with so much of it.
@@ -476,7 +484,7 @@ fn gains_that_answer_a_tolerated_start_with_a_blow() {
                 let refusal = verdict(&|p| p.k[knot][of][row] += blow).unwrap_err();
                 let expected = matches!(
                     refusal,
-                    PlanRefusal::Unfit(Unfit::Step { knot: k, joint, got, most })
+                    PlanRefusal::Criterion(UnmetCriterion::Step { knot: k, joint, got, most })
                         if (k, joint, most) == (knot, of, 5.0 * limit)
                             && (got - 6.0 * limit).abs() < 0.7 * limit
                 );
@@ -485,7 +493,10 @@ fn gains_that_answer_a_tolerated_start_with_a_blow() {
         }
     }
     let refusal = verdict(&|p| p.k_final[0][0] = 1e9).unwrap_err();
-    assert!(matches!(refusal, PlanRefusal::Unfit(Unfit::Step { knot: KNOTS, joint: 0, .. })), "{refusal}");
+    assert!(
+        matches!(refusal, PlanRefusal::Criterion(UnmetCriterion::Step { knot: KNOTS, joint: 0, .. })),
+        "{refusal}"
+    );
 }
 
 #[test]
@@ -502,7 +513,7 @@ fn a_final_gain_that_lets_the_rod_fall() {
     payload.seal();
     let refusal = accept(&payload, &config).unwrap_err();
     assert!(
-        matches!(refusal, PlanRefusal::Unfit(Unfit::Unstable { radius }) if radius > 1.0 && radius < 1.01),
+        matches!(refusal, PlanRefusal::Criterion(UnmetCriterion::Unstable { radius }) if radius > 1.0 && radius < 1.01),
         "{refusal}"
     );
     // So strong that one period overshoots.
@@ -526,7 +537,7 @@ fn a_final_gain_is_judged_with_filter_and_delay() {
         payload.seal();
         match accept(&payload, &config) {
             Ok(_) => true,
-            Err(PlanRefusal::Unfit(Unfit::Unstable { radius })) if radius > 1.0 => false,
+            Err(PlanRefusal::Criterion(UnmetCriterion::Unstable { radius })) if radius > 1.0 => false,
             Err(refusal) => panic!("{damping}, {delay}, {velocity:?}: {refusal}"),
         }
     };
@@ -649,7 +660,7 @@ fn derivatives_of_another_model() {
             };
             let refusal = differs(2e-6).unwrap_err();
             let expected = matches!(
-                refusal, PlanRefusal::Unfit(Unfit::Derivative { knot: k, row: r, .. }) if (k, r) == (knot, row)
+                refusal, PlanRefusal::Criterion(UnmetCriterion::Derivative { knot: k, row: r, .. }) if (k, r) == (knot, row)
             );
             assert!(expected, "{refusal}");
             assert!(differs(5e-7).is_ok(), "row {row}, knot {knot}");
@@ -681,7 +692,7 @@ fn an_end_that_neither_stands_nor_hangs() {
                 };
                 assert_eq!(at(0.009), Ok(()));
                 let refusal = at(0.011).unwrap_err();
-                assert!(matches!(refusal, PlanRefusal::Unfit(Unfit::End { .. })), "{refusal}");
+                assert!(matches!(refusal, PlanRefusal::Criterion(UnmetCriterion::End { .. })), "{refusal}");
             }
             let at = |tilt: f64| {
                 let mut x = at_rest(&q);
@@ -690,7 +701,7 @@ fn an_end_that_neither_stands_nor_hangs() {
             };
             assert_eq!(at(0.019), Ok(()));
             let refusal = at(0.021).unwrap_err();
-            assert!(matches!(refusal, PlanRefusal::Unfit(Unfit::End { .. })), "{refusal}");
+            assert!(matches!(refusal, PlanRefusal::Criterion(UnmetCriterion::End { .. })), "{refusal}");
         }
     }
 }

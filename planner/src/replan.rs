@@ -22,7 +22,7 @@ use upswing_ocp::lqr;
 use upswing_ocp::multistart::{self, Search};
 use upswing_ocp::problem::Problem;
 use upswing_ocp::qp::{Backend, Qp, QpOptions, QpSolution, QpSolver, QpStatus};
-use upswing_trajectory::{Database, DatabaseError, Entry, Gains, Margins, N, Trajectory, Unfit};
+use upswing_trajectory::{Database, DatabaseError, Entry, Gains, Margins, N, Trajectory, UnmetCriterion};
 
 /// Tolerance of each QP: a tenth of the defect that four linearisations reach.
 const QP_TOLERANCE: f64 = 1e-9;
@@ -365,8 +365,9 @@ impl Planner {
             let exceeds = problem.narrow(&found);
             match verdict {
                 Ok(plan) if exceeds && tolerable.is_none() => tolerable = Some(plan),
-                Err(PlanningFailure::Unfit {
-                    unfit: Unfit::Limit { kind, joint, got, highest, .. }, ..
+                Err(PlanningFailure::Criterion {
+                    criterion: UnmetCriterion::Limit { kind, joint, got, highest, .. },
+                    ..
                 }) if tolerable.is_none() && round < NARROWED => {
                     if kind == LimitKind::Torque {
                         problem.limits.tau_max[joint] -= 1.5 * (got.abs() - highest);
@@ -396,10 +397,10 @@ impl Planner {
         let begin = Instant::now();
         let model = &self.config.model;
         let criteria = self.config.plan_criteria();
-        let unfit = |unfit| PlanningFailure::Unfit { method, iterations, unfit };
+        let unmet = |criterion| PlanningFailure::Criterion { method, iterations, criterion };
         let f = trajectory.f(model, &mut work);
         let spline = trajectory.spline(&f);
-        let margins = criteria.check_motion(model, &spline).map_err(unfit)?;
+        let margins = criteria.check_motion(model, &spline).map_err(unmet)?;
         let defect = spline.defect();
         statistics.check += begin.elapsed();
         let begin = Instant::now();
@@ -407,7 +408,7 @@ impl Planner {
         let gains = lqr::synthesize(model, &trajectory, &lqr_weights(&self.config.planner), ts, &mut work)?;
         statistics.lqr += begin.elapsed();
         let begin = Instant::now();
-        criteria.check_feedback(model, &trajectory, &gains).map_err(unfit)?;
+        criteria.check_feedback(model, &trajectory, &gains).map_err(unmet)?;
         statistics.check += begin.elapsed();
         Ok(AcceptableTrajectory { trajectory, gains, method, iterations, defect, margins })
     }

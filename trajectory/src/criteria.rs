@@ -60,7 +60,7 @@ impl Ending {
 
 /// The first criterion that a plan does not meet.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum Unfit {
+pub enum UnmetCriterion {
     /// A number of the plan is NaN or infinite.
     #[error("{what} at knot {knot} is {got}, expected a finite number")]
     NotFinite {
@@ -184,17 +184,17 @@ impl PlanCriteria {
     ///
     /// # Errors
     /// The first criterion that the plan does not meet, with its numbers.
-    pub fn check(&self, model: &Model, plan: &Plan) -> Result<(), Unfit> {
+    pub fn check(&self, model: &Model, plan: &Plan) -> Result<(), UnmetCriterion> {
         self.check_motion(model, &plan.spline())?;
         self.check_feedback(model, &plan.trajectory, &plan.gains)
     }
 }
 
 /// Checks that all numbers of a quantity are finite, knot by knot.
-fn finite<'a>(what: &'static str, knots: impl Iterator<Item = &'a [f64]>) -> Result<(), Unfit> {
+fn finite<'a>(what: &'static str, knots: impl Iterator<Item = &'a [f64]>) -> Result<(), UnmetCriterion> {
     for (knot, values) in knots.enumerate() {
         if let Some(got) = values.iter().find(|v| !v.is_finite()) {
-            return Err(Unfit::NotFinite { what, knot, got: *got });
+            return Err(UnmetCriterion::NotFinite { what, knot, got: *got });
         }
     }
     Ok(())

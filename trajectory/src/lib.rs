@@ -16,7 +16,7 @@ mod plan;
 mod trajectory;
 
 pub use certificate::{Certificate, open_loop_end};
-pub use criteria::{Ending, LoopDelays, PlanCriteria, Unfit};
+pub use criteria::{Ending, LoopDelays, PlanCriteria, UnmetCriterion};
 pub use database::{Database, DatabaseError, DatabaseHeading, Entry, PoseOutcome, PoseRecord};
 pub use margins::{Margin, Margins};
 pub use plan::{Gain, Gains, Plan, Reference};

@@ -7,7 +7,7 @@ use upswing_model::Workspace;
 use upswing_ocp::interior_point::NlpStatus;
 use upswing_ocp::lqr;
 use upswing_ocp::qp::{ConflictingBound, QpStatus, Stall};
-use upswing_trajectory::{Gains, Margins, Plan, Trajectory, Unfit};
+use upswing_trajectory::{Gains, Margins, Plan, Trajectory, UnmetCriterion};
 
 /// A database entry from which no plan could be made.
 #[derive(Clone, Debug)]
@@ -38,14 +38,14 @@ pub enum PlanningFailure {
         stall: Stall,
     },
     /// The plan does not meet the daemon's criteria of acceptance.
-    #[error("after {iterations} {}: {unfit}", if *method == Method::Quadratic { "QPs" } else { "iterations" })]
-    Unfit {
+    #[error("after {iterations} {}: {criterion}", if *method == Method::Quadratic { "QPs" } else { "iterations" })]
+    Criterion {
         /// Method that found the trajectory.
         method: Method,
         /// Number of QPs, or of iterations of the full optimisation.
         iterations: usize,
         /// Violated criterion.
-        unfit: Unfit,
+        criterion: UnmetCriterion,
     },
     /// The time budget was used up.
     #[error("the time budget was used up before QP {iteration} was solved")]

@@ -1,6 +1,6 @@
 //! Criteria for the gains of a plan: their torques, and the stability of the closed loop with its delays.
 
-use super::{Ending, MOST_AMPLIFIED, MOST_STEP, PlanCriteria, Unfit, finite};
+use super::{Ending, MOST_AMPLIFIED, MOST_STEP, PlanCriteria, UnmetCriterion, finite};
 use crate::{Gain, Gains, N, Trajectory};
 use nalgebra::{DMatrix, DVector, SMatrix};
 use upswing_model::{ActuatedVector, Model, NQ, NU, NX, State, StateParts, Workspace};
@@ -69,12 +69,17 @@ impl PlanCriteria {
     /// The part of [`Self::check`] about the gains, for a trajectory that meets [`Self::check_motion`].
     ///
     /// For each gain: the torque with which it answers a deviation of one row of the state by the start tolerance. For all
-    /// of them, with the gain that holds x_N where the rod stands: the [amplification](Unfit::Amplification) of the closed
+    /// of them, with the gain that holds x_N where the rod stands: the [amplification](UnmetCriterion::Amplification) of the closed
     /// loop from every knot on.
     ///
     /// # Errors
     /// The first criterion that the gains do not meet, with its numbers.
-    pub fn check_feedback(&self, model: &Model, trajectory: &Trajectory, gains: &Gains) -> Result<(), Unfit> {
+    pub fn check_feedback(
+        &self,
+        model: &Model,
+        trajectory: &Trajectory,
+        gains: &Gains,
+    ) -> Result<(), UnmetCriterion> {
         finite("K", gains.knots.iter().map(|k| k.as_slice()))?;
         finite("the final K", std::iter::once(gains.end.as_slice()))?;
         let mut work = Workspace::default();
@@ -96,7 +101,7 @@ impl PlanCriteria {
         if let Some(last) = last {
             let m = closed_loop(last);
             p = lyapunov(&power(&m, 2 * periods), &unit)
-                .ok_or_else(|| Unfit::Unstable { radius: spectral_radius(m) })?;
+                .ok_or_else(|| UnmetCriterion::Unstable { radius: spectral_radius(m) })?;
             self.check_amplification(&p, N)?;
         }
         let halves: Vec<_> =
@@ -118,14 +123,14 @@ impl PlanCriteria {
         gain: &Gain,
         knot: usize,
         work: &mut Workspace,
-    ) -> Result<(), Unfit> {
+    ) -> Result<(), UnmetCriterion> {
         model.hybrid_dynamics(x, u, work);
         for (row, column) in gain.column_iter().enumerate() {
             let tau = model.reduced_inertia_times(&column.into(), work) * self.tolerance(row);
             for joint in 0..NU {
                 let (got, most) = (tau[joint].abs(), MOST_STEP * self.tau_max[joint]);
                 if !(got <= most) {
-                    return Err(Unfit::Step { knot, joint, got, most });
+                    return Err(UnmetCriterion::Step { knot, joint, got, most });
                 }
             }
         }
@@ -134,7 +139,7 @@ impl PlanCriteria {
 
     /// `p`: quadratic form of the sum of the squares of the state, in units of the start tolerance, at `knot` and all later
     /// knots.
-    fn check_amplification(&self, p: &DMatrix<f64>, knot: usize) -> Result<(), Unfit> {
+    fn check_amplification(&self, p: &DMatrix<f64>, knot: usize) -> Result<(), UnmetCriterion> {
         let from = |row: usize| {
             let tolerance = self.tolerance(row);
             // The deviation of one row by its tolerance, where the filter has settled on it.
@@ -150,7 +155,7 @@ impl PlanCriteria {
         let got = (0..NX)
             .map(from)
             .fold(0.0, |worst: f64, v| if v.is_nan() { f64::INFINITY } else { worst.max(v) });
-        if got <= MOST_AMPLIFIED { Ok(()) } else { Err(Unfit::Amplification { knot, got }) }
+        if got <= MOST_AMPLIFIED { Ok(()) } else { Err(UnmetCriterion::Amplification { knot, got }) }
     }
 
     /// Start tolerance of a row of the state, rad or rad/s.

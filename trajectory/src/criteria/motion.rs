@@ -1,6 +1,8 @@
 //! Criteria for the trajectory of a plan: limits, dynamics and end.
 
-use super::{DERIVATIVE_TOLERANCE, END_TILT, PlanCriteria, TORQUE_SLACK, Unfit, VELOCITY_SLACK, finite};
+use super::{
+    DERIVATIVE_TOLERANCE, END_TILT, PlanCriteria, TORQUE_SLACK, UnmetCriterion, VELOCITY_SLACK, finite,
+};
 use crate::margins::SplinePoint;
 use crate::{Certificate, Margins, N, Spline, Trajectory};
 use upswing_model::thresholds::{PLAN_POSITION_SLACK, REST_SPEED_PLAN_END};
@@ -14,13 +16,13 @@ impl PlanCriteria {
     ///
     /// # Errors
     /// The first criterion that the trajectory does not meet, with its numbers.
-    pub fn check_motion(&self, model: &Model, spline: &Spline<'_>) -> Result<Margins, Unfit> {
+    pub fn check_motion(&self, model: &Model, spline: &Spline<'_>) -> Result<Margins, UnmetCriterion> {
         finite("x", spline.x.iter().map(|x| x.as_slice()))?;
         finite("u", spline.u.iter().map(|u| u.as_slice()))?;
         finite("f", spline.f.iter().map(|f| f.as_slice()))?;
         // A NaN is refused, too.
         if !(spline.t_f > 0.0 && spline.t_f <= Trajectory::LONGEST) {
-            return Err(Unfit::Duration { got: spline.t_f });
+            return Err(UnmetCriterion::Duration { got: spline.t_f });
         }
         let mut work = Workspace::default();
         let mut margins = Margins::NONE;
@@ -46,18 +48,18 @@ impl PlanCriteria {
     }
 
     /// Positions and velocities of the state `x` at `knot`.
-    fn check_state(&self, x: &State, knot: f64) -> Result<(), Unfit> {
+    fn check_state(&self, x: &State, knot: f64) -> Result<(), UnmetCriterion> {
         (0..NX).try_for_each(|row| self.check_row(row, x[row], knot))
     }
 
     /// The value `got` of a row of the state at `knot`.
-    fn check_row(&self, row: usize, got: f64, knot: f64) -> Result<(), Unfit> {
+    fn check_row(&self, row: usize, got: f64, knot: f64) -> Result<(), UnmetCriterion> {
         let (kind, joint) = LimitKind::of_row(row);
         self.check_limit(kind, joint, got, knot)
     }
 
     /// The value `got` against a limit, with its slack; a NaN is refused.
-    fn check_limit(&self, kind: LimitKind, joint: usize, got: f64, knot: f64) -> Result<(), Unfit> {
+    fn check_limit(&self, kind: LimitKind, joint: usize, got: f64, knot: f64) -> Result<(), UnmetCriterion> {
         let (lower, upper) = self.limits.range(kind, joint);
         let (lowest, highest) = match kind {
             LimitKind::Position => (lower - PLAN_POSITION_SLACK, upper + PLAN_POSITION_SLACK),
@@ -67,16 +69,16 @@ impl PlanCriteria {
         if (lowest..=highest).contains(&got) {
             Ok(())
         } else {
-            Err(Unfit::Limit { kind, joint, knot, got, lowest, highest })
+            Err(UnmetCriterion::Limit { kind, joint, knot, got, lowest, highest })
         }
     }
 
-    fn check_defects(&self, spline: &Spline<'_>) -> Result<(), Unfit> {
+    fn check_defects(&self, spline: &Spline<'_>) -> Result<(), UnmetCriterion> {
         for (k, defect) in spline.defects().enumerate() {
             if let Some(row) = (0..NX).find(|row| !(defect[*row].abs() <= self.defect)) {
                 let (kind, joint) = LimitKind::of_row(row);
                 let (got, most) = (defect[row].abs(), self.defect);
-                return Err(Unfit::Defect { kind, joint, knot: k + 1, got, most });
+                return Err(UnmetCriterion::Defect { kind, joint, knot: k + 1, got, most });
             }
             // Where the spline ends, before it jumps to the knot.
             self.check_state(&(spline.x[k + 1] - defect), k as f64 + 1.0)?;
@@ -86,13 +88,13 @@ impl PlanCriteria {
 }
 
 /// f_k of the plan against f(x_k, u_k) (5) of the model.
-fn check_derivatives(model: &Model, spline: &Spline<'_>, work: &mut Workspace) -> Result<(), Unfit> {
+fn check_derivatives(model: &Model, spline: &Spline<'_>, work: &mut Workspace) -> Result<(), UnmetCriterion> {
     for knot in 0..=N {
         let f = model.f(&spline.x[knot], &spline.u[knot], work);
         for row in 0..NX {
             let (got, expected) = (spline.f[knot][row], f[row]);
             if !((got - expected).abs() <= DERIVATIVE_TOLERANCE * (1.0 + expected.abs())) {
-                return Err(Unfit::Derivative { knot, row, got, expected });
+                return Err(UnmetCriterion::Derivative { knot, row, got, expected });
             }
         }
     }
@@ -100,7 +102,7 @@ fn check_derivatives(model: &Model, spline: &Spline<'_>, work: &mut Workspace) -
 }
 
 /// Rest at the state `x`, with the rod standing or hanging.
-fn check_end(model: &Model, x: &State) -> Result<(), Unfit> {
+fn check_end(model: &Model, x: &State) -> Result<(), UnmetCriterion> {
     let rod = model.rod(&x.q());
     let upright = rod.xy().norm().atan2(rod.z);
     let hanging = std::f64::consts::PI - upright;
@@ -108,6 +110,6 @@ fn check_end(model: &Model, x: &State) -> Result<(), Unfit> {
     if speed <= REST_SPEED_PLAN_END && upright.min(hanging) <= END_TILT {
         Ok(())
     } else {
-        Err(Unfit::End { speed, upright, hanging })
+        Err(UnmetCriterion::End { speed, upright, hanging })
     }
 }
