@@ -22,9 +22,9 @@ const OPTIONS: QpOptions<'_> = QpOptions {
     cancelled: None,
 };
 
-/// How long something took.
+/// Duration of a computation.
 #[derive(Clone, Copy)]
-pub struct Took {
+pub struct MeasuredTime {
     /// Of this thread.
     pub cpu: Duration,
     /// On the clock.
@@ -32,11 +32,11 @@ pub struct Took {
 }
 
 /// `work`, timed.
-fn timed<T>(work: impl FnOnce() -> T) -> (T, Took) {
+fn timed<T>(work: impl FnOnce() -> T) -> (T, MeasuredTime) {
     let (cpu, wall) = (thread_cpu(), Instant::now());
     let result = work();
     let (wall, cpu) = (wall.elapsed(), thread_cpu() - cpu);
-    (result, Took { cpu, wall })
+    (result, MeasuredTime { cpu, wall })
 }
 
 /// CPU time of this thread.
@@ -48,7 +48,7 @@ fn thread_cpu() -> Duration {
     Duration::new(now.tv_sec as u64, now.tv_nsec as u32)
 }
 
-fn print_both(name: &str, times: &[Took]) {
+fn print_both(name: &str, times: &[MeasuredTime]) {
     print(&format!("{name}, CPU"), times.iter().map(|t| t.cpu));
     print(&format!("{name}, wall"), times.iter().map(|t| t.wall));
 }
@@ -124,7 +124,7 @@ fn replans(planner: &Planner, starts: &[State]) {
 
     let (weights, ts) = (lqr_weights(&config.planner), config.daemon.cycle.period.seconds());
     let mut work = Workspace::default();
-    let times: Vec<Took> = plans
+    let times: Vec<MeasuredTime> = plans
         .iter()
         .map(|plan| {
             let (gains, took) =

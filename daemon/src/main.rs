@@ -7,13 +7,13 @@ use upswing_process::{ProcessArgs, finish, start_logging};
 /// Runs the control daemon of upswing until SIGINT or SIGTERM.
 #[derive(Parser)]
 #[command(version, after_help = "Example:\n  upswingd --config /etc/upswing --domain upswing")]
-struct Args {
+struct Cli {
     #[command(flatten)]
     process: ProcessArgs,
 }
 
 fn main() -> ExitCode {
-    let args = Args::parse();
+    let cli = Cli::parse();
     start_logging();
-    finish(upswingd::run(&args.process))
+    finish(upswingd::run(&cli.process))
 }

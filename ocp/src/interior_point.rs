@@ -148,7 +148,7 @@ impl Residuals {
 }
 
 /// A point that the filter accepts: primal variables, their residuals, and the step that led there.
-struct Trial {
+struct TrialPoint {
     primal: Primal,
     residuals: Residuals,
     direction: Direction,
@@ -397,7 +397,7 @@ impl<'a> NlpSolver<'a> {
         d: Direction,
         c: &Residuals,
         filter: &mut Filter,
-    ) -> Option<Trial> {
+    ) -> Option<TrialPoint> {
         let (theta, phi) = (c.total(), self.barrier_function(&self.primal));
         let slope = self.slope(&d);
         let mut alpha = d.alpha.0;
@@ -408,7 +408,7 @@ impl<'a> NlpSolver<'a> {
             let residuals = self.residuals(&primal);
             let (theta_p, phi_p) = (residuals.total(), self.barrier_function(&primal));
             if filter.accepts(theta, phi, theta_p, phi_p, alpha, slope) {
-                return Some(Trial { primal, residuals, direction: d, alpha });
+                return Some(TrialPoint { primal, residuals, direction: d, alpha });
             }
             if first && theta_p >= theta {
                 let full = (residuals, alpha, slope);
@@ -432,7 +432,7 @@ impl<'a> NlpSolver<'a> {
         (first, alpha, slope): (Residuals, f64, f64),
         (theta, phi): (f64, f64),
         filter: &mut Filter,
-    ) -> Option<Trial> {
+    ) -> Option<TrialPoint> {
         const CORRECTIONS: usize = 4;
         const KAPPA_SOC: f64 = 0.99;
         let mut theta_old = first.total();
@@ -443,7 +443,7 @@ impl<'a> NlpSolver<'a> {
             let residuals = self.residuals(&primal);
             let (theta_p, phi_p) = (residuals.total(), self.barrier_function(&primal));
             if filter.accepts(theta, phi, theta_p, phi_p, alpha, slope) {
-                return Some(Trial { primal, residuals, alpha: d.alpha.0, direction: d });
+                return Some(TrialPoint { primal, residuals, alpha: d.alpha.0, direction: d });
             }
             if theta_p > KAPPA_SOC * theta_old || !theta_p.is_finite() {
                 return None;
@@ -455,8 +455,8 @@ impl<'a> NlpSolver<'a> {
     }
 
     /// Makes the trial point the iterate, moves the multipliers along, and returns its residuals.
-    fn accept(&mut self, trial: Trial) -> Residuals {
-        let Trial { primal, residuals, direction: d, alpha } = trial;
+    fn accept(&mut self, trial: TrialPoint) -> Residuals {
+        let TrialPoint { primal, residuals, direction: d, alpha } = trial;
         self.primal = primal;
         self.lambda.iter_mut().zip(&d.step.lambda).for_each(|(l, new)| *l += (new - *l) * alpha);
         let targets = self.lambda_target.iter_mut().zip(&d.step.lambda_target);

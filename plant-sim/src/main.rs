@@ -8,13 +8,13 @@ use upswing_process::{finish, start_logging};
 /// Simulates robot, pendulum, drives, encoders and brakes.
 #[derive(Parser)]
 #[command(name = "upswing-plant", version)]
-struct Arguments {
+struct Cli {
     #[command(flatten)]
     plant: PlantArgs,
 }
 
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
+    let cli = Cli::parse();
     start_logging();
-    finish(run(&arguments.plant))
+    finish(run(&cli.plant))
 }

@@ -17,7 +17,7 @@ const EVERY: usize = 800;
 
 /// Breaks the plant in a mode of the daemon, lock-step, and shows what follows.
 #[derive(Parser)]
-struct Args {
+struct Cli {
     /// Mode of the daemon: idle, hold, track, balance, stop or fault
     mode: String,
     #[command(flatten)]
@@ -28,7 +28,7 @@ struct Args {
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let args = Args::parse();
+    let args = Cli::parse();
     let mut case = FaultCase::idle(None);
     case.records = Some(Vec::new());
     let mut case = case.in_mode(mode(&args.mode));
