@@ -1,6 +1,6 @@
 //! QPs and their solutions as a file of doubles (little-endian) for a peer, `compare.py`.
 
-use crate::solvers::Took;
+use crate::solvers::MeasuredTime;
 use upswing_model::{NU, NX};
 use upswing_ocp::qp::{Qp, QpSolution};
 use upswing_trajectory::N;
@@ -12,7 +12,7 @@ pub struct QpFile(Vec<f64>);
 
 impl QpFile {
     /// Adds a QP with the times and solutions of the structured solver and of Clarabel.
-    pub fn push(&mut self, qp: &Qp, results: [(Took, &QpSolution); 2]) {
+    pub fn push(&mut self, qp: &Qp, results: [(MeasuredTime, &QpSolution); 2]) {
         let out = &mut self.0;
         if out.is_empty() {
             out.extend([N, NX, NU, qp.target.len()].map(|n| n as f64));
