@@ -13,7 +13,7 @@ use super::{Bound, ConflictingBound, Qp, QpOptions, QpSolution, QpStatus, Stall}
 use crate::kkt::{
     Factor, Kkt, KnotDynamics, KnotMatrix, KnotParts, KnotVector, NewtonStep, Rhs, SolveWorkspace, TargetRow,
 };
-use crate::rows::ROW;
+use crate::rows::KNOT_ROW;
 use upswing_model::{LimitKind, NU, NX, NZ, State};
 
 /// Number of bounded quantities: torques of knot 0, then states and torques of each knot, then dt.
@@ -40,7 +40,7 @@ const COLD: (f64, f64) = (1e-1, 1e-1);
 const WARM: (f64, f64) = (1e-3, 1e-5);
 
 /// Jacobian of the torques of a knot, each scaled to half its range; rows padded to full vector registers.
-type TorqueJacobian = [[f64; ROW]; NU];
+type TorqueJacobian = [[f64; KNOT_ROW]; NU];
 
 /// Solver and its memory.
 #[derive(Clone, Debug)]
@@ -175,7 +175,7 @@ impl Structured {
             at: NewtonStep::zeros(n, NX),
             step: NewtonStep::zeros(n, NX),
             kkt,
-            jacobian: vec![[[0.0; ROW]; NU]; n + 1],
+            jacobian: vec![[[0.0; KNOT_ROW]; NU]; n + 1],
             lower: zeros(),
             upper: zeros(),
             compliance: 0.0,
@@ -258,9 +258,9 @@ impl Structured {
     fn add_pull(jacobian: &[TorqueJacobian], pull: &[f64], rhs: &mut Rhs) {
         for (k, (g, jacobian)) in rhs.g.iter_mut().zip(jacobian).enumerate() {
             let at = torque_at(k);
-            let mut sum = [0.0; ROW];
+            let mut sum = [0.0; KNOT_ROW];
             for (row, p) in jacobian.iter().zip(&pull[at..at + NU]) {
-                for j in 0..ROW {
+                for j in 0..KNOT_ROW {
                     sum[j] += p * row[j];
                 }
             }
@@ -354,10 +354,10 @@ impl Structured {
             let sigma = &self.sigma[at..at + NU];
             let hessian = self.kkt.hessian[k].as_mut_slice();
             for (j, column) in hessian.chunks_exact_mut(NZ).enumerate() {
-                let mut sum = [0.0; ROW];
+                let mut sum = [0.0; KNOT_ROW];
                 for (row, sigma) in jacobian.iter().zip(sigma) {
                     let s = sigma * row[j];
-                    for i in 0..ROW {
+                    for i in 0..KNOT_ROW {
                         sum[i] += s * row[i];
                     }
                 }
