@@ -1,13 +1,14 @@
 //! Prediction of the state of a moving system at the start of a plan.
 
+use std::convert::Infallible;
 use upswing_config::HoldGains;
-use upswing_model::{ActuatedVector, Model, State, StateParts, Workspace};
+use upswing_model::{ActuatedVector, Model, State, StateParts, Workspace, runge_kutta_step};
 
 /// Predicts the state `seconds` after `x` (rad, rad/s) while the daemon holds the arm at `q_hold` (rad) and the pendulum
 /// swings freely; classical Runge-Kutta method with steps of at most a millisecond.
 ///
-/// The simulated plant has its own Runge-Kutta method, with brakes and a check for divergence; the certificate of a trajectory
-/// uses a method with error control, so that no trajectory is verified by the method that predicted its start.
+/// The certificate of a trajectory uses another method, with error control, so that no trajectory is verified by the method
+/// that predicted its start.
 pub fn held(
     model: &Model,
     gains: &HoldGains,
@@ -23,17 +24,14 @@ pub fn held(
         let u = ActuatedVector::from_fn(|i, _| {
             gains.stiffness[i] * (q_hold[i] - q[i]) - gains.damping[i] * qd[i]
         });
-        model.f(x, &u, work)
+        Ok::<_, Infallible>(model.f(x, &u, work))
     };
     let steps = (seconds / STEP).ceil().max(1.0);
     let h = seconds / steps;
     let mut x = *x;
     for _ in 0..steps as usize {
-        let k1 = f(&x);
-        let k2 = f(&(x + k1 * (h / 2.0)));
-        let k3 = f(&(x + k2 * (h / 2.0)));
-        let k4 = f(&(x + k3 * h));
-        x += (k1 + (k2 + k3) * 2.0 + k4) * (h / 6.0);
+        let Ok(next) = runge_kutta_step(&x, h, &mut f);
+        x = next;
     }
     x
 }

@@ -3,7 +3,10 @@
 use crate::drives::Actuation;
 use upswing_config::{Config, FrictionSettings, JointStopSettings};
 use upswing_model::thresholds::REST_SPEED_BRAKED;
-use upswing_model::{ActuatedVector, JointParts, JointVector, Model, N_UNACTUATED, NU, Workspace};
+use upswing_model::{
+    ActuatedVector, JointParts, JointVector, Model, N_UNACTUATED, NU, State, StateParts, Workspace,
+    runge_kutta_step, state,
+};
 
 /// A force on the tip of the rod, world frame, N.
 pub(crate) type TipForce = [f64; 3];
@@ -60,22 +63,19 @@ impl Mechanism {
         Some(())
     }
 
-    /// One step of the classical Runge-Kutta method.
+    /// One integration step.
     fn integrate(&mut self, actuation: &Actuation, external: &ExternalLoad) -> Option<()> {
-        let h = self.step;
-        let (q, v1) = (self.q, self.qd);
-        let a1 = self.acceleration(&q, &v1, actuation, external)?;
-        let v2 = v1 + a1 * (0.5 * h);
-        let a2 = self.acceleration(&(q + v1 * (0.5 * h)), &v2, actuation, external)?;
-        let v3 = v1 + a2 * (0.5 * h);
-        let a3 = self.acceleration(&(q + v2 * (0.5 * h)), &v3, actuation, external)?;
-        let v4 = v1 + a3 * h;
-        let a4 = self.acceleration(&(q + v3 * h), &v4, actuation, external)?;
-        let q = q + (v1 + (v2 + v3) * 2.0 + v4) * (h / 6.0);
-        let mut qd = v1 + (a1 + (a2 + a3) * 2.0 + a4) * (h / 6.0);
-        if !q.iter().chain(qd.iter()).all(|v| v.is_finite()) {
+        let (x, h) = (state(&self.q, &self.qd), self.step);
+        let derivative = |x: &State| {
+            let (q, qd) = (x.q(), x.qd());
+            let qdd = self.acceleration(&q, &qd, actuation, external).ok_or(())?;
+            Ok::<_, ()>(state(&qd, &qdd))
+        };
+        let x = runge_kutta_step(&x, h, derivative).ok()?;
+        if !x.iter().all(|v| v.is_finite()) {
             return None;
         }
+        let (q, mut qd) = (x.q(), x.qd());
         if *actuation == Actuation::Brakes {
             for i in 0..NU {
                 if qd[i].abs() < REST_SPEED_BRAKED {
