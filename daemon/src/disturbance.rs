@@ -127,6 +127,7 @@ impl DisturbanceEstimate {
             return taken;
         }
         let sum = inertia + ActuatedMatrix::from_diagonal_element(light_inertia);
+        // nalgebra's factorisation: the model's own is written out for M of all joints, and this sum has the actuated ones.
         match Cholesky::new(sum) {
             Some(sum) => taken + sum.solve(change) * ((light - heavy) * light_inertia),
             None => taken,

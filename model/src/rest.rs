@@ -33,6 +33,7 @@ impl Model {
             let mut shift = 0.0;
             let step = loop {
                 let shifted = curvature + nalgebra::SMatrix::identity() * shift;
+                // nalgebra's factorisation: `positive` is written out for M of all joints, and this block has the unactuated ones.
                 match shifted.cholesky() {
                     Some(factor) => break -factor.solve(&g),
                     None => shift = 2.0 * shift + 1e-3 * (1.0 + curvature.norm()),

@@ -202,6 +202,7 @@ fn check_body(joint: &Joint) -> Result<(), UrdfError> {
             format!("expected a body with a mass above 0 on it, got {} kg", joint.mass),
         ));
     }
+    // Only whether the factor exists counts; `positive` is written out for M of all joints.
     if nalgebra::Cholesky::new(joint.inertia).is_none() {
         let reason = "expected a positive definite inertia of the body on it about the centre of mass";
         return Err(refuse(&joint.name, reason));

@@ -145,6 +145,7 @@ impl Mechanism {
         let force = self.model.inverse_dynamics(q, qd, &qdd, &mut self.work) - load;
         let mass = self.model.mass_matrix(q, &mut self.work);
         let mass_u = mass.fixed_view::<N_UNACTUATED, N_UNACTUATED>(NU, NU).into_owned();
+        // nalgebra's factorisation: the model's own is written out for M of all joints, and M_UU has the unactuated ones.
         qdd.unactuated_mut().copy_from(&-mass_u.cholesky()?.solve(&force.unactuated()));
         Some(qdd)
     }
