@@ -58,7 +58,7 @@ pub struct Config {
     pub daemon: DaemonSettings,
     /// Settings of the simulated plant.
     pub plant: PlantSettings,
-    /// The bodies that move in the simulated plant, as their URDF describes them; [`ModelSettings::apply`] changes them.
+    /// The bodies of the simulated plant as their URDF describes them, without the differences of `plant.model`.
     pub plant_model: Model,
     /// Grid of the start poses of the trajectory database.
     pub grid: GridSettings,

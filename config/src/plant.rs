@@ -4,7 +4,7 @@ use crate::conflict::SettingsConflict;
 use crate::rule::{Angle, Finite, NonNegative, Positive, Rule, Share, Whole};
 use crate::{Fault, Push, RobotSettings};
 use serde::{Deserialize, Deserializer};
-use upswing_model::{Model, N_UNACTUATED, NQ, NU};
+use upswing_model::{N_UNACTUATED, NQ, NU};
 
 /// Largest delay of a command, and of a measurement under the fault `DelayMeasurement`, cycles.
 pub const MAX_DELAY: u32 = 63;
@@ -59,16 +59,6 @@ pub struct ModelSettings {
     /// Inertia of the rotors, reflected to the actuated joints, kg m^2.
     #[serde(rename = "rotor_inertia_kg_m2", deserialize_with = "NonNegative::read")]
     pub rotor_inertia: [f64; NU],
-}
-
-impl ModelSettings {
-    /// Applies these differences to the model of the URDF and returns the model of the simulated bodies and rotors.
-    pub fn apply(&self, urdf: &Model) -> Model {
-        urdf.with_scaled_masses(self.arm_mass_scale, self.pendulum_mass_scale)
-            .with_scaled_rod_length(self.pendulum_length_scale)
-            .with_payload(self.payload, self.payload_position.into())
-            .with_rotors(self.rotor_inertia)
-    }
 }
 
 /// Settings of the integration of the equations of motion.

@@ -4,8 +4,7 @@ use crate::conflict::{SettingsConflict, degrees};
 use crate::rule::{Angle, Finite, Negative, NonNegative, Positive, PositiveShare, Rule};
 use serde::Deserialize;
 use upswing_model::{
-    ActuatedVector, JointFriction, JointVector, Limits, Model, N_UNACTUATED, NQ, NU, State, StateParts,
-    Workspace, thresholds::EQUILIBRIUM_ACCELERATION,
+    ActuatedVector, JointFriction, JointVector, Limits, Model, N_UNACTUATED, NQ, NU, TargetError, Workspace,
 };
 
 /// Limits and drives of the robot, and the target of the swing-up.
@@ -181,28 +180,19 @@ impl RobotSettings {
     /// Refuses a target (8) that is no equilibrium of the pendulum: no trajectory can end at rest in such a target.
     fn target_is_equilibrium(&self, model: &Model) -> Result<(), SettingsConflict> {
         let Target { pitch, q8 } = self.target;
-        let mut work = Workspace::default();
-        // (8) fixes q2 - q4 + q6 only: the target must be an equilibrium whichever joint pitches the flange.
-        for (joint, sign) in [(1, 1.0), (3, -1.0), (5, 1.0)] {
-            let mut x = State::zeros();
-            (x[joint], x[NU]) = (sign * pitch, q8);
-            let qdd = model.f(&x, &ActuatedVector::zeros(), &mut work).qd();
-            if let Some(i) = (NU..NQ).find(|i| !(qdd[*i].abs() <= EQUILIBRIUM_ACCELERATION)) {
-                return Err(SettingsConflict::new(
-                    "target.pitch_deg",
-                    "with target.q8_deg an equilibrium of the pendulum",
-                    format!(
-                        "{:.2} with q8_deg {:.2}, where joint {} of {} at rest accelerates with {:.3} rad/s^2",
-                        pitch.to_degrees(),
-                        q8.to_degrees(),
-                        i + 1,
-                        crate::URDF.name,
-                        qdd[i]
-                    ),
-                    "make axis 8 horizontal and the rod vertical; the shipped robot has 90 and 180",
-                ));
-            }
-        }
-        Ok(())
+        let refuse = |TargetError { joint, acceleration }| {
+            SettingsConflict::new(
+                "target.pitch_deg",
+                "with target.q8_deg an equilibrium of the pendulum",
+                format!(
+                    "{:.2} with q8_deg {:.2}, where joint {joint} of {} at rest accelerates with {acceleration:.3} rad/s^2",
+                    pitch.to_degrees(),
+                    q8.to_degrees(),
+                    crate::URDF.name
+                ),
+                "make axis 8 horizontal and the rod vertical; the shipped robot has 90 and 180",
+            )
+        };
+        model.check_target(pitch, q8, &mut Workspace::default()).map_err(refuse)
     }
 }

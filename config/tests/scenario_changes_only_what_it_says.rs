@@ -65,13 +65,6 @@ fn a_second_scenario_replaces_the_first() {
 }
 
 #[test]
-fn the_defaults_change_nothing_about_the_bodies() {
-    let config = embedded();
-    let plant = config.plant.model.apply(&config.plant_model);
-    assert_eq!(plant.fingerprint(), config.model.fingerprint());
-}
-
-#[test]
 fn the_second_arm_has_the_geometry_of_the_first() {
     let mut config = embedded();
     config.use_scenario("second-arm").expect("scenario");

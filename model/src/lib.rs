@@ -33,7 +33,7 @@ pub use limits::{LimitKind, Limits};
 pub use model::{Model, Pose};
 pub use parts::{JointParts, StateParts};
 pub use period::Period;
-pub use rest::RestError;
+pub use rest::{RestError, TargetError};
 pub use start::StartError;
 pub use urdf::UrdfError;
 

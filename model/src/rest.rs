@@ -1,6 +1,10 @@
-//! Rest positions: the hanging equilibria of the unactuated joints.
+//! Equilibria of the unactuated joints: the rest positions, in which they hang, and the test of the target.
 
-use crate::{JointParts, JointVector, Model, N_UNACTUATED, NU, UnactuatedVector, Workspace};
+use crate::thresholds::EQUILIBRIUM_ACCELERATION;
+use crate::{
+    ActuatedVector, JointParts, JointVector, Model, N_UNACTUATED, NQ, NU, State, StateParts, UnactuatedVector,
+    Workspace,
+};
 
 /// The search for a rest position found none.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -8,6 +12,16 @@ use crate::{JointParts, JointVector, Model, N_UNACTUATED, NU, UnactuatedVector, 
 pub struct RestError {
     /// |g_U| at the last iterate, N m.
     pub residual: f64,
+}
+
+/// The target (8) is no equilibrium: an unactuated joint accelerates in it.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[error("joint {joint} accelerates with {acceleration:.3} rad/s^2 in the target")]
+pub struct TargetError {
+    /// The first such joint, counted from 1.
+    pub joint: usize,
+    /// Its acceleration, rad/s^2.
+    pub acceleration: f64,
 }
 
 /// Longest step of the iteration, rad: where the curvature nearly vanishes, a full step would be many turns long.
@@ -54,6 +68,25 @@ impl Model {
             }
         }
         if residual < 1e-10 && q.iter().all(|v| v.is_finite()) { Ok(q) } else { Err(RestError { residual }) }
+    }
+
+    /// Checks that the unactuated joints stay at rest in the target (8): qd = 0, u = 0, q2 - q4 + q6 = `pitch` (rad), first
+    /// unactuated joint at `q8` (rad), all other angles 0. (8) fixes the sum only, so that the target has to be an equilibrium
+    /// whichever of the three joints pitches the flange.
+    ///
+    /// # Errors
+    /// [`TargetError`] with the acceleration above [`EQUILIBRIUM_ACCELERATION`].
+    pub fn check_target(&self, pitch: f64, q8: f64, work: &mut Workspace) -> Result<(), TargetError> {
+        for (joint, sign) in [(1, 1.0), (3, -1.0), (5, 1.0)] {
+            let mut x = State::zeros();
+            (x[joint], x[NU]) = (sign * pitch, q8);
+            let qdd = self.f(&x, &ActuatedVector::zeros(), work).qd();
+            // Written so that NaN is refused.
+            if let Some(i) = (NU..NQ).find(|i| !(qdd[*i].abs() <= EQUILIBRIUM_ACCELERATION)) {
+                return Err(TargetError { joint: i + 1, acceleration: qdd[i] });
+            }
+        }
+        Ok(())
     }
 
     /// g_U (N m) and its derivative with respect to q_U (N m/rad).

@@ -7,7 +7,7 @@ use crate::mechanism::{ExternalLoad, Mechanism, TipForce};
 use crate::start::{StateError, check_state};
 use upswing_config::{Config, Fault, Push, RobotSettings};
 use upswing_ipc::{Clock, Command, Measurement};
-use upswing_model::{ActuatedVector, JointVector, NU, Period, StateParts};
+use upswing_model::{ActuatedVector, JointVector, Model, NU, Period, StateParts};
 
 /// Simulated robot arm and pendulum with drives, encoders, brakes and faults.
 ///
@@ -31,13 +31,23 @@ pub struct Plant {
 }
 
 impl Plant {
+    /// The model of the simulated bodies and rotors: that of their URDF with the differences of `plant.model` in the settings.
+    pub fn model(config: &Config) -> Model {
+        let differences = &config.plant.model;
+        let urdf = &config.plant_model;
+        urdf.with_scaled_masses(differences.arm_mass_scale, differences.pendulum_mass_scale)
+            .with_scaled_rod_length(differences.pendulum_length_scale)
+            .with_payload(differences.payload, differences.payload_position.into())
+            .with_rotors(differences.rotor_inertia)
+    }
+
     /// A plant at rest in the start pose of the settings, with closed brakes, before cycle 1.
     ///
     /// # Errors
     /// [`StateError`] if the pose is outside the limits, or the pendulum has no rest position within its limits there.
     pub fn new(config: &Config) -> Result<Self, StateError> {
         let start = &config.plant.start;
-        let model = config.plant.model.apply(&config.plant_model);
+        let model = Self::model(config);
         let x = config.start_state_of(&model, &start.q, start.pendulum)?;
         Self::at(config, &x.q(), &x.qd())
     }
@@ -50,10 +60,9 @@ impl Plant {
         check_state(&config.robot, q, qd)?;
         let settings = &config.plant;
         let period = config.daemon.cycle.period;
-        let model = settings.model.apply(&config.plant_model);
         let mut plant = Self {
             robot: config.robot.clone(),
-            mechanism: Mechanism::new(config, model, q, qd),
+            mechanism: Mechanism::new(config, Self::model(config), q, qd),
             drives: Drives::new(&settings.drive, &config.robot.limits.tau_max, period),
             encoders: Encoders::new(&settings.encoder),
             faults: Faults::new(&settings.faults),

@@ -32,11 +32,17 @@ fn mass_matrix(model: &Model) -> JointMatrix {
 }
 
 #[test]
+fn the_defaults_change_nothing_about_the_bodies() {
+    let config = Config::embedded().unwrap();
+    assert_eq!(Plant::model(&config).fingerprint(), config.model.fingerprint());
+}
+
+#[test]
 fn a_longer_rod_has_its_tip_and_its_gravity_farther_out() {
     let mut config = frictionless();
-    let short = config.plant.model.apply(&config.plant_model);
+    let short = Plant::model(&config);
     config.plant.model.pendulum_length_scale = 1.2;
-    let long = config.plant.model.apply(&config.plant_model);
+    let long = Plant::model(&config);
     let (q, work) = (pose(), &mut Workspace::default());
     let joint = short.poses(&q)[NQ - 1].translation.vector;
     assert!((long.tip(&q) - joint - (short.tip(&q) - joint) * 1.2).norm() < 1e-12);
@@ -52,7 +58,7 @@ fn masses_scale_energies() {
     let mut config = frictionless();
     config.plant.model.arm_mass_scale = 1.1;
     config.plant.model.pendulum_mass_scale = 1.1;
-    let heavy = config.plant.model.apply(&config.plant_model);
+    let heavy = Plant::model(&config);
     assert!((mass_matrix(&heavy) - mass_matrix(&config.model) * 1.1).amax() < 1e-12);
 }
 
@@ -61,7 +67,7 @@ fn a_payload_adds_the_energy_of_a_point_mass() {
     let mut config = frictionless();
     let (mass, place) = (0.7, [0.02, -0.03, 0.1]);
     (config.plant.model.payload, config.plant.model.payload_position) = (mass, place);
-    let (with, without) = (config.plant.model.apply(&config.plant_model), &config.model);
+    let (with, without) = (Plant::model(&config), &config.model);
     let point = |q: &JointVector| -> [f64; 3] {
         let flange = without.poses(q)[NU - 1];
         (flange * nalgebra::Point3::from(place)).into()
