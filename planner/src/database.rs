@@ -1,15 +1,17 @@
-//! The trajectory database: [`build()`] it, [`merge()`] its shards, [`verify()`] its records, and find the entries nearest to a
-//! start pose ([`NearestPose`]). The file format is that of [`upswing_trajectory::Database`].
+//! The trajectory database: [`build()`] it, [`merge()`] its shards, [`verify()`] its records, describe it ([`Overview`]), and find
+//! the entries nearest to a start pose ([`NearestPose`]). The file format is that of [`upswing_trajectory::Database`].
 
 mod build;
 mod merge;
 mod nearest;
+mod overview;
 mod stored;
 mod verify;
 
 pub use build::build;
 pub use merge::merge;
 pub use nearest::{NearestPose, Neighbour};
+pub use overview::{JointCoverage, Overview};
 pub use stored::{DatabaseFile, SHIPPED};
 pub use verify::{Discrepancy, RecordFlaw, verify};
 
@@ -63,10 +65,10 @@ pub enum BuildError {
     #[error(transparent)]
     Output(#[from] OutputError),
     /// A file is no database or a damaged database.
-    #[error("{}: {cause}", path.display())]
+    #[error("{origin}: {cause}")]
     Database {
         /// Path of the file.
-        path: PathBuf,
+        origin: String,
         /// Error of the decoder.
         cause: DatabaseError,
     },
@@ -155,7 +157,7 @@ fn summary(database: &Database, poses: usize, resumed: usize) -> BuildSummary {
 }
 
 /// The header of a database (or of one shard) for the robot, the optimisation problem and the grid of the settings.
-pub fn heading(config: &Config, shard: Shard) -> DatabaseHeading {
+fn heading(config: &Config, shard: Shard) -> DatabaseHeading {
     DatabaseHeading {
         model: config.model.fingerprint(),
         problem: problem_fingerprint(config),
@@ -182,6 +184,14 @@ pub fn has_grid_of(config: &Config, database: &Database) -> bool {
     database.heading.grid == grid_fingerprint(&config.grid)
 }
 
+/// Checks that a database was made for the robot model, the limits and the weights of the settings; its grid may be another.
+///
+/// # Errors
+/// [`DatabaseError::Fingerprint`] with both fingerprints.
+pub fn check_origin(config: &Config, database: &Database) -> Result<(), DatabaseError> {
+    database.heading.check_origin(config.model.fingerprint(), problem_fingerprint(config))
+}
+
 /// Refuses a file that was made for another robot, other settings or another grid.
 fn same_origin(path: &Path, got: &DatabaseHeading, expected: &DatabaseHeading) -> Result<(), BuildError> {
     for (what, expected, got) in [
@@ -201,8 +211,7 @@ fn same_origin(path: &Path, got: &DatabaseHeading, expected: &DatabaseHeading) -
 /// # Errors
 /// [`BuildError::File`] or [`BuildError::Database`].
 pub fn read(path: &Path) -> Result<Database, BuildError> {
-    let DatabaseFile { bytes, .. } = DatabaseFile::read(path)?;
-    Database::decode(&bytes).map_err(|cause| BuildError::Database { path: path.to_owned(), cause })
+    DatabaseFile::read(path)?.decode()
 }
 
 /// The start state of a pose of the grid, rad and rad/s; `None` if the rules of the grid leave the pose out.

@@ -38,6 +38,21 @@ impl Certificate {
         }
     }
 
+    /// The worst value of each figure over `certificates`: largest cost, defect and end error, smallest margins. Without
+    /// certificates the errors are 0 and the margins 1.
+    pub fn worst<'a>(certificates: impl IntoIterator<Item = &'a Self>) -> Self {
+        let best =
+            Self { cost: 0.0, defect: 0.0, margin_q: 1.0, margin_qd: 1.0, margin_tau: 1.0, end_error: 0.0 };
+        certificates.into_iter().fold(best, |worst, c| Self {
+            cost: worst.cost.max(c.cost),
+            defect: worst.defect.max(c.defect),
+            margin_q: worst.margin_q.min(c.margin_q),
+            margin_qd: worst.margin_qd.min(c.margin_qd),
+            margin_tau: worst.margin_tau.min(c.margin_tau),
+            end_error: worst.end_error.max(c.end_error),
+        })
+    }
+
     /// The figures in the order of the database file.
     pub(crate) fn to_array(self) -> [f64; 6] {
         [self.cost, self.defect, self.margin_q, self.margin_qd, self.margin_tau, self.end_error]

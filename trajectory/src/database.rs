@@ -179,6 +179,19 @@ fn integrate_arm(mut t: Trajectory) -> Trajectory {
 }
 
 impl DatabaseHeading {
+    /// Checks that the database was made for the model and the problem with these fingerprints.
+    ///
+    /// # Errors
+    /// [`DatabaseError::Fingerprint`] with both fingerprints.
+    pub fn check_origin(&self, model: u64, problem: u64) -> Result<(), DatabaseError> {
+        let pairs =
+            [("robot model", model, self.model), ("set of limits and weights", problem, self.problem)];
+        match pairs.into_iter().find(|(_, expected, got)| expected != got) {
+            Some((what, expected, got)) => Err(DatabaseError::Fingerprint { what, expected, got }),
+            None => Ok(()),
+        }
+    }
+
     /// The bytes of the header of a file with this number of records.
     fn encode(&self, records: u64) -> Vec<u8> {
         let mut bytes = MAGIC.to_vec();
@@ -388,13 +401,7 @@ impl Database {
     /// [`DatabaseError::Fingerprint`] with both fingerprints, [`DatabaseError::Shard`] or [`DatabaseError::Empty`].
     pub fn entries_for(self, model: u64, problem: u64) -> Result<Vec<Entry>, DatabaseError> {
         let h = &self.heading;
-        for (what, expected, got) in
-            [("robot model", model, h.model), ("set of limits and weights", problem, h.problem)]
-        {
-            if expected != got {
-                return Err(DatabaseError::Fingerprint { what, expected, got });
-            }
-        }
+        h.check_origin(model, problem)?;
         if h.shards > 1 {
             return Err(DatabaseError::Shard { shard: h.shard, shards: h.shards });
         }

@@ -5,11 +5,11 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 use upswing_config::Config;
-use upswing_planner::database::{self, BuildError, BuildSummary, DatabaseFile, Shard};
+use upswing_planner::database::{self, BuildError, BuildSummary, DatabaseFile, JointCoverage, Overview, Shard};
 use upswing_process::number::whole;
 use upswing_process::output::{Destination, OutputError, OutputFile, Overwrite};
 use upswing_process::{Failure, shutdown_flag};
-use upswing_trajectory::{Certificate, Database, Entry, PoseOutcome};
+use upswing_trajectory::{Certificate, Database};
 
 /// Builds, joins, checks, describes or exports trajectory databases.
 ///
@@ -228,15 +228,11 @@ fn conclude(
 
 /// Reads the database of a file or of the settings; returns it with its origin for messages.
 fn read(config: &Config, file: Option<&Path>) -> Result<(Database, String), Failure> {
-    match file {
-        Some(path) => Ok((database::read(path).map_err(failure)?, path.display().to_string())),
-        None => {
-            let DatabaseFile { bytes, origin } = DatabaseFile::of(config)?;
-            let database =
-                Database::decode(&bytes).map_err(|e| Failure::BadInput(format!("{origin}: {e}")))?;
-            Ok((database, origin))
-        }
-    }
+    let file = match file {
+        Some(path) => DatabaseFile::read(path).map_err(failure)?,
+        None => DatabaseFile::of(config)?,
+    };
+    Ok((file.decode().map_err(failure)?, file.origin))
 }
 
 #[derive(Serialize)]
@@ -247,13 +243,13 @@ struct DbVerifyResult {
     /// Whether the start of every entry was compared with the grid, because the database was built from this grid.
     starts_compared: bool,
     discrepancies: Vec<u64>,
-    worst: WorstCertificate,
+    worst: CertificateJson,
     time_s: f64,
 }
 
-/// Worst values of all certificates.
+/// Figures of a certificate, or the worst of several.
 #[derive(Serialize)]
-struct WorstCertificate {
+struct CertificateJson {
     defect: f64,
     margin_q: f64,
     margin_qd: f64,
@@ -261,20 +257,19 @@ struct WorstCertificate {
     end_error: f64,
 }
 
-impl WorstCertificate {
-    fn of<'a>(certificates: impl Iterator<Item = &'a Certificate>) -> Self {
-        let start = Self { defect: 0.0, margin_q: 1.0, margin_qd: 1.0, margin_tau: 1.0, end_error: 0.0 };
-        certificates.fold(start, |w, c| Self {
-            defect: w.defect.max(c.defect),
-            margin_q: w.margin_q.min(c.margin_q),
-            margin_qd: w.margin_qd.min(c.margin_qd),
-            margin_tau: w.margin_tau.min(c.margin_tau),
-            end_error: w.end_error.max(c.end_error),
-        })
+impl From<&Certificate> for CertificateJson {
+    fn from(c: &Certificate) -> Self {
+        Self {
+            defect: c.defect,
+            margin_q: c.margin_q,
+            margin_qd: c.margin_qd,
+            margin_tau: c.margin_tau,
+            end_error: c.end_error,
+        }
     }
 }
 
-impl std::fmt::Display for WorstCertificate {
+impl std::fmt::Display for CertificateJson {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(
             f,
@@ -300,13 +295,7 @@ fn verify(common: &CommonArgs, grid: Option<&Path>, file: Option<&Path>) -> Resu
     let mut config = common.process.load()?;
     use_grid(&mut config, grid)?;
     let (database, origin) = read(&config, file)?;
-    let (expected, got) = (database::heading(&config, Shard::WHOLE), database.heading);
-    if (expected.model, expected.problem) != (got.model, got.problem) {
-        return Err(Failure::BadInput(format!(
-            "{origin}: made for robot {:016x} and limits {:016x}, the settings are robot {:016x} and limits {:016x}",
-            got.model, got.problem, expected.model, expected.problem
-        )));
-    }
+    database::check_origin(&config, &database).map_err(|e| Failure::BadInput(format!("{origin}: {e}")))?;
     let starts_compared = database::has_grid_of(&config, &database);
     if !starts_compared {
         tracing::warn!("{origin}: built from another grid, starts are not compared; name it by --grid");
@@ -326,7 +315,7 @@ fn verify(common: &CommonArgs, grid: Option<&Path>, file: Option<&Path>) -> Resu
         entries,
         starts_compared,
         discrepancies: discrepancies.iter().map(|d| d.pose).collect(),
-        worst: WorstCertificate::of(database.entries().map(|e| &e.certificate)),
+        worst: (&Certificate::worst(database.entries().map(|e| &e.certificate))).into(),
         time_s: begin.elapsed().as_secs_f64(),
     })?;
     if success { Ok(()) } else { Err(failed(format!("{} records do not hold", discrepancies.len()))) }
@@ -349,17 +338,10 @@ struct DbInfoResult {
     t_f_max: f64,
     cost_min: f64,
     cost_max: f64,
-    worst: WorstCertificate,
+    worst: CertificateJson,
     joints: Vec<JointCoverage>,
     #[serde(skip)]
     map: String,
-}
-
-#[derive(Serialize)]
-struct JointCoverage {
-    joint: usize,
-    angles_deg: Vec<f64>,
-    entries: Vec<usize>,
 }
 
 impl std::fmt::Display for DbInfoResult {
@@ -383,20 +365,12 @@ impl std::fmt::Display for DbInfoResult {
     }
 }
 
-/// Start angle of a joint, deg, rounded: grid angles stay distinct, equal angles with different rounding errors become equal.
-fn start_deg(entry: &Entry, joint: usize) -> f64 {
-    (entry.trajectory.x[0][joint].to_degrees() * 1e3).round() / 1e3
-}
-
-/// Distribution of the entries over two joints as a text map, with one cell per pair of angles, darker with more entries.
-fn coverage_map(entries: &[&Entry], rows: &JointCoverage, columns: &JointCoverage) -> String {
+/// Draws the map of an overview as text, with one cell per pair of angles, darker with more entries; nothing without a map.
+fn coverage_map(overview: &Overview) -> String {
     const SHADES: [char; 5] = ['·', '░', '▒', '▓', '█'];
-    let count = |r: f64, c: f64| {
-        let here = |e: &&&Entry| start_deg(e, rows.joint - 1) == r && start_deg(e, columns.joint - 1) == c;
-        entries.iter().filter(here).count()
+    let ([.., rows, columns], cells) = (overview.joints.as_slice(), &overview.map) else {
+        return String::new();
     };
-    let cells: Vec<Vec<usize>> =
-        rows.angles_deg.iter().map(|r| columns.angles_deg.iter().map(|c| count(*r, *c)).collect()).collect();
     let most = cells.iter().flatten().copied().max().unwrap_or(0).max(1);
     let mut map = format!(
         "\n  coverage  joint {} down, joint {} across ({} to {} deg); █ is {most} entries, · none",
@@ -405,7 +379,7 @@ fn coverage_map(entries: &[&Entry], rows: &JointCoverage, columns: &JointCoverag
         columns.angles_deg.first().copied().unwrap_or(0.0),
         columns.angles_deg.last().copied().unwrap_or(0.0)
     );
-    for (angle, row) in rows.angles_deg.iter().zip(&cells) {
+    for (angle, row) in rows.angles_deg.iter().zip(cells) {
         let shade = |n: &usize| SHADES[(n * (SHADES.len() - 1)).div_ceil(most)];
         let line: String = row.iter().flat_map(|n| [shade(n); 2]).collect();
         map.push_str(&format!("\n  {angle:>8}  {line}"));
@@ -416,48 +390,26 @@ fn coverage_map(entries: &[&Entry], rows: &JointCoverage, columns: &JointCoverag
 fn info(common: &CommonArgs, file: Option<&Path>) -> Result<(), Failure> {
     let config = common.process.load()?;
     let (database, origin) = read(&config, file)?;
-    let entries: Vec<&Entry> = database.entries().collect();
-    let range = |value: &dyn Fn(&Entry) -> f64| {
-        let limits = (f64::INFINITY, f64::NEG_INFINITY);
-        entries.iter().map(|e| value(e)).fold(limits, |(a, b), v| (a.min(v), b.max(v)))
-    };
-    let (t_f_min, t_f_max) = range(&|e| e.trajectory.t_f);
-    let (cost_min, cost_max) = range(&|e| e.certificate.cost);
-    let joints: Vec<JointCoverage> = (0..upswing_model::NU)
-        .map(|i| {
-            let mut angles_deg: Vec<f64> = entries.iter().map(|e| start_deg(e, i)).collect();
-            angles_deg.sort_by(f64::total_cmp);
-            angles_deg.dedup();
-            let count = |a: &f64| entries.iter().filter(|e| start_deg(e, i) == *a).count();
-            JointCoverage { joint: i + 1, entries: angles_deg.iter().map(count).collect(), angles_deg }
-        })
-        .filter(|c| c.angles_deg.len() > 1)
-        .collect();
-    let map = match joints.as_slice() {
-        [.., rows, columns] => coverage_map(&entries, rows, columns),
-        _ => String::new(),
-    };
-    let count = |outcome: PoseOutcome| database.records.iter().filter(|r| r.outcome == outcome).count();
-    let (h, settings) = (database.heading, database::heading(&config, Shard::WHOLE));
+    let (h, overview) = (database.heading, Overview::of(&database));
     common.print(&DbInfoResult {
         origin,
         poses: h.poses,
         shard: h.shard,
         shards: h.shards,
-        entries: entries.len(),
-        rejected: count(PoseOutcome::Rejected),
-        failed: count(PoseOutcome::Failed),
+        entries: overview.entries,
+        rejected: overview.rejected,
+        failed: overview.failed,
         model: format!("{:016x}", h.model),
         problem: format!("{:016x}", h.problem),
         grid: format!("{:016x}", h.grid),
-        fits_settings: (h.model, h.problem) == (settings.model, settings.problem),
-        t_f_min,
-        t_f_max,
-        cost_min,
-        cost_max,
-        worst: WorstCertificate::of(entries.iter().map(|e| &e.certificate)),
-        joints,
-        map,
+        fits_settings: database::check_origin(&config, &database).is_ok(),
+        t_f_min: overview.t_f.0,
+        t_f_max: overview.t_f.1,
+        cost_min: overview.cost.0,
+        cost_max: overview.cost.1,
+        worst: (&overview.worst).into(),
+        map: coverage_map(&overview),
+        joints: overview.joints,
     })
 }
 
@@ -468,11 +420,8 @@ struct DbExportResult {
     trajectory: TrajectoryJson,
     status: &'static str,
     cost: f64,
-    defect: f64,
-    margin_q: f64,
-    margin_qd: f64,
-    margin_tau: f64,
-    end_error: f64,
+    #[serde(flatten)]
+    certificate: CertificateJson,
 }
 
 fn export(common: &CommonArgs, file: Option<&Path>, only: Option<usize>) -> Result<(), Failure> {
@@ -485,17 +434,12 @@ fn export(common: &CommonArgs, file: Option<&Path>, only: Option<usize>) -> Resu
     }
     for (entry, e) in database.entries().enumerate() {
         if only.is_none_or(|o| o == entry) {
-            let c = &e.certificate;
             print_json(&DbExportResult {
                 entry,
                 trajectory: (&e.trajectory).into(),
                 status: "solved",
-                cost: c.cost,
-                defect: c.defect,
-                margin_q: c.margin_q,
-                margin_qd: c.margin_qd,
-                margin_tau: c.margin_tau,
-                end_error: c.end_error,
+                cost: e.certificate.cost,
+                certificate: (&e.certificate).into(),
             })?;
         }
     }

@@ -180,7 +180,7 @@ fn open_journal(path: &Path, heading: &DatabaseHeading) -> Result<(File, Vec<Pos
     let Ok((journal, whole)) = Database::recover(&bytes) else {
         if bytes.len() >= heading.journal().len() {
             let cause = Database::recover(&bytes).err().unwrap_or(DatabaseError::Empty);
-            return Err(BuildError::Database { path: path.to_owned(), cause });
+            return Err(BuildError::Database { origin: path.display().to_string(), cause });
         }
         file.set_len(0).map_err(failed("write"))?;
         return begin(file);

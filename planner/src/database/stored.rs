@@ -4,6 +4,7 @@ use super::BuildError;
 use std::borrow::Cow;
 use std::path::Path;
 use upswing_config::{Config, ConfigError, DATABASE};
+use upswing_trajectory::Database;
 use xxhash_rust::xxh3::xxh3_64;
 
 /// Encoded database that is shipped with the embedded settings.
@@ -39,6 +40,15 @@ impl DatabaseFile {
             cause,
         })?;
         Ok(Self { bytes: Cow::Owned(bytes), origin: path.display().to_string() })
+    }
+
+    /// Decodes the database.
+    ///
+    /// # Errors
+    /// [`BuildError::Database`]
+    pub fn decode(&self) -> Result<Database, BuildError> {
+        Database::decode(&self.bytes)
+            .map_err(|cause| BuildError::Database { origin: self.origin.clone(), cause })
     }
 
     /// XXH3 hash of the contents, 16 hexadecimal digits.
