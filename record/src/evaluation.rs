@@ -8,27 +8,52 @@ use upswing_ipc::{Mode, PlannerResponse, Telemetry};
 use upswing_model::thresholds::{REPORT_POSITION_SLACK, REST_SPEED_REPORT};
 use upswing_model::{JointParts, JointVector, Limits, Model, NQ, NU};
 
-/// Statistics of the motion in a sequence of telemetry records.
+/// Figures of a motion: `T` is a number, or a statistic of the numbers of many motions.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct MotionFigures<T = f64> {
+    /// Largest difference between a position of joints 1-7 and its reference while tracking, rad.
+    pub tracking_error_arm: T,
+    /// Largest difference between a position of joints 8-9 and its reference while tracking, rad.
+    pub tracking_error_pendulum: T,
+    /// Largest share of the 100 % position limits that joints 1-7 reached.
+    pub peak_position: T,
+    /// Largest share of the 100 % velocity limits that joints 1-7 reached.
+    pub peak_velocity: T,
+    /// Largest share of the 100 % velocity limits that joints 8 and 9 reached while tracking or balancing.
+    pub peak_velocity_pendulum: T,
+    /// Largest share of the 100 % torque limits in the commanded torques, at most 1 because of the limiter.
+    pub peak_torque: T,
+    /// Share of the cycles of tracking and balancing in which the limiter cut a torque.
+    pub limited_share: T,
+    /// Largest angle of the rod from upright in the last second of balance, deg.
+    pub final_tilt_deg: T,
+    /// Largest velocity of joints 1-7 in the last second of balance, rad/s.
+    pub final_speed: T,
+}
+
+impl MotionFigures {
+    /// A statistic of each figure: `of` computes it, given the function that reads the figure of one motion.
+    pub fn statistic<T>(of: impl Fn(fn(&Self) -> f64) -> T) -> MotionFigures<T> {
+        MotionFigures {
+            tracking_error_arm: of(|m| m.tracking_error_arm),
+            tracking_error_pendulum: of(|m| m.tracking_error_pendulum),
+            peak_position: of(|m| m.peak_position),
+            peak_velocity: of(|m| m.peak_velocity),
+            peak_velocity_pendulum: of(|m| m.peak_velocity_pendulum),
+            peak_torque: of(|m| m.peak_torque),
+            limited_share: of(|m| m.limited_share),
+            final_tilt_deg: of(|m| m.final_tilt_deg),
+            final_speed: of(|m| m.final_speed),
+        }
+    }
+}
+
+/// Statistics of a sequence of telemetry records.
 #[derive(Clone, Debug, Serialize)]
 pub struct MotionStatistics {
-    /// Largest difference between a position of joints 1-7 and its reference while tracking, rad.
-    pub tracking_error_arm: f64,
-    /// Largest difference between a position of joints 8-9 and its reference while tracking, rad.
-    pub tracking_error_pendulum: f64,
-    /// Largest share of the 100 % position limits that joints 1-7 reached.
-    pub peak_position: f64,
-    /// Largest share of the 100 % velocity limits that joints 1-7 reached.
-    pub peak_velocity: f64,
-    /// Largest share of the 100 % velocity limits that joints 8 and 9 reached while tracking or balancing.
-    pub peak_velocity_pendulum: f64,
-    /// Largest share of the 100 % torque limits in the commanded torques, at most 1 because of the limiter.
-    pub peak_torque: f64,
-    /// Share of the cycles of tracking and balancing in which the limiter cut a torque.
-    pub limited_share: f64,
-    /// Largest angle of the rod from upright in the last second of balance, deg.
-    pub final_tilt_deg: f64,
-    /// Largest velocity of joints 1-7 in the last second of balance, rad/s.
-    pub final_speed: f64,
+    /// Figures of the motion.
+    #[serde(flatten)]
+    pub motion: MotionFigures,
     /// Time in balance, s.
     pub balance_s: f64,
     /// Number of recorded cycles.
@@ -94,12 +119,8 @@ impl std::fmt::Display for LimitExcess<'_> {
 /// Accumulator of [`MotionStatistics`], one record after the other.
 #[derive(Clone, Debug, Default)]
 pub struct MotionStatisticsCounter {
-    tracking_error_arm: f64,
-    tracking_error_pendulum: f64,
-    peak_position: f64,
-    peak_velocity: f64,
-    peak_velocity_pendulum: f64,
-    peak_torque: f64,
+    /// Tracking errors and peaks; the other figures follow at the end.
+    motion: MotionFigures,
     cycles: u64,
     overruns: u64,
     /// Number of cycles of tracking and balancing.
@@ -122,27 +143,28 @@ impl MotionStatisticsCounter {
     pub fn count(&mut self, model: &Model, limits: &Limits, t: &Telemetry) {
         /// One second, ns.
         const SECOND: u64 = 1_000_000_000;
+        let motion = &mut self.motion;
         self.cycles += 1;
         self.overruns += u64::from(t.flags & Telemetry::OVERRUN != 0);
         for i in 0..NU {
             let range = if t.q[i] < 0.0 { limits.q_min[i] } else { limits.q_max[i] };
-            self.peak_position = self.peak_position.max(t.q[i] / range);
-            self.peak_velocity = self.peak_velocity.max(t.qd[i].abs() / limits.qd_max[i]);
-            self.peak_torque = self.peak_torque.max(t.tau[i].abs() / limits.tau_max[i]);
+            motion.peak_position = motion.peak_position.max(t.q[i] / range);
+            motion.peak_velocity = motion.peak_velocity.max(t.qd[i].abs() / limits.qd_max[i]);
+            motion.peak_torque = motion.peak_torque.max(t.tau[i].abs() / limits.tau_max[i]);
         }
         if matches!(t.mode(), Ok(Mode::Track | Mode::Balance)) {
             self.controlled += 1;
             self.limited += u64::from(t.flags & Telemetry::LIMITED != 0);
             for i in NU..NQ {
-                self.peak_velocity_pendulum =
-                    self.peak_velocity_pendulum.max(t.qd[i].abs() / limits.qd_max[i]);
+                motion.peak_velocity_pendulum =
+                    motion.peak_velocity_pendulum.max(t.qd[i].abs() / limits.qd_max[i]);
             }
         }
         if t.mode() == Ok(Mode::Track) {
             for i in 0..NQ {
                 let error = (t.q[i] - t.q_d[i]).abs();
                 let worst =
-                    if i < NU { &mut self.tracking_error_arm } else { &mut self.tracking_error_pendulum };
+                    if i < NU { &mut motion.tracking_error_arm } else { &mut motion.tracking_error_pendulum };
                 *worst = worst.max(error);
             }
         }
@@ -172,15 +194,12 @@ impl MotionStatisticsCounter {
             false => self.end.iter().map(of).fold(0.0, f64::max),
         };
         MotionStatistics {
-            tracking_error_arm: self.tracking_error_arm,
-            tracking_error_pendulum: self.tracking_error_pendulum,
-            peak_position: self.peak_position,
-            peak_velocity: self.peak_velocity,
-            peak_velocity_pendulum: self.peak_velocity_pendulum,
-            peak_torque: self.peak_torque,
-            limited_share: self.limited as f64 / self.controlled.max(1) as f64,
-            final_tilt_deg: most(|end| end.1).to_degrees(),
-            final_speed: most(|end| end.2),
+            motion: MotionFigures {
+                limited_share: self.limited as f64 / self.controlled.max(1) as f64,
+                final_tilt_deg: most(|end| end.1).to_degrees(),
+                final_speed: most(|end| end.2),
+                ..self.motion
+            },
             balance_s: self.balance_ns as f64 * 1e-9 + self.balances as f64 * period,
             cycles: self.cycles,
             dropped,
@@ -222,54 +241,55 @@ impl SwingUpEvaluation {
         let mut statistics = counter.statistics(period, dropped);
         if let Some(fastest) = fastest {
             let shares = fastest.component_div(&limits.qd_max);
-            statistics.peak_velocity = shares.actuated().max().max(statistics.peak_velocity);
-            statistics.peak_velocity_pendulum =
-                shares.unactuated().max().max(statistics.peak_velocity_pendulum);
+            let motion = &mut statistics.motion;
+            motion.peak_velocity = shares.actuated().max().max(motion.peak_velocity);
+            motion.peak_velocity_pendulum =
+                shares.unactuated().max().max(motion.peak_velocity_pendulum);
         }
         let beyond = LimitExcess::most(limits, records);
         let mut failures = Vec::new();
-        let f = &statistics;
+        let (s, m) = (&statistics, &statistics.motion);
         let mut fail = |bad: bool, text: String| {
             if bad {
                 failures.push(text);
             }
         };
         fail(
-            !(f.final_tilt_deg <= BALANCED_DEG),
+            !(m.final_tilt_deg <= BALANCED_DEG),
             format!(
                 "rod {:.2} deg from upright in the last second, expected at most {BALANCED_DEG}",
-                f.final_tilt_deg
+                m.final_tilt_deg
             ),
         );
         fail(
-            f.balance_s + 2.0 * period < seconds,
-            format!("balanced {:.3} s, expected {seconds} s", f.balance_s),
+            s.balance_s + 2.0 * period < seconds,
+            format!("balanced {:.3} s, expected {seconds} s", s.balance_s),
         );
         fail(
-            !(f.final_speed <= REST_SPEED_REPORT),
+            !(m.final_speed <= REST_SPEED_REPORT),
             format!(
                 "the arm moves at {:.3} rad/s in the last second, expected at most {REST_SPEED_REPORT}",
-                f.final_speed
+                m.final_speed
             ),
         );
         fail(
-            f.peak_velocity > 1.0,
-            format!("a velocity reached {:.0} % of its limit", 100.0 * f.peak_velocity),
+            m.peak_velocity > 1.0,
+            format!("a velocity reached {:.0} % of its limit", 100.0 * m.peak_velocity),
         );
         fail(
-            f.peak_velocity_pendulum > 1.0,
-            format!("the pendulum reached {:.0} % of its velocity limit", 100.0 * f.peak_velocity_pendulum),
+            m.peak_velocity_pendulum > 1.0,
+            format!("the pendulum reached {:.0} % of its velocity limit", 100.0 * m.peak_velocity_pendulum),
         );
         fail(
-            f.limited_share > LIMITED_SHARE,
+            m.limited_share > LIMITED_SHARE,
             format!(
                 "torques were cut at their limit in {:.1} % of the cycles, expected at most {} %",
-                100.0 * f.limited_share,
+                100.0 * m.limited_share,
                 100.0 * LIMITED_SHARE
             ),
         );
         fail(beyond.rad > REPORT_POSITION_SLACK, beyond.to_string());
-        fail(f.dropped > 0, format!("{} telemetry records were lost", f.dropped));
+        fail(s.dropped > 0, format!("{} telemetry records were lost", s.dropped));
         Self {
             success: failures.is_empty(),
             failures,
@@ -285,6 +305,7 @@ impl SwingUpEvaluation {
 
 impl std::fmt::Display for SwingUpEvaluation {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let MotionStatistics { motion, balance_s, cycles, dropped, overruns } = &self.statistics;
         writeln!(f, "{}", if self.success { "Swing-up: balanced" } else { "Swing-up: FAILED" })?;
         for reason in &self.failures {
             writeln!(f, "  {reason}")?;
@@ -301,24 +322,20 @@ impl std::fmt::Display for SwingUpEvaluation {
         writeln!(
             f,
             "  tracking  within {:.3} rad (joints 1-7), {:.3} rad (pendulum)",
-            self.statistics.tracking_error_arm, self.statistics.tracking_error_pendulum
+            motion.tracking_error_arm, motion.tracking_error_pendulum
         )?;
         writeln!(
             f,
             "  balance   {:.2} s, rod within {:.2} deg of upright and arm below {:.3} rad/s in the last second",
-            self.statistics.balance_s, self.statistics.final_tilt_deg, self.statistics.final_speed
+            balance_s, motion.final_tilt_deg, motion.final_speed
         )?;
         writeln!(
             f,
             "  peaks     position {:.0} %, velocity {:.0} %, torque {:.0} % of the 100 % limits of joints 1-7",
-            100.0 * self.statistics.peak_position,
-            100.0 * self.statistics.peak_velocity,
-            100.0 * self.statistics.peak_torque
+            100.0 * motion.peak_position,
+            100.0 * motion.peak_velocity,
+            100.0 * motion.peak_torque
         )?;
-        write!(
-            f,
-            "  cycles    {} recorded, {} lost, {} late",
-            self.statistics.cycles, self.statistics.dropped, self.statistics.overruns
-        )
+        write!(f, "  cycles    {cycles} recorded, {dropped} lost, {overruns} late")
     }
 }

@@ -51,5 +51,9 @@ fn in_the_figures() {
     let figures = counter.statistics(PERIOD, 0);
     let tilts = [&cycles[0], &cycles[cycles.len() - 1]].map(|c| tilt(&config.model, &JointVector::from(c.q)));
     assert!(tilts[0] > tilts[1], "{tilts:?}");
-    assert!((figures.final_tilt_deg - tilts[1].to_degrees()).abs() < 1e-9, "{}", figures.final_tilt_deg);
+    assert!(
+        (figures.motion.final_tilt_deg - tilts[1].to_degrees()).abs() < 1e-9,
+        "{}",
+        figures.motion.final_tilt_deg
+    );
 }

@@ -182,25 +182,20 @@ impl SamplingArgs {
     }
 }
 
-/// Writes the column headings of [`write_row`].
-fn write_heading(f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+/// Writes a table with one row per quantity: its name, its spread, and the factor of its values. A quantity without a spread has no
+/// row.
+fn write_spreads(f: &mut std::fmt::Formatter<'_>, rows: &[(&str, Option<Spread>, f64)]) -> std::fmt::Result {
     let [min, p01, median, p99, max] = ["min", "1 %", "median", "99 %", "max"];
-    writeln!(f, "  {:<22} {min:>11} {p01:>11} {median:>11} {p99:>11} {max:>11}", "")
-}
-
-/// Writes one row of a table, with all values multiplied by `unit`; writes nothing if there is no spread.
-fn write_row(
-    f: &mut std::fmt::Formatter<'_>,
-    name: &str,
-    spread: Option<Spread>,
-    unit: f64,
-) -> std::fmt::Result {
-    let Some(s) = spread else { return Ok(()) };
-    write!(f, "  {name:<22}")?;
-    for v in [s.min, s.p01, s.median, s.p99, s.max].map(|v| v * unit) {
-        if v != 0.0 && v.abs() < 1e-3 { write!(f, " {v:>11.1e}")? } else { write!(f, " {v:>11.4}")? }
+    writeln!(f, "  {:<22} {min:>11} {p01:>11} {median:>11} {p99:>11} {max:>11}", "")?;
+    for (name, spread, unit) in rows {
+        let Some(s) = spread else { continue };
+        write!(f, "  {name:<22}")?;
+        for v in [s.min, s.p01, s.median, s.p99, s.max].map(|v| v * unit) {
+            if v != 0.0 && v.abs() < 1e-3 { write!(f, " {v:>11.1e}")? } else { write!(f, " {v:>11.4}")? }
+        }
+        writeln!(f)?;
     }
-    writeln!(f)
+    Ok(())
 }
 
 /// Lists failed starts: index, angles of joints 1-7 (deg), reason. If there are many, only the first are listed.

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::time::Instant;
 use upswing_ipc::Telemetry;
 use upswing_model::{NU, State};
-use upswing_record::evaluation::SwingUpEvaluation;
+use upswing_record::evaluation::{MotionFigures, SwingUpEvaluation};
 
 /// Result of the swing-up from one start. All fields but the time are functions of settings, condition, seed and index only.
 #[derive(Clone, Debug, Serialize)]
@@ -17,8 +17,8 @@ pub struct RunResult {
     pub index: u64,
     /// Angles of joints 1-7 at the start, deg.
     pub start_deg: [f64; NU],
-    /// Statistics of a completed run; `None` if the run was aborted.
-    pub end: Option<RunStatistics>,
+    /// Figures of a completed run; `None` if the run was aborted.
+    pub end: Option<RunFigures>,
     /// Kind of the failure; `None`: success, the rod was balanced at the end.
     pub failure: Option<String>,
     /// Details of the failure, one per criterion that was not met.
@@ -28,46 +28,14 @@ pub struct RunResult {
     pub time_s: f64,
 }
 
-/// Statistics of one swing-up, a part of [`SwingUpEvaluation`].
+/// Figures of one swing-up, a part of [`SwingUpEvaluation`].
 #[derive(Clone, Debug, Serialize)]
-pub struct RunStatistics {
+pub struct RunFigures {
     /// Duration of the plan t_F, s.
     pub t_f: f64,
-    /// Largest |q - q_d| of joints 1-7 in Track, rad.
-    pub tracking_error_arm: f64,
-    /// Largest |q - q_d| of the pendulum in Track, rad.
-    pub tracking_error_pendulum: f64,
-    /// Largest share of the position limits of joints 1-7.
-    pub peak_position: f64,
-    /// Largest share of the velocity limits of joints 1-7.
-    pub peak_velocity: f64,
-    /// Largest share of the velocity limits of the pendulum.
-    pub peak_velocity_pendulum: f64,
-    /// Largest share of the torque limits.
-    pub peak_torque: f64,
-    /// Share of the cycles with torques cut at their limit.
-    pub limited_share: f64,
-    /// Largest tilt of the rod in the last second, deg.
-    pub final_tilt_deg: f64,
-    /// Largest speed of joints 1-7 in the last second, rad/s.
-    pub final_speed: f64,
-}
-
-impl From<&SwingUpEvaluation> for RunStatistics {
-    fn from(r: &SwingUpEvaluation) -> Self {
-        Self {
-            t_f: r.t_f,
-            tracking_error_arm: r.statistics.tracking_error_arm,
-            tracking_error_pendulum: r.statistics.tracking_error_pendulum,
-            peak_position: r.statistics.peak_position,
-            peak_velocity: r.statistics.peak_velocity,
-            peak_velocity_pendulum: r.statistics.peak_velocity_pendulum,
-            peak_torque: r.statistics.peak_torque,
-            limited_share: r.statistics.limited_share,
-            final_tilt_deg: r.statistics.final_tilt_deg,
-            final_speed: r.statistics.final_speed,
-        }
-    }
+    /// Figures of the motion.
+    #[serde(flatten)]
+    pub motion: MotionFigures,
 }
 
 /// Result of all runs under one condition. Spreads are over the completed runs; `None` without any.
@@ -83,24 +51,9 @@ pub struct ConditionResult {
     pub succeeded: usize,
     /// Number of failures of each kind.
     pub failures: BTreeMap<String, usize>,
-    /// Largest |q - q_d| of joints 1-7 in Track, rad.
-    pub tracking_error_arm: Option<Spread>,
-    /// Largest |q - q_d| of the pendulum in Track, rad.
-    pub tracking_error_pendulum: Option<Spread>,
-    /// Largest share of the position limits of joints 1-7.
-    pub peak_position: Option<Spread>,
-    /// Largest share of the velocity limits of joints 1-7.
-    pub peak_velocity: Option<Spread>,
-    /// Largest share of the velocity limits of the pendulum.
-    pub peak_velocity_pendulum: Option<Spread>,
-    /// Largest share of the torque limits.
-    pub peak_torque: Option<Spread>,
-    /// Share of the cycles with torques cut at their limit.
-    pub limited_share: Option<Spread>,
-    /// Largest tilt of the rod in the last second, deg.
-    pub final_tilt_deg: Option<Spread>,
-    /// Largest speed of joints 1-7 in the last second, rad/s.
-    pub final_speed: Option<Spread>,
+    /// Spread of each figure of the motion.
+    #[serde(flatten)]
+    pub motion: MotionFigures<Option<Spread>>,
     /// Computation times.
     pub times: RunTimes,
     /// Result of each run, in the order of the starts.
@@ -131,9 +84,7 @@ pub fn run(
         || Scratch::new(study.planner),
         |scratch, index| sample(study, condition, seconds, scratch, index),
     )?;
-    let spread = |value: fn(&RunStatistics) -> f64| {
-        Spread::of(results.iter().filter_map(|s| s.end.as_ref()).map(value))
-    };
+    let completed = || results.iter().filter_map(|s| Some(&s.end.as_ref()?.motion));
     Ok(ConditionResult {
         condition: condition.name.clone(),
         purpose: condition.purpose.clone(),
@@ -143,15 +94,7 @@ pub fn run(
             n
         }),
         succeeded: results.iter().filter(|s| s.failure.is_none()).count(),
-        tracking_error_arm: spread(|e| e.tracking_error_arm),
-        tracking_error_pendulum: spread(|e| e.tracking_error_pendulum),
-        peak_position: spread(|e| e.peak_position),
-        peak_velocity: spread(|e| e.peak_velocity),
-        peak_velocity_pendulum: spread(|e| e.peak_velocity_pendulum),
-        peak_torque: spread(|e| e.peak_torque),
-        limited_share: spread(|e| e.limited_share),
-        final_tilt_deg: spread(|e| e.final_tilt_deg),
-        final_speed: spread(|e| e.final_speed),
+        motion: MotionFigures::statistic(|figure| Spread::of(completed().map(figure))),
         times: RunTimes {
             run: Spread::of(results.iter().map(|s| s.time_s)),
             total: begin.elapsed().as_secs_f64(),
@@ -186,9 +129,10 @@ fn sample(
     let begin = Instant::now();
     let start = study.starts.start(index)?;
     let (end, failure, reasons) = match swing_up(study, condition, seconds, scratch, index, &start) {
-        Ok(report) => {
-            let failure = (!report.success).then(|| ENDED_BADLY.into());
-            (Some(RunStatistics::from(&report)), failure, report.failures)
+        Ok(evaluation) => {
+            let failure = (!evaluation.success).then(|| ENDED_BADLY.into());
+            let end = RunFigures { t_f: evaluation.t_f, motion: evaluation.statistics.motion };
+            (Some(end), failure, evaluation.failures)
         }
         Err(e) => (None, Some(e.kind()), vec![e.to_string()]),
     };

@@ -162,28 +162,35 @@ fn settings(recording: &Recording) -> Vec<(String, String, String)> {
 }
 
 fn summary(digest: &RecordingDigest, recording: &Recording) -> Vec<(&'static str, String)> {
-    let (f, tally) = (digest.statistics(), &digest.tally);
+    let (statistics, tally) = (digest.statistics(), &digest.tally);
+    let motion = statistics.motion;
     let percent = |share: f64| format!("{:.0} %", 100.0 * share);
     let degraded: Vec<_> = Degradation::of(digest.degraded).map(|d| d.to_string()).collect();
     let warnings: Vec<_> = upswingd::warning_texts(digest.warnings).collect();
     let mut rows = vec![
         ("duration", format!("{:.3} s", tally.seconds)),
-        ("cycles", format!("{} recorded, {} lost, {} late", f.cycles, f.dropped, f.overruns)),
+        (
+            "cycles",
+            format!(
+                "{} recorded, {} lost, {} late",
+                statistics.cycles, statistics.dropped, statistics.overruns
+            ),
+        ),
         (
             "tracking error",
             format!(
                 "{:.3} rad (joints 1-7), {:.3} rad (pendulum)",
-                f.tracking_error_arm, f.tracking_error_pendulum
+                motion.tracking_error_arm, motion.tracking_error_pendulum
             ),
         ),
-        ("balance", format!("{:.2} s", f.balance_s)),
+        ("balance", format!("{:.2} s", statistics.balance_s)),
     ];
-    if f.final_tilt_deg.is_finite() {
+    if motion.final_tilt_deg.is_finite() {
         rows.push((
             "last second of balance",
             format!(
                 "rod within {:.2} deg of upright, arm below {:.3} rad/s",
-                f.final_tilt_deg, f.final_speed
+                motion.final_tilt_deg, motion.final_speed
             ),
         ));
     }
@@ -191,9 +198,9 @@ fn summary(digest: &RecordingDigest, recording: &Recording) -> Vec<(&'static str
         "peaks of joints 1-7",
         format!(
             "position {}, velocity {}, torque {} of the 100 % limits",
-            percent(f.peak_position),
-            percent(f.peak_velocity),
-            percent(f.peak_torque)
+            percent(motion.peak_position),
+            percent(motion.peak_velocity),
+            percent(motion.peak_torque)
         ),
     ));
     let mut texts = |name, texts: String| {

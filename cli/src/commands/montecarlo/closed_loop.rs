@@ -1,6 +1,6 @@
 //! `upswing montecarlo closed-loop`: swings up and balances from many random starts in simulation.
 
-use super::{SamplingArgs, failed, list_failures, study_failure, writable, write_heading, write_row};
+use super::{SamplingArgs, failed, list_failures, study_failure, writable, write_spreads};
 use serde::Serialize;
 use upswing_process::number::within;
 use upswing_process::output::{Destination, Overwrite};
@@ -55,22 +55,20 @@ impl std::fmt::Display for ClosedLoopResult {
 fn write_condition(f: &mut std::fmt::Formatter<'_>, c: &ConditionResult) -> std::fmt::Result {
     writeln!(f, "{}: {} of {} starts end balanced", c.condition, c.succeeded, c.samples)?;
     writeln!(f, "  {}", c.purpose)?;
-    write_heading(f)?;
+    let m = &c.motion;
     let rows = [
-        ("tracking of arm, rad", c.tracking_error_arm, 1.0),
-        ("tracking of rod, rad", c.tracking_error_pendulum, 1.0),
-        ("position, % of limit", c.peak_position, 100.0),
-        ("velocity, % of limit", c.peak_velocity, 100.0),
-        ("pendulum, % of limit", c.peak_velocity_pendulum, 100.0),
-        ("torque, % of limit", c.peak_torque, 100.0),
-        ("cut torques, % of time", c.limited_share, 100.0),
-        ("final tilt, deg", c.final_tilt_deg, 1.0),
-        ("final speed, rad/s", c.final_speed, 1.0),
+        ("tracking of arm, rad", m.tracking_error_arm, 1.0),
+        ("tracking of rod, rad", m.tracking_error_pendulum, 1.0),
+        ("position, % of limit", m.peak_position, 100.0),
+        ("velocity, % of limit", m.peak_velocity, 100.0),
+        ("pendulum, % of limit", m.peak_velocity_pendulum, 100.0),
+        ("torque, % of limit", m.peak_torque, 100.0),
+        ("cut torques, % of time", m.limited_share, 100.0),
+        ("final tilt, deg", m.final_tilt_deg, 1.0),
+        ("final speed, rad/s", m.final_speed, 1.0),
         ("one run, s", c.times.run, 1.0),
     ];
-    for (name, spread, unit) in rows {
-        write_row(f, name, spread, unit)?;
-    }
+    write_spreads(f, &rows)?;
     write!(f, "  time {:.1} s", c.times.total)?;
     c.failures.iter().try_for_each(|(kind, n)| write!(f, "\n  {n} times: {kind}"))?;
     let failed = c.results.iter().filter(|s| s.failure.is_some());

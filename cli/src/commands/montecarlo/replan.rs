@@ -1,6 +1,6 @@
 //! `upswing montecarlo replan`: plans from many random starts.
 
-use super::{SamplingArgs, failed, list_failures, study_failure, writable, write_heading, write_row};
+use super::{SamplingArgs, failed, list_failures, study_failure, writable, write_spreads};
 use crate::commands::PlanSummary;
 use serde::Serialize;
 use std::time::Instant;
@@ -141,7 +141,6 @@ impl std::fmt::Display for ReplanResult {
             attempts.join(", ")
         )?;
         writeln!(f, "  defect    at most {CLOSED_DEFECT:.0e} in {} plans", self.defect_closed)?;
-        write_heading(f)?;
         let rows = [
             ("linearisations", self.iterations, 1.0),
             ("defect, rad or rad/s", self.defect, 1.0),
@@ -154,9 +153,7 @@ impl std::fmt::Display for ReplanResult {
             ("  its QPs, ms", self.times.qp, 1e3),
             ("  its gains, ms", self.times.lqr, 1e3),
         ];
-        for (name, spread, unit) in rows {
-            write_row(f, name, spread, unit)?;
-        }
+        write_spreads(f, &rows)?;
         write!(f, "  time      {:.1} s on {} threads", self.times.total, self.threads)?;
         let failures = self.results.iter().filter_map(|s| Some((s.index, &s.start_deg, s.failure.clone()?)));
         list_failures(f, failures)
