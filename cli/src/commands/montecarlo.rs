@@ -9,13 +9,15 @@ use clap::ValueEnum;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use upswing_config::Config;
+use upswing_ipc::Telemetry;
 use upswing_model::NU;
 use upswing_planner::database::{self, DatabaseFile, Shard};
 use upswing_planner::replan::Planner;
 use upswing_process::Failure;
 use upswing_process::number::whole;
 use upswing_process::output::OutputFile;
-use upswing_rig::montecarlo::{RandomStarts, Spread, Study, StudyError};
+use upswing_rig::montecarlo::{NoStart, RandomStarts, Spread, Study, StudyError};
+use upswing_view::picture;
 
 pub use closed_loop::ClosedLoopArgs;
 pub use replan::ReplanArgs;
@@ -112,6 +114,17 @@ fn study_failure(e: StudyError) -> Failure {
         StudyError::NoStart(_) => Failure::BadInput(e.to_string()),
         StudyError::Threads(_) => failed(e),
     }
+}
+
+/// Draws the `records` of one run to `output`.
+fn draw_run(
+    output: &OutputFile,
+    config: &Config,
+    records: Result<Vec<Telemetry>, NoStart>,
+) -> Result<(), Failure> {
+    let records = records.map_err(|e| study_failure(e.into()))?;
+    let period = config.daemon.cycle.period.seconds();
+    picture::draw(output, &records, &config.robot.limits, period).map_err(failed)
 }
 
 impl SamplingArgs {

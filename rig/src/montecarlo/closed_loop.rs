@@ -69,86 +69,86 @@ pub struct RunTimes {
     pub total: f64,
 }
 
-/// Runs a swing-up under one condition from every start of the study, each balanced for `seconds` (s).
-///
-/// # Errors
-/// [`StudyError`] if there is no start, or threads cannot be started.
-pub fn run(
-    study: &Study<'_>,
-    condition: &PlantCondition,
-    seconds: f64,
-) -> Result<ConditionResult, StudyError> {
-    let begin = Instant::now();
-    let results = study.each(
-        &study.indices,
-        || Scratch::new(study.planner),
-        |scratch, index| sample(study, condition, seconds, scratch, index),
-    )?;
-    let completed = || results.iter().filter_map(|s| Some(&s.end.as_ref()?.motion));
-    Ok(ConditionResult {
-        condition: condition.name.clone(),
-        purpose: condition.purpose.clone(),
-        samples: results.len(),
-        failures: results.iter().filter_map(|s| s.failure.clone()).fold(BTreeMap::new(), |mut n, kind| {
-            *n.entry(kind).or_default() += 1;
-            n
-        }),
-        succeeded: results.iter().filter(|s| s.failure.is_none()).count(),
-        motion: MotionFigures::statistic(|figure| Spread::of(completed().map(figure))),
-        times: RunTimes {
-            run: Spread::of(results.iter().map(|s| s.time_s)),
-            total: begin.elapsed().as_secs_f64(),
-        },
-        results,
-    })
+/// A study of swing-ups under one plant condition.
+pub struct ConditionStudy<'a> {
+    /// Planner, starts and threads.
+    pub study: &'a Study<'a>,
+    /// The condition of the plant.
+    pub condition: &'a PlantCondition,
+    /// Duration of the balance, s.
+    pub seconds: f64,
 }
 
-/// Runs the swing-up from start number `index` and returns its telemetry, one record per cycle until its end or abort.
-///
-/// # Errors
-/// [`NoStart`] if there is no start of this number.
-pub fn records(
-    study: &Study<'_>,
-    condition: &PlantCondition,
-    seconds: f64,
-    index: u64,
-) -> Result<Vec<Telemetry>, NoStart> {
-    let mut scratch = Scratch::new(study.planner);
-    // An abort is part of the study's result already.
-    let _ = swing_up(study, condition, seconds, &mut scratch, index, &study.starts.start(index)?);
-    Ok(scratch.records)
-}
+impl ConditionStudy<'_> {
+    /// Runs a swing-up from every start.
+    ///
+    /// # Errors
+    /// [`StudyError`] if there is no start, or threads cannot be started.
+    pub fn run(&self) -> Result<ConditionResult, StudyError> {
+        let Self { study, condition, .. } = self;
+        let begin = Instant::now();
+        let results = study.each(
+            &study.indices,
+            || Scratch::new(study.planner),
+            |scratch, index| self.sample(scratch, index),
+        )?;
+        let completed = || results.iter().filter_map(|s| Some(&s.end.as_ref()?.motion));
+        Ok(ConditionResult {
+            condition: condition.name.clone(),
+            purpose: condition.purpose.clone(),
+            samples: results.len(),
+            failures: results.iter().filter_map(|s| s.failure.clone()).fold(
+                BTreeMap::new(),
+                |mut n, kind| {
+                    *n.entry(kind).or_default() += 1;
+                    n
+                },
+            ),
+            succeeded: results.iter().filter(|s| s.failure.is_none()).count(),
+            motion: MotionFigures::statistic(|figure| Spread::of(completed().map(figure))),
+            times: RunTimes {
+                run: Spread::of(results.iter().map(|s| s.time_s)),
+                total: begin.elapsed().as_secs_f64(),
+            },
+            results,
+        })
+    }
 
-fn sample(
-    study: &Study<'_>,
-    condition: &PlantCondition,
-    seconds: f64,
-    scratch: &mut Scratch,
-    index: u64,
-) -> Result<RunResult, NoStart> {
-    let begin = Instant::now();
-    let start = study.starts.start(index)?;
-    let (end, failure, reasons) = match swing_up(study, condition, seconds, scratch, index, &start) {
-        Ok(evaluation) => {
-            let failure = (!evaluation.success).then(|| ENDED_BADLY.into());
-            let end = RunFigures { t_f: evaluation.t_f, motion: evaluation.statistics.motion };
-            (Some(end), failure, evaluation.failures)
-        }
-        Err(e) => (None, Some(e.kind()), vec![e.to_string()]),
-    };
-    let time_s = begin.elapsed().as_secs_f64();
-    Ok(RunResult { index, start_deg: arm_degrees(&start), end, failure, reasons, time_s })
-}
+    /// Runs the swing-up from start number `index` and returns its telemetry, one record per cycle until its end or abort.
+    ///
+    /// # Errors
+    /// [`NoStart`] if there is no start of this number.
+    pub fn records(&self, index: u64) -> Result<Vec<Telemetry>, NoStart> {
+        let mut scratch = Scratch::new(self.study.planner);
+        // An abort is part of the study's result already.
+        let _ = self.swing_up(&mut scratch, index, &self.study.starts.start(index)?);
+        Ok(scratch.records)
+    }
 
-fn swing_up(
-    study: &Study<'_>,
-    condition: &PlantCondition,
-    seconds: f64,
-    scratch: &mut Scratch,
-    index: u64,
-    start: &State,
-) -> Result<SwingUpEvaluation, Aborted> {
-    let (planner, plant) = (study.planner, condition.plant(&study.starts, index));
-    let undisturbed = |_| Disturbances::default();
-    scratch.swing_up(planner, (index, start), planner.config(), plant, seconds, undisturbed)
+    fn sample(&self, scratch: &mut Scratch, index: u64) -> Result<RunResult, NoStart> {
+        let begin = Instant::now();
+        let start = self.study.starts.start(index)?;
+        let (end, failure, reasons) = match self.swing_up(scratch, index, &start) {
+            Ok(evaluation) => {
+                let failure = (!evaluation.success).then(|| ENDED_BADLY.into());
+                let end = RunFigures { t_f: evaluation.t_f, motion: evaluation.statistics.motion };
+                (Some(end), failure, evaluation.failures)
+            }
+            Err(e) => (None, Some(e.kind()), vec![e.to_string()]),
+        };
+        let time_s = begin.elapsed().as_secs_f64();
+        Ok(RunResult { index, start_deg: arm_degrees(&start), end, failure, reasons, time_s })
+    }
+
+    fn swing_up(
+        &self,
+        scratch: &mut Scratch,
+        index: u64,
+        start: &State,
+    ) -> Result<SwingUpEvaluation, Aborted> {
+        let Study { planner, starts, .. } = self.study;
+        let plant = self.condition.plant(starts, index);
+        let undisturbed = |_| Disturbances::default();
+        scratch.swing_up(planner, (index, start), planner.config(), plant, self.seconds, undisturbed)
+    }
 }

@@ -84,82 +84,80 @@ pub struct SuccessPoint {
     pub failed: Vec<FailedStart>,
 }
 
-/// Runs a swing-up from every start of the study in every case, each balanced for `seconds` (s). `misses`: histogram of missed cycles
-/// for [`Variation::Jitter`].
-///
-/// # Errors
-/// [`StudyError`] if there is no start, or threads cannot be started.
-pub fn run(
-    study: &Study<'_>,
-    cases: &[RobustnessCase],
-    misses: &MissedCycleCounts,
-    seconds: f64,
-) -> Result<Vec<SuccessCurve>, StudyError> {
-    let jobs: Vec<u64> = (0..(cases.len() * study.indices.len()) as u64).collect();
-    // In the order of the starts, so that all cases advance together and the estimate of the remaining time is fair.
-    let place = |job: u64| (job as usize % cases.len(), job as usize / cases.len());
-    let results = study.each(
-        &jobs,
-        || Scratch::new(study.planner),
-        |scratch, job| {
-            let (case, start) = place(job);
-            let failed = sample(study, &cases[case], misses, seconds, scratch, study.indices[start])?;
-            Ok((case, failed))
-        },
-    )?;
-    Ok(curves_of(cases, results))
+/// A study of swing-ups under errors of growing size.
+pub struct RobustnessStudy<'a> {
+    /// Planner, starts and threads.
+    pub study: &'a Study<'a>,
+    /// Histogram of missed cycles for [`Variation::Jitter`].
+    pub misses: &'a MissedCycleCounts,
+    /// Duration of the balance, s.
+    pub seconds: f64,
 }
 
-/// Runs the swing-up from start number `index` and returns its telemetry, one record per cycle until its end or abort.
-///
-/// # Errors
-/// [`NoStart`] if there is no start of this number.
-pub fn records(
-    study: &Study<'_>,
-    case: &RobustnessCase,
-    misses: &MissedCycleCounts,
-    seconds: f64,
-    index: u64,
-) -> Result<Vec<Telemetry>, NoStart> {
-    let mut scratch = Scratch::new(study.planner);
-    // An abort is part of the study's result already.
-    let _ = swing_up(study, case, misses, seconds, &mut scratch, index, &study.starts.start(index)?);
-    Ok(scratch.records)
-}
+impl RobustnessStudy<'_> {
+    /// Runs a swing-up from every start in every case.
+    ///
+    /// # Errors
+    /// [`StudyError`] if there is no start, or threads cannot be started.
+    pub fn run(&self, cases: &[RobustnessCase]) -> Result<Vec<SuccessCurve>, StudyError> {
+        let Self { study, .. } = self;
+        let jobs: Vec<u64> = (0..(cases.len() * study.indices.len()) as u64).collect();
+        // In the order of the starts, so that all cases advance together and the estimate of the remaining time is fair.
+        let place = |job: u64| (job as usize % cases.len(), job as usize / cases.len());
+        let results = study.each(
+            &jobs,
+            || Scratch::new(study.planner),
+            |scratch, job| {
+                let (case, start) = place(job);
+                Ok((case, self.sample(&cases[case], scratch, study.indices[start])?))
+            },
+        )?;
+        Ok(curves_of(cases, results))
+    }
 
-/// Runs the swing-up from one start; `None`: success.
-fn sample(
-    study: &Study<'_>,
-    case: &RobustnessCase,
-    misses: &MissedCycleCounts,
-    seconds: f64,
-    scratch: &mut Scratch,
-    index: u64,
-) -> Result<Option<FailedStart>, NoStart> {
-    let start = study.starts.start(index)?;
-    let (kind, reasons) = match swing_up(study, case, misses, seconds, scratch, index, &start) {
-        Ok(report) if report.success => return Ok(None),
-        Ok(report) => (ENDED_BADLY.into(), report.failures),
-        Err(e) => (e.kind(), vec![e.to_string()]),
-    };
-    Ok(Some(FailedStart { index, start_deg: arm_degrees(&start), kind, reasons }))
-}
+    /// Runs the swing-up from start number `index` and returns its telemetry, one record per cycle until its end or abort.
+    ///
+    /// # Errors
+    /// [`NoStart`] if there is no start of this number.
+    pub fn records(&self, case: &RobustnessCase, index: u64) -> Result<Vec<Telemetry>, NoStart> {
+        let mut scratch = Scratch::new(self.study.planner);
+        // An abort is part of the study's result already.
+        let _ = self.swing_up(case, &mut scratch, index, &self.study.starts.start(index)?);
+        Ok(scratch.records)
+    }
 
-fn swing_up(
-    study: &Study<'_>,
-    case: &RobustnessCase,
-    misses: &MissedCycleCounts,
-    seconds: f64,
-    scratch: &mut Scratch,
-    index: u64,
-    start: &State,
-) -> Result<SwingUpEvaluation, Aborted> {
-    let config = &case.config;
-    let seconds = case.over.seconds(seconds);
-    let period = config.daemon.cycle.period.seconds();
-    let shares = study.starts.shares(index);
-    let disturbances = |t_f: f64| case.over.disturbances(case.value, t_f, seconds, period, misses, shares);
-    scratch.swing_up(study.planner, (index, start), config, config.clone(), seconds, disturbances)
+    /// Runs the swing-up from one start; `None`: success.
+    fn sample(
+        &self,
+        case: &RobustnessCase,
+        scratch: &mut Scratch,
+        index: u64,
+    ) -> Result<Option<FailedStart>, NoStart> {
+        let start = self.study.starts.start(index)?;
+        let (kind, reasons) = match self.swing_up(case, scratch, index, &start) {
+            Ok(evaluation) if evaluation.success => return Ok(None),
+            Ok(evaluation) => (ENDED_BADLY.into(), evaluation.failures),
+            Err(e) => (e.kind(), vec![e.to_string()]),
+        };
+        Ok(Some(FailedStart { index, start_deg: arm_degrees(&start), kind, reasons }))
+    }
+
+    fn swing_up(
+        &self,
+        case: &RobustnessCase,
+        scratch: &mut Scratch,
+        index: u64,
+        start: &State,
+    ) -> Result<SwingUpEvaluation, Aborted> {
+        let config = &case.config;
+        let seconds = case.over.seconds(self.seconds);
+        let period = config.daemon.cycle.period.seconds();
+        let shares = self.study.starts.shares(index);
+        let disturbances =
+            |t_f: f64| case.over.disturbances(case.value, t_f, seconds, period, self.misses, shares);
+        let plant = config.clone();
+        scratch.swing_up(self.study.planner, (index, start), config, plant, seconds, disturbances)
+    }
 }
 
 fn name(velocity: VelocityEstimate) -> &'static str {

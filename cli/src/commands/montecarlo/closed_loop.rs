@@ -1,14 +1,12 @@
 //! `upswing montecarlo closed-loop`: swings up and balances from many random starts in simulation.
 
-use super::{SamplingArgs, failed, list_failures, study_failure, writable, write_spreads};
+use super::{SamplingArgs, draw_run, list_failures, study_failure, writable, write_spreads};
 use serde::Serialize;
 use upswing_process::number::within;
 use upswing_process::output::{Destination, Overwrite};
 use upswing_process::{Failure, shutdown_flag};
-use upswing_rig::montecarlo::StudyError;
-use upswing_rig::montecarlo::closed_loop::{self, ConditionResult};
+use upswing_rig::montecarlo::closed_loop::{ConditionResult, ConditionStudy};
 use upswing_rig::montecarlo::condition::PlantCondition;
-use upswing_view::picture;
 
 /// Options of `montecarlo closed-loop`.
 #[derive(Clone, Debug, clap::Args)]
@@ -93,14 +91,11 @@ pub fn run(args: &ClosedLoopArgs) -> Result<(), Failure> {
     let expected = args.sampling.indices().len() * conditions.len();
     let study_of = |condition: PlantCondition| -> Result<ConditionResult, Failure> {
         args.sampling.study(&planner, args.sampling.indices().len(), &stop, |study| {
+            let study = ConditionStudy { study, condition: &condition, seconds: args.seconds };
             if let (Some(output), Some(index)) = (&picture, args.sampling.only) {
-                let records = closed_loop::records(study, &condition, args.seconds, index)
-                    .map_err(StudyError::from)
-                    .map_err(study_failure)?;
-                let period = config.daemon.cycle.period.seconds();
-                picture::draw(output, &records, &config.robot.limits, period).map_err(failed)?;
+                draw_run(output, config, study.records(index))?;
             }
-            closed_loop::run(study, &condition, args.seconds).map_err(study_failure)
+            study.run().map_err(study_failure)
         })
     };
     let answers: Vec<ConditionResult> = conditions.into_iter().map(study_of).collect::<Result<_, _>>()?;

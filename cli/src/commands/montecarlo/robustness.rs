@@ -1,6 +1,6 @@
 //! `upswing montecarlo robustness`: success rates over growing errors of one kind.
 
-use super::{SamplingArgs, failed, study_failure, writable};
+use super::{SamplingArgs, draw_run, failed, study_failure, writable};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -8,10 +8,9 @@ use upswing_config::{Config, VelocityEstimate};
 use upswing_process::number::within;
 use upswing_process::output::{Destination, Overwrite};
 use upswing_process::{Failure, shutdown_flag};
-use upswing_rig::montecarlo::StudyError;
-use upswing_rig::montecarlo::robustness::{self, RobustnessCase, SuccessCurve, SuccessPoint};
+use upswing_rig::montecarlo::robustness::{RobustnessCase, RobustnessStudy, SuccessCurve, SuccessPoint};
 use upswing_rig::montecarlo::variation::{MissedCycleCounts, Variation};
-use upswing_view::picture::{self, curves};
+use upswing_view::picture::curves;
 
 /// Options of `montecarlo robustness`.
 #[derive(Clone, Debug, clap::Args)]
@@ -109,20 +108,16 @@ pub fn run(args: &RobustnessArgs) -> Result<(), Failure> {
     let cases = cases(args, planner.config())?;
     let jobs = cases.len() * args.sampling.indices().len();
     let curves = args.sampling.study(&planner, jobs, &stop, |study| {
+        let study = RobustnessStudy { study, misses: &misses, seconds: args.seconds };
         if let (Some(output), Some(index)) = (&picture, args.sampling.only) {
             let [case] = &cases[..] else {
                 let got = cases.len();
                 let text = format!("--picture: expected one --over, --values and --velocity, got {got} runs");
                 return Err(Failure::BadInput(text));
             };
-            let records = robustness::records(study, case, &misses, args.seconds, index)
-                .map_err(StudyError::from)
-                .map_err(study_failure)?;
-            let config = planner.config();
-            let period = config.daemon.cycle.period.seconds();
-            picture::draw(output, &records, &config.robot.limits, period).map_err(failed)?;
+            draw_run(output, planner.config(), study.records(case, index))?;
         }
-        robustness::run(study, &cases, &misses, args.seconds).map_err(study_failure)
+        study.run(&cases).map_err(study_failure)
     })?;
     let complete = curves.iter().flat_map(|c| &c.points).map(|p| p.samples).sum::<usize>() == jobs;
     if let Some(output) = &svg {
