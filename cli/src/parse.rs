@@ -37,6 +37,32 @@ impl std::fmt::Display for Degrees {
     }
 }
 
+/// Options of a start at rest.
+#[derive(Clone, Debug, clap::Args)]
+pub struct StartArgs {
+    /// Start angles of joints 1-7, deg
+    #[arg(long, value_name = "Q1,..,Q7", allow_hyphen_values = true)]
+    pub start: Degrees,
+    /// Start the pendulum at q8 = q9 = 0 (as in the paper's database) instead of its rest position
+    #[arg(long)]
+    pub zero: bool,
+}
+
+impl StartArgs {
+    /// Returns the start state.
+    ///
+    /// # Errors
+    /// As [`start_state`].
+    pub fn state(&self, config: &Config) -> Result<State, Failure> {
+        start_state(config, "--start", &self.start, self.pendulum())
+    }
+
+    /// Returns the position of the pendulum at the start.
+    pub fn pendulum(&self) -> PendulumStart {
+        if self.zero { PendulumStart::Zero } else { PendulumStart::Rest }
+    }
+}
+
 /// Returns the state at rest with the angles of an `option` like `--start`.
 ///
 /// # Errors

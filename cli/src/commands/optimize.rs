@@ -1,11 +1,10 @@
 //! `upswing optimize`: runs one offline optimisation.
 
 use super::{CommonArgs, MarginsJson, TrajectoryJson, failed, print_json, print_line, spinner};
-use crate::parse::{Degrees, WEEK, start_state};
+use crate::parse::{StartArgs, WEEK};
 use serde::Serialize;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
-use upswing_config::PendulumStart;
 use upswing_ocp::interior_point::{NlpOptions, NlpStatus};
 use upswing_ocp::multistart::Search;
 use upswing_planner::offline::{optimize, options};
@@ -21,12 +20,9 @@ pub struct OptimizeArgs {
     /// Options of every command.
     #[command(flatten)]
     pub common: CommonArgs,
-    /// Start angles of joints 1-7, deg
-    #[arg(long, value_name = "Q1,..,Q7", allow_hyphen_values = true)]
-    pub start: Degrees,
-    /// Start the pendulum at q8 = q9 = 0 (as in the paper's database) instead of its rest position
-    #[arg(long)]
-    pub zero: bool,
+    /// Start at rest.
+    #[command(flatten)]
+    pub start: StartArgs,
     /// Search for the best of several local optima
     #[arg(long)]
     pub best: bool,
@@ -55,8 +51,7 @@ struct OptimizeResult {
 /// [`Failure::BadInput`] for an impossible start, [`Failure::Failed`] if no solution is found.
 pub fn run(args: &OptimizeArgs) -> Result<(), Failure> {
     let config = args.common.process.load()?;
-    let pendulum = if args.zero { PendulumStart::Zero } else { PendulumStart::Rest };
-    let start = start_state(&config, "--start", &args.start, pendulum)?;
+    let start = args.start.state(&config)?;
     let begin = Instant::now();
     let time_budget = args.budget.map(std::time::Duration::from_secs_f64);
     // Ctrl-C ends the optimisation, and the result so far is printed.

@@ -1,9 +1,9 @@
 //! `upswing plan`: computes one replan without a running system.
 
 use super::{CommonArgs, PlanSummary, TrajectoryJson, failed, print_json, print_line, writable};
-use crate::parse::{Degrees, start_state};
+use crate::parse::{Degrees, StartArgs, start_state};
 use serde::Serialize;
-use upswing_config::{Config, PendulumStart};
+use upswing_config::Config;
 use upswing_ipc::PlannerStatus;
 use upswing_ipc::operator::Manoeuvre;
 use upswing_model::State;
@@ -29,12 +29,9 @@ pub struct PlanArgs {
     /// Options of every command.
     #[command(flatten)]
     pub common: CommonArgs,
-    /// Start angles of joints 1-7, deg
-    #[arg(long, value_name = "Q1,..,Q7", allow_hyphen_values = true)]
-    pub start: Degrees,
-    /// Start the pendulum at q8 = q9 = 0 instead of its rest position
-    #[arg(long)]
-    pub zero: bool,
+    /// Start at rest.
+    #[command(flatten)]
+    pub start: StartArgs,
     /// Largest number of QPs, each linearised around the previous result; 1 is the paper's mode [default: the setting]
     #[arg(long, value_parser = whole(1_u32, 100))]
     pub iterations: Option<u32>,
@@ -74,11 +71,10 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
     if let Some(iterations) = args.iterations {
         config.planner.replan.iterations = iterations as usize;
     }
-    let pendulum = if args.zero { PendulumStart::Zero } else { PendulumStart::Rest };
-    let start = start_state(&config, "--start", &args.start, pendulum)?;
+    let start = args.start.state(&config)?;
     let planner = match &args.reference {
         Some(reference) => {
-            let x = start_state(&config, "--reference", reference, pendulum)?;
+            let x = start_state(&config, "--reference", reference, args.start.pendulum())?;
             let entry = optimal_entry(&config, x)?;
             Planner::with_entries(config, "--reference".into(), vec![entry])
         }
