@@ -3,11 +3,12 @@
 
 mod data;
 mod digest;
+mod motion;
 pub mod times;
 
-pub(crate) use data::round;
 pub use data::{ModeSpan, PageData};
 pub use digest::RecordingDigest;
+pub(crate) use motion::MotionColumns;
 
 use data::RobotDrawing;
 use serde::Serialize;

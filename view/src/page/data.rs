@@ -1,12 +1,12 @@
 //! Data of a recording's page, as the JSON that its script reads.
 
-use super::RecordingDigest;
 use super::times::LatencyHistogram;
+use super::{MotionColumns, RecordingDigest};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;
-use upswing_ipc::{Degradation, Telemetry};
-use upswing_model::{Limits, Model, NQ, NU};
+use upswing_ipc::Degradation;
+use upswing_model::{Limits, Model};
 use upswing_record::robot::{Capsule, Link, Robot};
 use upswing_record::{Recording, RecordingError};
 use xxhash_rust::xxh3::xxh3_64;
@@ -22,15 +22,8 @@ pub struct PageData {
     settings: Vec<(String, String, String)>,
     #[serde(flatten)]
     body: RobotDrawing,
-    /// Times of the samples, s.
-    t: Vec<f64>,
-    /// Joint angles, one column per joint, rad.
-    q: Vec<Vec<f64>>,
-    qd: Vec<Vec<f64>>,
-    q_d: Vec<Vec<f64>>,
-    qd_d: Vec<Vec<f64>>,
-    /// Motor torques, one column per joint, N m.
-    tau: Vec<Vec<f64>>,
+    #[serde(flatten)]
+    motion: MotionColumns,
     modes: Vec<ModeSpan>,
     /// Times of overrun cycles, s.
     late: Vec<f64>,
@@ -104,11 +97,6 @@ impl From<Link> for LinkJson {
     }
 }
 
-/// Rounds `value` to a multiple of 1 / `per_unit`: digits that no screen shows would double the size of the page.
-pub(crate) fn round(value: f64, per_unit: f64) -> f64 {
-    (value * per_unit).round() / per_unit
-}
-
 impl PageData {
     /// Collects the data of a recording, whose file is `path`.
     ///
@@ -117,22 +105,15 @@ impl PageData {
     pub fn new(path: &Path, recording: &Recording, digest: &RecordingDigest) -> Result<Self, RecordingError> {
         let robot = Robot::from_urdf(urdf(path, recording)?, &digest.model)
             .map_err(|cause| RecordingError::Robot { path: path.to_owned(), cause })?;
-        let samples = &digest.samples;
-        let columns = |n: usize, of: fn(&Telemetry, usize) -> f64| {
-            (0..n).map(|i| samples.iter().map(|t| round(of(t, i), 1e4)).collect()).collect::<Vec<Vec<f64>>>()
-        };
+        let mut motion = MotionColumns::default();
+        digest.samples.iter().for_each(|record| motion.push(digest.seconds(record.t_ns), record));
         Ok(Self {
             name: path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned()),
             summary: summary(digest, recording),
             details: recording.details.clone(),
             settings: settings(recording),
             body: RobotDrawing::new(robot, &digest.model.rated_limits().scale()),
-            t: samples.iter().map(|t| digest.seconds(t.t_ns)).collect(),
-            q: columns(NQ, |t, i| t.q[i]),
-            qd: columns(NQ, |t, i| t.qd[i]),
-            q_d: columns(NQ, |t, i| t.q_d[i]),
-            qd_d: columns(NQ, |t, i| t.qd_d[i]),
-            tau: columns(NU, |t, i| t.tau[i]),
+            motion,
             modes: digest.spans(),
             late: digest.late(),
             times: digest.times.times(),

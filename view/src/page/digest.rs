@@ -124,7 +124,7 @@ impl RecordingDigest {
 
     /// Converts a time in ns since the first cycle to s from the start of the first plan, or from the first cycle without a plan.
     pub fn seconds(&self, t_ns: u64) -> f64 {
-        super::data::round((t_ns as f64 - self.plan_ns.unwrap_or(0) as f64) * 1e-9, 1e6)
+        super::motion::round((t_ns as f64 - self.plan_ns.unwrap_or(0) as f64) * 1e-9, 1e6)
     }
 }
 

@@ -1,14 +1,13 @@
 //! Frames of JSON with the data that the live page draws, in a buffer for any number of readers.
 
 use crate::live::View;
-use crate::page::round;
+use crate::page::MotionColumns;
 use crate::page::times::{LatencyHistogram, LatencyHistograms};
 use serde::Serialize;
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::watch;
 use upswing_ipc::Telemetry;
-use upswing_model::{NQ, NU};
 
 /// Period of the motion samples, ns: shorter than that of a screen.
 const STEP_NS: u64 = 8_000_000;
@@ -25,34 +24,15 @@ pub(super) struct MotionSampler {
     sampled_ns: Option<u64>,
 }
 
-/// Motion since the previous frame. Times in s on the clock of the plant, rad, rad/s, N m; one column per joint.
-#[derive(Clone, Serialize)]
+/// Motion since the previous frame. Times in s on the clock of the plant.
+#[derive(Clone, Default, Serialize)]
 struct Motion {
-    t: Vec<f64>,
+    #[serde(flatten)]
+    columns: MotionColumns,
+    /// Mode at each sample.
     mode: Vec<String>,
-    q: Vec<Vec<f64>>,
-    q_d: Vec<Vec<f64>>,
-    qd: Vec<Vec<f64>>,
-    qd_d: Vec<Vec<f64>>,
-    tau: Vec<Vec<f64>>,
     /// Times of overrun cycles, s.
     late: Vec<f64>,
-}
-
-impl Default for Motion {
-    fn default() -> Self {
-        let columns = |n| vec![Vec::new(); n];
-        Self {
-            t: Vec::new(),
-            mode: Vec::new(),
-            q: columns(NQ),
-            q_d: columns(NQ),
-            qd: columns(NQ),
-            qd_d: columns(NQ),
-            tau: columns(NU),
-            late: Vec::new(),
-        }
-    }
 }
 
 /// One message of the live page: the view, and the motion since the previous message.
@@ -77,20 +57,8 @@ impl MotionSampler {
             return;
         }
         self.sampled_ns = Some(record.t_ns);
-        let m = &mut self.frame;
-        m.t.push(t);
-        m.mode.push(record.mode_text());
-        for (columns, values) in [
-            (&mut m.q, &record.q[..]),
-            (&mut m.q_d, &record.q_d),
-            (&mut m.qd, &record.qd),
-            (&mut m.qd_d, &record.qd_d),
-            (&mut m.tau, &record.tau),
-        ] {
-            for (column, value) in columns.iter_mut().zip(values) {
-                column.push(round(*value, 1e4));
-            }
-        }
+        self.frame.columns.push(t, record);
+        self.frame.mode.push(record.mode_text());
     }
 
     /// Serializes `view` and the motion since the previous frame as JSON, and clears the motion.
