@@ -19,16 +19,22 @@ use upswing_model::UrdfError;
 use upswing_record::robot::Robot;
 
 const STYLE: &str = include_str!("page/page.css");
+/// Policy of a page in a file: it loads nothing. The live page has its policy from the server.
+const POLICY: &str = concat!(
+    r#"<meta http-equiv="Content-Security-Policy" content="default-src 'none'; "#,
+    r#"style-src 'unsafe-inline'; script-src 'unsafe-inline'">"#,
+    "\n"
+);
 /// Scripts that draw, for both pages.
 const DRAWING: &str = concat!(include_str!("page/scene.js"), include_str!("page/plots.js"));
 
 /// Writes the page of a recording.
 ///
+/// # Errors
 /// Errors of the writer.
-/// Those of the writer.
 pub fn write(data: &PageData, to: &mut impl Write) -> io::Result<()> {
-    let script = include_str!("page/page.js");
-    fill(include_str!("page/page.html"), script, &serde_json::to_string(data)?, to)
+    let (body, script) = (include_str!("page/page.html"), include_str!("page/page.js"));
+    fill(POLICY, body, script, &serde_json::to_string(data)?, to)
 }
 
 /// Data of the live page that are known before its first frame.
@@ -64,18 +70,23 @@ pub fn live(setup: &LivePageSetup) -> String {
     let mut page = Vec::new();
     let data = serde_json::to_string(setup).unwrap_or_default();
     // Writing to a vector cannot fail.
-    let _ = fill(include_str!("page/live.html"), include_str!("page/live.js"), &data, &mut page);
+    let _ = fill("", include_str!("page/live.html"), include_str!("page/live.js"), &data, &mut page);
     String::from_utf8_lossy(&page).into_owned()
 }
 
-/// Writes the template with `script`, style and `data` in place of their marks, which are searched in this order.
-fn fill(template: &str, script: &str, data: &str, to: &mut impl Write) -> io::Result<()> {
+/// Writes the frame of both pages with `head`, style, `body`, `script` and `data` in place of their marks, which are searched in
+/// this order.
+fn fill(head: &str, body: &str, script: &str, data: &str, to: &mut impl Write) -> io::Result<()> {
     // Without `<`, no text of the data can close the script element around it.
     let data = data.replace('<', "\\u003c");
-    let mut rest = template;
-    for (mark, parts) in
-        [("{{style}}", [STYLE, ""]), ("{{script}}", [DRAWING, script]), ("{{data}}", [&data, ""])]
-    {
+    let mut rest = include_str!("page/frame.html");
+    for (mark, parts) in [
+        ("{{head}}", [head, ""]),
+        ("{{style}}", [STYLE, ""]),
+        ("{{body}}", [body, ""]),
+        ("{{script}}", [DRAWING, script]),
+        ("{{data}}", [&data, ""]),
+    ] {
         let (before, after) = rest.split_once(mark).unwrap_or((rest, ""));
         for part in [before, parts[0], parts[1]] {
             to.write_all(part.as_bytes())?;
