@@ -10,7 +10,8 @@ use std::time::{Duration, Instant};
 use tracing::{error, info, warn};
 use upswing_config::DaemonSettings;
 use upswing_ipc::{
-    Clock, ControlResponse, IpcError, Mode, Node, Publisher, StepBatch, Telemetry, TelemetryBatch, Text,
+    Clock, ControlResponse, IpcError, Mode, Node, Publisher, Readiness, StepBatch, Telemetry, TelemetryBatch,
+    Text,
 };
 
 /// Longest time for which telemetry waits for its batch to fill.
@@ -227,6 +228,14 @@ impl<'a> CycleLog<'a> {
         remedy.map_or_else(|| self.mode().next_action().to_string(), str::to_owned)
     }
 
+    /// Whether the daemon can be enabled.
+    fn readiness(&self) -> Readiness {
+        match &self.newest {
+            None => Readiness::NoMeasurement,
+            Some(record) => record.unready.as_ref().map_or(Readiness::Ready, RequestRefusal::readiness),
+        }
+    }
+
     /// Fills the fields of a response that follow from the cycles.
     pub fn respond(&self) -> ControlResponse {
         let record = self.newest;
@@ -234,6 +243,7 @@ impl<'a> CycleLog<'a> {
         let overrun = self.overrun.as_ref().map(|(overrun, _)| overrun.to_string());
         ControlResponse {
             mode: self.mode().code(),
+            readiness: self.readiness().code(),
             fault: telemetry.fault,
             warnings: self.warnings,
             running_plan: self.running_plan(),

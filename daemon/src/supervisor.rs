@@ -4,10 +4,10 @@
 //! (fresh measurement, plan that fits) and performs the actions of a mode.
 
 use crate::plan::Ending;
-use crate::trip::Trip;
+use crate::trip::{Trip, TripCause};
 use std::fmt;
 use thiserror::Error;
-use upswing_ipc::Mode;
+use upswing_ipc::{Mode, Readiness};
 
 /// An event that can change the mode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -176,6 +176,15 @@ pub enum RequestRefusal {
 const DRIVES_ON: &str = "switch the drives on";
 
 impl RequestRefusal {
+    /// The readiness of a daemon that refuses an enable for this reason.
+    pub fn readiness(&self) -> Readiness {
+        match self {
+            Self::Unfit(Trip { cause: TripCause::NoMeasurement, .. }) => Readiness::NoMeasurement,
+            Self::DrivesNotReady => Readiness::DrivesNotReady,
+            _ => Readiness::Unfit,
+        }
+    }
+
     /// Remedy for the reason of a refused enable, in a few words; `None` for other refusals.
     pub fn remedy(&self) -> Option<&'static str> {
         match self {

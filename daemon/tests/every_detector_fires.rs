@@ -5,7 +5,7 @@ mod common;
 use common::{PERIOD_NS, at_rest, config, measurement, rest_plan, rest_pose, upright_pose};
 use nalgebra::SMatrix;
 use upswing_config::{Config, Level};
-use upswing_ipc::{Clock, Measurement, Mode, Telemetry};
+use upswing_ipc::{Clock, Measurement, Mode, Readiness, Telemetry};
 use upswing_model::{ActuatedVector, JointVector, NU, Workspace};
 use upswingd::controller::Controller;
 use upswingd::step::{StepInput, StepOutput, StepRequest};
@@ -659,18 +659,19 @@ fn no_measurement_and_unready_drives_refuse_enable() {
         "{answer:?}"
     );
     // Refusal and status name what has to be done first, and then the request.
-    let told = |refusal: RequestRefusal, remedy: &str| {
+    let told = |refusal: RequestRefusal, readiness: Readiness, remedy: &str| {
         assert_eq!(refusal.remedy(), Some(remedy));
+        assert_eq!(refusal.readiness(), readiness);
         let text = refusal.to_string();
         assert!(text.ends_with(&format!("next: {remedy}, then upswing request enable")), "{text}");
     };
-    told(output.record.unready.expect("a reason"), "start a plant");
+    told(output.record.unready.expect("a reason"), Readiness::NoMeasurement, "start a plant");
     let mut unready = measurement(1, &rest_pose(&config));
     unready.status = 0;
     let output = controller.step(StepInput::new(unready, 0, enable()));
     assert_eq!(output.answer, Some(Err(RequestRefusal::DrivesNotReady)));
     assert_eq!(controller.mode(), Mode::Idle);
-    told(output.record.unready.expect("a reason"), "switch the drives on");
+    told(output.record.unready.expect("a reason"), Readiness::DrivesNotReady, "switch the drives on");
     let ready = controller.step(StepInput::new(measurement(2, &rest_pose(&config)), 0, None));
     assert_eq!(ready.record.unready, None);
     assert_eq!(

@@ -222,27 +222,29 @@ class ControlRequest(Structure):
 
 
 class ControlResponse(Structure):
-    SIZE = 944
+    SIZE = 952
     OFFSETS = {
         "accepted": 0,
         "mode": 8,
-        "fault": 16,
-        "warnings": 24,
-        "plan_id": 32,
-        "running_plan": 40,
-        "seq": 48,
-        "t_ns": 56,
-        "degraded": 64,
-        "overruns": 72,
-        "wake": 80,
-        "compute": 128,
-        "overrun": 176,
-        "reason": 432,
-        "next": 688,
+        "readiness": 16,
+        "fault": 24,
+        "warnings": 32,
+        "plan_id": 40,
+        "running_plan": 48,
+        "seq": 56,
+        "t_ns": 64,
+        "degraded": 72,
+        "overruns": 80,
+        "wake": 88,
+        "compute": 136,
+        "overrun": 184,
+        "reason": 440,
+        "next": 696,
     }
     _fields_ = [
         ("accepted", c_uint64),
         ("mode", c_uint64),
+        ("readiness", c_uint64),
         ("fault", c_uint64),
         ("warnings", c_uint64),
         ("plan_id", c_uint64),
@@ -260,7 +262,7 @@ class ControlResponse(Structure):
 
     @staticmethod
     def type_name():
-        return "upswing.ControlResponse.v4"
+        return "upswing.ControlResponse.v5"
 
 
 class PlannerRequest(Structure):
@@ -400,6 +402,13 @@ class Mode(IntEnum):
     Balance = 3
     Stop = 4
     Fault = 5
+
+
+class Readiness(IntEnum):
+    Ready = 0
+    NoMeasurement = 1
+    DrivesNotReady = 2
+    Unfit = 3
 
 
 class ControlKind(IntEnum):

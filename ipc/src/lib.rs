@@ -63,7 +63,7 @@ pub use pacing::{
 pub use payload::{
     Clock, Command, ControlKind, ControlRequest, ControlResponse, DamagedPlan, Degradation, Measurement,
     Mode, Percentiles, PlanMessage, PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus, PlantKind,
-    PlantRequest, PlantResponse, RecordedStep, StepBatch, Telemetry, TelemetryBatch, Text, TextError,
+    PlantRequest, PlantResponse, Readiness, RecordedStep, StepBatch, Telemetry, TelemetryBatch, Text, TextError,
     UnknownClock, UnknownCode,
 };
 pub use services::{

@@ -13,7 +13,8 @@ mod text;
 mod words;
 
 pub use codes::{
-    Clock, ControlKind, Degradation, Mode, PlannerKind, PlannerStatus, PlantKind, UnknownClock, UnknownCode,
+    Clock, ControlKind, Degradation, Mode, PlannerKind, PlannerStatus, PlantKind, Readiness, UnknownClock,
+    UnknownCode,
 };
 pub use control::{ControlRequest, ControlResponse, Percentiles};
 pub use cycle::{Command, Measurement, Telemetry, TelemetryBatch};

@@ -3,8 +3,8 @@
 use proptest::prelude::*;
 use std::str::FromStr;
 use upswing_ipc::{
-    Clock, ControlKind, ControlRequest, Degradation, Mode, PlannerKind, PlannerStatus, PlantKind, Text,
-    TextError, UnknownClock, UnknownCode,
+    Clock, ControlKind, ControlRequest, Degradation, Mode, PlannerKind, PlannerStatus, PlantKind, Readiness,
+    Text, TextError, UnknownClock, UnknownCode,
 };
 
 fn text_of(len: u64, bytes: &[u8]) -> Text {
@@ -72,6 +72,7 @@ fn only_known_codes_become_variants() {
     codes_are_checked! {
         Clock: 3 "clock",
         Mode: 6 "mode",
+        Readiness: 4 "readiness",
         ControlKind: 6 "control request",
         Degradation: 5 "degradation",
         PlannerKind: 3 "planner request",

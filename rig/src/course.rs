@@ -1,9 +1,9 @@
 //! The steps of a manoeuvre: hold the arm, plan from the present state, wait until the plan is loaded and due, start the plan, monitor
 //! the modes. Three processes ([`SessionCourse`]) and the closed loop in one process take the same steps.
 
-use crate::session::{Session, SessionError};
+use crate::session::{NEVER, Session, SessionError};
 use std::sync::atomic::{AtomicBool, Ordering};
-use upswing_ipc::operator::{Manoeuvre, OperatorRequest};
+use upswing_ipc::operator::Manoeuvre;
 use upswing_ipc::{Mode, PlannerResponse};
 
 /// Time in which the arm settles in Hold before the plan is made, s.
@@ -87,7 +87,6 @@ pub struct SessionCourse<'a> {
 impl<'a> SessionCourse<'a> {
     /// A manoeuvre without interruption and without progress reports; `period`: control period, s.
     pub fn new(session: &'a mut Session, period: f64) -> Self {
-        static NEVER: AtomicBool = AtomicBool::new(false);
         Self { session, period, interrupted: &NEVER, progress: &|_, _| () }
     }
 
@@ -114,7 +113,7 @@ impl Course for SessionCourse<'_> {
     }
 
     fn hold(&mut self, cycles: u64) -> Result<(), SessionError> {
-        self.session.request(OperatorRequest::Enable)?;
+        self.session.enable(self.interrupted)?;
         self.session.advance(cycles)?;
         self.expect_mode(&[Mode::Hold])
     }

@@ -5,15 +5,14 @@ mod process;
 pub use process::{Programs, Role, SessionOptions};
 
 use process::SystemProcess;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use upswing_ipc::operator::{Manoeuvre, Operator, OperatorError, OperatorRequest, PublishedPlan};
 use upswing_ipc::{
-    CallError, Client, ControlKind, ControlRequest, ControlResponse, Domain, IpcError, Mode, Node,
-    PlannerResponse, PlantKind, PlantRequest, PlantResponse, Telemetry,
+    CallError, Client, ControlKind, ControlRequest, ControlResponse, Domain, IpcError, Node, PlannerResponse,
+    PlantKind, PlantRequest, PlantResponse, Readiness, Telemetry,
 };
 use upswing_record::{Recorder, RecordingError, Tally, Tap};
-use upswingd::supervisor::RequestRefusal;
-use upswingd::trip::TripCause;
 
 /// Longest wait for a process to start; a start takes well below a second on an idle machine.
 const START_PATIENCE: Duration = Duration::from_secs(30);
@@ -25,6 +24,8 @@ const END_PATIENCE: Duration = Duration::from_secs(30);
 const SILENCE: Duration = Duration::from_millis(100);
 /// Pause between two checks of an awaited condition.
 const PAUSE: Duration = Duration::from_millis(1);
+/// Flag of a wait that nobody interrupts.
+pub(crate) static NEVER: AtomicBool = AtomicBool::new(false);
 
 /// Error of starting or driving a system.
 #[derive(Debug, thiserror::Error)]
@@ -227,13 +228,24 @@ impl Session {
         &self.node
     }
 
-    /// Sends a request of the operator and returns the state of the daemon after it. `Enable` waits until the drives are ready.
+    /// Waits until the drives are ready, enables the daemon, and returns its state. Setting `interrupted` ends the wait.
+    ///
+    /// # Errors
+    /// [`SessionError::Interrupted`], or [`SessionError::Operator`] with the reason of a refusal.
+    pub fn enable(&mut self, interrupted: &AtomicBool) -> Result<ControlResponse, SessionError> {
+        if !self.options.clock.stands_still() {
+            self.wait_for_drives(interrupted)?;
+        }
+        self.control(&ControlRequest::new(ControlKind::Enable))
+    }
+
+    /// Sends a request of the operator and returns the state of the daemon after it. `Enable` waits as [`Self::enable`] does.
     ///
     /// # Errors
     /// [`SessionError::Operator`] with the reason of a refusal.
     pub fn request(&mut self, request: OperatorRequest) -> Result<ControlResponse, SessionError> {
-        if request == OperatorRequest::Enable && !self.options.clock.stands_still() {
-            self.wait_for_drives()?;
+        if request == OperatorRequest::Enable {
+            return self.enable(&NEVER);
         }
         match request.command() {
             Ok(command) => self.control(&ControlRequest::new(command)),
@@ -246,11 +258,13 @@ impl Session {
 
     /// Waits until the daemon receives measurements and the plant receives commands; until then the daemon refuses to be enabled.
     /// No error after [`START_PATIENCE`]: the refusal that follows tells more than a timeout.
-    fn wait_for_drives(&mut self) -> Result<(), SessionError> {
-        let remedies = [RequestRefusal::DrivesNotReady.remedy(), Some(TripCause::NoMeasurement.remedy())];
+    fn wait_for_drives(&mut self, interrupted: &AtomicBool) -> Result<(), SessionError> {
         let ready = self.wait_for("the drives to be ready", START_PATIENCE, |s| {
-            let status = s.status()?;
-            Ok(status.mode != Mode::Idle.code() || !remedies.contains(&status.next.as_str().ok()))
+            if interrupted.load(Ordering::Acquire) {
+                return Err(SessionError::Interrupted);
+            }
+            let waits = [Ok(Readiness::NoMeasurement), Ok(Readiness::DrivesNotReady)];
+            Ok(!waits.contains(&s.status()?.readiness()))
         });
         match ready {
             Err(SessionError::Timeout { .. }) => Ok(()),

@@ -6,8 +6,8 @@ use std::mem::offset_of;
 use upswing_ipc::{
     BlackboardPayload, Clock, Command, ControlKind, ControlRequest, ControlResponse, Degradation, Domain,
     MAX_NODES, MAX_READERS, Measurement, Mode, Percentiles, PlanMessage, PlannerKind, PlannerRequest,
-    PlannerResponse, PlannerStatus, PlantKind, PlantRequest, PlantResponse, RequestPayload, Telemetry,
-    TelemetryBatch, Text, TopicPayload,
+    PlannerResponse, PlannerStatus, PlantKind, PlantRequest, PlantResponse, Readiness, RequestPayload,
+    Telemetry, TelemetryBatch, Text, TopicPayload,
 };
 
 const HEAD: &str = r#""""What crosses the shared memory of upswing: payloads, codes, services.
@@ -135,6 +135,7 @@ pub fn module() -> String {
         ControlResponse {
             accepted,
             mode,
+            readiness,
             fault,
             warnings,
             plan_id,
@@ -176,6 +177,7 @@ pub fn module() -> String {
     class!(out, PlantResponse { accepted, seq, q, qd, brakes_closed, tau_peak, reason });
     codes(out, "Clock", Clock::ALL);
     codes(out, "Mode", Mode::ALL);
+    codes(out, "Readiness", Readiness::ALL);
     codes(out, "ControlKind", ControlKind::ALL);
     codes(out, "Degradation", Degradation::ALL);
     codes(out, "PlannerKind", PlannerKind::ALL);

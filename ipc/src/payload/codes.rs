@@ -93,6 +93,20 @@ codes! {
 }
 
 codes! {
+    /// Whether the daemon can be enabled, by its last cycle.
+    Readiness is a "readiness" {
+        /// Nothing speaks against an enable in mode Idle.
+        Ready = "ready",
+        /// No measurement has come yet.
+        NoMeasurement = "no measurement",
+        /// The drives are not powered, or have received no command yet.
+        DrivesNotReady = "drives not ready",
+        /// The measurement cannot be trusted, or a limit is exceeded.
+        Unfit = "unfit",
+    }
+}
+
+codes! {
     /// A command to the daemon.
     ControlKind is a "control request" {
         /// Release the brakes and hold.

@@ -1,6 +1,6 @@
 //! The `control` service: requests of an operator to the daemon, and its responses.
 
-use super::codes::{ControlKind, Mode, UnknownCode};
+use super::codes::{ControlKind, Mode, Readiness, UnknownCode};
 use super::text::Text;
 use super::words::WORD;
 use iceoryx2::prelude::ZeroCopySend;
@@ -61,12 +61,14 @@ pub struct Percentiles {
 /// Response of the daemon to a [`ControlRequest`]: whether it accepted the request, and its state afterwards.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
-#[type_name("upswing.ControlResponse.v4")]
+#[type_name("upswing.ControlResponse.v5")]
 pub struct ControlResponse {
     /// 1: accepted, 0: refused (see `reason`).
     pub accepted: u64,
     /// Code of the daemon's [`Mode`].
     pub mode: u64,
+    /// Code of the [`Readiness`]: why an enable would be refused in mode Idle; `Ready` in all other modes.
+    pub readiness: u64,
     /// Code of the latched fault, 0: none.
     pub fault: u64,
     /// Warnings since the last enable, start or reset; bits as in the telemetry.
@@ -97,7 +99,7 @@ pub struct ControlResponse {
 
 const _: () = assert!(size_of::<Percentiles>() == WORD * 6);
 const _: () =
-    assert!(size_of::<ControlResponse>() == WORD * 10 + 2 * size_of::<Percentiles>() + 3 * size_of::<Text>());
+    assert!(size_of::<ControlResponse>() == WORD * 11 + 2 * size_of::<Percentiles>() + 3 * size_of::<Text>());
 
 impl ControlResponse {
     /// The daemon's mode.
@@ -106,6 +108,14 @@ impl ControlResponse {
     /// [`UnknownCode`] if `mode` names none.
     pub fn mode(&self) -> Result<Mode, UnknownCode> {
         Mode::try_from(self.mode)
+    }
+
+    /// Whether the daemon can be enabled.
+    ///
+    /// # Errors
+    /// [`UnknownCode`] if `readiness` names none.
+    pub fn readiness(&self) -> Result<Readiness, UnknownCode> {
+        Readiness::try_from(self.readiness)
     }
 
     /// The daemon's mode as text; an unknown code gives the text of the error.
