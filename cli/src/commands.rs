@@ -25,7 +25,7 @@ pub(crate) mod request;
 pub(crate) mod soak;
 pub(crate) mod status;
 
-pub(crate) use json::{MarginsJson, PlanSummary, TrajectoryJson};
+pub(crate) use json::TrajectoryJson;
 
 use progress::{byte_bar, progress_bar, spinner, time_bar};
 use serde::Serialize;

@@ -7,8 +7,10 @@
 //! friction), limits and torques, from upright to hanging at rest.
 
 mod outcome;
+mod summary;
 
 pub use outcome::{FailedAttempt, Method, NoPlan, PlanningFailure, Replan, ReplanStatistics, SecondOpinion};
+pub use summary::{MarginShares, PlanSummary};
 
 use crate::database::{DatabaseFile, NearestPose, Neighbour};
 use crate::offline::{self, lqr_weights, problem, problem_fingerprint, qp_weights, torque_constraint};

@@ -2,6 +2,7 @@
 
 pub mod closed_loop;
 pub mod condition;
+pub mod replan;
 pub mod robustness;
 mod statistics;
 pub mod variation;

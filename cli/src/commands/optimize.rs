@@ -1,6 +1,6 @@
 //! `upswing optimize`: runs one offline optimisation.
 
-use super::{CommonArgs, MarginsJson, TrajectoryJson, failed, print_json, print_line, spinner};
+use super::{CommonArgs, TrajectoryJson, failed, print_json, print_line, spinner};
 use crate::parse::{StartArgs, WEEK};
 use serde::Serialize;
 use std::sync::atomic::Ordering;
@@ -8,6 +8,7 @@ use std::time::Instant;
 use upswing_ocp::interior_point::{NlpOptions, NlpStatus};
 use upswing_ocp::multistart::Search;
 use upswing_planner::offline::{optimize, options};
+use upswing_planner::replan::MarginShares;
 use upswing_process::number::within;
 use upswing_process::{Failure, shutdown_flag};
 use upswing_trajectory::Margins;
@@ -41,7 +42,7 @@ struct OptimizeResult {
     violation: f64,
     stationarity: f64,
     #[serde(flatten)]
-    margins: MarginsJson,
+    margins: MarginShares,
     time_s: f64,
 }
 

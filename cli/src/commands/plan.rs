@@ -1,6 +1,6 @@
 //! `upswing plan`: computes one replan without a running system.
 
-use super::{CommonArgs, PlanSummary, TrajectoryJson, failed, print_json, print_line, writable};
+use super::{CommonArgs, TrajectoryJson, failed, print_json, print_line, writable};
 use crate::parse::{Degrees, StartArgs, start_state};
 use serde::Serialize;
 use upswing_config::Config;
@@ -11,7 +11,7 @@ use upswing_ocp::interior_point::NlpStatus;
 use upswing_ocp::multistart::Search;
 use upswing_planner::database::certify;
 use upswing_planner::offline::{optimize, options};
-use upswing_planner::replan::{Effort, Method, Planner};
+use upswing_planner::replan::{Effort, Method, PlanSummary, Planner};
 use upswing_process::Failure;
 use upswing_process::number::whole;
 use upswing_process::output::{Destination, Overwrite};
@@ -98,7 +98,7 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
         trajectory: (&replan.trajectory).into(),
         status: status.to_string(),
         cost: replan.trajectory.cost(settings.offline.input_weight),
-        figures: PlanSummary::new(&replan),
+        figures: PlanSummary::from(&replan),
         time_nearest_s: replan.statistics.nearest.as_secs_f64(),
         time_qp_s: replan.statistics.qp.as_secs_f64(),
         time_optimisation_s: replan.statistics.optimisation.as_secs_f64(),
