@@ -63,8 +63,8 @@ pub use pacing::{
 pub use payload::{
     Clock, Command, ControlKind, ControlRequest, ControlResponse, DamagedPlan, Degradation, Measurement,
     Mode, Percentiles, PlanMessage, PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus, PlantKind,
-    PlantRequest, PlantResponse, Readiness, RecordedStep, StepBatch, Telemetry, TelemetryBatch, Text, TextError,
-    UnknownClock, UnknownCode,
+    PlantRequest, PlantResponse, Readiness, RecordedStep, StepBatch, Telemetry, TelemetryBatch, Text,
+    TextError, UnknownClock, UnknownCode,
 };
 pub use services::{
     BlackboardPayload, Client, Finder, FinderThread, MAX_READERS, Publisher, Reader, RequestPayload, Sample,

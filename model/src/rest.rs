@@ -2,8 +2,8 @@
 
 use crate::thresholds::EQUILIBRIUM_ACCELERATION;
 use crate::{
-    ActuatedVector, JointParts, JointVector, Model, N_UNACTUATED, NQ, NU, State, StateParts, UnactuatedVector,
-    Workspace,
+    ActuatedVector, JointParts, JointVector, Model, N_UNACTUATED, NQ, NU, State, StateParts,
+    UnactuatedVector, Workspace,
 };
 
 /// The search for a rest position found none.

@@ -1,4 +1,4 @@
-//! The trajectory database: [`build()`] it, [`merge()`] its shards, [`verify()`] its records, describe it ([`Overview`]), and find
+//! The trajectory database: [`build()`] it, [`merge()`] its shards, [`verify()`] its records, describe it ([`DatabaseOverview`]), and find
 //! the entries nearest to a start pose ([`NearestPose`]). The file format is that of [`upswing_trajectory::Database`].
 
 mod build;
@@ -11,7 +11,7 @@ mod verify;
 pub use build::build;
 pub use merge::merge;
 pub use nearest::{NearestPose, Neighbour};
-pub use overview::{JointCoverage, Overview};
+pub use overview::{DatabaseOverview, JointCoverage};
 pub use stored::{DatabaseFile, SHIPPED};
 pub use verify::{Discrepancy, RecordFlaw, verify};
 

@@ -1,14 +1,14 @@
 //! The overview of a database counts every record once, and its worst certificate bounds that of every entry.
 
 use upswing_config::Config;
-use upswing_planner::database::{DatabaseFile, Overview};
+use upswing_planner::database::{DatabaseFile, DatabaseOverview};
 
 #[test]
 fn of_the_shipped_database() {
     let config = Config::embedded().expect("embedded settings");
     let file = DatabaseFile::of(&config).expect("the shipped database");
     let database = file.decode().expect("a database");
-    let overview = Overview::of(&database);
+    let overview = DatabaseOverview::of(&database);
     assert_eq!(overview.entries, database.entries().count());
     assert_eq!(overview.entries + overview.rejected + overview.failed, database.records.len());
     assert!(overview.joints.len() >= 2);

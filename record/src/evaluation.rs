@@ -243,8 +243,7 @@ impl SwingUpEvaluation {
             let shares = fastest.component_div(&limits.qd_max);
             let motion = &mut statistics.motion;
             motion.peak_velocity = shares.actuated().max().max(motion.peak_velocity);
-            motion.peak_velocity_pendulum =
-                shares.unactuated().max().max(motion.peak_velocity_pendulum);
+            motion.peak_velocity_pendulum = shares.unactuated().max().max(motion.peak_velocity_pendulum);
         }
         let beyond = LimitExcess::most(limits, records);
         let mut failures = Vec::new();

@@ -5,7 +5,9 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 use upswing_config::Config;
-use upswing_planner::database::{self, BuildError, BuildSummary, DatabaseFile, JointCoverage, Overview, Shard};
+use upswing_planner::database::{
+    self, BuildError, BuildSummary, DatabaseFile, DatabaseOverview, JointCoverage, Shard,
+};
 use upswing_process::number::whole;
 use upswing_process::output::{Destination, OutputError, OutputFile, Overwrite};
 use upswing_process::{Failure, shutdown_flag};
@@ -366,7 +368,7 @@ impl std::fmt::Display for DbInfoResult {
 }
 
 /// Draws the map of an overview as text, with one cell per pair of angles, darker with more entries; nothing without a map.
-fn coverage_map(overview: &Overview) -> String {
+fn coverage_map(overview: &DatabaseOverview) -> String {
     const SHADES: [char; 5] = ['·', '░', '▒', '▓', '█'];
     let ([.., rows, columns], cells) = (overview.joints.as_slice(), &overview.map) else {
         return String::new();
@@ -390,7 +392,7 @@ fn coverage_map(overview: &Overview) -> String {
 fn info(common: &CommonArgs, file: Option<&Path>) -> Result<(), Failure> {
     let config = common.process.load()?;
     let (database, origin) = read(&config, file)?;
-    let (h, overview) = (database.heading, Overview::of(&database));
+    let (h, overview) = (database.heading, DatabaseOverview::of(&database));
     common.print(&DbInfoResult {
         origin,
         poses: h.poses,

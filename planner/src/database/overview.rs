@@ -6,7 +6,7 @@ use upswing_trajectory::{Certificate, Database, Entry, PoseOutcome};
 
 /// Figures of all records of a database.
 #[derive(Clone, Debug)]
-pub struct Overview {
+pub struct DatabaseOverview {
     /// Number of entries, the poses with a trajectory.
     pub entries: usize,
     /// Number of poses left out by the grid's rules.
@@ -37,7 +37,7 @@ pub struct JointCoverage {
     pub entries: Vec<usize>,
 }
 
-impl Overview {
+impl DatabaseOverview {
     /// The figures of `database`.
     pub fn of(database: &Database) -> Self {
         let entries: Vec<&Entry> = database.entries().collect();
