@@ -64,9 +64,9 @@ impl CommonArgs {
     pub fn join_existing(&self) -> Result<Node, Failure> {
         let domain = self.domain()?;
         if !domain.exists() {
-            return Err(failed(CallError::no_server(ControlRequest::SERVICE, &domain)));
+            return Err(Failure::failed(CallError::no_server(ControlRequest::SERVICE, &domain)));
         }
-        domain.join("cli").map_err(failed)
+        domain.join("cli").map_err(Failure::failed)
     }
 
     /// Joins the domain, and creates it if it does not exist, to wait for its processes.
@@ -74,11 +74,11 @@ impl CommonArgs {
     /// # Errors
     /// [`Failure`] for an invalid name or an unusable domain.
     pub fn join(&self) -> Result<Node, Failure> {
-        self.domain()?.join("cli").map_err(failed)
+        self.domain()?.join("cli").map_err(Failure::failed)
     }
 
     fn domain(&self) -> Result<Domain, Failure> {
-        Domain::new(&self.process.domain).map_err(|e| Failure::BadInput(e.to_string()))
+        Domain::new(&self.process.domain).map_err(Failure::bad_input)
     }
 }
 
@@ -94,11 +94,11 @@ fn own_system(
     start: String,
     scenario: Option<String>,
 ) -> Result<(TempDomain, SessionOptions), Failure> {
-    let domain = TempDomain::new(&format!("{}-{what}", common.process.domain))
-        .map_err(|e| Failure::BadInput(e.to_string()))?;
+    let domain = TempDomain::new(&format!("{}-{what}", common.process.domain)).map_err(Failure::bad_input)?;
     let name = domain.name().to_owned();
     let logs = std::env::temp_dir().join(&name);
-    std::fs::create_dir_all(&logs).map_err(|e| failed(format!("cannot create {}: {e}", logs.display())))?;
+    std::fs::create_dir_all(&logs)
+        .map_err(|e| Failure::failed(format!("cannot create {}: {e}", logs.display())))?;
     let config = common.process.config.clone();
     Ok((domain, SessionOptions { config, domain: name, clock, start: Some(start), scenario, logs }))
 }
@@ -109,13 +109,13 @@ fn session_failure(e: &SessionError, logs: &Path) -> Failure {
         SessionError::Interrupted => {
             // An interrupted session needs no logs.
             let _ = std::fs::remove_dir_all(logs);
-            failed(e)
+            Failure::failed(e)
         }
-        SessionError::Ended { status, .. } if status.code() == Some(2) => Failure::BadInput(e.to_string()),
+        SessionError::Ended { status, .. } if status.code() == Some(2) => Failure::bad_input(e),
         SessionError::Ipc(IpcError::Taken { .. }) => {
-            failed(format!("{e}; another system may use this domain"))
+            Failure::failed(format!("{e}; another system may use this domain"))
         }
-        e => failed(format!("{e}; logs in {}", logs.display())),
+        e => Failure::failed(format!("{e}; logs in {}", logs.display())),
     }
 }
 
@@ -132,7 +132,7 @@ pub(crate) fn print(json: bool, result: &(impl Serialize + std::fmt::Display)) -
 /// # Errors
 /// [`Failure::Failed`] if stdout cannot be written.
 pub(crate) fn print_json(result: &impl Serialize) -> Result<(), Failure> {
-    print_line(&serde_json::to_string(result).map_err(failed)?)
+    print_line(&serde_json::to_string(result).map_err(Failure::failed)?)
 }
 
 /// Prints a line on stdout; a closed pipe (`| head`) is not a failure.
@@ -142,7 +142,7 @@ pub(crate) fn print_json(result: &impl Serialize) -> Result<(), Failure> {
 pub(crate) fn print_line(line: &impl std::fmt::Display) -> Result<(), Failure> {
     use std::io::Write;
     match writeln!(std::io::stdout(), "{line}") {
-        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => Err(failed(e)),
+        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => Err(Failure::failed(e)),
         _ => Ok(()),
     }
 }
@@ -159,9 +159,4 @@ fn writable(
         Err(e @ OutputError::Exists { .. }) => Err(Failure::BadInput(format!("{option}: {e}"))),
         Err(e) => Err(Failure::BadInput(format!("{option}: {e}; choose a place that can be written"))),
     }
-}
-
-/// Returns [`Failure::Failed`] with the text of `e`.
-pub(crate) fn failed(e: impl std::fmt::Display) -> Failure {
-    Failure::Failed(e.to_string())
 }

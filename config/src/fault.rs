@@ -129,29 +129,40 @@ pub(crate) struct FaultInFile {
 /// Largest cycle number in a scenario, beyond the lifetime of any plant process.
 const MOST_CYCLES: i64 = 1_000_000_000_000;
 
-/// The error text begins with `.key: `, which `TextFile::error` moves into the name of the key.
-impl TryFrom<FaultInFile> for Fault {
-    type Error = String;
+/// Error of a fault in a scenario file. Its text begins with `.key: `, which `TextFile::error` moves into the name of the key.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub(crate) enum FaultInFileError {
+    /// The joint is not a number from 1 on.
+    #[error(".joint: expected a whole number from 1 to {most}, got {got}")]
+    JointNumber { most: usize, got: i64 },
+    /// A kind without a joint has one.
+    #[error(".joint: expected none for this kind, got {got}: only encoders and torques have a joint")]
+    NeedlessJoint { got: i64 },
+    /// A kind that concerns a joint has none.
+    #[error(".joint: expected a joint, got none: only encoders and torques have a joint")]
+    NoJoint,
+    /// Joint or amount do not suit the kind.
+    #[error(".{0}")]
+    Event(#[from] EventError),
+}
 
-    fn try_from(FaultInFile { kind, from, cycles, joint, amount }: FaultInFile) -> Result<Self, String> {
-        let got = joint.map_or("none".into(), |joint| joint.to_string());
-        let refuse = |expected: &str| {
-            Err(format!(".joint: expected {expected}, got {got}: only encoders and torques have a joint"))
-        };
+impl TryFrom<FaultInFile> for Fault {
+    type Error = FaultInFileError;
+
+    fn try_from(
+        FaultInFile { kind, from, cycles, joint, amount }: FaultInFile,
+    ) -> Result<Self, FaultInFileError> {
         let joint = match joint {
-            Some(joint) if kind.has_joint() => match usize::try_from(joint) {
+            Some(got) if kind.has_joint() => match usize::try_from(got) {
                 Ok(joint @ 1..) => joint - 1,
-                _ => {
-                    let highest = kind.joints();
-                    return Err(format!(".joint: expected a whole number from 1 to {highest}, got {got}"));
-                }
+                _ => return Err(FaultInFileError::JointNumber { most: kind.joints(), got }),
             },
-            None if !kind.has_joint() => 0,
-            Some(_) => return refuse("none for this kind"),
-            None => return refuse("a joint"),
+            Some(got) => return Err(FaultInFileError::NeedlessJoint { got }),
+            None if kind.has_joint() => return Err(FaultInFileError::NoJoint),
+            None => 0,
         };
         let fault = Self { kind, from, cycles, joint, amount };
-        fault.check().map_err(|cause| format!(".{cause}"))?;
+        fault.check()?;
         Ok(fault)
     }
 }

@@ -4,6 +4,7 @@ use crate::ConfigError;
 use crate::conflict::SettingsConflict;
 use serde::de::DeserializeOwned;
 use std::borrow::Cow;
+use std::fmt::Display;
 use std::path::Path;
 use toml::de::{DeTable, DeValue};
 
@@ -75,7 +76,7 @@ impl TextFile {
     /// The error of a violated rule between settings, with the line of the key.
     pub fn refuse(&self, SettingsConflict { key, expected, got, fix }: SettingsConflict) -> ConfigError {
         let at = DeTable::parse(&self.text).map_or(0, |table| position(table.get_ref(), &key));
-        self.error(at, Some(key.into()), format!("expected {expected}, got {got}: {fix}"))
+        self.error(at, Some(key.into()), format_args!("expected {expected}, got {got}: {fix}"))
     }
 
     /// The error of text that is no TOML, or of a key or value that does not fit, with its line.
@@ -83,12 +84,13 @@ impl TextFile {
         let at = error.span().map_or(0, |span| span.start).min(self.text.len());
         let key = DeTable::parse(&self.text).ok().and_then(|table| key_at(table.get_ref(), at));
         let fix = "compare with the commented original, `upswing config export DIR` writes it";
-        self.error(at, key, format!("{}: {fix}", error.message()))
+        self.error(at, key, format_args!("{}: {fix}", error.message()))
     }
 
     /// The error of a setting at byte offset `at` of the text. A `reason` that begins with `.name: ` concerns the key `name` of the
     /// table `key`.
-    pub fn error(&self, at: usize, mut key: Option<String>, mut reason: String) -> ConfigError {
+    pub fn error(&self, at: usize, mut key: Option<String>, reason: impl Display) -> ConfigError {
+        let mut reason = reason.to_string();
         if let (Some(key), Some((name, rest))) = (&mut key, reason.split_once(": "))
             && name.starts_with('.')
         {

@@ -54,7 +54,7 @@ use upswing_process::{Failure, ProcessArgs, shutdown_flag};
 /// [`Failure::BadInput`] for invalid settings or an invalid domain name; otherwise the errors of [`service::serve`].
 pub fn run(args: &ProcessArgs) -> Result<(), Failure> {
     let config = args.load()?;
-    let domain = Domain::new(&args.domain).map_err(|e| Failure::BadInput(e.to_string()))?;
+    let domain = Domain::new(&args.domain).map_err(Failure::bad_input)?;
     let shutdown = shutdown_flag()?;
     service::serve(&config, &domain, &shutdown)
 }

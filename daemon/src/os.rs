@@ -12,6 +12,10 @@ const HEAP: usize = 18 << 20;
 /// Stack that is touched before the first cycle, bytes; the cycle uses less.
 const STACK: usize = 256 << 10;
 const PAGE: usize = 4096;
+/// File that keeps CPUs out of deep sleep while it is open.
+const DMA_LATENCY: &str = "/dev/cpu_dma_latency";
+/// Remedy for a refused memory lock.
+const MEMORY_GRANT: &str = "set LimitMEMLOCK=infinity in the unit, or memlock unlimited in limits.conf";
 
 /// Id of the calling thread.
 pub fn thread_id() -> u32 {
@@ -19,13 +23,70 @@ pub fn thread_id() -> u32 {
     unsafe { libc::gettid() }.cast_unsigned()
 }
 
-/// Refusal of a real-time setting by the system, with the remedy.
-#[derive(Clone, Debug)]
-pub struct RefusedSetting {
-    /// Setting that was refused.
-    pub what: Degradation,
-    /// Reason and remedy.
-    pub why: String,
+/// Real-time setting that the system refuses, with the reason and the remedy.
+#[derive(Debug, thiserror::Error)]
+pub enum RefusedSetting {
+    /// Memory cannot be locked.
+    #[error("memory lock ({cause}; {MEMORY_GRANT})")]
+    MemoryLock {
+        /// Error of the operating system.
+        cause: Error,
+    },
+    /// Too little memory may be locked.
+    #[error("memory lock (at most {limit} bytes, {ENOUGH_MEMORY} are needed; {MEMORY_GRANT})")]
+    MemoryLimit {
+        /// Memory that may be locked, bytes.
+        limit: libc::rlim_t,
+    },
+    /// The file against deep sleep of CPUs cannot be opened.
+    #[error("{DMA_LATENCY} ({cause}; allow the daemon's user to write to it)")]
+    DmaLatencyFile {
+        /// Error of the operating system.
+        cause: Error,
+    },
+    /// The kernel does not take the longest latency of a CPU.
+    #[error("{DMA_LATENCY} ({cause})")]
+    DmaLatency {
+        /// Error of the operating system.
+        cause: Error,
+    },
+    /// The precision of timers cannot be set.
+    #[error("timer slack ({cause})")]
+    TimerSlack {
+        /// Error of the operating system.
+        cause: Error,
+    },
+    /// The thread may not have its priority.
+    #[error(
+        "SCHED_FIFO priority {priority} ({cause}; set LimitRTPRIO={priority} in the unit, or rtprio in limits.conf)"
+    )]
+    Scheduler {
+        /// SCHED_FIFO priority of the settings.
+        priority: u8,
+        /// Error of the operating system, or another scheduling policy than the requested one.
+        cause: Error,
+    },
+    /// The thread may not run on its CPU.
+    #[error("CPU {cpu} ({cause}; choose another realtime.cpu, or allow it in AllowedCPUs)")]
+    Cpu {
+        /// CPU of the settings.
+        cpu: usize,
+        /// Error of the operating system.
+        cause: Error,
+    },
+}
+
+impl RefusedSetting {
+    /// The degradation that follows from the refusal.
+    pub fn degradation(&self) -> Degradation {
+        match self {
+            Self::MemoryLock { .. } | Self::MemoryLimit { .. } => Degradation::Memory,
+            Self::DmaLatencyFile { .. } | Self::DmaLatency { .. } => Degradation::DmaLatency,
+            Self::TimerSlack { .. } => Degradation::TimerSlack,
+            Self::Scheduler { .. } => Degradation::Scheduler,
+            Self::Cpu { .. } => Degradation::Cpu,
+        }
+    }
 }
 
 /// Preparation of the process for real time, to be kept until its end: dropping it permits deep sleep of the CPU again.
@@ -39,9 +100,8 @@ pub struct PreparedProcess {
 /// also the refusals.
 pub fn prepare_process() -> (PreparedProcess, Vec<RefusedSetting>) {
     touch_heap();
-    let memory = lock_memory().map_err(|why| RefusedSetting { what: Degradation::Memory, why });
-    let latency = forbid_deep_sleep().map_err(|why| RefusedSetting { what: Degradation::DmaLatency, why });
-    let (latency, denied) = match latency {
+    let memory = lock_memory();
+    let (latency, denied) = match forbid_deep_sleep() {
         Ok(file) => (file, None),
         Err(refused) => (None, Some(refused)),
     };
@@ -51,7 +111,7 @@ pub fn prepare_process() -> (PreparedProcess, Vec<RefusedSetting>) {
 /// Locks all memory of the process, also future memory: no swap, and no page faults of present memory. Future memory
 /// is locked when it is touched: shared memory is sized for the worst case, and the service thread first touches the parts
 /// that the real-time thread uses.
-fn lock_memory() -> Result<(), String> {
+fn lock_memory() -> Result<(), RefusedSetting> {
     let unlimited = libc::rlimit { rlim_cur: libc::RLIM_INFINITY, rlim_max: libc::RLIM_INFINITY };
     let mut limit = unlimited;
     // Any process may raise the limit up to the hard limit, a privileged one beyond it; the limit that is read back counts.
@@ -65,21 +125,17 @@ fn lock_memory() -> Result<(), String> {
         }
         libc::getrlimit(libc::RLIMIT_MEMLOCK, &raw mut limit)
     };
-    const GRANT: &str = "set LimitMEMLOCK=infinity in the unit, or memlock unlimited in limits.conf";
     if read != 0 {
-        return Err(format!("memory lock ({}; {GRANT})", Error::last_os_error()));
+        return Err(RefusedSetting::MemoryLock { cause: Error::last_os_error() });
     }
     // With too low a limit, the lock would be granted now, but a later allocation would fail.
     if limit.rlim_cur < ENOUGH_MEMORY && !may_exceed_memory_limit() {
-        return Err(format!(
-            "memory lock (at most {} bytes, {ENOUGH_MEMORY} are needed; {GRANT})",
-            limit.rlim_cur
-        ));
+        return Err(RefusedSetting::MemoryLimit { limit: limit.rlim_cur });
     }
     for what in [libc::MCL_CURRENT, libc::MCL_FUTURE | libc::MCL_ONFAULT] {
         // SAFETY: no pointers; it changes the residency of memory, not its contents.
         if unsafe { libc::mlockall(what) } != 0 {
-            return Err(format!("memory lock ({}; {GRANT})", Error::last_os_error()));
+            return Err(RefusedSetting::MemoryLock { cause: Error::last_os_error() });
         }
     }
     Ok(())
@@ -124,17 +180,16 @@ fn touch_stack() {
 }
 
 /// Asks the kernel to keep CPUs out of deep sleep while the file is open. `None`: the system has no such states.
-fn forbid_deep_sleep() -> Result<Option<File>, String> {
-    const FILE: &str = "/dev/cpu_dma_latency";
-    let mut file = match File::options().write(true).open(FILE) {
+fn forbid_deep_sleep() -> Result<Option<File>, RefusedSetting> {
+    let mut file = match File::options().write(true).open(DMA_LATENCY) {
         Ok(file) => file,
         Err(e) if e.kind() == ErrorKind::NotFound => return Ok(None),
-        Err(e) => return Err(format!("{FILE} ({e}; allow the daemon's user to write to it)")),
+        Err(cause) => return Err(RefusedSetting::DmaLatencyFile { cause }),
     };
     // Latency in us.
     match file.write_all(&0_i32.to_ne_bytes()) {
         Ok(()) => Ok(Some(file)),
-        Err(e) => Err(format!("{FILE} ({e})")),
+        Err(cause) => Err(RefusedSetting::DmaLatency { cause }),
     }
 }
 
@@ -144,13 +199,12 @@ pub fn prepare_thread(settings: &RealtimeSettings) -> Vec<RefusedSetting> {
     touch_stack();
     flush_to_zero();
     let mut refused = Vec::new();
-    let mut refuse = |what, why: String| refused.push(RefusedSetting { what, why });
     // SAFETY: no pointers. Matters only without real-time priority, where sleeps last 50 us longer by default.
     if unsafe { libc::prctl(libc::PR_SET_TIMERSLACK, 1_u64) } != 0 {
-        refuse(Degradation::TimerSlack, format!("timer slack ({})", Error::last_os_error()));
+        refused.push(RefusedSetting::TimerSlack { cause: Error::last_os_error() });
     }
-    let wanted = settings.priority;
-    let granted = set_priority(thread_id(), Some(wanted)).and_then(|()| {
+    let priority = settings.priority;
+    let granted = set_priority(thread_id(), Some(priority)).and_then(|()| {
         // SAFETY: no pointers; 0 means this thread.
         match unsafe { libc::sched_getscheduler(0) } & !libc::SCHED_RESET_ON_FORK {
             libc::SCHED_FIFO => set_priority(thread_id(), None),
@@ -158,12 +212,7 @@ pub fn prepare_thread(settings: &RealtimeSettings) -> Vec<RefusedSetting> {
         }
     });
     if let Err(cause) = granted {
-        refuse(
-            Degradation::Scheduler,
-            format!(
-                "SCHED_FIFO priority {wanted} ({cause}; set LimitRTPRIO={wanted} in the unit, or rtprio in limits.conf)"
-            ),
-        );
+        refused.push(RefusedSetting::Scheduler { priority, cause });
     }
     if let Some(cpu) = settings.cpu {
         // SAFETY: all-zero is the empty set; the settings allow CPUs 0 to 1023 only, which fit into it; the set is
@@ -174,11 +223,7 @@ pub fn prepare_thread(settings: &RealtimeSettings) -> Vec<RefusedSetting> {
             libc::sched_setaffinity(0, size_of::<libc::cpu_set_t>(), &raw const set)
         };
         if result != 0 {
-            let cause = Error::last_os_error();
-            refuse(
-                Degradation::Cpu,
-                format!("CPU {cpu} ({cause}; choose another realtime.cpu, or allow it in AllowedCPUs)"),
-            );
+            refused.push(RefusedSetting::Cpu { cpu, cause: Error::last_os_error() });
         }
     }
     refused

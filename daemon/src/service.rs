@@ -9,6 +9,7 @@ use crate::recovery::{Recovery, RecoveryAction};
 use crate::sent_plans::SentPlans;
 use crate::step::{CycleRecord, StepRequest};
 use crate::supervisor::{RequestRefusal, is_braked};
+use std::fmt::Display;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
@@ -41,17 +42,17 @@ const SIGN_OF_LIFE: Duration = Duration::from_millis(200);
 /// if the system refuses real-time settings although `realtime.mode` is `strict`.
 pub fn serve(config: &Config, domain: &Domain, shutdown: &AtomicBool) -> Result<(), Failure> {
     // Before any memory is claimed: too little of it later kills the process without a message.
-    Domain::check_limits().map_err(failed)?;
+    Domain::check_limits().map_err(Failure::failed)?;
     // Before anything is mapped, so that no page of it faults later.
     let (_prepared, refused) = os::prepare_process();
-    let node = domain.join("daemon").map_err(failed)?;
+    let node = domain.join("daemon").map_err(Failure::failed)?;
     // A domain has one server of this kind, so that it also excludes a second daemon.
     let server = node.server::<ControlRequest>().map_err(|e| match e {
         IpcError::Taken { .. } => Failure::Failed(format!("domain `{domain}` has a daemon already ({e})")),
-        e => failed(e),
+        e => Failure::failed(e),
     })?;
     // The ports outlive the entry in the real-time thread, which is joined below.
-    let (command, _ports) = node.writer::<Command>().map_err(failed)?.split();
+    let (command, _ports) = node.writer::<Command>().map_err(Failure::failed)?.split();
     let (realtime, link) = RealtimeThread::new(config, command);
     let mut service = ServiceThread::new(config, &node, link)?;
     let thread = start_thread(config, realtime, refused, &mut service)?;
@@ -83,7 +84,7 @@ fn start_thread(
     let (tell, told) = mpsc::channel();
     let body = move || {
         refused.extend(os::prepare_thread(&settings));
-        let degraded = refused.iter().fold(0, |bits, refused| bits | refused.what.bit());
+        let degraded = refused.iter().fold(0, |bits, refused| bits | refused.degradation().bit());
         let go = refused.is_empty() || settings.mode == RealtimeMode::Warn;
         let heard = tell.send((os::thread_id(), degraded, refused));
         drop(tell);
@@ -101,7 +102,7 @@ fn start_thread(
     service.threads =
         [(tid, settings.priority), (os::thread_id(), settings.priority.saturating_sub(1).max(1))];
     if degraded != 0 {
-        let reasons = refused.into_iter().map(|refused| refused.why).collect::<Vec<_>>().join(", ");
+        let reasons = refused.iter().map(RefusedSetting::to_string).collect::<Vec<_>>().join(", ");
         if settings.mode == RealtimeMode::Strict {
             return Err(Failure::Failed(format!(
                 "realtime.mode is strict, but the system refuses {reasons}"
@@ -111,10 +112,6 @@ fn start_thread(
     }
     service.log.watch(tid);
     Ok(thread)
-}
-
-fn failed(e: IpcError) -> Failure {
-    Failure::Failed(e.to_string())
 }
 
 /// Reason for which a request to the real-time thread has no effect, or no known effect.
@@ -180,7 +177,7 @@ impl<'a> ServiceThread<'a> {
             waiting: None,
             threads: [(0, 1); 2],
             prioritised: false,
-            log: CycleLog::new(&config.daemon, node).map_err(failed)?,
+            log: CycleLog::new(&config.daemon, node).map_err(Failure::failed)?,
             manager: Notifier::new(),
             beats: 0,
             mode_told: None,
@@ -204,7 +201,7 @@ impl<'a> ServiceThread<'a> {
         shutdown: &AtomicBool,
         thread: &JoinHandle<()>,
     ) -> Result<(), Failure> {
-        let plans = self.node.subscriber::<PlanMessage>().map_err(failed)?;
+        let plans = self.node.subscriber::<PlanMessage>().map_err(Failure::failed)?;
         let mut shutdown_begin = None;
         while !thread.is_finished() {
             self.find_plant();
@@ -213,10 +210,10 @@ impl<'a> ServiceThread<'a> {
                 // The plan is copied: the planner could change it while it is being checked.
                 Ok(Some(sample)) => self.load(&sample.boxed_copy()),
                 Ok(None) => {}
-                Err(e) => self.warn_once(e.to_string()),
+                Err(e) => self.warn_once(e),
             }
             if let Err(e) = server.poll(|request| self.handle(request)) {
-                self.warn_once(e.to_string());
+                self.warn_once(e);
             }
             self.fetch();
             self.receive_plan();
@@ -242,13 +239,13 @@ impl<'a> ServiceThread<'a> {
                 (self.found, self.waiting) = (true, Some(reader));
             }
             Ok(None) => {}
-            Err(e) => self.warn_once(e.to_string()),
+            Err(e) => self.warn_once(e),
         }
         if let Some(reader) = self.waiting.take()
             && let Err(rtrb::PushError::Full(reader)) = self.link.readers.push(reader)
         {
             self.waiting = Some(reader);
-            self.warn_once("the real-time thread does not take the measurements of a new plant".into());
+            self.warn_once("the real-time thread does not take the measurements of a new plant");
         }
     }
 
@@ -263,7 +260,7 @@ impl<'a> ServiceThread<'a> {
         self.prioritised = wanted;
         for (thread, priority) in self.threads {
             if let Err(e) = os::set_priority(thread, wanted.then_some(priority)) {
-                self.warn_once(format!("cannot change the priority of thread {thread}: {e}"));
+                self.warn_once(format_args!("cannot change the priority of thread {thread}: {e}"));
             }
         }
     }
@@ -299,7 +296,7 @@ impl<'a> ServiceThread<'a> {
             self.manager.stopping();
             self.recovery.yield_to_operator();
             if self.send(StepRequest::Shutdown).is_err() {
-                self.warn_once("the real-time thread does not take the request to shut down".into());
+                self.warn_once("the real-time thread does not take the request to shut down");
             }
             Instant::now()
         });
@@ -471,7 +468,7 @@ impl<'a> ServiceThread<'a> {
                 Some(RecoveryAction::Start(plan_id)) => {
                     info!("recovery: swinging up again");
                     if self.send(StepRequest::Start(plan_id)).is_err() {
-                        self.warn_once("too many requests wait for the next cycle".into());
+                        self.warn_once("too many requests wait for the next cycle");
                     }
                 }
                 None => {}
@@ -493,7 +490,7 @@ impl<'a> ServiceThread<'a> {
             Ok(thread) => self.asker = Some(thread),
             Err(e) => {
                 self.recovery.planned(None);
-                self.warn_once(format!("recovery: cannot start a thread: {e}"));
+                self.warn_once(format_args!("recovery: cannot start a thread: {e}"));
             }
         }
     }
@@ -512,7 +509,8 @@ impl<'a> ServiceThread<'a> {
     }
 
     /// Logs a problem, but not again while it persists.
-    fn warn_once(&mut self, trouble: String) {
+    fn warn_once(&mut self, trouble: impl Display) {
+        let trouble = trouble.to_string();
         if trouble != self.last_complaint {
             warn!("{trouble}");
             self.last_complaint = trouble;
@@ -521,7 +519,7 @@ impl<'a> ServiceThread<'a> {
 
     fn warn_of_error(&mut self, result: Result<(), IpcError>) {
         if let Err(e) = result {
-            self.warn_once(e.to_string());
+            self.warn_once(e);
         }
     }
 }

@@ -8,7 +8,7 @@ use nalgebra::{Isometry3, Matrix3, Quaternion, Translation3, UnitQuaternion, Vec
 use roxmltree::{Document, Node, ParsingOptions};
 use std::collections::HashMap;
 
-use crate::UrdfError;
+use crate::urdf_error::{UrdfElement, UrdfElementError, UrdfError, UrdfSyntaxError};
 
 /// Longest text, bytes: several times that of a humanoid.
 const LENGTH: usize = 4 << 20;
@@ -183,9 +183,7 @@ impl Urdf {
         let robot = document.root_element();
         let got = robot.tag_name().name();
         if got != "robot" {
-            return Err(UrdfError::Parse(format!(
-                "expected <robot> as the outermost element, got <{got}>: convert the file to URDF first"
-            )));
+            return Err(UrdfSyntaxError::Outermost { got: got.to_owned() }.into());
         }
         let colours = children(robot, "material").filter_map(|m| Some((m.attribute("name")?, colour(m)?)));
         // The first of a name counts.
@@ -198,7 +196,7 @@ impl Urdf {
         for node in children(robot, "link") {
             let link = read_link(node, &colours, &mut warnings)?;
             if by_name.insert(link.name.clone(), links.len()).is_some() {
-                return Err(refuse(node, "expected a name of its own, got that of another link"));
+                return Err(refuse(node, UrdfElementError::SameName { tag: "link" }));
             }
             links.push(link);
         }
@@ -207,14 +205,11 @@ impl Urdf {
         for node in children(robot, "joint") {
             let (joint, parent) = read_joint(node, &by_name, &mut warnings)?;
             if names.insert(joint.name.clone(), joints.len()).is_some() {
-                return Err(refuse(node, "expected a name of its own, got that of another joint"));
+                return Err(refuse(node, UrdfElementError::SameName { tag: "joint" }));
             }
             if let Some(first) = above[joint.child].replace(joints.len()) {
-                let (child, first) = (&links[joint.child].name, &joints[first].name);
-                return Err(refuse(
-                    node,
-                    format!("its link `{child}` is the child of joint `{first}` already"),
-                ));
+                let (link, joint) = (links[joint.child].name.clone(), joints[first].name.clone());
+                return Err(refuse(node, UrdfElementError::SecondParent { link, joint }));
             }
             links[parent].children.push(joints.len());
             joints.push(joint);
@@ -232,22 +227,17 @@ impl Urdf {
             pending.extend(links[link].children.iter().map(|joint| joints[*joint].child));
         }
         if let Some(loose) = reached.iter().position(|reached| !reached) {
-            let reason = format!(
-                "expected joints that lead to it from the root link `{}`, got joints in a loop",
-                links[root].name
-            );
-            return Err(UrdfError::Refused { element: format!("link `{}`", links[loose].name), reason });
+            let element = UrdfElement::named("link", &links[loose].name);
+            let cause = UrdfElementError::Loop { root: links[root].name.clone() };
+            return Err(UrdfError::Element { element, cause });
         }
         Ok(Self { links, joints, root, warnings: warnings.0 })
     }
 }
 
 /// The elements of a text that can be read in bounded time and memory.
-fn parse(text: &str) -> Result<Document<'_>, UrdfError> {
-    let large = |what: &str, limit: usize, unit: &str| {
-        let reason = format!("expected {what} of at most {limit} {unit}, got more: is it a robot?");
-        Err(UrdfError::Parse(reason))
-    };
+fn parse(text: &str) -> Result<Document<'_>, UrdfSyntaxError> {
+    let large = |what, limit, unit| Err(UrdfSyntaxError::Large { what, limit, unit });
     if text.len() > LENGTH {
         return large("a text", LENGTH, "bytes");
     }
@@ -262,28 +252,23 @@ fn parse(text: &str) -> Result<Document<'_>, UrdfError> {
     match Document::parse_with_options(text, options) {
         Ok(document) => Ok(document),
         Err(roxmltree::Error::NodesLimitReached) => large("a text", NODES as usize, "elements"),
-        Err(e) => {
-            let lines = text.lines().count();
-            let place = match e {
-                roxmltree::Error::UnclosedRootNode | roxmltree::Error::UnexpectedEndOfStream => {
-                    format!(", the text ends in line {lines}: is the file complete?")
-                }
-                _ => String::new(),
-            };
-            let row = if place.is_empty() { e.pos().row as usize } else { lines };
+        Err(cause) => {
+            let incomplete =
+                matches!(cause, roxmltree::Error::UnclosedRootNode | roxmltree::Error::UnexpectedEndOfStream);
+            let end = incomplete.then(|| text.lines().count());
+            let row = end.unwrap_or(cause.pos().row as usize);
             let before: usize = text.split_inclusive('\n').take(row).map(str::len).sum();
-            let near = last_element(&text[..before]).map(|element| format!(", at or after {element}"));
-            Err(UrdfError::Parse(format!("{e}{place}{}", near.unwrap_or_default())))
+            Err(UrdfSyntaxError::Xml { cause, end, after: last_element(&text[..before]) })
         }
     }
 }
 
 /// Kind and name of the last link or joint that begins in a text.
-fn last_element(text: &str) -> Option<String> {
+fn last_element(text: &str) -> Option<UrdfElement> {
     let (at, kind) =
         ["link", "joint"].iter().filter_map(|k| Some((text.rfind(&format!("<{k} "))?, *k))).max()?;
     let name = text[at..].split(['"', '\'']).nth(1)?;
-    Some(format!("{kind} `{name}`"))
+    Some(UrdfElement::named(kind, name))
 }
 
 /// Child elements in the name space of their parent.
@@ -301,79 +286,71 @@ fn child<'a, 'i>(node: Node<'a, 'i>, name: &'static str) -> Result<Option<Node<'
     let mut all = children(node, name);
     let first = all.next();
     if all.next().is_some() {
-        return Err(refuse(node, format!("expected one <{name}>, got several")));
+        return Err(refuse(node, UrdfElementError::Several { tag: name }));
     }
     Ok(first)
 }
 
 /// The error that names the link or joint to which `node` belongs.
-fn refuse(node: Node<'_, '_>, reason: impl Into<String>) -> UrdfError {
+fn refuse(node: Node<'_, '_>, cause: UrdfElementError) -> UrdfError {
     let kind = |n: &Node<'_, '_>| n.is_element() && matches!(n.tag_name().name(), "link" | "joint");
     let within =
         node.ancestors().filter(|n| n.parent_element().is_some_and(|p| p.parent_element().is_none()));
     let owner = within.into_iter().find(kind).unwrap_or(node);
     let tag = owner.tag_name().name();
     let element = match owner.attribute("name").filter(|name| !name.is_empty()) {
-        Some(name) => format!("{tag} `{name}`"),
-        None => format!("{tag} in line {}", line(owner)),
+        Some(name) => UrdfElement::named(tag, name),
+        None => UrdfElement::Unnamed { tag: tag.to_owned(), line: line(owner) },
     };
-    UrdfError::Refused { element, reason: reason.into() }
+    UrdfError::Element { element, cause }
 }
 
 fn line(node: Node<'_, '_>) -> u32 {
     node.document().text_pos_at(node.range().start).row
 }
 
-fn required<'a>(node: Node<'a, '_>, attribute: &str) -> Result<&'a str, UrdfError> {
-    node.attribute(attribute).ok_or_else(|| {
-        refuse(node, format!("expected {attribute}=\"...\" in its <{}>, got none", node.tag_name().name()))
-    })
+fn required<'a>(node: Node<'a, '_>, attribute: &'static str) -> Result<&'a str, UrdfError> {
+    let tag = || node.tag_name().name().to_owned();
+    node.attribute(attribute)
+        .ok_or_else(|| refuse(node, UrdfElementError::NoAttribute { tag: tag(), attribute }))
 }
 
 fn name_of(node: Node<'_, '_>) -> Result<String, UrdfError> {
     let name = node.attribute("name").filter(|name| !name.is_empty());
-    name.map(str::to_owned).ok_or_else(|| refuse(node, "expected a name, got none"))
+    name.map(str::to_owned).ok_or_else(|| refuse(node, UrdfElementError::NoName))
 }
 
 /// The `N` numbers in the `text` of an attribute; each may have a magnitude of at most `bound`.
 fn numbers<const N: usize>(
     node: Node<'_, '_>,
-    attribute: &str,
+    attribute: &'static str,
     text: &str,
     bound: f64,
-    unit: &str,
+    unit: &'static str,
 ) -> Result<[f64; N], UrdfError> {
     let all: Result<Vec<f64>, _> = text.split_whitespace().map(str::parse).collect();
     let all = all.ok().and_then(|all| <[f64; N]>::try_from(all).ok());
     all.filter(|all| all.iter().all(|v| v.abs() <= bound)).ok_or_else(|| {
-        let hint = if text.contains("${") || text.contains("$(") {
-            ": expand the file with xacro first"
-        } else if text.contains(',') {
-            ": a number is written with a point, and a blank stands between two"
-        } else {
-            ""
-        };
-        let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
-        let count = if N == 1 { "a number".to_owned() } else { format!("{N} numbers") };
-        let tag = node.tag_name().name();
-        let text: String = text.chars().take(80).collect();
-        refuse(
-            node,
-            format!("{tag} {attribute}: expected {count} of at most {bound}{unit}, got `{text}`{hint}"),
-        )
+        let (tag, got) = (node.tag_name().name().to_owned(), text.to_owned());
+        refuse(node, UrdfElementError::Numbers { tag, attribute, count: N, bound, unit, got })
     })
 }
 
-fn number(node: Node<'_, '_>, attribute: &str, bound: f64, unit: &str) -> Result<Option<f64>, UrdfError> {
+fn number(
+    node: Node<'_, '_>,
+    attribute: &'static str,
+    bound: f64,
+    unit: &'static str,
+) -> Result<Option<f64>, UrdfError> {
     let text = node.attribute(attribute);
     text.map(|text| numbers::<1>(node, attribute, text, bound, unit).map(|[v]| v)).transpose()
 }
 
 fn triple(
     node: Node<'_, '_>,
-    attribute: &str,
+    attribute: &'static str,
     bound: f64,
-    unit: &str,
+    unit: &'static str,
 ) -> Result<Option<Vector3<f64>>, UrdfError> {
     let text = node.attribute(attribute);
     text.map(|text| numbers::<3>(node, attribute, text, bound, unit).map(Vector3::from)).transpose()
@@ -385,12 +362,11 @@ fn origin(node: Node<'_, '_>) -> Result<Isometry3<f64>, UrdfError> {
     let xyz = triple(origin, "xyz", FAR, "m")?.unwrap_or_default();
     let rpy = triple(origin, "rpy", TURNED, "rad")?;
     let rotation = match (rpy, origin.attribute("quat_xyzw")) {
-        (Some(_), Some(_)) => return Err(refuse(origin, "expected one of rpy and quat_xyzw, got both")),
+        (Some(_), Some(_)) => return Err(refuse(origin, UrdfElementError::TwoRotations)),
         (None, Some(text)) => {
             let [x, y, z, w] = numbers(origin, "quat_xyzw", text, 1.1, "")?;
             let quaternion = UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 0.5);
-            quaternion
-                .ok_or_else(|| refuse(origin, format!("expected a quaternion of length 1, got `{text}`")))?
+            quaternion.ok_or_else(|| refuse(origin, UrdfElementError::Quaternion { got: text.to_owned() }))?
         }
         (rpy, None) => {
             let rpy = rpy.unwrap_or_default();
@@ -423,13 +399,12 @@ fn read_link(
 
 /// The body of an element `<inertial>`, in the frame of its link.
 fn read_body(node: Node<'_, '_>) -> Result<Body, UrdfError> {
-    let element =
-        |name| child(node, name)?.ok_or_else(|| refuse(node, format!("its <inertial> has no <{name}>")));
+    let element = |tag| child(node, tag)?.ok_or_else(|| refuse(node, UrdfElementError::NoInertial { tag }));
     let mass_node = element("mass")?;
     let text = required(mass_node, "value")?;
     let [mass] = numbers(mass_node, "value", text, HEAVY, "kg")?;
     if mass < 0.0 {
-        return Err(refuse(node, format!("expected a mass of 0 or above, got `{text}` kg")));
+        return Err(refuse(node, UrdfElementError::Mass { got: text.to_owned() }));
     }
     let inertia_node = element("inertia")?;
     let entry = |key| {
@@ -448,11 +423,10 @@ fn read_body(node: Node<'_, '_>) -> Result<Body, UrdfError> {
         texts.collect::<Vec<_>>().join(" ")
     };
     if moments.iter().any(|moment| *moment < -1e-9 * largest) {
-        let reason = format!("expected an inertia whose principal moments are 0 or above, got `{}`", got());
-        return Err(refuse(node, reason));
+        return Err(refuse(node, UrdfElementError::Moments { got: got() }));
     }
     if mass == 0.0 && largest > 0.0 {
-        return Err(refuse(node, format!("expected no inertia without a mass, got `{}`", got())));
+        return Err(refuse(node, UrdfElementError::MasslessInertia { got: got() }));
     }
     let origin = origin(node)?;
     let r = origin.rotation.to_rotation_matrix();
@@ -478,30 +452,22 @@ fn read_joint(
         "safety_controller",
     ];
     warnings.check(node, &known);
-    let link = |end: &'static str| {
-        let end = child(node, end)?.ok_or_else(|| refuse(node, format!("expected a <{end}>, got none")))?;
+    let link = |tag| {
+        let end = child(node, tag)?.ok_or_else(|| refuse(node, UrdfElementError::NoChild { tag }))?;
         let link = required(end, "link")?;
         let index = links.get(link).copied();
-        index.ok_or_else(|| {
-            refuse(node, format!("expected two links of the robot, there is no link `{link}`"))
-        })
+        index.ok_or_else(|| refuse(node, UrdfElementError::NoLink { link: link.to_owned() }))
     };
     let (parent, child_link) = (link("parent")?, link("child")?);
     let kind = match required(node, "type")? {
         "revolute" => UrdfJointKind::Revolute,
         "continuous" => UrdfJointKind::Continuous,
         "fixed" => UrdfJointKind::Fixed,
-        got => {
-            let reason = format!(
-                "expected a revolute, continuous or fixed joint, got `{got}`: others are not supported yet"
-            );
-            return Err(refuse(node, reason));
-        }
+        got => return Err(refuse(node, UrdfElementError::JointType { got: got.to_owned() })),
     };
     if let Some(mimic) = child(node, "mimic")? {
-        let other = mimic.attribute("joint").unwrap_or_default();
-        let reason = format!("it follows joint `{other}` (<mimic>): coupled joints are not supported yet");
-        return Err(refuse(node, reason));
+        let joint = mimic.attribute("joint").unwrap_or_default().to_owned();
+        return Err(refuse(node, UrdfElementError::Mimic { joint }));
     }
     if kind != UrdfJointKind::Fixed {
         warn_of_motion(node, &name, warnings)?;
@@ -510,13 +476,12 @@ fn read_joint(
         None => Vector3::x(),
         Some(axis) => {
             let xyz = triple(axis, "xyz", FAR, "")?.unwrap_or_else(Vector3::x);
-            let text = axis.attribute("xyz").unwrap_or_default();
-            let unit = xyz.try_normalize(1e-9);
-            unit.ok_or_else(|| refuse(node, format!("the axis is zero, got `{text}`")))?
+            let got = || axis.attribute("xyz").unwrap_or_default().to_owned();
+            xyz.try_normalize(1e-9).ok_or_else(|| refuse(node, UrdfElementError::Axis { got: got() }))?
         }
     };
     let limit = child(node, "limit")?.filter(|_| kind != UrdfJointKind::Fixed);
-    let limit = limit.map(|limit| {
+    let limit = limit.map(|limit| -> Result<_, UrdfError> {
         Ok(UrdfLimit {
             lower: number(limit, "lower", LIMIT, "rad")?,
             upper: number(limit, "upper", LIMIT, "rad")?,

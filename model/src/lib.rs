@@ -23,6 +23,7 @@ mod spatial;
 mod start;
 pub mod thresholds;
 mod urdf;
+mod urdf_error;
 
 pub use derivatives::{Derivatives, Hessian};
 pub use description::{Urdf, UrdfJoint, UrdfJointKind, UrdfLink, UrdfShape, UrdfVisual};
@@ -35,7 +36,7 @@ pub use parts::{JointParts, StateParts};
 pub use period::Period;
 pub use rest::{RestError, TargetError};
 pub use start::StartError;
-pub use urdf::UrdfError;
+pub use urdf_error::{UrdfElement, UrdfElementError, UrdfError, UrdfSyntaxError};
 
 use nalgebra::{SMatrix, SVector};
 

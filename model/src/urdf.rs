@@ -3,62 +3,16 @@
 
 use crate::description::{Urdf, UrdfJoint, UrdfJointKind};
 use crate::model::{Frame, Joint, Model};
+use crate::urdf_error::{UrdfElement, UrdfElementError, UrdfError};
 use crate::{ActuatedVector, JointVector, Limits, NQ, NU};
 use nalgebra::{Isometry3, Matrix3, Vector3};
 
 /// Gravity as in the paper, m/s^2, along -z of the root frame of the URDF.
 const GRAVITY: f64 = 9.81;
 
-/// Reason why a URDF gives no model.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum UrdfError {
-    /// The text is not a URDF.
-    #[error("not a readable URDF: {0}")]
-    Parse(String),
-    /// The URDF does not have `NQ` revolute joints.
-    #[error(
-        "expected {NQ} revolute joints in one chain ({NU} driven, then {} of the pendulum), got {}: {}; other numbers are not \
-         supported yet",
-        NQ - NU, .got.len(), .got.join(", ")
-    )]
-    JointCount {
-        /// Names of the joints found.
-        got: Vec<String>,
-    },
-    /// A link carries two movable joints, so that the joints are no serial chain.
-    #[error("link `{link}` carries the joints {}: expected one unbranched chain; fix what is no part of it", .joints.join(", "))]
-    Branch {
-        /// Name of the link.
-        link: String,
-        /// Names of the movable joints on the link.
-        joints: Vec<String>,
-    },
-    /// A joint, a link or the body of a link is physically impossible or not supported.
-    #[error("{element}: {reason}")]
-    Refused {
-        /// `joint` or `link`, with its name.
-        element: String,
-        /// What was expected, and what the URDF has.
-        reason: String,
-    },
-    /// The URDF has no root link: its joints form a circle.
-    #[error("no root link: every link is the child of some joint")]
-    NoRoot,
-    /// The URDF has several root links: no joint connects them.
-    #[error(
-        "expected one root link, got `{first}` and `{second}`: a joint has to connect every other link to the root"
-    )]
-    Roots {
-        /// Name of one root link.
-        first: String,
-        /// Name of another root link.
-        second: String,
-    },
-}
-
-/// The error about a joint.
-fn refuse(joint: &str, reason: impl Into<String>) -> UrdfError {
-    UrdfError::Refused { element: format!("joint `{joint}`"), reason: reason.into() }
+/// Error about the joint of this name.
+fn refuse(joint: &str, cause: UrdfElementError) -> UrdfError {
+    UrdfError::Element { element: UrdfElement::named("joint", joint), cause }
 }
 
 impl Model {
@@ -148,41 +102,35 @@ fn rated_limits(chain: &[&UrdfJoint]) -> Result<Limits, UrdfError> {
         tau_max: ActuatedVector::zeros(),
     };
     for (i, joint) in chain.iter().enumerate() {
-        let fail = |reason: String| Err(refuse(&joint.name, reason));
+        let fail = |cause| Err(refuse(&joint.name, cause));
         if joint.kind == UrdfJointKind::Revolute {
             let Some(limit) = joint.limit else {
-                return fail("expected a <limit> of a revolute joint, got none".into());
+                return fail(UrdfElementError::NoLimit);
             };
             // As the format has it, what is not stated is 0.
             let (lower, upper) = (limit.lower.unwrap_or(0.0), limit.upper.unwrap_or(0.0));
             if lower >= upper {
-                return fail(format!(
-                    "expected a lower limit below the upper one, got {lower} and {upper} rad"
-                ));
+                return fail(UrdfElementError::PositionLimits { lower, upper });
             }
             (limits.q_min[i], limits.q_max[i]) = (lower, upper);
         }
         let (velocity, effort) = joint.limit.map_or((None, None), |limit| (limit.velocity, limit.effort));
         if let Some(velocity) = velocity {
             if velocity <= 0.0 {
-                return fail(format!("expected a velocity limit above 0, got {velocity} rad/s"));
+                return fail(UrdfElementError::VelocityLimit { got: velocity });
             }
             limits.qd_max[i] = velocity;
         }
         if i < NU {
             let (Some(_), Some(effort)) = (velocity, effort) else {
-                return fail(
-                    "expected velocity and effort in the <limit> of a driven joint, got one or none".into(),
-                );
+                return fail(UrdfElementError::NoDriveLimits);
             };
             if effort <= 0.0 {
-                return fail(format!("expected an effort above 0 of a driven joint, got {effort} N m"));
+                return fail(UrdfElementError::EffortLimit { got: effort });
             }
             limits.tau_max[i] = effort;
         } else if let Some(effort) = effort.filter(|effort| *effort != 0.0) {
-            return fail(format!(
-                "expected effort=\"0\" of a joint of the pendulum, which has no motor, got {effort} N m"
-            ));
+            return fail(UrdfElementError::PendulumEffort { got: effort });
         }
     }
     Ok(limits)
@@ -197,15 +145,11 @@ fn rod_tip(com: Vector3<f64>) -> Vector3<f64> {
 /// moments is not checked: identified parameters violate it by rounding, and the mass matrix M stays positive definite.
 fn check_body(joint: &Joint) -> Result<(), UrdfError> {
     if joint.mass <= 0.0 {
-        return Err(refuse(
-            &joint.name,
-            format!("expected a body with a mass above 0 on it, got {} kg", joint.mass),
-        ));
+        return Err(refuse(&joint.name, UrdfElementError::NoMass { got: joint.mass }));
     }
     // Only whether the factor exists counts; `positive` is written out for M of all joints.
     if nalgebra::Cholesky::new(joint.inertia).is_none() {
-        let reason = "expected a positive definite inertia of the body on it about the centre of mass";
-        return Err(refuse(&joint.name, reason));
+        return Err(refuse(&joint.name, UrdfElementError::Inertia));
     }
     Ok(())
 }

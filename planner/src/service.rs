@@ -45,9 +45,9 @@ const HANDS_OVER: Duration = Duration::from_millis(200);
 pub fn run(args: &ProcessArgs) -> Result<(), Failure> {
     let stop = shutdown_flag()?;
     let config = args.load()?;
-    let planner = Planner::new(config).map_err(|e| Failure::BadInput(e.to_string()))?;
-    let domain = Domain::new(&args.domain).map_err(|e| Failure::BadInput(e.to_string()))?;
-    serve(&planner, &domain, &stop).map_err(|e| Failure::Failed(e.to_string()))
+    let planner = Planner::new(config).map_err(Failure::bad_input)?;
+    let domain = Domain::new(&args.domain).map_err(Failure::bad_input)?;
+    serve(&planner, &domain, &stop).map_err(Failure::failed)
 }
 
 fn serve(planner: &Planner, domain: &Domain, stop: &Arc<AtomicBool>) -> Result<(), upswing_ipc::IpcError> {

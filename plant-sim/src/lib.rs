@@ -95,9 +95,8 @@ impl PlantArgs {
 pub fn run(args: &PlantArgs) -> Result<(), Failure> {
     let config = args.load()?;
     let plant = Plant::new(&config).map_err(|e| Failure::BadInput(format!("start pose: {e}")))?;
-    let domain = Domain::new(&args.process.domain).map_err(|e| Failure::BadInput(e.to_string()))?;
+    let domain = Domain::new(&args.process.domain).map_err(Failure::bad_input)?;
     let shutdown = shutdown_flag()?;
     let watchdog_cycles = config.plant.drive.watchdog_cycles;
-    service::serve(args.clock, watchdog_cycles, plant, &domain, &shutdown)
-        .map_err(|e| Failure::Failed(e.to_string()))
+    service::serve(args.clock, watchdog_cycles, plant, &domain, &shutdown).map_err(Failure::failed)
 }

@@ -5,6 +5,7 @@ pub mod notify;
 pub mod number;
 pub mod output;
 
+use std::fmt::Display;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -49,11 +50,21 @@ pub enum Failure {
 
 impl From<ConfigError> for Failure {
     fn from(e: ConfigError) -> Self {
-        Self::BadInput(e.to_string())
+        Self::bad_input(e)
     }
 }
 
 impl Failure {
+    /// [`Failure::BadInput`] with the message of an error.
+    pub fn bad_input(e: impl Display) -> Self {
+        Self::BadInput(e.to_string())
+    }
+
+    /// [`Failure::Failed`] with the message of an error.
+    pub fn failed(e: impl Display) -> Self {
+        Self::Failed(e.to_string())
+    }
+
     /// Exit code of the process.
     pub fn code(&self) -> u8 {
         match self {

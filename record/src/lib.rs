@@ -81,13 +81,31 @@ pub enum RecordingError {
         /// Error of the MCAP reader.
         cause: Box<mcap::McapError>,
     },
-    /// The messages are of another version of the format.
-    #[error("{}: {what}; read it with the version of upswing that wrote it", path.display())]
-    Version {
+    /// A message of another version: its length differs.
+    #[error("{}: message {number} has {bytes} bytes; read it with the version of upswing that wrote it", path.display())]
+    MessageLength {
         /// Path of the file.
         path: PathBuf,
-        /// Difference in the messages.
-        what: String,
+        /// Number of the message.
+        number: u32,
+        /// Length of the message, bytes.
+        bytes: usize,
+    },
+    /// Messages of another version: their name or a field differs.
+    #[error(
+        "{}: the messages are `{name}` with {difference}, expected `{expected}`; read it with the version of upswing that \
+         wrote it",
+        path.display()
+    )]
+    Definition {
+        /// Path of the file.
+        path: PathBuf,
+        /// Name of the message type in the file.
+        name: String,
+        /// Difference of the fields.
+        difference: FieldDifference,
+        /// Name of the message type in this version.
+        expected: &'static str,
     },
     /// The recording lacks required contents.
     #[error("{}: expected {expected}, got none", path.display())]
@@ -113,6 +131,27 @@ pub enum RecordingError {
     Settings(#[from] upswing_config::ConfigError),
 }
 
+/// Difference between the fields of a message type in a file and those of this version.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum FieldDifference {
+    /// The number of fields.
+    #[error("{got} fields, expected {expected}")]
+    Count {
+        /// Number of fields in the file.
+        got: usize,
+        /// Number of fields in this version.
+        expected: usize,
+    },
+    /// The first field that differs.
+    #[error("`{got}`, expected `{expected}`")]
+    Field {
+        /// The field in the file.
+        got: String,
+        /// The field in this version.
+        expected: String,
+    },
+}
+
 fn advice(cause: &std::io::Error) -> &'static str {
     match cause.kind() {
         std::io::ErrorKind::AlreadyExists => "; choose another name",
@@ -123,8 +162,8 @@ fn advice(cause: &std::io::Error) -> &'static str {
 impl From<RecordingError> for Failure {
     fn from(e: RecordingError) -> Self {
         match e {
-            RecordingError::Write { .. } | RecordingError::Ipc(_) => Self::Failed(e.to_string()),
-            _ => Self::BadInput(e.to_string()),
+            RecordingError::Write { .. } | RecordingError::Ipc(_) => Self::failed(e),
+            _ => Self::bad_input(e),
         }
     }
 }

@@ -30,11 +30,56 @@ pub(super) enum FilePart<'a> {
     /// A long attachment of another tool, skipped.
     Foreign,
     /// A record that is too long to be read, with the reason; reading continues after it.
-    TooLong(String),
+    Skipped(PartError),
     /// The file is unreadable from here on, with the reason, unless [`FileParts::resume`] finds a later chunk.
-    Cut(String),
+    Cut(PartError),
     /// End of the file.
     End,
+}
+
+/// Reason why a part of a file cannot be read.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum PartError {
+    /// The file ends in the head of a record.
+    #[error("{left} bytes are no record")]
+    NoRecord {
+        /// Bytes up to the end of the file.
+        left: u64,
+    },
+    /// MCAP has no record with this opcode.
+    #[error("there is no record with opcode {opcode:#04x}")]
+    Opcode {
+        /// The opcode in the file.
+        opcode: u8,
+    },
+    /// The file ends in the body of a record.
+    #[error("a record of {length} bytes where {left} are left")]
+    Truncated {
+        /// Length of the body, bytes.
+        length: u64,
+        /// Bytes up to the end of the file.
+        left: u64,
+    },
+    /// The record is longer than [`LONGEST`].
+    #[error("a record of {length} bytes, of which {LONGEST} can be read")]
+    TooLong {
+        /// Length of the body, bytes.
+        length: u64,
+    },
+    /// The file was truncated while it was read.
+    #[error("the file became shorter")]
+    Shortened,
+    /// The contents of a chunk are more than [`GROWTH`] times as long as the chunk.
+    #[error("a chunk that grows from {compressed} to {size} bytes")]
+    Growth {
+        /// Length of the chunk, bytes.
+        compressed: u64,
+        /// Length of its contents, bytes.
+        size: u64,
+    },
+    /// The MCAP library cannot read the record or chunk.
+    #[error(transparent)]
+    Mcap(#[from] mcap::McapError),
 }
 
 /// An MCAP file, read from its start to its end.
@@ -88,29 +133,29 @@ impl FileParts {
         }
         let mut head = [0; HEAD];
         if left < HEAD as u64 || !whole(self.file.read_exact(&mut head))? {
-            return Ok(FilePart::Cut(format!("{left} bytes are no record")));
+            return Ok(FilePart::Cut(PartError::NoRecord { left }));
         }
         let (opcode, length) = (head[0], u64::from_le_bytes(head[1..].try_into().unwrap_or_default()));
         // Opcodes from 0x80 on are reserved for applications.
         if !(op::HEADER..=op::DATA_END).contains(&opcode) && opcode < 0x80 {
-            return Ok(FilePart::Cut(format!("there is no record with opcode {opcode:#04x}")));
+            return Ok(FilePart::Cut(PartError::Opcode { opcode }));
         }
         let behind = left - HEAD as u64;
         if length > behind {
-            return Ok(FilePart::Cut(format!("a record of {length} bytes where {behind} are left")));
+            return Ok(FilePart::Cut(PartError::Truncated { length, left: behind }));
         }
         self.next = self.start + HEAD as u64 + length;
         if length > LONGEST as u64 {
             self.file.seek(SeekFrom::Start(self.next))?;
             return Ok(match opcode {
                 op::ATTACHMENT => FilePart::Foreign,
-                _ => FilePart::TooLong(format!("a record of {length} bytes, of which {LONGEST} can be read")),
+                _ => FilePart::Skipped(PartError::TooLong { length }),
             });
         }
         self.body.resize(length as usize, 0);
         Ok(match whole(self.file.read_exact(&mut self.body))? {
             true => FilePart::Record { opcode, body: &self.body },
-            false => FilePart::Cut("the file became shorter".into()),
+            false => FilePart::Cut(PartError::Shortened),
         })
     }
 
@@ -203,15 +248,15 @@ pub(super) fn each_record<E>(
     opcode: u8,
     body: &[u8],
     mut each: impl FnMut(Record<'_>) -> Result<(), E>,
-) -> Result<Result<(), String>, E> {
+) -> Result<Result<(), PartError>, E> {
     let header = match parse_record(opcode, body) {
-        Err(e) => return Ok(Err(e.to_string())),
+        Err(e) => return Ok(Err(e.into())),
         Ok(Record::Chunk { header, .. }) => header,
         Ok(record) => return each(record).map(Ok),
     };
     let (size, compressed) = (header.uncompressed_size, header.compressed_size);
     if !header.compression.is_empty() && size / GROWTH > compressed {
-        return Ok(Err(format!("a chunk that grows from {compressed} to {size} bytes")));
+        return Ok(Err(PartError::Growth { compressed, size }));
     }
     let options = LinearReaderOptions::default()
         .with_skip_start_magic(true)
@@ -234,7 +279,7 @@ pub(super) fn each_record<E>(
         };
         match record {
             Ok(record) => each(record)?,
-            Err(e) => return Ok(Err(e.to_string())),
+            Err(e) => return Ok(Err(e.into())),
         }
     }
     Ok(Ok(()))

@@ -1,7 +1,7 @@
 //! Reader of recordings, also of recordings by a killed process, rewritten by other tools, or damaged.
 
-use super::parts::{self, FilePart, FileParts};
-use super::{CYCLE_TOPIC, DETAILS, Elapsed, RecordingError, cdr, cycle, messages};
+use super::parts::{self, FilePart, FileParts, PartError};
+use super::{CYCLE_TOPIC, DETAILS, Elapsed, FieldDifference, RecordingError, cdr, cycle, messages};
 use mcap::records::{Record, op};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -107,7 +107,7 @@ pub fn scan<E: From<RecordingError>>(
         let read = match part {
             FilePart::End => break,
             FilePart::Foreign => Ok(()),
-            FilePart::TooLong(why) | FilePart::Cut(why) => Err(why),
+            FilePart::Skipped(why) | FilePart::Cut(why) => Err(why),
             FilePart::Record { opcode, body } => {
                 parts::each_record(opcode, body, |record| -> Result<(), E> {
                     finished |= matches!(record, Record::Footer(_));
@@ -128,7 +128,7 @@ pub fn scan<E: From<RecordingError>>(
             let _ = mcap::parse_record(*opcode, body).map(|record| reader.take(record, &mut recording));
         }
         if cut && !resumed {
-            recording.cut = Some(why);
+            recording.cut = Some(why.to_string());
             break;
         }
         damage.note(place, why);
@@ -151,11 +151,11 @@ pub fn scan<E: From<RecordingError>>(
 #[derive(Default)]
 struct DamagedParts {
     parts: u64,
-    first: Option<(u64, String)>,
+    first: Option<(u64, PartError)>,
 }
 
 impl DamagedParts {
-    fn note(&mut self, place: u64, why: String) {
+    fn note(&mut self, place: u64, why: PartError) {
         self.parts += 1;
         self.first.get_or_insert((place, why));
     }
@@ -244,8 +244,8 @@ impl MessageReader<'_> {
                     words.push(self.clock);
                 }
                 let words = words.as_deref();
-                let what = || format!("message {} has {} bytes", header.sequence, data.len());
-                let other = || self.other_version(what());
+                let (number, bytes) = (header.sequence, data.len());
+                let other = || RecordingError::MessageLength { path: self.path.to_owned(), number, bytes };
                 return match kind {
                     MessageKind::Cycle | MessageKind::CycleWithoutClock => {
                         let cycle = words.and_then(Telemetry::from_words).ok_or_else(other)?;
@@ -270,23 +270,17 @@ impl MessageReader<'_> {
     }
 
     /// Fails unless the messages of a schema have the name and the fields of this version.
-    fn check(&self, schema: u16, expected_name: &str, expected: &str) -> Result<(), RecordingError> {
+    fn check(&self, schema: u16, expected_name: &'static str, expected: &str) -> Result<(), RecordingError> {
         let (name, got) = self.schemas.get(&schema).map_or(("", ""), |(n, text)| (n.as_str(), text.as_str()));
         let (expected, got) = (cycle::layout_of(expected), cycle::layout_of(got));
         if name != expected_name || expected != got {
-            let differing = expected.iter().zip(&got).find(|(e, g)| e != g);
-            let differing = differing.map_or_else(
-                || format!("{} fields, expected {}", got.len(), expected.len()),
-                |(e, g)| format!("`{g}`, expected `{e}`"),
-            );
-            return Err(self.other_version(format!(
-                "the messages are `{name}` with {differing}, expected `{expected_name}`"
-            )));
+            let difference = match expected.iter().zip(&got).find(|(e, g)| e != g) {
+                Some((e, g)) => FieldDifference::Field { got: (*g).into(), expected: (*e).into() },
+                None => FieldDifference::Count { got: got.len(), expected: expected.len() },
+            };
+            let (path, name) = (self.path.to_owned(), name.to_owned());
+            return Err(RecordingError::Definition { path, name, difference, expected: expected_name });
         }
         Ok(())
-    }
-
-    fn other_version(&self, what: String) -> RecordingError {
-        RecordingError::Version { path: self.path.to_owned(), what }
     }
 }

@@ -94,13 +94,7 @@ impl<'a> SessionCourse<'a> {
         let Some(last) = self.session.records.last() else { return Ok(()) };
         match last.mode() {
             Ok(mode) if modes.contains(&mode) => Ok(()),
-            _ => {
-                let mode = last.mode_text();
-                let cause = upswingd::fault_text(last.fault);
-                let reason =
-                    format!("it is in mode {mode}{}", cause.map_or_else(String::new, |c| format!(": {c}")));
-                Err(SessionError::Refused { role: "daemon", reason })
-            }
+            _ => Err(SessionError::Mode { mode: last.mode_text(), fault: upswingd::fault_text(last.fault) }),
         }
     }
 }

@@ -9,8 +9,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use upswing_ipc::operator::{Manoeuvre, Operator, OperatorError, OperatorRequest, PublishedPlan};
 use upswing_ipc::{
-    CallError, Client, ControlKind, ControlRequest, ControlResponse, Domain, IpcError, Node, PlannerResponse,
-    PlantKind, PlantRequest, PlantResponse, Readiness, Telemetry,
+    CallError, Client, ControlKind, ControlRequest, ControlResponse, Domain, DomainError, IpcError, Node,
+    PlannerResponse, PlantKind, PlantRequest, PlantResponse, Readiness, Telemetry,
 };
 use upswing_record::{Recorder, RecordingError, Tally, Tap};
 
@@ -60,13 +60,22 @@ pub enum SessionError {
         /// The last lines of the logs; may be empty.
         log: String,
     },
-    /// The plant refused a request, or the system left the expected mode.
-    #[error("the {role} refused: {reason}")]
-    Refused {
-        /// The part that refused: daemon, plant, operator or domain.
-        role: &'static str,
-        /// Reason of the refusal.
-        reason: String,
+    /// The name of the domain is invalid.
+    #[error("the domain refused: {0}")]
+    Domain(#[from] DomainError),
+    /// The plant refused a request.
+    #[error("the plant refused: {0}")]
+    Plant(String),
+    /// The daemon left the expected modes.
+    #[error(
+        "the daemon refused: it is in mode {mode}{}",
+        fault.map_or_else(String::new, |fault| format!(": {fault}"))
+    )]
+    Mode {
+        /// Mode of the daemon.
+        mode: String,
+        /// Description of the fault of the daemon, if it has one.
+        fault: Option<&'static str>,
     },
     /// Daemon or planner refused a request.
     #[error(transparent)]
@@ -121,9 +130,7 @@ impl Session {
         options: &SessionOptions,
         recorder: Option<Recorder>,
     ) -> Result<Self, SessionError> {
-        let domain = Domain::new(&options.domain)
-            .map_err(|e| SessionError::Refused { role: "domain", reason: e.to_string() })?;
-        let node = domain.join("session")?;
+        let node = Domain::new(&options.domain)?.join("session")?;
         let (operator, plant) = (Operator::with_patience(&node, RESPONSE_PATIENCE)?, node.client()?);
         let tap = Tap::new(&node)?;
         let start = |role| SystemProcess::start(role, &programs, options).map(Some);
@@ -314,7 +321,7 @@ impl Session {
     /// Sends a request to the plant; a refusal is an error.
     ///
     /// # Errors
-    /// [`SessionError::Refused`] with the reason of the plant, [`SessionError::Call`] without a response.
+    /// [`SessionError::Plant`] with the reason of a refusal, [`SessionError::Call`] without a response.
     pub fn plant(&mut self, request: &PlantRequest) -> Result<PlantResponse, SessionError> {
         let Self { plant, tap, recorder, records, tally, .. } = self;
         let collect = || collect(tap, recorder.as_mut(), records, tally);
@@ -323,7 +330,7 @@ impl Session {
         if response.accepted == 1 {
             Ok(response)
         } else {
-            Err(SessionError::Refused { role: "plant", reason: response.reason.to_string() })
+            Err(SessionError::Plant(response.reason.to_string()))
         }
     }
 

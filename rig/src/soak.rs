@@ -82,20 +82,58 @@ pub struct SoakOutcome {
 /// Cause of the early end of a round: a kill, a failure of a running system, or a broken system.
 enum RoundEnd {
     Killed(Role),
-    Lost(String),
+    Failed(RoundFailure),
     Broken(SessionError),
+}
+
+/// Error that ends a soak test.
+#[derive(Debug, thiserror::Error)]
+pub enum SoakError {
+    /// No random start of the round is suitable.
+    #[error(transparent)]
+    NoStart(#[from] NoStart),
+    /// The system could not be started, recovered or shut down.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+}
+
+/// Failure of a round in a running system.
+#[derive(Debug, thiserror::Error)]
+enum RoundFailure {
+    /// A process refused a request.
+    #[error(transparent)]
+    Refused(SessionError),
+    /// The rod is not upright.
+    #[error("the rod is {deg:.2} deg from upright after the push")]
+    Tilted { deg: f64 },
+    /// The daemon sends no telemetry.
+    #[error("no telemetry for {PATIENCE:.0?}")]
+    Silent,
+    /// The daemon is in another mode than the expected one.
+    #[error(
+        "mode {} instead of {expected}: {}{}{}", status.mode_text(), status.reason,
+        if status.overrun.as_str() == Ok("") { "" } else { "; last late cycle: " }, status.overrun
+    )]
+    Mode { expected: Mode, status: Box<ControlResponse> },
 }
 
 impl From<SessionError> for RoundEnd {
     fn from(e: SessionError) -> Self {
         match e {
             // A running system may refuse; any other error means that the system no longer runs.
-            SessionError::Refused { .. }
+            SessionError::Plant(_)
+            | SessionError::Mode { .. }
             | SessionError::Operator(OperatorError::Daemon { .. } | OperatorError::Planner(_)) => {
-                Self::Lost(e.to_string())
+                RoundFailure::Refused(e).into()
             }
             e => Self::Broken(e),
         }
+    }
+}
+
+impl From<RoundFailure> for RoundEnd {
+    fn from(e: RoundFailure) -> Self {
+        Self::Failed(e)
     }
 }
 
@@ -139,19 +177,13 @@ impl<'a> Soak<'a> {
     /// Runs rounds until `seconds` (s) have passed or `stop` is true. `progress` is called before each round with the elapsed time, s.
     ///
     /// # Errors
-    /// [`SessionError`] if the system could not be recovered.
-    pub fn run(
-        &mut self,
-        seconds: f64,
-        stop: &AtomicBool,
-        progress: &dyn Fn(f64),
-    ) -> Result<(), SessionError> {
+    /// [`SoakError`] if a round has no start, or the system could not be recovered.
+    pub fn run(&mut self, seconds: f64, stop: &AtomicBool, progress: &dyn Fn(f64)) -> Result<(), SoakError> {
         while self.begin.elapsed().as_secs_f64() < seconds && !stop.load(Ordering::Acquire) {
             progress(self.begin.elapsed().as_secs_f64());
             let round = self.record.rounds;
             self.record.rounds += 1;
-            let no_start = |e: NoStart| SessionError::Refused { role: "operator", reason: e.to_string() };
-            let start = self.starts.start(round).map_err(no_start)?;
+            let start = self.starts.start(round)?;
             let overruns = self.session.status()?.overruns;
             let ended = self.round(round, &start, overruns);
             let (phase, begin) = (self.phase, Instant::now());
@@ -161,11 +193,12 @@ impl<'a> Soak<'a> {
                     None
                 }
                 Err(RoundEnd::Killed(role)) => Some(role.name()),
-                Err(RoundEnd::Lost(reason)) => {
+                Err(RoundEnd::Failed(failure)) => {
+                    let reason = failure.to_string();
                     self.record.losses.push(FailedRound { round, phase, reason });
                     None
                 }
-                Err(RoundEnd::Broken(e)) => return Err(e),
+                Err(RoundEnd::Broken(e)) => return Err(e.into()),
             };
             self.recover()?;
             if let Some(role) = killed {
@@ -206,7 +239,7 @@ impl<'a> Soak<'a> {
         if let Some(record) = &self.newest {
             let deg = tilt(&self.starts.config.model, &JointVector::from(record.q)).to_degrees();
             if !(deg <= UPRIGHT_DEG) {
-                return Err(RoundEnd::Lost(format!("the rod is {deg:.2} deg from upright after the push")));
+                return Err(RoundFailure::Tilted { deg }.into());
             }
         }
 
@@ -238,7 +271,7 @@ impl<'a> Soak<'a> {
             while self.record.cycles.cycles < before + cycles {
                 self.look()?;
                 if begin.elapsed() > PATIENCE {
-                    return Err(RoundEnd::Lost(format!("no telemetry for {PATIENCE:.0?}")));
+                    return Err(RoundFailure::Silent.into());
                 }
                 std::thread::sleep(Duration::from_millis(1));
             }
@@ -287,12 +320,7 @@ impl<'a> Soak<'a> {
         if status.mode() == Ok(mode) {
             return Ok(status);
         }
-        let got = status.mode_text();
-        let late = if status.overrun.to_string().is_empty() { "" } else { "; last late cycle: " };
-        Err(RoundEnd::Lost(format!(
-            "mode {got} instead of {mode}: {}{late}{}",
-            status.reason, status.overrun
-        )))
+        Err(RoundFailure::Mode { expected: mode, status: Box::new(status) }.into())
     }
 
     /// Brings the system to Idle with closed brakes and all processes running, ready for the next round.

@@ -2,6 +2,7 @@
 //! plant in one process. The tests read the expected outcomes from `docs/faults.md`.
 
 use clap::Parser;
+use std::error::Error;
 use std::sync::LazyLock;
 use upswing_config::{Config, Fault, FaultKind};
 use upswing_ipc::{Mode, PlanMessage};
@@ -81,16 +82,16 @@ pub fn mode(name: &str) -> Mode {
 /// Parses a fault in the syntax of `upswing disturb fault`, for example `encoder-jump --joint 4 --amount 0.1`.
 ///
 /// # Errors
-/// The message of the command.
-pub fn fault(text: &str) -> Result<FaultArgs, String> {
+/// Error of the command line or [`EventError`](upswing_config::EventError).
+pub fn fault(text: &str) -> Result<FaultArgs, Box<dyn Error>> {
     #[derive(Parser)]
     #[command(no_binary_name = true)]
     struct Line {
         #[command(flatten)]
         fault: FaultArgs,
     }
-    let line = Line::try_parse_from(text.split_whitespace()).map_err(|e| e.to_string())?;
-    line.fault.fault().map_err(|e| e.to_string())?;
+    let line = Line::try_parse_from(text.split_whitespace())?;
+    line.fault.fault()?;
     Ok(line.fault)
 }
 

@@ -193,7 +193,7 @@ impl System {
     /// # Panics
     /// If there is no such fault, or the plant refuses the fault.
     pub fn inject(&mut self, fault: &str) {
-        let request = matrix::fault(fault).and_then(|args| args.request().map_err(|e| e.to_string()));
+        let request = matrix::fault(fault).and_then(|args| Ok(args.request()?));
         let request = request.unwrap_or_else(|e| panic!("{fault}: {e}"));
         let response = self.session.plant(&request);
         self.must(response);
@@ -277,7 +277,7 @@ impl System {
             let status = match self.session.status() {
                 Ok(status) => {
                     let fault = upswingd::fault_text(status.fault).unwrap_or("no fault");
-                    let mode = status.mode().map_or_else(|e| e.to_string(), |mode| mode.to_string());
+                    let mode = status.mode_text();
                     format!("in {mode} at cycle {}, {fault}; {}", status.seq, status.reason)
                 }
                 Err(e) => e.to_string(),

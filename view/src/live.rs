@@ -5,7 +5,7 @@ mod status;
 mod view;
 mod view_builder;
 
-pub use request_thread::{RequestResult, RequestSender};
+pub use request_thread::{OperatorRequestError, RequestResult, RequestSender};
 pub use status::{DaemonStatus, LatencyPercentiles};
 pub use view::{CycleView, EventView, JointView, PlanView, Severity, View};
 pub use view_builder::ViewBuilder;

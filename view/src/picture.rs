@@ -10,7 +10,7 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 use upswing_ipc::{Mode, Telemetry};
 use upswing_model::{Limits, NQ, NU};
-use upswing_process::output::OutputFile;
+use upswing_process::output::{OutputError, OutputFile};
 
 /// Size of a picture, px.
 const SIZE: (u32, u32) = (1200, 820);
@@ -39,6 +39,35 @@ struct PanelStyle {
     dashes: Option<RGBColor>,
 }
 
+/// Reason why a picture cannot be drawn or written.
+#[derive(Debug, thiserror::Error)]
+pub enum PictureError {
+    /// The records hold no swing-up.
+    #[error("there is no swing-up to draw")]
+    NoSwingUp,
+    /// A map has fewer than two axes.
+    #[error("a map needs a grid with ranges of two joints or more")]
+    NoPair,
+    /// The drawing library reports an error.
+    #[error("cannot draw: {0}")]
+    Draw(#[from] DrawingAreaErrorKind<std::io::Error>),
+    /// The machine has no font for the texts of a PNG.
+    #[error("--png: expected a font on this machine, got none; install one, or use --svg")]
+    NoFont,
+    /// The drawing cannot be read for its conversion to PNG.
+    #[error(transparent)]
+    Svg(#[from] resvg::usvg::Error),
+    /// The drawing has no pixels.
+    #[error("an empty drawing")]
+    Empty,
+    /// The pixels cannot be encoded as PNG.
+    #[error(transparent)]
+    Png(Box<dyn std::error::Error + Send + Sync>),
+    /// The file cannot be written.
+    #[error(transparent)]
+    Output(#[from] OutputError),
+}
+
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 /// Result of a drawing function: the errors of the drawing library.
 type DrawResult = Result<(), DrawingAreaErrorKind<std::io::Error>>;
@@ -46,35 +75,40 @@ type DrawResult = Result<(), DrawingAreaErrorKind<std::io::Error>>;
 /// Returns a drawing of `size` (px) as SVG text.
 ///
 /// # Errors
-/// The message of the drawing library.
-fn svg(size: (u32, u32), draw: impl FnOnce(&Area<'_>) -> DrawResult) -> Result<String, String> {
+/// [`PictureError::Draw`]
+fn svg(size: (u32, u32), draw: impl FnOnce(&Area<'_>) -> DrawResult) -> Result<String, PictureError> {
     let mut text = String::new();
     let root = SVGBackend::with_string(&mut text, size).into_drawing_area();
     let drawn = root.fill(&WHITE).and_then(|()| draw(&root)).and_then(|()| root.present());
     drop(root);
-    drawn.map_err(|e| format!("cannot draw: {e}"))?;
+    drawn?;
     Ok(text)
 }
 
 /// Writes a drawing to a file. The file output of plotters would not report a full disk.
-fn write(output: &OutputFile, drawing: &[u8]) -> Result<(), String> {
-    output.write(drawing).map_err(|e| e.to_string())
+fn write(output: &OutputFile, drawing: &[u8]) -> Result<(), PictureError> {
+    Ok(output.write(drawing)?)
 }
 
 /// Draws the records from 0.2 s before the plan starts to the end of the balance as an SVG: measured values in colour,
 /// desired ones dashed, as in Fig. 5.
 ///
 /// # Errors
-/// A message if there is no swing-up, or the picture could not be drawn or written.
-pub fn draw(output: &OutputFile, records: &[Telemetry], limits: &Limits, period: f64) -> Result<(), String> {
+/// [`PictureError`] if there is no swing-up, or the picture could not be drawn or written.
+pub fn draw(
+    output: &OutputFile,
+    records: &[Telemetry],
+    limits: &Limits,
+    period: f64,
+) -> Result<(), PictureError> {
     write(output, swing_up(records, limits, period)?.as_bytes())
 }
 
 /// Returns the drawing of [`draw`] as SVG text.
-fn swing_up(records: &[Telemetry], limits: &Limits, period: f64) -> Result<String, String> {
+fn swing_up(records: &[Telemetry], limits: &Limits, period: f64) -> Result<String, PictureError> {
     const LEAD: f64 = 0.2;
     let moving = |t: &&Telemetry| matches!(t.mode(), Ok(Mode::Track | Mode::Balance));
-    let first = records.iter().position(|t| moving(&t)).ok_or("there is no swing-up to draw")?;
+    let first = records.iter().position(|t| moving(&t)).ok_or(PictureError::NoSwingUp)?;
     let last = records.iter().rposition(|t| moving(&t)).unwrap_or(first);
     let shown = &records[first.saturating_sub((LEAD / period) as usize)..=last];
     let start = records[first].t_ns;
@@ -103,7 +137,7 @@ fn swing_up(records: &[Telemetry], limits: &Limits, period: f64) -> Result<Strin
 fn draw_panels(
     look: &PanelStyle,
     curves: impl Fn(usize) -> [Option<CurvePair>; COLUMNS.len()],
-) -> Result<String, String> {
+) -> Result<String, PictureError> {
     svg(SIZE, |root| {
         let panels = root.split_evenly((ROWS.len(), COLUMNS.len()));
         for (row, joints) in ROWS.iter().enumerate() {

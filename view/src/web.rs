@@ -154,7 +154,7 @@ impl LivePage {
         let answer = self.requests.ask(request);
         match tokio::task::spawn_blocking(move || answer.recv_timeout(PATIENCE)).await {
             Ok(Ok(Ok(accepted))) => http::respond(200, JSON, json(&accepted)),
-            Ok(Ok(Err(why))) => refuse(409, why),
+            Ok(Ok(Err(why))) => refuse(409, why.to_string()),
             _ => refuse(504, "no answer; see the events on the page".into()),
         }
     }

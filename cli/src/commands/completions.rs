@@ -1,6 +1,6 @@
 //! `upswing completions` and `upswing man`: completion scripts for shells, and man pages.
 
-use super::{failed, print};
+use super::print;
 use clap_complete::Shell;
 use serde::Serialize;
 use std::path::PathBuf;
@@ -71,7 +71,7 @@ impl std::fmt::Display for ManResult {
 pub fn completions(args: &CompletionsArgs, command: &mut clap::Command) -> Result<(), Failure> {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, command, NAME, &mut script);
-    let script = String::from_utf8(script).map_err(failed)?;
+    let script = String::from_utf8(script).map_err(Failure::failed)?;
     print(args.json, &CompletionsResult { shell: args.shell.to_string(), script })
 }
 

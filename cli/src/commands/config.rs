@@ -46,7 +46,7 @@ pub enum ConfigCommand {
 pub fn run(args: &ConfigArgs) -> Result<(), Failure> {
     match &args.command {
         ConfigCommand::Export { dir, overwrite, json } => {
-            export(dir, *overwrite).map_err(|e| Failure::BadInput(e.to_string()))?;
+            export(dir, *overwrite).map_err(Failure::bad_input)?;
             print(*json, &ConfigResult { success: true, dir: Some(dir.to_path_buf()) })
         }
         ConfigCommand::Check(common) => {

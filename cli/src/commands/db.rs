@@ -1,6 +1,6 @@
 //! `upswing db`: builds, joins, checks, describes or exports trajectory databases.
 
-use super::{CommonArgs, TrajectoryJson, failed, print_json, progress_bar};
+use super::{CommonArgs, TrajectoryJson, print_json, progress_bar};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -127,8 +127,8 @@ fn failure(e: BuildError) -> Failure {
         | BuildError::Output(OutputError::Exists { .. })
         | BuildError::Database { .. }
         | BuildError::Foreign { .. }
-        | BuildError::Nothing => Failure::BadInput(e.to_string()),
-        e => failed(e),
+        | BuildError::Nothing => Failure::bad_input(e),
+        e => Failure::failed(e),
     }
 }
 
@@ -174,7 +174,7 @@ fn build(common: &CommonArgs, grid: Option<&Path>, shard: Shard, output: &Output
         database::build(&config, shard, output, &stop, |n| bar.inc(n as u64)).map_err(|e| match e {
             BuildError::File { action: "read", .. } => failure(e),
             BuildError::File { .. } | BuildError::Output(OutputError::Io { .. }) => {
-                failed(format!("{e}; what was finished is kept in the journal"))
+                Failure::failed(format!("{e}; what was finished is kept in the journal"))
             }
             e => failure(e),
         })?;
@@ -223,8 +223,10 @@ fn conclude(
     })?;
     match (left, count) {
         (0, 0) => Ok(()),
-        (0, n) => Err(failed(format!("{n} poses have no solution"))),
-        (n, _) => Err(failed(format!("interrupted with {n} poses left; the same command goes on from here"))),
+        (0, n) => Err(Failure::failed(format!("{n} poses have no solution"))),
+        (n, _) => Err(Failure::failed(format!(
+            "interrupted with {n} poses left; the same command goes on from here"
+        ))),
     }
 }
 
@@ -320,7 +322,11 @@ fn verify(common: &CommonArgs, grid: Option<&Path>, file: Option<&Path>) -> Resu
         worst: (&Certificate::worst(database.entries().map(|e| &e.certificate))).into(),
         time_s: begin.elapsed().as_secs_f64(),
     })?;
-    if success { Ok(()) } else { Err(failed(format!("{} records do not hold", discrepancies.len()))) }
+    if success {
+        Ok(())
+    } else {
+        Err(Failure::failed(format!("{} records do not hold", discrepancies.len())))
+    }
 }
 
 #[derive(Serialize)]

@@ -1,6 +1,6 @@
 //! `upswing demo`: runs the whole system on this machine for one swing-up.
 
-use super::{CommonArgs, failed, own_system, session_failure, time_bar, writable};
+use super::{CommonArgs, own_system, session_failure, time_bar, writable};
 use crate::parse::{Degrees, start_state};
 use serde::Serialize;
 use std::ffi::OsString;
@@ -153,9 +153,9 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
     args.common.print(&result)?;
     if !success {
         let logs = options.logs.display();
-        return Err(failed(format!("the pendulum was not swung up and balanced; logs in {logs}")));
+        return Err(Failure::failed(format!("the pendulum was not swung up and balanced; logs in {logs}")));
     }
     // The logs are kept only if the demo fails.
     let _ = std::fs::remove_dir_all(&options.logs);
-    drawn.map_err(Failure::Failed)
+    drawn.map_err(Failure::failed)
 }

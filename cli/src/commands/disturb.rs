@@ -1,6 +1,6 @@
 //! `upswing disturb`: injects faults and pushes into the simulated plant of a running system.
 
-use super::{CommonArgs, failed};
+use super::CommonArgs;
 use serde::Serialize;
 use std::time::Duration;
 use upswing_config::Push;
@@ -76,25 +76,27 @@ impl std::fmt::Display for DisturbResult {
 /// [`Failure::BadInput`] for invalid arguments, [`Failure::Failed`] with the reason if the plant refuses or does not answer.
 pub fn run(args: &DisturbArgs) -> Result<(), Failure> {
     let request = request(&args.command)?;
-    let plant = args.common.join_existing()?.client::<PlantRequest>().map_err(failed)?;
-    let answer = plant.call(&request, PATIENCE).map_err(failed)?;
+    let plant = args.common.join_existing()?.client::<PlantRequest>().map_err(Failure::failed)?;
+    let answer = plant.call(&request, PATIENCE).map_err(Failure::failed)?;
     if answer.accepted == 0 {
         let reason = answer.reason.as_str().unwrap_or("no reason given");
-        return Err(failed(format!("the plant refused: {reason}")));
+        return Err(Failure::failed(format!("the plant refused: {reason}")));
     }
     args.common.print(&DisturbResult { success: true, cycle: answer.seq })
 }
 
 fn request(command: &DisturbCommand) -> Result<PlantRequest, Failure> {
-    let bad = |e: &dyn std::fmt::Display| Failure::BadInput(e.to_string());
     match command {
-        DisturbCommand::Fault(fault) => fault.request().map_err(|e| bad(&e)),
+        DisturbCommand::Fault(fault) => fault.request().map_err(Failure::bad_input),
         DisturbCommand::Push { impulse, cycles, from } => {
             let impulse = impulse.as_slice().try_into().map_err(|_| {
-                bad(&format!("--impulse: expected 3 numbers, X,Y,Z in N s, got {}", impulse.len()))
+                Failure::BadInput(format!(
+                    "--impulse: expected 3 numbers, X,Y,Z in N s, got {}",
+                    impulse.len()
+                ))
             })?;
             let push = Push { from: from.unwrap_or_default(), cycles: *cycles, impulse };
-            push.check().map_err(|e| bad(&e))?;
+            push.check().map_err(Failure::bad_input)?;
             Ok(PlantRequest {
                 seq: push.from,
                 cycles: push.cycles,

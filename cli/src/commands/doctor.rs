@@ -2,7 +2,7 @@
 
 pub mod host;
 
-use super::{CommonArgs, failed, time_bar};
+use super::{CommonArgs, time_bar};
 use host::Host;
 use serde::Serialize;
 use std::fmt;
@@ -113,7 +113,7 @@ impl fmt::Display for DoctorResult {
 /// [`Failure::BadInput`] for invalid options, [`Failure::Failed`] if a property is bad.
 pub fn run(args: &DoctorArgs) -> Result<(), Failure> {
     let config = args.common.process.load()?;
-    let domain = Domain::new(&args.common.process.domain).map_err(|e| Failure::BadInput(e.to_string()))?;
+    let domain = Domain::new(&args.common.process.domain).map_err(Failure::bad_input)?;
     let (period, settings) = (config.daemon.cycle.period, config.daemon.realtime);
     let mut findings = Host::at(Path::new("/")).findings(settings.cpu);
     findings.extend([memory(), leftovers(&domain)]);
@@ -132,7 +132,7 @@ pub fn run(args: &DoctorArgs) -> Result<(), Failure> {
     }
     bar.finish_and_clear();
     let (of_thread, (histogram, overruns)) =
-        measured.join().map_err(|_| failed("the measurement panicked"))?;
+        measured.join().map_err(|_| Failure::failed("the measurement panicked"))?;
     drop(prepared);
     refused.extend(of_thread);
     findings.extend(granted(&refused, &settings));
@@ -149,7 +149,11 @@ pub fn run(args: &DoctorArgs) -> Result<(), Failure> {
         histogram: histogram.octaves().into_iter().map(|(ns, n)| (ns as f64 * 1e-3, n)).collect(),
     };
     args.common.print(&report)?;
-    if report.verdict == Grade::Bad { Err(failed("this host is not fit for real time")) } else { Ok(()) }
+    if report.verdict == Grade::Bad {
+        Err(Failure::failed("this host is not fit for real time"))
+    } else {
+        Ok(())
+    }
 }
 
 /// Reports the real-time settings of the daemon that the system `refused`, or that all are granted.
@@ -160,7 +164,7 @@ fn granted(refused: &[os::RefusedSetting], settings: &RealtimeSettings) -> Vec<H
         return vec![HostFinding::good(NAME, found)];
     }
     let bad = |refused: &os::RefusedSetting| {
-        HostFinding::new(NAME, Grade::Bad, refused.what.to_string(), &format!("refused: {}", refused.why))
+        HostFinding::new(NAME, Grade::Bad, refused.degradation().to_string(), &format!("refused: {refused}"))
     };
     refused.iter().map(bad).collect()
 }

@@ -1,6 +1,6 @@
 //! `upswing export`: writes a recording as a CSV table.
 
-use super::{CommonArgs, byte_bar, failed, writable};
+use super::{CommonArgs, byte_bar, writable};
 use crate::parse::window;
 use serde::Serialize;
 use std::io::Write;
@@ -66,7 +66,7 @@ impl std::fmt::Display for ExportResult<'_> {
 pub fn run(args: &ExportArgs) -> Result<(), Failure> {
     let window = window(args.from, args.to)?;
     let output = writable("--csv", Some(&args.csv), args.overwrite)?;
-    let unwritable = |e: std::io::Error| failed(format!("cannot write {}: {e}", args.csv.display()));
+    let unwritable = |e: std::io::Error| Failure::failed(format!("cannot write {}: {e}", args.csv.display()));
     // Opened at the first cycle: a file that is no recording thus does not overwrite the table.
     let mut table = None;
     let (mut seen, mut lines) = (0, 0);
@@ -79,7 +79,7 @@ pub fn run(args: &ExportArgs) -> Result<(), Failure> {
     let recording = scan(source.path(), window, progress, |_, message| -> Result<(), Failure> {
         let Message::Cycle(cycle) = message else { return Ok(()) };
         if let (None, Some(output)) = (&table, &output) {
-            let file = table.insert(output.begin().map_err(failed)?);
+            let file = table.insert(output.begin().map_err(Failure::failed)?);
             writeln!(file, "{}", columns().join(",")).map_err(unwritable)?;
         }
         let Some(file) = &mut table else { return Ok(()) };
@@ -95,7 +95,7 @@ pub fn run(args: &ExportArgs) -> Result<(), Failure> {
     });
     bar.finish_and_clear();
     let recording = recording?;
-    table.map_or(Ok(()), PendingFile::finish).map_err(failed)?;
+    table.map_or(Ok(()), PendingFile::finish).map_err(Failure::failed)?;
     args.common.print(&ExportResult {
         csv: &args.csv,
         lines,

@@ -1,6 +1,6 @@
 //! `upswing metrics`: exports the metrics of a running system for Prometheus.
 
-use super::{CommonArgs, failed, print_json, print_line, writable};
+use super::{CommonArgs, print_json, print_line, writable};
 use serde::Serialize;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -76,8 +76,8 @@ pub fn run(args: &MetricsArgs) -> Result<(), Failure> {
     let file = writable("--file", args.file.as_ref(), args.overwrite)?;
     let config = args.common.process.load()?;
     if args.listen.is_none() && args.file.is_none() {
-        let mut live = Live::open(&args.common.join()?, &config).map_err(failed)?;
-        live.settle().map_err(failed)?;
+        let mut live = Live::open(&args.common.join()?, &config).map_err(Failure::failed)?;
+        live.settle().map_err(Failure::failed)?;
         let metrics = metrics::families(&live.view());
         return if args.common.json {
             print_json(&MetricsResult { metrics })
@@ -88,8 +88,8 @@ pub fn run(args: &MetricsArgs) -> Result<(), Failure> {
     let stop = shutdown_flag()?;
     let listener = args.listen.map(Listener::bind).transpose();
     let listener = listener.map_err(|e| Failure::BadInput(format!("--listen: {e}")))?;
-    let mut live = Live::open(&args.common.join()?, &config).map_err(failed)?;
-    live.settle().map_err(failed)?;
+    let mut live = Live::open(&args.common.join()?, &config).map_err(Failure::failed)?;
+    live.settle().map_err(Failure::failed)?;
     let text = |live: &Live| metrics::text(&metrics::families(&live.view()));
     if let Some(file) = &file {
         file.write(text(&live).as_bytes()).map_err(|e| Failure::BadInput(format!("--file: {e}")))?;
@@ -110,15 +110,15 @@ pub fn run(args: &MetricsArgs) -> Result<(), Failure> {
     let mut watch = || -> Result<(), Failure> {
         while !stop.load(Ordering::Acquire) {
             if let Some(server) = &mut server {
-                server.check().map_err(failed)?;
+                server.check().map_err(Failure::failed)?;
             }
-            live.poll(|_| ()).map_err(failed)?;
+            live.poll(|_| ()).map_err(Failure::failed)?;
             if shown.elapsed() >= FRESH {
                 *newest.lock().unwrap_or_else(PoisonError::into_inner) = text(&live);
                 shown = Instant::now();
             }
             if let Some(file) = file.as_ref().filter(|_| written.elapsed() >= every) {
-                file.write(text(&live).as_bytes()).map_err(failed)?;
+                file.write(text(&live).as_bytes()).map_err(Failure::failed)?;
                 written = Instant::now();
             }
             std::thread::sleep(PAUSE);
@@ -127,7 +127,7 @@ pub fn run(args: &MetricsArgs) -> Result<(), Failure> {
     };
     let result = watch();
     stop.store(true, Ordering::Release);
-    let ended = server.as_mut().map_or(Ok(()), HttpServer::end).map_err(failed);
+    let ended = server.as_mut().map_or(Ok(()), HttpServer::end).map_err(Failure::failed);
     // The file is removed: values without updates would look like a system that stands still.
     if let Some(file) = &file {
         let _ = std::fs::remove_file(file.path());

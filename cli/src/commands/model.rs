@@ -1,6 +1,6 @@
 //! `upswing model`: evaluates or prints the robot model.
 
-use super::{CommonArgs, failed, print_json, print_line, progress_bar};
+use super::{CommonArgs, print_json, print_line, progress_bar};
 use nalgebra::SMatrix;
 use serde::{Deserialize, Serialize};
 use std::io::BufRead;
@@ -101,13 +101,13 @@ pub fn run(args: &ModelArgs) -> Result<(), Failure> {
             let config = common.process.load()?;
             let mut work = Workspace::default();
             for (number, line) in std::io::stdin().lock().lines().enumerate() {
-                let at = |reason: String| Failure::BadInput(format!("line {}: {reason}", number + 1));
-                let line = line.map_err(|e| at(e.to_string()))?;
+                let at = |e: &dyn std::fmt::Display| Failure::BadInput(format!("line {}: {e}", number + 1));
+                let line = line.map_err(|e| at(&e))?;
                 if line.trim().is_empty() {
                     continue;
                 }
-                let query: EvalInput = serde_json::from_str(&line).map_err(|e| at(e.to_string()))?;
-                print_json(&evaluate(&config.model, &query, &mut work).map_err(at)?)?;
+                let query: EvalInput = serde_json::from_str(&line).map_err(|e| at(&e))?;
+                print_json(&evaluate(&config.model, &query, &mut work).map_err(|e| at(&e))?)?;
             }
             Ok(())
         }
@@ -178,14 +178,27 @@ fn sample_bound(args: &BoundArgs) -> Result<(), Failure> {
     if complete {
         Ok(())
     } else {
-        Err(failed(format!("interrupted after {} of {samples} states", range.samples)))
+        Err(Failure::failed(format!("interrupted after {} of {samples} states", range.samples)))
     }
 }
 
-fn evaluate(model: &Model, query: &EvalInput, work: &mut Workspace) -> Result<ModelEvalResult, String> {
+/// Error of a vector of the input that has not one number per joint.
+#[derive(Debug, thiserror::Error)]
+#[error("`{name}`: expected {expected} numbers, got {got}")]
+struct VectorLengthError {
+    name: &'static str,
+    expected: usize,
+    got: usize,
+}
+
+fn evaluate(
+    model: &Model,
+    query: &EvalInput,
+    work: &mut Workspace,
+) -> Result<ModelEvalResult, VectorLengthError> {
     for (name, values, expected) in [("q", &query.q, NQ), ("qd", &query.qd, NQ), ("u", &query.u, NU)] {
         if values.len() != expected {
-            return Err(format!("`{name}`: expected {expected} numbers, got {}", values.len()));
+            return Err(VectorLengthError { name, expected, got: values.len() });
         }
     }
     let q = JointVector::from_column_slice(&query.q);

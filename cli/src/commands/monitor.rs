@@ -1,6 +1,6 @@
 //! `upswing monitor`: shows a running system live.
 
-use super::{CommonArgs, failed, print_json};
+use super::{CommonArgs, print_json};
 use serde::Serialize;
 use std::io::IsTerminal;
 use std::net::SocketAddr;
@@ -64,8 +64,8 @@ pub fn run(args: &MonitorArgs) -> Result<(), Failure> {
         return serve(args, &config, address);
     }
     if args.common.json {
-        let mut live = Live::open(&args.common.join()?, &config).map_err(failed)?;
-        live.settle().map_err(failed)?;
+        let mut live = Live::open(&args.common.join()?, &config).map_err(Failure::failed)?;
+        live.settle().map_err(Failure::failed)?;
         return print_json(&live.view());
     }
     if !(std::io::stdout().is_terminal() && std::io::stdin().is_terminal()) {
@@ -74,8 +74,8 @@ pub fn run(args: &MonitorArgs) -> Result<(), Failure> {
         ));
     }
     let stop = shutdown_flag()?;
-    let mut live = Live::open(&args.common.join()?, &config).map_err(failed)?;
-    monitor::run(&mut live, Theme { colours: colours(&std::io::stdout()) }, &stop).map_err(failed)
+    let mut live = Live::open(&args.common.join()?, &config).map_err(Failure::failed)?;
+    monitor::run(&mut live, Theme { colours: colours(&std::io::stdout()) }, &stop).map_err(Failure::failed)
 }
 
 fn serve(args: &MonitorArgs, config: &Config, address: SocketAddr) -> Result<(), Failure> {
@@ -88,13 +88,13 @@ fn serve(args: &MonitorArgs, config: &Config, address: SocketAddr) -> Result<(),
     }
     let stop = shutdown_flag()?;
     let token = args.allow_control.then(Token::new).transpose();
-    let token = token.map_err(|e| failed(format!("no random numbers for the token: {e}")))?;
+    let token = token.map_err(|e| Failure::failed(format!("no random numbers for the token: {e}")))?;
     let listener = Listener::bind(address).map_err(|e| Failure::BadInput(format!("--web: {e}")))?;
     let domain = &args.common.process.domain;
     let setup = LivePageSetup::new(domain, config, args.allow_control)
         .map_err(|e| Failure::BadInput(format!("robot.urdf: {e}")))?;
-    let mut live = Live::open(&args.common.join()?, config).map_err(failed)?;
+    let mut live = Live::open(&args.common.join()?, config).map_err(Failure::failed)?;
     let url = format!("http://{}/", listener.address);
     args.common.print(&MonitorStarted { url, token: token.as_ref().map(|t| t.text().to_owned()) })?;
-    web::run(&mut live, listener, &setup, token, &stop).map_err(failed)
+    web::run(&mut live, listener, &setup, token, &stop).map_err(Failure::failed)
 }

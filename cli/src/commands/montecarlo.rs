@@ -4,7 +4,7 @@ mod closed_loop;
 mod replan;
 mod robustness;
 
-use super::{CommonArgs, failed, progress_bar, writable};
+use super::{CommonArgs, progress_bar, writable};
 use clap::ValueEnum;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
@@ -111,8 +111,8 @@ pub fn run(args: &MonteCarloArgs) -> Result<(), Failure> {
 /// Converts the error of a study: ranges without a valid start are [`Failure::BadInput`].
 fn study_failure(e: StudyError) -> Failure {
     match e {
-        StudyError::NoStart(_) => Failure::BadInput(e.to_string()),
-        StudyError::Threads(_) => failed(e),
+        StudyError::NoStart(_) => Failure::bad_input(e),
+        StudyError::Threads(_) => Failure::failed(e),
     }
 }
 
@@ -124,7 +124,7 @@ fn draw_run(
 ) -> Result<(), Failure> {
     let records = records.map_err(|e| study_failure(e.into()))?;
     let period = config.daemon.cycle.period.seconds();
-    picture::draw(output, &records, &config.robot.limits, period).map_err(failed)
+    picture::draw(output, &records, &config.robot.limits, period).map_err(Failure::failed)
 }
 
 impl SamplingArgs {
@@ -135,13 +135,13 @@ impl SamplingArgs {
         if let Some(iterations) = iterations {
             config.planner.replan.iterations = iterations as usize;
         }
-        let stored = |path: &Path| DatabaseFile::read(path).map_err(|e| Failure::BadInput(e.to_string()));
+        let stored = |path: &Path| DatabaseFile::read(path).map_err(Failure::bad_input);
         match (&self.database, self.grid) {
             (Some(path), _) => Planner::with_database(config, stored(path)?),
             (None, Grid::Paper) => {
                 config.use_paper_grid()?;
-                let dir =
-                    tempfile::tempdir().map_err(|e| failed(format!("no folder for the database: {e}")))?;
+                let dir = tempfile::tempdir()
+                    .map_err(|e| Failure::failed(format!("no folder for the database: {e}")))?;
                 let path = dir.path().join("paper.bin");
                 build_database(&config, &path, stop)?;
                 let database = DatabaseFile { origin: "the paper's grid".into(), ..stored(&path)? };
@@ -149,7 +149,7 @@ impl SamplingArgs {
             }
             (None, Grid::Default) => Planner::new(config),
         }
-        .map_err(|e| Failure::BadInput(e.to_string()))
+        .map_err(Failure::bad_input)
     }
 
     /// Indices of the starts.
@@ -167,8 +167,10 @@ impl SamplingArgs {
     fn verdict(&self, complete: bool, samples: usize, succeeded: usize) -> Result<(), Failure> {
         match (complete, samples - succeeded) {
             (true, 0) => Ok(()),
-            (true, n) => Err(failed(format!("{n} of {samples} starts failed; --only INDEX repeats one"))),
-            (false, _) => Err(failed(format!("interrupted after {samples} starts"))),
+            (true, n) => {
+                Err(Failure::failed(format!("{n} of {samples} starts failed; --only INDEX repeats one")))
+            }
+            (false, _) => Err(Failure::failed(format!("interrupted after {samples} starts"))),
         }
     }
 
@@ -233,11 +235,11 @@ fn list_failures<'a>(
 fn build_database(config: &Config, path: &Path, stop: &AtomicBool) -> Result<(), Failure> {
     let bar = progress_bar(config.grid.poses() as u64, "poses of the database");
     let summary = database::build(config, Shard::WHOLE, &OutputFile::new(path), stop, |n| bar.inc(n as u64))
-        .map_err(failed)?;
+        .map_err(Failure::failed)?;
     bar.finish_and_clear();
     match (summary.left, summary.failed.len()) {
         (0, 0) => Ok(()),
-        (0, n) => Err(failed(format!("{n} poses of the database have no solution"))),
-        (n, _) => Err(failed(format!("interrupted with {n} poses of the database left"))),
+        (0, n) => Err(Failure::failed(format!("{n} poses of the database have no solution"))),
+        (n, _) => Err(Failure::failed(format!("interrupted with {n} poses of the database left"))),
     }
 }

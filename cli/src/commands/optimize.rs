@@ -1,6 +1,6 @@
 //! `upswing optimize`: runs one offline optimisation.
 
-use super::{CommonArgs, TrajectoryJson, failed, print_json, print_line, spinner};
+use super::{CommonArgs, TrajectoryJson, print_json, print_line, spinner};
 use crate::parse::{StartArgs, WEEK};
 use serde::Serialize;
 use std::sync::atomic::Ordering;
@@ -92,5 +92,9 @@ pub fn run(args: &OptimizeArgs) -> Result<(), Failure> {
             result.margins
         ))?;
     }
-    if solution.status == NlpStatus::Solved { Ok(()) } else { Err(failed(format!("no solution: {status}"))) }
+    if solution.status == NlpStatus::Solved {
+        Ok(())
+    } else {
+        Err(Failure::failed(format!("no solution: {status}")))
+    }
 }

@@ -1,6 +1,6 @@
 //! `upswing plan`: computes one replan without a running system.
 
-use super::{CommonArgs, TrajectoryJson, failed, print_json, print_line, writable};
+use super::{CommonArgs, TrajectoryJson, print_json, print_line, writable};
 use crate::parse::{Degrees, StartArgs, start_state};
 use serde::Serialize;
 use upswing_config::Config;
@@ -78,21 +78,22 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
             let entry = optimal_entry(&config, x)?;
             Planner::with_entries(config, "--reference".into(), vec![entry])
         }
-        None => Planner::new(config).map_err(|e| Failure::BadInput(e.to_string()))?,
+        None => Planner::new(config).map_err(Failure::bad_input)?,
     };
     let settings = &planner.config().planner;
     let effort = Effort::iterations(settings.replan.iterations);
     // With --reference, only this trajectory is adapted: there is no full optimisation instead.
     let effort = Effort { optimise: effort.optimise && args.reference.is_none(), ..effort };
-    let replan =
-        planner.replan_with(&mut planner.solver(), Manoeuvre::SwingUp, &start, &effort).map_err(failed)?;
+    let replan = planner
+        .replan_with(&mut planner.solver(), Manoeuvre::SwingUp, &start, &effort)
+        .map_err(Failure::failed)?;
     let open = replan.defect > settings.replan.defect;
     let status = if open { PlannerStatus::OpenDefect } else { PlannerStatus::Solved };
     if let Some(output) = &svg {
         let reference = &planner.entries()[replan.entry.index].trajectory;
         let config = planner.config();
         picture::plan::draw(output, &config.model, &config.robot.limits, &replan.trajectory, reference)
-            .map_err(failed)?;
+            .map_err(Failure::failed)?;
     }
     let result = PlanResult {
         trajectory: (&replan.trajectory).into(),
@@ -141,7 +142,7 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
 fn optimal_entry(config: &Config, start: State) -> Result<Entry, Failure> {
     let solution = optimize(config, start, Search::Best, None, &options(config));
     if solution.status != NlpStatus::Solved {
-        return Err(failed(format!("--reference: no trajectory: {}", solution.status)));
+        return Err(Failure::failed(format!("--reference: no trajectory: {}", solution.status)));
     }
     Ok(Entry::new(&solution.trajectory, |t| certify(config, t)))
 }

@@ -1,6 +1,6 @@
 //! `upswing record`: records every cycle of a running system in a file.
 
-use super::{CommonArgs, failed, spinner, time_bar, writable};
+use super::{CommonArgs, spinner, time_bar, writable};
 use crate::parse::WEEK;
 use serde::Serialize;
 use std::path::Path;
@@ -68,11 +68,11 @@ pub fn run(args: &RecordArgs) -> Result<(), Failure> {
     let output = writable("FILE.mcap", Some(&args.file), args.overwrite)?;
     let node = args.common.join_existing()?;
     let stop = shutdown_flag()?;
-    let tap = Tap::new(&node).map_err(failed)?;
+    let tap = Tap::new(&node).map_err(Failure::failed)?;
     let database = DatabaseFile::of(&config)?.fingerprint();
     let details = [("domain", args.common.process.domain.clone()), ("database_fingerprint", database)];
     if let Some(output) = output {
-        output.clear().map_err(|e| Failure::BadInput(e.to_string()))?;
+        output.clear().map_err(Failure::bad_input)?;
     }
     let recorder = Recorder::create(&args.file, &config, details)?;
     let tally = record(args, &tap, recorder, &stop)?;
@@ -97,7 +97,7 @@ fn record(args: &RecordArgs, tap: &Tap, mut recorder: Recorder, stop: &AtomicBoo
             let _ = std::fs::remove_file(&*args.file);
             let domain = &args.common.process.domain;
             let waited = PATIENCE.as_secs();
-            return Err(failed(format!(
+            return Err(Failure::failed(format!(
                 "no cycle came for {waited} s: is a daemon with a plant running in domain `{domain}`?"
             )));
         }

@@ -1,6 +1,6 @@
 //! `upswing replay`: runs a recording through the controller and compares the commands.
 
-use super::{CommonArgs, failed, writable};
+use super::{CommonArgs, writable};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use upswing_config::Config;
@@ -93,7 +93,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
         decision: &result.decision,
         kept: args.keep.as_deref(),
     })?;
-    if success { Ok(()) } else { Err(failed("the replay differs from the recording")) }
+    if success { Ok(()) } else { Err(Failure::failed("the replay differs from the recording")) }
 }
 
 /// Writes a recording of all inputs, and of those replayed cycles that are first, last, or change mode or fault.

@@ -1,6 +1,6 @@
 //! `upswing report`: writes a recording as an HTML page.
 
-use super::{CommonArgs, byte_bar, failed};
+use super::{CommonArgs, byte_bar};
 use crate::parse::window;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -72,7 +72,7 @@ pub fn run(args: &ReportArgs) -> Result<(), Failure> {
     let page = args.output.as_deref().map_or_else(|| args.file.with_extension("html"), Path::to_path_buf);
     let page = args.overwrite.output(&page);
     let checked = page.check().and_then(|()| figures::check(&page, args.svg, args.png));
-    checked.map_err(|e| Failure::BadInput(e.to_string()))?;
+    checked.map_err(Failure::bad_input)?;
     let mut digest = None;
     let bar = byte_bar();
     let progress = |done, total| {
@@ -93,14 +93,14 @@ pub fn run(args: &ReportArgs) -> Result<(), Failure> {
     bar.finish_and_clear();
     let recording = recording?;
     // Cannot fail: a recording has at least one cycle.
-    let digest = digest.ok_or_else(|| failed("no cycle"))?;
+    let digest = digest.ok_or_else(|| Failure::failed("no cycle"))?;
     let data = PageData::new(&args.file, &recording, &digest)?;
-    let mut file = page.begin().map_err(failed)?;
+    let mut file = page.begin().map_err(Failure::failed)?;
     let written = page::write(&data, &mut file);
-    written.map_err(|e| failed(format!("cannot write {}: {e}", page.path().display())))?;
-    file.finish().map_err(failed)?;
+    written.map_err(|e| Failure::failed(format!("cannot write {}: {e}", page.path().display())))?;
+    file.finish().map_err(Failure::failed)?;
     let figures = if args.svg || args.png {
-        figures::draw(&page, &digest, args.svg, args.png).map_err(Failure::Failed)?
+        figures::draw(&page, &digest, args.svg, args.png).map_err(Failure::failed)?
     } else {
         Vec::new()
     };

@@ -1,6 +1,6 @@
 //! `upswing request`: sends an operator's request to a running system.
 
-use super::{CommonArgs, failed};
+use super::CommonArgs;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use upswing_ipc::operator::{Operator, OperatorRequest};
 use upswing_process::{Failure, shutdown_flag};
@@ -34,6 +34,6 @@ fn requests() -> impl TypedValueParser<Value = OperatorRequest> {
 pub fn run(args: &RequestArgs) -> Result<(), Failure> {
     let node = args.common.join_existing()?;
     let interrupted = shutdown_flag()?;
-    let operator = Operator::new(&node).map_err(failed)?;
-    args.common.print(&operator.request(args.what, &interrupted).map_err(failed)?)
+    let operator = Operator::new(&node).map_err(Failure::failed)?;
+    args.common.print(&operator.request(args.what, &interrupted).map_err(Failure::failed)?)
 }

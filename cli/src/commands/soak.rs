@@ -1,6 +1,6 @@
 //! `upswing soak`: runs the whole system on this machine for a long time.
 
-use super::{CommonArgs, failed, own_system, session_failure, time_bar};
+use super::{CommonArgs, own_system, session_failure, time_bar};
 use crate::parse::WEEK;
 use serde::Serialize;
 use std::time::Instant;
@@ -8,8 +8,8 @@ use upswing_ipc::Clock;
 use upswing_process::number::{whole, within};
 use upswing_process::{Failure, shutdown_flag};
 use upswing_rig::montecarlo::RandomStarts;
-use upswing_rig::session::{Programs, Session, SessionError};
-use upswing_rig::soak::{Kill, ResourceGrowth, Soak, SoakOutcome};
+use upswing_rig::session::{Programs, Session};
+use upswing_rig::soak::{Kill, ResourceGrowth, Soak, SoakError, SoakOutcome};
 
 /// Repeats swing-up, balance, push, swing-down and hold from random starts.
 ///
@@ -95,11 +95,11 @@ pub fn run(args: &SoakArgs) -> Result<(), Failure> {
     }
     let config = args.common.process.load()?;
     let starts = RandomStarts { config: &config, seed: args.seed };
-    let start = Soak::first_start(&starts).map_err(|e| Failure::BadInput(e.to_string()))?;
+    let start = Soak::first_start(&starts).map_err(Failure::bad_input)?;
     let stop = shutdown_flag()?;
     let (_clean, options) = own_system(&args.common, "soak", args.clock, start, None)?;
     let begin = Instant::now();
-    let soak = || -> Result<SoakOutcome, SessionError> {
+    let soak = || -> Result<SoakOutcome, SoakError> {
         let session = Session::start(Programs::own()?, &options, None)?;
         let mut soak = Soak::new(session, starts, args.clock, args.kills);
         let bar = time_bar(args.seconds, "soak");
@@ -109,7 +109,10 @@ pub fn run(args: &SoakArgs) -> Result<(), Failure> {
         soak.session.end()?;
         Ok(soak.record)
     };
-    let record = soak().map_err(|e| session_failure(&e, &options.logs))?;
+    let record = soak().map_err(|e| match e {
+        SoakError::NoStart(e) => Failure::bad_input(e),
+        SoakError::Session(e) => session_failure(&e, &options.logs),
+    })?;
     // The logs are kept only if the soak fails.
     let success = record.losses.is_empty() && record.completed > 0;
     if success {
@@ -122,7 +125,7 @@ pub fn run(args: &SoakArgs) -> Result<(), Failure> {
     args.common.print(&SoakResult { success, clock, seed: args.seed, seconds, record, growth })?;
     match (success, lost) {
         (true, _) => Ok(()),
-        (false, 0) => Err(failed("no round was completed: allow more time")),
-        (false, n) => Err(failed(format!("{n} rounds failed; logs in {}", options.logs.display()))),
+        (false, 0) => Err(Failure::failed("no round was completed: allow more time")),
+        (false, n) => Err(Failure::failed(format!("{n} rounds failed; logs in {}", options.logs.display()))),
     }
 }

@@ -1,6 +1,6 @@
 //! `upswing status`: prints the state of the daemon.
 
-use super::{CommonArgs, failed};
+use super::CommonArgs;
 use upswing_ipc::operator::Operator;
 use upswing_process::Failure;
 use upswing_view::live::DaemonStatus;
@@ -21,6 +21,6 @@ pub struct StatusArgs {
 /// [`Failure::Failed`] if no daemon answers.
 pub fn run(args: &StatusArgs) -> Result<(), Failure> {
     let node = args.common.join_existing()?;
-    let answer = Operator::new(&node).and_then(|operator| operator.status()).map_err(failed)?;
+    let answer = Operator::new(&node).and_then(|operator| operator.status()).map_err(Failure::failed)?;
     args.common.print(&DaemonStatus::new(&answer))
 }

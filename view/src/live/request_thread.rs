@@ -11,8 +11,19 @@ use upswing_ipc::{ControlResponse, Node};
 /// Time between two requests for the daemon's status.
 const PERIOD: Duration = Duration::from_millis(200);
 
-/// Result of a request; an error is text for people.
-pub type RequestResult = Result<AcceptedRequest, String>;
+/// Reason why a request of the operator had no effect. Shared, because the view and the sender of the request get it.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum OperatorRequestError {
+    /// Daemon or planner refused the request, or did not respond.
+    #[error(transparent)]
+    Operator(#[from] Arc<OperatorError>),
+    /// A plan for an earlier request is not complete yet.
+    #[error("a plan is being made already; stop withdraws it")]
+    Busy,
+}
+
+/// Result of a request.
+pub type RequestResult = Result<AcceptedRequest, OperatorRequestError>;
 
 /// What the request thread reports to the view.
 pub(super) enum LiveUpdate {
@@ -167,18 +178,18 @@ impl RequestWorker {
                     planning.withdrawn.store(true, Ordering::Release);
                 }
                 let done = self.operator.request(request, &AtomicBool::new(false));
-                answer(done.map_err(|e| e.to_string()));
+                answer(done.map_err(|e| Arc::new(e).into()));
             }
             OperatorRequest::Manoeuvre(_)
                 if self.planning.as_ref().is_some_and(|p| !p.thread.is_finished()) =>
             {
-                answer(Err("a plan is being made already; stop withdraws it".into()));
+                answer(Err(OperatorRequestError::Busy));
             }
             OperatorRequest::Manoeuvre(_) => {
                 let (node, withdrawn) = (self.node.clone(), Arc::new(AtomicBool::new(false)));
                 let flag = Arc::clone(&withdrawn);
                 let plan = move || Operator::new(&node)?.request(request, &flag);
-                let thread = std::thread::spawn(move || answer(plan().map_err(|e| e.to_string())));
+                let thread = std::thread::spawn(move || answer(plan().map_err(|e| Arc::new(e).into())));
                 self.planning = Some(Planning { thread, withdrawn });
             }
         }

@@ -1,6 +1,6 @@
 //! Success curves: the share of successful runs over a varied parameter, with the confidence interval of the probability.
 
-use super::{Area, COLOURS, DrawResult, svg, write};
+use super::{Area, COLOURS, DrawResult, PictureError, svg, write};
 use plotters::prelude::*;
 use upswing_process::output::OutputFile;
 
@@ -33,8 +33,8 @@ pub struct Panel {
 /// Draws the panels as an SVG.
 ///
 /// # Errors
-/// A message if the picture could not be drawn or written.
-pub fn draw(output: &OutputFile, panels: &[Panel]) -> Result<(), String> {
+/// [`PictureError`] if the picture could not be drawn or written.
+pub fn draw(output: &OutputFile, panels: &[Panel]) -> Result<(), PictureError> {
     let columns = panels.len().clamp(1, COLUMNS);
     let rows = panels.len().div_ceil(columns).max(1);
     let size = (PANEL.0 * columns as u32, PANEL.1 * rows as u32);

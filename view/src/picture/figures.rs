@@ -1,6 +1,6 @@
 //! Writes the figures of a recording to files: trajectories, modes, cycle times.
 
-use super::{Area, DrawResult, svg, swing_up};
+use super::{Area, DrawResult, PictureError, svg, swing_up};
 use crate::page::times::LatencyHistogram;
 use crate::page::{ModeSpan, RecordingDigest};
 use plotters::prelude::*;
@@ -43,20 +43,20 @@ pub fn check(page: &OutputFile, as_svg: bool, as_png: bool) -> Result<(), Output
 /// Draws the figures for which there are data to files like `NAME-trajectories.svg` beside `page`. Returns their paths.
 ///
 /// # Errors
-/// A message if a figure could not be drawn or written.
+/// [`PictureError`] if a figure could not be drawn or written.
 pub fn draw(
     page: &OutputFile,
     digest: &RecordingDigest,
     as_svg: bool,
     as_png: bool,
-) -> Result<Vec<PathBuf>, String> {
+) -> Result<Vec<PathBuf>, PictureError> {
     let mut written = Vec::new();
-    let mut finish = |name: &str, drawing: &str| -> Result<(), String> {
+    let mut finish = |name: &str, drawing: &str| -> Result<(), PictureError> {
         let mut write = |extension: &str, bytes: &[u8]| {
             let figure = figure(page, name, extension);
             super::write(&figure, bytes)?;
             written.push(figure.path().to_owned());
-            Ok::<_, String>(())
+            Ok::<_, PictureError>(())
         };
         if as_svg {
             write("svg", drawing.as_bytes())?;
@@ -81,11 +81,11 @@ pub fn draw(
 }
 
 /// Rasterises an SVG drawing as PNG.
-fn rasterise(svg: &str) -> Result<Vec<u8>, String> {
+fn rasterise(svg: &str) -> Result<Vec<u8>, PictureError> {
     let mut options = resvg::usvg::Options::default();
     options.fontdb_mut().load_system_fonts();
     if options.fontdb.is_empty() {
-        return Err("--png: expected a font on this machine, got none; install one, or use --svg".into());
+        return Err(PictureError::NoFont);
     }
     // The family of `sans-serif` is chosen here: the settings of the system do not change the picture.
     let family = options.fontdb.faces().find_map(|face| {
@@ -98,16 +98,16 @@ fn rasterise(svg: &str) -> Result<Vec<u8>, String> {
     if let Some(family) = family.or(any) {
         options.fontdb_mut().set_sans_serif_family(family);
     }
-    let tree = resvg::usvg::Tree::from_str(svg, &options).map_err(|e| e.to_string())?;
+    let tree = resvg::usvg::Tree::from_str(svg, &options)?;
     let size = tree.size();
     let (width, height) = ((size.width() * SCALE) as u32, (size.height() * SCALE) as u32);
-    let mut pixels = resvg::tiny_skia::Pixmap::new(width, height).ok_or("an empty drawing")?;
+    let mut pixels = resvg::tiny_skia::Pixmap::new(width, height).ok_or(PictureError::Empty)?;
     resvg::render(&tree, resvg::tiny_skia::Transform::from_scale(SCALE, SCALE), &mut pixels.as_mut());
-    pixels.encode_png().map_err(|e| e.to_string())
+    pixels.encode_png().map_err(|e| PictureError::Png(e.into()))
 }
 
 /// Draws the modes as bars over time.
-fn modes(spans: &[ModeSpan]) -> Result<String, String> {
+fn modes(spans: &[ModeSpan]) -> Result<String, PictureError> {
     svg(MODES_SIZE, |root| draw_modes(root, spans))
 }
 
@@ -143,7 +143,7 @@ fn draw_modes(root: &Area<'_>, spans: &[ModeSpan]) -> DrawResult {
 }
 
 /// Draws histograms of wake-up and computing times with logarithmic axes, and the control period.
-fn cycle_times(all: &[LatencyHistogram], period_us: f64) -> Result<String, String> {
+fn cycle_times(all: &[LatencyHistogram], period_us: f64) -> Result<String, PictureError> {
     svg(TIMES_SIZE, |root| draw_times(root, all, period_us))
 }
 

@@ -1,7 +1,7 @@
 //! Map of plans over the ranges of their start angles: for each kind of limit and each pair of joints, the smallest margin of
 //! the plans whose start is in a cell of the two angles, over all values of the other angles.
 
-use super::{Area, DrawResult, svg, write};
+use super::{Area, DrawResult, PictureError, svg, write};
 use plotters::prelude::*;
 use upswing_config::GridAxis;
 use upswing_model::NU;
@@ -58,8 +58,8 @@ impl MapAxis {
 /// Draws the map as an SVG. `axes`: ranges of the start angles, rad; joints with a range of no width are left out.
 ///
 /// # Errors
-/// A message if fewer than two joints have a range, or the picture could not be drawn or written.
-pub fn draw(output: &OutputFile, axes: &[GridAxis], points: &[MapPoint]) -> Result<(), String> {
+/// [`PictureError`] if fewer than two joints have a range, or the picture could not be drawn or written.
+pub fn draw(output: &OutputFile, axes: &[GridAxis], points: &[MapPoint]) -> Result<(), PictureError> {
     let cells = (points.len() as f64 / STARTS_PER_CELL).sqrt().clamp(CELLS.0, CELLS.1) as usize;
     let sides: Vec<MapAxis> = axes
         .iter()
@@ -71,7 +71,7 @@ pub fn draw(output: &OutputFile, axes: &[GridAxis], points: &[MapPoint]) -> Resu
         .map(|(i, j)| (sides[i], sides[j]))
         .collect();
     if pairs.is_empty() {
-        return Err("a map needs a grid with ranges of two joints or more".into());
+        return Err(PictureError::NoPair);
     }
     let size = (PANEL * pairs.len() as u32 + SCALE_WIDTH, PANEL * ROWS.len() as u32);
     let drawing = svg(size, |root| {

@@ -1,6 +1,6 @@
 //! Picture of a plan and the trajectory from which it was adapted, as in the paper's Fig. 4.
 
-use super::{CurvePair, POINTS, PanelStyle, draw_panels, write};
+use super::{CurvePair, POINTS, PanelStyle, PictureError, draw_panels, write};
 use upswing_model::{ActuatedVector, Limits, Model, NU, State, StateParts, Workspace};
 use upswing_process::output::OutputFile;
 use upswing_trajectory::Trajectory;
@@ -39,14 +39,14 @@ impl Samples {
 /// Draws `plan` solid and `reference` dashed, scaled by `limits`, as an SVG.
 ///
 /// # Errors
-/// A message if the picture could not be drawn or written.
+/// [`PictureError`] if the picture could not be drawn or written.
 pub fn draw(
     output: &OutputFile,
     model: &Model,
     limits: &Limits,
     plan: &Trajectory,
     reference: &Trajectory,
-) -> Result<(), String> {
+) -> Result<(), PictureError> {
     let look = PanelStyle { begin: 0.0, end: plan.t_f.max(reference.t_f), dashes: None };
     let (plan, reference) = (Samples::of(plan, model), Samples::of(reference, model));
     let drawing = draw_panels(&look, |i| {

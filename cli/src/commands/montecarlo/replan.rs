@@ -1,6 +1,6 @@
 //! `upswing montecarlo replan`: plans from many random starts.
 
-use super::{SamplingArgs, failed, list_failures, study_failure, writable, write_spreads};
+use super::{SamplingArgs, list_failures, study_failure, writable, write_spreads};
 use serde::Serialize;
 use upswing_process::number::whole;
 use upswing_process::output::{Destination, Overwrite};
@@ -93,7 +93,7 @@ pub fn run(args: &ReplanArgs) -> Result<(), Failure> {
             .iter()
             .map(|s| map::MapPoint { q_deg: s.start_deg, margins: s.plan.as_ref().map(margins) })
             .collect();
-        map::draw(output, &planner.config().grid.axes, &points).map_err(failed)?;
+        map::draw(output, &planner.config().grid.axes, &points).map_err(Failure::failed)?;
     }
     args.sampling.common.print(&ReplanResult {
         success: complete && succeeded == samples,

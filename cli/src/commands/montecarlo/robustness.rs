@@ -1,6 +1,6 @@
 //! `upswing montecarlo robustness`: success rates over growing errors of one kind.
 
-use super::{SamplingArgs, draw_run, failed, study_failure, writable};
+use super::{SamplingArgs, draw_run, study_failure, writable};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -121,7 +121,7 @@ pub fn run(args: &RobustnessArgs) -> Result<(), Failure> {
     })?;
     let complete = curves.iter().flat_map(|c| &c.points).map(|p| p.samples).sum::<usize>() == jobs;
     if let Some(output) = &svg {
-        curves::draw(output, &panels(&curves)).map_err(failed)?;
+        curves::draw(output, &panels(&curves)).map_err(Failure::failed)?;
     }
     let succeeded = curves.iter().flat_map(|c| &c.points).all(|p| p.succeeded == p.samples);
     let success = complete && (succeeded || args.sampling.only.is_none());
@@ -135,8 +135,8 @@ pub fn run(args: &RobustnessArgs) -> Result<(), Failure> {
     })?;
     match (complete, success) {
         (true, true) => Ok(()),
-        (true, false) => Err(failed("the start did not end balanced")),
-        (false, _) => Err(failed("interrupted")),
+        (true, false) => Err(Failure::failed("the start did not end balanced")),
+        (false, _) => Err(Failure::failed("interrupted")),
     }
 }
 
@@ -162,13 +162,13 @@ fn cases(args: &RobustnessArgs, config: &Config) -> Result<Vec<RobustnessCase>, 
 
 /// Reads a histogram of missed cycles from a file, as printed by `upswing soak --json`.
 fn misses(path: &Path) -> Result<MissedCycleCounts, Failure> {
-    let refuse = |text: String| Failure::BadInput(format!("--missed {}: {text}", path.display()));
-    let text = upswing_config::read_file(path).map_err(|e| refuse(e.to_string()))?;
+    let refuse = |e: &dyn std::fmt::Display| Failure::BadInput(format!("--missed {}: {e}", path.display()));
+    let text = upswing_config::read_file(path).map_err(|e| refuse(&e))?;
     let misses: MissedCycleCounts = serde_json::from_slice(&text).map_err(|e| {
-        refuse(format!("expected {{\"cycles\": N, \"missed\": {{\"LENGTH\": COUNT, ..}}}}: {e}"))
+        refuse(&format_args!("expected {{\"cycles\": N, \"missed\": {{\"LENGTH\": COUNT, ..}}}}: {e}"))
     })?;
     if misses.cycles == 0 || misses.missed.values().all(|n| *n == 0) || misses.missed.contains_key(&0) {
-        return Err(refuse("expected cycles and stretches of at least one missed cycle".into()));
+        return Err(refuse(&"expected cycles and stretches of at least one missed cycle"));
     }
     Ok(misses)
 }

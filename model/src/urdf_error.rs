@@ -1,0 +1,307 @@
+//! Errors of reading a URDF and of building a model from it: the element, the expected and the actual value, and a remedy.
+
+use crate::{NQ, NU};
+use std::fmt;
+
+/// Reason why a URDF gives no model.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum UrdfError {
+    /// The text is not a URDF.
+    #[error("not a readable URDF: {0}")]
+    Parse(#[from] UrdfSyntaxError),
+    /// The URDF does not have `NQ` revolute joints.
+    #[error(
+        "expected {NQ} revolute joints in one chain ({NU} driven, then {} of the pendulum), got {}: {}; other numbers are not \
+         supported yet",
+        NQ - NU, .got.len(), .got.join(", ")
+    )]
+    JointCount {
+        /// Names of the joints found.
+        got: Vec<String>,
+    },
+    /// A link carries two movable joints, so that the joints are no serial chain.
+    #[error("link `{link}` carries the joints {}: expected one unbranched chain; fix what is no part of it", .joints.join(", "))]
+    Branch {
+        /// Name of the link.
+        link: String,
+        /// Names of the movable joints on the link.
+        joints: Vec<String>,
+    },
+    /// A joint, a link or the body of a link is physically impossible or not supported.
+    #[error("{element}: {cause}")]
+    Element {
+        /// The joint or link.
+        element: UrdfElement,
+        /// What was expected, and what the URDF has.
+        cause: UrdfElementError,
+    },
+    /// The URDF has no root link: its joints form a circle.
+    #[error("no root link: every link is the child of some joint")]
+    NoRoot,
+    /// The URDF has several root links: no joint connects them.
+    #[error(
+        "expected one root link, got `{first}` and `{second}`: a joint has to connect every other link to the root"
+    )]
+    Roots {
+        /// Name of one root link.
+        first: String,
+        /// Name of another root link.
+        second: String,
+    },
+}
+
+/// Reason why a text is not a URDF.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum UrdfSyntaxError {
+    /// Reading the text would take too long or too much memory.
+    #[error("expected {what} of at most {limit} {unit}, got more: is it a robot?")]
+    Large {
+        /// What is too large, for example "a text".
+        what: &'static str,
+        /// Largest number that is read.
+        limit: usize,
+        /// What is counted, for example "bytes".
+        unit: &'static str,
+    },
+    /// The outermost element is not `<robot>`.
+    #[error("expected <robot> as the outermost element, got <{got}>: convert the file to URDF first")]
+    Outermost {
+        /// Name of the outermost element.
+        got: String,
+    },
+    /// The text is not XML.
+    #[error(
+        "{cause}{}{}",
+        end.map_or_else(String::new, |line| format!(", the text ends in line {line}: is the file complete?")),
+        after.as_ref().map_or_else(String::new, |element| format!(", at or after {element}"))
+    )]
+    Xml {
+        /// Error of the XML parser, with its place.
+        cause: roxmltree::Error,
+        /// Number of lines of a text that ends too early.
+        end: Option<usize>,
+        /// The last link or joint that begins before the error.
+        after: Option<UrdfElement>,
+    },
+}
+
+/// An element of a URDF, as messages name it.
+#[derive(Clone, Debug, PartialEq)]
+pub enum UrdfElement {
+    /// An element with a name.
+    Named {
+        /// Kind of the element: link or joint.
+        tag: String,
+        /// Name of the element.
+        name: String,
+    },
+    /// An element without a name.
+    Unnamed {
+        /// Kind of the element: link or joint.
+        tag: String,
+        /// Line in which the element begins, counted from 1.
+        line: u32,
+    },
+}
+
+impl UrdfElement {
+    /// The element of a kind and a name.
+    pub(crate) fn named(tag: &str, name: &str) -> Self {
+        Self::Named { tag: tag.to_owned(), name: name.to_owned() }
+    }
+}
+
+impl fmt::Display for UrdfElement {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Named { tag, name } => write!(f, "{tag} `{name}`"),
+            Self::Unnamed { tag, line } => write!(f, "{tag} in line {line}"),
+        }
+    }
+}
+
+/// Reason why a joint or a link of a URDF is impossible or not supported.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum UrdfElementError {
+    /// The element has no name.
+    #[error("expected a name, got none")]
+    NoName,
+    /// Two elements of a kind have the same name.
+    #[error("expected a name of its own, got that of another {tag}")]
+    SameName {
+        /// Kind of the elements: link or joint.
+        tag: &'static str,
+    },
+    /// A child element is missing.
+    #[error("expected a <{tag}>, got none")]
+    NoChild {
+        /// Name of the child element.
+        tag: &'static str,
+    },
+    /// A child element appears more than once.
+    #[error("expected one <{tag}>, got several")]
+    Several {
+        /// Name of the child element.
+        tag: &'static str,
+    },
+    /// An attribute is missing.
+    #[error("expected {attribute}=\"...\" in its <{tag}>, got none")]
+    NoAttribute {
+        /// Name of the element that should have the attribute.
+        tag: String,
+        /// Name of the attribute.
+        attribute: &'static str,
+    },
+    /// An attribute does not hold the expected numbers.
+    #[error("{tag} {attribute}: expected {}, got `{}`{}", numbers(*count, *bound, unit), shown(got), hint(got))]
+    Numbers {
+        /// Name of the element.
+        tag: String,
+        /// Name of the attribute.
+        attribute: &'static str,
+        /// Expected count of numbers.
+        count: usize,
+        /// Largest magnitude of a number.
+        bound: f64,
+        /// Unit of the numbers; may be empty.
+        unit: &'static str,
+        /// Text of the attribute.
+        got: String,
+    },
+    /// The origin of a frame has both kinds of rotation.
+    #[error("expected one of rpy and quat_xyzw, got both")]
+    TwoRotations,
+    /// A quaternion is far from length 1.
+    #[error("expected a quaternion of length 1, got `{got}`")]
+    Quaternion {
+        /// Text of the quaternion.
+        got: String,
+    },
+    /// The inertial properties of a link are incomplete.
+    #[error("its <inertial> has no <{tag}>")]
+    NoInertial {
+        /// Name of the missing element: mass or inertia.
+        tag: &'static str,
+    },
+    /// The mass of a link is negative.
+    #[error("expected a mass of 0 or above, got `{got}` kg")]
+    Mass {
+        /// Text of the mass.
+        got: String,
+    },
+    /// A principal moment of inertia of a link is negative.
+    #[error("expected an inertia whose principal moments are 0 or above, got `{got}`")]
+    Moments {
+        /// Text of the inertia.
+        got: String,
+    },
+    /// A link has an inertia but no mass.
+    #[error("expected no inertia without a mass, got `{got}`")]
+    MasslessInertia {
+        /// Text of the inertia.
+        got: String,
+    },
+    /// No joints lead from the root link to this link.
+    #[error("expected joints that lead to it from the root link `{root}`, got joints in a loop")]
+    Loop {
+        /// Name of the root link.
+        root: String,
+    },
+    /// The child link of a joint is the child of another joint, too.
+    #[error("its link `{link}` is the child of joint `{joint}` already")]
+    SecondParent {
+        /// Name of the child link.
+        link: String,
+        /// Name of the other joint.
+        joint: String,
+    },
+    /// A joint names a link that does not exist.
+    #[error("expected two links of the robot, there is no link `{link}`")]
+    NoLink {
+        /// Name given for the link.
+        link: String,
+    },
+    /// The type of a joint is not supported.
+    #[error("expected a revolute, continuous or fixed joint, got `{got}`: others are not supported yet")]
+    JointType {
+        /// Type of the joint.
+        got: String,
+    },
+    /// A joint is coupled to another joint.
+    #[error("it follows joint `{joint}` (<mimic>): coupled joints are not supported yet")]
+    Mimic {
+        /// Name of the other joint.
+        joint: String,
+    },
+    /// The axis of a joint has length 0.
+    #[error("the axis is zero, got `{got}`")]
+    Axis {
+        /// Text of the axis.
+        got: String,
+    },
+    /// A revolute joint has no limits.
+    #[error("expected a <limit> of a revolute joint, got none")]
+    NoLimit,
+    /// The range of a joint is empty.
+    #[error("expected a lower limit below the upper one, got {lower} and {upper} rad")]
+    PositionLimits {
+        /// Lower limit, rad.
+        lower: f64,
+        /// Upper limit, rad.
+        upper: f64,
+    },
+    /// The velocity limit of a joint is 0 or negative.
+    #[error("expected a velocity limit above 0, got {got} rad/s")]
+    VelocityLimit {
+        /// Velocity limit, rad/s.
+        got: f64,
+    },
+    /// A driven joint has no velocity limit or no effort limit.
+    #[error("expected velocity and effort in the <limit> of a driven joint, got one or none")]
+    NoDriveLimits,
+    /// The effort limit of a driven joint is 0 or negative.
+    #[error("expected an effort above 0 of a driven joint, got {got} N m")]
+    EffortLimit {
+        /// Effort limit, N m.
+        got: f64,
+    },
+    /// A joint of the pendulum has an effort limit, as if it had a motor.
+    #[error("expected effort=\"0\" of a joint of the pendulum, which has no motor, got {got} N m")]
+    PendulumEffort {
+        /// Effort limit, N m.
+        got: f64,
+    },
+    /// The body on a movable joint has no mass.
+    #[error("expected a body with a mass above 0 on it, got {got} kg")]
+    NoMass {
+        /// Mass of the body, kg.
+        got: f64,
+    },
+    /// The inertia of the body on a movable joint is not positive definite.
+    #[error("expected a positive definite inertia of the body on it about the centre of mass")]
+    Inertia,
+}
+
+/// Text of what was expected of an attribute.
+fn numbers(count: usize, bound: f64, unit: &str) -> String {
+    let count = if count == 1 { "a number".to_owned() } else { format!("{count} numbers") };
+    let space = if unit.is_empty() { "" } else { " " };
+    format!("{count} of at most {bound}{space}{unit}")
+}
+
+/// The beginning of the text of an attribute.
+fn shown(got: &str) -> String {
+    const MOST: usize = 80;
+    got.chars().take(MOST).collect()
+}
+
+/// Remedy for a text that does not hold the expected numbers.
+fn hint(got: &str) -> &'static str {
+    if got.contains("${") || got.contains("$(") {
+        ": expand the file with xacro first"
+    } else if got.contains(',') {
+        ": a number is written with a point, and a blank stands between two"
+    } else {
+        ""
+    }
+}
