@@ -228,7 +228,7 @@ impl Urdf {
         }
         if let Some(loose) = reached.iter().position(|reached| !reached) {
             let element = UrdfElement::named("link", &links[loose].name);
-            let cause = UrdfElementError::Loop { root: links[root].name.clone() };
+            let cause = UrdfElementError::Loop { root: links[root].name.clone() }.into();
             return Err(UrdfError::Element { element, cause });
         }
         Ok(Self { links, joints, root, warnings: warnings.0 })
@@ -258,7 +258,7 @@ fn parse(text: &str) -> Result<Document<'_>, UrdfSyntaxError> {
             let end = incomplete.then(|| text.lines().count());
             let row = end.unwrap_or(cause.pos().row as usize);
             let before: usize = text.split_inclusive('\n').take(row).map(str::len).sum();
-            Err(UrdfSyntaxError::Xml { cause, end, after: last_element(&text[..before]) })
+            Err(UrdfSyntaxError::Xml { cause: Box::new(cause), end, after: last_element(&text[..before]) })
         }
     }
 }
@@ -302,7 +302,7 @@ fn refuse(node: Node<'_, '_>, cause: UrdfElementError) -> UrdfError {
         Some(name) => UrdfElement::named(tag, name),
         None => UrdfElement::Unnamed { tag: tag.to_owned(), line: line(owner) },
     };
-    UrdfError::Element { element, cause }
+    UrdfError::Element { element, cause: cause.into() }
 }
 
 fn line(node: Node<'_, '_>) -> u32 {

@@ -12,7 +12,7 @@ const GRAVITY: f64 = 9.81;
 
 /// Error about the joint of this name.
 fn refuse(joint: &str, cause: UrdfElementError) -> UrdfError {
-    UrdfError::Element { element: UrdfElement::named("joint", joint), cause }
+    UrdfError::Element { element: UrdfElement::named("joint", joint), cause: cause.into() }
 }
 
 impl Model {

@@ -33,7 +33,7 @@ pub enum UrdfError {
         /// The joint or link.
         element: UrdfElement,
         /// What was expected, and what the URDF has.
-        cause: UrdfElementError,
+        cause: Box<UrdfElementError>,
     },
     /// The URDF has no root link: its joints form a circle.
     #[error("no root link: every link is the child of some joint")]
@@ -77,7 +77,7 @@ pub enum UrdfSyntaxError {
     )]
     Xml {
         /// Error of the XML parser, with its place.
-        cause: roxmltree::Error,
+        cause: Box<roxmltree::Error>,
         /// Number of lines of a text that ends too early.
         end: Option<usize>,
         /// The last link or joint that begins before the error.
