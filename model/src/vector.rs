@@ -530,6 +530,8 @@ pub struct Matrix<R, C> {
 pub type JointMatrix = Matrix<Joints, Joints>;
 /// Matrix with one row and one column per actuated joint, as M~ (10).
 pub type ActuatedMatrix = Matrix<Actuated, Actuated>;
+/// Matrix with one row and one column per unactuated joint, as M_UU (2).
+pub type UnactuatedMatrix = Matrix<Unactuated, Unactuated>;
 
 impl<R: Space, C: Space> Matrix<R, C> {
     /// The matrix 0.
@@ -584,6 +586,14 @@ impl<R: Space, C: Space> Matrix<R, C> {
     /// The transposed matrix.
     pub fn transposed(&self) -> Matrix<C, R> {
         Matrix::from_fn(self.sizes, |i, j| self.rows[j][i])
+    }
+}
+
+impl JointMatrix {
+    /// The block of the unactuated joints, as M_UU of M.
+    pub fn unactuated(&self) -> UnactuatedMatrix {
+        let first = self.sizes.actuated();
+        Matrix::from_fn(self.sizes, |i, j| self.rows[first + i][first + j])
     }
 }
 
