@@ -1,6 +1,6 @@
 //! The bound c of (11): the range of the Coriolis torques C~ qd (10) over random admissible states, Section III-A.
 
-use crate::{ActuatedVector, JointVector, Limits, Model, NX, Workspace};
+use crate::{ActuatedVector, JointVector, Limits, Model, Sizes, Workspace};
 use rand_pcg::Pcg64;
 use rand_pcg::rand_core::{Rng, SeedableRng};
 use rayon::prelude::*;
@@ -23,9 +23,9 @@ pub struct CoriolisRange {
 
 impl CoriolisRange {
     /// Over no state at all.
-    fn empty() -> Self {
-        let upper = ActuatedVector::repeat(f64::NEG_INFINITY);
-        Self { samples: 0, lower: -upper, upper }
+    fn empty(sizes: Sizes) -> Self {
+        let [lower, upper] = [f64::INFINITY, f64::NEG_INFINITY].map(|v| ActuatedVector::repeat(sizes, v));
+        Self { samples: 0, lower, upper }
     }
 
     fn include(&mut self, torque: &ActuatedVector) {
@@ -44,23 +44,24 @@ impl CoriolisRange {
 }
 
 /// The states number `first`, `first` + 1, ... of the sequence of a seed, uniformly distributed within the
-/// positions and velocities of `limits`: q in rad, qd in rad/s.
+/// positions and velocities of `limits`: q in rad or m, qd in rad/s or m/s.
 pub fn random_states(
     limits: &Limits,
     seed: u64,
     first: u64,
 ) -> impl Iterator<Item = (JointVector, JointVector)> {
     let limits = *limits;
+    let sizes = limits.q_min.sizes();
     let mut rng = Pcg64::seed_from_u64(seed);
-    rng.advance(u128::from(first) * NX as u128);
+    rng.advance(u128::from(first) * sizes.state() as u128);
     let mut uniform = move |from: f64, to: f64| {
         // The upper 53 bits, as many as a number in [0, 1) holds.
         let unit = (rng.next_u64() >> 11) as f64 / (1_u64 << 53) as f64;
         from + (to - from) * unit
     };
     std::iter::repeat_with(move || {
-        let q = JointVector::from_fn(|i, _| uniform(limits.q_min[i], limits.q_max[i]));
-        let qd = JointVector::from_fn(|i, _| uniform(-limits.qd_max[i], limits.qd_max[i]));
+        let q = JointVector::from_fn(sizes, |i| uniform(limits.q_min[i], limits.q_max[i]));
+        let qd = JointVector::from_fn(sizes, |i| uniform(-limits.qd_max[i], limits.qd_max[i]));
         (q, qd)
     })
 }
@@ -80,7 +81,7 @@ pub fn bound(
         .into_par_iter()
         .take_any_while(|_| !stop.load(Ordering::Acquire))
         .map_init(Workspace::default, |work, chunk| {
-            let mut range = CoriolisRange::empty();
+            let mut range = CoriolisRange::empty(model.sizes());
             let first = chunk * CHUNK;
             let count = CHUNK.min(samples - first);
             for (q, qd) in random_states(limits, seed, first).take(count as usize) {
@@ -89,5 +90,5 @@ pub fn bound(
             progress(count);
             range
         })
-        .reduce(CoriolisRange::empty, CoriolisRange::union)
+        .reduce(|| CoriolisRange::empty(model.sizes()), CoriolisRange::union)
 }

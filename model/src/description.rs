@@ -29,7 +29,7 @@ const TURNED: f64 = 100.0;
 const HEAVY: f64 = 1e5;
 /// Largest moment or product of inertia, kg m^2.
 const INERT: f64 = 1e6;
-/// Largest limit: rad, rad/s, N m.
+/// Largest limit: rad, rad/s, N m, or m, m/s, N.
 const LIMIT: f64 = 1e6;
 
 /// A robot as described by its URDF: a tree of links.
@@ -65,6 +65,8 @@ pub enum UrdfJointKind {
     Revolute,
     /// The joint turns without limits.
     Continuous,
+    /// The joint slides within limits.
+    Prismatic,
     /// The joint does not move.
     Fixed,
 }
@@ -89,13 +91,13 @@ pub struct UrdfJoint {
 /// The numbers of an element `<limit>`; `None` where it states none.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct UrdfLimit {
-    /// rad
+    /// rad or m
     pub lower: Option<f64>,
-    /// rad
+    /// rad or m
     pub upper: Option<f64>,
-    /// rad/s
+    /// rad/s or m/s
     pub velocity: Option<f64>,
-    /// N m
+    /// N m or N
     pub effort: Option<f64>,
 }
 
@@ -462,6 +464,7 @@ fn read_joint(
     let kind = match required(node, "type")? {
         "revolute" => UrdfJointKind::Revolute,
         "continuous" => UrdfJointKind::Continuous,
+        "prismatic" => UrdfJointKind::Prismatic,
         "fixed" => UrdfJointKind::Fixed,
         got => return Err(refuse(node, UrdfElementError::JointType { got: got.to_owned() })),
     };
@@ -480,13 +483,17 @@ fn read_joint(
             xyz.try_normalize(1e-9).ok_or_else(|| refuse(node, UrdfElementError::Axis { got: got() }))?
         }
     };
+    let [position, velocity, effort] = match kind {
+        UrdfJointKind::Prismatic => ["m", "m/s", "N"],
+        _ => ["rad", "rad/s", "N m"],
+    };
     let limit = child(node, "limit")?.filter(|_| kind != UrdfJointKind::Fixed);
     let limit = limit.map(|limit| -> Result<_, UrdfError> {
         Ok(UrdfLimit {
-            lower: number(limit, "lower", LIMIT, "rad")?,
-            upper: number(limit, "upper", LIMIT, "rad")?,
-            velocity: number(limit, "velocity", LIMIT, "rad/s")?,
-            effort: number(limit, "effort", LIMIT, "N m")?,
+            lower: number(limit, "lower", LIMIT, position)?,
+            upper: number(limit, "upper", LIMIT, position)?,
+            velocity: number(limit, "velocity", LIMIT, velocity)?,
+            effort: number(limit, "effort", LIMIT, effort)?,
         })
     });
     let limit = limit.transpose()?;

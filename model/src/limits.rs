@@ -1,33 +1,33 @@
 //! Limits of the joints of a robot.
 
-use crate::{ActuatedVector, JointVector, NQ};
+use crate::{ActuatedVector, JointKind, JointVector, Sizes};
 
 /// Limits of positions, velocities and motor torques, joint by joint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
-    /// Lowest position of each joint, rad.
+    /// Lowest position of each joint, rad or m.
     pub q_min: JointVector,
-    /// Highest position of each joint, rad.
+    /// Highest position of each joint, rad or m.
     pub q_max: JointVector,
-    /// Highest speed of each joint in both directions, rad/s.
+    /// Highest speed of each joint in both directions, rad/s or m/s.
     pub qd_max: JointVector,
-    /// Highest torque of each motor in both directions, N m.
+    /// Highest torque of each motor in both directions, N m or N.
     pub tau_max: ActuatedVector,
 }
 
 /// The quantity that a limit bounds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LimitKind {
-    /// q, rad.
+    /// q, rad or m.
     Position,
-    /// qd, rad/s.
+    /// qd, rad/s or m/s.
     Velocity,
-    /// tau_A, N m.
+    /// tau_A, N m or N.
     Torque,
 }
 
 impl Limits {
-    /// Lower and upper limit of one joint (from 0), in the unit of `kind`. Torques have limits for actuated joints only.
+    /// Lower and upper limit of the joint of index `joint` in sorted vectors, in the unit of `kind`. Torques have limits for actuated joints only.
     pub fn range(&self, kind: LimitKind, joint: usize) -> (f64, f64) {
         match kind {
             LimitKind::Position => (self.q_min[joint], self.q_max[joint]),
@@ -36,7 +36,7 @@ impl Limits {
         }
     }
 
-    /// These limits, with half a turn (or half a turn per second) instead of an infinite one: the scale of a drawing.
+    /// These limits, with pi (rad or m, also per second) instead of an infinite one: the scale of a drawing.
     pub fn scale(&self) -> Self {
         let finite = |v: f64| if v.is_finite() { v } else { std::f64::consts::PI.copysign(v) };
         Self {
@@ -49,17 +49,21 @@ impl Limits {
 }
 
 impl LimitKind {
-    /// The kind of the limit of a row of the state x = [q, qd], and the joint of that row, from 0.
-    pub fn of_row(row: usize) -> (Self, usize) {
-        if row < NQ { (Self::Position, row) } else { (Self::Velocity, row - NQ) }
+    /// The kind of the limit of a row of the state x = [q, qd], and the index of the joint of that row in sorted vectors.
+    pub fn of_row(row: usize, sizes: Sizes) -> (Self, usize) {
+        let joints = sizes.joints();
+        if row < joints { (Self::Position, row) } else { (Self::Velocity, row - joints) }
     }
 
-    /// Unit of the quantity.
-    pub fn unit(self) -> &'static str {
-        match self {
-            Self::Position => "rad",
-            Self::Velocity => "rad/s",
-            Self::Torque => "N m",
+    /// Unit of the quantity of a joint.
+    pub fn unit(self, joint: JointKind) -> &'static str {
+        match (self, joint) {
+            (Self::Position, JointKind::Prismatic) => "m",
+            (Self::Velocity, JointKind::Prismatic) => "m/s",
+            (Self::Torque, JointKind::Prismatic) => "N",
+            (Self::Position, _) => "rad",
+            (Self::Velocity, _) => "rad/s",
+            (Self::Torque, _) => "N m",
         }
     }
 }

@@ -1,78 +1,103 @@
 //! The model of a robot: its constants and its forward kinematics.
 
 use crate::description::Body;
-use crate::spatial::{SpatialInertia, skew};
-use crate::{ActuatedVector, JointVector, Limits, NQ, NU};
+use crate::dynamics::Frame;
+use crate::{ActuatedVector, JointVector, Limits, Order, Sizes};
 use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 /// Pose of a frame in the world frame, m.
 pub type Pose = Isometry3<f64>;
 
-/// Pose of a frame in another frame, with a rotation matrix, which is cheaper to apply than a quaternion.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Frame {
-    pub rotation: Matrix3<f64>,
-    /// m
-    pub origin: Vector3<f64>,
+/// How a joint moves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum JointKind {
+    /// The joint turns within limits.
+    Revolute,
+    /// The joint turns without limits.
+    Continuous,
+    /// The joint slides within limits.
+    Prismatic,
 }
 
-impl Frame {
-    pub(crate) fn new(pose: &Isometry3<f64>) -> Self {
-        Self { rotation: *pose.rotation.to_rotation_matrix().matrix(), origin: pose.translation.vector }
-    }
-
-    fn pose(&self) -> Pose {
-        let rotation = Rotation3::from_matrix_unchecked(self.rotation);
-        Isometry3::from_parts(self.origin.into(), UnitQuaternion::from_rotation_matrix(&rotation))
-    }
-}
-
-/// One body with the revolute joint that connects it to its parent. Vectors and inertia in the frame of the body.
-#[derive(Clone, Debug)]
-pub(crate) struct Joint {
-    pub name: String,
-    /// Frame of the body in the frame of its parent at q = 0.
-    pub placement: Frame,
-    /// Joint axis in the frame of the body, of length 1.
-    pub axis: Vector3<f64>,
-    /// kg
-    pub mass: f64,
-    /// Centre of mass, m.
-    pub com: Vector3<f64>,
-    /// Rotational inertia about the centre of mass, kg m^2.
-    pub inertia: Matrix3<f64>,
-}
-
-impl Joint {
-    /// Frame of the body at the joint angle `q` (rad), for the frame of its parent.
-    #[inline]
-    pub(crate) fn frame(&self, parent: &Frame, q: f64) -> Frame {
-        let (sin, cos) = q.sin_cos();
-        let axis = &self.axis;
-        let turn = Matrix3::identity() * cos + skew(axis) * sin + axis * axis.transpose() * (1.0 - cos);
-        Frame {
-            rotation: parent.rotation * self.placement.rotation * turn,
-            origin: parent.rotation * self.placement.origin + parent.origin,
+impl JointKind {
+    /// Unit of the position.
+    pub fn unit(self) -> &'static str {
+        match self {
+            Self::Revolute | Self::Continuous => "rad",
+            Self::Prismatic => "m",
         }
     }
 
-    /// Spatial inertia of the body in the world frame, for its `frame`.
-    #[inline]
-    pub(crate) fn world_inertia(&self, frame: &Frame) -> SpatialInertia {
-        let about_com = frame.rotation * self.inertia * frame.rotation.transpose();
-        SpatialInertia::new(self.mass, frame.rotation * self.com + frame.origin, about_com)
+    /// The position `q` (rad or m) as a person reads it, in deg or m, and its unit.
+    pub fn shown(self, q: f64) -> (f64, &'static str) {
+        match self {
+            Self::Revolute | Self::Continuous => (q.to_degrees(), "deg"),
+            Self::Prismatic => (q, "m"),
+        }
     }
 }
 
-/// The model of a robot: a serial chain of revolute joints of which the last ones are unactuated.
+/// One body with the joint that connects it to its parent. The frame of the body is turned so that the joint axis is its z axis;
+/// vectors and inertia in that frame.
+#[derive(Clone, Debug)]
+pub(crate) struct Joint {
+    pub name: String,
+    pub kind: JointKind,
+    /// Rotation of the frame of the body in the frame of its parent at q = 0, by rows.
+    pub rotation: [[f64; 3]; 3],
+    /// Origin of the frame of the body in the frame of its parent at q = 0, m.
+    pub origin: [f64; 3],
+    /// Rotation of the body's frame in the URDF in the frame of the body.
+    pub urdf_frame: Matrix3<f64>,
+    /// kg
+    pub mass: f64,
+    /// Centre of mass, m.
+    pub com: [f64; 3],
+    /// Rotational inertia about the centre of mass, kg m^2, by rows.
+    pub inertia: [[f64; 3]; 3],
+}
+
+/// A joint of a chain and the body on it, in the frames of the URDF.
+#[derive(Clone, Debug)]
+pub(crate) struct JointParameters {
+    pub name: String,
+    pub kind: JointKind,
+    pub is_actuated: bool,
+    /// Frame of the body in the frame of its parent at q = 0.
+    pub placement: Isometry3<f64>,
+    /// Joint axis in the frame of the body, of length 1.
+    pub axis: Vector3<f64>,
+    pub body: Body,
+}
+
+/// A rotation whose third column is `axis`, of length 1; exact if the axis is that of a coordinate.
+fn rotation_onto(axis: &Vector3<f64>) -> Matrix3<f64> {
+    let mut e = Vector3::zeros();
+    // The coordinate axis that is least aligned with the axis.
+    e[axis.iamin()] = 1.0;
+    let x = e.cross(axis).normalize();
+    Matrix3::from_columns(&[x, axis.cross(&x), *axis])
+}
+
+/// The rows of a matrix.
+fn rows(m: &Matrix3<f64>) -> [[f64; 3]; 3] {
+    std::array::from_fn(|i| std::array::from_fn(|j| m[(i, j)]))
+}
+
+/// The matrix with these rows.
+fn matrix(rows: &[[f64; 3]; 3]) -> Matrix3<f64> {
+    Matrix3::from_fn(|i, j| rows[i][j])
+}
+
+/// The model of a robot: a serial chain of joints, some of which are unactuated.
 #[derive(Clone, Debug)]
 pub struct Model {
-    pub(crate) joints: [Joint; NQ],
-    /// Frame of the base in the world frame, which is the root frame of the URDF.
-    pub(crate) base: Frame,
+    /// In the chain's order, from base to tip.
+    pub(crate) joints: Vec<Joint>,
+    pub(crate) order: Order,
     /// Tip of the rod in the frame of the last body, m.
     pub(crate) tip: Vector3<f64>,
-    /// Inertia of the rotors, reflected to the actuated joints, kg m^2.
+    /// Inertia of the rotors, reflected to the actuated joints, kg m^2 or kg.
     pub(crate) rotors: ActuatedVector,
     /// Gravity in the world frame, m/s^2.
     pub(crate) gravity: Vector3<f64>,
@@ -81,6 +106,58 @@ pub struct Model {
 }
 
 impl Model {
+    /// The model of a chain; `tip` in the frame of the last body in the URDF.
+    pub(crate) fn new(
+        order: Order,
+        chain: Vec<JointParameters>,
+        tip: Vector3<f64>,
+        gravity: Vector3<f64>,
+        rated_limits: Limits,
+    ) -> Self {
+        let mut turn = Matrix3::identity();
+        let joints = chain
+            .into_iter()
+            .map(|joint| {
+                let parent = turn.transpose();
+                turn = rotation_onto(&joint.axis);
+                let placement = joint.placement.rotation.to_rotation_matrix();
+                Joint {
+                    name: joint.name,
+                    kind: joint.kind,
+                    rotation: rows(&(parent * placement.matrix() * turn)),
+                    origin: (parent * joint.placement.translation.vector).into(),
+                    urdf_frame: turn.transpose(),
+                    mass: joint.body.mass,
+                    com: (turn.transpose() * joint.body.com).into(),
+                    inertia: rows(&(turn.transpose() * joint.body.inertia * turn)),
+                }
+            })
+            .collect();
+        let mut model = Self {
+            joints,
+            order,
+            tip: turn.transpose() * tip,
+            rotors: ActuatedVector::zeros(order.sizes()),
+            gravity,
+            rated_limits,
+            fingerprint: 0,
+        };
+        model.fingerprint = model.compute_fingerprint();
+        model
+    }
+
+    /// Numbers of joints.
+    #[inline(always)]
+    pub fn sizes(&self) -> Sizes {
+        self.order.sizes()
+    }
+
+    /// The index sets A and U: where each joint of the chain stands in sorted vectors.
+    #[inline(always)]
+    pub fn order(&self) -> &Order {
+        &self.order
+    }
+
     /// Fingerprint of the dynamics (XXH3, 64 bit, over all kinematic and inertial parameters): two models with the same
     /// fingerprint give the same numbers. Limits do not enter.
     pub fn fingerprint(&self) -> u64 {
@@ -92,53 +169,82 @@ impl Model {
         &self.rated_limits
     }
 
-    /// Name of each joint, as in the URDF.
-    pub fn joint_names(&self) -> [&str; NQ] {
-        std::array::from_fn(|i| self.joints[i].name.as_str())
+    /// Names of the joints in the URDF, in the chain's order.
+    pub fn joint_names(&self) -> impl ExactSizeIterator<Item = &str> + Clone {
+        self.joints.iter().map(|joint| joint.name.as_str())
     }
 
-    /// Forward kinematics: poses of the frames O_1..O_9 of the bodies in the world frame, for `q` in rad.
-    pub fn poses(&self, q: &JointVector) -> [Pose; NQ] {
-        self.frames(q).map(|frame| frame.pose())
+    /// Name of the joint of index `coordinate` in sorted vectors.
+    pub fn joint_name(&self, coordinate: usize) -> &str {
+        &self.joints[self.order.joint(coordinate)].name
     }
 
-    fn frames(&self, q: &JointVector) -> [Frame; NQ] {
-        let mut parent = self.base;
-        std::array::from_fn(|i| {
-            parent = self.joints[i].frame(&parent, q[i]);
-            parent
+    /// Kind of the joint of index `coordinate` in sorted vectors.
+    pub fn joint_kind(&self, coordinate: usize) -> JointKind {
+        self.joints[self.order.joint(coordinate)].kind
+    }
+
+    /// Index in sorted vectors of the joint called `name`.
+    pub fn coordinate(&self, name: &str) -> Option<usize> {
+        self.joint_names().position(|joint| joint == name).map(|joint| self.order.coordinate(joint))
+    }
+
+    /// Forward kinematics: poses of the frames O_1..O_n of the bodies in the world frame, in the chain's order.
+    pub fn poses(&self, q: &JointVector) -> Vec<Pose> {
+        self.frames(q)
+            .zip(&self.joints)
+            .map(|((rotation, origin), joint)| {
+                let rotation = Rotation3::from_matrix_unchecked(rotation * joint.urdf_frame);
+                Isometry3::from_parts(origin.into(), UnitQuaternion::from_rotation_matrix(&rotation))
+            })
+            .collect()
+    }
+
+    /// Rotation and origin (m) of the frames of the bodies in the world frame, in the chain's order.
+    fn frames(&self, q: &JointVector) -> impl Iterator<Item = (Matrix3<f64>, Vector3<f64>)> {
+        let mut frame = Frame::base();
+        let q = *q;
+        self.joints.iter().enumerate().map(move |(i, joint)| {
+            joint.advance(&mut frame, q[self.order.coordinate(i)]);
+            (matrix(&frame.rotation.0), frame.origin.0.into())
         })
     }
 
-    /// Position of the tip of the pendulum in the world frame, m, for `q` in rad.
+    /// Rotation and origin (m) of the frame of the last body in the world frame.
+    fn last_frame(&self, q: &JointVector) -> (Matrix3<f64>, Vector3<f64>) {
+        self.frames(q).last().unwrap_or((Matrix3::identity(), Vector3::zeros()))
+    }
+
+    /// Position of the tip of the pendulum in the world frame, m.
     pub fn tip(&self, q: &JointVector) -> Vector3<f64> {
-        let last = self.frames(q)[NQ - 1];
-        last.rotation * self.tip + last.origin
+        let (rotation, origin) = self.last_frame(q);
+        rotation * self.tip + origin
     }
 
-    /// Vector from the last joint to the tip of the pendulum in the world frame (z up), m, for `q` in rad.
+    /// Vector from the last joint to the tip of the pendulum in the world frame (z up), m.
     pub fn rod(&self, q: &JointVector) -> Vector3<f64> {
-        self.frames(q)[NQ - 1].rotation * self.tip
+        self.last_frame(q).0 * self.tip
     }
 
-    /// Potential energy at `q` (rad), J; zero at the world origin.
+    /// Potential energy, J; zero at the world origin.
     pub fn potential_energy(&self, q: &JointVector) -> f64 {
-        let frames = self.frames(q);
-        frames
-            .iter()
+        self.frames(q)
             .zip(&self.joints)
-            .map(|(f, j)| -j.mass * self.gravity.dot(&(f.rotation * j.com + f.origin)))
+            .map(|((rotation, origin), j)| {
+                -j.mass * self.gravity.dot(&(rotation * Vector3::from(j.com) + origin))
+            })
             .sum()
     }
 
-    /// A model with scaled masses and inertias: those of the arm times `arm`, those of the pendulum times `pendulum`
-    /// (dimensionless, above 0). For runs with a mismatched plant.
+    /// A model with scaled masses and inertias: those of the bodies before the first unactuated joint times `arm`, those of the others
+    /// times `pendulum` (dimensionless, above 0). For runs with a mismatched plant.
     pub fn with_scaled_masses(&self, arm: f64, pendulum: f64) -> Self {
         let mut scaled = self.clone();
+        let first = self.first_unactuated();
         for (i, joint) in scaled.joints.iter_mut().enumerate() {
-            let factor = if i < NU { arm } else { pendulum };
+            let factor = if i < first { arm } else { pendulum };
             joint.mass *= factor;
-            joint.inertia *= factor;
+            joint.inertia.as_flattened_mut().iter_mut().for_each(|v| *v *= factor);
         }
         scaled.fingerprint = scaled.compute_fingerprint();
         scaled
@@ -148,63 +254,72 @@ impl Model {
     /// from the joint grow by that factor, the inertia by its square. For runs with a mismatched plant.
     pub fn with_scaled_rod_length(&self, scale: f64) -> Self {
         let mut scaled = self.clone();
-        let rod = &mut scaled.joints[NQ - 1];
-        rod.com *= scale;
-        rod.inertia *= scale * scale;
+        if let Some(rod) = scaled.joints.last_mut() {
+            rod.com.iter_mut().for_each(|v| *v *= scale);
+            rod.inertia.as_flattened_mut().iter_mut().for_each(|v| *v *= scale * scale);
+        }
         scaled.tip *= scale;
         scaled.fingerprint = scaled.compute_fingerprint();
         scaled
     }
 
-    /// A model with a point `mass` (kg, 0 or above) on its last actuated body, at `com` in the frame of that body (m). For
-    /// runs with a mismatched plant.
+    /// A model with a point `mass` (kg, 0 or above) on the last body before the first unactuated joint, at `com` in the frame of that
+    /// body in the URDF (m). For runs with a mismatched plant. The mass has no effect if the first joint is unactuated.
     pub fn with_payload(&self, mass: f64, com: Vector3<f64>) -> Self {
         let mut loaded = self.clone();
+        let link = self.first_unactuated().checked_sub(1).and_then(|last| loaded.joints.get_mut(last));
         // Joining nothing would still round.
-        if mass == 0.0 {
-            return loaded;
-        }
-        let link = &mut loaded.joints[NU - 1];
-        let body = Body { mass: link.mass, com: link.com, inertia: link.inertia };
-        let body = body.joined(Body { mass, com, inertia: Matrix3::zeros() });
-        (link.mass, link.com, link.inertia) = (body.mass, body.com, body.inertia);
+        let Some(link) = link.filter(|_| mass != 0.0) else { return loaded };
+        let body = Body { mass: link.mass, com: link.com.into(), inertia: matrix(&link.inertia) };
+        let body = body.joined(Body { mass, com: link.urdf_frame * com, inertia: Matrix3::zeros() });
+        (link.mass, link.com, link.inertia) = (body.mass, body.com.into(), rows(&body.inertia));
         loaded.fingerprint = loaded.compute_fingerprint();
         loaded
     }
 
-    /// A model with the rotor inertias `rotors`, reflected to the actuated joints (kg m^2, 0 or above), on the diagonal of M:
+    /// The first unactuated joint of the chain, counted from 0.
+    fn first_unactuated(&self) -> usize {
+        self.order.joint(self.sizes().actuated())
+    }
+
+    /// A model with the rotor inertias `rotors`, reflected to the actuated joints (kg m^2 or kg, 0 or above), on the diagonal of M:
     /// the usual approximation of a geared drive, without gyroscopic terms. f (5) does not depend on them.
-    pub fn with_rotors(&self, rotors: [f64; NU]) -> Self {
+    pub fn with_rotors(&self, rotors: &ActuatedVector) -> Self {
         let mut geared = self.clone();
-        geared.rotors = rotors.into();
+        geared.rotors = *rotors;
         geared.fingerprint = geared.compute_fingerprint();
         geared
     }
 
-    /// Joint torques J^T F, N m, of a `force` F (N, world frame) on the tip of the pendulum, for `q` in rad.
+    /// Joint torques J^T F, N m or N, of a `force` F (N, world frame) on the tip of the pendulum.
     pub fn torque_of_tip_force(&self, q: &JointVector, force: &Vector3<f64>) -> JointVector {
-        let frames = self.frames(q);
-        let last = &frames[NQ - 1];
-        let tip = last.rotation * self.tip + last.origin;
-        JointVector::from_fn(|i, _| {
-            let axis = frames[i].rotation * self.joints[i].axis;
-            axis.dot(&(tip - frames[i].origin).cross(force))
-        })
+        let tip = self.tip(q);
+        let mut torque = JointVector::zeros(self.sizes());
+        for (i, (rotation, origin)) in self.frames(q).enumerate() {
+            let axis = rotation.column(2);
+            torque[self.order.coordinate(i)] = match self.joints[i].kind {
+                JointKind::Revolute | JointKind::Continuous => axis.dot(&(tip - origin).cross(force)),
+                JointKind::Prismatic => axis.dot(force),
+            };
+        }
+        torque
     }
 
     pub(crate) fn compute_fingerprint(&self) -> u64 {
         let mut hash = xxhash_rust::xxh3::Xxh3::new();
-        let mut put = |v: f64| hash.update(&v.to_le_bytes());
-        for frame in std::iter::once(&self.base).chain(self.joints.iter().map(|j| &j.placement)) {
-            frame.origin.iter().chain(frame.rotation.iter()).for_each(|v| put(*v));
+        for (i, j) in self.joints.iter().enumerate() {
+            // Revolute and continuous joints differ in their limits only.
+            hash.update(&[u8::from(j.kind == JointKind::Prismatic), u8::from(self.order.is_actuated(i))]);
         }
+        let mut put = |v: f64| hash.update(&v.to_le_bytes());
         for j in &self.joints {
-            j.axis.iter().chain(j.com.iter()).chain(j.inertia.iter()).for_each(|v| put(*v));
+            j.origin.iter().chain(j.rotation.as_flattened()).for_each(|v| put(*v));
+            j.com.iter().chain(j.inertia.as_flattened()).for_each(|v| put(*v));
             put(j.mass);
         }
         self.gravity.iter().for_each(|v| put(*v));
         // Without rotors a model is what its URDF says.
-        if self.rotors != ActuatedVector::zeros() {
+        if self.rotors.iter().any(|v| *v != 0.0) {
             self.rotors.iter().for_each(|v| put(*v));
         }
         hash.digest()

@@ -1,113 +1,124 @@
 //! States at standstill within the limits of the joints: where a motion can start.
 
-use crate::{
-    ActuatedVector, JointParts, JointVector, Limits, Model, NQ, NU, RestError, State, UnactuatedVector,
-    Workspace, state,
-};
+use crate::{ActuatedVector, JointVector, Limits, Model, RestError, State, UnactuatedVector, Workspace};
 
 /// Why a pose cannot be a start.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum StartError {
-    /// The wrong number of angles.
-    #[error("expected {NU} joint angles in deg, separated by commas, as in 0,-15,0,-95,0,10,0; got {got}")]
+    /// The wrong number of positions.
+    #[error(
+        "expected {} positions of the actuated joints, separated by commas ({}); got {got}",
+        .joints.len(), .joints.join(",")
+    )]
     Length {
-        /// Angles given.
+        /// Names of the actuated joints with the units of their positions.
+        joints: Vec<String>,
+        /// Positions given.
         got: usize,
     },
-    /// An angle is NaN or infinite.
-    #[error("angle of joint {joint}: expected a number, got {value}")]
+    /// A position is NaN or infinite.
+    #[error("position of joint `{joint}`: expected a number, got {value}")]
     NotFinite {
-        /// The joint, counted from 1.
-        joint: usize,
+        /// Name of the joint.
+        joint: String,
         /// What was given.
         value: f64,
     },
-    /// An angle is outside the limits.
-    #[error("angle of joint {joint}: expected {min_deg:.1} to {max_deg:.1} deg, got {got_deg:.2} deg")]
+    /// A position is outside the limits.
+    #[error("position of joint `{joint}`: expected {min:.3} to {max:.3} {unit}, got {got:.3} {unit}")]
     OutsideLimits {
-        /// The joint, counted from 1.
-        joint: usize,
-        /// Lowest angle, deg.
-        min_deg: f64,
-        /// Highest angle, deg.
-        max_deg: f64,
-        /// Angle given, deg.
-        got_deg: f64,
+        /// Name of the joint.
+        joint: String,
+        /// Lowest position, in `unit`.
+        min: f64,
+        /// Highest position, in `unit`.
+        max: f64,
+        /// Position given, in `unit`.
+        got: f64,
+        /// deg or m.
+        unit: &'static str,
     },
-    /// The pendulum would rest outside its limits.
+    /// An unactuated joint would rest outside its limits.
     #[error(
-        "in this pose the rest position of joint {joint} is {got_deg:.1} deg, outside its range of {min_deg:.1} to \
-         {max_deg:.1} deg; choose a pose whose flange is closer to horizontal (q2 - q4 + q6 near 90 deg)"
+        "in this pose the rest position of joint `{joint}` is {got:.1} {unit}, outside its range of {min:.1} to {max:.1} {unit}; \
+         choose a pose in which it hangs within its range"
     )]
     RestOutsideLimits {
-        /// The joint, counted from 1.
-        joint: usize,
-        /// Lowest angle, deg.
-        min_deg: f64,
-        /// Highest angle, deg.
-        max_deg: f64,
-        /// Angle of rest, deg.
-        got_deg: f64,
+        /// Name of the joint.
+        joint: String,
+        /// Lowest position, in `unit`.
+        min: f64,
+        /// Highest position, in `unit`.
+        max: f64,
+        /// Position of rest, in `unit`.
+        got: f64,
+        /// deg or m.
+        unit: &'static str,
     },
-    /// The pendulum has no rest position in this pose.
+    /// The unactuated joints have no rest position in this pose.
     #[error(transparent)]
     NoRest(#[from] RestError),
 }
 
 impl Model {
-    /// The state with qd = 0, the actuated joints at `q_a` (7 angles, rad) and the unactuated joints at `q_u` (rad), or, with
+    /// The state with qd = 0, the actuated joints at `q_a` (rad or m) and the unactuated joints at `q_u`, or, with
     /// `None`, in their hanging equilibrium g_U(q) = 0. All joints have to be within the positions of `limits`.
     ///
     /// # Errors
-    /// [`StartError`] if `q_a` has another length, an angle is not finite or outside the limits, or there is no equilibrium.
+    /// [`StartError`] if `q_a` has another length, a position is not finite or outside the limits, or there is no equilibrium.
     pub fn standstill(
         &self,
         limits: &Limits,
         q_a: &[f64],
         q_u: Option<&UnactuatedVector>,
     ) -> Result<State, StartError> {
-        if q_a.len() != NU {
-            return Err(StartError::Length { got: q_a.len() });
+        let sizes = self.sizes();
+        let Some(q_a) = ActuatedVector::from_slice(sizes, q_a) else {
+            let joint = |i| format!("{} in {}", self.joint_name(i), self.joint_kind(i).shown(0.0).1);
+            return Err(StartError::Length {
+                joints: (0..sizes.actuated()).map(joint).collect(),
+                got: q_a.len(),
+            });
+        };
+        let q = JointVector::joined(&q_a, q_u.unwrap_or(&UnactuatedVector::zeros(sizes)));
+        for i in 0..sizes.actuated() {
+            self.check_position(limits, i, q[i])?;
         }
-        let mut q = JointVector::zeros();
-        q.actuated_mut().copy_from(&ActuatedVector::from_column_slice(q_a));
-        for i in 0..NU {
-            limits.check_angle(i, q[i])?;
-        }
-        match q_u {
-            Some(q_u) => q.unactuated_mut().copy_from(q_u),
-            None => q = self.rest_position(&q, &mut Workspace::default())?,
-        }
-        for i in NU..NQ {
-            limits.check_angle(i, q[i]).map_err(|e| match e {
-                StartError::OutsideLimits { joint, min_deg, max_deg, got_deg } => {
-                    StartError::RestOutsideLimits { joint, min_deg, max_deg, got_deg }
+        let q = match q_u {
+            Some(_) => q,
+            None => self.rest_position(&q, &mut Workspace::default())?,
+        };
+        for i in sizes.actuated()..sizes.joints() {
+            self.check_position(limits, i, q[i]).map_err(|e| match e {
+                StartError::OutsideLimits { joint, min, max, got, unit } => {
+                    StartError::RestOutsideLimits { joint, min, max, got, unit }
                 }
                 other => other,
             })?;
         }
-        Ok(state(&q, &JointVector::zeros()))
+        Ok(State::new(&q, &JointVector::zeros(sizes)))
     }
-}
 
-impl Limits {
-    /// Checks the `angle` (rad) of a joint, counted from 0, against its lowest and highest position.
+    /// Checks the `position` (rad or m) of the joint of index `coordinate` in sorted vectors against `limits`.
     ///
     /// # Errors
     /// [`StartError::NotFinite`] or [`StartError::OutsideLimits`].
-    pub fn check_angle(&self, joint: usize, angle: f64) -> Result<(), StartError> {
-        let (min, max) = (self.q_min[joint], self.q_max[joint]);
-        if !angle.is_finite() {
-            return Err(StartError::NotFinite { joint: joint + 1, value: angle });
+    pub fn check_position(
+        &self,
+        limits: &Limits,
+        coordinate: usize,
+        position: f64,
+    ) -> Result<(), StartError> {
+        let joint = || self.joint_name(coordinate).to_owned();
+        let (min, max) = (limits.q_min[coordinate], limits.q_max[coordinate]);
+        if !position.is_finite() {
+            return Err(StartError::NotFinite { joint: joint(), value: position });
         }
-        if (min..=max).contains(&angle) {
+        if (min..=max).contains(&position) {
             return Ok(());
         }
-        Err(StartError::OutsideLimits {
-            joint: joint + 1,
-            min_deg: min.to_degrees(),
-            max_deg: max.to_degrees(),
-            got_deg: angle.to_degrees(),
-        })
+        let [(min, unit), (max, _), (got, _)] =
+            [min, max, position].map(|v| self.joint_kind(coordinate).shown(v));
+        Err(StartError::OutsideLimits { joint: joint(), min, max, got, unit })
     }
 }

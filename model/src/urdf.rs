@@ -1,11 +1,11 @@
-//! Builds a [`Model`] from a URDF: one unbranched chain of revolute joints. Bodies on fixed joints are merged with the body that
-//! carries them.
+//! Builds a [`Model`] from a URDF: one unbranched chain of revolute, continuous and prismatic joints, of which those with effort="0" are
+//! unactuated. Bodies on fixed joints are merged with the body that carries them.
 
 use crate::description::{Urdf, UrdfJoint, UrdfJointKind};
-use crate::model::{Frame, Joint, Model};
+use crate::model::{JointKind, JointParameters, Model};
 use crate::urdf_error::{UrdfElement, UrdfElementError, UrdfError};
-use crate::{ActuatedVector, JointVector, Limits, NQ, NU};
-use nalgebra::{Isometry3, Matrix3, Vector3};
+use crate::{ActuatedVector, JointVector, LimitKind, Limits, MOST_JOINTS, Order};
+use nalgebra::{Isometry3, Vector3};
 
 /// Gravity as in the paper, m/s^2, along -z of the root frame of the URDF.
 const GRAVITY: f64 = 9.81;
@@ -17,10 +17,11 @@ fn refuse(joint: &str, cause: UrdfElementError) -> UrdfError {
 
 impl Model {
     /// The model of the robot in the text of a URDF file. The frame of the root link is the world frame, whose z axis points
-    /// up; the last `N_UNACTUATED` revolute joints are the unactuated ones.
+    /// up; the joints with effort="0" in their `<limit>` are the unactuated ones.
     ///
     /// # Errors
-    /// [`UrdfError`] if the text is no URDF, not one chain of `NQ` revolute joints, or physically impossible.
+    /// [`UrdfError`] if the text is no URDF, no chain with 1 to [`MOST_JOINTS`] joints, both actuated and unactuated ones, or physically
+    /// impossible.
     pub fn from_urdf(text: &str) -> Result<Self, UrdfError> {
         Self::from_description(&Urdf::read(text)?)
     }
@@ -28,11 +29,12 @@ impl Model {
     /// The model of a robot whose URDF has been read, as in [`Model::from_urdf`].
     ///
     /// # Errors
-    /// [`UrdfError`] if the robot is not one chain of `NQ` revolute joints, or physically impossible.
+    /// [`UrdfError`] if the robot is no chain with 1 to [`MOST_JOINTS`] joints, both actuated and unactuated ones, or physically
+    /// impossible.
     pub fn from_description(robot: &Urdf) -> Result<Self, UrdfError> {
         // Walk from the root: `frame` is the current link's frame in the frame of the last movable body.
         let mut current = robot.root;
-        let mut joints: Vec<Joint> = Vec::new();
+        let mut joints: Vec<JointParameters> = Vec::new();
         let mut chain: Vec<&UrdfJoint> = Vec::new();
         let mut tip = Vector3::zeros();
         loop {
@@ -50,7 +52,9 @@ impl Model {
                         body = body.joined(robot.links[joint.child].body.moved(&placement));
                         pending.extend(on(joint.child, placement));
                     }
-                    UrdfJointKind::Revolute | UrdfJointKind::Continuous => next.push((joint, placement)),
+                    UrdfJointKind::Revolute | UrdfJointKind::Continuous | UrdfJointKind::Prismatic => {
+                        next.push((joint, placement));
+                    }
                 }
             }
             if next.len() > 1 {
@@ -58,79 +62,95 @@ impl Model {
                 return Err(UrdfError::Branch { link: robot.links[current].name.clone(), joints });
             }
             if let Some(last) = joints.last_mut() {
-                (last.mass, last.com, last.inertia) = (body.mass, body.com, body.inertia);
+                last.body = body;
                 check_body(last)?;
                 tip = rod_tip(body.com);
             }
             let Some((joint, placement)) = next.pop() else { break };
-            joints.push(Joint {
+            let kind = match joint.kind {
+                UrdfJointKind::Continuous => JointKind::Continuous,
+                UrdfJointKind::Prismatic => JointKind::Prismatic,
+                UrdfJointKind::Revolute | UrdfJointKind::Fixed => JointKind::Revolute,
+            };
+            joints.push(JointParameters {
                 name: joint.name.clone(),
-                placement: Frame::new(&placement),
+                kind,
+                is_actuated: is_actuated(joint, kind)?,
+                placement,
                 axis: joint.axis,
-                mass: 0.0,
-                com: Vector3::zeros(),
-                inertia: Matrix3::zeros(),
+                body,
             });
             chain.push(joint);
             current = joint.child;
         }
-        let joints: [Joint; NQ] = joints.try_into().map_err(|joints: Vec<Joint>| UrdfError::JointCount {
-            got: joints.into_iter().map(|joint| joint.name).collect(),
-        })?;
-        let rated_limits = rated_limits(&chain)?;
-        let gravity = Vector3::new(0.0, 0.0, -GRAVITY);
-        let mut model = Self {
-            joints,
-            base: Frame::new(&Isometry3::identity()),
-            tip,
-            rotors: ActuatedVector::zeros(),
-            gravity,
-            rated_limits,
-            fingerprint: 0,
+        let actuated: Vec<bool> = joints.iter().map(|joint| joint.is_actuated).collect();
+        let names = || joints.iter().map(|joint| joint.name.clone()).collect();
+        let Some(order) = Order::new(&actuated) else {
+            return Err(match actuated.len() {
+                0 => UrdfError::NoJoint,
+                got if got > MOST_JOINTS => UrdfError::TooManyJoints { got },
+                _ if actuated[0] => UrdfError::NoUnactuatedJoint { joints: names() },
+                _ => UrdfError::NoActuatedJoint { joints: names() },
+            });
         };
-        model.fingerprint = model.compute_fingerprint();
-        Ok(model)
+        let rated_limits = rated_limits(&order, &joints, &chain)?;
+        let gravity = Vector3::new(0.0, 0.0, -GRAVITY);
+        Ok(Self::new(order, joints, tip, gravity, rated_limits))
+    }
+}
+
+/// Whether the URDF states a motor of the joint.
+fn is_actuated(joint: &UrdfJoint, kind: JointKind) -> Result<bool, UrdfError> {
+    match joint.limit.and_then(|limit| limit.effort) {
+        None => Err(refuse(&joint.name, UrdfElementError::NoEffortLimit)),
+        Some(got) if got < 0.0 => Err(refuse(
+            &joint.name,
+            UrdfElementError::EffortLimit { got, unit: LimitKind::Torque.unit(kind) },
+        )),
+        Some(effort) => Ok(effort > 0.0),
     }
 }
 
 /// The limits of the joints of the chain; infinite where the URDF states none.
-fn rated_limits(chain: &[&UrdfJoint]) -> Result<Limits, UrdfError> {
+fn rated_limits(
+    order: &Order,
+    joints: &[JointParameters],
+    chain: &[&UrdfJoint],
+) -> Result<Limits, UrdfError> {
+    let sizes = order.sizes();
     let mut limits = Limits {
-        q_min: JointVector::repeat(f64::NEG_INFINITY),
-        q_max: JointVector::repeat(f64::INFINITY),
-        qd_max: JointVector::repeat(f64::INFINITY),
-        tau_max: ActuatedVector::zeros(),
+        q_min: JointVector::repeat(sizes, f64::NEG_INFINITY),
+        q_max: JointVector::repeat(sizes, f64::INFINITY),
+        qd_max: JointVector::repeat(sizes, f64::INFINITY),
+        tau_max: ActuatedVector::zeros(sizes),
     };
-    for (i, joint) in chain.iter().enumerate() {
+    for (i, (JointParameters { kind, .. }, joint)) in joints.iter().zip(chain).enumerate() {
+        let c = order.coordinate(i);
         let fail = |cause| Err(refuse(&joint.name, cause));
-        if joint.kind == UrdfJointKind::Revolute {
+        if *kind != JointKind::Continuous {
             let Some(limit) = joint.limit else {
                 return fail(UrdfElementError::NoLimit);
             };
             // As the format has it, what is not stated is 0.
             let (lower, upper) = (limit.lower.unwrap_or(0.0), limit.upper.unwrap_or(0.0));
             if lower >= upper {
-                return fail(UrdfElementError::PositionLimits { lower, upper });
+                return fail(UrdfElementError::PositionLimits { lower, upper, unit: kind.unit() });
             }
-            (limits.q_min[i], limits.q_max[i]) = (lower, upper);
+            (limits.q_min[c], limits.q_max[c]) = (lower, upper);
         }
         let (velocity, effort) = joint.limit.map_or((None, None), |limit| (limit.velocity, limit.effort));
         if let Some(velocity) = velocity {
             if velocity <= 0.0 {
-                return fail(UrdfElementError::VelocityLimit { got: velocity });
+                let unit = LimitKind::Velocity.unit(*kind);
+                return fail(UrdfElementError::VelocityLimit { got: velocity, unit });
             }
-            limits.qd_max[i] = velocity;
+            limits.qd_max[c] = velocity;
         }
-        if i < NU {
-            let (Some(_), Some(effort)) = (velocity, effort) else {
-                return fail(UrdfElementError::NoDriveLimits);
-            };
-            if effort <= 0.0 {
-                return fail(UrdfElementError::EffortLimit { got: effort });
+        if order.is_actuated(i) {
+            if velocity.is_none() {
+                return fail(UrdfElementError::NoVelocityLimit);
             }
-            limits.tau_max[i] = effort;
-        } else if let Some(effort) = effort.filter(|effort| *effort != 0.0) {
-            return fail(UrdfElementError::PendulumEffort { got: effort });
+            limits.tau_max[c] = effort.unwrap_or(0.0);
         }
     }
     Ok(limits)
@@ -143,12 +163,11 @@ fn rod_tip(com: Vector3<f64>) -> Vector3<f64> {
 
 /// Checks that the body on a joint has a positive mass and a positive definite inertia. The triangle inequality of the principal
 /// moments is not checked: identified parameters violate it by rounding, and the mass matrix M stays positive definite.
-fn check_body(joint: &Joint) -> Result<(), UrdfError> {
-    if joint.mass <= 0.0 {
-        return Err(refuse(&joint.name, UrdfElementError::NoMass { got: joint.mass }));
+fn check_body(joint: &JointParameters) -> Result<(), UrdfError> {
+    if joint.body.mass <= 0.0 {
+        return Err(refuse(&joint.name, UrdfElementError::NoMass { got: joint.body.mass }));
     }
-    // Only whether the factor exists counts; `positive` is written out for M of all joints.
-    if nalgebra::Cholesky::new(joint.inertia).is_none() {
+    if nalgebra::Cholesky::new(joint.body.inertia).is_none() {
         return Err(refuse(&joint.name, UrdfElementError::Inertia));
     }
     Ok(())

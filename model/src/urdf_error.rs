@@ -1,6 +1,6 @@
 //! Errors of reading a URDF and of building a model from it: the element, the expected and the actual value, and a remedy.
 
-use crate::{NQ, NU};
+use crate::MOST_JOINTS;
 use std::fmt;
 
 /// Reason why a URDF gives no model.
@@ -9,16 +9,32 @@ pub enum UrdfError {
     /// The text is not a URDF.
     #[error("not a readable URDF: {0}")]
     Parse(#[from] UrdfSyntaxError),
-    /// The URDF does not have `NQ` revolute joints.
-    #[error(
-        "expected {NQ} revolute joints in one chain ({NU} driven, then {} of the pendulum), got {}: {}; other numbers are not \
-         supported yet",
-        NQ - NU, .got.len(), .got.join(", ")
-    )]
-    JointCount {
-        /// Names of the joints found.
-        got: Vec<String>,
+    /// The chain has no actuated joint.
+    #[error("expected a joint with a motor, got none: `effort` in the <limit> of {} is 0", .joints.join(", "))]
+    NoActuatedJoint {
+        /// Names of the movable joints.
+        joints: Vec<String>,
     },
+    /// The chain has no unactuated joint.
+    #[error(
+        "expected a joint without a motor, got none: set effort=\"0\" in the <limit> of the free joint among {}",
+        .joints.join(", ")
+    )]
+    NoUnactuatedJoint {
+        /// Names of the movable joints.
+        joints: Vec<String>,
+    },
+    /// The chain has more than [`MOST_JOINTS`] movable joints.
+    #[error(
+        "expected at most {MOST_JOINTS} movable joints in one chain, got {got}: fix those that do not matter (type=\"fixed\")"
+    )]
+    TooManyJoints {
+        /// Number of movable joints.
+        got: usize,
+    },
+    /// No link moves.
+    #[error("expected a chain of movable joints, got none: all joints are fixed")]
+    NoJoint,
     /// A link carries two movable joints, so that the joints are no serial chain.
     #[error("link `{link}` carries the joints {}: expected one unbranched chain; fix what is no part of it", .joints.join(", "))]
     Branch {
@@ -222,7 +238,9 @@ pub enum UrdfElementError {
         link: String,
     },
     /// The type of a joint is not supported.
-    #[error("expected a revolute, continuous or fixed joint, got `{got}`: others are not supported yet")]
+    #[error(
+        "expected a revolute, continuous, prismatic or fixed joint, got `{got}`: others are not supported yet"
+    )]
     JointType {
         /// Type of the joint.
         got: String,
@@ -239,37 +257,40 @@ pub enum UrdfElementError {
         /// Text of the axis.
         got: String,
     },
-    /// A revolute joint has no limits.
-    #[error("expected a <limit> of a revolute joint, got none")]
+    /// A revolute or prismatic joint has no limits.
+    #[error("expected a <limit> of a revolute or prismatic joint, got none")]
     NoLimit,
     /// The range of a joint is empty.
-    #[error("expected a lower limit below the upper one, got {lower} and {upper} rad")]
+    #[error("expected a lower limit below the upper one, got {lower} and {upper} {unit}")]
     PositionLimits {
-        /// Lower limit, rad.
+        /// Lower limit.
         lower: f64,
-        /// Upper limit, rad.
+        /// Upper limit.
         upper: f64,
+        /// rad or m.
+        unit: &'static str,
     },
     /// The velocity limit of a joint is 0 or negative.
-    #[error("expected a velocity limit above 0, got {got} rad/s")]
+    #[error("expected a velocity limit above 0, got {got} {unit}")]
     VelocityLimit {
-        /// Velocity limit, rad/s.
+        /// Velocity limit.
         got: f64,
+        /// rad/s or m/s.
+        unit: &'static str,
     },
-    /// A driven joint has no velocity limit or no effort limit.
-    #[error("expected velocity and effort in the <limit> of a driven joint, got one or none")]
-    NoDriveLimits,
-    /// The effort limit of a driven joint is 0 or negative.
-    #[error("expected an effort above 0 of a driven joint, got {got} N m")]
+    /// An actuated joint has no velocity limit.
+    #[error("expected a velocity in the <limit> of a joint with a motor, got none")]
+    NoVelocityLimit,
+    /// A movable joint does not state whether it has a motor.
+    #[error("expected an effort in its <limit>: that of its motor, or 0 without a motor; got none")]
+    NoEffortLimit,
+    /// The effort limit of a joint is negative.
+    #[error("expected an effort above 0 of a motor, or 0 without a motor, got {got} {unit}")]
     EffortLimit {
-        /// Effort limit, N m.
+        /// Effort limit.
         got: f64,
-    },
-    /// A joint of the pendulum has an effort limit, as if it had a motor.
-    #[error("expected effort=\"0\" of a joint of the pendulum, which has no motor, got {got} N m")]
-    PendulumEffort {
-        /// Effort limit, N m.
-        got: f64,
+        /// N m or N.
+        unit: &'static str,
     },
     /// The body on a movable joint has no mass.
     #[error("expected a body with a mass above 0 on it, got {got} kg")]
