@@ -1,6 +1,6 @@
 //! The certificate of a database entry: figures of its trajectory that can be computed again from the trajectory alone.
 
-use crate::{Margins, N, Trajectory, largest};
+use crate::{Margins, Trajectory, largest};
 use upswing_model::{Limits, Model, State, Workspace};
 
 /// Cost, accuracy and margins of one trajectory, which [`Certificate::of`] computes.
@@ -34,7 +34,7 @@ impl Certificate {
             margin_q: margins.q.share,
             margin_qd: margins.qd.share,
             margin_tau: margins.tau.share,
-            end_error: largest(&(open_loop_end(trajectory, model, &mut work) - trajectory.x[N])),
+            end_error: largest(&(open_loop_end(trajectory, model, &mut work) - trajectory.end())),
         }
     }
 
@@ -86,9 +86,9 @@ pub fn open_loop_end(trajectory: &Trajectory, model: &Model, work: &mut Workspac
     const SHORTEST: f64 = 1e-9;
     let f = trajectory.f(model, work);
     let spline = trajectory.spline(&f);
-    let mut x = trajectory.x[0];
+    let mut x = *trajectory.start();
     let mut step = trajectory.h();
-    for k in 0..N {
+    for k in 0..trajectory.intervals() {
         let (mut t, end) = (k as f64 * trajectory.h(), (k + 1) as f64 * trajectory.h());
         while t < end {
             let h = step.min(end - t);
@@ -99,7 +99,7 @@ pub fn open_loop_end(trajectory: &Trajectory, model: &Model, work: &mut Workspac
                 x = next;
                 t = if last { end } else { t + h };
             } else if h <= SHORTEST {
-                return State::repeat(f64::NAN);
+                return State::repeat(x.sizes(), f64::NAN);
             }
             let growth = 0.9 * (TOLERANCE / worst.max(1e-300)).powf(0.2);
             step = (h * growth.clamp(0.2, 5.0)).max(SHORTEST);
@@ -123,7 +123,7 @@ fn dormand_prince(x: &State, t: f64, h: f64, mut f: impl FnMut(f64, &State) -> S
     /// Weights of order 5 minus those of order 4.
     const E: [f64; 7] =
         [71.0 / 57600.0, 0.0, -71.0 / 16695.0, 71.0 / 1920.0, -17253.0 / 339200.0, 22.0 / 525.0, -1.0 / 40.0];
-    let mut slopes = [State::zeros(); 7];
+    let mut slopes = [State::zeros(x.sizes()); 7];
     let mut next = *x;
     for i in 0..7 {
         next = *x;
@@ -132,6 +132,6 @@ fn dormand_prince(x: &State, t: f64, h: f64, mut f: impl FnMut(f64, &State) -> S
         }
         slopes[i] = f(t + C[i] * h, &next);
     }
-    let error = slopes.iter().zip(E).fold(State::zeros(), |sum, (slope, e)| sum + slope * (h * e));
+    let error = slopes.iter().zip(E).fold(State::zeros(x.sizes()), |sum, (slope, e)| sum + slope * (h * e));
     (next, error)
 }

@@ -6,10 +6,10 @@ mod motion;
 
 pub use feedback::LoopDelays;
 
-use crate::{Plan, Trajectory};
+use crate::{INTERVALS, Plan, Trajectory};
 use nalgebra::Vector3;
 use upswing_model::thresholds::REST_SPEED_PLAN_END;
-use upswing_model::{ActuatedVector, LimitKind, Limits, Model};
+use upswing_model::{ActuatedVector, LimitKind, Limits, Model, Sizes};
 
 /// Largest excess of a plan over its velocity limits, rad/s, and its torque limits, as a share. A solver meets its limits up to a
 /// tolerance, a start may be measured just outside, and one QP around a database trajectory (14)-(17) meets the
@@ -61,6 +61,35 @@ impl Ending {
 /// The first criterion that a plan does not meet.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum UnmetCriterion {
+    /// The plan has too few or too many intervals.
+    #[error("N is {got}, expected {} to {}", INTERVALS.start(), INTERVALS.end())]
+    Intervals {
+        /// Number of intervals.
+        got: usize,
+    },
+    /// A part of the plan has another number of knots than its states.
+    #[error("{what} has {got} knots, x has {expected}")]
+    Knots {
+        /// Symbol of the quantity in the plan.
+        what: &'static str,
+        /// Number of knots of x.
+        expected: usize,
+        /// Number of knots of the quantity.
+        got: usize,
+    },
+    /// A part of the plan was made for a chain with other numbers of joints.
+    #[error(
+        "{what} is for {} joints with {} motors, the model has {} joints with {} motors",
+        .got.joints(), .got.actuated(), .expected.joints(), .expected.actuated()
+    )]
+    Sizes {
+        /// Symbol of the quantity in the plan.
+        what: &'static str,
+        /// Numbers of joints of the model.
+        expected: Sizes,
+        /// Numbers of joints of the quantity.
+        got: Sizes,
+    },
     /// A number of the plan is NaN or infinite.
     #[error("{what} at knot {knot} is {got}, expected a finite number")]
     NotFinite {
@@ -79,15 +108,16 @@ pub enum UnmetCriterion {
     },
     /// The trajectory exceeds a limit.
     #[error(
-        "{kind} of joint {} at knot {knot:.2} is {got:.4}, expected {lowest:.4} to {highest:.4} {}",
-        .joint + 1,
-        .kind.unit()
+        "{kind} of joint {} at knot {knot:.2} is {got:.4}, expected {lowest:.4} to {highest:.4} {unit}",
+        .joint + 1
     )]
     Limit {
-        /// The kind of the limit, which gives the unit of the numbers below.
+        /// The kind of the limit.
         kind: LimitKind,
         /// The joint, from 0.
         joint: usize,
+        /// Unit of the numbers below.
+        unit: &'static str,
         /// Number of the knot; with a fraction between two knots.
         knot: f64,
         /// The value in the plan.
@@ -111,15 +141,16 @@ pub enum UnmetCriterion {
     },
     /// The spline (12) jumps at a knot: the defect (6b) is too large.
     #[error(
-        "{kind} of joint {} jumps by {got:.2e} {} before knot {knot}: its defect (6b) is expected to be at most {most:.0e}",
-        .joint + 1,
-        .kind.unit()
+        "{kind} of joint {} jumps by {got:.2e} {unit} before knot {knot}: its defect (6b) is expected to be at most {most:.0e}",
+        .joint + 1
     )]
     Defect {
-        /// Position or velocity, which gives the unit of the numbers below.
+        /// Position or velocity.
         kind: LimitKind,
         /// The joint, from 0.
         joint: usize,
+        /// Unit of the numbers below.
+        unit: &'static str,
         /// Number of the knot at the end of the interval.
         knot: usize,
         /// Magnitude of the defect.
@@ -177,7 +208,7 @@ pub enum UnmetCriterion {
 }
 
 impl PlanCriteria {
-    /// Checks that a robot may follow the plan, in this order: all numbers finite; t_F; positions and velocities (at the
+    /// Checks that a robot may follow the plan, in this order: numbers of knots and joints; all numbers finite; t_F; positions and velocities (at the
     /// knots and at the extrema of the spline between them) and torques (9) (at the knots and at points between them); f_k
     /// against the model; defects (6b); rest at the end, with the rod standing or hanging; the gains. Id and fingerprint of
     /// the plan are not checked here.
@@ -198,4 +229,17 @@ fn finite<'a>(what: &'static str, knots: impl Iterator<Item = &'a [f64]>) -> Res
         }
     }
     Ok(())
+}
+
+/// Checks that all parts of a quantity are for the numbers of joints of the model.
+fn same_sizes(
+    what: &'static str,
+    model: &Model,
+    mut sizes: impl Iterator<Item = Sizes>,
+) -> Result<(), UnmetCriterion> {
+    let expected = model.sizes();
+    match sizes.find(|got| *got != expected) {
+        Some(got) => Err(UnmetCriterion::Sizes { what, expected, got }),
+        None => Ok(()),
+    }
 }

@@ -1,34 +1,32 @@
 //! The file format of the trajectory database.
 //!
-//! A file consists of little-endian words of 8 bytes. The header holds: magic, format version, dimensions, fingerprints,
-//! number of poses in the grid, shard, number of records, checksum. One record per pose of the grid follows, in the order
-//! of the grid: number of the pose, outcome and, if a trajectory was found, its certificate, t_F, x_0, and
-//! (u_k, q_U,k, qd_U,k) at each knot. The states of the actuated joints follow from u by (6b), which is exact for double
+//! A file consists of little-endian words of 8 bytes. The header holds: magic, format version, number of its bytes, n, n_A, N, length
+//! of the keys, fingerprints, number of poses in the grid, shard, number of records, names of the joints, checksum. A name is its number
+//! of bytes, and the bytes, filled up to a whole word with zeros; names and vectors have the order [A, U]. One record per pose of the
+//! grid follows, in the order of the grid: number of the pose, outcome and, if a trajectory was found, its key, its certificate, t_F,
+//! x_0, and (u_k, q_U,k, qd_U,k) at each knot. The states of the actuated joints follow from u by (6b), which is exact for double
 //! integrators. Each record ends with its checksum (XXH3, 64 bit).
 //!
 //! During a build, records are appended to a journal: the same file without the number of records.
 
-use crate::{Certificate, KNOTS, N, Trajectory};
-use upswing_model::{ActuatedVector, N_UNACTUATED, NU, NX, State, StateParts};
+use crate::{Certificate, INTERVALS, Trajectory};
+use upswing_model::{ActuatedVector, MOST_JOINTS, Model, Sizes, State};
 use xxhash_rust::xxh3::xxh3_64;
 
 const MAGIC: &[u8; 8] = b"upswing\0";
-const VERSION: u64 = 2;
-/// Words of the header, including its checksum.
-const HEADER_WORDS: usize = 13;
-const HEADER: usize = 8 * HEADER_WORDS;
+const VERSION: u64 = 3;
+/// Words of the header before the names of the joints.
+const FIXED_WORDS: usize = 14;
 /// Number of records in the header of a journal, which is not known yet.
 const OPEN_END: u64 = u64::MAX;
 /// Bytes of a record without trajectory: pose, outcome, checksum.
 const SHORT_RECORD: usize = 3 * 8;
-/// Words of a trajectory: certificate, t_F, x_0, knots.
-const ENTRY_WORDS: usize = 6 + 1 + NX + KNOTS * (NU + 2 * N_UNACTUATED);
-/// Bytes of a record with a trajectory.
-const LONG_RECORD: usize = SHORT_RECORD + 8 * ENTRY_WORDS;
 
 /// The optimal trajectory from one start state.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Entry {
+    /// What a search compares: the start pose q_A, then what else the entry was made for.
+    pub key: Vec<f64>,
     /// The trajectory; its x_0 is the start state.
     pub trajectory: Trajectory,
     /// The certificate of the trajectory.
@@ -56,8 +54,16 @@ pub struct PoseRecord {
 }
 
 /// The robot, the settings and the grid that a database was made for, and the part of it that a file holds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DatabaseHeading {
+    /// Numbers of joints of the robot.
+    pub sizes: Sizes,
+    /// Names of the joints in the order of the vectors, [A, U].
+    pub joints: Vec<String>,
+    /// N, the number of intervals of every trajectory.
+    pub intervals: usize,
+    /// Length of the key of every entry, n_A or more.
+    pub key: usize,
     /// Fingerprint of the model.
     pub model: u64,
     /// Fingerprint of the limits, weights and target of the optimisation.
@@ -100,7 +106,7 @@ pub enum DatabaseError {
         /// The first bytes of the file.
         got: Vec<u8>,
     },
-    /// The file was written by another version, or for other dimensions.
+    /// The file was written by another version.
     #[error("{what}: this build expects {expected}, the file has {got}; rebuild it with `upswing db build`")]
     Layout {
         /// Name of the number that differs.
@@ -130,6 +136,27 @@ pub enum DatabaseError {
         /// The number in the file.
         got: String,
     },
+    /// The database was made for a robot with other joints.
+    #[error(
+        "the database was made for a robot with the joints {}, the settings have {}; rebuild it with `upswing db build`",
+        .got.join(", "), .expected.join(", ")
+    )]
+    Joints {
+        /// Names of the joints of the model, [A, U].
+        expected: Vec<String>,
+        /// Names of the joints in the file, [A, U].
+        got: Vec<String>,
+    },
+    /// The database was made for a robot with other motors.
+    #[error(
+        "the database was made for a robot with {got} motors, the settings have {expected}; rebuild it with `upswing db build`"
+    )]
+    Motors {
+        /// n_A of the model.
+        expected: usize,
+        /// n_A in the file.
+        got: usize,
+    },
     /// The database was made for another robot or other settings.
     #[error(
         "the database was made for another {what}: its fingerprint is {got:016x}, the settings give \
@@ -158,34 +185,49 @@ pub enum DatabaseError {
 
 impl Entry {
     /// The entry of a trajectory that a solver found. The states of the actuated joints are replaced by those that follow
-    /// from x_0 and u by (6b), as when the file is read; they differ by the tolerance of the solver.
+    /// from x_0 and u by (6b), as when the file is read; they differ by the tolerance of the solver. The key is the start pose.
     pub fn new(trajectory: &Trajectory, certify: impl FnOnce(&Trajectory) -> Certificate) -> Self {
         let trajectory = integrate_arm(trajectory.clone());
         let certificate = certify(&trajectory);
-        Self { trajectory, certificate }
+        Self { key: trajectory.start().q_a().to_vec(), trajectory, certificate }
     }
 }
 
 /// Computes q_A and qd_A of all knots after the first from u by (6b).
 fn integrate_arm(mut t: Trajectory) -> Trajectory {
     let half_h = 0.5 * t.h();
-    for k in 0..N {
+    for k in 0..t.intervals() {
         let (q_a, qd_a) = (t.x[k].q_a(), t.x[k].qd_a());
         let next_qd_a = qd_a + (t.u[k] + t.u[k + 1]) * half_h;
-        t.x[k + 1].q_a_mut().copy_from(&(q_a + (qd_a + next_qd_a) * half_h));
-        t.x[k + 1].qd_a_mut().copy_from(&next_qd_a);
+        t.x[k + 1].q_a_mut().copy_from_slice(&(q_a + (qd_a + next_qd_a) * half_h));
+        t.x[k + 1].qd_a_mut().copy_from_slice(&next_qd_a);
     }
     t
 }
 
 impl DatabaseHeading {
-    /// Checks that the database was made for the model and the problem with these fingerprints.
+    /// Names of the joints of a model in the order of its vectors, [A, U].
+    pub fn joints_of(model: &Model) -> Vec<String> {
+        (0..model.sizes().joints()).map(|c| model.joint_name(c).to_owned()).collect()
+    }
+
+    /// Checks that the database was made for the model, and for the problem with this fingerprint.
     ///
     /// # Errors
-    /// [`DatabaseError::Fingerprint`] with both fingerprints.
-    pub fn check_origin(&self, model: u64, problem: u64) -> Result<(), DatabaseError> {
-        let pairs =
-            [("robot model", model, self.model), ("set of limits and weights", problem, self.problem)];
+    /// [`DatabaseError::Joints`], [`DatabaseError::Motors`] or [`DatabaseError::Fingerprint`] with what both have.
+    pub fn check_origin(&self, model: &Model, problem: u64) -> Result<(), DatabaseError> {
+        let expected = Self::joints_of(model);
+        if expected != self.joints {
+            return Err(DatabaseError::Joints { expected, got: self.joints.clone() });
+        }
+        let (expected, got) = (model.sizes().actuated(), self.sizes.actuated());
+        if expected != got {
+            return Err(DatabaseError::Motors { expected, got });
+        }
+        let pairs = [
+            ("robot model", model.fingerprint(), self.model),
+            ("set of limits and weights", problem, self.problem),
+        ];
         match pairs.into_iter().find(|(_, expected, got)| expected != got) {
             Some((what, expected, got)) => Err(DatabaseError::Fingerprint { what, expected, got }),
             None => Ok(()),
@@ -194,12 +236,15 @@ impl DatabaseHeading {
 
     /// The bytes of the header of a file with this number of records.
     fn encode(&self, records: u64) -> Vec<u8> {
+        let names: usize = self.joints.iter().map(|name| 1 + name.len().div_ceil(8)).sum();
         let mut bytes = MAGIC.to_vec();
         let words = [
             VERSION,
-            NX as u64,
-            NU as u64,
-            KNOTS as u64,
+            (8 * (FIXED_WORDS + names + 1)) as u64,
+            self.sizes.joints() as u64,
+            self.sizes.actuated() as u64,
+            self.intervals as u64,
+            self.key as u64,
             self.model,
             self.problem,
             self.grid,
@@ -209,6 +254,11 @@ impl DatabaseHeading {
             records,
         ];
         words.iter().for_each(|v| bytes.extend_from_slice(&v.to_le_bytes()));
+        for name in &self.joints {
+            bytes.extend_from_slice(&(name.len() as u64).to_le_bytes());
+            bytes.extend_from_slice(name.as_bytes());
+            bytes.resize(bytes.len().next_multiple_of(8), 0);
+        }
         seal(&mut bytes);
         bytes
     }
@@ -218,42 +268,93 @@ impl DatabaseHeading {
         self.encode(OPEN_END)
     }
 
-    fn decode(bytes: &[u8]) -> Result<(Self, u64), DatabaseError> {
+    /// The header at the beginning of `bytes`, its number of records, and its length in bytes.
+    fn decode(bytes: &[u8]) -> Result<(Self, u64, usize), DatabaseError> {
         if bytes.is_empty() {
             return Err(DatabaseError::Empty);
         }
         if !bytes.starts_with(MAGIC) {
             return Err(DatabaseError::Magic { got: bytes.iter().take(MAGIC.len()).copied().collect() });
         }
-        let dimensions = [
-            ("format version", 1, VERSION),
-            ("state dimension", 2, NX as u64),
-            ("input dimension", 3, NU as u64),
-            ("number of knots", 4, KNOTS as u64),
-        ];
         // The version first: only then the length means something.
-        for (what, i, expected) in dimensions {
-            if bytes.len() >= (i + 1) * 8 && word(bytes, i) != expected {
-                return Err(DatabaseError::Layout { what, expected, got: word(bytes, i) });
-            }
+        if bytes.len() >= 16 && word(bytes, 1) != VERSION {
+            let (expected, got) = (VERSION, word(bytes, 1));
+            return Err(DatabaseError::Layout { what: "format version", expected, got });
         }
-        if bytes.len() < HEADER {
-            return Err(DatabaseError::Length {
-                what: "the header".into(),
-                expected: HEADER,
-                got: bytes.len(),
-            });
+        let truncated =
+            |expected| DatabaseError::Length { what: "the header".into(), expected, got: bytes.len() };
+        let least = 8 * (FIXED_WORDS + 1);
+        if bytes.len() < least {
+            return Err(truncated(least));
         }
-        check(&bytes[..HEADER], || "the header".into())?;
+        let value = |what: &str, expected: String, got: u64| DatabaseError::Value {
+            what: what.into(),
+            expected,
+            got: got.to_string(),
+        };
+        let length = usize::try_from(word(bytes, 2)).unwrap_or(usize::MAX);
+        if length < least || !length.is_multiple_of(8) {
+            return Err(value(
+                "length of the header",
+                format!("{least} or more, whole words"),
+                word(bytes, 2),
+            ));
+        }
+        let header = bytes.get(..length).ok_or_else(|| truncated(length))?;
+        check(header, || "the header".into())?;
+
+        let [joints, actuated, intervals, key] = std::array::from_fn(|i| word(header, 3 + i));
+        let small = |v: u64| usize::try_from(v).unwrap_or(usize::MAX);
+        let sizes = Sizes::new(small(joints), small(actuated)).ok_or_else(|| {
+            let expected = format!("fewer than the {joints} joints, which are at most {MOST_JOINTS}");
+            value("number of motors", expected, actuated)
+        })?;
+        if !INTERVALS.contains(&small(intervals)) {
+            let expected = format!("{} to {}", INTERVALS.start(), INTERVALS.end());
+            return Err(value("number of intervals", expected, intervals));
+        }
+        let keys = sizes.actuated()..=sizes.actuated() + sizes.state();
+        if !keys.contains(&small(key)) {
+            let expected = format!("{} to {}", keys.start(), keys.end());
+            return Err(value("length of the keys", expected, key));
+        }
         let [model, problem, grid, poses, shard, shards, records] =
-            std::array::from_fn(|i| word(bytes, 5 + i));
-        let heading = Self { model, problem, grid, poses, shard, shards };
+            std::array::from_fn(|i| word(header, 7 + i));
         if shard == 0 || shard > shards {
-            let expected = format!("1 to {shards}");
-            return Err(DatabaseError::Value { what: "shard".into(), expected, got: shard.to_string() });
+            return Err(value("shard", format!("1 to {shards}"), shard));
         }
-        Ok((heading, records))
+        let joints = decode_names(&header[8 * FIXED_WORDS..length - 8], sizes.joints())?;
+        let (intervals, key) = (small(intervals), small(key));
+        let heading = Self { sizes, joints, intervals, key, model, problem, grid, poses, shard, shards };
+        Ok((heading, records, length))
     }
+
+    /// Bytes of a record with a trajectory: key, certificate, t_F, x_0, knots.
+    fn long_record(&self) -> usize {
+        let knot = self.sizes.actuated() + 2 * self.sizes.unactuated();
+        SHORT_RECORD + 8 * (self.key + 6 + 1 + self.sizes.state() + (self.intervals + 1) * knot)
+    }
+}
+
+/// The `count` names of joints that fill `bytes`, which are whole words.
+fn decode_names(mut bytes: &[u8], count: usize) -> Result<Vec<String>, DatabaseError> {
+    let refuse = |got: String| DatabaseError::Value {
+        what: "names of the joints".into(),
+        expected: format!("{count} names in UTF-8"),
+        got,
+    };
+    let mut names = Vec::with_capacity(count);
+    for i in 0..count {
+        let missing = || refuse(format!("{i} names"));
+        let (length, rest) = bytes.split_first_chunk().ok_or_else(missing)?;
+        let length = usize::try_from(u64::from_le_bytes(*length)).unwrap_or(usize::MAX);
+        let name = rest.get(..length).ok_or_else(missing)?;
+        let name = std::str::from_utf8(name).map_err(|e| refuse(format!("name {}: {e}", i + 1)))?;
+        names.push(name.to_owned());
+        // In range: `rest` is whole words and has at least `length` bytes.
+        bytes = &rest[length.next_multiple_of(8)..];
+    }
+    if bytes.is_empty() { Ok(names) } else { Err(refuse(format!("{} bytes more", bytes.len()))) }
 }
 
 impl PoseRecord {
@@ -268,13 +369,14 @@ impl PoseRecord {
         bytes.extend_from_slice(&outcome.to_le_bytes());
         if let PoseOutcome::Solved(entry) = &self.outcome {
             let mut put = |v: f64| bytes.extend_from_slice(&v.to_le_bytes());
+            entry.key.iter().for_each(|v| put(*v));
             entry.certificate.to_array().into_iter().for_each(&mut put);
             let t = &entry.trajectory;
             put(t.t_f);
-            t.x[0].iter().for_each(|v| put(*v));
+            t.start().iter().for_each(|v| put(*v));
             for (x, u) in t.knots() {
                 u.iter().for_each(|v| put(*v));
-                for (q, qd) in x.q_u().iter().zip(&x.qd_u()) {
+                for (q, qd) in x.q_u().iter().zip(x.qd_u().iter()) {
                     put(*q);
                     put(*qd);
                 }
@@ -285,7 +387,11 @@ impl PoseRecord {
     }
 
     /// The record at the beginning of `bytes`, and its length in bytes.
-    fn decode(bytes: &[u8], number: usize) -> Result<(Self, usize), DatabaseError> {
+    fn decode(
+        bytes: &[u8],
+        number: usize,
+        heading: &DatabaseHeading,
+    ) -> Result<(Self, usize), DatabaseError> {
         let what = || format!("record {number}");
         let truncated = |expected| DatabaseError::Length { what: what(), expected, got: bytes.len() };
         if bytes.len() < SHORT_RECORD {
@@ -294,7 +400,7 @@ impl PoseRecord {
         let (pose, kind) = (word(bytes, 0), word(bytes, 1));
         let length = match kind {
             0 | 1 => SHORT_RECORD,
-            2 => LONG_RECORD,
+            2 => heading.long_record(),
             got => {
                 let expected = "an outcome from 0 to 2".into();
                 return Err(DatabaseError::Value { what: what(), expected, got: got.to_string() });
@@ -305,26 +411,32 @@ impl PoseRecord {
         let outcome = match kind {
             0 => PoseOutcome::Rejected,
             1 => PoseOutcome::Failed,
-            _ => PoseOutcome::Solved(Box::new(decode_entry(&record[16..], what)?)),
+            _ => PoseOutcome::Solved(Box::new(decode_entry(&record[16..], heading, what)?)),
         };
         Ok((Self { pose, outcome }, length))
     }
 }
 
 /// The entry in the bytes of a record after its outcome. The figures of its certificate may be any numbers.
-fn decode_entry(bytes: &[u8], what: impl Fn() -> String) -> Result<Entry, DatabaseError> {
+fn decode_entry(
+    bytes: &[u8],
+    heading: &DatabaseHeading,
+    what: impl Fn() -> String,
+) -> Result<Entry, DatabaseError> {
     let mut values = bytes.chunks_exact(8).map(|c| f64::from_le_bytes(std::array::from_fn(|b| c[b])));
     let mut next = || values.next().unwrap_or(f64::NAN);
+    let (sizes, knots) = (heading.sizes, heading.intervals + 1);
+    let key: Vec<f64> = (0..heading.key).map(|_| next()).collect();
     let certificate = Certificate::from_array(std::array::from_fn(|_| next()));
     let t_f = next();
-    let mut x = Box::new([State::zeros(); KNOTS]);
-    let mut u = Box::new([ActuatedVector::zeros(); KNOTS]);
-    x[0] = State::from_fn(|_, _| next());
-    for k in 0..KNOTS {
-        u[k] = ActuatedVector::from_fn(|_, _| next());
-        for i in 0..N_UNACTUATED {
-            x[k].q_u_mut()[i] = next();
-            x[k].qd_u_mut()[i] = next();
+    let mut x = vec![State::zeros(sizes); knots];
+    let mut u = Vec::with_capacity(knots);
+    x[0] = State::from_fn(sizes, |_| next());
+    for x in &mut x {
+        u.push(ActuatedVector::from_fn(sizes, |_| next()));
+        for i in 0..sizes.unactuated() {
+            x.q_u_mut()[i] = next();
+            x.qd_u_mut()[i] = next();
         }
     }
     let refuse = |name: &str, expected: String, got: f64| {
@@ -335,11 +447,18 @@ fn decode_entry(bytes: &[u8], what: impl Fn() -> String) -> Result<Entry, Databa
         return refuse("t_F", format!("more than 0 and at most {} s", Trajectory::LONGEST), t_f);
     }
     let trajectory = integrate_arm(Trajectory { t_f, x, u });
-    let numbers = trajectory.x.iter().flatten().chain(trajectory.u.iter().flatten());
+    let numbers = trajectory.knots().flat_map(|(x, u)| x.iter().chain(u.iter()));
     if let Some(got) = numbers.copied().find(|v| !v.is_finite()) {
         return refuse("the trajectory", "finite numbers".into(), got);
     }
-    Ok(Entry { trajectory, certificate })
+    let start = trajectory.start().q_a();
+    if let Some(i) = (0..start.len()).find(|i| key[*i] != start[*i]) {
+        return refuse("the key", format!("the start pose, {}", start[i]), key[i]);
+    }
+    if let Some(got) = key.iter().copied().find(|v| !v.is_finite()) {
+        return refuse("the key", "finite numbers".into(), got);
+    }
+    Ok(Entry { key, trajectory, certificate })
 }
 
 impl Database {
@@ -355,12 +474,11 @@ impl Database {
     /// # Errors
     /// [`DatabaseError`] if a part of the file is damaged or of another version.
     pub fn decode(bytes: &[u8]) -> Result<Self, DatabaseError> {
-        let (heading, count) = DatabaseHeading::decode(bytes)?;
+        let (heading, count, mut at) = DatabaseHeading::decode(bytes)?;
         let mut records = Vec::new();
-        let mut at = HEADER;
         // A journal has no number of records; its last record must be complete, too.
         while if count == OPEN_END { at < bytes.len() } else { (records.len() as u64) < count } {
-            let (record, length) = PoseRecord::decode(&bytes[at..], records.len())?;
+            let (record, length) = PoseRecord::decode(&bytes[at..], records.len(), &heading)?;
             at += length;
             records.push(record);
         }
@@ -377,10 +495,9 @@ impl Database {
     /// # Errors
     /// [`DatabaseError`] if the header is damaged.
     pub fn recover(bytes: &[u8]) -> Result<(Self, usize), DatabaseError> {
-        let (heading, _) = DatabaseHeading::decode(bytes)?;
+        let (heading, _, mut at) = DatabaseHeading::decode(bytes)?;
         let mut records = Vec::new();
-        let mut at = HEADER;
-        while let Ok((record, length)) = PoseRecord::decode(&bytes[at..], records.len()) {
+        while let Ok((record, length)) = PoseRecord::decode(&bytes[at..], records.len(), &heading) {
             at += length;
             records.push(record);
         }
@@ -395,11 +512,11 @@ impl Database {
         })
     }
 
-    /// The entries of a database that was made for the model and the problem with these fingerprints.
+    /// The entries of a database that was made for the model, and for the problem with this fingerprint.
     ///
     /// # Errors
-    /// [`DatabaseError::Fingerprint`] with both fingerprints, [`DatabaseError::Shard`] or [`DatabaseError::Empty`].
-    pub fn entries_for(self, model: u64, problem: u64) -> Result<Vec<Entry>, DatabaseError> {
+    /// Those of [`DatabaseHeading::check_origin`], [`DatabaseError::Shard`] or [`DatabaseError::Empty`].
+    pub fn entries_for(self, model: &Model, problem: u64) -> Result<Vec<Entry>, DatabaseError> {
         let h = &self.heading;
         h.check_origin(model, problem)?;
         if h.shards > 1 {

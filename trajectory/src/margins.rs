@@ -1,7 +1,7 @@
 //! Margins: how far a trajectory stays from its limits, also between the knots.
 
-use crate::{N, Spline, Trajectory};
-use upswing_model::{ActuatedVector, LimitKind, Limits, Model, NQ, NU, State, StateParts, Workspace};
+use crate::{Spline, Trajectory};
+use upswing_model::{ActuatedVector, LimitKind, Limits, Model, State, Workspace};
 
 /// The smallest distance to the limits of one kind.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,7 +46,7 @@ impl SplinePoint {
         model: &Model,
         work: &mut Workspace,
     ) -> Self {
-        let time = spline.t_f * i as f64 / (N * parts) as f64;
+        let time = spline.t_f * i as f64 / (spline.intervals() * parts) as f64;
         let x = spline.state(time);
         let tau = model.torque(&x, &spline.input(time), work);
         Self { time, x, tau }
@@ -74,7 +74,7 @@ impl Margins {
         let spline = trajectory.spline(&f);
         let parts = between + 1;
         let mut margins = Self::NONE;
-        for i in 0..=N * parts {
+        for i in 0..=spline.intervals() * parts {
             margins.include(&SplinePoint::new(&spline, i, parts, model, &mut work), limits);
         }
         margins
@@ -82,11 +82,11 @@ impl Margins {
 
     pub(crate) fn include(&mut self, sample: &SplinePoint, limits: &Limits) {
         let (q, qd) = (sample.x.q(), sample.x.qd());
-        for joint in 0..NQ {
+        for joint in 0..q.len() {
             self.q.include(q[joint], limits.range(LimitKind::Position, joint), joint, sample.time);
             self.qd.include(qd[joint], limits.range(LimitKind::Velocity, joint), joint, sample.time);
         }
-        for joint in 0..NU {
+        for joint in 0..sample.tau.len() {
             self.tau.include(sample.tau[joint], limits.range(LimitKind::Torque, joint), joint, sample.time);
         }
     }

@@ -1,32 +1,31 @@
 //! A plan: a trajectory with the feedback gains that track it and hold its end.
 
-use crate::{Knots, N, Spline, Trajectory};
-use upswing_model::{ActuatedVector, NU, NX, State};
-
-/// Feedback gain K (22), NU x NX: du = K dx, 1/s^2 for positions and 1/s for velocities.
-pub type Gain = nalgebra::SMatrix<f64, NU, NX>;
-
-/// Feedback gains of a trajectory.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Gains {
-    /// K_k (23) at the knots.
-    pub knots: Knots<Gain>,
-    /// The gain that holds x_N after t_F, from the algebraic Riccati equation (21).
-    pub end: Gain,
-}
+use crate::{Gains, InterpolatedGain, Spline, Trajectory};
+use upswing_model::{ActuatedVector, State};
 
 /// The reference of the controller at one moment: u = u_d + K (x - x_d).
 #[derive(Clone, Copy, Debug)]
-pub struct Reference {
-    /// x_d = [q, qd], rad and rad/s.
+pub struct Reference<'a> {
+    /// x_d = [q, qd].
     pub x: State,
-    /// u_d, rad/s^2.
+    /// u_d.
     pub u: ActuatedVector,
     /// K, 1/s^2 and 1/s.
-    pub gain: Gain,
+    pub gain: InterpolatedGain<'a>,
+}
+
+impl Reference<'_> {
+    /// The input u = u_d + K (x - x_d) in the state `x`. Does not allocate.
+    #[inline]
+    pub fn input(&self, x: &State) -> ActuatedVector {
+        self.u + self.gain.times(&(x - self.x))
+    }
 }
 
 /// A trajectory with its gains and its spline: what the daemon tracks.
+///
+/// Trajectory, `f` and gains have the same number of intervals and are for the same chain;
+/// [`PlanCriteria::check`](crate::PlanCriteria::check) refuses others.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plan {
     /// Identity of the plan, above 0.
@@ -38,8 +37,8 @@ pub struct Plan {
     pub activation_ns: Option<u64>,
     /// t_F, x_k and u_k.
     pub trajectory: Trajectory,
-    /// f_k = f(x_k, u_k), rad/s and rad/s^2.
-    pub f: Knots<State>,
+    /// f_k = f(x_k, u_k), time derivative of the state at the knots.
+    pub f: Vec<State>,
     /// K_k and the gain that holds x_N.
     pub gains: Gains,
 }
@@ -47,24 +46,20 @@ pub struct Plan {
 impl Plan {
     /// The reference at the time `t` (s) since the start of the plan, K interpolated linearly between the knots; after
     /// t_F that of [`Self::end`]. Does not allocate.
-    pub fn reference(&self, t: f64) -> Reference {
+    pub fn reference(&self, t: f64) -> Reference<'_> {
         if t >= self.trajectory.t_f {
             return self.end();
         }
         let spline = self.spline();
         let (k, dt) = spline.locate(t);
-        let share = dt / self.trajectory.h();
-        let gains = &self.gains.knots;
-        Reference {
-            x: spline.state(t),
-            u: spline.input(t),
-            gain: gains[k] + (gains[k + 1] - gains[k]) * share,
-        }
+        let gain = self.gains.between(k, dt / self.trajectory.h());
+        Reference { x: spline.state(t), u: spline.input(t), gain }
     }
 
     /// The reference after t_F: x_N, u = 0 and the gain that holds x_N.
-    pub fn end(&self) -> Reference {
-        Reference { x: self.trajectory.x[N], u: ActuatedVector::zeros(), gain: self.gains.end }
+    pub fn end(&self) -> Reference<'_> {
+        let x = *self.trajectory.end();
+        Reference { x, u: ActuatedVector::zeros(x.sizes()), gain: self.gains.end().into() }
     }
 
     /// The spline (12) of the trajectory.

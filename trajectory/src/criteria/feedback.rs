@@ -1,9 +1,9 @@
 //! Criteria for the gains of a plan: their torques, and the stability of the closed loop with its delays.
 
-use super::{Ending, MOST_AMPLIFIED, MOST_STEP, PlanCriteria, UnmetCriterion, finite};
-use crate::{Gain, Gains, N, Trajectory};
-use nalgebra::{DMatrix, DVector, SMatrix};
-use upswing_model::{ActuatedVector, Model, NQ, NU, NX, State, StateParts, Workspace};
+use super::{Ending, MOST_AMPLIFIED, MOST_STEP, PlanCriteria, UnmetCriterion, finite, same_sizes};
+use crate::{Gain, Gains, Trajectory};
+use nalgebra::{DMatrix, DVector};
+use upswing_model::{ActuatedVector, Linearization, Model, Sizes, State, Workspace};
 
 /// Delays of the feedback loop of the daemon.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -19,47 +19,47 @@ pub struct LoopDelays {
 
 impl LoopDelays {
     /// Dimension of the state of the closed loop.
-    fn dimension(&self) -> usize {
-        NX + NQ + self.cycles * NU
+    fn dimension(&self, sizes: Sizes) -> usize {
+        sizes.state() + sizes.joints() + self.cycles * sizes.actuated()
     }
 
     /// The matrix of the closed loop over one period, for the deviation s = (x, z, delayed inputs u, oldest first): x of (19)
     /// with `a` and `b`, z the state of the differential filter, u = K [q, v] (22) with the filtered velocities v.
-    fn closed_loop(&self, a: &SMatrix<f64, NX, NX>, b: &SMatrix<f64, NX, NU>, gain: &Gain) -> DMatrix<f64> {
-        let ts = self.period;
+    fn closed_loop(&self, a: &DMatrix<f64>, b: &DMatrix<f64>, gain: Gain<'_>) -> DMatrix<f64> {
+        let (ts, sizes) = (self.period, gain.sizes());
+        let (n, n_a, n_x) = (sizes.joints(), sizes.actuated(), sizes.state());
         // Two terms of the exponential: one alone drives an undamped pendulum.
-        let half = SMatrix::<f64, NX, NX>::identity() * ts + a * (0.5 * ts * ts);
-        let (phi, gamma) = (SMatrix::<f64, NX, NX>::identity() + half * a, half * b);
+        let half = DMatrix::identity(n_x, n_x) * ts + a * (0.5 * ts * ts);
+        let (phi, gamma) = (DMatrix::identity(n_x, n_x) + &half * a, half * b);
         // u = K_s s
-        let mut k = DMatrix::zeros(NU, self.dimension());
-        k.view_mut((0, 0), (NU, NX)).copy_from(gain);
+        let mut k = DMatrix::zeros(n_a, self.dimension(sizes));
+        k.columns_mut(0, n_x).copy_from(&DMatrix::from_row_slice(n_a, n_x, gain.as_slice()));
         if let Some(t_1) = self.velocity_filter {
-            for j in 0..NQ {
-                for i in 0..NU {
-                    let share = gain[(i, NQ + j)] / t_1;
+            for j in 0..n {
+                for i in 0..n_a {
+                    let share = k[(i, n + j)] / t_1;
                     k[(i, j)] += share;
-                    k[(i, NQ + j)] = 0.0;
-                    k[(i, NX + j)] = -share;
+                    k[(i, n + j)] = 0.0;
+                    k[(i, n_x + j)] = -share;
                 }
             }
         }
-        let mut m = DMatrix::zeros(self.dimension(), self.dimension());
-        m.view_mut((0, 0), (NX, NX)).copy_from(&phi);
+        let mut m = DMatrix::zeros(self.dimension(sizes), self.dimension(sizes));
+        m.view_mut((0, 0), (n_x, n_x)).copy_from(&phi);
         let forgotten = self.velocity_filter.map_or(1.0, |t_1| -(-ts / t_1).exp_m1());
-        for i in 0..NQ {
-            (m[(NX + i, NX + i)], m[(NX + i, i)]) = (1.0 - forgotten, forgotten);
+        for i in 0..n {
+            (m[(n_x + i, n_x + i)], m[(n_x + i, i)]) = (1.0 - forgotten, forgotten);
         }
-        let queue = NX + NQ;
+        let queue = n_x + n;
         if self.cycles == 0 {
-            let fed_back = gamma * &k;
-            let mut x = m.rows_mut(0, NX);
-            x += fed_back;
+            let mut x = m.rows_mut(0, n_x);
+            x += gamma * &k;
         } else {
-            m.view_mut((0, queue), (NX, NU)).copy_from(&gamma);
-            for i in 0..(self.cycles - 1) * NU {
-                m[(queue + i, queue + NU + i)] = 1.0;
+            m.view_mut((0, queue), (n_x, n_a)).copy_from(&gamma);
+            for i in 0..(self.cycles - 1) * n_a {
+                m[(queue + i, queue + n_a + i)] = 1.0;
             }
-            m.rows_mut(queue + (self.cycles - 1) * NU, NU).copy_from(&k);
+            m.rows_mut(queue + (self.cycles - 1) * n_a, n_a).copy_from(&k);
         }
         m
     }
@@ -80,36 +80,47 @@ impl PlanCriteria {
         trajectory: &Trajectory,
         gains: &Gains,
     ) -> Result<(), UnmetCriterion> {
-        finite("K", gains.knots.iter().map(|k| k.as_slice()))?;
-        finite("the final K", std::iter::once(gains.end.as_slice()))?;
+        let n = trajectory.intervals();
+        if gains.intervals() != n {
+            let (expected, got) = (n + 1, gains.intervals() + 1);
+            return Err(UnmetCriterion::Knots { what: "K", expected, got });
+        }
+        same_sizes("K", model, std::iter::once(gains.sizes()))?;
+        finite("K", gains.knots().map(|k| k.as_slice()))?;
+        finite("the final K", std::iter::once(gains.end().as_slice()))?;
         let mut work = Workspace::default();
-        let x_n = &trajectory.x[N];
+        let x_n = trajectory.end();
         let stands = Ending::of(&model.rod(&x_n.q())) == Ending::Upright;
-        let none = ActuatedVector::zeros();
-        let last = stands.then_some((x_n, &none, &gains.end));
-        for (knot, (x, u, gain)) in loops(trajectory, gains).chain(last).enumerate() {
+        let none = ActuatedVector::zeros(model.sizes());
+        let last = stands.then_some((x_n, &none, gains.end()));
+        let knots = trajectory.knots().zip(gains.knots()).map(|((x, u), gain)| (x, u, gain));
+        for (knot, (x, u, gain)) in knots.chain(last).enumerate() {
             self.check_step(model, x, u, gain, knot, &mut work)?;
         }
-        let mut closed_loop = |(x, u, gain): (&State, &ActuatedVector, &Gain)| {
-            let d = model.derivatives(x, u, &mut work);
-            self.delays.closed_loop(&d.a(), &d.b(), gain)
+        let mut linearization = Linearization::new(model.sizes());
+        let mut closed_loop = |x: &State, u: &ActuatedVector, gain: Gain<'_>| {
+            model.linearize(x, u, &mut work, &mut linearization);
+            self.delays.closed_loop(&linearization.a(), &linearization.b(), gain)
         };
         // From one knot to the middle between two.
         let periods = (0.5 * trajectory.h() / self.delays.period).round().max(1.0) as u32;
-        let unit = self.square_of_state();
+        let unit = self.square_of_state(model.sizes());
         let mut p = unit.clone();
-        if let Some(last) = last {
-            let m = closed_loop(last);
+        if let Some((x, u, gain)) = last {
+            let m = closed_loop(x, u, gain);
             p = lyapunov(&power(&m, 2 * periods), &unit)
                 .ok_or_else(|| UnmetCriterion::Unstable { radius: spectral_radius(m) })?;
-            self.check_amplification(&p, N)?;
+            self.check_amplification(&p, n, model.sizes())?;
         }
-        let halves: Vec<_> =
-            loops(trajectory, gains).map(|knot| power(&closed_loop(knot), periods)).collect();
-        for k in (0..N).rev() {
-            let interval = &halves[k + 1] * &halves[k];
+        let mut half =
+            |k: usize| power(&closed_loop(&trajectory.x[k], &trajectory.u[k], gains.knot(k)), periods);
+        let mut after = half(n);
+        for k in (0..n).rev() {
+            let before = half(k);
+            let interval = &after * &before;
             p = &unit + interval.tr_mul(&(&p * &interval));
-            self.check_amplification(&p, k)?;
+            self.check_amplification(&p, k, model.sizes())?;
+            after = before;
         }
         Ok(())
     }
@@ -120,14 +131,14 @@ impl PlanCriteria {
         model: &Model,
         x: &State,
         u: &ActuatedVector,
-        gain: &Gain,
+        gain: Gain<'_>,
         knot: usize,
         work: &mut Workspace,
     ) -> Result<(), UnmetCriterion> {
         model.hybrid_dynamics(x, u, work);
-        for (row, column) in gain.column_iter().enumerate() {
-            let tau = model.reduced_inertia_times(&column.into(), work) * self.tolerance(row);
-            for joint in 0..NU {
+        for row in 0..x.len() {
+            let tau = model.reduced_inertia_times(&gain.column(row), work) * self.tolerance(row, x.sizes());
+            for joint in 0..tau.len() {
                 let (got, most) = (tau[joint].abs(), MOST_STEP * self.tau_max[joint]);
                 if !(got <= most) {
                     return Err(UnmetCriterion::Step { knot, joint, got, most });
@@ -139,46 +150,39 @@ impl PlanCriteria {
 
     /// `p`: quadratic form of the sum of the squares of the state, in units of the start tolerance, at `knot` and all later
     /// knots.
-    fn check_amplification(&self, p: &DMatrix<f64>, knot: usize) -> Result<(), UnmetCriterion> {
+    fn check_amplification(&self, p: &DMatrix<f64>, knot: usize, sizes: Sizes) -> Result<(), UnmetCriterion> {
+        let (n, n_x) = (sizes.joints(), sizes.state());
         let from = |row: usize| {
-            let tolerance = self.tolerance(row);
+            let tolerance = self.tolerance(row, sizes);
             // The deviation of one row by its tolerance, where the filter has settled on it.
             let mut s = DVector::zeros(p.nrows());
             s[row] = tolerance;
-            match row.checked_sub(NQ) {
-                None => s[NX + row] = tolerance,
-                Some(joint) => s[NX + joint] = -self.delays.velocity_filter.unwrap_or(0.0) * tolerance,
+            match row.checked_sub(n) {
+                None => s[n_x + row] = tolerance,
+                Some(joint) => s[n_x + joint] = -self.delays.velocity_filter.unwrap_or(0.0) * tolerance,
             }
             s.dot(&(p * &s)).sqrt()
         };
         // A maximum would lose a NaN.
-        let got = (0..NX)
+        let got = (0..n_x)
             .map(from)
             .fold(0.0, |worst: f64, v| if v.is_nan() { f64::INFINITY } else { worst.max(v) });
         if got <= MOST_AMPLIFIED { Ok(()) } else { Err(UnmetCriterion::Amplification { knot, got }) }
     }
 
     /// Start tolerance of a row of the state, rad or rad/s.
-    fn tolerance(&self, row: usize) -> f64 {
-        if row < NQ { self.tolerance.0 } else { self.tolerance.1 }
+    fn tolerance(&self, row: usize, sizes: Sizes) -> f64 {
+        if row < sizes.joints() { self.tolerance.0 } else { self.tolerance.1 }
     }
 
     /// Quadratic form |x|^2, in units of the start tolerance, of a state of the closed loop.
-    fn square_of_state(&self) -> DMatrix<f64> {
-        let mut unit = DMatrix::zeros(self.delays.dimension(), self.delays.dimension());
-        for row in 0..NX {
-            unit[(row, row)] = self.tolerance(row).powi(-2);
+    fn square_of_state(&self, sizes: Sizes) -> DMatrix<f64> {
+        let mut unit = DMatrix::zeros(self.delays.dimension(sizes), self.delays.dimension(sizes));
+        for row in 0..sizes.state() {
+            unit[(row, row)] = self.tolerance(row, sizes).powi(-2);
         }
         unit
     }
-}
-
-/// (x_k, u_k, K_k) of every knot.
-fn loops<'a>(
-    trajectory: &'a Trajectory,
-    gains: &'a Gains,
-) -> impl Iterator<Item = (&'a State, &'a ActuatedVector, &'a Gain)> {
-    trajectory.knots().zip(gains.knots.iter()).map(|((x, u), gain)| (x, u, gain))
 }
 
 /// P of the Lyapunov equation P = Q + M' P M, the sum of (M')^i Q M^i over all i, by doubling; `None` if M is not stable.

@@ -2,11 +2,12 @@
 
 use super::{
     DERIVATIVE_TOLERANCE, END_TILT, PlanCriteria, TORQUE_SLACK, UnmetCriterion, VELOCITY_SLACK, finite,
+    same_sizes,
 };
 use crate::margins::SplinePoint;
-use crate::{Certificate, Margins, N, Spline, Trajectory};
+use crate::{Certificate, INTERVALS, Margins, Spline, Trajectory};
 use upswing_model::thresholds::{PLAN_POSITION_SLACK, REST_SPEED_PLAN_END};
-use upswing_model::{LimitKind, Model, NU, NX, State, StateParts, Workspace};
+use upswing_model::{LimitKind, Model, State, Workspace};
 
 /// Parts into which the points at which torques are checked divide each interval.
 const PARTS: usize = Certificate::BETWEEN + 1;
@@ -17,6 +18,7 @@ impl PlanCriteria {
     /// # Errors
     /// The first criterion that the trajectory does not meet, with its numbers.
     pub fn check_motion(&self, model: &Model, spline: &Spline<'_>) -> Result<Margins, UnmetCriterion> {
+        check_sizes(model, spline)?;
         finite("x", spline.x.iter().map(|x| x.as_slice()))?;
         finite("u", spline.u.iter().map(|u| u.as_slice()))?;
         finite("f", spline.f.iter().map(|f| f.as_slice()))?;
@@ -26,40 +28,50 @@ impl PlanCriteria {
         }
         let mut work = Workspace::default();
         let mut margins = Margins::NONE;
-        for k in 0..=N {
-            self.check_state(&spline.x[k], k as f64)?;
-            if k < N {
+        let n = spline.intervals();
+        for k in 0..=n {
+            self.check_state(model, &spline.x[k], k as f64)?;
+            if k < n {
                 spline
                     .extrema(k)
-                    .try_for_each(|(row, share, got)| self.check_row(row, got, k as f64 + share))?;
+                    .try_for_each(|(row, share, got)| self.check_row(model, row, got, k as f64 + share))?;
             }
-            let points = if k < N { PARTS } else { 1 };
+            let points = if k < n { PARTS } else { 1 };
             for i in k * PARTS..k * PARTS + points {
                 let sample = SplinePoint::new(spline, i, PARTS, model, &mut work);
                 margins.include(&sample, &self.limits);
                 let knot = i as f64 / PARTS as f64;
-                (0..NU).try_for_each(|i| self.check_limit(LimitKind::Torque, i, sample.tau[i], knot))?;
+                for (joint, tau) in sample.tau.iter().enumerate() {
+                    self.check_limit(model, LimitKind::Torque, joint, *tau, knot)?;
+                }
             }
         }
         check_derivatives(model, spline, &mut work)?;
-        self.check_defects(spline)?;
-        check_end(model, &spline.x[N])?;
+        self.check_defects(model, spline)?;
+        check_end(model, &spline.x[n])?;
         Ok(margins)
     }
 
     /// Positions and velocities of the state `x` at `knot`.
-    fn check_state(&self, x: &State, knot: f64) -> Result<(), UnmetCriterion> {
-        (0..NX).try_for_each(|row| self.check_row(row, x[row], knot))
+    fn check_state(&self, model: &Model, x: &State, knot: f64) -> Result<(), UnmetCriterion> {
+        (0..x.len()).try_for_each(|row| self.check_row(model, row, x[row], knot))
     }
 
     /// The value `got` of a row of the state at `knot`.
-    fn check_row(&self, row: usize, got: f64, knot: f64) -> Result<(), UnmetCriterion> {
-        let (kind, joint) = LimitKind::of_row(row);
-        self.check_limit(kind, joint, got, knot)
+    fn check_row(&self, model: &Model, row: usize, got: f64, knot: f64) -> Result<(), UnmetCriterion> {
+        let (kind, joint) = LimitKind::of_row(row, model.sizes());
+        self.check_limit(model, kind, joint, got, knot)
     }
 
     /// The value `got` against a limit, with its slack; a NaN is refused.
-    fn check_limit(&self, kind: LimitKind, joint: usize, got: f64, knot: f64) -> Result<(), UnmetCriterion> {
+    fn check_limit(
+        &self,
+        model: &Model,
+        kind: LimitKind,
+        joint: usize,
+        got: f64,
+        knot: f64,
+    ) -> Result<(), UnmetCriterion> {
         let (lower, upper) = self.limits.range(kind, joint);
         let (lowest, highest) = match kind {
             LimitKind::Position => (lower - PLAN_POSITION_SLACK, upper + PLAN_POSITION_SLACK),
@@ -69,29 +81,47 @@ impl PlanCriteria {
         if (lowest..=highest).contains(&got) {
             Ok(())
         } else {
-            Err(UnmetCriterion::Limit { kind, joint, knot, got, lowest, highest })
+            let unit = kind.unit(model.joint_kind(joint));
+            Err(UnmetCriterion::Limit { kind, joint, unit, knot, got, lowest, highest })
         }
     }
 
-    fn check_defects(&self, spline: &Spline<'_>) -> Result<(), UnmetCriterion> {
+    fn check_defects(&self, model: &Model, spline: &Spline<'_>) -> Result<(), UnmetCriterion> {
         for (k, defect) in spline.defects().enumerate() {
-            if let Some(row) = (0..NX).find(|row| !(defect[*row].abs() <= self.defect)) {
-                let (kind, joint) = LimitKind::of_row(row);
-                let (got, most) = (defect[row].abs(), self.defect);
-                return Err(UnmetCriterion::Defect { kind, joint, knot: k + 1, got, most });
+            if let Some(row) = (0..defect.len()).find(|row| !(defect[*row].abs() <= self.defect)) {
+                let (kind, joint) = LimitKind::of_row(row, model.sizes());
+                let (unit, got, most) = (kind.unit(model.joint_kind(joint)), defect[row].abs(), self.defect);
+                return Err(UnmetCriterion::Defect { kind, joint, unit, knot: k + 1, got, most });
             }
             // Where the spline ends, before it jumps to the knot.
-            self.check_state(&(spline.x[k + 1] - defect), k as f64 + 1.0)?;
+            self.check_state(model, &(spline.x[k + 1] - defect), k as f64 + 1.0)?;
         }
         Ok(())
     }
 }
 
+/// The numbers of knots, and those of the joints against the model.
+fn check_sizes(model: &Model, spline: &Spline<'_>) -> Result<(), UnmetCriterion> {
+    let knots = spline.x.len();
+    let got = knots.saturating_sub(1);
+    if !INTERVALS.contains(&got) {
+        return Err(UnmetCriterion::Intervals { got });
+    }
+    for (what, got) in [("u", spline.u.len()), ("f", spline.f.len())] {
+        if got != knots {
+            return Err(UnmetCriterion::Knots { what, expected: knots, got });
+        }
+    }
+    same_sizes("x", model, spline.x.iter().map(|x| x.sizes()))?;
+    same_sizes("u", model, spline.u.iter().map(|u| u.sizes()))?;
+    same_sizes("f", model, spline.f.iter().map(|f| f.sizes()))
+}
+
 /// f_k of the plan against f(x_k, u_k) (5) of the model.
 fn check_derivatives(model: &Model, spline: &Spline<'_>, work: &mut Workspace) -> Result<(), UnmetCriterion> {
-    for knot in 0..=N {
+    for knot in 0..=spline.intervals() {
         let f = model.f(&spline.x[knot], &spline.u[knot], work);
-        for row in 0..NX {
+        for row in 0..f.len() {
             let (got, expected) = (spline.f[knot][row], f[row]);
             if !((got - expected).abs() <= DERIVATIVE_TOLERANCE * (1.0 + expected.abs())) {
                 return Err(UnmetCriterion::Derivative { knot, row, got, expected });
