@@ -545,3 +545,37 @@ fn e_transposed<T: Scalar>(e1: &Matrix3<T>, g: &SpatialVector<T>, v_ang: &Vector
     let lin = g.lin.cross(v_ang);
     SpatialVector::new(e1.tr_times(v_ang), lin + lin)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A cart with a pendulum, so that sizes are among those known to the compiler.
+    const CART: &str = r#"<robot name="cart"><link name="base"/>
+        <link name="cart"><inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+        <link name="rod"><inertial><origin xyz="0 0 -0.5"/><mass value="0.2"/>
+            <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.001"/></inertial></link>
+        <joint name="slide" type="prismatic"><parent link="base"/><child link="cart"/><axis xyz="1 0 0"/>
+            <limit lower="-1" upper="1" velocity="2" effort="10"/></joint>
+        <joint name="swing" type="continuous"><parent link="cart"/><child link="rod"/><axis xyz="0 1 0"/></joint></robot>"#;
+
+    #[test]
+    fn sizes_known_to_the_compiler_and_wide_registers_change_no_bit() {
+        for text in [CART, include_str!("../../config/robot.urdf")] {
+            let model = Model::from_urdf(text).expect("a chain");
+            let sizes = model.sizes();
+            let z: Vec<f64> = (0..sizes.knot()).map(|i| 0.7 - 0.3 * i as f64).collect();
+            let (x, u) = z.split_at(sizes.state());
+            let (w, mu) = ([0.4, -0.9], [0.3, 0.1, -0.2, 0.5, 0.8, -0.6, 0.7]);
+            let [mut chosen, mut any] = [0; 2].map(|_| Linearization::new(sizes));
+            let [mut chosen_h, mut any_h] = [0; 2].map(|_| vec![0.0; sizes.knot() * sizes.knot_row()]);
+            let mut work = Workspace::default();
+            model.linearize(x, u, &mut work, &mut chosen);
+            model.hessian(&w, &mu, &chosen, &mut work, &mut chosen_h);
+            model.linearize_with(sizes, x, u, &mut work, &mut any);
+            model.hessian_with(sizes, &w, &mu, &any, &mut work, &mut any_h);
+            assert_eq!(chosen.rows, any.rows);
+            assert_eq!(chosen_h, any_h);
+        }
+    }
+}

@@ -72,3 +72,20 @@ impl Order {
         out
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sorting_and_its_inverse_keep_both_orders() {
+        let order = Order::new(&[false, true, true, false, true]).expect("a chain");
+        assert_eq!((order.sizes().joints(), order.sizes().actuated()), (5, 3));
+        let chain = [0.0, 1.0, 2.0, 3.0, 4.0];
+        let sorted = order.sorted(&chain).expect("five joints");
+        assert_eq!(sorted.as_slice(), [1.0, 2.0, 4.0, 0.0, 3.0]);
+        assert_eq!(order.in_chain(&sorted)[..5], chain);
+        assert_eq!(order.sorted(&chain[..4]), None);
+        assert!((0..5).all(|c| order.coordinate(order.joint(c)) == c));
+    }
+}

@@ -17,7 +17,7 @@ fn refuse(joint: &str, cause: UrdfElementError) -> UrdfError {
 
 impl Model {
     /// The model of the robot in the text of a URDF file. The frame of the root link is the world frame, whose z axis points
-    /// up; the joints with effort="0" in their `<limit>` are the unactuated ones.
+    /// up; the joints with effort="0" in their `<limit>`, and continuous joints without an effort, are the unactuated ones.
     ///
     /// # Errors
     /// [`UrdfError`] if the text is no URDF, no chain with 1 to [`MOST_JOINTS`] joints, both actuated and unactuated ones, or physically
@@ -99,9 +99,11 @@ impl Model {
     }
 }
 
-/// Whether the URDF states a motor of the joint.
+/// Whether the URDF states a motor of the joint. Only a continuous joint may do without the statement: the format asks for none.
 fn is_actuated(joint: &UrdfJoint, kind: JointKind) -> Result<bool, UrdfError> {
     match joint.limit.and_then(|limit| limit.effort) {
+        None if kind == JointKind::Continuous => Ok(false),
+        None if joint.limit.is_none() => Err(refuse(&joint.name, UrdfElementError::NoLimit)),
         None => Err(refuse(&joint.name, UrdfElementError::NoEffortLimit)),
         Some(got) if got < 0.0 => Err(refuse(
             &joint.name,

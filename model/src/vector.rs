@@ -709,3 +709,59 @@ impl<R: Space, C: Space> fmt::Debug for Matrix<R, C> {
         f.debug_list().entries(self.iter_rows()).finish()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SIZES: Sizes = Sizes::new(5, 3).expect("sizes");
+
+    fn counted() -> State {
+        State::from_fn(SIZES, |i| i as f64)
+    }
+
+    #[test]
+    fn parts_of_a_state_are_sorted() {
+        let mut x = counted();
+        assert_eq!(x.q().as_slice(), [0.0, 1.0, 2.0, 3.0, 4.0]);
+        assert_eq!(x.q_a().as_slice(), [0.0, 1.0, 2.0]);
+        assert_eq!(x.q_u().as_slice(), [3.0, 4.0]);
+        assert_eq!(x.qd_a().as_slice(), [5.0, 6.0, 7.0]);
+        assert_eq!(x.qd_u().as_slice(), [8.0, 9.0]);
+        assert_eq!(State::new(&x.q(), &x.qd()), x);
+        assert_eq!(JointVector::joined(&x.qd_a(), &x.qd_u()), x.qd());
+        x.qd_u_mut()[1] = -1.0;
+        assert_eq!(x[9], -1.0);
+    }
+
+    #[test]
+    fn entries_beyond_the_length_stay_zero() {
+        let x = counted();
+        for y in [x + x, x - x, -x, x * f64::INFINITY, x / 0.0, x.map(|_| 7.0), State::repeat(SIZES, 3.0)] {
+            assert_eq!(y.len(), 10);
+            assert!(y.padded()[10..].iter().all(|v| *v == 0.0), "{y:?}");
+        }
+        assert_eq!(State::from_slice(SIZES, &[0.0; 9]), None);
+    }
+
+    #[test]
+    fn there_are_no_sizes_without_both_kinds_of_joints() {
+        for (joints, actuated) in [(0, 0), (3, 0), (3, 3), (3, 4), (17, 5)] {
+            assert_eq!(Sizes::new(joints, actuated), None);
+        }
+    }
+
+    #[test]
+    fn a_positive_definite_system_is_solved_and_no_other() {
+        let m =
+            JointMatrix::from_fn(SIZES, |i, j| if i == j { 4.0 } else { 1.0 / (1.0 + i.abs_diff(j) as f64) });
+        let x = JointVector::from_fn(SIZES, |i| 1.0 - 0.4 * i as f64);
+        let got = m.solve_positive(&(&m * &x)).expect("positive definite");
+        assert!((got - x).amax() < 1e-14);
+        for bad in [-1.0, f64::NAN] {
+            let mut m = m;
+            m[(3, 3)] = bad;
+            assert_eq!(m.solve_positive(&x), None);
+        }
+    }
+}

@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{Golden, assert_close, robot};
+use common::{Golden, SIZES, assert_close, robot};
 use upswing_model::{JointVector, Workspace};
 
 #[test]
@@ -24,7 +24,7 @@ fn none_at_rest_and_four_times_as_much_at_twice_the_speed() {
     let (model, mut work) = (robot(), Workspace::default());
     for golden in Golden::all() {
         let at = |qd: &JointVector, work: &mut Workspace| model.coriolis_torque(&golden.q(), qd, work);
-        assert_eq!(at(&JointVector::zeros(), &mut work).amax(), 0.0);
+        assert_eq!(at(&JointVector::zeros(SIZES), &mut work).amax(), 0.0);
         let (once, twice) = (at(&golden.qd(), &mut work), at(&(golden.qd() * 2.0), &mut work));
         assert_close("C~ qd", twice.iter().copied(), (once * 4.0).iter().copied(), 1e-12);
     }

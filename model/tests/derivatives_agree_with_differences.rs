@@ -3,48 +3,50 @@
 
 mod common;
 
-use common::{Golden, assert_close, robot};
-use nalgebra::SMatrix;
-use upswing_model::{ActuatedVector, Model, NX, NZ, State, UnactuatedVector, Workspace};
+use common::{Golden, SIZES, assert_close, robot};
+use upswing_model::{ActuatedVector, Dims, Linearization, Model, State, UnactuatedVector, Workspace};
 
 /// Fourth-order central difference of `f` along coordinate k of z = [x, u].
-fn difference<const R: usize>(
+fn difference(
     x: &State,
     u: &ActuatedVector,
     k: usize,
-    mut f: impl FnMut(&State, &ActuatedVector) -> SMatrix<f64, R, 1>,
-) -> SMatrix<f64, R, 1> {
+    mut f: impl FnMut(&State, &ActuatedVector) -> Vec<f64>,
+) -> Vec<f64> {
     // The step balances the error term h^4 against rounding, both about 1e-11.
     let h = 1e-3;
     let mut at = |offset: f64| {
         let (mut x, mut u) = (*x, *u);
-        if k < NX {
-            x[k] += offset
-        } else {
-            u[k - NX] += offset
+        match x.get_mut(k) {
+            Some(component) => *component += offset,
+            None => u[k - SIZES.state()] += offset,
         }
         f(&x, &u)
     };
-    (at(h) - at(-h)) * (8.0 / (12.0 * h)) - (at(2.0 * h) - at(-2.0 * h)) / (12.0 * h)
+    let (near, far) = ([at(h), at(-h)], [at(2.0 * h), at(-2.0 * h)]);
+    let slope =
+        |i: usize| (near[0][i] - near[1][i]) * (8.0 / (12.0 * h)) - (far[0][i] - far[1][i]) / (12.0 * h);
+    (0..near[0].len()).map(slope).collect()
 }
 
-fn torque_gradient(
-    model: &Model,
-    w: &UnactuatedVector,
-    mu: &ActuatedVector,
-    x: &State,
-    u: &ActuatedVector,
-    with_coriolis: bool,
-) -> SMatrix<f64, NZ, 1> {
-    let mut work = Workspace::default();
-    let d = if with_coriolis {
-        model.derivatives(x, u, &mut work)
+fn linearized(model: &Model, x: &State, u: &ActuatedVector, with_coriolis: bool) -> Linearization {
+    let (mut work, mut d) = (Workspace::default(), Linearization::new(SIZES));
+    if with_coriolis {
+        model.linearize(x, u, &mut work, &mut d);
     } else {
-        model.derivatives_without_coriolis(x, u, &mut work)
+        model.linearize_without_coriolis(x, u, &mut work, &mut d);
+    }
+    d
+}
+
+/// Gradient of w . qdd_U + mu . tau with respect to z.
+fn gradient(d: &Linearization, w: &UnactuatedVector, mu: &ActuatedVector) -> Vec<f64> {
+    let weighted = |k: usize| {
+        let tau: f64 = mu.iter().enumerate().map(|(a, mu)| mu * d.tau(a)[k]).sum();
+        let qdd_u: f64 = w.iter().enumerate().map(|(c, w)| w * d.qdd_u(c)[k]).sum();
+        tau + qdd_u
     };
-    let on_x = d.qdd_u_x.transpose() * w + d.tau_x.transpose() * mu;
-    let on_u = d.qdd_u_u.transpose() * w + d.tau_u.transpose() * mu;
-    SMatrix::from_fn(|i, _| if i < NX { on_x[i] } else { on_u[i - NX] })
+    (0..SIZES.knot()).map(weighted).collect()
 }
 
 #[test]
@@ -52,16 +54,14 @@ fn torque_jacobians() {
     let (model, mut work) = (robot(), Workspace::default());
     for golden in Golden::all().iter().take(16) {
         let (x, u) = (golden.x(), golden.u());
-        let exact = model.derivatives(&x, &u, &mut work);
-        let paper = model.derivatives_without_coriolis(&x, &u, &mut work);
-        for k in 0..NZ {
-            let column = |d: &upswing_model::Derivatives| {
-                if k < NX { d.tau_x.column(k).into_owned() } else { d.tau_u.column(k - NX).into_owned() }
-            };
-            let want = difference(&x, &u, k, |x, u| model.torque(x, u, &mut work));
-            assert_close("d tau", column(&exact).iter().copied(), want.iter().copied(), 1e-8);
-            let want = difference(&x, &u, k, |x, u| model.torque_without_coriolis(x, u, &mut work));
-            assert_close("d tau (11)", column(&paper).iter().copied(), want.iter().copied(), 1e-8);
+        let exact = linearized(&model, &x, &u, true);
+        let paper = linearized(&model, &x, &u, false);
+        for k in 0..SIZES.knot() {
+            let column = |d: &Linearization| (0..SIZES.actuated()).map(|a| d.tau(a)[k]).collect::<Vec<_>>();
+            let want = difference(&x, &u, k, |x, u| model.torque(x, u, &mut work).to_vec());
+            assert_close("d tau", column(&exact), want, 1e-8);
+            let want = difference(&x, &u, k, |x, u| model.torque_without_coriolis(x, u, &mut work).to_vec());
+            assert_close("d tau (11)", column(&paper), want, 1e-8);
         }
     }
 }
@@ -69,24 +69,28 @@ fn torque_jacobians() {
 #[test]
 fn hessians() {
     let (model, mut work) = (robot(), Workspace::default());
-    let w = UnactuatedVector::new(0.7, -1.3);
-    let mu = ActuatedVector::from_fn(|i, _| 0.3 * i as f64 - 0.8);
+    let w = UnactuatedVector::from_slice(SIZES, &[0.7, -1.3]).expect("two joints");
+    let mu = ActuatedVector::from_fn(SIZES, |i| 0.3 * i as f64 - 0.8);
+    let (stride, mut first) = (SIZES.knot_row(), Linearization::new(SIZES));
+    let mut h = vec![0.0; SIZES.knot() * stride];
     for golden in Golden::all().iter().take(16) {
         let (x, u) = (golden.x(), golden.u());
         for with_coriolis in [true, false] {
-            let w = if with_coriolis { w } else { UnactuatedVector::zeros() };
-            let h = if with_coriolis {
-                let first = model.derivatives(&x, &u, &mut work);
-                model.hessian(&w, &mu, &first, &work)
+            let w = if with_coriolis { w } else { UnactuatedVector::zeros(SIZES) };
+            if with_coriolis {
+                model.linearize(&x, &u, &mut work, &mut first);
+                model.hessian(&w, &mu, &first, &mut work, &mut h);
             } else {
-                let first = model.derivatives_without_coriolis(&x, &u, &mut work);
-                model.hessian_without_coriolis(&mu, &first, &work)
-            };
-            assert_close("symmetry", h.iter().copied(), h.transpose().iter().copied(), 1e-12);
-            for k in 0..NZ {
+                model.linearize_without_coriolis(&x, &u, &mut work, &mut first);
+                model.hessian_without_coriolis(&mu, &first, &mut work, &mut h);
+            }
+            for k in 0..SIZES.knot() {
+                let row = (0..SIZES.knot()).map(|i| h[k * stride + i]);
+                let column: Vec<f64> = (0..SIZES.knot()).map(|i| h[i * stride + k]).collect();
+                assert_close("symmetry", row, column.iter().copied(), 1e-12);
                 let want =
-                    difference(&x, &u, k, |x, u| torque_gradient(&model, &w, &mu, x, u, with_coriolis));
-                assert_close("Hessian", h.column(k).iter().copied(), want.iter().copied(), 1e-7);
+                    difference(&x, &u, k, |x, u| gradient(&linearized(&model, x, u, with_coriolis), &w, &mu));
+                assert_close("Hessian", column, want, 1e-7);
             }
         }
     }
@@ -95,13 +99,15 @@ fn hessians() {
 #[test]
 fn the_input_enters_linearly() {
     let (model, mut work) = (robot(), Workspace::default());
+    let step = ActuatedVector::repeat(SIZES, 0.5);
+    let along = |row: &[f64]| row[SIZES.state()..].iter().zip(step.iter()).map(|(d, s)| d * s).sum::<f64>();
     for golden in Golden::all() {
         let (x, u) = (golden.x(), golden.u());
-        let d = model.derivatives(&x, &u, &mut work);
-        let step = ActuatedVector::repeat(0.5);
+        let d = linearized(&model, &x, &u, true);
         let moved = model.hybrid_dynamics(&x, &(u + step), &mut work);
-        assert_close("tau", moved.tau.iter().copied(), (d.value.tau + d.tau_u * step).iter().copied(), 1e-11);
-        let qdd_u = d.value.qdd_u + d.qdd_u_u * step;
+        let tau = ActuatedVector::from_fn(SIZES, |a| d.value().tau[a] + along(d.tau(a)));
+        assert_close("tau", moved.tau.iter().copied(), tau.iter().copied(), 1e-11);
+        let qdd_u = UnactuatedVector::from_fn(SIZES, |c| d.value().qdd_u[c] + along(d.qdd_u(c)));
         assert_close("qdd_U", moved.qdd_u.iter().copied(), qdd_u.iter().copied(), 1e-11);
     }
 }

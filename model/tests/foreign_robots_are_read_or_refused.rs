@@ -158,6 +158,6 @@ fn orientations_may_be_quaternions() {
     let text =
         ROBOT.replacen(rpy, &format!("<origin xyz=\"0 0 0.2025\" quat_xyzw=\"-{half} 0 0 {half}\"/>"), 1);
     let (a, b) = (Model::from_urdf(ROBOT).unwrap(), Model::from_urdf(&text).unwrap());
-    let q = JointVector::repeat(0.3);
+    let q = JointVector::repeat(a.sizes(), 0.3);
     assert!((a.tip(&q) - b.tip(&q)).norm() < 1e-12);
 }

@@ -1,4 +1,4 @@
-//! A robot description that is no chain of nine revolute joints, or no possible body, is refused with the reason.
+//! A robot description that is no chain with actuated and unactuated joints, or no possible body, is refused with the reason.
 
 use upswing_model::{Model, UrdfError};
 
@@ -15,23 +15,50 @@ fn other_texts() {
     assert!(matches!(Model::from_urdf("<robot name=\"r\"></robot>"), Err(UrdfError::NoRoot)));
 }
 
-#[test]
-fn another_number_of_joints() {
-    let e = refusal(
-        "<joint name=\"pendulum_2\" type=\"revolute\">",
-        "<joint name=\"pendulum_2\" type=\"fixed\">",
-    );
-    assert!(
-        matches!(&e, UrdfError::JointCount { got } if got.len() == 8) && e.to_string().contains("pendulum_1"),
-        "{e}"
-    );
+/// The robot with the same effort of all joints.
+fn with_effort(effort: &str) -> Result<Model, UrdfError> {
+    let mut parts = ROBOT.split(" effort=\"");
+    let mut text = parts.next().expect("a first part").to_owned();
+    for part in parts {
+        let rest = part.split_once('"').expect("the number ends").1;
+        text += &format!(" effort=\"{effort}\"{rest}");
+    }
+    Model::from_urdf(&text)
 }
 
 #[test]
-fn joints_that_slide() {
-    let e =
-        refusal("<joint name=\"joint_3\" type=\"revolute\">", "<joint name=\"joint_3\" type=\"prismatic\">");
-    assert!(e.to_string().contains("joint_3") && e.to_string().contains("prismatic"), "{e}");
+fn chains_without_a_motor_or_without_a_free_joint() {
+    let e = with_effort("0").expect_err("no motor");
+    assert!(matches!(e, UrdfError::NoActuatedJoint { .. }) && e.to_string().contains("joint_1"), "{e}");
+    let e = with_effort("10").expect_err("no free joint");
+    assert!(matches!(e, UrdfError::NoUnactuatedJoint { .. }), "{e}");
+    assert!(e.to_string().contains("pendulum_2") && e.to_string().contains("effort=\"0\""), "{e}");
+    let fixed = ROBOT.replace("type=\"revolute\"", "type=\"fixed\"");
+    assert_eq!(Model::from_urdf(&fixed).expect_err("nothing moves"), UrdfError::NoJoint);
+}
+
+#[test]
+fn joints_that_do_not_say_whether_they_have_a_motor() {
+    let e = refusal(" effort=\"0\"", "").to_string();
+    assert!(e.contains("pendulum_1") && e.contains("effort"), "{e}");
+    let e = refusal(" effort=\"0\"", " effort=\"-3\"").to_string();
+    assert!(e.contains("pendulum_1") && e.contains("-3 N m"), "{e}");
+}
+
+#[test]
+fn more_joints_than_there_is_room_for() {
+    let more: String = (0..8)
+        .map(|i| {
+            let parent = if i == 0 { "rod".to_owned() } else { format!("more_{}", i - 1) };
+            format!(
+                "<link name=\"more_{i}\"><inertial><mass value=\"1\"/><inertia ixx=\"1\" iyy=\"1\" izz=\"1\" ixy=\"0\" ixz=\"0\" \
+                 iyz=\"0\"/></inertial></link><joint name=\"more_{i}\" type=\"continuous\"><parent link=\"{parent}\"/>\
+                 <child link=\"more_{i}\"/><limit effort=\"0\" velocity=\"1\"/></joint>"
+            )
+        })
+        .collect();
+    let text = ROBOT.replace("</robot>", &format!("{more}</robot>"));
+    assert_eq!(Model::from_urdf(&text).expect_err("refused"), UrdfError::TooManyJoints { got: 17 });
 }
 
 #[test]
@@ -185,22 +212,14 @@ fn coupled_joints() {
 }
 
 #[test]
-fn a_pendulum_with_a_motor() {
-    for joint in ["pendulum_1", "pendulum_2"] {
-        let e = refusal_in("joint", joint, "effort=\"0\"", "effort=\"10\"");
-        assert!(e.contains(joint) && e.contains("effort=\"0\"") && e.contains("got 10 N m"), "{e}");
-    }
-}
-
-#[test]
 fn limits_that_cannot_be() {
     let limit = "<limit lower=\"-2.0943951023931953\" upper=\"2.0943951023931953\" velocity=\"1.4835298641951802\" effort=\"320\"/>";
     for (to, expected) in [
         ("", "expected a <limit>"),
         ("<limit velocity=\"1\" effort=\"1\"/>", "got 0 and 0 rad"),
         ("<limit lower=\"1\" upper=\"-1\" velocity=\"1\" effort=\"1\"/>", "got 1 and -1 rad"),
-        ("<limit lower=\"-1\" upper=\"1\" effort=\"1\"/>", "expected velocity and effort"),
-        ("<limit lower=\"-1\" upper=\"1\" velocity=\"1\"/>", "expected velocity and effort"),
+        ("<limit lower=\"-1\" upper=\"1\" effort=\"1\"/>", "expected a velocity"),
+        ("<limit lower=\"-1\" upper=\"1\" velocity=\"1\"/>", "expected an effort"),
         ("<limit lower=\"-1\" upper=\"1\" velocity=\"0\" effort=\"1\"/>", "got 0 rad/s"),
         ("<limit lower=\"-1\" upper=\"1\" velocity=\"1\" effort=\"-1\"/>", "got -1 N m"),
         ("<limit lower=\"-1\" upper=\"1\" velocity=\"1\" effort=\"nan\"/>", "got `nan`"),
