@@ -35,6 +35,14 @@ impl JointKind {
             Self::Prismatic => (q, "m"),
         }
     }
+
+    /// The position, rad or m, that a person writes as `shown`, in deg or m.
+    pub fn position(self, shown: f64) -> f64 {
+        match self {
+            Self::Revolute | Self::Continuous => shown.to_radians(),
+            Self::Prismatic => shown,
+        }
+    }
 }
 
 /// One body with the joint that connects it to its parent. The frame of the body is turned so that the joint axis is its z axis;

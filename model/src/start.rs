@@ -73,13 +73,7 @@ impl Model {
         q_u: Option<&UnactuatedVector>,
     ) -> Result<State, StartError> {
         let sizes = self.sizes();
-        let Some(q_a) = ActuatedVector::from_slice(sizes, q_a) else {
-            let joint = |i| format!("{} in {}", self.joint_name(i), self.joint_kind(i).shown(0.0).1);
-            return Err(StartError::Length {
-                joints: (0..sizes.actuated()).map(joint).collect(),
-                got: q_a.len(),
-            });
-        };
+        let q_a = self.one_per_actuated_joint(q_a)?;
         let q = JointVector::joined(&q_a, q_u.unwrap_or(&UnactuatedVector::zeros(sizes)));
         for i in 0..sizes.actuated() {
             self.check_position(limits, i, q[i])?;
@@ -97,6 +91,24 @@ impl Model {
             })?;
         }
         Ok(State::new(&q, &JointVector::zeros(sizes)))
+    }
+
+    /// q_A (rad or m) of the positions of the actuated joints as a person writes them, in deg or m.
+    ///
+    /// # Errors
+    /// [`StartError::Length`] unless there is one position per actuated joint.
+    pub fn actuated_from_shown(&self, shown: &[f64]) -> Result<ActuatedVector, StartError> {
+        let shown = self.one_per_actuated_joint(shown)?;
+        Ok(ActuatedVector::from_fn(self.sizes(), |i| self.joint_kind(i).position(shown[i])))
+    }
+
+    fn one_per_actuated_joint(&self, positions: &[f64]) -> Result<ActuatedVector, StartError> {
+        let sizes = self.sizes();
+        ActuatedVector::from_slice(sizes, positions).ok_or_else(|| {
+            let joint = |i| format!("{} in {}", self.joint_name(i), self.joint_kind(i).shown(0.0).1);
+            let joints = (0..sizes.actuated()).map(joint).collect();
+            StartError::Length { joints, got: positions.len() }
+        })
     }
 
     /// Checks the `position` (rad or m) of the joint of index `coordinate` in sorted vectors against `limits`.
