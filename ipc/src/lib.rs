@@ -4,7 +4,7 @@
 //! |---|---|---|---|
 //! | `measurement/<epoch>` | blackboard | plant -> daemon | [`Measurement`] |
 //! | `command/<epoch>` | blackboard | daemon -> plant | [`Command`] |
-//! | `plan` | pub/sub, history 1 | planner -> daemon | [`PlanMessage`] |
+//! | `plan` | pub/sub, history 1 | planner -> daemon | [`PlanMessage`]: a header and a slice as long as the plan |
 //! | `telemetry` | pub/sub, no history | daemon -> planner, cli | [`TelemetryBatch`] |
 //! | `steps` | pub/sub, no history | daemon -> cli | [`StepBatch`] |
 //! | `control` | request/response | cli -> daemon | [`ControlRequest`] -> [`ControlResponse`] |
@@ -32,8 +32,8 @@
 //!
 //! # Trust
 //! Every process of a domain can write into the memory that it shares with the others. Payloads therefore hold numbers
-//! only, codes become enumerations through checked conversions ([`UnknownCode`]), [`Text`] is checked when it is read, and
-//! a [`PlanMessage`] carries a checksum. The reader checks sequence, age, range and finiteness.
+//! only, codes become enumerations through checked conversions ([`UnknownCode`]), [`Text`] is checked when it is read, numbers of
+//! joints must be those of the model ([`OtherChain`]), and a [`PlanMessage`] carries its length and a checksum. The reader checks sequence, age, range and finiteness.
 //!
 //! # Layers
 //! From the bottom: `iox` (the private file layout of iceoryx2), domains and nodes, `services` (ports); beside them `payload`
@@ -61,10 +61,10 @@ pub use pacing::{
     PlantWake, Presence,
 };
 pub use payload::{
-    Clock, Command, ControlKind, ControlRequest, ControlResponse, DamagedPlan, Degradation, Measurement,
-    Mode, Percentiles, PlanMessage, PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus, PlantKind,
-    PlantRequest, PlantResponse, Readiness, RecordedStep, StepBatch, Telemetry, TelemetryBatch, Text,
-    TextError, UnknownClock, UnknownCode,
+    Clock, Command, ControlKind, ControlRequest, ControlResponse, CycleVectors, DamagedPlan, Degradation,
+    Measurement, Mode, OtherChain, Percentiles, PlanHeader, PlanMessage, PlannerKind, PlannerRequest,
+    PlannerResponse, PlannerStatus, PlantKind, PlantRequest, PlantResponse, Readiness, RecordedStep,
+    StepBatch, Telemetry, TelemetryBatch, Text, TextError, UnknownClock, UnknownCode,
 };
 pub use services::{
     BlackboardPayload, Client, Finder, FinderThread, MAX_READERS, Publisher, Reader, RequestPayload, Sample,

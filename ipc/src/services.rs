@@ -17,9 +17,12 @@ pub use request_response::{Client, RequestPayload, Server};
 use crate::error::{CallError, IpcError};
 use crate::node::Node;
 use crate::payload::{
-    Command, ControlRequest, ControlResponse, Measurement, PlanMessage, PlannerRequest, PlannerResponse,
-    PlantRequest, PlantResponse, StepBatch, TelemetryBatch,
+    Command, ControlRequest, ControlResponse, Measurement, PlanHeader, PlanMessage, PlannerRequest,
+    PlannerResponse, PlantRequest, PlantResponse, StepBatch, TelemetryBatch,
 };
+use iceoryx2::prelude::AllocationStrategy;
+use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenOrCreateError;
+use publish_subscribe::{Service, ServiceBuilder};
 use request_response::Handler;
 use std::time::Duration;
 
@@ -46,14 +49,25 @@ blackboard!(Measurement, "measurement");
 blackboard!(Command, "command");
 
 macro_rules! topic {
-    ($payload:ty, $service:literal, buffer $buffer:literal, history $history:literal) => {
-        impl TopicPayload for $payload {
+    (
+        $message:ty, $service:literal, buffer $buffer:literal, history $history:literal,
+        $header:ty, $shared:ty, $publish:path, |$builder:ident, $longest:ident| $with_length:expr
+    ) => {
+        impl TopicPayload for $message {
             const SERVICE: &'static str = $service;
             const BUFFER: usize = $buffer;
             const HISTORY: usize = $history;
+            type Shared = $shared;
+            type Header = $header;
 
-            fn publisher(node: &Node) -> Result<Publisher<Self>, IpcError> {
-                publish_subscribe::publisher(node)
+            fn open_or_create(
+                builder: ServiceBuilder<Self>,
+            ) -> Result<Service<Self>, PublishSubscribeOpenOrCreateError> {
+                builder.open_or_create()
+            }
+
+            fn publisher(node: &Node, $longest: usize) -> Result<Publisher<Self>, IpcError> {
+                publish_subscribe::publisher(node, |$builder| $with_length)
             }
 
             fn subscriber(node: &Node) -> Result<Subscriber<Self>, IpcError> {
@@ -61,7 +75,7 @@ macro_rules! topic {
             }
 
             fn publish(publisher: &Publisher<Self>, value: &Self) -> Result<(), IpcError> {
-                publish_subscribe::publish(publisher, value)
+                $publish(publisher, value)
             }
 
             fn deliver_history(publisher: &Publisher<Self>) -> Result<(), IpcError> {
@@ -69,13 +83,23 @@ macro_rules! topic {
             }
 
             fn receive(subscriber: &Subscriber<Self>) -> Result<Option<Sample<Self>>, IpcError> {
-                publish_subscribe::receive(subscriber)
+                publish_subscribe::received(subscriber.port.receive())
             }
         }
     };
+    ($message:ty, $service:literal, buffer $buffer:literal, history $history:literal) => {
+        topic!(
+            $message, $service, buffer $buffer, history $history,
+            (), $message, publish_subscribe::publish, |builder, _longest| builder
+        );
+    };
 }
 
-topic!(PlanMessage, "plan", buffer 2, history 1);
+topic!(
+    PlanMessage, "plan", buffer 2, history 1,
+    PlanHeader, [f64], publish_subscribe::publish_plan,
+    |builder, longest| builder.initial_max_slice_len(longest).allocation_strategy(AllocationStrategy::Static)
+);
 topic!(TelemetryBatch, "telemetry", buffer 256, history 0);
 topic!(StepBatch, "steps", buffer 128, history 0);
 

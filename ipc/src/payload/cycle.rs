@@ -1,23 +1,28 @@
 //! The messages of every control cycle: measurement, command and telemetry.
 
+use super::chain::{self, OtherChain, PerJoint};
 use super::codes::{Clock, Mode, UnknownCode};
 use super::words::{WORD, Zeroable, batch, words};
 use iceoryx2::prelude::ZeroCopySend;
-use upswing_model::{NQ, NU};
+use upswing_model::{ActuatedVector, JointVector, Order, Sizes, State};
 
 /// Measurement of encoders and drives, from plant to daemon.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
-#[type_name("upswing.Measurement.v1")]
+#[type_name("upswing.Measurement.v2")]
 pub struct Measurement {
     /// Cycle number of the plant since it started, counts from 1; 0: nothing measured yet.
     pub seq: u64,
     /// Time of the measurement, ns: CLOCK_MONOTONIC on the wall clock, `seq * period_ns` on the others.
     pub t_ns: u64,
-    /// q, joint positions, joint frames, rad, not wrapped.
-    pub q: [f64; NQ],
-    /// tau, torques measured at the actuated joints, joint frames, N m.
-    pub tau_measured: [f64; NU],
+    /// n, number of joints.
+    pub joints: u64,
+    /// n_A, number of actuated joints.
+    pub actuated: u64,
+    /// q, joint positions, not wrapped.
+    pub q: PerJoint,
+    /// tau, torques measured at the actuated joints.
+    pub tau_measured: PerJoint,
     /// Bits [`Measurement::BRAKES_CLOSED`] .. [`Measurement::LOAD_SENSED`]; all others 0.
     pub status: u64,
     /// Code of the plant's [`Clock`].
@@ -26,7 +31,7 @@ pub struct Measurement {
     pub period_ns: u64,
 }
 
-const _: () = assert!(size_of::<Measurement>() == WORD * (5 + NQ + NU));
+const _: () = assert!(size_of::<Measurement>() == WORD * 7 + 2 * size_of::<PerJoint>());
 
 impl Measurement {
     /// Status bit: the brakes hold the actuated joints.
@@ -42,6 +47,21 @@ impl Measurement {
     /// show meanwhile. Never set by a robot that measures the torque of its motors, which is none then.
     pub const LOAD_SENSED: u64 = 1 << 4;
 
+    /// A measurement of the positions `q` and the torques `tau`; all else is 0.
+    pub fn new(order: &Order, q: &JointVector, tau: &ActuatedVector) -> Self {
+        let (joints, actuated) = chain::numbers(order.sizes());
+        Self { joints, actuated, q: order.in_chain(q), tau_measured: *tau.padded(), ..Self::default() }
+    }
+
+    /// q and tau.
+    ///
+    /// # Errors
+    /// [`OtherChain`] unless the numbers of joints are those of `order`.
+    pub fn vectors(&self, order: &Order) -> Result<(JointVector, ActuatedVector), OtherChain> {
+        chain::check("measurement", (self.joints, self.actuated), order.sizes())?;
+        Ok((chain::sorted(order, &self.q), chain::actuated(order.sizes(), &self.tau_measured)))
+    }
+
     /// The plant's clock.
     ///
     /// # Errors
@@ -54,7 +74,7 @@ impl Measurement {
 /// Command to drives and brakes, from daemon to plant.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
-#[type_name("upswing.Command.v1")]
+#[type_name("upswing.Command.v2")]
 pub struct Command {
     /// Cycle number of the daemon since it started, counts from 1; 0: nothing commanded yet.
     pub seq: u64,
@@ -62,18 +82,56 @@ pub struct Command {
     pub t_ns: u64,
     /// `seq` of the measurement that this command answers.
     pub measurement_seq: u64,
-    /// tau, commanded torques of the actuated joints, joint frames, N m.
-    pub tau: [f64; NU],
+    /// n, number of joints.
+    pub joints: u64,
+    /// n_A, number of actuated joints.
+    pub actuated: u64,
+    /// tau, commanded torques of the actuated joints.
+    pub tau: PerJoint,
     /// 1: close the brakes, 0: release them.
     pub brake: u64,
 }
 
-const _: () = assert!(size_of::<Command>() == WORD * (4 + NU));
+const _: () = assert!(size_of::<Command>() == WORD * 6 + size_of::<PerJoint>());
+
+impl Command {
+    /// A command of the torques `tau` with open brakes; all else is 0.
+    pub fn new(tau: &ActuatedVector) -> Self {
+        let (joints, actuated) = chain::numbers(tau.sizes());
+        Self { joints, actuated, tau: *tau.padded(), ..Self::default() }
+    }
+
+    /// tau.
+    ///
+    /// # Errors
+    /// [`OtherChain`] unless the numbers of joints are `sizes`.
+    pub fn torque(&self, sizes: Sizes) -> Result<ActuatedVector, OtherChain> {
+        chain::check("command", (self.joints, self.actuated), sizes)?;
+        Ok(chain::actuated(sizes, &self.tau))
+    }
+}
+
+/// The vectors in a record of telemetry.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CycleVectors {
+    /// x = [q, qd], measured positions and estimated velocities.
+    pub x: State,
+    /// x_d = [q_d, qd_d], reference.
+    pub x_d: State,
+    /// u_d, reference input.
+    pub u_d: ActuatedVector,
+    /// u = u_d + K dx, input after feedback.
+    pub u: ActuatedVector,
+    /// tau, commanded torques after the limiter.
+    pub tau: ActuatedVector,
+    /// tau, measured torques.
+    pub tau_measured: ActuatedVector,
+}
 
 /// Record of one control cycle, published by the daemon.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
-#[type_name("upswing.Telemetry.v3")]
+#[type_name("upswing.Telemetry.v4")]
 pub struct Telemetry {
     /// Cycle number of the daemon since it started, counts from 1.
     pub seq: u64,
@@ -95,23 +153,27 @@ pub struct Telemetry {
     pub flags: u64,
     /// t, time since the plan started, s; 0 without a plan.
     pub t_plan: f64,
-    /// q, measured joint positions, joint frames, rad; q8 without the whole turns that it made while it was not
+    /// n, number of joints.
+    pub joints: u64,
+    /// n_A, number of actuated joints.
+    pub actuated: u64,
+    /// q, measured joint positions; of a joint that turns over without the whole turns that it made while it was not
     /// controlled.
-    pub q: [f64; NQ],
-    /// qd, estimated joint velocities, joint frames, rad/s.
-    pub qd: [f64; NQ],
-    /// q_d, reference positions, joint frames, rad.
-    pub q_d: [f64; NQ],
-    /// qd_d, reference velocities, joint frames, rad/s.
-    pub qd_d: [f64; NQ],
-    /// u_d, reference input (accelerations of the actuated joints), rad/s^2.
-    pub u_d: [f64; NU],
-    /// u = u_d + K dx, input after feedback, rad/s^2.
-    pub u: [f64; NU],
-    /// tau, commanded torques after the limiter, joint frames, N m.
-    pub tau: [f64; NU],
-    /// tau, measured torques, joint frames, N m.
-    pub tau_measured: [f64; NU],
+    pub q: PerJoint,
+    /// qd, estimated joint velocities.
+    pub qd: PerJoint,
+    /// q_d, reference positions.
+    pub q_d: PerJoint,
+    /// qd_d, reference velocities.
+    pub qd_d: PerJoint,
+    /// u_d, reference input (accelerations of the actuated joints).
+    pub u_d: PerJoint,
+    /// u = u_d + K dx, input after feedback.
+    pub u: PerJoint,
+    /// tau, commanded torques after the limiter.
+    pub tau: PerJoint,
+    /// tau, measured torques.
+    pub tau_measured: PerJoint,
     /// From the planned start of the cycle to the actual one, ns; measured on the clock `wall`, else 0.
     pub wake_ns: u64,
     /// Reading the measurement, ns; measured on the clock `wall`, else 0.
@@ -124,7 +186,7 @@ pub struct Telemetry {
     pub clock: u64,
 }
 
-const _: () = assert!(size_of::<Telemetry>() == WORD * (15 + 4 * NQ + 4 * NU));
+const _: () = assert!(size_of::<Telemetry>() == WORD * 17 + 8 * size_of::<PerJoint>());
 
 impl Telemetry {
     /// Flag: the cycle ended after the next one should have begun.
@@ -135,6 +197,51 @@ impl Telemetry {
     pub const LIMITED: u64 = 1 << 2;
     /// Flag: the command closes the brakes.
     pub const BRAKE: u64 = 1 << 3;
+
+    /// A record with these vectors; all else is 0.
+    pub fn new(order: &Order, vectors: &CycleVectors) -> Self {
+        let (joints, actuated) = chain::numbers(order.sizes());
+        Self {
+            joints,
+            actuated,
+            q: order.in_chain(&vectors.x.q()),
+            qd: order.in_chain(&vectors.x.qd()),
+            q_d: order.in_chain(&vectors.x_d.q()),
+            qd_d: order.in_chain(&vectors.x_d.qd()),
+            u_d: *vectors.u_d.padded(),
+            u: *vectors.u.padded(),
+            tau: *vectors.tau.padded(),
+            tau_measured: *vectors.tau_measured.padded(),
+            ..Self::default()
+        }
+    }
+
+    /// The vectors of the record.
+    ///
+    /// # Errors
+    /// [`OtherChain`] unless the numbers of joints are those of `order`.
+    pub fn vectors(&self, order: &Order) -> Result<CycleVectors, OtherChain> {
+        chain::check("telemetry", (self.joints, self.actuated), order.sizes())?;
+        let actuated = |values| chain::actuated(order.sizes(), values);
+        Ok(CycleVectors {
+            x: chain::state(order, &self.q, &self.qd),
+            x_d: chain::state(order, &self.q_d, &self.qd_d),
+            u_d: actuated(&self.u_d),
+            u: actuated(&self.u),
+            tau: actuated(&self.tau),
+            tau_measured: actuated(&self.tau_measured),
+        })
+    }
+
+    /// The values in use of one of the arrays `q`, `qd`, `q_d` and `qd_d` of this record, in the chain's order.
+    pub fn of_joints<'a>(&self, values: &'a PerJoint) -> &'a [f64] {
+        chain::used(values, self.joints)
+    }
+
+    /// The values in use of one of the arrays `u_d`, `u`, `tau` and `tau_measured` of this record, in the chain's order.
+    pub fn of_actuated<'a>(&self, values: &'a PerJoint) -> &'a [f64] {
+        chain::used(values, self.actuated)
+    }
 
     /// The plant's clock.
     ///
@@ -166,7 +273,7 @@ const TELEMETRY_BATCH: usize = 64;
 /// Records of consecutive cycles in one sample: a sample per cycle would cost more than the cycle itself.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, ZeroCopySend)]
-#[type_name("upswing.TelemetryBatch.v3")]
+#[type_name("upswing.TelemetryBatch.v4")]
 pub struct TelemetryBatch {
     /// Records in use, 0 to the length of `records`; not to be trusted, read with [`TelemetryBatch::used`].
     pub count: u64,

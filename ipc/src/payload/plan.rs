@@ -1,19 +1,17 @@
 //! A plan as a message from planner to daemon, and its conversion to and from the plan that the controller follows.
 
-use super::words::{WORD, Zeroable, boxed_zeroed};
+use super::chain::{self, OtherChain};
+use super::words::WORD;
 use iceoryx2::prelude::ZeroCopySend;
-use upswing_model::{ActuatedVector, NU, NX, State};
-use upswing_trajectory::{Gain, Gains, KNOTS, Plan, Trajectory};
-use xxhash_rust::xxh3::xxh3_64;
+use upswing_model::{ActuatedVector, MOST_JOINTS, Order, Sizes, State};
+use upswing_trajectory::{Gains, INTERVALS, Plan, Trajectory};
+use xxhash_rust::xxh3::Xxh3;
 
-/// A trajectory xi with its gain schedule, planner -> daemon; x = [q, qd], knots uniform over [0, t_F].
-///
-/// About 140 KB: keep it in a box, start from [`PlanMessage::boxed_zeroed`]. [`PlanMessage::seal`] before it is published;
-/// the receiver copies it out of shared memory first and asks [`PlanMessage::is_intact`] of the copy.
+/// What comes before the numbers of a [`PlanMessage`].
 #[repr(C)]
-#[derive(Clone, Copy, Debug, ZeroCopySend)]
-#[type_name("upswing.Plan.v2")]
-pub struct PlanMessage {
+#[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
+#[type_name("upswing.Plan.v3")]
+pub struct PlanHeader {
     /// Identity of the plan, unique per planner, above 0.
     pub id: u64,
     /// Fingerprint of the model that the plan was made for.
@@ -23,103 +21,235 @@ pub struct PlanMessage {
     pub activation_ns: u64,
     /// t_F, duration, s, above 0.
     pub t_f: f64,
-    /// x_k, states at the knots, joint frames, rad and rad/s.
-    pub x: [[f64; NX]; KNOTS],
-    /// u_k, inputs at the knots, rad/s^2.
-    pub u: [[f64; NU]; KNOTS],
-    /// f_k = f(x_k, u_k), time derivative of the state at the knots, rad/s and rad/s^2.
-    pub f: [[f64; NX]; KNOTS],
-    /// K_k, feedback gains at the knots, u = u_d + K dx, rows: inputs, 1/s^2 (positions) and 1/s (velocities).
-    pub k: [[[f64; NX]; NU]; KNOTS],
-    /// Gain at the final equilibrium x_T, after t_F; units as `k`.
-    pub k_final: [[f64; NX]; NU],
-    /// XXH3 (64 bit) over all bytes before this field.
+    /// n, number of joints.
+    pub joints: u64,
+    /// n_A, number of actuated joints.
+    pub actuated: u64,
+    /// N, number of intervals.
+    pub intervals: u64,
+    /// XXH3 (64 bit) over all bytes of the header before this field, and those of the numbers.
     pub checksum: u64,
 }
 
-const _: () = assert!(size_of::<PlanMessage>() == WORD * (5 + KNOTS * (2 * NX + NU + NU * NX) + NU * NX));
+/// Number of words of a header.
+const HEADER: usize = size_of::<PlanHeader>() / WORD;
+
+const _: () = assert!(size_of::<PlanHeader>() == WORD * 8);
 // The checksum covers all that lies before it, so it must be last.
-const _: () = assert!(std::mem::offset_of!(PlanMessage, checksum) == size_of::<PlanMessage>() - WORD);
+const _: () = assert!(std::mem::offset_of!(PlanHeader, checksum) == size_of::<PlanHeader>() - WORD);
 
-const WORDS: usize = size_of::<PlanMessage>() / WORD;
+impl PlanHeader {
+    /// The number of numbers that follow the header.
+    ///
+    /// # Errors
+    /// [`DamagedPlan::Sizes`] if there is no such chain, or no such number of intervals.
+    pub fn length(&self) -> Result<usize, DamagedPlan> {
+        let (sizes, intervals) = self.sizes()?;
+        Ok(PlanMessage::length(sizes, intervals))
+    }
 
-// SAFETY: numbers only, size above zero.
-unsafe impl Zeroable for PlanMessage {}
+    /// Numbers of joints and N.
+    fn sizes(&self) -> Result<(Sizes, usize), DamagedPlan> {
+        let number = |word: u64| usize::try_from(word).unwrap_or(usize::MAX);
+        let intervals = number(self.intervals);
+        let sizes = Sizes::new(number(self.joints), number(self.actuated));
+        sizes.filter(|_| INTERVALS.contains(&intervals)).map(|sizes| (sizes, intervals)).ok_or(
+            DamagedPlan::Sizes { joints: self.joints, actuated: self.actuated, intervals: self.intervals },
+        )
+    }
+
+    fn words(&self) -> [u64; HEADER] {
+        // SAFETY: `repr(C)` of 8-byte numbers without padding (size assertion above); any bits are a valid `u64`.
+        unsafe { std::mem::transmute(*self) }
+    }
+
+    fn from_words(words: [u64; HEADER]) -> Self {
+        // SAFETY: as in `words`; any bits are a valid number of 8 bytes.
+        unsafe { std::mem::transmute(words) }
+    }
+}
+
+/// A trajectory xi with its gain schedule, planner -> daemon: a header and as many numbers as the plan has.
+///
+/// The numbers are, joints in the chain's order:
+///
+/// | number of numbers | |
+/// |---|---|
+/// | (N + 1) 2n | x_k = [q, qd], states at the knots, which are uniform over [0, t_F] |
+/// | (N + 1) n_A | u_k, inputs at the knots |
+/// | (N + 1) 2n | f_k = f(x_k, u_k), time derivative of the state at the knots |
+/// | (N + 1) n_A 2n | K_k, feedback gains at the knots, u = u_d + K dx, by rows: 1/s^2 (positions) and 1/s (velocities) |
+/// | n_A 2n | gain at the final equilibrium x_T, after t_F |
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlanMessage {
+    /// Sizes, identity and checksum.
+    pub header: PlanHeader,
+    /// The numbers.
+    pub values: Vec<f64>,
+}
 
 impl PlanMessage {
-    /// A plan of zeros on the heap; it has never been on the stack.
-    pub fn boxed_zeroed() -> Box<Self> {
-        boxed_zeroed()
+    /// Number of numbers of a plan with N = `intervals`.
+    pub const fn length(sizes: Sizes, intervals: usize) -> usize {
+        (intervals + 1) * (2 * sizes.state() + sizes.actuated()) + Gains::entries(sizes, intervals)
     }
 
-    /// A copy on the heap that has never been on the stack.
-    pub fn boxed_copy(&self) -> Box<Self> {
-        let mut copy = Self::boxed_zeroed();
-        *copy = *self;
-        copy
+    /// The sealed message of a plan.
+    pub fn new(plan: &Plan, order: &Order) -> Self {
+        let (joints, actuated) = chain::numbers(order.sizes());
+        let intervals = plan.trajectory.intervals();
+        let mut values = Vec::with_capacity(Self::length(order.sizes(), intervals));
+        plan.trajectory.x.iter().for_each(|x| values.extend(in_chain(order, x)));
+        plan.trajectory.u.iter().for_each(|u| values.extend_from_slice(u));
+        plan.f.iter().for_each(|f| values.extend(in_chain(order, f)));
+        values.extend(in_chain(order, plan.gains.as_slice()));
+        let header = PlanHeader {
+            id: plan.id,
+            fingerprint: plan.fingerprint,
+            activation_ns: plan.activation_ns.unwrap_or(0),
+            t_f: plan.trajectory.t_f,
+            joints,
+            actuated,
+            intervals: intervals as u64,
+            checksum: 0,
+        };
+        let mut message = Self { header, values };
+        message.seal();
+        message
     }
 
-    /// The fields in their order as plain words (numbers with a fraction: their bits), for files.
-    pub fn words(&self) -> impl Iterator<Item = u64> {
-        // SAFETY: `repr(C)` of 8-byte numbers without padding (size assertion above); any bits are a valid `u64`.
-        let words = unsafe { std::slice::from_raw_parts(std::ptr::from_ref(self).cast::<u64>(), WORDS) };
-        words.iter().copied()
-    }
-
-    /// The plan that [`Self::words`] gave; `None` if their number differs.
-    pub fn from_words(words: &[u64]) -> Option<Box<Self>> {
-        let mut plan = Self::boxed_zeroed();
-        // SAFETY: as in `words`; any bits are a valid number of 8 bytes, and the box is borrowed mutably here only.
-        let own =
-            unsafe { std::slice::from_raw_parts_mut(std::ptr::from_mut(&mut *plan).cast::<u64>(), WORDS) };
-        if words.len() != WORDS {
-            return None;
+    /// The plan in a message, of which nothing else is checked.
+    ///
+    /// # Errors
+    /// [`DamagedPlan`]
+    pub fn plan(&self, order: &Order) -> Result<Plan, DamagedPlan> {
+        let header = &self.header;
+        let (sizes, intervals) = header.sizes()?;
+        let (expected, got) = (Self::length(sizes, intervals), self.values.len());
+        if got != expected {
+            return Err(DamagedPlan::Length { expected, got });
         }
-        own.copy_from_slice(words);
-        Some(plan)
+        if !self.is_intact() {
+            return Err(DamagedPlan::Checksum { expected: header.checksum, got: self.checksum() });
+        }
+        chain::check("plan", (header.joints, header.actuated), order.sizes())?;
+        if header.id == 0 {
+            return Err(DamagedPlan::Id);
+        }
+        let knots = intervals + 1;
+        let (x, rest) = self.values.split_at(knots * sizes.state());
+        let (u, rest) = rest.split_at(knots * sizes.actuated());
+        let (f, gains) = rest.split_at(knots * sizes.state());
+        let input = |row: &[f64]| ActuatedVector::from_fn(sizes, |i| row[i]);
+        let gains = Gains::from_slab(sizes, intervals, sorted(order, gains).collect());
+        Ok(Plan {
+            id: header.id,
+            fingerprint: header.fingerprint,
+            activation_ns: Some(header.activation_ns).filter(|ns| *ns != 0),
+            trajectory: Trajectory {
+                t_f: header.t_f,
+                x: states(order, x),
+                u: u.chunks_exact(sizes.actuated()).map(input).collect(),
+            },
+            f: states(order, f),
+            gains: gains.ok_or(DamagedPlan::Length { expected, got })?,
+        })
     }
 
-    /// The checksum that belongs to the contents; `checksum` itself does not enter.
-    pub fn checksum_of(&self) -> u64 {
-        let covered = std::mem::offset_of!(PlanMessage, checksum);
-        // SAFETY: `repr(C)` without padding (size assertion above), so all of these bytes are initialized.
-        xxh3_64(unsafe { std::slice::from_raw_parts(std::ptr::from_ref(self).cast::<u8>(), covered) })
+    /// The message in shared memory, which another process can change meanwhile: the header is a copy already.
+    ///
+    /// # Errors
+    /// [`DamagedPlan::Sizes`], [`DamagedPlan::Length`]; then `values` are not read.
+    pub(crate) fn copied(header: PlanHeader, values: &[f64]) -> Result<Self, DamagedPlan> {
+        let (expected, got) = (header.length()?, values.len());
+        if got != expected {
+            return Err(DamagedPlan::Length { expected, got });
+        }
+        Ok(Self { header, values: values.to_vec() })
+    }
+
+    /// Header and numbers as plain words (numbers with a fraction: their bits), for files.
+    pub fn words(&self) -> impl Iterator<Item = u64> {
+        self.header.words().into_iter().chain(self.values.iter().map(|value| value.to_bits()))
+    }
+
+    /// The message that [`Self::words`] gave; `None` if there are fewer words than a header has.
+    pub fn from_words(words: &[u64]) -> Option<Self> {
+        let (header, values) = words.split_first_chunk()?;
+        let values = values.iter().map(|bits| f64::from_bits(*bits)).collect();
+        Some(Self { header: PlanHeader::from_words(*header), values })
+    }
+
+    /// The checksum that belongs to the contents; that in the header does not enter.
+    pub fn checksum(&self) -> u64 {
+        let mut hash = Xxh3::new();
+        let header = self.header.words();
+        header[..HEADER - 1].iter().for_each(|word| hash.update(&word.to_ne_bytes()));
+        // SAFETY: the bytes of plain numbers, all of them initialized.
+        hash.update(unsafe {
+            std::slice::from_raw_parts(self.values.as_ptr().cast(), size_of_val(&self.values[..]))
+        });
+        hash.digest()
     }
 
     /// Sets the checksum to that of the contents.
     pub fn seal(&mut self) {
-        self.checksum = self.checksum_of();
+        self.header.checksum = self.checksum();
     }
 
     /// Whether the contents are those that were sealed.
     pub fn is_intact(&self) -> bool {
-        self.checksum == self.checksum_of()
+        self.header.checksum == self.checksum()
     }
 }
 
-impl From<&Plan> for Box<PlanMessage> {
-    /// The sealed message of a plan.
-    fn from(plan: &Plan) -> Self {
-        let mut message = PlanMessage::boxed_zeroed();
-        message.id = plan.id;
-        message.fingerprint = plan.fingerprint;
-        message.activation_ns = plan.activation_ns.unwrap_or(0);
-        message.t_f = plan.trajectory.t_f;
-        for k in 0..KNOTS {
-            message.x[k] = plan.trajectory.x[k].into();
-            message.u[k] = plan.trajectory.u[k].into();
-            message.f[k] = plan.f[k].into();
-            message.k[k] = rows(&plan.gains.knots[k]);
-        }
-        message.k_final = rows(&plan.gains.end);
-        message.seal();
-        message
-    }
+/// Rows over the states, [q, qd] each, in the chain's order.
+fn in_chain(order: &Order, rows: &[f64]) -> impl Iterator<Item = f64> {
+    let halves = rows.chunks_exact(order.sizes().joints());
+    halves.flat_map(|half| (0..half.len()).map(|joint| half[order.coordinate(joint)]))
+}
+
+/// Rows over the states in the chain's order, sorted.
+fn sorted(order: &Order, rows: &[f64]) -> impl Iterator<Item = f64> {
+    let halves = rows.chunks_exact(order.sizes().joints());
+    halves.flat_map(|half| (0..half.len()).map(|c| half[order.joint(c)]))
+}
+
+/// The states in the chain's order, sorted.
+fn states(order: &Order, values: &[f64]) -> Vec<State> {
+    let sizes = order.sizes();
+    let state = |row| {
+        let mut x = State::zeros(sizes);
+        x.iter_mut().zip(sorted(order, row)).for_each(|(to, value)| *to = value);
+        x
+    };
+    values.chunks_exact(sizes.state()).map(state).collect()
 }
 
 /// Why a message is not a plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum DamagedPlan {
+    /// There is no chain or no trajectory of the sizes in the header.
+    #[error(
+        "sizes: expected 2 to {MOST_JOINTS} joints, of which some but not all are actuated, and {} to {} intervals; got {joints} \
+         joints, {actuated} of them actuated, and {intervals} intervals", INTERVALS.start(), INTERVALS.end()
+    )]
+    Sizes {
+        /// Number of joints.
+        joints: u64,
+        /// Number of actuated joints.
+        actuated: u64,
+        /// Number of intervals.
+        intervals: u64,
+    },
+    /// There are more or fewer numbers than the sizes in the header say.
+    #[error("length: the header says {expected} numbers, got {got}")]
+    Length {
+        /// Number of numbers by the header.
+        expected: usize,
+        /// Number of numbers.
+        got: usize,
+    },
     /// The bytes are not those that the planner sealed.
     #[error("checksum: the plan names {expected:016x}, its contents give {got:016x}")]
     Checksum {
@@ -128,46 +258,10 @@ pub enum DamagedPlan {
         /// The checksum of its contents.
         got: u64,
     },
+    /// The plan is for another chain.
+    #[error(transparent)]
+    Chain(#[from] OtherChain),
     /// The id is 0, which means "no plan".
     #[error("id: expected one above 0")]
     Id,
-}
-
-impl TryFrom<&PlanMessage> for Box<Plan> {
-    type Error = DamagedPlan;
-
-    /// The plan in a message, of which nothing else is checked. `message` must be a copy that no other process can write to.
-    fn try_from(message: &PlanMessage) -> Result<Self, DamagedPlan> {
-        if !message.is_intact() {
-            return Err(DamagedPlan::Checksum { expected: message.checksum, got: message.checksum_of() });
-        }
-        if message.id == 0 {
-            return Err(DamagedPlan::Id);
-        }
-        Ok(Self::new(Plan {
-            id: message.id,
-            fingerprint: message.fingerprint,
-            activation_ns: Some(message.activation_ns).filter(|ns| *ns != 0),
-            trajectory: Trajectory {
-                t_f: message.t_f,
-                x: Box::new(std::array::from_fn(|k| State::from(message.x[k]))),
-                u: Box::new(std::array::from_fn(|k| ActuatedVector::from(message.u[k]))),
-            },
-            f: Box::new(std::array::from_fn(|k| State::from(message.f[k]))),
-            gains: Gains {
-                knots: Box::new(std::array::from_fn(|k| gain(&message.k[k]))),
-                end: gain(&message.k_final),
-            },
-        }))
-    }
-}
-
-/// A gain by rows.
-fn rows(gain: &Gain) -> [[f64; NX]; NU] {
-    std::array::from_fn(|i| std::array::from_fn(|j| gain[(i, j)]))
-}
-
-/// The gain with these rows.
-fn gain(rows: &[[f64; NX]; NU]) -> Gain {
-    Gain::from_fn(|i, j| rows[i][j])
 }

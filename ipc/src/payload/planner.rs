@@ -1,22 +1,29 @@
 //! The `planner` service: requests for plans, and the planner's responses.
 
+use super::chain::{self, OtherChain, PerJoint};
 use super::codes::{PlannerKind, PlannerStatus, UnknownCode};
 use super::text::Text;
 use super::words::WORD;
 use iceoryx2::prelude::ZeroCopySend;
-use upswing_model::NX;
+use upswing_model::{Order, State};
 
 /// A request to the planner.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
-#[type_name("upswing.PlannerRequest.v1")]
+#[type_name("upswing.PlannerRequest.v2")]
 pub struct PlannerRequest {
     /// Code of the [`PlannerKind`].
     pub kind: u64,
-    /// 1: start from the state in the newest telemetry and ignore `start`; 0: start from `start`.
+    /// 1: start from the state in the newest telemetry and ignore `q` and `qd`; 0: start from these.
     pub from_now: u64,
-    /// x_0 = [q, qd], start state, joint frames, rad and rad/s.
-    pub start: [f64; NX],
+    /// n, number of joints.
+    pub joints: u64,
+    /// n_A, number of actuated joints.
+    pub actuated: u64,
+    /// q of the start state x_0 = [q, qd].
+    pub q: PerJoint,
+    /// qd of the start state.
+    pub qd: PerJoint,
     /// Iterations of the replanning QP, 0: as the planner's settings say.
     pub iterations: u64,
     /// Time budget, ms, 0: none.
@@ -25,9 +32,25 @@ pub struct PlannerRequest {
     pub publish: u64,
 }
 
-const _: () = assert!(size_of::<PlannerRequest>() == WORD * (5 + NX));
+const _: () = assert!(size_of::<PlannerRequest>() == WORD * 7 + 2 * size_of::<PerJoint>());
 
 impl PlannerRequest {
+    /// A request of `kind` for a plan from the state `x`; all else is 0.
+    pub fn from_state(kind: PlannerKind, order: &Order, x: &State) -> Self {
+        let (joints, actuated) = chain::numbers(order.sizes());
+        let (q, qd) = (order.in_chain(&x.q()), order.in_chain(&x.qd()));
+        Self { kind: kind.code(), joints, actuated, q, qd, ..Self::default() }
+    }
+
+    /// x_0 = [q, qd], the start state; without meaning if `from_now` is 1.
+    ///
+    /// # Errors
+    /// [`OtherChain`] unless the numbers of joints are those of `order`.
+    pub fn start(&self, order: &Order) -> Result<State, OtherChain> {
+        chain::check("planner request", (self.joints, self.actuated), order.sizes())?;
+        Ok(chain::state(order, &self.q, &self.qd))
+    }
+
     /// The kind of request.
     ///
     /// # Errors

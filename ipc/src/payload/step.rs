@@ -8,7 +8,7 @@ use iceoryx2::prelude::ZeroCopySend;
 /// commands. Every cycle is a step; on the paced clock there are also steps between two cycles.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
-#[type_name("upswing.Step.v1")]
+#[type_name("upswing.Step.v2")]
 pub struct RecordedStep {
     /// Number of the step since the start of the daemon, counts from 1.
     pub number: u64,
@@ -40,7 +40,7 @@ const STEP_BATCH: usize = 64;
 /// Consecutive steps in one message.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, ZeroCopySend)]
-#[type_name("upswing.StepBatch.v1")]
+#[type_name("upswing.StepBatch.v2")]
 pub struct StepBatch {
     /// Steps in use, 0..=64; not to be trusted, read with [`StepBatch::used`].
     pub count: u64,

@@ -3,32 +3,52 @@
 
 use crate::error::{Cause, IpcError};
 use crate::node::{MAX_NODES, Node, push_pid};
-use iceoryx2::port::DegradationAction;
+use crate::payload::{DamagedPlan, PlanHeader, PlanMessage};
 use iceoryx2::port::publisher::{Publisher as IoxPublisher, PublisherCreateError};
 use iceoryx2::port::subscriber::{Subscriber as IoxSubscriber, SubscriberCreateError};
 use iceoryx2::port::update_connections::UpdateConnections;
-use iceoryx2::prelude::{BackpressureStrategy, PortFactory as _, ServiceName, ZeroCopySend, ipc};
+use iceoryx2::port::{DegradationAction, ReceiveError};
+use iceoryx2::prelude::{
+    BackpressureStrategy, IceoryxSend, PortFactory as _, ServiceName, ZeroCopySend, ipc,
+};
 use iceoryx2::sample::Sample as IoxSample;
+use iceoryx2::service::builder::publish_subscribe::{Builder, PublishSubscribeOpenOrCreateError};
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
+use iceoryx2::service::port_factory::publisher::PortFactoryPublisher;
 use std::fmt::Debug;
 use std::ops::Deref;
+use upswing_model::Sizes;
 
 /// Largest number of subscribers of one topic.
 const MAX_SUBSCRIBERS: usize = 8;
 /// Samples of one topic that a subscriber may hold at a time.
 const MAX_HELD: usize = 2;
 
-/// A payload that one process publishes and several receive.
-pub trait TopicPayload: ZeroCopySend + Copy + Debug + 'static {
+/// Samples that a publisher has memory for, beside those that wait for subscribers and the history: those that subscribers hold,
+/// one that each of them is about to hold or has just dropped, and the next one.
+const SPARE: usize = MAX_SUBSCRIBERS * (MAX_HELD + 1) + 1;
+
+/// A message that one process publishes and several receive.
+pub trait TopicPayload: Sized + Debug + 'static {
     /// Name of the service.
     const SERVICE: &'static str;
     /// Samples that wait for a slow subscriber before the oldest is replaced.
     const BUFFER: usize;
     /// Samples that a late subscriber still gets.
     const HISTORY: usize;
+    /// What lies in shared memory: the message itself, or the slice in it that differs in length.
+    #[doc(hidden)]
+    type Shared: IceoryxSend + Debug + ?Sized;
+    /// What lies before it; `()` if there is no slice.
+    #[doc(hidden)]
+    type Header: ZeroCopySend + Debug + Default;
 
     #[doc(hidden)]
-    fn publisher(node: &Node) -> Result<Publisher<Self>, IpcError>;
+    fn open_or_create(
+        builder: ServiceBuilder<Self>,
+    ) -> Result<Service<Self>, PublishSubscribeOpenOrCreateError>;
+    #[doc(hidden)]
+    fn publisher(node: &Node, longest: usize) -> Result<Publisher<Self>, IpcError>;
     #[doc(hidden)]
     fn subscriber(node: &Node) -> Result<Subscriber<Self>, IpcError>;
     #[doc(hidden)]
@@ -39,14 +59,29 @@ pub trait TopicPayload: ZeroCopySend + Copy + Debug + 'static {
     fn receive(subscriber: &Subscriber<Self>) -> Result<Option<Sample<Self>>, IpcError>;
 }
 
+pub(super) type Service<T> =
+    PortFactory<ipc::Service, <T as TopicPayload>::Shared, <T as TopicPayload>::Header>;
+pub(super) type PublisherBuilder<'a, T> =
+    PortFactoryPublisher<'a, ipc::Service, <T as TopicPayload>::Shared, <T as TopicPayload>::Header>;
+pub(super) type ServiceBuilder<T> =
+    Builder<<T as TopicPayload>::Shared, <T as TopicPayload>::Header, ipc::Service>;
+
 impl Node {
     /// Creates the publisher of a topic; one process at a time has it.
     ///
     /// # Errors
     /// [`IpcError::Taken`] if another live process has it, [`IpcError::Open`] or [`IpcError::Port`] if the service cannot
     /// be used, [`IpcError::Full`] if there is no room.
-    pub fn publisher<T: TopicPayload>(&self) -> Result<Publisher<T>, IpcError> {
-        T::publisher(self)
+    pub fn publisher<T: TopicPayload<Shared = T>>(&self) -> Result<Publisher<T>, IpcError> {
+        T::publisher(self, 1)
+    }
+
+    /// Creates the publisher of plans, with memory for plans of a chain of `sizes` with N = `intervals` at most.
+    ///
+    /// # Errors
+    /// As [`Self::publisher`].
+    pub fn plan_publisher(&self, sizes: Sizes, intervals: usize) -> Result<Publisher<PlanMessage>, IpcError> {
+        PlanMessage::publisher(self, PlanMessage::length(sizes, intervals))
     }
 
     /// Creates a subscriber of a topic, whether or not there is a publisher.
@@ -61,8 +96,8 @@ impl Node {
 
 /// The only publisher of a topic; stays in the thread that created it.
 pub struct Publisher<T: TopicPayload> {
-    port: IoxPublisher<ipc::Service, T, ()>,
-    _service: PortFactory<ipc::Service, T, ()>,
+    port: IoxPublisher<ipc::Service, T::Shared, T::Header>,
+    _service: Service<T>,
     _node: Node,
 }
 
@@ -70,7 +105,7 @@ impl<T: TopicPayload> Publisher<T> {
     /// Publishes a copy of `value`, written directly into shared memory, to all subscribers.
     ///
     /// # Errors
-    /// [`IpcError::Send`].
+    /// [`IpcError::Send`], also if a plan is longer than the publisher has memory for.
     pub fn publish(&self, value: &T) -> Result<(), IpcError> {
         T::publish(self, value)
     }
@@ -87,8 +122,8 @@ impl<T: TopicPayload> Publisher<T> {
 
 /// A subscriber of a topic; stays in the thread that created it.
 pub struct Subscriber<T: TopicPayload> {
-    port: IoxSubscriber<ipc::Service, T, ()>,
-    _service: PortFactory<ipc::Service, T, ()>,
+    pub(super) port: IoxSubscriber<ipc::Service, T::Shared, T::Header>,
+    _service: Service<T>,
     _node: Node,
 }
 
@@ -104,9 +139,9 @@ impl<T: TopicPayload> Subscriber<T> {
 }
 
 /// A received sample; its place in shared memory is free again when it is dropped.
-pub struct Sample<T: TopicPayload>(IoxSample<ipc::Service, T, ()>);
+pub struct Sample<T: TopicPayload>(IoxSample<ipc::Service, T::Shared, T::Header>);
 
-impl<T: TopicPayload> Deref for Sample<T> {
+impl<T: TopicPayload<Shared = T> + ZeroCopySend> Deref for Sample<T> {
     type Target = T;
 
     fn deref(&self) -> &T {
@@ -114,16 +149,35 @@ impl<T: TopicPayload> Deref for Sample<T> {
     }
 }
 
+impl Sample<PlanMessage> {
+    /// A copy of the header.
+    pub fn header(&self) -> PlanHeader {
+        *self.0.user_header()
+    }
+
+    /// A copy, which no other process can change. Of the contents only the length is checked.
+    ///
+    /// # Errors
+    /// [`DamagedPlan::Sizes`], [`DamagedPlan::Length`].
+    pub fn copied(&self) -> Result<PlanMessage, DamagedPlan> {
+        PlanMessage::copied(self.header(), self.0.payload())
+    }
+}
+
 // The functions below are compiled once for each payload: see `services`.
 
 /// As [`Node::publisher`].
-pub(super) fn publisher<T: TopicPayload>(node: &Node) -> Result<Publisher<T>, IpcError> {
+pub(super) fn publisher<T: TopicPayload>(
+    node: &Node,
+    with_length: impl Fn(PublisherBuilder<'_, T>) -> PublisherBuilder<'_, T>,
+) -> Result<Publisher<T>, IpcError> {
     node.reserving(|| {
         let service = open_service::<T>(node)?;
         let create = || {
-            service
-                .publisher_builder()
+            with_length(service.publisher_builder())
                 .max_loaned_samples(1)
+                // iceoryx2 counts as if every subscriber had other samples in its buffer.
+                .override_sample_preallocation(|worst| worst.min(T::BUFFER + T::HISTORY + SPARE))
                 // A slow subscriber loses its oldest samples; it never stops the publisher.
                 .backpressure_strategy(BackpressureStrategy::DiscardData)
                 .set_degradation_handler(|_, _| DegradationAction::Ignore)
@@ -169,8 +223,11 @@ pub(super) fn subscriber<T: TopicPayload>(node: &Node) -> Result<Subscriber<T>, 
     })
 }
 
-/// As [`Publisher::publish`].
-pub(super) fn publish<T: TopicPayload>(publisher: &Publisher<T>, value: &T) -> Result<(), IpcError> {
+/// As [`Publisher::publish`], of messages of a fixed length.
+pub(super) fn publish<T>(publisher: &Publisher<T>, value: &T) -> Result<(), IpcError>
+where
+    T: TopicPayload<Shared = T> + ZeroCopySend + Copy,
+{
     let mut sample = publisher.port.loan_uninit().map_err(|e| send_error::<T>(e.into()))?;
     // SAFETY: the sample is memory for one `T` that nobody else uses yet; `T` is `Copy`.
     let sample = unsafe {
@@ -180,33 +237,45 @@ pub(super) fn publish<T: TopicPayload>(publisher: &Publisher<T>, value: &T) -> R
     sample.send().map(drop).map_err(|e| send_error::<T>(e.into()))
 }
 
+/// As [`Publisher::publish`], of plans.
+pub(super) fn publish_plan(publisher: &Publisher<PlanMessage>, plan: &PlanMessage) -> Result<(), IpcError> {
+    let failed = |cause| send_error::<PlanMessage>(cause);
+    let sample = publisher.port.loan_slice_uninit(plan.values.len());
+    let mut sample = sample.map_err(|e| failed(e.into()))?;
+    *sample.user_header_mut() = plan.header;
+    sample.write_from_slice(&plan.values).send().map(drop).map_err(|e| failed(e.into()))
+}
+
 /// As [`Publisher::deliver_history`].
 pub(super) fn deliver_history<T: TopicPayload>(publisher: &Publisher<T>) -> Result<(), IpcError> {
     publisher.port.update_connections().map_err(|e| send_error::<T>(e.into()))
 }
 
-/// As [`Subscriber::receive`].
-pub(super) fn receive<T: TopicPayload>(subscriber: &Subscriber<T>) -> Result<Option<Sample<T>>, IpcError> {
-    let sample = subscriber.port.receive();
+/// The result of [`Subscriber::receive`], of that of iceoryx2.
+pub(super) fn received<T: TopicPayload>(
+    sample: Result<Option<IoxSample<ipc::Service, T::Shared, T::Header>>, ReceiveError>,
+) -> Result<Option<Sample<T>>, IpcError> {
     let sample = sample.map_err(|e| IpcError::Receive { service: T::SERVICE, cause: e.into() })?;
     Ok(sample.map(Sample))
 }
 
-fn open_service<T: TopicPayload>(node: &Node) -> Result<PortFactory<ipc::Service, T, ()>, IpcError> {
+fn open_service<T: TopicPayload>(node: &Node) -> Result<Service<T>, IpcError> {
     let failed = |cause| IpcError::Open { service: T::SERVICE.to_owned(), cause };
     let name = ServiceName::new(T::SERVICE).map_err(|e| failed(e.into()))?;
     let open = || {
-        node.iox()
+        let builder = node
+            .iox()
             .service_builder(&name)
-            .publish_subscribe::<T>()
+            .publish_subscribe::<T::Shared>()
+            .user_header::<T::Header>()
             .max_publishers(1)
             .max_subscribers(MAX_SUBSCRIBERS)
             .max_nodes(MAX_NODES)
             .subscriber_max_buffer_size(T::BUFFER)
             .subscriber_max_borrowed_samples(MAX_HELD)
             .history_size(T::HISTORY)
-            .enable_safe_overflow(true)
-            .open_or_create()
+            .enable_safe_overflow(true);
+        T::open_or_create(builder)
     };
     node.retry(open).map_err(|e| failed(e.into()))
 }
