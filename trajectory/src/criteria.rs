@@ -24,8 +24,11 @@ const END_TILT: f64 = 2e-2;
 /// the 100 % limit. With r of (20) at a hundredth of its setting it is 4; a larger one is a blow, not feedback.
 const MOST_STEP: f64 = 5.0;
 /// Largest amplification of such a deviation: root of the sum of the squares of all rows at this and all later knots, in
-/// units of the start tolerance. Plans of the planner have 13 to 30, because the arm has to move to catch the rod.
+/// units of the start tolerance, for [`AMPLIFIED_INTERVALS`]. Plans of the planner have 13 to 30, because the arm has to move to catch the
+/// rod.
 const MOST_AMPLIFIED: f64 = 100.0;
+/// Number of intervals for which [`MOST_AMPLIFIED`] is stated: with more knots each counts less, so that N does not matter.
+const AMPLIFIED_INTERVALS: f64 = 100.0;
 
 /// The criteria that a plan has to meet.
 #[derive(Clone, Debug, PartialEq)]
@@ -202,7 +205,7 @@ pub enum UnmetCriterion {
         /// Number of the knot.
         knot: usize,
         /// Root of the sum of the squares of all rows at this and all later knots, in units of the start tolerance, for a
-        /// deviation of one row by its tolerance at this knot.
+        /// deviation of one row by its tolerance at this knot; as if the plan had 100 intervals.
         got: f64,
     },
 }

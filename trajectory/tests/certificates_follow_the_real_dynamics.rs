@@ -1,8 +1,10 @@
 //! The figures of a certificate are those of the trajectory; its end error comes from an integrator that shares no code
 //! with the trapezoidal rule and finds the end that another one finds. What no integrator can follow has none.
 
-use upswing_model::{ActuatedVector, JointVector, Model, Workspace, state};
-use upswing_trajectory::{Certificate, KNOTS, N, Trajectory, open_loop_end};
+use upswing_model::{ActuatedVector, JointVector, Model, State, Workspace};
+use upswing_trajectory::{Certificate, Trajectory, open_loop_end};
+
+const N: usize = 100;
 
 fn robot() -> Model {
     Model::from_urdf(include_str!("../../config/robot.urdf")).expect("the shipped robot")
@@ -10,16 +12,17 @@ fn robot() -> Model {
 
 /// Joint 1 swings about the vertical, with the pendulum hanging in the plane of its axis.
 fn motion(model: &Model) -> Trajectory {
-    let mut q = JointVector::zeros();
+    let sizes = model.sizes();
+    let mut q = JointVector::zeros(sizes);
     (q[1], q[3], q[5]) = (0.2, -1.3, 0.1);
     let q = model.rest_position(&q, &mut Workspace::default()).expect("it hangs");
     let (t_f, h) = (1.0, 1.0 / N as f64);
-    let mut u = Box::new([ActuatedVector::zeros(); KNOTS]);
+    let mut u = vec![ActuatedVector::zeros(sizes); N + 1];
     for (k, u) in u.iter_mut().enumerate() {
         u[0] = (2.0 * std::f64::consts::PI * k as f64 * h).cos();
         u[3] = 0.5 * (k as f64 * h);
     }
-    let mut x = Box::new([state(&q, &JointVector::zeros()); KNOTS]);
+    let mut x = vec![State::new(&q, &JointVector::zeros(sizes)); N + 1];
     let mut work = Workspace::default();
     // Classical Runge-Kutta with 20 steps per interval, along the linear spline of u.
     for k in 0..N {
@@ -53,8 +56,8 @@ fn figures_are_those_of_the_trajectory() {
     let limits = model.rated_limits();
     let c = Certificate::of(&trajectory, &model, limits, 0.01);
     // J of (6a): t_F and h/2 = 1/200 s times the squares of all inputs, of joint 1 and joint 4 by their formulas.
-    let u_1: f64 = (0..KNOTS).map(|k| (2.0 * std::f64::consts::PI * k as f64 / 100.0).cos().powi(2)).sum();
-    let u_4: f64 = (0..KNOTS).map(|k| (0.5 * k as f64 / 100.0).powi(2)).sum();
+    let u_1: f64 = (0..=N).map(|k| (2.0 * std::f64::consts::PI * k as f64 / 100.0).cos().powi(2)).sum();
+    let u_4: f64 = (0..=N).map(|k| (0.5 * k as f64 / 100.0).powi(2)).sum();
     assert!((c.cost - (1.0 + 0.01 / 200.0 * (u_1 + u_4))).abs() < 1e-12, "cost {}", c.cost);
     assert!(c.end_error < 1e-9 && c.margin_q > 0.0 && c.margin_qd > 0.0 && c.margin_tau > 0.0);
     // The trapezoidal rule differs from the exact solution by O(h^3).

@@ -1,23 +1,30 @@
-//! A database file reads back exactly; any flipped bit, truncation or appended byte is found and named; a journal
-//! that ends within a record gives what is whole.
+//! A database file reads back exactly, for chains of any sizes; any flipped bit, truncation or appended byte is found and named; a
+//! journal that ends within a record gives what is whole; a header that no build writes is refused.
 
 use proptest::prelude::*;
-use upswing_model::{ActuatedVector, State};
+use upswing_model::{ActuatedVector, Model, Sizes, State};
 use upswing_trajectory::{
-    Certificate, Database, DatabaseError, DatabaseHeading, Entry, KNOTS, PoseOutcome, PoseRecord, Trajectory,
+    Certificate, Database, DatabaseError, DatabaseHeading, Entry, PoseOutcome, PoseRecord, Trajectory,
 };
+use xxhash_rust::xxh3::xxh3_64;
+
+const N: usize = 20;
+
+fn robot() -> Model {
+    Model::from_urdf(include_str!("../../config/robot.urdf")).expect("the shipped robot")
+}
 
 fn example() -> Database {
+    example_of(Sizes::new(9, 7).expect("a chain"), N)
+}
+
+fn example_of(sizes: Sizes, n: usize) -> Database {
     let solved = |pose: u64| {
         let seed = pose as f64 + 0.25;
         let trajectory = Trajectory {
             t_f: 2.0 + seed,
-            x: Box::new(std::array::from_fn(|k| {
-                State::from_fn(|i, _| (k as f64 * 0.1 + i as f64 + seed).sin())
-            })),
-            u: Box::new(std::array::from_fn(|k| {
-                ActuatedVector::from_fn(|i, _| (k as f64 - i as f64) * seed)
-            })),
+            x: (0..=n).map(|k| State::from_fn(sizes, |i| (k as f64 * 0.1 + i as f64 + seed).sin())).collect(),
+            u: (0..=n).map(|k| ActuatedVector::from_fn(sizes, |i| (k as f64 - i as f64) * seed)).collect(),
         };
         let figures = |t: &Trajectory| Certificate {
             cost: t.t_f,
@@ -31,34 +38,147 @@ fn example() -> Database {
     };
     let short = |pose, outcome| PoseRecord { pose, outcome };
     Database {
-        heading: DatabaseHeading { model: 1, problem: 2, grid: 3, poses: 4, shard: 1, shards: 1 },
+        heading: DatabaseHeading {
+            sizes,
+            // Lengths of 0, 8 and more bytes, and letters of more than one.
+            joints: (0..sizes.joints()).map(|i| "éa1_joint".chars().take(i).collect()).collect(),
+            intervals: n,
+            key: sizes.actuated(),
+            model: 1,
+            problem: 2,
+            grid: 3,
+            poses: 4,
+            shard: 1,
+            shards: 1,
+        },
         records: vec![solved(0), short(1, PoseOutcome::Rejected), short(2, PoseOutcome::Failed), solved(3)],
     }
 }
 
 #[test]
 fn what_was_written_is_read() {
-    let bytes = example().encode();
-    let read = Database::decode(&bytes).expect("it reads");
-    // As bytes, because a NaN differs from itself.
-    assert_eq!(read.encode(), bytes);
-    assert_eq!(read.entries().count(), 2);
+    for (joints, actuated, n) in [(2, 1, 20), (3, 1, 37), (9, 7, 100), (16, 1, 20), (16, 15, 1000)] {
+        let example = example_of(Sizes::new(joints, actuated).expect("a chain"), n);
+        let bytes = example.encode();
+        let read = Database::decode(&bytes).expect("it reads");
+        // As bytes, because a NaN differs from itself.
+        assert_eq!(read.encode(), bytes);
+        assert_eq!(read.heading, example.heading);
+        assert_eq!(read.entries().count(), 2);
+        for (read, written) in read.entries().zip(example.entries()) {
+            assert_eq!((&read.key, &read.trajectory), (&written.key, &written.trajectory));
+            assert_eq!(read.key, read.trajectory.start().q_a().to_vec());
+        }
+    }
+}
+
+#[test]
+fn keys_may_have_more_than_the_start_pose() {
+    let mut example = example();
+    example.heading.key = 9;
+    for record in &mut example.records {
+        let PoseOutcome::Solved(entry) = &mut record.outcome else { continue };
+        entry.key.extend([0.5, -0.25]);
+    }
+    let read = Database::decode(&example.encode()).expect("it reads");
+    assert!(read.entries().all(|e| e.key.len() == 9 && e.key[7..] == [0.5, -0.25]));
+    let PoseOutcome::Solved(entry) = &mut example.records[3].outcome else { panic!("solved") };
+    entry.key[8] = f64::NAN;
+    let refusal = Database::decode(&example.encode()).expect_err("refused");
+    assert!(refusal.to_string().contains("the key of record 3: expected finite numbers"), "{refusal}");
 }
 
 #[test]
 fn an_empty_file_says_how_to_get_one() {
     assert_eq!(Database::decode(&[]), Err(DatabaseError::Empty));
-    let none = Database { records: Vec::new(), ..example() };
-    assert_eq!(none.entries_for(1, 2), Err(DatabaseError::Empty));
+    let model = robot();
+    let none = Database { records: Vec::new(), ..of_robot(&model) };
+    assert_eq!(none.entries_for(&model, 2), Err(DatabaseError::Empty));
+}
+
+/// The example, as one that was made for `model`.
+fn of_robot(model: &Model) -> Database {
+    let mut database = example_of(model.sizes(), N);
+    database.heading.joints = DatabaseHeading::joints_of(model);
+    database.heading.model = model.fingerprint();
+    database
 }
 
 #[test]
-fn other_settings_and_single_shards_are_refused() {
-    let expected = DatabaseError::Fingerprint { what: "robot model", expected: 9, got: 1 };
-    assert_eq!(example().entries_for(9, 2), Err(expected));
-    let mut shard = example();
-    (shard.heading.shard, shard.heading.shards) = (2, 3);
-    assert_eq!(shard.entries_for(1, 2), Err(DatabaseError::Shard { shard: 2, shards: 3 }));
+fn other_robots_other_settings_and_single_shards_are_refused() {
+    let model = robot();
+    assert_eq!(of_robot(&model).entries_for(&model, 2).map(|e| e.len()), Ok(2));
+    let refused = |change: &dyn Fn(&mut DatabaseHeading), expected: DatabaseError| {
+        let mut database = of_robot(&model);
+        change(&mut database.heading);
+        assert_eq!(database.entries_for(&model, 2), Err(expected));
+    };
+    let expected = model.fingerprint();
+    let got = expected ^ 1;
+    refused(&|h| h.model = got, DatabaseError::Fingerprint { what: "robot model", expected, got });
+    let what = "set of limits and weights";
+    refused(&|h| h.problem = 9, DatabaseError::Fingerprint { what, expected: 2, got: 9 });
+    let expected = DatabaseHeading::joints_of(&model);
+    let mut got = expected.clone();
+    got.swap(0, 1);
+    refused(&|h| h.joints.swap(0, 1), DatabaseError::Joints { expected: expected.clone(), got });
+    let got = expected[1..].to_vec();
+    refused(&|h| drop(h.joints.remove(0)), DatabaseError::Joints { expected, got });
+    let motors = DatabaseError::Motors { expected: 7, got: 6 };
+    refused(&|h| h.sizes = Sizes::new(9, 6).expect("a chain"), motors);
+    refused(&|h| (h.shard, h.shards) = (2, 3), DatabaseError::Shard { shard: 2, shards: 3 });
+}
+
+/// The header of the example with its word number `i` replaced by `value`, and the right checksum.
+fn with_word(i: usize, value: u64) -> Vec<u8> {
+    let mut bytes = example().heading.journal();
+    bytes[8 * i..][..8].copy_from_slice(&value.to_le_bytes());
+    let content = bytes.len() - 8;
+    let checksum = xxh3_64(&bytes[..content]);
+    bytes[content..].copy_from_slice(&checksum.to_le_bytes());
+    bytes
+}
+
+#[test]
+fn headers_that_no_build_writes_are_refused() {
+    let names = 14;
+    for (word, value, what) in [
+        (2, 0, "length of the header: expected 120 or more, whole words, got 0"),
+        (2, 121, "length of the header"),
+        (3, 17, "number of motors"),
+        (3, 7, "number of motors: expected fewer than the 7 joints, which are at most 16, got 7"),
+        (3, u64::MAX, "number of motors"),
+        (4, 0, "number of motors"),
+        (4, 9, "number of motors"),
+        (4, u64::MAX, "number of motors"),
+        (5, 19, "number of intervals: expected 20 to 1000, got 19"),
+        (5, 1001, "number of intervals"),
+        (5, u64::MAX, "number of intervals"),
+        (6, 6, "length of the keys: expected 7 to 25, got 6"),
+        (6, 26, "length of the keys"),
+        (6, u64::MAX, "length of the keys"),
+        (11, 0, "shard: expected 1 to 1, got 0"),
+        (11, 2, "shard"),
+        (3, 8, "names of the joints: expected 8 names in UTF-8, got "),
+        (3, 10, "names of the joints: expected 10 names in UTF-8, got 9 names"),
+        (names, 1 << 20, "names of the joints: expected 9 names in UTF-8, got 0 names"),
+        (names, u64::MAX, "names of the joints"),
+        // Within the first of the two bytes of the letter of the second name.
+        (names + 1, 1, "names of the joints: expected 9 names in UTF-8, got name 2"),
+    ] {
+        let bytes = with_word(word, value);
+        for refusal in [Database::decode(&bytes).expect_err(what), Database::recover(&bytes).expect_err(what)]
+        {
+            assert!(matches!(refusal, DatabaseError::Value { .. }), "word {word} = {value}: {refusal}");
+            assert!(refusal.to_string().starts_with(what), "word {word} = {value}: {refusal}");
+        }
+    }
+    let bytes = with_word(2, u64::MAX - 7);
+    assert!(matches!(Database::decode(&bytes), Err(DatabaseError::Length { .. })));
+    // More records than the file has.
+    let mut bytes = with_word(13, 1 << 60);
+    bytes.extend(example().records[1].encode());
+    assert!(matches!(Database::decode(&bytes), Err(DatabaseError::Length { .. })));
 }
 
 #[test]
@@ -71,20 +191,23 @@ fn another_version_is_named() {
     let mut bytes = example().encode();
     bytes[8] = 1;
     let refusal = Database::decode(&bytes).expect_err("refused");
-    assert_eq!(refusal, DatabaseError::Layout { what: "format version", expected: 2, got: 1 });
+    assert_eq!(refusal, DatabaseError::Layout { what: "format version", expected: 3, got: 1 });
 }
 
 #[test]
 fn numbers_that_no_trajectory_has_are_refused() {
-    let refused = |change: &dyn Fn(&mut Trajectory), part: &str| {
+    let refused_entry = |change: &dyn Fn(&mut Entry), part: &str| {
         let mut database = example();
         let PoseOutcome::Solved(entry) = &mut database.records[3].outcome else { panic!("solved") };
-        change(&mut entry.trajectory);
+        change(entry);
         let bytes = database.encode();
         let refusal = Database::decode(&bytes).expect_err("refused");
         assert!(matches!(refusal, DatabaseError::Value { .. }), "{refusal}");
         assert!(refusal.to_string().contains("record 3") && refusal.to_string().contains(part), "{refusal}");
         assert_eq!(Database::recover(&bytes).expect("the rest is good").0.records.len(), 3);
+    };
+    let refused = |change: &dyn Fn(&mut Trajectory), part: &str| {
+        refused_entry(&|e| change(&mut e.trajectory), part);
     };
     for t_f in [0.0, -1.0, 1e9, f64::NAN, f64::INFINITY] {
         refused(
@@ -93,8 +216,10 @@ fn numbers_that_no_trajectory_has_are_refused() {
         );
     }
     refused(&|t| t.x[0][3] = f64::INFINITY, "expected finite numbers, got inf");
-    refused(&|t| t.x[KNOTS - 1][8] = f64::NAN, "expected finite numbers, got NaN");
-    refused(&|t| t.u[50][2] = f64::NAN, "expected finite numbers, got NaN");
+    refused(&|t| t.x[N][8] = f64::NAN, "expected finite numbers, got NaN");
+    refused(&|t| t.u[10][2] = f64::NAN, "expected finite numbers, got NaN");
+    refused_entry(&|e| e.key[3] = 5.0, "the key of record 3: expected the start pose");
+    refused_entry(&|e| e.key[3] = f64::NAN, "the key of record 3: expected the start pose");
 }
 
 proptest! {
