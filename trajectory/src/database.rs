@@ -138,7 +138,7 @@ pub enum DatabaseError {
     },
     /// The database was made for a robot with other joints.
     #[error(
-        "the database was made for a robot with the joints {}, the settings have {}; rebuild it with `upswing db build`",
+        "the database was made for another robot: its joints are {}, those of the settings are {}; rebuild it with `upswing db build`",
         .got.join(", "), .expected.join(", ")
     )]
     Joints {
@@ -149,7 +149,8 @@ pub enum DatabaseError {
     },
     /// The database was made for a robot with other motors.
     #[error(
-        "the database was made for a robot with {got} motors, the settings have {expected}; rebuild it with `upswing db build`"
+        "the database was made for another robot: {got} of its joints have a motor, of those of the settings {expected}; rebuild it with \
+         `upswing db build`"
     )]
     Motors {
         /// n_A of the model.
