@@ -10,20 +10,21 @@ mod conditions;
 mod filter;
 mod newton;
 
+use crate::fixed::{ActuatedVector, NU, NX, State, vector};
 use crate::kkt::KnotParts;
-use crate::problem::Problem;
+use crate::problem::{KnotDerivatives, Problem};
 use bounded::BoundedVector;
 use filter::Filter;
 use nalgebra::SVector;
 use newton::{Direction, LinearSystem};
 use std::time::{Duration, Instant};
-use upswing_model::{ActuatedVector, LimitKind, NU, NX, State, Workspace};
-use upswing_trajectory::{KNOTS, Knots, N, Trajectory};
+use upswing_model::{Dims, LimitKind, Sizes, Workspace};
+use upswing_trajectory::Trajectory;
 
 /// When to stop.
 #[derive(Clone, Copy)]
 pub struct NlpOptions<'a> {
-    /// Largest residual of a solution: defects (rad, rad/s), scaled stationarity and complementarity.
+    /// Largest residual of a solution: defects, scaled stationarity and complementarity.
     pub tolerance: f64,
     /// Most iterations.
     pub max_iterations: usize,
@@ -56,7 +57,7 @@ pub enum NlpStatus {
 pub struct Limit {
     /// Of what.
     pub kind: LimitKind,
-    /// The joint, counted from 0.
+    /// Index of the joint in sorted vectors.
     pub joint: usize,
     /// When, s.
     pub time: f64,
@@ -106,10 +107,35 @@ type Scalar = SVector<f64, 1>;
 #[derive(Clone, Debug)]
 struct Primal {
     t: f64,
-    x: Knots<State>,
-    u: Knots<ActuatedVector>,
+    x: Vec<State>,
+    u: Vec<ActuatedVector>,
     /// Slacks of the constrained torque, in units of half its range.
     s: Vec<ActuatedVector>,
+}
+
+impl Primal {
+    /// N
+    fn intervals(&self) -> usize {
+        self.x.len() - 1
+    }
+
+    /// h = t_F / N
+    fn h(&self) -> f64 {
+        self.t / self.intervals() as f64
+    }
+
+    /// x_k and u_k as the model takes them.
+    fn knot(&self, sizes: Sizes, k: usize) -> (upswing_model::State, upswing_model::ActuatedVector) {
+        (
+            upswing_model::State::from_fn(sizes, |i| self.x[k][i]),
+            upswing_model::ActuatedVector::from_fn(sizes, |i| self.u[k][i]),
+        )
+    }
+
+    /// sum u_k' u_k
+    fn effort(&self) -> f64 {
+        self.u.iter().map(|u| u.norm_squared()).sum()
+    }
 }
 
 /// Residuals of the constraints.
@@ -159,6 +185,9 @@ struct TrialPoint {
 struct NlpSolver<'a> {
     problem: &'a Problem<'a>,
     work: Workspace,
+    /// Derivatives at one knot: first and second ones.
+    derivatives: KnotDerivatives,
+    hessian: Vec<f64>,
     /// Centre and half range of the constrained torque.
     torque_centre: ActuatedVector,
     torque_half: ActuatedVector,
@@ -190,34 +219,44 @@ impl<'a> NlpSolver<'a> {
         let mut work = Workspace::default();
         let mu = BARRIER;
         let (low, high) = problem.torque.bounds(&problem.limits.tau_max);
+        let (low, high) = (vector::<NU>(&low), vector::<NU>(&high));
         let (torque_centre, torque_half) = ((low + high) * 0.5, (high - low) * 0.5);
         let mut t = Scalar::new(guess.t_f);
         let bound_t = BoundedVector::new(Scalar::new(problem.t_f.0), Scalar::new(problem.t_f.1), &mut t, mu);
-        let mut primal = Primal { t: t[0], x: guess.x.clone(), u: guess.u.clone(), s: Vec::new() };
-        primal.x[0] = problem.start;
-        let bound_x = (1..KNOTS)
+        let mut primal = Primal {
+            t: t[0],
+            x: guess.x.iter().map(|x| vector(x)).collect(),
+            u: guess.u.iter().map(|u| vector(u)).collect(),
+            s: Vec::new(),
+        };
+        primal.x[0] = vector(&problem.start);
+        let n = guess.intervals();
+        let bound_x = (1..=n)
             .map(|k| {
                 let (lowest, highest) = problem.bounds(k);
-                BoundedVector::new(lowest, highest, &mut primal.x[k], mu)
+                BoundedVector::new(vector(&lowest), vector(&highest), &mut primal.x[k], mu)
             })
             .collect();
         let one = ActuatedVector::repeat(1.0);
-        let mut bound_s = Vec::with_capacity(KNOTS);
-        for k in 0..KNOTS {
-            let (_, tau) = problem.knot(&primal.x[k], &primal.u[k], &mut work);
-            let mut s = (tau - torque_centre).component_div(&torque_half);
+        let mut bound_s = Vec::with_capacity(n + 1);
+        for k in 0..=n {
+            let (x, u) = primal.knot(problem.sizes(), k);
+            let (_, tau) = problem.knot(&x, &u, &mut work);
+            let mut s = (vector(&tau) - torque_centre).component_div(&torque_half);
             bound_s.push(BoundedVector::new(-one, one, &mut s, mu));
             primal.s.push(s);
         }
         Self {
             problem,
+            derivatives: KnotDerivatives::new(problem),
+            hessian: vec![0.0; problem.sizes().knot() * problem.sizes().knot_row()],
             work,
             torque_centre,
             torque_half,
             primal,
-            lambda: vec![State::zeros(); N],
+            lambda: vec![State::zeros(); n],
             lambda_target: vec![0.0; problem.target.len()],
-            lambda_torque: vec![ActuatedVector::zeros(); KNOTS],
+            lambda_torque: vec![ActuatedVector::zeros(); n + 1],
             bound_x,
             bound_s,
             bound_t,
@@ -227,24 +266,31 @@ impl<'a> NlpSolver<'a> {
     }
 
     fn residuals(&mut self, p: &Primal) -> Residuals {
-        let half_h = 0.5 * p.t / N as f64;
-        let mut f = Vec::with_capacity(KNOTS);
-        let mut torque = Vec::with_capacity(KNOTS);
-        for k in 0..KNOTS {
-            let (f_k, tau) = self.problem.knot(&p.x[k], &p.u[k], &mut self.work);
-            f.push(f_k);
-            torque.push((tau - self.torque_centre).component_div(&self.torque_half) - p.s[k]);
+        let (half_h, n) = (0.5 * p.h(), p.intervals());
+        let mut f: Vec<State> = Vec::with_capacity(n + 1);
+        let mut torque = Vec::with_capacity(n + 1);
+        for k in 0..=n {
+            let (x, u) = p.knot(self.problem.sizes(), k);
+            let (f_k, tau) = self.problem.knot(&x, &u, &mut self.work);
+            f.push(vector(&f_k));
+            torque.push((vector(&tau) - self.torque_centre).component_div(&self.torque_half) - p.s[k]);
         }
         Residuals {
-            defects: (0..N).map(|k| p.x[k + 1] - p.x[k] - (f[k] + f[k + 1]) * half_h).collect(),
-            target: self.problem.target.iter().map(|r| r.coefficients.dot(&p.x[N]) - r.value).collect(),
+            defects: (0..n).map(|k| p.x[k + 1] - p.x[k] - (f[k] + f[k + 1]) * half_h).collect(),
+            target: self
+                .problem
+                .target
+                .iter()
+                .map(|r| vector::<NX>(&r.coefficients).dot(&p.x[n]) - r.value)
+                .collect(),
             torque,
         }
     }
 
     /// Barrier function of the primal variables.
     fn barrier_function(&self, p: &Primal) -> f64 {
-        let mut phi = self.problem.cost(p.t, &*p.u) + self.bound_t.barrier(&Scalar::new(p.t), self.mu);
+        let mut phi = self.problem.cost(p.t, p.intervals(), p.effort())
+            + self.bound_t.barrier(&Scalar::new(p.t), self.mu);
         for (b, x) in self.bound_x.iter().zip(&p.x[1..]) {
             phi += b.barrier(x, self.mu);
         }
@@ -257,7 +303,7 @@ impl<'a> NlpSolver<'a> {
     fn moved(&self, d: &Direction, alpha: f64) -> Primal {
         let mut p = self.primal.clone();
         p.t += alpha * d.step.t;
-        for k in 0..KNOTS {
+        for k in 0..p.x.len() {
             p.x[k] += d.step.z[k].x() * alpha;
             p.u[k] += d.step.z[k].u() * alpha;
             p.s[k] += d.s[k] * alpha;
@@ -267,10 +313,10 @@ impl<'a> NlpSolver<'a> {
 
     /// Derivative of the barrier function along the primal step.
     fn slope(&self, d: &Direction) -> f64 {
-        let (h, r) = (self.primal.t / N as f64, self.problem.input_weight);
+        let (h, r) = (self.primal.h(), self.problem.input_weight);
         let t = Scalar::new(self.primal.t);
         let mut slope = (self.objective_on_t() + self.bound_t.gradient(&t, self.mu)[0]) * d.step.t;
-        for k in 0..KNOTS {
+        for k in 0..self.primal.x.len() {
             slope += self.primal.u[k].dot(&d.step.z[k].u()) * (h * r);
             slope += self.bound_s[k].gradient(&self.primal.s[k], self.mu).dot(&d.s[k]);
             if k > 0 {
@@ -292,7 +338,8 @@ impl<'a> NlpSolver<'a> {
             self.residuals(&p)
         };
         filter.set_scale(c.total());
-        let mut linear = LinearSystem::new(&self.problem.target);
+        let mut linear =
+            LinearSystem::new(self.problem.sizes(), &self.problem.target, self.primal.intervals());
         let (status, stationarity) = loop {
             self.linearise(&mut linear);
             let violation = c.largest();
@@ -310,9 +357,15 @@ impl<'a> NlpSolver<'a> {
                 None => break (NlpStatus::Infeasible(self.blocking_limit()), stationarity),
             }
         };
-        let cost = self.problem.cost(self.primal.t, &*self.primal.u);
+        let Primal { t, x, .. } = &self.primal;
+        let cost = self.problem.cost(*t, self.primal.intervals(), self.primal.effort());
+        let knots = (0..x.len()).map(|k| self.primal.knot(self.problem.sizes(), k));
         NlpSolution {
-            trajectory: Trajectory { t_f: self.primal.t, x: self.primal.x, u: self.primal.u },
+            trajectory: Trajectory {
+                t_f: *t,
+                x: knots.clone().map(|(x, _)| x).collect(),
+                u: knots.map(|(_, u)| u).collect(),
+            },
             status,
             cost,
             iterations,
@@ -462,7 +515,7 @@ impl<'a> NlpSolver<'a> {
         let targets = self.lambda_target.iter_mut().zip(&d.step.lambda_target);
         targets.for_each(|(l, new)| *l += (new - *l) * alpha);
         self.lambda_torque.iter_mut().zip(&d.lambda_torque).for_each(|(l, dl)| *l += dl * alpha);
-        for k in 0..KNOTS {
+        for k in 0..self.primal.x.len() {
             self.bound_s[k].advance(&self.primal.s[k], &d.bound_s[k], d.alpha.1, self.mu);
             if k > 0 {
                 self.bound_x[k - 1].advance(&self.primal.x[k], &d.bound_x[k - 1], d.alpha.1, self.mu);

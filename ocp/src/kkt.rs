@@ -18,14 +18,19 @@
 //! products of full matrices. The reduced Hessian is positive definite exactly if every pivot block is; that is the
 //! inertia test, for free. The target rows T enter as a stiff penalty, whose error iterative refinement removes.
 
+mod dynamics;
 mod sweep;
+mod target;
 mod variables;
 
+pub use dynamics::Dynamics;
 pub use sweep::Factor;
+pub(crate) use target::nearest_state;
+pub use target::{DependentTargetRow, TargetRow, check_target_rows};
 
+use crate::fixed::{ActuatedVector, N_UNACTUATED, NQ, NU, NX, NZ, State, vector};
 use crate::rows::{STATE_ROW, StateRow};
 use nalgebra::{Const, SMatrix, SVector, U1, VectorView, VectorViewMut};
-use upswing_model::{ActuatedVector, Derivatives, N_UNACTUATED, NQ, NU, NX, NZ, State, StateParts};
 
 /// z_k = (x_k, u_k) or a derivative with respect to it.
 pub type KnotVector = SVector<f64, NZ>;
@@ -88,19 +93,26 @@ impl KnotDynamics {
         Self { qdd_u_x: SMatrix::zeros(), qdd_u_u: SMatrix::zeros(), f: State::zeros() }
     }
 
-    /// From the model's derivatives at (x, u).
-    pub fn new(d: &Derivatives, x: &State, u: &ActuatedVector) -> Self {
-        Self { qdd_u_x: d.qdd_u_x, qdd_u_u: d.qdd_u_u, f: d.f(x, u) }
+    /// Of knot `k`.
+    pub(crate) fn of(dynamics: &Dynamics, k: usize) -> Self {
+        let mut out = Self::zeros();
+        for c in 0..N_UNACTUATED {
+            let row = dynamics.rows.row(k, c);
+            (0..NX).for_each(|j| out.qdd_u_x[(c, j)] = row[j]);
+            (0..NU).for_each(|j| out.qdd_u_u[(c, j)] = row[NX + j]);
+        }
+        out.f = vector(dynamics.f.vector(k));
+        out
     }
 
     /// A dx + B du
     pub fn apply(&self, dz: &KnotVector) -> State {
         let (dx, du) = (dz.x(), dz.u());
         let mut out = State::zeros();
-        out.q_mut().copy_from(&dz.fixed_rows::<NQ>(NQ));
-        out.qd_a_mut().copy_from(&du);
+        out.fixed_rows_mut::<NQ>(0).copy_from(&dz.fixed_rows::<NQ>(NQ));
+        out.fixed_rows_mut::<NU>(NQ).copy_from(&du);
         let unactuated = self.qdd_u_x * dx + self.qdd_u_u * du;
-        out.qd_u_mut().copy_from(&unactuated);
+        out.fixed_rows_mut::<N_UNACTUATED>(NQ + NU).copy_from(&unactuated);
         out
     }
 
@@ -115,29 +127,6 @@ impl KnotDynamics {
         let on_u = self.qdd_u_u.transpose() * w_u + w.fixed_rows::<NU>(NQ);
         out.u_mut().copy_from(&on_u);
         out
-    }
-}
-
-/// One row of the target condition: `coefficients` . x_N = `value` (8).
-#[derive(Clone, Debug, PartialEq)]
-pub struct TargetRow {
-    /// Of x_N.
-    pub coefficients: State,
-    /// What the product shall be.
-    pub value: f64,
-}
-
-impl TargetRow {
-    /// The i-th entry of x_N shall be `value`.
-    pub fn unit(i: usize, value: f64) -> Self {
-        let mut coefficients = State::zeros();
-        coefficients[i] = 1.0;
-        Self { coefficients, value }
-    }
-
-    /// The joint, counted from 0, whose angle the row fixes at `value`, if it is such a row.
-    pub fn joint(&self) -> Option<usize> {
-        (0..NQ).find(|i| self.coefficients == Self::unit(*i, 0.0).coefficients)
     }
 }
 
@@ -314,7 +303,7 @@ impl Kkt {
         }
         left.start -= step.z[0].x();
         for (l, row) in left.target.iter_mut().zip(&self.target) {
-            *l += row.coefficients.dot(&step.z[n].x());
+            *l += vector::<NX>(&row.coefficients).dot(&step.z[n].x());
         }
         // The multiplier of the start state is not computed: nothing needs it.
         for i in 0..NX {

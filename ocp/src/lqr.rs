@@ -1,10 +1,13 @@
 //! Discrete time-variant LQR (18)-(23) along a trajectory.
 
+use crate::fixed::{N_UNACTUATED, NQ, NU, NX, vector};
 use crate::rows::{Pivot, STATE_ROW, StateRow, add_scaled};
 use nalgebra::SMatrix;
-use upswing_model::{ActuatedVector, Derivatives, Model, N_UNACTUATED, NQ, NU, NX, State, Workspace};
-use upswing_trajectory::{Gain, Gains, KNOTS, N, Trajectory};
+use upswing_model::{ActuatedVector, Linearization, Model, State, Workspace};
+use upswing_trajectory::{Gains, Trajectory};
 
+type StateVector = crate::fixed::State;
+type Gain = SMatrix<f64, NU, NX>;
 type StateMatrix = SMatrix<f64, NX, NX>;
 
 /// The symmetric matrix P of the cost-to-go x' P x, by rows.
@@ -18,14 +21,12 @@ struct DynamicsRows {
 }
 
 impl DynamicsRows {
-    fn new(d: &Derivatives) -> Self {
+    fn new(d: &Linearization) -> Self {
         let mut a = [[0.0; STATE_ROW]; N_UNACTUATED];
         for (m, row) in a.iter_mut().enumerate() {
-            for j in 0..NX {
-                row[j] = d.qdd_u_x[(m, j)];
-            }
+            row[..NX].copy_from_slice(&d.qdd_u(m)[..NX]);
         }
-        Self { a, b: std::array::from_fn(|m| std::array::from_fn(|j| d.qdd_u_u[(m, j)])) }
+        Self { a, b: std::array::from_fn(|m| std::array::from_fn(|j| d.qdd_u(m)[NX + j])) }
     }
 
     /// Between this (`share` = 0) and the next.
@@ -72,28 +73,34 @@ pub fn synthesize(
     ts: f64,
     work: &mut Workspace,
 ) -> Result<Gains, NotStabilisable> {
-    let rows: Vec<DynamicsRows> =
-        trajectory.knots().map(|(x, u)| DynamicsRows::new(&model.derivatives(x, u, work))).collect();
+    let mut derivatives = Linearization::new(model.sizes());
+    let mut rows_at = |x: &State, u: &ActuatedVector| {
+        model.linearize(x, u, work, &mut derivatives);
+        DynamicsRows::new(&derivatives)
+    };
+    let rows: Vec<DynamicsRows> = trajectory.knots().map(|(x, u)| rows_at(x, u)).collect();
     // The end is an equilibrium: u = 0 there, whatever the last knot's input.
-    let at_end = DynamicsRows::new(&model.derivatives(&trajectory.x[N], &ActuatedVector::zeros(), work));
-    let mut p = algebraic_riccati(&at_end, &weights.q, weights.r, ts).ok_or(NotStabilisable)?;
-    let step = |p: &mut CostToGo, rows: &DynamicsRows, q: &State| {
+    let at_end = rows_at(trajectory.end(), &ActuatedVector::zeros(model.sizes()));
+    let (q, q_end) = (vector(&weights.q), vector(&weights.q_end));
+    let mut p = algebraic_riccati(&at_end, &q, weights.r, ts).ok_or(NotStabilisable)?;
+    let step = |p: &mut CostToGo, rows: &DynamicsRows, q: &StateVector| {
         riccati_step(p, rows, q, weights.r, ts).ok_or(NotStabilisable)
     };
     let end = {
-        let mut p = algebraic_riccati(&at_end, &weights.q_end, weights.r, ts).ok_or(NotStabilisable)?;
-        step(&mut p, &at_end, &weights.q_end)?.gain()
+        let mut p = algebraic_riccati(&at_end, &q_end, weights.r, ts).ok_or(NotStabilisable)?;
+        step(&mut p, &at_end, &q_end)?.gain()
     };
 
     let steps = (trajectory.t_f / ts).floor() as usize;
     let h = trajectory.h();
-    let mut knots = Box::new([end; KNOTS]);
-    let mut next_knot = N;
+    let n = trajectory.intervals();
+    let mut knots = vec![end; n + 1];
+    let mut next_knot = n;
     for i in (0..steps).rev() {
         let t = i as f64 * ts;
-        let k = ((t / h) as usize).min(N - 1);
+        let k = ((t / h) as usize).min(n - 1);
         let between = rows[k].towards(&rows[k + 1], t / h - k as f64);
-        let step = step(&mut p, &between, &weights.q)?;
+        let step = step(&mut p, &between, &q)?;
         // The first gain at or before a knot's time serves the knot.
         while next_knot > 0 && t <= next_knot as f64 * h {
             knots[next_knot] = step.gain();
@@ -104,7 +111,14 @@ pub fn synthesize(
         }
     }
     let finite = knots.iter().flat_map(|k| k.iter()).all(|v| v.is_finite());
-    finite.then_some(Gains { knots, end }).ok_or(NotStabilisable)
+    if !finite {
+        return Err(NotStabilisable);
+    }
+    let mut gains = Gains::zeros(model.sizes(), n);
+    let put = |out: &mut [f64], gain: &Gain| out.copy_from_slice(gain.transpose().as_slice());
+    put(gains.end_mut(), &end);
+    knots.iter().enumerate().for_each(|(k, gain)| put(gains.knot_mut(k), gain));
+    Ok(gains)
 }
 
 /// The factors of K in (23).
@@ -126,7 +140,13 @@ impl GainFactors {
 
 /// One step of (23): moves P one period back. With `Phi = I + Ts A` and `A = [[0, I], [0], [a]]`,
 /// `Gamma = Ts [[0], [I], [b]]` all products are a few row operations.
-fn riccati_step(p: &mut CostToGo, rows: &DynamicsRows, q: &State, r: f64, ts: f64) -> Option<GainFactors> {
+fn riccati_step(
+    p: &mut CostToGo,
+    rows: &DynamicsRows,
+    q: &StateVector,
+    r: f64,
+    ts: f64,
+) -> Option<GainFactors> {
     /// First row of the unactuated velocities.
     const V_U: usize = NX - N_UNACTUATED;
     // R + Gamma' P Gamma
@@ -237,7 +257,7 @@ fn discretised(rows: &DynamicsRows, ts: f64) -> (StateMatrix, SMatrix<f64, NX, N
 
 /// X of (21) by structured doubling (Chu, Fan, Lin, Wang, *Structure-preserving algorithms for periodic
 /// discrete-time algebraic Riccati equations*, Int. J. Control 77, 2004): each step doubles the horizon.
-fn algebraic_riccati(rows: &DynamicsRows, q: &State, r: f64, ts: f64) -> Option<CostToGo> {
+fn algebraic_riccati(rows: &DynamicsRows, q: &StateVector, r: f64, ts: f64) -> Option<CostToGo> {
     /// 2^40 periods of 125 us are four years.
     const DOUBLINGS: usize = 40;
     let (mut a, gamma) = discretised(rows, ts);
@@ -290,7 +310,7 @@ mod tests {
     #[test]
     fn a_structured_step_equals_the_dense_formula_23() {
         let (rows, ts, r) = (rows(), 1e-2, 0.01);
-        let q = State::from_fn(|i, _| 1.0 + i as f64);
+        let q = StateVector::from_fn(|i, _| 1.0 + i as f64);
         let seed = StateMatrix::from_fn(|i, j| ((i * 7 + j * 3) % 11) as f64 - 5.0);
         let p = seed * seed.transpose() + StateMatrix::identity();
         let mut next = [[0.0; STATE_ROW]; NX];
@@ -312,7 +332,7 @@ mod tests {
     #[test]
     fn the_terminal_weight_is_a_fixed_point_of_23() {
         let (rows, ts, r) = (rows(), 1e-2, 0.01);
-        let q = State::repeat(1.0);
+        let q = StateVector::repeat(1.0);
         let x = algebraic_riccati(&rows, &q, r, ts).expect("stabilisable");
         let mut again = x;
         riccati_step(&mut again, &rows, &q, r, ts).expect("positive definite");

@@ -2,7 +2,7 @@
 
 use crate::interior_point::{self, Limit, NlpOptions, NlpSolution, NlpStatus};
 use crate::problem::Problem;
-use upswing_model::{LimitKind, NQ, NU, StateParts, Workspace};
+use upswing_model::{LimitKind, Workspace};
 use upswing_trajectory::Trajectory;
 
 /// Half waves (joint counted from 0, rad) on the lines from which an optimisation begins, near the mean of the optima of
@@ -71,10 +71,11 @@ pub fn solve(
 pub fn limit_in_the_way(problem: &Problem<'_>, options: &NlpOptions<'_>) -> Option<Limit> {
     /// As good as none.
     const LIFTED: f64 = 100.0;
-    let (arm, pendulum) = (0..NU, NU..NQ);
+    let (actuated, joints) = (problem.sizes().actuated(), problem.sizes().joints());
+    let (arm, pendulum) = (0..actuated, actuated..joints);
     let both = [LimitKind::Velocity, LimitKind::Position];
     // One joint of the pendulum, then all of it, then the arm.
-    let single = both.into_iter().flat_map(|kind| (NU..NQ).rev().map(move |i| (kind, i..i + 1)));
+    let single = both.into_iter().flat_map(|kind| (actuated..joints).rev().map(move |i| (kind, i..i + 1)));
     let whole = both.into_iter().map(|kind| (kind, pendulum.clone()));
     let of_the_arm = [LimitKind::Velocity, LimitKind::Torque, LimitKind::Position].map(|k| (k, arm.clone()));
     single.chain(whole).chain(of_the_arm).find_map(|(kind, joints)| {

@@ -1,12 +1,10 @@
 //! The swing-up as an optimisation problem: (6), (8) with the torque constraint (9) or (11).
 
-use crate::kkt::TargetRow;
-use nalgebra::SVector;
+use crate::kkt::{TargetRow, nearest_state};
 use upswing_model::{
-    ActuatedVector, Derivatives, Hessian, Limits, Model, NQ, NX, State, StateParts, UnactuatedVector,
-    Workspace, state,
+    ActuatedVector, Dims, Limits, Linearization, Model, Sizes, State, UnactuatedVector, Workspace,
 };
-use upswing_trajectory::{KNOTS, N, Trajectory};
+use upswing_trajectory::Trajectory;
 
 /// The form of the motor torque that is kept within its limits, with what its bounds need.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -14,7 +12,7 @@ pub enum TorqueConstraint {
     /// (9): the torque itself.
     Exact,
     /// (11), the paper's: the torque without its Coriolis part, within bounds tightened by the bound c of that
-    /// part (N m).
+    /// part.
     WithoutCoriolis {
         /// Smallest C~ qd of each motor.
         lower: ActuatedVector,
@@ -24,7 +22,7 @@ pub enum TorqueConstraint {
 }
 
 impl TorqueConstraint {
-    /// Bounds (lower, upper) of the constrained torque, N m.
+    /// Bounds (lower, upper) of the constrained torque, N m or N.
     pub fn bounds(&self, tau_max: &ActuatedVector) -> (ActuatedVector, ActuatedVector) {
         match self {
             Self::Exact => (-tau_max, *tau_max),
@@ -40,7 +38,9 @@ pub struct Problem<'a> {
     pub model: &'a Model,
     /// Limits to keep (with the fractions of the settings applied).
     pub limits: Limits,
-    /// By how much the bounds of x_k are narrower than `limits` on both sides, rad and rad/s; empty: nowhere.
+    /// N, the number of collocation intervals of a trajectory.
+    pub intervals: usize,
+    /// By how much the bounds of x_k are narrower than `limits` on both sides, rad or m, and per second; empty: nowhere.
     pub narrower: Vec<State>,
     /// Torque constraint.
     pub torque: TorqueConstraint,
@@ -54,41 +54,75 @@ pub struct Problem<'a> {
     pub target: Vec<TargetRow>,
 }
 
-/// x_T of (8): q1 = q3 = q5 = q7 = 0, q9 = 0, the given q8 and pitch q2 - q4 + q6 (rad), at rest; q2, q4, q6
-/// are free but for the pitch.
-pub fn upright_target(pitch: f64, q8: f64) -> Vec<TargetRow> {
-    /// Joints that (8) fixes, and q8's own place among them.
-    const FIXED: [usize; 6] = [0, 2, 4, 6, 7, 8];
+/// x_T of (8) for an arm with a spherical pendulum: q1 = q3 = q5 = q7 = 0, q9 = 0, the given q8 and pitch q2 - q4 + q6 (rad), at rest;
+/// q2, q4, q6 are free but for the pitch. Of another chain, the joints that it has.
+pub fn upright_target(sizes: Sizes, pitch: f64, q8: f64) -> Vec<TargetRow> {
+    /// Joints that pitch the flange, with their signs.
+    const PITCH: [(usize, f64); 3] = [(1, 1.0), (3, -1.0), (5, 1.0)];
+    let (joints, actuated) = (sizes.joints(), sizes.actuated());
+    let free = |i: &usize| *i < actuated && PITCH.iter().any(|(joint, _)| joint == i);
+    let value = |i| if i == actuated { q8 } else { 0.0 };
     let mut rows: Vec<_> =
-        FIXED.iter().map(|i| TargetRow::unit(*i, if *i == 7 { q8 } else { 0.0 })).collect();
-    let mut coefficients = State::zeros();
-    (coefficients[1], coefficients[3], coefficients[5]) = (1.0, -1.0, 1.0);
-    rows.push(TargetRow { coefficients, value: pitch });
-    rows.extend((NQ..NX).map(|i| TargetRow::unit(i, 0.0)));
+        (0..joints).filter(|i| !free(i)).map(|i| TargetRow::unit(sizes, i, value(i))).collect();
+    let mut coefficients = State::zeros(sizes);
+    for (joint, sign) in PITCH.into_iter().filter(|(joint, _)| *joint < actuated) {
+        coefficients[joint] = sign;
+    }
+    if coefficients.amax() > 0.0 {
+        rows.push(TargetRow { coefficients, value: pitch });
+    }
+    rows.extend((joints..sizes.state()).map(|i| TargetRow::unit(sizes, i, 0.0)));
     rows
 }
 
-/// First derivatives at one knot, with the constrained torque.
+/// First derivatives at one knot, with the constrained torque, and memory for them.
 pub(crate) struct KnotDerivatives {
     /// Of the dynamics.
-    pub dynamics: Derivatives,
+    pub dynamics: Linearization,
     /// Of (11) where that is the constraint.
-    pub constraint: Option<Derivatives>,
+    constraint: Option<Linearization>,
+    /// Second derivatives of (11).
+    hessian: Vec<f64>,
 }
 
 impl KnotDerivatives {
+    /// Memory for the derivatives of a problem.
+    pub(crate) fn new(problem: &Problem<'_>) -> Self {
+        let sizes = problem.sizes();
+        let (constraint, hessian) = match problem.torque {
+            TorqueConstraint::Exact => (None, Vec::new()),
+            TorqueConstraint::WithoutCoriolis { .. } => {
+                (Some(Linearization::new(sizes)), vec![0.0; sizes.knot() * sizes.knot_row()])
+            }
+        };
+        Self { dynamics: Linearization::new(sizes), constraint, hessian }
+    }
+
     /// Derivatives of the torque that the constraint bounds.
-    pub(crate) fn torque(&self) -> &Derivatives {
+    pub(crate) fn torque(&self) -> &Linearization {
         self.constraint.as_ref().unwrap_or(&self.dynamics)
     }
 }
 
 impl Problem<'_> {
-    /// The bounds of x_k, rad and rad/s.
-    pub fn bounds(&self, k: usize) -> (State, State) {
+    /// Numbers of joints of the robot.
+    pub fn sizes(&self) -> Sizes {
+        self.model.sizes()
+    }
+
+    /// Lowest and highest state within the limits.
+    fn range(&self) -> (State, State) {
         let l = &self.limits;
-        let by = self.narrower.get(k).copied().unwrap_or_else(State::zeros);
-        (state(&l.q_min, &-l.qd_max) + by, state(&l.q_max, &l.qd_max) - by)
+        (State::new(&l.q_min, &-l.qd_max), State::new(&l.q_max, &l.qd_max))
+    }
+
+    /// The bounds of x_k.
+    pub fn bounds(&self, k: usize) -> (State, State) {
+        let (lowest, highest) = self.range();
+        match self.narrower.get(k) {
+            Some(by) => (lowest + by, highest - by),
+            None => (lowest, highest),
+        }
     }
 
     /// Narrows the bounds at the knots between which `trajectory` exceeds a limit: the trapezoidal rule knows the knots only.
@@ -100,11 +134,11 @@ impl Problem<'_> {
         const LEAST: f64 = 1e-4;
         let f = trajectory.f(self.model, &mut Workspace::default());
         let spline = trajectory.spline(&f);
-        let (lowest, highest) =
-            (state(&self.limits.q_min, &-self.limits.qd_max), state(&self.limits.q_max, &self.limits.qd_max));
-        self.narrower.resize(KNOTS, State::zeros());
+        let (lowest, highest) = self.range();
+        let n = trajectory.intervals();
+        self.narrower.resize(n + 1, State::zeros(self.sizes()));
         let mut exceeds = false;
-        for k in 0..N {
+        for k in 0..n {
             for (row, _, x) in spline.extrema(k) {
                 let excess = (x - highest[row]).max(lowest[row] - x).max(0.0);
                 if excess == 0.0 {
@@ -113,7 +147,7 @@ impl Problem<'_> {
                 exceeds = true;
                 let range = highest[row] - lowest[row];
                 // Neither start nor target move.
-                for knot in [k, k + 1].into_iter().filter(|knot| (1..N).contains(knot)) {
+                for knot in [k, k + 1].into_iter().filter(|knot| (1..n).contains(knot)) {
                     let by = &mut self.narrower[knot][row];
                     *by = (*by + EXTRA * excess + LEAST * range).min(0.25 * range);
                 }
@@ -122,10 +156,9 @@ impl Problem<'_> {
         exceeds
     }
 
-    /// J of (6a): t_F + h/2 sum u_k' R u_k.
-    pub fn cost(&self, t_f: f64, u: &[ActuatedVector]) -> f64 {
-        let effort: f64 = u.iter().map(|u| u.norm_squared()).sum();
-        t_f + 0.5 * t_f / N as f64 * self.input_weight * effort
+    /// J of (6a): t_F + h/2 sum u_k' R u_k, for `n` intervals with the `effort` sum u_k' u_k.
+    pub(crate) fn cost(&self, t_f: f64, n: usize, effort: f64) -> f64 {
+        t_f + 0.5 * t_f / n as f64 * self.input_weight * effort
     }
 
     /// f_k and the constrained torque at a knot.
@@ -144,7 +177,21 @@ impl Problem<'_> {
         }
     }
 
-    /// First derivatives, and second derivatives of `w` . qdd_U + `mu` . tau, at a knot.
+    /// First derivatives at a knot.
+    pub(crate) fn linearise_knot(
+        &self,
+        x: &State,
+        u: &ActuatedVector,
+        work: &mut Workspace,
+        derivatives: &mut KnotDerivatives,
+    ) {
+        self.model.linearize(x, u, work, &mut derivatives.dynamics);
+        if let Some(constraint) = &mut derivatives.constraint {
+            self.model.linearize_without_coriolis(x, u, work, constraint);
+        }
+    }
+
+    /// First derivatives at a knot, and second derivatives of `w` . qdd_U + `mu` . tau into `h`, as of [`Model::hessian`].
     pub(crate) fn knot_derivatives(
         &self,
         x: &State,
@@ -152,59 +199,55 @@ impl Problem<'_> {
         w: &UnactuatedVector,
         mu: &ActuatedVector,
         work: &mut Workspace,
-    ) -> (KnotDerivatives, Hessian) {
-        let dynamics = self.model.derivatives(x, u, work);
-        match self.torque {
-            TorqueConstraint::Exact => {
-                let hessian = self.model.hessian(w, mu, &dynamics, work);
-                (KnotDerivatives { dynamics, constraint: None }, hessian)
-            }
-            TorqueConstraint::WithoutCoriolis { .. } => {
-                let mut hessian = self.model.hessian(w, &ActuatedVector::zeros(), &dynamics, work);
-                let constraint = self.model.derivatives_without_coriolis(x, u, work);
-                hessian += self.model.hessian_without_coriolis(mu, &constraint, work);
-                (KnotDerivatives { dynamics, constraint: Some(constraint) }, hessian)
-            }
-        }
+        derivatives: &mut KnotDerivatives,
+        h: &mut [f64],
+    ) {
+        let KnotDerivatives { dynamics, constraint, hessian } = derivatives;
+        self.model.linearize(x, u, work, dynamics);
+        let Some(constraint) = constraint else {
+            return self.model.hessian(w, mu, dynamics, work, h);
+        };
+        self.model.hessian(w, &ActuatedVector::zeros(self.sizes()), dynamics, work, h);
+        self.model.linearize_without_coriolis(x, u, work, constraint);
+        self.model.hessian_without_coriolis(mu, constraint, work, hessian);
+        h.iter_mut().zip(hessian).for_each(|(h, of_torque)| *h += *of_torque);
     }
 
     /// A straight line from the start to the nearest point of the target, with zero velocities and inputs.
     pub fn straight_line(&self, t_f: f64) -> Trajectory {
-        let end = self.nearest_target(&self.start);
+        let end = nearest_state(&self.target, &self.start);
+        let n = self.intervals;
         let at = |k: usize| {
-            let s = k as f64 / N as f64;
+            let s = k as f64 / n as f64;
             self.start * (1.0 - s) + end * s
         };
-        Trajectory {
-            t_f,
-            x: Box::new(std::array::from_fn(at)),
-            u: Box::new([ActuatedVector::zeros(); KNOTS]),
-        }
+        Trajectory { t_f, x: (0..=n).map(at).collect(), u: vec![ActuatedVector::zeros(self.sizes()); n + 1] }
     }
 
     /// From the start to the nearest point of the target at constant speed with short ramps, with a half wave of the
-    /// given amplitudes (joint counted from 0, rad) on some joints: it leaves the symmetric ridge between optima on
-    /// which a straight line begins. The velocities follow the angles.
+    /// given amplitudes (rad or m) on some actuated joints: it leaves the symmetric ridge between optima on which a straight line
+    /// begins. Joints that the chain does not have are ignored. The velocities follow the positions.
     pub fn bent_line(&self, t_f: f64, bends: &[(usize, f64)]) -> Trajectory {
         use std::f64::consts::PI;
         /// Share of the duration in which the speed rises, and falls.
         const RAMP: f64 = 0.1;
         const SPEED: f64 = 1.0 / (1.0 - RAMP);
         let mut guess = self.straight_line(t_f);
-        let way = guess.x[N] - self.start;
-        for k in 1..N {
-            let s = k as f64 / N as f64;
+        let way = guess.end() - self.start;
+        let (n, sizes) = (self.intervals, self.sizes());
+        for k in 1..n {
+            let s = k as f64 / n as f64;
             // The way covered and the speed, of 1 in a time of 1.
             let edge = s.min(1.0 - s);
             let covered =
                 if edge < RAMP { 0.5 * SPEED / RAMP * edge * edge } else { SPEED * (edge - 0.5 * RAMP) };
             let covered = if s < 0.5 { covered } else { 1.0 - covered };
             let speed = SPEED * (edge / RAMP).min(1.0);
-            for i in 0..NQ {
+            for i in 0..sizes.joints() {
                 guess.x[k].q_mut()[i] = self.start[i] + way[i] * covered;
                 guess.x[k].qd_mut()[i] = way[i] * speed / t_f;
             }
-            for (joint, amplitude) in bends {
+            for (joint, amplitude) in bends.iter().filter(|(joint, _)| *joint < sizes.actuated()) {
                 guess.x[k].q_mut()[*joint] += amplitude * (PI * s).sin();
                 guess.x[k].qd_mut()[*joint] += amplitude * PI / t_f * (PI * s).cos();
             }
@@ -216,19 +259,11 @@ impl Problem<'_> {
     /// that falls linearly to 0 at the end.
     pub fn shifted(&self, neighbour: &Trajectory) -> Trajectory {
         let mut guess = neighbour.clone();
-        let shift = self.start - neighbour.x[0];
+        let shift = self.start - neighbour.start();
+        let n = neighbour.intervals();
         for (k, x) in guess.x.iter_mut().enumerate() {
-            *x += shift * (1.0 - k as f64 / N as f64);
+            *x += shift * (1.0 - k as f64 / n as f64);
         }
         guess
-    }
-
-    /// The state that meets the target rows closest to `x`. The rows of (8) are orthogonal, so that one
-    /// projection after the other does it.
-    fn nearest_target(&self, x: &State) -> State {
-        self.target.iter().fold(*x, |x, row| {
-            let c: &SVector<f64, NX> = &row.coefficients;
-            x + c * ((row.value - c.dot(&x)) / c.norm_squared())
-        })
     }
 }

@@ -12,23 +12,21 @@
 mod clarabel;
 pub mod structured;
 
-use crate::kkt::{KnotDynamics, KnotParts, KnotVector, TargetRow};
-use crate::problem::{KnotDerivatives, Problem, TorqueConstraint};
-use nalgebra::SMatrix;
+use crate::kkt::{Dynamics, TargetRow};
+use crate::problem::{KnotDerivatives, Problem};
+use crate::slab::{KnotParts, KnotVector, Knots, Slab};
 use std::time::Instant;
 use structured::Structured;
-use upswing_model::{ActuatedVector, LimitKind, NU, NX, NZ, State, Workspace};
-use upswing_trajectory::{N, Trajectory};
+use upswing_model::{ActuatedVector, LimitKind, Sizes, State, States, Workspace};
+use upswing_trajectory::Trajectory;
 
-/// Linearised torque of one knot within its bounds: `lower` <= J dz <= `upper`, N m.
+/// Linearised torques of all knots within their bounds: lower <= J_k dz_k <= upper.
 #[derive(Clone, Debug)]
 pub struct TorqueRows {
-    /// J = [d tau / dx, d tau / du].
-    pub jacobian: SMatrix<f64, NU, NZ>,
-    /// Lower bound less the torque of the linearisation point.
-    pub lower: ActuatedVector,
-    /// Upper bound less the torque of the linearisation point.
-    pub upper: ActuatedVector,
+    /// J_k = [d tau / dx, d tau / du], N + 1 panels of n_A rows.
+    pub jacobian: Slab<Knots>,
+    /// Bounds (lower, upper) less the torque of the linearisation point, N + 1 of them, N m or N.
+    pub bounds: Vec<(ActuatedVector, ActuatedVector)>,
 }
 
 /// The diagonal of Q (17), the same at every knot.
@@ -36,27 +34,27 @@ pub struct TorqueRows {
 pub struct QpWeights {
     /// Of t_F, 1/s^2.
     pub t_f: f64,
-    /// Of z_k: 1/rad^2 for angles, s^2/rad^2 for velocities, s^4/rad^2 for inputs.
+    /// Of z_k: 1/rad^2 or 1/m^2 for positions, times s^2 for velocities, times s^4 for inputs.
     pub z: KnotVector,
 }
 
-/// The program; angles in rad, times in s, torques in N m.
+/// The program; positions in rad or m, times in s, torques in N m or N.
 #[derive(Clone, Debug)]
 pub struct Qp {
     /// Diagonal of Q at the knots, N + 1 of them.
-    pub weight: Vec<KnotVector>,
+    pub weight: Slab<Knots>,
     /// Q of t_F.
     pub weight_t: f64,
     /// g at the knots, N + 1 of them, and of t_F.
-    pub gradient: Vec<KnotVector>,
+    pub gradient: Slab<Knots>,
     /// See `gradient`.
     pub gradient_t: f64,
     /// h = t_F / N of the linearisation point, s.
     pub h: f64,
     /// Gamma^x_k, Gamma^u_k and f_k, N + 1 of them.
-    pub dynamics: Vec<KnotDynamics>,
+    pub dynamics: Dynamics,
     /// Defects (6b) of the linearisation point, N of them.
-    pub defects: Vec<State>,
+    pub defects: Slab<States>,
     /// dx_0 (15).
     pub start: State,
     /// Target rows, `value` less what the linearisation point has.
@@ -65,15 +63,15 @@ pub struct Qp {
     pub x: Vec<(State, State)>,
     /// Bounds of dt, s.
     pub t: (f64, f64),
-    /// (9) or (11), N + 1 of them.
-    pub torque: Vec<TorqueRows>,
-    /// 0 for hard bounds. Else each bound (rad, rad/s, half ranges of the torque, s) may be exceeded by e at the
+    /// (9) or (11).
+    pub torque: TorqueRows,
+    /// 0 for hard bounds. Else each bound (positions, velocities, half ranges of the torque, s) may be exceeded by e at the
     /// cost e^2 / (2 `compliance`).
     pub compliance: f64,
 }
 
 impl Qp {
-    /// (16) linearised around `at`, for the deviation from `reference`.
+    /// (16) linearised around `at`, for the deviation from `reference`, which has as many knots.
     pub fn new(
         problem: &Problem<'_>,
         reference: &Trajectory,
@@ -81,64 +79,69 @@ impl Qp {
         weights: &QpWeights,
         work: &mut Workspace,
     ) -> Self {
-        let weight = &weights.z;
+        let (sizes, n) = (problem.sizes(), at.intervals());
         let (tau_min, tau_max) = problem.torque.bounds(&problem.limits.tau_max);
-        let mut dynamics = Vec::with_capacity(N + 1);
-        let mut torque = Vec::with_capacity(N + 1);
-        let mut gradient = Vec::with_capacity(N + 1);
-        for k in 0..=N {
-            let (x, u) = (&at.x[k], &at.u[k]);
-            let knot = KnotDerivatives {
-                dynamics: problem.model.derivatives(x, u, work),
-                constraint: match problem.torque {
-                    TorqueConstraint::Exact => None,
-                    TorqueConstraint::WithoutCoriolis { .. } => {
-                        Some(problem.model.derivatives_without_coriolis(x, u, work))
-                    }
-                },
-            };
-            dynamics.push(KnotDynamics::new(&knot.dynamics, x, u));
-            let d = knot.torque();
-            torque.push(TorqueRows {
-                jacobian: SMatrix::<f64, NU, NZ>::from_fn(|i, j| {
-                    if j < NX { d.tau_x[(i, j)] } else { d.tau_u[(i, j - NX)] }
-                }),
-                lower: tau_min - d.value.tau,
-                upper: tau_max - d.value.tau,
-            });
-            let (dx, du) = (x - reference.x[k], u - reference.u[k]);
-            gradient.push(KnotVector::from_fn(|i, _| weight[i] * if i < NX { dx[i] } else { du[i - NX] }));
+        let mut dynamics = Dynamics::zeros(sizes, n);
+        let mut jacobian = Slab::zeros(sizes, n + 1, sizes.actuated());
+        let mut bounds = Vec::with_capacity(n + 1);
+        let mut weight = Slab::<Knots>::zeros(sizes, n + 1, 1);
+        let mut gradient = weight.clone();
+        let mut derivatives = KnotDerivatives::new(problem);
+        for (k, (x, u)) in at.knots().enumerate() {
+            problem.linearise_knot(x, u, work, &mut derivatives);
+            dynamics.set(k, &derivatives.dynamics, x, u);
+            let torque = derivatives.torque();
+            for a in 0..sizes.actuated() {
+                jacobian.row_mut(k, a).copy_from_slice(torque.tau(a));
+            }
+            let tau = torque.value().tau;
+            bounds.push((tau_min - tau, tau_max - tau));
+            let mut dz = KnotVector::zeros(sizes);
+            dz.x_mut().copy_from_slice(&(x - reference.x[k]));
+            dz.u_mut().copy_from_slice(&(u - reference.u[k]));
+            weight.set(k, &weights.z);
+            gradient.set(k, &dz.component_mul(&weights.z));
         }
         let half_h = 0.5 * at.h();
+        let mut defects = Slab::<States>::zeros(sizes, n, 1);
+        for k in 0..n {
+            let f = dynamics.f.state(k) + dynamics.f.state(k + 1);
+            defects.set(k, &(at.x[k + 1] - at.x[k] - f * half_h));
+        }
         Self {
-            weight: vec![*weight; N + 1],
+            weight,
             weight_t: weights.t_f,
             gradient,
             gradient_t: weights.t_f * (at.t_f - reference.t_f),
             h: at.h(),
-            defects: (0..N)
-                .map(|k| at.x[k + 1] - at.x[k] - (dynamics[k].f + dynamics[k + 1].f) * half_h)
-                .collect(),
             dynamics,
-            start: problem.start - at.x[0],
+            defects,
+            start: problem.start - at.start(),
             target: problem
                 .target
                 .iter()
-                .map(|row| TargetRow {
-                    coefficients: row.coefficients,
-                    value: row.value - row.coefficients.dot(&at.x[N]),
-                })
+                .map(|row| TargetRow { value: -row.residual(at.end()), ..*row })
                 .collect(),
-            x: (1..=N)
+            x: (1..=n)
                 .map(|k| {
                     let (lowest, highest) = problem.bounds(k);
                     (lowest - at.x[k], highest - at.x[k])
                 })
                 .collect(),
             t: (problem.t_f.0 - at.t_f, problem.t_f.1 - at.t_f),
-            torque,
+            torque: TorqueRows { jacobian, bounds },
             compliance: 0.0,
         }
+    }
+
+    /// Numbers of joints of the chain.
+    pub fn sizes(&self) -> Sizes {
+        self.start.sizes()
+    }
+
+    /// N, the number of collocation intervals.
+    pub fn intervals(&self) -> usize {
+        self.x.len()
     }
 
     /// The program of the knots `first` to `last` alone, a sub-horizon of Section IV: from the step `start` (in z) of
@@ -147,30 +150,31 @@ impl Qp {
     pub fn part(&self, (first, last): (usize, usize), start: &KnotVector, dt: Option<f64>) -> Self {
         /// Weight on what an earlier part has decided: it hardly gives way.
         const HELD: f64 = 1e9;
-        let whole = self.defects.len();
+        let whole = self.intervals();
         let share = (last - first) as f64 / whole as f64;
         let mut part = Self {
-            weight: self.weight[first..=last].to_vec(),
+            weight: self.weight.part(first..last + 1),
             weight_t: self.weight_t / (share * share),
-            gradient: self.gradient[first..=last].to_vec(),
+            gradient: self.gradient.part(first..last + 1),
             gradient_t: self.gradient_t / share,
             h: self.h,
-            dynamics: self.dynamics[first..=last].to_vec(),
-            defects: self.defects[first..last].to_vec(),
-            start: start.x().into(),
+            dynamics: self.dynamics.part(first..last + 1),
+            defects: self.defects.part(first..last),
+            start: start.x(),
             target: if last == whole { self.target.clone() } else { Vec::new() },
             x: self.x[first..last].to_vec(),
             t: (self.t.0 * share, self.t.1 * share),
-            torque: self.torque[first..=last].to_vec(),
+            torque: TorqueRows {
+                jacobian: self.torque.jacobian.part(first..last + 1),
+                bounds: self.torque.bounds[first..=last].to_vec(),
+            },
             compliance: self.compliance,
         };
         if let Some(dt) = dt {
             part.weight_t = HELD;
             part.gradient_t = -HELD * dt * share;
-            for i in NX..NZ {
-                part.weight[0][i] = HELD;
-                part.gradient[0][i] = -HELD * start[i];
-            }
+            part.weight.u_mut(0).fill(HELD);
+            part.gradient.u_mut(0).copy_from_slice(&(start.u() * -HELD));
         }
         part
     }
@@ -190,7 +194,7 @@ pub struct ConflictingBound {
 /// A quantity with bounds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Bound {
-    /// That of a joint, counted from 0.
+    /// That of the joint of this index in sorted vectors.
     Joint(LimitKind, usize),
     /// t_F
     Duration,
@@ -266,7 +270,7 @@ impl std::fmt::Display for Stall {
 /// When a solver stops.
 #[derive(Clone, Copy)]
 pub struct QpOptions<'a> {
-    /// Largest residual of a solution: constraints (rad, rad/s, shares of half a torque range) and stationarity,
+    /// Largest residual of a solution: constraints (positions, velocities, shares of half a torque range) and stationarity,
     /// relative to the largest multiplier where that is above one.
     pub tolerance: f64,
     /// Largest mean product of a distance to a bound and its multiplier. Where a bound is hardly active, an input u
@@ -299,7 +303,7 @@ impl QpOptions<'_> {
 #[derive(Clone, Debug)]
 pub struct QpSolution {
     /// dz_k, N + 1 of them.
-    pub z: Vec<KnotVector>,
+    pub z: Slab<Knots>,
     /// dt, s.
     pub t: f64,
     /// Iterations of the solver.
@@ -307,8 +311,8 @@ pub struct QpSolution {
 }
 
 impl QpSolution {
-    fn zeros(n: usize) -> Self {
-        Self { z: vec![KnotVector::zeros(); n + 1], t: 0.0, iterations: 0 }
+    fn zeros(sizes: Sizes, n: usize) -> Self {
+        Self { z: Slab::zeros(sizes, n + 1, 1), t: 0.0, iterations: 0 }
     }
 }
 
@@ -331,11 +335,12 @@ pub enum QpSolver {
 }
 
 impl QpSolver {
-    /// Allocates all that `backend` can keep between QPs of `n` intervals; one of another size allocates again.
-    pub fn new(backend: Backend, n: usize) -> Self {
+    /// Allocates all that `backend` can keep between QPs of `n` intervals for a chain of these `sizes`; one of another size
+    /// allocates again.
+    pub fn new(backend: Backend, sizes: Sizes, n: usize) -> Self {
         match backend {
-            Backend::Structured => Self::Structured(Box::new(Structured::new(n))),
-            Backend::Clarabel => Self::Clarabel(Box::new(QpSolution::zeros(n))),
+            Backend::Structured => Self::Structured(Box::new(Structured::new(sizes, n))),
+            Backend::Clarabel => Self::Clarabel(Box::new(QpSolution::zeros(sizes, n))),
         }
     }
 

@@ -3,7 +3,7 @@
 //! The sums are written so that a compiler may put neighbouring columns, never terms of one sum, into the lanes of a
 //! vector register: results do not depend on the width of the registers.
 
-use upswing_model::{ActuatedVector, NU, NX, NZ};
+use crate::fixed::{ActuatedVector, NU, NX, NZ};
 
 /// Entries of a row over states, rounded up to full vector registers; those beyond NX are zero.
 pub(crate) const STATE_ROW: usize = NX.next_multiple_of(4);

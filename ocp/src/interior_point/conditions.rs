@@ -2,14 +2,12 @@
 
 use super::newton::LinearSystem;
 use super::{BoundedVector, Limit, NlpSolver, Scalar};
+use crate::fixed::{NU, NX};
 use crate::kkt::KnotParts;
-use upswing_model::{LimitKind, NU, NX};
-use upswing_trajectory::{KNOTS, N};
+use upswing_model::LimitKind;
 
 /// Multipliers up to this mean size leave the residuals unscaled.
 const S_MAX: f64 = 100.0;
-/// Number of bounds of states and slacks.
-const BOUNDS: f64 = (2 * (N * NX + KNOTS * NU)) as f64;
 
 impl NlpSolver<'_> {
     /// Largest residual of the stationarity conditions, scaled by the size of the multipliers.
@@ -18,19 +16,20 @@ impl NlpSolver<'_> {
         let g_t = self.objective_gradient(&mut rhs.g);
         let mut worst = 0.0_f64;
         let mut on_t = g_t - self.bound_t.z_lower[0] + self.bound_t.z_upper[0];
-        for k in 0..KNOTS {
+        let n = self.primal.intervals();
+        for k in 0..=n {
             let w = self.defect_multiplier(k);
             let mut grad = rhs.g[k] - kkt.dynamics[k].apply_transposed(&w) * (0.5 * kkt.h);
-            on_t -= w.dot(&kkt.dynamics[k].f) * (0.5 / N as f64);
+            on_t -= w.dot(&kkt.dynamics[k].f) * (0.5 / n as f64);
             for i in 0..NX {
                 if k > 0 {
                     grad[i] += self.lambda[k - 1][i];
                 }
-                if k < N {
+                if k < n {
                     grad[i] -= self.lambda[k][i];
                 }
             }
-            if k == N {
+            if k == n {
                 for (row, m) in kkt.target.iter().zip(&self.lambda_target) {
                     for i in 0..NX {
                         grad[i] += row.coefficients[i] * m;
@@ -53,7 +52,7 @@ impl NlpSolver<'_> {
         }
         let equalities: f64 = self.lambda_torque.iter().map(|y| y.lp_norm(1)).sum::<f64>()
             + self.lambda.iter().map(|l| l.lp_norm(1)).sum::<f64>();
-        let count = BOUNDS + (N * NX + KNOTS * NU) as f64;
+        let count = 1.5 * self.bounds();
         worst.max(on_t.abs()) / ((self.multiplier_sum() + equalities) / count).max(S_MAX) * S_MAX
     }
 
@@ -62,7 +61,12 @@ impl NlpSolver<'_> {
         let t = self.bound_t.complementarity(&Scalar::new(self.primal.t), mu);
         let x = self.bound_x.iter().zip(&self.primal.x[1..]).map(|(b, x)| b.complementarity(x, mu));
         let s = self.bound_s.iter().zip(&self.primal.s).map(|(b, s)| b.complementarity(s, mu));
-        x.chain(s).fold(t, f64::max) / (self.multiplier_sum() / BOUNDS).max(S_MAX) * S_MAX
+        x.chain(s).fold(t, f64::max) / (self.multiplier_sum() / self.bounds()).max(S_MAX) * S_MAX
+    }
+
+    /// Number of bounds of states and slacks.
+    fn bounds(&self) -> f64 {
+        (2 * (self.bound_x.len() * NX + self.bound_s.len() * NU)) as f64
     }
 
     /// Sum of the multipliers of the bounds of states and slacks.
@@ -74,7 +78,7 @@ impl NlpSolver<'_> {
     /// The limit with the largest multiplier, as a share of its range: at a point where the constraints contradict
     /// each other it is the one that yields most if it is moved.
     pub(super) fn blocking_limit(&self) -> Limit {
-        let h = self.primal.t / N as f64;
+        let h = self.primal.h();
         let mut worst = (0.0, Limit { kind: LimitKind::Position, joint: 0, time: 0.0 });
         let mut consider = |pull: f64, kind, joint, knot: usize| {
             if pull > worst.0 {
@@ -84,7 +88,7 @@ impl NlpSolver<'_> {
         for (k, b) in self.bound_x.iter().enumerate() {
             for i in 0..NX {
                 let pull = b.z_lower[i].max(b.z_upper[i]) * (b.upper[i] - b.lower[i]);
-                let (kind, joint) = LimitKind::of_row(i);
+                let (kind, joint) = LimitKind::of_row(i, self.problem.sizes());
                 consider(pull, kind, joint, k + 1);
             }
         }

@@ -1,13 +1,13 @@
 //! The linear system of an iteration, its factorisation and the step that it gives.
 
 use super::{NlpSolver, Residuals, Scalar};
+use crate::fixed::{ActuatedVector, N_UNACTUATED, NU, NX, NZ, State, vector};
 use crate::kkt::{
-    Factor, Kkt, KnotDynamics, KnotMatrix, KnotParts, KnotVector, NewtonStep, Rhs, SolveWorkspace, TargetRow,
+    Dynamics, Factor, Kkt, KnotDynamics, KnotMatrix, KnotParts, KnotVector, NewtonStep, Rhs, SolveWorkspace,
+    TargetRow,
 };
-use crate::problem::KnotDerivatives;
 use nalgebra::SMatrix;
-use upswing_model::{ActuatedVector, NU, NX, NZ, State, StateParts};
-use upswing_trajectory::{KNOTS, N};
+use upswing_model::{Dims, Sizes};
 
 /// Of the linear solves: each refinement gains several digits; more than this many means there is nothing left to
 /// gain, and so does a residual this small against the right-hand side.
@@ -38,6 +38,7 @@ pub(super) struct Direction {
 /// The linear system of an iteration and the memory to solve it, made once.
 pub(super) struct LinearSystem {
     pub(super) kkt: Kkt,
+    dynamics: Dynamics,
     pub(super) torque: Vec<TorqueGradients>,
     pub(super) factor: Factor,
     pub(super) rhs: Rhs,
@@ -45,18 +46,26 @@ pub(super) struct LinearSystem {
 }
 
 impl LinearSystem {
-    pub(super) fn new(target: &[TargetRow]) -> Self {
+    pub(super) fn new(sizes: Sizes, target: &[TargetRow], n: usize) -> Self {
         let kkt = Kkt {
             h: 0.0,
-            hessian: vec![KnotMatrix::zeros(); KNOTS],
-            with_t: vec![KnotVector::zeros(); KNOTS],
+            hessian: vec![KnotMatrix::zeros(); n + 1],
+            with_t: vec![KnotVector::zeros(); n + 1],
             t_t: 0.0,
-            dynamics: vec![KnotDynamics::zeros(); KNOTS],
+            dynamics: vec![KnotDynamics::zeros(); n + 1],
             target: target.to_vec(),
         };
         let rhs = kkt.zero_rhs();
-        let work = SolveWorkspace::new(N, target.len());
-        Self { kkt, torque: vec![TorqueGradients::zeros(); KNOTS], factor: Factor::new(N), rhs, work }
+        let work = SolveWorkspace::new(n, target.len());
+        let dynamics = Dynamics::zeros(sizes, n);
+        Self {
+            kkt,
+            dynamics,
+            torque: vec![TorqueGradients::zeros(); n + 1],
+            factor: Factor::new(n),
+            rhs,
+            work,
+        }
     }
 }
 
@@ -67,7 +76,7 @@ impl NlpSolver<'_> {
         if k > 0 {
             w += self.lambda[k - 1];
         }
-        if k < N {
+        if k < self.primal.intervals() {
             w += self.lambda[k];
         }
         w
@@ -75,39 +84,41 @@ impl NlpSolver<'_> {
 
     /// Sets the matrix (without barrier and torque terms) and the torques' gradients to those of the current point.
     pub(super) fn linearise(&mut self, linear: &mut LinearSystem) {
-        let h = self.primal.t / N as f64;
+        let (h, n) = (self.primal.h(), self.primal.intervals());
         let r = self.problem.input_weight;
+        let sizes = self.problem.sizes();
         let kkt = &mut linear.kkt;
         kkt.h = h;
         kkt.t_t = 0.0;
-        for k in 0..KNOTS {
-            let (x, u) = (self.primal.x[k], self.primal.u[k]);
+        for k in 0..=n {
+            let (x, u) = self.primal.knot(sizes, k);
             let w = self.defect_multiplier(k);
-            let w_u = w.qd_u() * (-0.5 * h);
+            let w_u =
+                upswing_model::UnactuatedVector::from_fn(sizes, |i| w[NX - N_UNACTUATED + i] * (-0.5 * h));
             let mu = self.lambda_torque[k].component_div(&self.torque_half);
-            let (knot, hessian) = self.problem.knot_derivatives(&x, &u, &w_u, &mu, &mut self.work);
-            kkt.hessian[k] = hessian;
-            kkt.dynamics[k] = KnotDynamics::new(&knot.dynamics, &x, &u);
+            let mu = upswing_model::ActuatedVector::from_fn(sizes, |i| mu[i]);
+            let (derivatives, hessian) = (&mut self.derivatives, &mut self.hessian);
+            self.problem.knot_derivatives(&x, &u, &w_u, &mu, &mut self.work, derivatives, hessian);
+            let rows = hessian.chunks_exact(sizes.knot_row());
+            // Symmetric: rows are columns.
+            let columns = kkt.hessian[k].as_mut_slice().chunks_exact_mut(NZ);
+            columns.zip(rows).for_each(|(column, row)| column.copy_from_slice(&row[..NZ]));
+            linear.dynamics.set(k, &derivatives.dynamics, &x, &u);
+            kkt.dynamics[k] = KnotDynamics::of(&linear.dynamics, k);
             let with_t = &mut kkt.with_t[k];
-            *with_t = kkt.dynamics[k].apply_transposed(&w) * (-0.5 / N as f64);
+            *with_t = kkt.dynamics[k].apply_transposed(&w) * (-0.5 / n as f64);
             for i in 0..NU {
                 kkt.hessian[k][(NX + i, NX + i)] += h * r;
-                with_t[NX + i] += r * u[i] / N as f64;
+                with_t[NX + i] += r * u[i] / n as f64;
+                let tau = derivatives.torque().tau(i);
+                linear.torque[k].set_column(i, &(vector::<NZ>(tau) / self.torque_half[i]));
             }
-            linear.torque[k] = self.torque_gradients(&knot);
         }
-    }
-
-    fn torque_gradients(&self, knot: &KnotDerivatives) -> TorqueGradients {
-        let d = knot.torque();
-        TorqueGradients::from_fn(|j, i| {
-            (if j < NX { d.tau_x[(i, j)] } else { d.tau_u[(i, j - NX)] }) / self.torque_half[i]
-        })
     }
 
     /// Gradient of the objective: with respect to z_k into `g`; that with respect to t_F is returned.
     pub(super) fn objective_gradient(&self, g: &mut [KnotVector]) -> f64 {
-        let (h, r) = (self.primal.t / N as f64, self.problem.input_weight);
+        let (h, r) = (self.primal.h(), self.problem.input_weight);
         for (g, u) in g.iter_mut().zip(self.primal.u.iter()) {
             g.fill(0.0);
             g.u_mut().copy_from(&(u * (h * r)));
@@ -117,14 +128,14 @@ impl NlpSolver<'_> {
 
     /// Derivative of the objective with respect to t_F.
     pub(super) fn objective_on_t(&self) -> f64 {
-        let effort: f64 = self.primal.u.iter().map(|u| u.norm_squared()).sum();
-        1.0 + 0.5 * self.problem.input_weight * effort / N as f64
+        let effort = self.primal.effort();
+        1.0 + 0.5 * self.problem.input_weight * effort / self.primal.intervals() as f64
     }
 
     /// Adds barrier and torque terms to the matrix.
     pub(super) fn condense(&self, linear: &mut LinearSystem) {
         linear.kkt.t_t += self.bound_t.sigma(&Scalar::new(self.primal.t))[0];
-        for k in 0..KNOTS {
+        for k in 0..self.primal.x.len() {
             let hessian = &mut linear.kkt.hessian[k];
             if k > 0 {
                 let sigma = self.bound_x[k - 1].sigma(&self.primal.x[k]);
@@ -145,7 +156,7 @@ impl NlpSolver<'_> {
             + self.bound_t.gradient(&Scalar::new(self.primal.t), self.mu)[0];
         rhs.defects.copy_from_slice(&c.defects);
         rhs.target.copy_from_slice(&c.target);
-        for k in 0..KNOTS {
+        for k in 0..self.primal.x.len() {
             if k > 0 {
                 let barrier = self.bound_x[k - 1].gradient(&self.primal.x[k], self.mu);
                 for i in 0..NX {
@@ -162,8 +173,9 @@ impl NlpSolver<'_> {
     /// The step for the constraint residuals `c`; needs the factorised matrix.
     pub(super) fn direction(&self, linear: &mut LinearSystem, damping: f64, c: &Residuals) -> Direction {
         self.right_hand_side(linear, c);
-        let LinearSystem { kkt, torque, factor, rhs, work } = linear;
-        let mut step = NewtonStep::zeros(N, kkt.target.len());
+        let LinearSystem { kkt, torque, factor, rhs, work, .. } = linear;
+        let n = self.primal.intervals();
+        let mut step = NewtonStep::zeros(n, kkt.target.len());
         kkt.solve_into(
             factor,
             rhs,
@@ -175,9 +187,9 @@ impl NlpSolver<'_> {
         let share = (1.0 - self.mu).max(0.99);
         let mut alpha = (1.0_f64, 1.0_f64);
         let mut shorten = |a: (f64, f64)| alpha = (alpha.0.min(a.0), alpha.1.min(a.1));
-        let (mut s, mut lambda_torque) = (Vec::with_capacity(KNOTS), Vec::with_capacity(KNOTS));
-        let (mut bound_x, mut bound_s) = (Vec::with_capacity(N), Vec::with_capacity(KNOTS));
-        for k in 0..KNOTS {
+        let (mut s, mut lambda_torque) = (Vec::with_capacity(n + 1), Vec::with_capacity(n + 1));
+        let (mut bound_x, mut bound_s) = (Vec::with_capacity(n), Vec::with_capacity(n + 1));
+        for k in 0..self.primal.x.len() {
             let (b, v) = (&self.bound_s[k], &self.primal.s[k]);
             let ds = torque[k].tr_mul(&step.z[k]) + c.torque[k];
             let new_lambda = b.sigma(v).component_mul(&ds) + b.gradient(v, self.mu);

@@ -3,8 +3,8 @@
 
 use super::variables::{Entering, KnotRow, Leaving, U};
 use super::{Kkt, KnotDynamics, KnotParts, NewtonStep, Rhs};
+use crate::fixed::{ActuatedVector, NU, NX, NZ, vector};
 use crate::rows::{KNOT_ROW, Pivot, STATE_ROW, StateRow, add_scaled};
-use upswing_model::{ActuatedVector, NU, NX, NZ};
 
 /// Stiffness of the target rows in the factorised matrix. Large against the curvature of the problem, small
 /// enough that its products keep eight digits of that curvature.
@@ -247,7 +247,7 @@ impl Kkt {
             step.z[k + 1] = i.entering.apply(&s, &u);
         }
         for (m, (row, r)) in step.lambda_target.iter_mut().zip(self.target.iter().zip(&rhs.target)) {
-            *m = TARGET_STIFFNESS * (row.coefficients.dot(&step.z[n].x()) + r);
+            *m = TARGET_STIFFNESS * (vector::<NX>(&row.coefficients).dot(&step.z[n].x()) + r);
         }
     }
 }

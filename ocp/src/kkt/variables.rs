@@ -2,9 +2,9 @@
 //! row operations.
 
 use super::{KnotDynamics, KnotVector};
+use crate::fixed::{ActuatedVector, N_UNACTUATED, NQ, NU, NX, NZ, State};
 use crate::rows::{KNOT_ROW, STATE_ROW, StateRow, add_scaled};
 use nalgebra::SMatrix;
-use upswing_model::{ActuatedVector, N_UNACTUATED, NQ, NU, NX, NZ, State};
 
 /// First row of the velocities, of the unactuated velocities, and of the inputs among z = (x, u).
 const V: usize = NQ;

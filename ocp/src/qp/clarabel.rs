@@ -1,13 +1,12 @@
 //! Clarabel as a back end: the QP as one sparse matrix.
 
 use super::{Qp, QpOptions, QpSolution, QpStatus, Stall};
-use crate::kkt::KnotDynamics;
+use crate::kkt::Dynamics;
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::{
     DefaultSettings, DefaultSolver, IPSolver, SolverStatus,
     SupportedConeT::{NonnegativeConeT, ZeroConeT},
 };
-use upswing_model::{N_UNACTUATED, NQ, NU, NX, NZ};
 
 /// Rows of A z + s = b, as triplets.
 #[derive(Default)]
@@ -32,40 +31,40 @@ impl SparseRows {
     }
 
     /// Coefficients of row i of `scale` (A dx + B du) at knot k.
-    fn put_dynamics(&mut self, knot: &KnotDynamics, k: usize, i: usize, scale: f64) {
-        let at = k * NZ;
-        if i < NQ {
-            self.put(at + NQ + i, scale);
-        } else if i < NQ + NU {
-            self.put(at + NX + i - NQ, scale);
+    fn put_dynamics(&mut self, dynamics: &Dynamics, k: usize, i: usize, scale: f64) {
+        let sizes = dynamics.sizes();
+        let (joints, actuated, at) = (sizes.joints(), sizes.actuated(), k * sizes.knot());
+        if i < joints + actuated {
+            // qd of q, and u of qd_A.
+            self.put(at + joints + i, scale);
         } else {
-            let m = i - (NX - N_UNACTUATED);
-            for j in 0..NX {
-                self.put(at + j, scale * knot.qdd_u_x[(m, j)]);
-            }
-            for j in 0..NU {
-                self.put(at + NX + j, scale * knot.qdd_u_u[(m, j)]);
-            }
+            self.put_row(at, dynamics.rows.row(k, i - joints - actuated), scale);
         }
+    }
+
+    /// Coefficients `scale` times `row` from the column `at` on.
+    fn put_row(&mut self, at: usize, row: &[f64], scale: f64) {
+        row.iter().enumerate().for_each(|(j, v)| self.put(at + j, scale * v));
     }
 }
 
 /// Solves the QP from scratch.
 pub(super) fn solve(qp: &Qp, options: &QpOptions<'_>, solution: &mut QpSolution) -> QpStatus {
-    let n = qp.defects.len();
+    let (sizes, n) = (qp.sizes(), qp.intervals());
+    let (state, knot) = (sizes.state(), sizes.knot());
     // Variables: z_0..z_n, dt and, where bounds yield, by how much each of them does.
-    let t = (n + 1) * NZ;
-    let soft = if qp.compliance > 0.0 { 2 * (n * NX + (n + 1) * NU + 1) } else { 0 };
+    let t = (n + 1) * knot;
+    let soft = if qp.compliance > 0.0 { 2 * (n * state + (n + 1) * sizes.actuated() + 1) } else { 0 };
     let variables = t + 1 + soft;
-    *solution = QpSolution::zeros(n);
+    *solution = QpSolution::zeros(sizes, n);
     if let Some(status) = options.stop() {
         return status;
     }
     let mut weights = Vec::with_capacity(variables);
     let mut gradient = Vec::with_capacity(variables);
-    for (weight, g) in qp.weight.iter().zip(&qp.gradient) {
-        weights.extend(weight.iter());
-        gradient.extend(g.iter());
+    for (weight, g) in qp.weight.vectors().zip(qp.gradient.vectors()) {
+        weights.extend(weight);
+        gradient.extend(g);
     }
     weights.push(qp.weight_t);
     gradient.push(qp.gradient_t);
@@ -76,25 +75,23 @@ pub(super) fn solve(qp: &Qp, options: &QpOptions<'_>, solution: &mut QpSolution)
 
     let mut rows = SparseRows::default();
     let half_h = 0.5 * qp.h;
-    for i in 0..NX {
+    for i in 0..state {
         rows.put(i, 1.0);
         rows.end(qp.start[i]);
     }
     for k in 0..n {
-        let (near, far) = (&qp.dynamics[k], &qp.dynamics[k + 1]);
-        for i in 0..NX {
-            rows.put((k + 1) * NZ + i, 1.0);
-            rows.put(k * NZ + i, -1.0);
-            rows.put_dynamics(near, k, i, -half_h);
-            rows.put_dynamics(far, k + 1, i, -half_h);
-            rows.put(t, -(near.f[i] + far.f[i]) / (2 * n) as f64);
-            rows.end(-qp.defects[k][i]);
+        let (near, far) = (qp.dynamics.f.vector(k), qp.dynamics.f.vector(k + 1));
+        for i in 0..state {
+            rows.put((k + 1) * knot + i, 1.0);
+            rows.put(k * knot + i, -1.0);
+            rows.put_dynamics(&qp.dynamics, k, i, -half_h);
+            rows.put_dynamics(&qp.dynamics, k + 1, i, -half_h);
+            rows.put(t, -(near[i] + far[i]) / (2 * n) as f64);
+            rows.end(-qp.defects.vector(k)[i]);
         }
     }
     for target in &qp.target {
-        for i in 0..NX {
-            rows.put(n * NZ + i, target.coefficients[i]);
-        }
+        rows.put_row(n * knot, &target.coefficients, 1.0);
         rows.end(target.value);
     }
     let equalities = rows.bound.len();
@@ -105,21 +102,19 @@ pub(super) fn solve(qp: &Qp, options: &QpOptions<'_>, solution: &mut QpSolution)
         rows.end(bound);
     };
     for (k, (lower, upper)) in qp.x.iter().enumerate() {
-        for i in 0..NX {
+        for i in 0..state {
             for (sign, bound) in [(1.0, upper[i]), (-1.0, -lower[i])] {
-                rows.put((k + 1) * NZ + i, sign);
+                rows.put((k + 1) * knot + i, sign);
                 end_bound(&mut rows, bound);
             }
         }
     }
-    for (k, torque) in qp.torque.iter().enumerate() {
-        for i in 0..NU {
-            for (sign, bound) in [(1.0, torque.upper[i]), (-1.0, -torque.lower[i])] {
+    for (k, (lower, upper)) in qp.torque.bounds.iter().enumerate() {
+        for i in 0..sizes.actuated() {
+            for (sign, bound) in [(1.0, upper[i]), (-1.0, -lower[i])] {
                 // In units of half the range, so that the row has entries near one.
-                let scale = 2.0 * sign / (torque.upper[i] - torque.lower[i]);
-                for j in 0..NZ {
-                    rows.put(k * NZ + j, scale * torque.jacobian[(i, j)]);
-                }
+                let scale = 2.0 * sign / (upper[i] - lower[i]);
+                rows.put_row(k * knot, qp.torque.jacobian.row(k, i), scale);
                 end_bound(&mut rows, bound * scale.abs());
             }
         }
@@ -150,8 +145,8 @@ pub(super) fn solve(qp: &Qp, options: &QpOptions<'_>, solution: &mut QpSolution)
     };
     solver.solve();
     let found = &solver.solution;
-    for (z, found) in solution.z.iter_mut().zip(found.x[..t].chunks_exact(NZ)) {
-        z.copy_from_slice(found);
+    for (k, z) in found.x[..t].chunks_exact(knot).enumerate() {
+        solution.z.vector_mut(k).copy_from_slice(z);
     }
     solution.t = found.x[t];
     solution.iterations = found.iterations as usize;

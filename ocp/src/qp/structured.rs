@@ -10,11 +10,12 @@
 //! A softened bound yields: w >= l - c y with the compliance c, which is a quadratic penalty of weight 1 / c.
 
 use super::{Bound, ConflictingBound, Qp, QpOptions, QpSolution, QpStatus, Stall};
+use crate::fixed::{NU, NX, NZ, State, vector};
 use crate::kkt::{
     Factor, Kkt, KnotDynamics, KnotMatrix, KnotParts, KnotVector, NewtonStep, Rhs, SolveWorkspace, TargetRow,
 };
 use crate::rows::KNOT_ROW;
-use upswing_model::{LimitKind, NU, NX, NZ, State};
+use upswing_model::{LimitKind, Sizes};
 
 /// Number of bounded quantities: torques of knot 0, then states and torques of each knot, then dt.
 const fn bounded_quantities(intervals: usize) -> usize {
@@ -152,10 +153,10 @@ impl Side {
 
 impl Structured {
     /// Allocates everything for programs of `n` intervals.
-    pub(super) fn new(n: usize) -> Self {
+    pub(super) fn new(sizes: Sizes, n: usize) -> Self {
         let knot = KnotDynamics::zeros();
         // More target rows than states would contradict each other.
-        let row = TargetRow { coefficients: State::zeros(), value: 0.0 };
+        let row = TargetRow::unit(sizes, 0, 0.0);
         let kkt = Kkt {
             h: 0.0,
             hessian: vec![KnotMatrix::zeros(); n + 1],
@@ -185,7 +186,7 @@ impl Structured {
             above: Side::new(rows),
             pull: zeros(),
             sigma: zeros(),
-            solution: QpSolution::zeros(n),
+            solution: QpSolution::zeros(sizes, n),
         }
     }
 
@@ -195,9 +196,9 @@ impl Structured {
 
     /// Takes over the constant parts of `qp`.
     fn load(&mut self, qp: &Qp) {
-        let (n, targets) = (qp.defects.len(), qp.target.len());
-        if self.at.lambda.len() != n {
-            *self = Self::new(n);
+        let (n, targets) = (qp.intervals(), qp.target.len());
+        if self.at.lambda.len() != n || self.solution.z.sizes() != qp.sizes() {
+            *self = Self::new(qp.sizes(), n);
         }
         if self.kkt.target.len() != targets {
             self.kkt.target.clone_from(&qp.target);
@@ -208,21 +209,24 @@ impl Structured {
         self.compliance = qp.compliance;
         self.kkt.h = qp.h;
         self.kkt.target.clone_from_slice(&qp.target);
-        self.kkt.dynamics.clone_from_slice(&qp.dynamics);
-        for (k, torque) in qp.torque.iter().enumerate() {
+        for (k, dynamics) in self.kkt.dynamics.iter_mut().enumerate() {
+            *dynamics = KnotDynamics::of(&qp.dynamics, k);
+        }
+        for (k, (lower, upper)) in qp.torque.bounds.iter().enumerate() {
             let at = torque_at(k);
             for i in 0..NU {
-                let scale = 2.0 / (torque.upper[i] - torque.lower[i]);
-                self.lower[at + i] = torque.lower[i] * scale;
-                self.upper[at + i] = torque.upper[i] * scale;
+                let scale = 2.0 / (upper[i] - lower[i]);
+                self.lower[at + i] = lower[i] * scale;
+                self.upper[at + i] = upper[i] * scale;
+                let row = qp.torque.jacobian.row(k, i);
                 for j in 0..NZ {
-                    self.jacobian[k][i][j] = torque.jacobian[(i, j)] * scale;
+                    self.jacobian[k][i][j] = row[j] * scale;
                 }
             }
             if k > 0 {
                 let (lower, upper) = &qp.x[k - 1];
-                self.lower[at - NX..at].copy_from_slice(lower.as_slice());
-                self.upper[at - NX..at].copy_from_slice(upper.as_slice());
+                self.lower[at - NX..at].copy_from_slice(lower);
+                self.upper[at - NX..at].copy_from_slice(upper);
             }
         }
         let t = self.t_row();
@@ -282,7 +286,7 @@ impl Structured {
     /// Starting point: no step; multipliers of the last QP if `warm`.
     fn start(&mut self, qp: &Qp, warm: bool) {
         self.at.z.fill(KnotVector::zeros());
-        self.at.z[0].x_mut().copy_from(&qp.start);
+        self.at.z[0].x_mut().copy_from_slice(&qp.start);
         self.at.t = 0.0;
         Self::bounded(&self.jacobian, &self.at.z, 0.0, &mut self.value);
         let (slack, barrier) = if warm { WARM } else { COLD };
@@ -306,11 +310,12 @@ impl Structured {
     fn residuals(&mut self, qp: &Qp) {
         let r = &mut self.residual;
         for (k, g) in r.g.iter_mut().enumerate() {
-            *g = self.at.z[k].component_mul(&qp.weight[k]) + qp.gradient[k];
+            *g = self.at.z[k].component_mul(&vector(qp.weight.vector(k)))
+                + vector::<NZ>(qp.gradient.vector(k));
         }
         r.g_t = qp.weight_t * self.at.t + qp.gradient_t;
-        r.defects.copy_from_slice(&qp.defects);
-        r.start = qp.start;
+        r.defects.iter_mut().zip(qp.defects.vectors()).for_each(|(r, defect)| *r = vector(defect));
+        r.start = vector(&qp.start);
         r.target.iter_mut().zip(&qp.target).for_each(|(r, row)| *r = -row.value);
         self.kkt.add_constraints(&self.at, r);
         Self::bounded(&self.jacobian, &self.at.z, self.at.t, &mut self.value);
@@ -348,7 +353,7 @@ impl Structured {
                 + above.multiplier[i] / above.stretch(i, self.compliance);
         }
         self.kkt.t_t = qp.weight_t + self.sigma[self.t_row()];
-        for k in 0..qp.gradient.len() {
+        for k in 0..=qp.intervals() {
             let at = torque_at(k);
             let jacobian = &self.jacobian[k];
             let sigma = &self.sigma[at..at + NU];
@@ -362,7 +367,7 @@ impl Structured {
                     }
                 }
                 column.copy_from_slice(&sum[..NZ]);
-                column[j] += qp.weight[k][j];
+                column[j] += qp.weight.vector(k)[j];
                 if k > 0 && j < NX {
                     column[j] += self.sigma[at - NX + j];
                 }
@@ -417,13 +422,14 @@ impl Structured {
         // v: what is left of the gradient without the objective.
         let mut slope = 0.0;
         let mut excess = 0.0;
-        for k in 0..qp.gradient.len() {
-            let mut v = self.residual.g[k] - self.at.z[k].component_mul(&qp.weight[k]) - qp.gradient[k];
+        for k in 0..=qp.intervals() {
+            let weighted = self.at.z[k].component_mul(&vector(qp.weight.vector(k)));
+            let mut v = self.residual.g[k] - weighted - vector::<NZ>(qp.gradient.vector(k));
             if k == 0 {
                 // All that acts on the start is a constant.
                 v.x_mut().fill(0.0);
                 let on_start = self.on_start();
-                excess += on_start.dot(&qp.start);
+                excess += on_start.dot(&vector(&qp.start));
             }
             for i in 0..NX {
                 if k > 0 {
@@ -435,8 +441,8 @@ impl Structured {
         }
         let v_t = self.residual.g_t - qp.weight_t * self.at.t - qp.gradient_t;
         slope += v_t.abs() * qp.t.0.abs().max(qp.t.1.abs());
-        for (lambda, r) in self.at.lambda.iter().zip(&qp.defects) {
-            excess += lambda.dot(r);
+        for (lambda, r) in self.at.lambda.iter().zip(qp.defects.vectors()) {
+            excess += lambda.dot(&vector(r));
         }
         for (m, row) in self.at.lambda_target.iter().zip(&qp.target) {
             excess -= m * row.value;
@@ -491,7 +497,7 @@ impl Structured {
         }
         let bound = match heaviest {
             i if i < NX => {
-                let (kind, joint) = LimitKind::of_row(i);
+                let (kind, joint) = LimitKind::of_row(i, self.solution.z.sizes());
                 Bound::Joint(kind, joint)
             }
             i if i < NZ => Bound::Joint(LimitKind::Torque, i - NX),
@@ -509,7 +515,9 @@ impl Structured {
             self.start(qp, false);
             status = self.run(qp, options);
         }
-        self.solution.z.copy_from_slice(&self.at.z);
+        for (k, z) in self.at.z.iter().enumerate() {
+            self.solution.z.vector_mut(k).copy_from_slice(z.as_slice());
+        }
         self.solution.t = self.at.t;
         status
     }
