@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 use std::fmt::Display;
-use upswing_model::Limits;
+use upswing_model::{JointKind, Limits, Model};
 
 /// A setting that meets its own rule but conflicts with another setting.
 #[derive(Debug, thiserror::Error)]
@@ -29,7 +29,12 @@ impl SettingsConflict {
     }
 
     /// Refuses a value of `key` that is not above `low`, the value of `low_key`; both in the unit of the file.
-    pub fn unless_above(key: &'static str, value: f64, low: f64, low_key: &str) -> Result<(), Self> {
+    pub fn unless_above(
+        key: impl Into<Cow<'static, str>>,
+        value: f64,
+        low: f64,
+        low_key: &str,
+    ) -> Result<(), Self> {
         if value > low {
             return Ok(());
         }
@@ -37,21 +42,36 @@ impl SettingsConflict {
         Err(Self::new(key, format!("more than the {low} of {low_key}"), value, fix))
     }
 
-    /// Refuses an `angle` (rad) outside the position limits of `joint`, counted from 0.
-    pub fn unless_within(key: &'static str, angle: f64, joint: usize, limits: &Limits) -> Result<(), Self> {
+    /// Refuses a `position` (rad or m) outside the position limits of the joint of index `joint` in the model's vectors. The key of the
+    /// position is `key`, with the unit and the name of the joint.
+    pub fn unless_within(
+        key: &str,
+        position: f64,
+        joint: usize,
+        limits: &Limits,
+        model: &Model,
+    ) -> Result<(), Self> {
         let (low, high) = (limits.q_min[joint], limits.q_max[joint]);
-        if (low..=high).contains(&angle) {
+        if (low..=high).contains(&position) {
             return Ok(());
         }
-        let expected = format!("an angle from {} to {} deg", degrees(low), degrees(high));
-        let got = format!("{} for joint {}", degrees(angle), joint + 1);
-        Err(Self::new(key, expected, got, "stay inside the limits in robot.toml"))
+        let kind = model.joint_kind(joint);
+        let [low, high, got] = [low, high, position].map(|q| in_file(kind, q));
+        let (name, unit) = (model.joint_name(joint), unit(kind));
+        let expected = format!("a position from {low} to {high} {unit}");
+        let got = format!("{got} for joint `{name}`");
+        Err(Self::new(format!("{key}_{unit}"), expected, got, "stay inside the limits in robot.toml"))
     }
 }
 
-/// Converts an angle from rad to deg, rounded to 1e-6 deg to hide the rounding errors of the conversion.
-pub(crate) fn degrees(rad: f64) -> f64 {
-    (rad.to_degrees() * 1e6).round() / 1e6
+/// The position `q` (rad or m) in the unit of files, rounded to 1e-6 to hide the rounding errors of the conversion.
+pub(crate) fn in_file(kind: JointKind, q: f64) -> f64 {
+    (kind.shown(q).0 * 1e6).round() / 1e6
+}
+
+/// The unit of positions in files: the end of their keys.
+pub(crate) fn unit(kind: JointKind) -> &'static str {
+    kind.shown(0.0).1
 }
 
 /// Converts a time from s to ms, rounded to 1e-6 ms to hide the rounding errors of the conversion.
@@ -62,20 +82,15 @@ pub(crate) fn milliseconds(s: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use upswing_model::{NQ, NU};
 
     #[test]
     fn ranges_hold_up_to_their_ends() {
         let above = |v| SettingsConflict::unless_above("k", v, 1.0, "l").is_ok();
         assert!(above(1.1) && !above(1.0) && !above(f64::NAN));
-        let mut limits = Limits {
-            q_min: [-1.0; NQ].into(),
-            q_max: [1.0; NQ].into(),
-            qd_max: [1.0; NQ].into(),
-            tau_max: [1.0; NU].into(),
-        };
+        let model = Model::from_urdf(include_str!("../robot.urdf")).expect("the robot");
+        let mut limits = *model.rated_limits();
         (limits.q_min[8], limits.q_max[8]) = (-0.5, 0.25);
-        let within = |rad: f64| SettingsConflict::unless_within("k", rad, 8, &limits).is_ok();
+        let within = |rad: f64| SettingsConflict::unless_within("k", rad, 8, &limits, &model).is_ok();
         assert!(within(0.25) && within(-0.5) && !within(0.26) && !within(-0.51) && !within(f64::NAN));
     }
 }

@@ -9,7 +9,7 @@ use serde::de::{Deserialize, Deserializer, Error};
 use std::marker::PhantomData;
 use std::path::PathBuf;
 use std::time::Duration;
-use upswing_model::{NQ, NU, Period};
+use upswing_model::{ActuatedVector, JointVector, Period};
 
 /// Settings of the control daemon.
 #[derive(Clone, Debug, PartialEq, serde::Deserialize)]
@@ -67,21 +67,21 @@ pub enum VelocityEstimate {
 #[derive(Clone, Copy, Debug, PartialEq, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct HoldGains {
-    /// Gain of the angle, rad/s^2 per rad.
+    /// Gain of the position, 1/s^2.
     #[serde(deserialize_with = "Positive::read")]
-    pub stiffness: [f64; NU],
-    /// Gain of the velocity, rad/s^2 per rad/s.
+    pub stiffness: ActuatedVector,
+    /// Gain of the velocity, 1/s.
     #[serde(deserialize_with = "Positive::read")]
-    pub damping: [f64; NU],
+    pub damping: ActuatedVector,
 }
 
 /// Settings of the mode Stop.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StopSettings {
-    /// Deceleration of each actuated joint, rad/s^2.
+    /// Deceleration of each actuated joint, rad/s^2 or m/s^2.
     #[serde(rename = "deceleration_rad_s2", deserialize_with = "Positive::read")]
-    pub deceleration: [f64; NU],
+    pub deceleration: ActuatedVector,
 }
 
 /// Settings of the disturbance observer, which estimates the torque on the arm in addition to the commanded torque.
@@ -106,15 +106,15 @@ pub struct DisturbanceSettings {
 #[derive(Clone, Copy, Debug, PartialEq, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StandstillSettings {
-    /// Smallest motion of each joint that its encoder always detects, rad.
+    /// Smallest motion of each joint that its encoder always detects, rad or m.
     #[serde(rename = "angle_rad", deserialize_with = "Positive::read")]
-    pub angle: [f64; NQ],
-    /// Largest presliding friction of each joint, N m s/rad.
+    pub angle: JointVector,
+    /// Largest presliding friction of each joint, N m s/rad or N s/m.
     #[serde(rename = "friction_nms_rad", deserialize_with = "NonNegative::read")]
-    pub friction: [f64; NQ],
-    /// Unknown torque that may act on each joint at standstill, N m.
+    pub friction: JointVector,
+    /// Unknown torque that may act on each joint at standstill, N m or N.
     #[serde(rename = "unknown_torque_nm", deserialize_with = "NonNegative::read")]
-    pub unknown: [f64; NQ],
+    pub unknown: JointVector,
     /// Smallest change of a commanded torque that a torque sensor always detects, as a share of the 100 % torque limits.
     #[serde(rename = "torque_fraction", deserialize_with = "Share::read")]
     pub torque: f64,
@@ -328,10 +328,15 @@ impl DaemonSettings {
         }
 
         let trip = self.limits.velocity_fraction.trip;
-        (0..NQ).try_for_each(|i| {
-            let planned = robot.planning.qd_max[i] / robot.limits.qd_max[i];
+        let mut speeds = robot.planning.qd_max.iter().zip(robot.limits.qd_max.iter());
+        speeds.try_for_each(|(planned, rated)| {
             let planned_key = "usage.velocity_fraction_* in robot.toml";
-            SettingsConflict::unless_above("limits.velocity_fraction.trip", trip, planned, planned_key)
+            SettingsConflict::unless_above(
+                "limits.velocity_fraction.trip",
+                trip,
+                planned / rated,
+                planned_key,
+            )
         })
     }
 }

@@ -67,19 +67,4 @@ pub enum ConfigError {
         /// Error of the robot description.
         cause: UrdfError,
     },
-    /// The range of a joint is not symmetric about 0.
-    #[error(
-        "{file}: joint `{joint}`: expected a range that is symmetric about 0, got {low} to {high} deg: others are not supported \
-         yet; turn the joint's origin so that the middle of its range is 0, or use the smaller side there and in robot.toml"
-    )]
-    Asymmetric {
-        /// Path of the URDF.
-        file: String,
-        /// Name of the joint.
-        joint: String,
-        /// Lower end, deg.
-        low: f64,
-        /// Upper end, deg.
-        high: f64,
-    },
 }

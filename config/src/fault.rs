@@ -3,7 +3,7 @@
 use crate::MAX_DELAY;
 use crate::rule::{Whole, refused};
 use serde::{Deserialize, Deserializer};
-use upswing_model::{NQ, NU};
+use upswing_model::{Model, Sizes};
 
 /// Kind of a plant fault; the index of a variant is its code in shared memory. Simultaneous faults act in the order of the variants.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, clap::ValueEnum)]
@@ -44,17 +44,31 @@ impl FaultKind {
         self as u64
     }
 
-    /// True if faults of this kind concern one joint.
-    pub const fn has_joint(self) -> bool {
-        self.joints() > 0
+    /// Number of joints that this kind can concern, the first ones of the model's vectors; 0 for kinds without a joint.
+    const fn joints(self, sizes: Sizes) -> usize {
+        match self {
+            Self::EncoderStuck | Self::EncoderJump | Self::EncoderNan => sizes.joints(),
+            Self::ArmTorque => sizes.actuated(),
+            _ => 0,
+        }
     }
 
-    /// Number of joints, from joint 1 on, that this kind can concern; 0 for kinds without a joint.
-    const fn joints(self) -> usize {
-        match self {
-            Self::EncoderStuck | Self::EncoderJump | Self::EncoderNan => NQ,
-            Self::ArmTorque => NU,
-            _ => 0,
+    /// Index in the model's vectors of the joint `name` of a fault of this kind; 0 for kinds without a joint.
+    ///
+    /// # Errors
+    /// [`FaultJointError`] if the kind needs a joint and `name` is none that it can concern, or if it needs none and has one.
+    pub fn joint(self, name: Option<&str>, model: &Model) -> Result<usize, FaultJointError> {
+        let joints = self.joints(model.sizes());
+        match (joints, name) {
+            (0, None) => Ok(0),
+            (0, Some(got)) => Err(FaultJointError::Needless { got: got.into() }),
+            (_, name) => {
+                let found = (0..joints).find(|joint| Some(model.joint_name(*joint)) == name);
+                found.ok_or_else(|| FaultJointError::Unknown {
+                    expected: (0..joints).map(|joint| model.joint_name(joint).into()).collect(),
+                    got: name.map(Into::into),
+                })
+            }
         }
     }
 }
@@ -68,9 +82,10 @@ pub struct Fault {
     pub from: u64,
     /// Duration, cycles; 0: until the fault is cleared.
     pub cycles: u64,
-    /// Joint, counted from 0; 0 for kinds without a joint.
+    /// Index of the joint in the model's vectors; 0 for kinds without a joint.
     pub joint: usize,
-    /// Amount: cycles (`DelayMeasurement`, 1..=[`MAX_DELAY`]), rad (`EncoderJump`, not 0) or N m (`ArmTorque`, not 0); else unused.
+    /// Amount: cycles (`DelayMeasurement`, 1..=[`MAX_DELAY`]), rad or m (`EncoderJump`, not 0), N m or N (`ArmTorque`, not 0); else
+    /// unused.
     pub amount: f64,
 }
 
@@ -85,13 +100,14 @@ impl Fault {
         cycle >= self.from && (self.cycles == 0 || cycle - self.from < self.cycles)
     }
 
-    /// Checks that joint and amount suit the kind of the fault.
+    /// Checks that joint and amount suit the kind of the fault, for a robot with `sizes`.
     ///
     /// # Errors
     /// [`EventError`] with the expected and the actual value.
-    pub fn check(&self) -> Result<(), EventError> {
-        if self.kind.has_joint() && self.joint >= self.kind.joints() {
-            return Err(EventError::Joint { most: self.kind.joints(), got: self.joint.wrapping_add(1) });
+    pub fn check(&self, sizes: Sizes) -> Result<(), EventError> {
+        let joints = self.kind.joints(sizes);
+        if joints > 0 && self.joint >= joints {
+            return Err(EventError::Joint { most: joints, got: self.joint.wrapping_add(1) });
         }
         let amount = self.amount;
         match self.kind {
@@ -121,7 +137,7 @@ pub(crate) struct FaultInFile {
     from: u64,
     #[serde(default, deserialize_with = "Whole::<0, MOST_CYCLES>::read")]
     cycles: u64,
-    joint: Option<i64>,
+    joint: Option<String>,
     #[serde(default)]
     amount: f64,
 }
@@ -129,40 +145,46 @@ pub(crate) struct FaultInFile {
 /// Largest cycle number in a scenario, beyond the lifetime of any plant process.
 const MOST_CYCLES: i64 = 1_000_000_000_000;
 
-/// Error of a fault in a scenario file. Its text begins with `.key: `, which `TextFile::error` moves into the name of the key.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-pub(crate) enum FaultInFileError {
-    /// The joint is not a number from 1 on.
-    #[error(".joint: expected a whole number from 1 to {most}, got {got}")]
-    JointNumber { most: usize, got: i64 },
+/// Error of the joint of a fault.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum FaultJointError {
     /// A kind without a joint has one.
-    #[error(".joint: expected none for this kind, got {got}: only encoders and torques have a joint")]
-    NeedlessJoint { got: i64 },
-    /// A kind that concerns a joint has none.
-    #[error(".joint: expected a joint, got none: only encoders and torques have a joint")]
-    NoJoint,
-    /// Joint or amount do not suit the kind.
+    #[error("joint: expected none for this kind, got `{got}`: only encoders and torques have a joint")]
+    Needless {
+        /// The joint.
+        got: String,
+    },
+    /// A kind that concerns a joint has none that it can concern.
+    #[error(
+        "joint: expected one of {}, got {}: name one of these joints",
+        .expected.join(", "),
+        .got.as_ref().map_or_else(|| "none".into(), |got| format!("`{got}`"))
+    )]
+    Unknown {
+        /// Names of the joints that the kind can concern.
+        expected: Vec<String>,
+        /// The joint; `None`: none was given.
+        got: Option<String>,
+    },
+}
+
+/// Error of a fault in a scenario file. Its text begins with `.key: `, which `TextFile::error` moves into the name of the key.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub(crate) enum FaultInFileError {
+    /// The joint does not suit the kind.
+    #[error(".{0}")]
+    Joint(#[from] FaultJointError),
+    /// The amount does not suit the kind.
     #[error(".{0}")]
     Event(#[from] EventError),
 }
 
-impl TryFrom<FaultInFile> for Fault {
-    type Error = FaultInFileError;
-
-    fn try_from(
-        FaultInFile { kind, from, cycles, joint, amount }: FaultInFile,
-    ) -> Result<Self, FaultInFileError> {
-        let joint = match joint {
-            Some(got) if kind.has_joint() => match usize::try_from(got) {
-                Ok(joint @ 1..) => joint - 1,
-                _ => return Err(FaultInFileError::JointNumber { most: kind.joints(), got }),
-            },
-            Some(got) => return Err(FaultInFileError::NeedlessJoint { got }),
-            None if kind.has_joint() => return Err(FaultInFileError::NoJoint),
-            None => 0,
-        };
-        let fault = Self { kind, from, cycles, joint, amount };
-        fault.check()?;
+impl FaultInFile {
+    /// The fault, for the robot `model`.
+    pub fn fault(self, model: &Model) -> Result<Fault, FaultInFileError> {
+        let Self { kind, from, cycles, joint, amount } = self;
+        let fault = Fault { kind, from, cycles, joint: kind.joint(joint.as_deref(), model)?, amount };
+        fault.check(model.sizes())?;
         Ok(fault)
     }
 }

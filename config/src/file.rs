@@ -2,11 +2,13 @@
 
 use crate::ConfigError;
 use crate::conflict::SettingsConflict;
+use crate::joints::JointList;
 use serde::de::DeserializeOwned;
 use std::borrow::Cow;
 use std::fmt::Display;
 use std::path::Path;
 use toml::de::{DeTable, DeValue};
+use upswing_model::Model;
 
 /// A settings file embedded in the program.
 pub(crate) struct EmbeddedFile {
@@ -58,17 +60,20 @@ impl TextFile {
         }
     }
 
-    /// Parses TOML into settings; checks syntax, unknown and missing keys, and the rule of each field.
-    pub fn parse<T: DeserializeOwned>(&self) -> Result<T, ConfigError> {
-        toml::from_str(&self.text).map_err(|error| self.malformed(&error))
+    /// Parses TOML into settings of the robot `model`; checks syntax, unknown and missing keys and joints, and the rule of each field.
+    pub fn parse<T: DeserializeOwned>(&self, model: &Model) -> Result<T, ConfigError> {
+        let settings = toml::Deserializer::parse(&self.text)
+            .and_then(|toml| T::deserialize(JointList::of(model).around(toml)));
+        settings.map_err(|error| self.malformed(&error))
     }
 
     /// Parses TOML into settings as [`TextFile::parse`], then checks the rules between settings with `validate`.
     pub fn settings<T: DeserializeOwned>(
         &self,
+        model: &Model,
         validate: impl FnOnce(&T) -> Result<(), SettingsConflict>,
     ) -> Result<T, ConfigError> {
-        let settings = self.parse()?;
+        let settings = self.parse(model)?;
         validate(&settings).map_err(|conflict| self.refuse(conflict))?;
         Ok(settings)
     }

@@ -1,46 +1,90 @@
 //! Settings of the start poses of a trajectory database, `grid.toml`.
 
-use crate::conflict::{SettingsConflict, degrees};
+use crate::conflict::{SettingsConflict, in_file, unit};
+use crate::file::TextFile;
 use crate::rule::{Finite, Positive, Rule, Whole};
-use crate::{PendulumStart, RobotSettings};
+use crate::{ConfigError, PendulumStart, RobotSettings};
 use serde::Deserialize;
-use upswing_model::NU;
+use toml::Spanned;
+use upswing_model::{ActuatedVector, Model, Sizes};
 
 /// Grid of start poses of a trajectory database: the Cartesian product of all axes; joints without an axis are at 0.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct GridSettings {
+    /// Numbers of joints of the robot.
+    pub sizes: Sizes,
     /// One axis per varied joint, in the order of the file.
-    #[serde(rename = "joints")]
     pub axes: Vec<GridAxis>,
-    /// Angles of the pendulum at the start.
+    /// Positions of the unactuated joints at the start.
     pub start: PendulumStart,
     /// Largest angle of the hanging pendulum, rad; poses with a larger one are skipped.
-    #[serde(rename = "max_rest_angle_deg", deserialize_with = "Positive::degrees")]
     pub max_rest_angle: f64,
 }
 
-/// Equally spaced angles of one joint, both ends included.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
+/// Equally spaced positions of one joint, both ends included.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GridAxis {
-    /// Index of the joint, counted from 0 (the file counts from 1).
-    #[serde(deserialize_with = "Whole::<1, { NU as i64 }>::index")]
+    /// Index of the joint in q_A.
     pub joint: usize,
-    /// First angle, rad.
-    #[serde(rename = "from_deg", deserialize_with = "Finite::degrees")]
+    /// First position, rad or m.
     pub from: f64,
-    /// Last angle, rad; above `from`, or equal for one point.
-    #[serde(rename = "to_deg", deserialize_with = "Finite::degrees")]
+    /// Last position, rad or m; above `from`, or equal for one point.
     pub to: f64,
-    /// Number of angles, at least 1.
-    #[serde(deserialize_with = "Whole::<1, { MOST_POSES as i64 }>::read")]
+    /// Number of positions, at least 1.
     pub points: usize,
 }
 
+/// A grid as a file states it.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct GridInFile {
+    joints: Vec<Spanned<AxisInFile>>,
+    start: PendulumStart,
+    #[serde(rename = "max_rest_angle_deg", deserialize_with = "Positive::degrees")]
+    max_rest_angle: f64,
+}
+
+/// An axis as a file states it, with the keys of one of both units.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct AxisInFile {
+    joint: String,
+    #[serde(default, deserialize_with = "Finite::degrees")]
+    from_deg: Option<f64>,
+    #[serde(default, deserialize_with = "Finite::degrees")]
+    to_deg: Option<f64>,
+    #[serde(default, deserialize_with = "Finite::read")]
+    from_m: Option<f64>,
+    #[serde(default, deserialize_with = "Finite::read")]
+    to_m: Option<f64>,
+    #[serde(deserialize_with = "Whole::<1, { MOST_POSES as i64 }>::read")]
+    points: usize,
+}
+
+impl AxisInFile {
+    /// The axis, or what is wrong: a `reason` for [`TextFile::error`].
+    fn axis(self, model: &Model) -> Result<GridAxis, String> {
+        let Self { joint: name, from_deg, to_deg, from_m, to_m, points } = self;
+        let actuated = 0..model.sizes().actuated();
+        let Some(joint) = actuated.clone().find(|joint| model.joint_name(*joint) == name) else {
+            let names: Vec<_> = actuated.map(|joint| model.joint_name(joint)).collect();
+            return Err(format!(".joint: expected one of {}, got `{name}`", names.join(", ")));
+        };
+        let ends = match unit(model.joint_kind(joint)) {
+            "m" => [("from_m", from_m, from_deg), ("to_m", to_m, to_deg)],
+            _ => [("from_deg", from_deg, from_m), ("to_deg", to_deg, to_m)],
+        };
+        let [from, to] = ends.map(|(key, end, in_other_unit)| match (end, in_other_unit) {
+            (Some(end), None) => Ok(end),
+            _ => Err(format!(".{key}: expected a position of joint `{name}` in this unit only")),
+        });
+        Ok(GridAxis { joint, from: from?, to: to?, points })
+    }
+}
+
 impl GridAxis {
-    /// Angle of the joint at a point of the axis, rad; points are counted from 0.
-    pub fn angle(&self, point: usize) -> f64 {
+    /// Position of the joint at a point of the axis, rad or m; points are counted from 0.
+    pub fn position(&self, point: usize) -> f64 {
         self.from + (self.to - self.from) * point as f64 / (self.points - 1).max(1) as f64
     }
 }
@@ -54,22 +98,35 @@ impl GridSettings {
         self.axes.iter().map(|axis| axis.points).product()
     }
 
-    /// Angles of the actuated joints (rad) of pose `number`, counted from 0; the last axis varies fastest.
-    pub fn pose(&self, number: usize) -> [f64; NU] {
-        let mut pose = [0.0; NU];
+    /// Positions of the actuated joints (rad or m) of pose `number`, counted from 0; the last axis varies fastest.
+    pub fn pose(&self, number: usize) -> ActuatedVector {
+        let mut pose = ActuatedVector::zeros(self.sizes);
         let mut left = number;
         for axis in self.axes.iter().rev() {
-            pose[axis.joint] = axis.angle(left % axis.points);
+            pose[axis.joint] = axis.position(left % axis.points);
             left /= axis.points;
         }
         pose
     }
 
+    /// Reads the grid in `file`.
+    pub(crate) fn read(file: &TextFile, robot: &RobotSettings, model: &Model) -> Result<Self, ConfigError> {
+        let GridInFile { joints, start, max_rest_angle } = file.parse(model)?;
+        let axes = joints.into_iter().map(|axis| {
+            let at = axis.span().start;
+            axis.into_inner().axis(model).map_err(|reason| file.error(at, Some("joints".into()), reason))
+        });
+        let grid =
+            Self { sizes: model.sizes(), axes: axes.collect::<Result<_, _>>()?, start, max_rest_angle };
+        grid.validate(robot, model).map_err(|conflict| file.refuse(conflict))?;
+        Ok(grid)
+    }
+
     /// Checks the rules between the settings of the grid, and between them and the limits of the robot.
-    pub(crate) fn validate(&self, robot: &RobotSettings) -> Result<(), SettingsConflict> {
+    fn validate(&self, robot: &RobotSettings, model: &Model) -> Result<(), SettingsConflict> {
         for (i, axis) in self.axes.iter().enumerate() {
             if self.axes[..i].iter().any(|known| known.joint == axis.joint) {
-                let got = format!("joint {} twice", axis.joint + 1);
+                let got = format!("joint `{}` twice", model.joint_name(axis.joint));
                 return Err(SettingsConflict::new(
                     "joints.joint",
                     "each joint at most once",
@@ -77,20 +134,18 @@ impl GridSettings {
                     "remove one of them",
                 ));
             }
-            SettingsConflict::unless_within("joints.from_deg", axis.from, axis.joint, &robot.planning)?;
-            SettingsConflict::unless_within("joints.to_deg", axis.to, axis.joint, &robot.planning)?;
-            let (from, to) = (degrees(axis.from), degrees(axis.to));
+            let kind = model.joint_kind(axis.joint);
+            for (key, position) in [("joints.from", axis.from), ("joints.to", axis.to)] {
+                SettingsConflict::unless_within(key, position, axis.joint, &robot.planning, model)?;
+            }
+            let [from, to] = [axis.from, axis.to].map(|q| in_file(kind, q));
             if axis.points == 1 && from != to {
                 let expected = format!("a whole number from 2 to {MOST_POSES}");
-                return Err(SettingsConflict::new(
-                    "joints.points",
-                    expected,
-                    1,
-                    "one point is from_deg and to_deg",
-                ));
+                return Err(SettingsConflict::new("joints.points", expected, 1, "one point is both ends"));
             }
             if axis.points > 1 {
-                SettingsConflict::unless_above("joints.to_deg", to, from, "joints.from_deg")?;
+                let [to_key, from_key] = ["to", "from"].map(|end| format!("joints.{end}_{}", unit(kind)));
+                SettingsConflict::unless_above(to_key, to, from, &from_key)?;
             }
         }
         let poses = self.axes.iter().fold(1, |poses: usize, axis| poses.saturating_mul(axis.points));

@@ -4,6 +4,8 @@
 //! (`robot.urdf`), its limits and the target (`robot.toml`), the planner, the daemon, the simulated plant, the grid of the trajectory
 //! database, and scenarios for the plant ([`Config::use_scenario`]). Keys of settings in other than SI units name the unit (`_deg`,
 //! `_ms`); outside this crate all settings are in rad, s, N m, kg, m, and need no further check.
+//! Values per joint are stated by the names of the joints in the URDF, and become vectors of the model. Keys name the units of joints that
+//! turn; for prismatic joints a key in degrees has a counterpart in m (`q_deg`, `q_m`), and in other keys rad is m, and N m is N.
 
 mod conflict;
 mod daemon;
@@ -11,6 +13,7 @@ mod error;
 mod fault;
 mod file;
 mod grid;
+mod joints;
 mod planner;
 mod plant;
 mod robot;
@@ -23,7 +26,7 @@ pub use daemon::{
     StandstillSettings, StartTolerance, StopSettings, VelocityEstimate,
 };
 pub use error::ConfigError;
-pub use fault::{EventError, Fault, FaultKind, Push};
+pub use fault::{EventError, Fault, FaultJointError, FaultKind, Push};
 pub use file::{check_regular, open_file, read_file};
 pub use grid::{GridAxis, GridSettings};
 pub use planner::{
@@ -36,11 +39,11 @@ pub use plant::{
 };
 pub use robot::{CoriolisBound, RobotSettings, Target};
 
-use conflict::{SettingsConflict, degrees};
+use conflict::SettingsConflict;
 use file::{EmbeddedFile, TextFile};
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
-use upswing_model::{Model, StartError, State, UnactuatedVector, Urdf};
+use upswing_model::{JointKind, Model, StartError, State, UnactuatedVector, Urdf};
 use upswing_trajectory::{LoopDelays, PlanCriteria};
 
 /// One complete, checked set of settings.
@@ -157,7 +160,7 @@ impl Config {
         FILES.iter().chain(&SCENARIOS).map(|file| (file.name, file.bytes))
     }
 
-    /// The state x at standstill with the arm at `q_a` (7 angles, rad) and the pendulum at the angles given by `pendulum`.
+    /// The state x at standstill with the actuated joints at `q_a` (rad or m) and the unactuated ones as given by `pendulum`.
     ///
     /// # Errors
     /// As [`Model::standstill`], for the limits open to plans.
@@ -177,7 +180,7 @@ impl Config {
     ) -> Result<State, StartError> {
         let q_u = match pendulum {
             PendulumStart::Rest => None,
-            PendulumStart::Zero => Some(UnactuatedVector::zeros()),
+            PendulumStart::Zero => Some(UnactuatedVector::zeros(model.sizes())),
         };
         model.standstill(&self.robot.planning, q_a, q_u.as_ref())
     }
@@ -185,16 +188,15 @@ impl Config {
     fn assemble(dir: Option<&Path>) -> Result<Self, ConfigError> {
         let urdf = URDF.text(dir)?;
         let model = read_model(&urdf)?;
-        check_symmetry(&urdf, &model)?;
         let robot: RobotSettings =
-            ROBOT.text(dir)?.settings(|robot: &RobotSettings| robot.validate(&model))?;
-        let model = model.with_rotors(robot.rotor_inertia);
-        let planner = PLANNER.text(dir)?.settings(PlannerSettings::validate)?;
-        let daemon = DAEMON.text(dir)?.settings(|daemon: &DaemonSettings| daemon.validate(&robot))?;
+            ROBOT.text(dir)?.settings(&model, |robot: &RobotSettings| robot.validate(&model))?;
+        let model = model.with_rotors(&robot.rotor_inertia);
+        let planner = PLANNER.text(dir)?.settings(&model, PlannerSettings::validate)?;
+        let daemon = DAEMON.text(dir)?.settings(&model, |daemon: &DaemonSettings| daemon.validate(&robot))?;
         let file = PLANT.text(dir)?;
-        let plant = file.settings(|plant: &PlantSettings| plant.validate(&robot))?;
-        let plant_model = read_plant_model(dir, &file, &plant.model.urdf)?;
-        let grid = GRID.text(dir)?.settings(|grid: &GridSettings| grid.validate(&robot))?;
+        let plant = file.settings(&model, |plant: &PlantSettings| plant.validate(&robot, &model))?;
+        let plant_model = read_plant_model(dir, &file, &plant.model.urdf, &model)?;
+        let grid = GridSettings::read(&GRID.text(dir)?, &robot, &model)?;
         let dir = dir.map(Path::to_owned);
         Ok(Self { urdf: urdf.text, model, robot, planner, daemon, plant, plant_model, grid, dir })
     }
@@ -212,8 +214,8 @@ impl Config {
             let of_set = SCENARIOS.iter().find(|file| scenario_name(file) == scenario);
             of_set.ok_or_else(|| ConfigError::NoScenario { got: scenario.into() })?.text(dir)?
         };
-        let (plant, purpose) = scenario::read(&file, &PLANT.text(dir)?, &self.robot)?;
-        self.plant_model = read_plant_model(dir, &file, &plant.model.urdf)?;
+        let (plant, purpose) = scenario::read(&file, &PLANT.text(dir)?, &self.robot, &self.model)?;
+        self.plant_model = read_plant_model(dir, &file, &plant.model.urdf, &self.model)?;
         self.plant = plant;
         Ok(purpose)
     }
@@ -246,7 +248,7 @@ impl Config {
     /// # Errors
     /// [`ConfigError`] if the file is unreadable or malformed, or contains an invalid value.
     pub fn use_grid(&mut self, path: &Path) -> Result<(), ConfigError> {
-        self.grid = TextFile::at(path)?.settings(|grid: &GridSettings| grid.validate(&self.robot))?;
+        self.grid = GridSettings::read(&TextFile::at(path)?, &self.robot, &self.model)?;
         Ok(())
     }
 
@@ -255,7 +257,7 @@ impl Config {
     /// # Errors
     /// [`ConfigError`] if a pose of the paper's grid is outside the limits of the settings.
     pub fn use_paper_grid(&mut self) -> Result<(), ConfigError> {
-        self.grid = PAPER_GRID.text(None)?.settings(|grid: &GridSettings| grid.validate(&self.robot))?;
+        self.grid = GridSettings::read(&PAPER_GRID.text(None)?, &self.robot, &self.model)?;
         Ok(())
     }
 }
@@ -276,28 +278,13 @@ fn read_model(urdf: &TextFile) -> Result<Model, ConfigError> {
     Model::from_description(&description).map_err(refuse)
 }
 
-/// Refuses a URDF with a joint whose range is not symmetric about 0.
-fn check_symmetry(urdf: &TextFile, model: &Model) -> Result<(), ConfigError> {
-    /// Rounding of the URDF's angles, deg.
-    const ROUNDING: f64 = 1e-4;
-    let limits = model.rated_limits();
-    for (i, name) in model.joint_names().iter().enumerate() {
-        let (low, high) = (degrees(limits.q_min[i]), degrees(limits.q_max[i]));
-        // Two infinite ends are symmetric: their sum is NaN, which is not above the rounding.
-        if (low + high).abs() > ROUNDING {
-            return Err(ConfigError::Asymmetric {
-                file: urdf.name.clone(),
-                joint: (*name).into(),
-                low,
-                high,
-            });
-        }
-    }
-    Ok(())
-}
-
-/// Reads the model of the simulated bodies from the URDF that the settings in `file` name.
-fn read_plant_model(dir: Option<&Path>, file: &TextFile, urdf: &str) -> Result<Model, ConfigError> {
+/// Reads the model of the simulated bodies from the URDF that the settings in `file` name; `robot` is the model of planner and daemon.
+fn read_plant_model(
+    dir: Option<&Path>,
+    file: &TextFile,
+    urdf: &str,
+    robot: &Model,
+) -> Result<Model, ConfigError> {
     let of_set = FILES.iter().find(|file| file.name == urdf && urdf.ends_with(".urdf"));
     let urdf_file = match of_set {
         Some(of_set) => of_set.text(dir)?,
@@ -324,7 +311,27 @@ fn read_plant_model(dir: Option<&Path>, file: &TextFile, urdf: &str) -> Result<M
         let refuse = |cause| ConfigError::Urdf { file: urdf_file.name.clone(), cause };
         return Model::from_urdf(&urdf_file.text).map_err(refuse);
     }
-    read_model(&urdf_file)
+    let model = read_model(&urdf_file)?;
+    let [expected, got] = [robot, &model].map(kinds_of_joints);
+    if expected != got {
+        let expected = format!("the kinds of joints of {}, {expected}", URDF.name);
+        let fix = "name a URDF whose joints can take the place of the robot's";
+        return Err(file.refuse(SettingsConflict::new("model.urdf", expected, got, fix)));
+    }
+    Ok(model)
+}
+
+/// Kinds of the joints of a model, in the chain's order.
+fn kinds_of_joints(model: &Model) -> String {
+    let kind = |joint: usize| {
+        let motor = if model.order().is_actuated(joint) { "actuated" } else { "unactuated" };
+        let kind = match model.joint_kind(model.order().coordinate(joint)) {
+            JointKind::Revolute | JointKind::Continuous => "revolute",
+            JointKind::Prismatic => "prismatic",
+        };
+        format!("{motor} {kind}")
+    };
+    (0..model.sizes().joints()).map(kind).collect::<Vec<_>>().join(", ")
 }
 
 /// Names of all files of a full set, for messages.

@@ -4,7 +4,7 @@ use crate::conflict::SettingsConflict;
 use crate::rule::{BetweenZeroAndOne, MotionTime, Positive, Rule, ShareBelowOne, Whole, refused};
 use serde::{Deserialize, Deserializer};
 use std::time::Duration;
-use upswing_model::{NQ, NU};
+use upswing_model::{ActuatedVector, JointVector};
 
 /// Settings of the planner.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -79,21 +79,21 @@ pub struct ReplanSettings {
     /// Weight of the duration in the diagonal of Q, (17), 1/s^2.
     #[serde(deserialize_with = "Positive::read")]
     pub weight_t_f: f64,
-    /// Weights of the angles in the diagonal of Q, the same at every knot, 1/rad^2.
+    /// Weights of the positions in the diagonal of Q, the same at every knot, 1/rad^2 or 1/m^2.
     #[serde(deserialize_with = "Positive::read")]
-    pub weight_q: [f64; NQ],
-    /// Weights of the velocities in the diagonal of Q, the same at every knot, s^2/rad^2.
+    pub weight_q: JointVector,
+    /// Weights of the velocities in the diagonal of Q, the same at every knot, s^2/rad^2 or s^2/m^2.
     #[serde(deserialize_with = "Positive::read")]
-    pub weight_qd: [f64; NQ],
-    /// Weights of the inputs in the diagonal of Q, the same at every knot, s^4/rad^2.
+    pub weight_qd: JointVector,
+    /// Weights of the inputs in the diagonal of Q, the same at every knot, s^4/rad^2 or s^4/m^2.
     #[serde(deserialize_with = "Positive::read")]
-    pub weight_u: [f64; NU],
+    pub weight_u: ActuatedVector,
     /// Number of nearest database entries that a replan tries.
     #[serde(deserialize_with = "Whole::<1, 1000>::read")]
     pub neighbours: usize,
     /// Weight of each actuated joint in the squared distance between start poses, no unit.
     #[serde(deserialize_with = "Positive::read")]
-    pub metric: [f64; NU],
+    pub metric: ActuatedVector,
 }
 
 /// Numbers of sub-horizons that divide the intervals of a trajectory evenly.

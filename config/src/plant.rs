@@ -1,10 +1,11 @@
 //! Settings of the simulated plant, `plant.toml`.
 
 use crate::conflict::SettingsConflict;
+use crate::joints::{Prismatic, Range, Revolute, both_kinds};
 use crate::rule::{Angle, Finite, NonNegative, Positive, Rule, Share, Whole};
 use crate::{Fault, Push, RobotSettings};
 use serde::{Deserialize, Deserializer};
-use upswing_model::{N_UNACTUATED, NQ, NU};
+use upswing_model::{Actuated, ActuatedVector, JointVector, Joints, Model, UnactuatedVector};
 
 /// Largest delay of a command, and of a measurement under the fault `DelayMeasurement`, cycles.
 pub const MAX_DELAY: u32 = 63;
@@ -56,9 +57,9 @@ pub struct ModelSettings {
     /// Position of the point mass in the frame of the last actuated body, m.
     #[serde(rename = "payload_position_m", deserialize_with = "Finite::read")]
     pub payload_position: [f64; 3],
-    /// Inertia of the rotors, reflected to the actuated joints, kg m^2.
+    /// Inertia of the rotors, reflected to the actuated joints, kg m^2 or kg.
     #[serde(rename = "rotor_inertia_kg_m2", deserialize_with = "NonNegative::read")]
-    pub rotor_inertia: [f64; NU],
+    pub rotor_inertia: ActuatedVector,
 }
 
 /// Settings of the integration of the equations of motion.
@@ -70,25 +71,53 @@ pub struct IntegratorSettings {
     pub substeps: u32,
 }
 
-/// Settings of the encoders: the true angle plus bias plus noise, rounded to the resolution.
+/// Settings of the encoders: the true position plus bias plus noise, rounded to the resolution.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(try_from = "EncoderInFile")]
 pub struct EncoderSettings {
-    /// Resolution of the actuated joints' angles, rad.
-    #[serde(rename = "arm_resolution_rad", deserialize_with = "Positive::read")]
+    /// Resolution of the actuated joints' positions, rad or m.
     pub arm_resolution: f64,
     /// Resolution of the unactuated joints' angles, rad: one turn over 2 to the number of bits in the file.
-    #[serde(rename = "pendulum_bits", deserialize_with = "resolution")]
     pub pendulum_resolution: f64,
-    /// Standard deviation of the white Gaussian noise of each angle, rad.
-    #[serde(rename = "noise_rad", deserialize_with = "NonNegative::read")]
-    pub noise: [f64; NQ],
-    /// Error of the zero position of each joint, rad.
-    #[serde(rename = "bias_deg", deserialize_with = "Angle::degrees")]
-    pub bias: [f64; NQ],
+    /// Standard deviation of the white Gaussian noise of each position, rad or m.
+    pub noise: JointVector,
+    /// Error of the zero position of each joint, rad or m.
+    pub bias: JointVector,
     /// Seed of the encoder noise.
-    #[serde(deserialize_with = "Whole::<0, { i64::MAX }>::read")]
     pub seed: u64,
+}
+
+/// Settings of the encoders as a file states them.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct EncoderInFile {
+    #[serde(deserialize_with = "Positive::read")]
+    arm_resolution_rad: f64,
+    #[serde(deserialize_with = "resolution")]
+    pendulum_bits: f64,
+    #[serde(deserialize_with = "NonNegative::read")]
+    noise_rad: JointVector,
+    #[serde(default, deserialize_with = "Angle::degrees")]
+    bias_deg: Option<Revolute<Joints>>,
+    #[serde(default, deserialize_with = "Finite::read")]
+    bias_m: Option<Prismatic<Joints>>,
+    #[serde(deserialize_with = "Whole::<0, { i64::MAX }>::read")]
+    seed: u64,
+}
+
+impl TryFrom<EncoderInFile> for EncoderSettings {
+    type Error = String;
+
+    fn try_from(file: EncoderInFile) -> Result<Self, String> {
+        let (sizes, bias) = both_kinds(("bias_deg", file.bias_deg), ("bias_m", file.bias_m))?;
+        Ok(Self {
+            arm_resolution: file.arm_resolution_rad,
+            pendulum_resolution: file.pendulum_bits,
+            noise: file.noise_rad,
+            bias: JointVector::from_fn(sizes, |i| bias[i]),
+            seed: file.seed,
+        })
+    }
 }
 
 fn resolution<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
@@ -114,59 +143,105 @@ pub struct DriveSettings {
     /// Transport delay of a command, control periods, 0..=[`MAX_DELAY`].
     #[serde(rename = "command_delay_cycles", deserialize_with = "Whole::<0, { MAX_DELAY as i64 }>::read")]
     pub command_delay: u32,
-    /// Torque on the actuated joints that their torque sensors do not measure, N m.
+    /// Torque on the actuated joints that their torque sensors do not measure, N m or N.
     #[serde(rename = "torque_offset_nm", deserialize_with = "Finite::read")]
-    pub torque_offset: [f64; NU],
+    pub torque_offset: ActuatedVector,
 }
 
-/// Settings of the joint stops: stiffness * depth + damping * velocity beyond +-q, pushing back only.
+/// Settings of the joint stops: stiffness * depth + damping * velocity beyond `q_min` and `q_max`, pushing back only.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(try_from = "JointStopsInFile")]
 pub struct JointStopSettings {
-    /// Angle of the stops, rad, above 0.
-    #[serde(rename = "q_deg", deserialize_with = "Positive::degrees")]
-    pub q: [f64; NQ],
-    /// Stiffness, N m/rad; 0: no stop.
+    /// Position of the lower stops, rad or m.
+    pub q_min: JointVector,
+    /// Position of the upper stops, rad or m; above `q_min`.
+    pub q_max: JointVector,
+    /// Stiffness, N m/rad or N/m; 0: no stop.
+    pub stiffness: JointVector,
+    /// Damping, N m s/rad or N s/m.
+    pub damping: JointVector,
+}
+
+/// Settings of the joint stops as a file states them.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct JointStopsInFile {
+    #[serde(default, deserialize_with = "Finite::degrees")]
+    q_deg: Option<Revolute<Joints, Range>>,
+    #[serde(default, deserialize_with = "Finite::read")]
+    q_m: Option<Prismatic<Joints, Range>>,
     #[serde(deserialize_with = "NonNegative::read")]
-    pub stiffness: [f64; NQ],
-    /// Damping, N m s/rad.
+    stiffness: JointVector,
     #[serde(deserialize_with = "NonNegative::read")]
-    pub damping: [f64; NQ],
+    damping: JointVector,
+}
+
+impl TryFrom<JointStopsInFile> for JointStopSettings {
+    type Error = String;
+
+    fn try_from(file: JointStopsInFile) -> Result<Self, String> {
+        let (sizes, q) = both_kinds(("q_deg", file.q_deg), ("q_m", file.q_m))?;
+        Ok(Self {
+            q_min: JointVector::from_fn(sizes, |i| q[i][0]),
+            q_max: JointVector::from_fn(sizes, |i| q[i][1]),
+            stiffness: file.stiffness,
+            damping: file.damping,
+        })
+    }
 }
 
 /// Settings of the friction torque against the motion: viscous qd + coulomb tanh(qd / coulomb_smoothing).
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FrictionSettings {
-    /// Viscous friction of the unactuated joints, N m s/rad; assumed.
+    /// Viscous friction of the unactuated joints, N m s/rad or N s/m; assumed.
     #[serde(deserialize_with = "NonNegative::read")]
-    pub pendulum_viscous: [f64; N_UNACTUATED],
-    /// Coulomb friction of the unactuated joints, N m; assumed.
+    pub pendulum_viscous: UnactuatedVector,
+    /// Coulomb friction of the unactuated joints, N m or N; assumed.
     #[serde(deserialize_with = "NonNegative::read")]
-    pub pendulum_coulomb: [f64; N_UNACTUATED],
-    /// Viscous friction of the actuated joints, N m s/rad (Stuerz et al. 2017).
+    pub pendulum_coulomb: UnactuatedVector,
+    /// Viscous friction of the actuated joints, N m s/rad or N s/m (Stuerz et al. 2017).
     #[serde(deserialize_with = "NonNegative::read")]
-    pub arm_viscous: [f64; NU],
-    /// Coulomb friction of the actuated joints, N m (Stuerz et al. 2017).
+    pub arm_viscous: ActuatedVector,
+    /// Coulomb friction of the actuated joints, N m or N (Stuerz et al. 2017).
     #[serde(deserialize_with = "NonNegative::read")]
-    pub arm_coulomb: [f64; NU],
+    pub arm_coulomb: ActuatedVector,
     /// Share of the actuated joints' friction that the drives compensate, in [0, 1].
     #[serde(deserialize_with = "Share::read")]
     pub arm_compensation: f64,
-    /// Speed at which Coulomb friction reaches 76 % of its value, rad/s.
+    /// Speed at which Coulomb friction reaches 76 % of its value, rad/s or m/s.
     #[serde(rename = "coulomb_smoothing_rad_s", deserialize_with = "Positive::read")]
     pub coulomb_smoothing: f64,
 }
 
 /// State after power-up, at standstill.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(try_from = "StartInFile")]
 pub struct PlantStart {
-    /// Angles of the actuated joints, rad.
-    #[serde(rename = "q_deg", deserialize_with = "Angle::degrees")]
-    pub q: [f64; NU],
-    /// Angles of the unactuated joints.
+    /// Positions of the actuated joints, rad or m.
+    pub q: ActuatedVector,
+    /// Positions of the unactuated joints.
     pub pendulum: PendulumStart,
+}
+
+/// State after power-up as a file states it.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct StartInFile {
+    #[serde(default, deserialize_with = "Angle::degrees")]
+    q_deg: Option<Revolute<Actuated>>,
+    #[serde(default, deserialize_with = "Finite::read")]
+    q_m: Option<Prismatic<Actuated>>,
+    pendulum: PendulumStart,
+}
+
+impl TryFrom<StartInFile> for PlantStart {
+    type Error = String;
+
+    fn try_from(StartInFile { q_deg, q_m, pendulum }: StartInFile) -> Result<Self, String> {
+        let (sizes, q) = both_kinds(("q_deg", q_deg), ("q_m", q_m))?;
+        Ok(Self { q: ActuatedVector::from_fn(sizes, |i| q[i]), pendulum })
+    }
 }
 
 /// Angles of the pendulum at the start, for a given pose of the arm.
@@ -181,8 +256,10 @@ pub enum PendulumStart {
 
 impl PlantSettings {
     /// Checks that the start pose is within the rated limits of the robot.
-    pub(crate) fn validate(&self, robot: &RobotSettings) -> Result<(), SettingsConflict> {
-        let mut angles = self.start.q.iter().enumerate();
-        angles.try_for_each(|(i, q)| SettingsConflict::unless_within("start.q_deg", *q, i, &robot.limits))
+    pub(crate) fn validate(&self, robot: &RobotSettings, model: &Model) -> Result<(), SettingsConflict> {
+        let mut positions = self.start.q.iter().enumerate();
+        positions.try_for_each(|(joint, q)| {
+            SettingsConflict::unless_within("start.q", *q, joint, &robot.limits, model)
+        })
     }
 }

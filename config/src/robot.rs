@@ -1,44 +1,46 @@
 //! Limits of the robot and target of the swing-up, `robot.toml`.
 
-use crate::conflict::{SettingsConflict, degrees};
+use crate::conflict::{SettingsConflict, in_file, unit};
+use crate::joints::{Prismatic, Range, Revolute, both_kinds};
 use crate::rule::{Angle, Finite, Negative, NonNegative, Positive, PositiveShare, Rule};
-use serde::Deserialize;
+use serde::de::{Deserialize, Deserializer, Error};
 use upswing_model::{
-    ActuatedVector, JointFriction, JointVector, Limits, Model, N_UNACTUATED, NQ, NU, TargetError, Workspace,
+    ActuatedVector, JointFriction, JointVector, Joints, Limits, Model, TargetError, Unactuated,
+    UnactuatedVector, Workspace,
 };
 
 /// Limits and drives of the robot, and the target of the swing-up.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, serde::Deserialize)]
 #[serde(from = "RobotFile")]
 pub struct RobotSettings {
-    /// Rated limits, 100 % (Table II), rad, rad/s, N m.
+    /// Rated limits, 100 % (Table II).
     pub limits: Limits,
-    /// Limits of plans, rad, rad/s, N m: shares of the rated velocities and torques, angles of the unactuated joints with a margin.
+    /// Limits of plans: shares of the rated velocities and torques, positions of the unactuated joints with a margin.
     pub planning: Limits,
-    /// Bound c of the Coriolis torques in (11), N m.
+    /// Bound c of the Coriolis torques in (11).
     pub coriolis_bound: CoriolisBound,
     /// The target x_T, (8).
     pub target: Target,
-    /// Inertia of the rotors, reflected to the actuated joints, kg m^2; part of [`crate::Config::model`].
-    pub rotor_inertia: [f64; NU],
+    /// Inertia of the rotors, reflected to the actuated joints, kg m^2 or kg; part of [`crate::Config::model`].
+    pub rotor_inertia: ActuatedVector,
     /// Joint friction that the drives do not compensate; the daemon adds it to its torque.
     pub friction: JointFriction,
 }
 
-/// Bound c of (11): range of the Coriolis torques C~ qd over all admissible states, N m.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+/// Bound c of (11): range of the Coriolis torques C~ qd over all admissible states, N m or N.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CoriolisBound {
-    /// Lowest torque, below 0, N m.
+    /// Lowest torque, below 0, N m or N.
     #[serde(rename = "lower_nm", deserialize_with = "Negative::read")]
-    pub lower: [f64; NU],
-    /// Highest torque, above 0, N m.
+    pub lower: ActuatedVector,
+    /// Highest torque, above 0, N m or N.
     #[serde(rename = "upper_nm", deserialize_with = "Positive::read")]
-    pub upper: [f64; NU],
+    pub upper: ActuatedVector,
 }
 
 /// The target state x_T, (8): at rest, all other angles zero.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Target {
     /// Pitch of the flange, q2 - q4 + q6, rad.
@@ -50,71 +52,106 @@ pub struct Target {
 }
 
 /// Contents of `robot.toml`, in SI units.
-#[derive(Deserialize)]
+#[derive(serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RobotFile {
-    limits: RatedLimits,
+    #[serde(deserialize_with = "rated_limits")]
+    limits: Limits,
     usage: LimitUsage,
     coriolis_bound: CoriolisBound,
     target: Target,
     drives: DriveProperties,
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct RatedLimits {
-    #[serde(rename = "q_deg", deserialize_with = "Positive::degrees")]
-    q: [f64; NQ],
-    #[serde(rename = "qd_deg_s", deserialize_with = "Positive::degrees")]
-    qd: [f64; NQ],
-    #[serde(rename = "tau_nm", deserialize_with = "Positive::read")]
-    tau: [f64; NU],
+fn rated_limits<'de, D: Deserializer<'de>>(from: D) -> Result<Limits, D::Error> {
+    #[derive(serde::Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct RatedLimits {
+        #[serde(default, deserialize_with = "Finite::degrees")]
+        q_deg: Option<Revolute<Joints, Range>>,
+        #[serde(default, deserialize_with = "Finite::read")]
+        q_m: Option<Prismatic<Joints, Range>>,
+        #[serde(default, deserialize_with = "Positive::degrees")]
+        qd_deg_s: Option<Revolute<Joints>>,
+        #[serde(default, deserialize_with = "Positive::read")]
+        qd_m_s: Option<Prismatic<Joints>>,
+        #[serde(rename = "tau_nm", deserialize_with = "Positive::read")]
+        tau_max: ActuatedVector,
+    }
+    let RatedLimits { q_deg, q_m, qd_deg_s, qd_m_s, tau_max } = RatedLimits::deserialize(from)?;
+    let (sizes, q) = both_kinds(("q_deg", q_deg), ("q_m", q_m)).map_err(D::Error::custom)?;
+    let (_, qd) = both_kinds(("qd_deg_s", qd_deg_s), ("qd_m_s", qd_m_s)).map_err(D::Error::custom)?;
+    Ok(Limits {
+        q_min: JointVector::from_fn(sizes, |i| q[i][0]),
+        q_max: JointVector::from_fn(sizes, |i| q[i][1]),
+        qd_max: JointVector::from_fn(sizes, |i| qd[i]),
+        tau_max,
+    })
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
+/// Share of the limits that plans may use.
+#[derive(serde::Deserialize)]
+#[serde(try_from = "LimitUsageInFile")]
 struct LimitUsage {
+    velocity_fraction_actuated: f64,
+    velocity_fraction_unactuated: f64,
+    torque_fraction: f64,
+    /// Extension of the position limits of the unactuated joints, rad or m.
+    position_margin: UnactuatedVector,
+}
+
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct LimitUsageInFile {
     #[serde(deserialize_with = "PositiveShare::read")]
     velocity_fraction_actuated: f64,
     #[serde(deserialize_with = "PositiveShare::read")]
     velocity_fraction_unactuated: f64,
     #[serde(deserialize_with = "PositiveShare::read")]
     torque_fraction: f64,
-    #[serde(rename = "position_margin_deg", deserialize_with = "NonNegative::degrees")]
-    position_margin: [f64; N_UNACTUATED],
+    #[serde(default, deserialize_with = "NonNegative::degrees")]
+    position_margin_deg: Option<Revolute<Unactuated>>,
+    #[serde(default, deserialize_with = "NonNegative::read")]
+    position_margin_m: Option<Prismatic<Unactuated>>,
 }
 
-#[derive(Deserialize)]
+impl TryFrom<LimitUsageInFile> for LimitUsage {
+    type Error = String;
+
+    fn try_from(file: LimitUsageInFile) -> Result<Self, String> {
+        let (deg, m) = (file.position_margin_deg, file.position_margin_m);
+        let (sizes, margin) = both_kinds(("position_margin_deg", deg), ("position_margin_m", m))?;
+        Ok(Self {
+            velocity_fraction_actuated: file.velocity_fraction_actuated,
+            velocity_fraction_unactuated: file.velocity_fraction_unactuated,
+            torque_fraction: file.torque_fraction,
+            position_margin: UnactuatedVector::from_fn(sizes, |i| margin[i]),
+        })
+    }
+}
+
+#[derive(serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 struct DriveProperties {
     #[serde(rename = "rotor_inertia_kg_m2", deserialize_with = "NonNegative::read")]
-    rotor_inertia: [f64; NU],
+    rotor_inertia: ActuatedVector,
     #[serde(deserialize_with = "NonNegative::read")]
-    friction_viscous: [f64; NU],
+    friction_viscous: ActuatedVector,
     #[serde(deserialize_with = "NonNegative::read")]
-    friction_coulomb: [f64; NU],
+    friction_coulomb: ActuatedVector,
     #[serde(rename = "friction_smoothing_rad_s", deserialize_with = "Positive::read")]
     friction_smoothing: f64,
 }
 
 impl From<RobotFile> for RobotSettings {
     fn from(RobotFile { limits, usage, coriolis_bound, target, drives }: RobotFile) -> Self {
-        let q_max = JointVector::from(limits.q);
-        let limits = Limits {
-            q_min: -q_max,
-            q_max,
-            qd_max: JointVector::from(limits.qd),
-            tau_max: ActuatedVector::from(limits.tau),
-        };
         let mut planning = limits;
         planning.tau_max *= usage.torque_fraction;
-        for i in 0..NQ {
-            planning.qd_max[i] *=
-                if i < NU { usage.velocity_fraction_actuated } else { usage.velocity_fraction_unactuated };
-        }
-        for i in 0..N_UNACTUATED {
-            planning.q_max[NU + i] += usage.position_margin[i];
-            planning.q_min[NU + i] -= usage.position_margin[i];
+        planning.qd_max.actuated_mut().iter_mut().for_each(|qd| *qd *= usage.velocity_fraction_actuated);
+        planning.qd_max.unactuated_mut().iter_mut().for_each(|qd| *qd *= usage.velocity_fraction_unactuated);
+        for (i, margin) in usage.position_margin.iter().enumerate() {
+            planning.q_min.unactuated_mut()[i] -= margin;
+            planning.q_max.unactuated_mut()[i] += margin;
         }
         Self {
             limits,
@@ -135,57 +172,75 @@ impl RobotSettings {
     /// Checks the rules between the settings of the robot, and between them and the `model` of the URDF.
     pub(crate) fn validate(&self, model: &Model) -> Result<(), SettingsConflict> {
         let CoriolisBound { lower, upper } = &self.coriolis_bound;
-        for i in 0..NU {
-            for (key, c) in [("coriolis_bound.upper_nm", upper[i]), ("coriolis_bound.lower_nm", lower[i])] {
-                if c.abs() >= self.planning.tau_max[i] {
-                    let expected =
-                        format!("less than the {} N m that a plan may use", self.planning.tau_max[i]);
-                    let got = format!("{c} for joint {}", i + 1);
+        for (joint, most) in self.planning.tau_max.iter().enumerate() {
+            for (key, c) in
+                [("coriolis_bound.upper_nm", upper[joint]), ("coriolis_bound.lower_nm", lower[joint])]
+            {
+                if c.abs() >= *most {
                     return Err(SettingsConflict::new(
                         key,
-                        expected,
-                        got,
+                        format!("less than the {most} N m that a plan may use"),
+                        format!("{c} for joint `{}`", model.joint_name(joint)),
                         "lower it or raise usage.torque_fraction",
                     ));
                 }
             }
         }
-        SettingsConflict::unless_within("target.q8_deg", self.target.q8, NU, &self.planning)?;
-        self.agree_with(model.rated_limits())?;
-        self.target_is_equilibrium(model)
+        self.agree_with(model)?;
+        self.target.validate(&self.planning, model)
     }
 
     /// Checks that the rated limits (Table II) agree in `robot.toml` and, for other programs, in the URDF. A joint that is continuous in
     /// the URDF has the limit of `robot.toml`.
-    fn agree_with(&self, urdf: &Limits) -> Result<(), SettingsConflict> {
-        /// Rounding of the URDF's numbers, deg, deg/s, N m.
+    fn agree_with(&self, model: &Model) -> Result<(), SettingsConflict> {
+        /// Rounding of the URDF's numbers, deg, deg/s, m, m/s, N m.
         const ROUNDING: f64 = 1e-4;
-        let agree = |key, joint: usize, toml: f64, urdf: f64| {
+        let agree = |key: String, joint: usize, toml: f64, urdf: f64| {
             // A NaN disagrees.
             if (toml - urdf).abs() <= ROUNDING || urdf.is_infinite() {
                 return Ok(());
             }
-            let expected = format!("the {urdf} of joint {} in {}", joint + 1, crate::URDF.name);
+            let expected =
+                format!("the {urdf} of joint `{}` in {}", model.joint_name(joint), crate::URDF.name);
             Err(SettingsConflict::new(key, expected, toml, "change both files alike"))
         };
-        let toml = &self.limits;
-        for i in 0..NQ {
-            agree("limits.q_deg", i, degrees(toml.q_max[i]), degrees(urdf.q_max[i]))?;
-            agree("limits.q_deg", i, degrees(toml.q_min[i]), degrees(urdf.q_min[i]))?;
-            agree("limits.qd_deg_s", i, degrees(toml.qd_max[i]), degrees(urdf.qd_max[i]))?;
+        let (toml, urdf) = (&self.limits, model.rated_limits());
+        for joint in 0..model.sizes().joints() {
+            let kind = model.joint_kind(joint);
+            let in_file = |q: f64| in_file(kind, q);
+            let (q, qd) = (format!("limits.q_{}", unit(kind)), format!("limits.qd_{}_s", unit(kind)));
+            agree(q.clone(), joint, in_file(toml.q_min[joint]), in_file(urdf.q_min[joint]))?;
+            agree(q, joint, in_file(toml.q_max[joint]), in_file(urdf.q_max[joint]))?;
+            agree(qd, joint, in_file(toml.qd_max[joint]), in_file(urdf.qd_max[joint]))?;
         }
-        (0..NU).try_for_each(|i| agree("limits.tau_nm", i, toml.tau_max[i], urdf.tau_max[i]))
+        let mut torques = toml.tau_max.iter().zip(urdf.tau_max.iter()).enumerate();
+        torques.try_for_each(|(joint, (toml, urdf))| agree("limits.tau_nm".into(), joint, *toml, *urdf))
     }
+}
 
-    /// Refuses a target (8) that is no equilibrium of the pendulum: no trajectory can end at rest in such a target.
-    fn target_is_equilibrium(&self, model: &Model) -> Result<(), SettingsConflict> {
-        let Target { pitch, q8 } = self.target;
-        let refuse = |TargetError { joint, acceleration }| {
+impl Target {
+    /// Refuses a target (8) that is outside the limits, or no equilibrium of the pendulum: no trajectory can end at rest in such a
+    /// target.
+    fn validate(self, limits: &Limits, model: &Model) -> Result<(), SettingsConflict> {
+        /// Numbers of actuated and unactuated joints for which (8) has a meaning.
+        const OF_PAPER: (usize, usize) = (7, 2);
+        let Self { pitch, q8 } = self;
+        let (actuated, unactuated) = (model.sizes().actuated(), model.sizes().unactuated());
+        if (actuated, unactuated) != OF_PAPER {
+            return Err(SettingsConflict::new(
+                "target",
+                format!("{} actuated and {} unactuated joints, as (8) has", OF_PAPER.0, OF_PAPER.1),
+                format!("{actuated} and {unactuated} in {}", crate::URDF.name),
+                "targets of other robots are not supported yet",
+            ));
+        }
+        SettingsConflict::unless_within("target.q8", q8, actuated, limits, model)?;
+        let refuse = |TargetError { joint, acceleration, unit }| {
             SettingsConflict::new(
                 "target.pitch_deg",
                 "with target.q8_deg an equilibrium of the pendulum",
                 format!(
-                    "{:.2} with q8_deg {:.2}, where joint {joint} of {} at rest accelerates with {acceleration:.3} rad/s^2",
+                    "{:.2} with q8_deg {:.2}, where joint `{joint}` of {} at rest accelerates with {acceleration:.3} {unit}/s^2",
                     pitch.to_degrees(),
                     q8.to_degrees(),
                     crate::URDF.name

@@ -4,7 +4,7 @@
 use serde::de::{Deserialize, Deserializer, Error};
 use std::fmt::Display;
 use std::time::Duration;
-use upswing_model::{N_UNACTUATED, NU, Period};
+use upswing_model::Period;
 
 /// A condition on a number of a settings file. Its functions deserialize a field, one function per unit.
 pub(crate) trait Rule: Sized {
@@ -67,7 +67,7 @@ rules! {
     AcuteAngle: "an angle between 0 and 90 deg, both excluded", |v| v > 0.0 && v < 90.0;
 }
 
-/// Type of a field whose numbers all meet one [`Rule`]: a number, an array with one number per joint, a time, a level.
+/// Type of a field whose numbers all meet one [`Rule`]: a number, a vector over joints, a point, a time, a level.
 pub(crate) trait Quantity: Sized {
     /// Reads the numbers, checks each against the rule `R` and multiplies it by `unit`.
     fn read<'de, R: Rule, D: Deserializer<'de>>(from: D, unit: f64) -> Result<Self, D::Error>;
@@ -80,21 +80,22 @@ impl Quantity for f64 {
     }
 }
 
-/// In messages 2 numbers belong to the unactuated joints, 3 to the coordinates of a point, others to the joints from joint 1 on.
-impl<const N: usize> Quantity for [f64; N] {
+/// A key that may be absent, with `#[serde(default)]`.
+impl<Q: Quantity> Quantity for Option<Q> {
     fn read<'de, R: Rule, D: Deserializer<'de>>(from: D, unit: f64) -> Result<Self, D::Error> {
-        let (item, first) = match N {
-            N_UNACTUATED => ("joint", NU + 1),
-            3 => ("coordinate", 1),
-            _ => ("joint", 1),
-        };
-        let values: Self = Vec::deserialize(from)?.try_into().map_err(|values: Vec<f64>| {
-            let expected = format!("{N} numbers, for {item}s {first} to {}", first + N - 1);
-            refused(expected, format!("{}: give one number per {item}", values.len()))
+        Q::read::<R, D>(from, unit).map(Some)
+    }
+}
+
+/// The coordinates of a point.
+impl Quantity for [f64; 3] {
+    fn read<'de, R: Rule, D: Deserializer<'de>>(from: D, unit: f64) -> Result<Self, D::Error> {
+        let coordinates: Self = Vec::deserialize(from)?.try_into().map_err(|list: Vec<f64>| {
+            refused("3 numbers, for x, y and z", format!("{}: give one number per coordinate", list.len()))
         })?;
-        match values.iter().position(|value| !R::holds(*value)) {
-            Some(i) => Err(refused(R::EXPECTED, format!("{} for {item} {}", values[i], first + i))),
-            None => Ok(values.map(|value| value * unit)),
+        match coordinates.iter().zip(["x", "y", "z"]).find(|(value, _)| !R::holds(**value)) {
+            Some((value, name)) => Err(refused(R::EXPECTED, format!("{value} for {name}"))),
+            None => Ok(coordinates.map(|value| value * unit)),
         }
     }
 }
@@ -115,11 +116,6 @@ impl<const LOW: i64, const HIGH: i64> Whole<LOW, HIGH> {
         let value = i64::deserialize(from)?;
         let allowed = (LOW..=HIGH).contains(&value).then(|| T::try_from(value).ok()).flatten();
         allowed.ok_or_else(|| refused(format!("a whole number from {LOW} to {HIGH}"), value))
-    }
-
-    /// Reads a number that is counted from 1; returns an index that is counted from 0.
-    pub fn index<'de, D: Deserializer<'de>>(from: D) -> Result<usize, D::Error> {
-        Self::read(from).map(|number: usize| number - 1)
     }
 
     /// Reads a time, a whole number of ms.

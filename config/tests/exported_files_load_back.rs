@@ -3,7 +3,7 @@
 mod common;
 use common::{edit, exported};
 use upswing_config::{Config, PendulumStart, TorqueForm, VelocityEstimate};
-use upswing_model::Period;
+use upswing_model::{ActuatedVector, Period};
 
 #[test]
 fn the_same_settings() {
@@ -58,8 +58,9 @@ fn the_papers_values() {
     assert_eq!(config.daemon.cycle.period, Period::from_micros(125));
     assert_eq!(config.daemon.cycle.velocity_filter, 0.012);
     assert_eq!(config.daemon.cycle.velocity, VelocityEstimate::Filter);
-    assert_eq!(config.robot.rotor_inertia, [0.0; 7]);
-    assert_eq!((config.robot.friction.viscous, config.robot.friction.coulomb), ([0.0; 7], [0.0; 7]));
+    let zero = ActuatedVector::zeros(config.model.sizes());
+    assert_eq!(config.robot.rotor_inertia, zero);
+    assert_eq!((config.robot.friction.viscous, config.robot.friction.coulomb), (zero, zero));
     assert_eq!(config.daemon.realtime.cpu, None);
     assert!((config.plant.encoder.pendulum_resolution - 4.79e-5).abs() < 1e-7);
     assert_eq!(config.plant.start.q[3], deg(-95.0));
@@ -72,6 +73,6 @@ fn the_papers_values() {
     let last = config.grid.pose(255);
     assert!((last[0] - deg(45.0)).abs() < 1e-12 && (last[5] - deg(60.0)).abs() < 1e-12);
     for (point, angle) in [-60.0, -25.0, 10.0, 45.0].into_iter().enumerate() {
-        assert!((axes[0].angle(point) - deg(angle)).abs() < 1e-12);
+        assert!((axes[0].position(point) - deg(angle)).abs() < 1e-12);
     }
 }
