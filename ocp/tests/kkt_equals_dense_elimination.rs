@@ -1,11 +1,18 @@
 //! The stage-wise factorisation solves the same system as Gaussian elimination of the full matrix, into memory of
 //! its own or of the caller, and recognises a reduced Hessian that is not positive definite.
 
+use nalgebra::SVector;
 use nalgebra::{DMatrix, DVector, SMatrix};
-use upswing_model::{N_UNACTUATED, NU, NX, NZ, State};
+use upswing_model::Sizes;
 use upswing_ocp::kkt::{
     Factor, Kkt, KnotDynamics, KnotMatrix, KnotVector, NewtonStep, Rhs, SolveWorkspace, TargetRow,
 };
+
+const NU: usize = 7;
+const N_UNACTUATED: usize = 2;
+const NX: usize = 2 * (NU + N_UNACTUATED);
+const NZ: usize = NX + NU;
+type State = SVector<f64, NX>;
 
 /// Intervals of the test system.
 const N: usize = 4;
@@ -37,9 +44,9 @@ fn system(random: &mut Random) -> (Kkt, Rhs) {
         .collect();
     let target = [0, 3, 11]
         .map(|i| {
-            let mut coefficients = State::zeros();
-            (coefficients[i], coefficients[i + 1]) = (1.0, -0.5);
-            TargetRow { coefficients, value: 0.0 }
+            let mut row = TargetRow::unit(Sizes::new(NU + N_UNACTUATED, NU).expect("a chain"), i, 0.0);
+            row.coefficients[i + 1] = -0.5;
+            row
         })
         .to_vec();
     let with_t = (0..=N).map(|_| KnotVector::from_fn(|_, _| 0.1 * random.next())).collect();
@@ -96,7 +103,7 @@ fn dense(kkt: &Kkt, rhs: &Rhs, damping: f64, input_damping: f64) -> NewtonStep {
     }
     for (i, row) in kkt.target.iter().enumerate() {
         let at = N * NX + NX + i;
-        constraints.view_mut((at, N * NZ), (1, NX)).copy_from(&row.coefficients.transpose());
+        constraints.view_mut((at, N * NZ), (1, NX)).copy_from_slice(&row.coefficients);
         b[T + 1 + at] = -rhs.target[i];
     }
     m.view_mut((T + 1, 0), (rows, T + 1)).copy_from(&constraints);
