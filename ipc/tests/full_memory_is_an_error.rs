@@ -2,8 +2,11 @@
 //!
 //! The parent runs itself with a /dev/shm of its own. Where the system does not allow that, the test says so.
 
+mod common;
+
+use common::{SIZES, plan};
 use std::process::Command;
-use upswing_ipc::{ControlRequest, Domain, IpcError, PlanMessage, TelemetryBatch};
+use upswing_ipc::{ControlRequest, Domain, IpcError, TelemetryBatch};
 
 const CHILD: &str = "UPSWING_TEST_SMALL_MEMORY";
 
@@ -62,7 +65,7 @@ fn too_small_for_telemetry() {
         let node = Domain::new("small").unwrap().join("daemon").unwrap();
         return expect_full(node.publisher::<TelemetryBatch>());
     }
-    check("32m", "too_small_for_telemetry");
+    check("16m", "too_small_for_telemetry");
 }
 
 #[test]
@@ -70,7 +73,7 @@ fn full_later_does_no_harm() {
     if is_child() {
         let node = Domain::new("later").unwrap().join("daemon").unwrap();
         let telemetry = node.publisher::<TelemetryBatch>().unwrap();
-        let plans = node.publisher::<PlanMessage>().unwrap();
+        let plans = node.plan_publisher(SIZES.0, SIZES.1).unwrap();
         let subscribers: Vec<_> = (0..8).map(|_| node.subscriber::<TelemetryBatch>().unwrap()).collect();
         telemetry.publish(&TelemetryBatch::boxed_zeroed()).unwrap();
         // All but the room for connections, which are there already.
@@ -81,7 +84,7 @@ fn full_later_does_no_harm() {
         // Every place of every queue is written.
         for _ in 0..5000 {
             telemetry.publish(&TelemetryBatch::boxed_zeroed()).unwrap();
-            plans.publish(&PlanMessage::boxed_zeroed()).unwrap();
+            plans.publish(&plan(1)).unwrap();
         }
         assert!(subscribers.iter().all(|s| s.receive().unwrap().is_some()));
         return expect_full(node.server::<ControlRequest>());

@@ -76,3 +76,34 @@ fn a_slow_subscriber_loses_the_oldest_and_never_stops_the_publisher() {
     publisher.deliver_history().unwrap();
     assert!(late.receive().unwrap().is_none(), "telemetry has no history");
 }
+
+#[test]
+fn subscribers_that_hold_all_they_may_do_not_stop_the_publisher() {
+    let domain = TempDomain::new("held").unwrap();
+    let (node, peer) = (domain.join("daemon").unwrap(), domain.join("monitor").unwrap());
+    let publisher = node.publisher::<TelemetryBatch>().unwrap();
+    let batch = TelemetryBatch::boxed_zeroed();
+    let mut held = Vec::new();
+    // Each one holds other samples, and its buffer is full of newer ones.
+    for _ in 0..8 {
+        let subscriber = peer.subscriber::<TelemetryBatch>().unwrap();
+        (0..2).for_each(|_| publisher.publish(&batch).unwrap());
+        let samples: Vec<_> = (0..2).map(|_| subscriber.receive().unwrap().unwrap()).collect();
+        held.push((subscriber, samples));
+        (0..600).for_each(|_| publisher.publish(&batch).unwrap());
+    }
+    assert!(peer.subscriber::<TelemetryBatch>().is_err(), "there are as many as there may be");
+    // Some go and others come, some drop what they hold and take other samples.
+    for i in 0..3000 {
+        publisher.publish(&batch).unwrap();
+        if i % 100 == 0 {
+            let (subscriber, samples) = &mut held[i / 100 % 8];
+            samples.truncate(1);
+            samples.push(subscriber.receive().unwrap().unwrap());
+        }
+        if i % 700 == 0 {
+            held.remove(3);
+            held.push((peer.subscriber().unwrap(), Vec::new()));
+        }
+    }
+}
