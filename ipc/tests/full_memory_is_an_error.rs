@@ -5,16 +5,21 @@
 mod common;
 
 use common::{SIZES, plan};
-use std::process::Command;
-use upswing_ipc::{ControlRequest, Domain, IpcError, TelemetryBatch};
+use std::process;
+use upswing_ipc::{
+    Command, ControlRequest, Domain, IpcError, Measurement, PlanMessage, PlannerRequest, PlantRequest,
+    StepBatch, TelemetryBatch,
+};
+use upswing_model::{MOST_JOINTS, Sizes};
+use upswing_trajectory::INTERVALS;
 
 const CHILD: &str = "UPSWING_TEST_SMALL_MEMORY";
 
 /// Runs test `name` again where /dev/shm has `size` bytes. `None`: this system does not allow that.
-fn with_memory_of(size: &str, name: &str) -> Option<std::process::Output> {
+fn with_memory_of(size: &str, name: &str) -> Option<process::Output> {
     let unshare = ["--mount", "--map-root-user", "--", "sh", "-c"];
     let mount = format!("mount -t tmpfs -o size={size} tmpfs /dev/shm || exit 77; exec \"$0\" \"$@\"");
-    let output = Command::new("unshare")
+    let output = process::Command::new("unshare")
         .args(unshare)
         .arg(mount)
         .arg(std::env::current_exe().unwrap())
@@ -90,4 +95,35 @@ fn full_later_does_no_harm() {
         return expect_full(node.server::<ControlRequest>());
     }
     check("128m", "full_later_does_no_harm");
+}
+
+#[test]
+fn the_largest_system_fits_into_what_it_says() {
+    if is_child() {
+        let node = Domain::new("largest").unwrap().join("all").unwrap();
+        let sizes = Sizes::new(MOST_JOINTS, MOST_JOINTS - 1).unwrap();
+        let _writers = (node.writer::<Measurement>().unwrap(), node.writer::<Command>().unwrap());
+        let _publishers = (
+            node.publisher::<TelemetryBatch>().unwrap(),
+            node.publisher::<StepBatch>().unwrap(),
+            node.plan_publisher(sizes, *INTERVALS.end()).unwrap(),
+        );
+        let _servers = (
+            node.server::<ControlRequest>().unwrap(),
+            node.server::<PlannerRequest>().unwrap(),
+            node.server::<PlantRequest>().unwrap(),
+        );
+        let subscribers = || {
+            let steps = (node.subscriber::<StepBatch>().unwrap(), node.subscriber::<PlanMessage>().unwrap());
+            (node.subscriber::<TelemetryBatch>().unwrap(), steps)
+        };
+        let clients = || {
+            let planner = node.client::<PlannerRequest>().unwrap();
+            (node.client::<ControlRequest>().unwrap(), planner, node.client::<PlantRequest>().unwrap())
+        };
+        let _subscribers: Vec<_> = (0..8).map(|_| subscribers()).collect();
+        let _clients: Vec<_> = (0..16).map(|_| clients()).collect();
+        return;
+    }
+    check(&Domain::MEMORY.to_string(), "the_largest_system_fits_into_what_it_says");
 }

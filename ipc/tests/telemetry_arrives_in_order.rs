@@ -1,6 +1,8 @@
 //! Batches of telemetry reach every subscriber, in order, and a slow one loses the oldest.
 
-use upswing_ipc::{Telemetry, TelemetryBatch, TempDomain};
+use std::sync::Barrier;
+use std::sync::atomic::{AtomicBool, Ordering};
+use upswing_ipc::{StepBatch, Telemetry, TelemetryBatch, TempDomain};
 
 #[test]
 fn a_batch_holds_what_was_pushed_and_no_more() {
@@ -106,4 +108,30 @@ fn subscribers_that_hold_all_they_may_do_not_stop_the_publisher() {
             held.push((peer.subscriber().unwrap(), Vec::new()));
         }
     }
+}
+
+#[test]
+fn subscribers_that_receive_all_the_time_do_not_stop_the_publisher() {
+    let domain = TempDomain::new("busy").unwrap();
+    let publisher = domain.join("daemon").unwrap().publisher::<StepBatch>().unwrap();
+    let batch = StepBatch::boxed_zeroed();
+    let (ready, done) = (Barrier::new(9), AtomicBool::new(false));
+    std::thread::scope(|threads| {
+        for _ in 0..8 {
+            threads.spawn(|| {
+                let subscriber = domain.join("recorder").unwrap().subscriber::<StepBatch>().unwrap();
+                let mut held = Vec::new();
+                ready.wait();
+                while !done.load(Ordering::Acquire) {
+                    held.truncate(1);
+                    held.extend(subscriber.receive().unwrap());
+                    std::thread::yield_now();
+                }
+            });
+        }
+        ready.wait();
+        let published = (0..20_000).try_for_each(|_| publisher.publish(&batch));
+        done.store(true, Ordering::Release);
+        published.unwrap();
+    });
 }
