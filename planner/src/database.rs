@@ -1,5 +1,5 @@
 //! The trajectory database: [`build()`] it, [`merge()`] its shards, [`verify()`] its records, describe it ([`DatabaseOverview`]), and find
-//! the entries nearest to a start pose ([`NearestPose`]). The file format is that of [`upswing_trajectory::Database`].
+//! the entries nearest to a start pose ([`NearestKey`]). The file format is that of [`upswing_trajectory::Database`].
 
 mod build;
 mod merge;
@@ -10,7 +10,7 @@ mod verify;
 
 pub use build::build;
 pub use merge::merge;
-pub use nearest::{NearestPose, Neighbour};
+pub use nearest::{NearestKey, Neighbour};
 pub use overview::{DatabaseOverview, JointCoverage};
 pub use stored::{DatabaseFile, SHIPPED};
 pub use verify::{Discrepancy, RecordFlaw, verify};

@@ -12,7 +12,7 @@ mod summary;
 pub use outcome::{FailedAttempt, Method, NoPlan, PlanningFailure, Replan, ReplanStatistics, SecondOpinion};
 pub use summary::{MarginShares, PlanSummary};
 
-use crate::database::{DatabaseFile, NearestPose, Neighbour};
+use crate::database::{DatabaseFile, NearestKey, Neighbour};
 use crate::offline::{self, lqr_weights, problem, problem_fingerprint, qp_weights, torque_constraint};
 use std::time::Instant;
 use upswing_config::{Config, ConfigError, QpBackend};
@@ -110,8 +110,8 @@ pub struct Planner {
     origin: String,
     entries: Vec<Entry>,
     /// Search trees of the poses in which the entries start, and in which they end.
-    starts: NearestPose,
-    ends: NearestPose,
+    starts: NearestKey,
+    ends: NearestKey,
 }
 
 impl Planner {
@@ -143,7 +143,7 @@ impl Planner {
     pub fn with_entries(config: Config, origin: String, entries: Vec<Entry>) -> Self {
         let poses = |knot: usize| entries.iter().map(move |e| pose(&e.trajectory.x[knot]));
         let metric = &config.planner.replan.metric;
-        let (starts, ends) = (NearestPose::new(poses(0), metric), NearestPose::new(poses(N), metric));
+        let (starts, ends) = (NearestKey::new(poses(0), metric), NearestKey::new(poses(N), metric));
         Self { config, origin, entries, starts, ends }
     }
 
@@ -168,7 +168,7 @@ impl Planner {
     }
 
     /// Search tree of the poses in which trajectories of a manoeuvre begin.
-    fn tree(&self, manoeuvre: Manoeuvre) -> &NearestPose {
+    fn tree(&self, manoeuvre: Manoeuvre) -> &NearestKey {
         match manoeuvre {
             Manoeuvre::SwingUp => &self.starts,
             Manoeuvre::SwingDown => &self.ends,
