@@ -17,14 +17,14 @@ use crate::offline::{self, lqr_weights, problem, problem_fingerprint, qp_weights
 use std::time::Instant;
 use upswing_config::{Config, ConfigError, QpBackend};
 use upswing_ipc::operator::Manoeuvre;
-use upswing_model::{LimitKind, NU, NX, State, StateParts, Workspace};
+use upswing_model::{LimitKind, State, Workspace};
 use upswing_ocp::interior_point::{self, NlpOptions, NlpStatus};
-use upswing_ocp::kkt::{KnotParts, KnotVector, TargetRow};
+use upswing_ocp::kkt::TargetRow;
 use upswing_ocp::lqr;
 use upswing_ocp::multistart::{self, Search};
 use upswing_ocp::problem::Problem;
 use upswing_ocp::qp::{Backend, Qp, QpOptions, QpSolution, QpSolver, QpStatus};
-use upswing_trajectory::{Database, DatabaseError, Entry, Gains, Margins, N, Trajectory, UnmetCriterion};
+use upswing_trajectory::{Database, DatabaseError, Entry, Gains, Margins, Trajectory, UnmetCriterion};
 
 /// Tolerance of each QP: a tenth of the defect that four linearisations reach.
 const QP_TOLERANCE: f64 = 1e-9;
@@ -109,7 +109,7 @@ pub struct Planner {
     /// Source of the entries, for messages.
     origin: String,
     entries: Vec<Entry>,
-    /// Search trees of the poses in which the entries start, and in which they end.
+    /// Search trees of the poses in which the entries start, and of those in which they end.
     starts: NearestKey,
     ends: NearestKey,
 }
@@ -141,9 +141,9 @@ impl Planner {
 
     /// Creates a planner with `entries` that were made for these settings; `origin` names their source in messages.
     pub fn with_entries(config: Config, origin: String, entries: Vec<Entry>) -> Self {
-        let poses = |knot: usize| entries.iter().map(move |e| pose(&e.trajectory.x[knot]));
         let metric = &config.planner.replan.metric;
-        let (starts, ends) = (NearestKey::new(poses(0), metric), NearestKey::new(poses(N), metric));
+        let starts = NearestKey::new(entries.iter().map(|e| key(e.trajectory.start())), metric);
+        let ends = NearestKey::new(entries.iter().map(|e| key(e.trajectory.end())), metric);
         Self { config, origin, entries, starts, ends }
     }
 
@@ -164,7 +164,7 @@ impl Planner {
 
     /// The `replan.neighbours` entries nearest to a start state (rad, rad/s), nearest first.
     pub fn nearest(&self, manoeuvre: Manoeuvre, start: &State) -> Vec<Neighbour> {
-        self.tree(manoeuvre).nearest(&pose(start), self.config.planner.replan.neighbours)
+        self.tree(manoeuvre).nearest(&key(start), self.config.planner.replan.neighbours)
     }
 
     /// Search tree of the poses in which trajectories of a manoeuvre begin.
@@ -182,7 +182,7 @@ impl Planner {
             QpBackend::Structured => Backend::Structured,
             QpBackend::Clarabel => Backend::Clarabel,
         };
-        QpSolver::new(backend, N / settings.sub_horizons)
+        QpSolver::new(backend, self.config.model.sizes(), self.intervals() / settings.sub_horizons)
     }
 
     /// Plans a swing-up from `start` (rad, rad/s): [`Self::replan_with`] a new solver.
@@ -246,7 +246,7 @@ impl Planner {
             durations.fold(f64::INFINITY, f64::min)
         };
         // The nearest entries may all belong to another, longer local optimum.
-        let around = self.tree(manoeuvre).nearest(&pose(start), AROUND);
+        let around = self.tree(manoeuvre).nearest(&key(start), AROUND);
         let longest = (LONGER * shortest(&neighbours)).min(MUCH_LONGER * shortest(&around));
         let good = |(_, accepted): &(Neighbour, AcceptableTrajectory)| {
             accepted.defect <= self.config.planner.replan.defect && accepted.trajectory.t_f <= longest
@@ -286,8 +286,8 @@ impl Planner {
     ) -> Problem<'_> {
         let mut problem = self.problem_with_margin(start, knot_margin);
         if manoeuvre == Manoeuvre::SwingDown {
-            let end = &reference.x[N];
-            problem.target = (0..NX).map(|i| TargetRow::unit(i, end[i])).collect();
+            let end = reference.end();
+            problem.target = (0..end.len()).map(|i| TargetRow::unit(end.sizes(), i, end[i])).collect();
             keep_target_within(&mut problem);
         }
         problem
@@ -407,7 +407,13 @@ impl Planner {
         statistics.check += begin.elapsed();
         let begin = Instant::now();
         let ts = self.config.daemon.cycle.period.seconds();
-        let gains = lqr::synthesize(model, &trajectory, &lqr_weights(&self.config.planner), ts, &mut work)?;
+        let gains = lqr::synthesize(
+            model,
+            &trajectory,
+            &lqr_weights(&self.config.planner, model.sizes()),
+            ts,
+            &mut work,
+        )?;
         statistics.lqr += begin.elapsed();
         let begin = Instant::now();
         criteria.check_feedback(model, &trajectory, &gains).map_err(unmet)?;
@@ -470,24 +476,25 @@ impl Planner {
             solution_of(solver, status, iteration)
         };
         let parts = self.config.planner.replan.sub_horizons;
-        let length = N / parts;
-        let mut z = vec![KnotVector::zeros(); N + 1];
-        z[0].x_mut().copy_from(&qp.start);
+        let n = trajectory.intervals();
+        let length = n / parts;
+        let mut z = Slab::zeros(trajectory.sizes(), n + 1, 1);
+        z.x_mut(0).copy_from_slice(&qp.start);
         let mut dt = None;
-        for first in (0..N).step_by(length) {
+        for first in (0..n).step_by(length) {
             let last = first + length;
             let solution = if parts == 1 {
                 solve(qp, warm)?
             } else {
-                solve(&qp.part((first, last), &z[first], dt), false)?
+                solve(&qp.part((first, last), &z.knot(first), dt), false)?
             };
-            z[first..=last].copy_from_slice(&solution.z);
+            (first..=last).for_each(|k| z.set(k, &solution.z.knot(k - first)));
             dt = dt.or(Some(solution.t * parts as f64));
         }
         trajectory.t_f += dt.unwrap_or(0.0);
-        for (k, dz) in z.iter().enumerate() {
-            trajectory.x[k] += dz.x();
-            trajectory.u[k] += dz.u();
+        for (k, (x, u)) in trajectory.x.iter_mut().zip(&mut trajectory.u).enumerate() {
+            *x += z.x(k);
+            *u += z.u(k);
         }
         Ok(())
     }
@@ -515,7 +522,7 @@ fn keep_target_within(problem: &mut Problem<'_>) {
     }
 }
 
-/// q_A of a state, rad.
-fn pose(x: &State) -> [f64; NU] {
-    std::array::from_fn(|i| x[i])
+/// Key of a start in the search trees: its q_A, rad or m.
+fn key(x: &State) -> Vec<f64> {
+    x.q_a().to_vec()
 }

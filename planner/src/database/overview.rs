@@ -1,7 +1,6 @@
 //! Figures of a database as a whole: durations, costs, the worst certificate, and the start poses of its entries.
 
 use serde::Serialize;
-use upswing_model::NU;
 use upswing_trajectory::{Certificate, Database, Entry, PoseOutcome};
 
 /// Figures of all records of a database.
@@ -29,7 +28,7 @@ pub struct DatabaseOverview {
 /// Distribution of the entries over the start angles of a joint.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct JointCoverage {
-    /// The joint, counted from 1.
+    /// The actuated joint, counted from 1.
     pub joint: usize,
     /// The start angles, ascending, deg.
     pub angles_deg: Vec<f64>,
@@ -63,13 +62,14 @@ impl DatabaseOverview {
     }
 }
 
-/// Start angle of a joint, counted from 1, deg, rounded: grid angles stay distinct, equal angles with different rounding errors
+/// Start angle of an actuated joint, counted from 1, deg, rounded: grid angles stay distinct, equal angles with different rounding errors
 /// become equal.
 fn start_deg(entry: &Entry, joint: usize) -> f64 {
     (entry.trajectory.x[0][joint - 1].to_degrees() * 1e3).round() / 1e3
 }
 
 fn joints(entries: &[&Entry]) -> Vec<JointCoverage> {
+    let actuated = entries.first().map_or(0, |e| e.trajectory.sizes().actuated());
     let coverage = |joint: usize| {
         let mut angles_deg: Vec<f64> = entries.iter().map(|e| start_deg(e, joint)).collect();
         angles_deg.sort_by(f64::total_cmp);
@@ -77,7 +77,7 @@ fn joints(entries: &[&Entry]) -> Vec<JointCoverage> {
         let count = |a: &f64| entries.iter().filter(|e| start_deg(e, joint) == *a).count();
         JointCoverage { joint, entries: angles_deg.iter().map(count).collect(), angles_deg }
     };
-    (1..=NU).map(coverage).filter(|c| c.angles_deg.len() > 1).collect()
+    (1..=actuated).map(coverage).filter(|c| c.angles_deg.len() > 1).collect()
 }
 
 fn map(entries: &[&Entry], rows: &JointCoverage, columns: &JointCoverage) -> Vec<Vec<usize>> {
