@@ -24,6 +24,7 @@ use upswing_ocp::lqr;
 use upswing_ocp::multistart::{self, Search};
 use upswing_ocp::problem::Problem;
 use upswing_ocp::qp::{Backend, Qp, QpOptions, QpSolution, QpSolver, QpStatus};
+use upswing_ocp::slab::Slab;
 use upswing_trajectory::{Database, DatabaseError, Entry, Gains, Margins, Trajectory, UnmetCriterion};
 
 /// Tolerance of each QP: a tenth of the defect that four linearisations reach.
@@ -109,7 +110,7 @@ pub struct Planner {
     /// Source of the entries, for messages.
     origin: String,
     entries: Vec<Entry>,
-    /// Search trees of the poses in which the entries start, and of those in which they end.
+    /// Search trees of the keys of the entries, and of the poses in which they end.
     starts: NearestKey,
     ends: NearestKey,
 }
@@ -130,9 +131,8 @@ impl Planner {
     /// As [`Self::new`].
     pub fn with_database(config: Config, database: DatabaseFile) -> Result<Self, PlannerError> {
         let DatabaseFile { bytes, origin } = database;
-        let decoded = Database::decode(&bytes).and_then(|database| {
-            database.entries_for(config.model.fingerprint(), problem_fingerprint(&config))
-        });
+        let decoded = Database::decode(&bytes)
+            .and_then(|database| database.entries_for(&config.model, problem_fingerprint(&config)));
         match decoded {
             Ok(entries) => Ok(Self::with_entries(config, origin, entries)),
             Err(cause) => Err(PlannerError::Database { origin, cause }),
@@ -142,8 +142,8 @@ impl Planner {
     /// Creates a planner with `entries` that were made for these settings; `origin` names their source in messages.
     pub fn with_entries(config: Config, origin: String, entries: Vec<Entry>) -> Self {
         let metric = &config.planner.replan.metric;
-        let starts = NearestKey::new(entries.iter().map(|e| key(e.trajectory.start())), metric);
-        let ends = NearestKey::new(entries.iter().map(|e| key(e.trajectory.end())), metric);
+        let starts = NearestKey::new(entries.iter().map(|e| e.key.clone()), metric);
+        let ends = NearestKey::new(entries.iter().map(|e| pose(e.trajectory.end())), metric);
         Self { config, origin, entries, starts, ends }
     }
 
@@ -164,7 +164,7 @@ impl Planner {
 
     /// The `replan.neighbours` entries nearest to a start state (rad, rad/s), nearest first.
     pub fn nearest(&self, manoeuvre: Manoeuvre, start: &State) -> Vec<Neighbour> {
-        self.tree(manoeuvre).nearest(&key(start), self.config.planner.replan.neighbours)
+        self.tree(manoeuvre).nearest(&pose(start), self.config.planner.replan.neighbours)
     }
 
     /// Search tree of the poses in which trajectories of a manoeuvre begin.
@@ -182,7 +182,11 @@ impl Planner {
             QpBackend::Structured => Backend::Structured,
             QpBackend::Clarabel => Backend::Clarabel,
         };
-        QpSolver::new(backend, self.config.model.sizes(), self.intervals() / settings.sub_horizons)
+        QpSolver::new(
+            backend,
+            self.config.model.sizes(),
+            self.config.planner.offline.intervals / settings.sub_horizons,
+        )
     }
 
     /// Plans a swing-up from `start` (rad, rad/s): [`Self::replan_with`] a new solver.
@@ -246,7 +250,7 @@ impl Planner {
             durations.fold(f64::INFINITY, f64::min)
         };
         // The nearest entries may all belong to another, longer local optimum.
-        let around = self.tree(manoeuvre).nearest(&key(start), AROUND);
+        let around = self.tree(manoeuvre).nearest(&pose(start), AROUND);
         let longest = (LONGER * shortest(&neighbours)).min(MUCH_LONGER * shortest(&around));
         let good = |(_, accepted): &(Neighbour, AcceptableTrajectory)| {
             accepted.defect <= self.config.planner.replan.defect && accepted.trajectory.t_f <= longest
@@ -522,7 +526,7 @@ fn keep_target_within(problem: &mut Problem<'_>) {
     }
 }
 
-/// Key of a start in the search trees: its q_A, rad or m.
-fn key(x: &State) -> Vec<f64> {
+/// q_A of a state, rad or m: its key in the search trees.
+fn pose(x: &State) -> Vec<f64> {
     x.q_a().to_vec()
 }

@@ -53,7 +53,8 @@ pub fn run(args: &ProcessArgs) -> Result<(), Failure> {
 fn serve(planner: &Planner, domain: &Domain, stop: &Arc<AtomicBool>) -> Result<(), upswing_ipc::IpcError> {
     let node = domain.join("planner")?;
     let server = node.server()?;
-    let publisher = node.publisher::<PlanMessage>()?;
+    let model = &planner.config().model;
+    let publisher = node.plan_publisher(model.sizes(), planner.config().planner.offline.intervals)?;
     let telemetry = node.subscriber()?;
     let mut handler = RequestHandler::new(planner);
     info!(entries = planner.entries().len(), domain = domain.name(), "planner ready");
@@ -95,7 +96,7 @@ fn serve(planner: &Planner, domain: &Domain, stop: &Arc<AtomicBool>) -> Result<(
             response
         })?;
         for plan in &published {
-            publisher.publish(&Box::<PlanMessage>::from(plan))?;
+            publisher.publish(&PlanMessage::new(plan, model.order()))?;
             info!(id = format!("{:016x}", plan.id), t_f = plan.trajectory.t_f, "plan published");
         }
         publisher.deliver_history()?;
