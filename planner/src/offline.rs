@@ -21,8 +21,9 @@ pub fn problem(config: &Config, start: State) -> Problem<'_> {
         torque: torque_constraint(config, offline.torque),
         input_weight: offline.input_weight,
         t_f: (offline.t_f_min, offline.t_f_max),
+        intervals: offline.intervals,
         start,
-        target: upright_target(config.robot.target.pitch, config.robot.target.q8),
+        target: upright_target(config.model.sizes(), config.robot.target.pitch, config.robot.target.q8),
     }
 }
 

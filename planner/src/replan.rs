@@ -472,7 +472,7 @@ impl Planner {
         let mut solve = |qp: &Qp, again: bool| {
             let status = if again { solver.solve_again(qp, &options) } else { solver.solve(qp, &options) };
             if let (QpStatus::Stalled(stall), QpSolver::Structured(_)) = (status, &*solver) {
-                let mut second = QpSolver::new(Backend::Clarabel, qp.defects.len());
+                let mut second = QpSolver::new(Backend::Clarabel, qp.start.sizes(), qp.x.len());
                 let clarabel = second.solve(qp, &options);
                 second_opinions.push(SecondOpinion { entry, iteration, stall, clarabel });
                 return solution_of(&second, clarabel, iteration);
