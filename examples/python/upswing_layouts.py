@@ -50,25 +50,21 @@ class Percentiles(Structure):
 
 
 class Measurement(Structure):
-    SIZE = 312
+    SIZE = 168
     OFFSETS = {
         "seq": 0,
         "t_ns": 8,
-        "joints": 16,
-        "actuated": 24,
-        "q": 32,
-        "tau_measured": 160,
-        "status": 288,
-        "clock": 296,
-        "period_ns": 304,
+        "q": 16,
+        "tau_measured": 88,
+        "status": 144,
+        "clock": 152,
+        "period_ns": 160,
     }
     _fields_ = [
         ("seq", c_uint64),
         ("t_ns", c_uint64),
-        ("joints", c_uint64),
-        ("actuated", c_uint64),
-        ("q", (c_double * 16)),
-        ("tau_measured", (c_double * 16)),
+        ("q", (c_double * 9)),
+        ("tau_measured", (c_double * 7)),
         ("status", c_uint64),
         ("clock", c_uint64),
         ("period_ns", c_uint64),
@@ -76,37 +72,33 @@ class Measurement(Structure):
 
     @staticmethod
     def type_name():
-        return "upswing.Measurement.v2"
+        return "upswing.Measurement.v1"
 
 
 class Command(Structure):
-    SIZE = 176
+    SIZE = 88
     OFFSETS = {
         "seq": 0,
         "t_ns": 8,
         "measurement_seq": 16,
-        "joints": 24,
-        "actuated": 32,
-        "tau": 40,
-        "brake": 168,
+        "tau": 24,
+        "brake": 80,
     }
     _fields_ = [
         ("seq", c_uint64),
         ("t_ns", c_uint64),
         ("measurement_seq", c_uint64),
-        ("joints", c_uint64),
-        ("actuated", c_uint64),
-        ("tau", (c_double * 16)),
+        ("tau", (c_double * 7)),
         ("brake", c_uint64),
     ]
 
     @staticmethod
     def type_name():
-        return "upswing.Command.v2"
+        return "upswing.Command.v1"
 
 
 class Telemetry(Structure):
-    SIZE = 1160
+    SIZE = 632
     OFFSETS = {
         "seq": 0,
         "t_ns": 8,
@@ -118,21 +110,19 @@ class Telemetry(Structure):
         "plan_id": 56,
         "flags": 64,
         "t_plan": 72,
-        "joints": 80,
-        "actuated": 88,
-        "q": 96,
-        "qd": 224,
-        "q_d": 352,
-        "qd_d": 480,
-        "u_d": 608,
-        "u": 736,
-        "tau": 864,
-        "tau_measured": 992,
-        "wake_ns": 1120,
-        "read_ns": 1128,
-        "compute_ns": 1136,
-        "write_ns": 1144,
-        "clock": 1152,
+        "q": 80,
+        "qd": 152,
+        "q_d": 224,
+        "qd_d": 296,
+        "u_d": 368,
+        "u": 424,
+        "tau": 480,
+        "tau_measured": 536,
+        "wake_ns": 592,
+        "read_ns": 600,
+        "compute_ns": 608,
+        "write_ns": 616,
+        "clock": 624,
     }
     _fields_ = [
         ("seq", c_uint64),
@@ -145,16 +135,14 @@ class Telemetry(Structure):
         ("plan_id", c_uint64),
         ("flags", c_uint64),
         ("t_plan", c_double),
-        ("joints", c_uint64),
-        ("actuated", c_uint64),
-        ("q", (c_double * 16)),
-        ("qd", (c_double * 16)),
-        ("q_d", (c_double * 16)),
-        ("qd_d", (c_double * 16)),
-        ("u_d", (c_double * 16)),
-        ("u", (c_double * 16)),
-        ("tau", (c_double * 16)),
-        ("tau_measured", (c_double * 16)),
+        ("q", (c_double * 9)),
+        ("qd", (c_double * 9)),
+        ("q_d", (c_double * 9)),
+        ("qd_d", (c_double * 9)),
+        ("u_d", (c_double * 7)),
+        ("u", (c_double * 7)),
+        ("tau", (c_double * 7)),
+        ("tau_measured", (c_double * 7)),
         ("wake_ns", c_uint64),
         ("read_ns", c_uint64),
         ("compute_ns", c_uint64),
@@ -164,11 +152,11 @@ class Telemetry(Structure):
 
     @staticmethod
     def type_name():
-        return "upswing.Telemetry.v4"
+        return "upswing.Telemetry.v3"
 
 
 class TelemetryBatch(Structure):
-    SIZE = 74256
+    SIZE = 40464
     OFFSETS = {
         "count": 0,
         "dropped": 8,
@@ -182,35 +170,39 @@ class TelemetryBatch(Structure):
 
     @staticmethod
     def type_name():
-        return "upswing.TelemetryBatch.v4"
+        return "upswing.TelemetryBatch.v3"
 
 
-class PlanHeader(Structure):
-    SIZE = 64
+class PlanMessage(Structure):
+    SIZE = 137600
     OFFSETS = {
         "id": 0,
         "fingerprint": 8,
         "activation_ns": 16,
         "t_f": 24,
-        "joints": 32,
-        "actuated": 40,
-        "intervals": 48,
-        "checksum": 56,
+        "x": 32,
+        "u": 14576,
+        "f": 20232,
+        "k": 34776,
+        "k_final": 136584,
+        "checksum": 137592,
     }
     _fields_ = [
         ("id", c_uint64),
         ("fingerprint", c_uint64),
         ("activation_ns", c_uint64),
         ("t_f", c_double),
-        ("joints", c_uint64),
-        ("actuated", c_uint64),
-        ("intervals", c_uint64),
+        ("x", ((c_double * 18) * 101)),
+        ("u", ((c_double * 7) * 101)),
+        ("f", ((c_double * 18) * 101)),
+        ("k", (((c_double * 18) * 7) * 101)),
+        ("k_final", ((c_double * 18) * 7)),
         ("checksum", c_uint64),
     ]
 
     @staticmethod
     def type_name():
-        return "upswing.Plan.v3"
+        return "upswing.Plan.v2"
 
 
 class ControlRequest(Structure):
@@ -274,25 +266,19 @@ class ControlResponse(Structure):
 
 
 class PlannerRequest(Structure):
-    SIZE = 312
+    SIZE = 184
     OFFSETS = {
         "kind": 0,
         "from_now": 8,
-        "joints": 16,
-        "actuated": 24,
-        "q": 32,
-        "qd": 160,
-        "iterations": 288,
-        "budget_ms": 296,
-        "publish": 304,
+        "start": 16,
+        "iterations": 160,
+        "budget_ms": 168,
+        "publish": 176,
     }
     _fields_ = [
         ("kind", c_uint64),
         ("from_now", c_uint64),
-        ("joints", c_uint64),
-        ("actuated", c_uint64),
-        ("q", (c_double * 16)),
-        ("qd", (c_double * 16)),
+        ("start", (c_double * 18)),
         ("iterations", c_uint64),
         ("budget_ms", c_uint64),
         ("publish", c_uint64),
@@ -300,7 +286,7 @@ class PlannerRequest(Structure):
 
     @staticmethod
     def type_name():
-        return "upswing.PlannerRequest.v2"
+        return "upswing.PlannerRequest.v1"
 
 
 class PlannerResponse(Structure):
@@ -348,26 +334,22 @@ class PlannerResponse(Structure):
 
 
 class PlantRequest(Structure):
-    SIZE = 344
+    SIZE = 216
     OFFSETS = {
         "kind": 0,
-        "joints": 8,
-        "actuated": 16,
-        "q": 24,
-        "qd": 152,
-        "seq": 280,
-        "fault": 288,
-        "joint": 296,
-        "amount": 304,
-        "cycles": 312,
-        "impulse": 320,
+        "q": 8,
+        "qd": 80,
+        "seq": 152,
+        "fault": 160,
+        "joint": 168,
+        "amount": 176,
+        "cycles": 184,
+        "impulse": 192,
     }
     _fields_ = [
         ("kind", c_uint64),
-        ("joints", c_uint64),
-        ("actuated", c_uint64),
-        ("q", (c_double * 16)),
-        ("qd", (c_double * 16)),
+        ("q", (c_double * 9)),
+        ("qd", (c_double * 9)),
         ("seq", c_uint64),
         ("fault", c_uint64),
         ("joint", c_uint64),
@@ -378,37 +360,33 @@ class PlantRequest(Structure):
 
     @staticmethod
     def type_name():
-        return "upswing.PlantRequest.v3"
+        return "upswing.PlantRequest.v2"
 
 
 class PlantResponse(Structure):
-    SIZE = 680
+    SIZE = 480
     OFFSETS = {
         "accepted": 0,
         "seq": 8,
-        "joints": 16,
-        "actuated": 24,
-        "q": 32,
-        "qd": 160,
-        "brakes_closed": 288,
-        "tau_peak": 296,
-        "reason": 424,
+        "q": 16,
+        "qd": 88,
+        "brakes_closed": 160,
+        "tau_peak": 168,
+        "reason": 224,
     }
     _fields_ = [
         ("accepted", c_uint64),
         ("seq", c_uint64),
-        ("joints", c_uint64),
-        ("actuated", c_uint64),
-        ("q", (c_double * 16)),
-        ("qd", (c_double * 16)),
+        ("q", (c_double * 9)),
+        ("qd", (c_double * 9)),
         ("brakes_closed", c_uint64),
-        ("tau_peak", (c_double * 16)),
+        ("tau_peak", (c_double * 7)),
         ("reason", Text),
     ]
 
     @staticmethod
     def type_name():
-        return "upswing.PlantResponse.v2"
+        return "upswing.PlantResponse.v1"
 
 
 class Clock(IntEnum):
@@ -488,9 +466,6 @@ STALE = 2
 LIMITED = 4
 BRAKE = 8
 
-# Room of an array with a value per joint.
-MOST_JOINTS = 16
-
 # Blackboards: each start of a writer has its own service, CHANNEL/EPOCH.
 MEASUREMENT_CHANNEL = "measurement"
 COMMAND_CHANNEL = "command"
@@ -498,10 +473,8 @@ MAX_READERS = 8
 MAX_NODES = 24
 
 # Publish and subscribe: service, payload, samples that wait for a slow subscriber.
+PLAN = ("plan", PlanMessage, 2)
 TELEMETRY = ("telemetry", TelemetryBatch, 256)
-
-# The same with a header and a slice of c_double.
-PLAN = ("plan", PlanHeader, 2)
 
 # Request and response: service, request, response.
 CONTROL = ("control", ControlRequest, ControlResponse)

@@ -1,16 +1,24 @@
-//! Drives and brakes of the arm: torque on the joints under a command, and closing of the brakes.
+//! Drives and brakes of the actuated joints: torque on the joints under a command, and closing of the brakes.
 
 use upswing_config::{DriveSettings, MAX_DELAY};
-use upswing_ipc::Command;
-use upswing_model::{ActuatedVector, NU, Period};
+use upswing_model::{ActuatedVector, Period};
 
 /// Length of the delay line for commands.
 const DELAY_LINE: usize = MAX_DELAY as usize + 1;
 
-/// The actuation of the arm over one control period.
+/// A command as the drives receive it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct DriveCommand {
+    /// Torques or forces of the actuated joints, N m or N; `None` if the command is for other numbers of joints.
+    pub tau: Option<ActuatedVector>,
+    /// Whether the brakes have to close.
+    pub brake: bool,
+}
+
+/// The actuation over one control period.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Actuation {
-    /// Released brakes, with the torque on the actuated joints, N m.
+    /// Released brakes, with the torques or forces on the actuated joints, N m or N.
     Torque(ActuatedVector),
     /// Closed brakes.
     Brakes,
@@ -27,16 +35,16 @@ pub(crate) struct Drives {
     engage_cycles: u64,
     delay: u64,
     /// Commands in transit, a ring buffer by cycle number.
-    delay_line: [Option<Command>; DELAY_LINE],
+    delay_line: [Option<DriveCommand>; DELAY_LINE],
     /// The newest command that has arrived, until the watchdog drops it.
-    active: Option<Command>,
+    active: Option<DriveCommand>,
     /// Number of cycles since a command arrived.
     silent_cycles: u32,
     /// Whether a command was sent since power-up.
     commanded: bool,
     /// Number of cycles until closing brakes hold.
     engage_left: u64,
-    /// Measured torque of the drives, N m.
+    /// Measured torques or forces of the drives, N m or N.
     tau: ActuatedVector,
     tau_peak: ActuatedVector,
     /// Whether the brakes are commanded to close.
@@ -46,12 +54,13 @@ pub(crate) struct Drives {
 }
 
 impl Drives {
-    /// Drives with closed brakes. `tau_max`: the torque limits, N m.
+    /// Drives with closed brakes. `tau_max`: the limits of their torques or forces, N m or N.
     pub(crate) fn new(settings: &DriveSettings, tau_max: &ActuatedVector, period: Period) -> Self {
         let lag = settings.torque_lag;
+        let zero = ActuatedVector::zeros(tau_max.sizes());
         Self {
             tau_max: *tau_max,
-            offset: settings.torque_offset.into(),
+            offset: settings.torque_offset,
             lag_share: if lag > 0.0 { -(-period.seconds() / lag).exp_m1() } else { 1.0 },
             watchdog_cycles: settings.watchdog_cycles,
             engage_cycles: period.nearest_cycles(settings.brake_engage),
@@ -61,8 +70,8 @@ impl Drives {
             silent_cycles: 0,
             commanded: false,
             engage_left: 0,
-            tau: ActuatedVector::zeros(),
-            tau_peak: ActuatedVector::zeros(),
+            tau: zero,
+            tau_peak: zero,
             braking: true,
             saturated: false,
             fault: false,
@@ -71,16 +80,16 @@ impl Drives {
 
     /// Clears torques, their peaks and a fault.
     pub(crate) fn reset(&mut self) {
-        self.tau = ActuatedVector::zeros();
-        self.tau_peak = ActuatedVector::zeros();
+        self.tau = ActuatedVector::zeros(self.tau.sizes());
+        self.tau_peak = self.tau;
         self.saturated = false;
         self.fault = false;
     }
 
     /// Advances by cycle `seq`, in which the daemon sends `command` (`None`: no command), and returns the actuation in it.
-    pub(crate) fn step(&mut self, seq: u64, command: Option<&Command>) -> Actuation {
+    pub(crate) fn step(&mut self, seq: u64, command: Option<DriveCommand>) -> Actuation {
         self.commanded |= command.is_some();
-        self.delay_line[slot(seq)] = command.copied();
+        self.delay_line[slot(seq)] = command;
         let arrived = if seq > self.delay { self.delay_line[slot(seq - self.delay)].take() } else { None };
         match arrived {
             Some(command) => (self.active, self.silent_cycles) = (Some(command), 0),
@@ -102,17 +111,17 @@ impl Drives {
         self.engage_left = 0;
     }
 
-    /// Measured torque of a load (N m) that the brakes hold, N m: less the offset of the sensors, within the torque limits.
+    /// Measured torques or forces of a `load` that the brakes hold, N m or N: less the offset of the sensors, within the limits.
     pub(crate) fn sensed_load(&self, load: &ActuatedVector) -> ActuatedVector {
         (load - self.offset).inf(&self.tau_max).sup(&-self.tau_max)
     }
 
-    /// Measured torque of the drives, N m.
+    /// Measured torques or forces of the drives, N m or N.
     pub(crate) fn tau(&self) -> &ActuatedVector {
         &self.tau
     }
 
-    /// Largest magnitude of each drive's torque since the start or the last reset, N m.
+    /// Largest magnitude of each drive's torque or force since the start or the last reset, N m or N.
     pub(crate) fn tau_peak(&self) -> &ActuatedVector {
         &self.tau_peak
     }
@@ -135,28 +144,23 @@ impl Drives {
         self.fault
     }
 
-    /// The commanded torque within the limits, N m; `None` if the brakes have to close.
+    /// The commanded torques or forces within the limits, N m or N; `None` if the brakes have to close.
     fn commanded_torque(&mut self) -> Option<ActuatedVector> {
         self.saturated = false;
         let command = self.active?;
-        if !command.tau.iter().all(|tau| tau.is_finite()) {
+        let usable = command.tau.filter(|tau| tau.iter().all(|tau| tau.is_finite()));
+        if usable.is_none() {
             self.fault = true;
-        } else if command.brake != 0 {
+        } else if command.brake {
             self.fault = false;
         }
-        if self.fault || command.brake != 0 {
-            return None;
-        }
-        let mut torque = ActuatedVector::from(command.tau);
-        for i in 0..NU {
-            let max = self.tau_max[i];
-            self.saturated |= torque[i].abs() > max;
-            torque[i] = torque[i].clamp(-max, max);
-        }
+        let commanded = usable.filter(|_| !self.fault && !command.brake)?;
+        let torque = commanded.inf(&self.tau_max).sup(&-self.tau_max);
+        self.saturated = torque != commanded;
         Some(torque)
     }
 
-    /// Releases the brakes and returns the torque on the joints, N m: the commanded torque with lag, plus the offset.
+    /// Releases the brakes and returns the torques or forces on the joints, N m or N: those commanded with lag, plus the offset.
     fn apply(&mut self, commanded: &ActuatedVector) -> ActuatedVector {
         // No lag in the first period: while the brakes hold, the torque loops settle.
         if self.braking || self.lag_share >= 1.0 {
@@ -169,11 +173,11 @@ impl Drives {
         self.tau + self.offset
     }
 
-    /// Closes the brakes; until they hold, the arm moves without torque.
+    /// Closes the brakes; until they hold, the joints move without torque.
     fn brake(&mut self) -> Actuation {
         self.engage_left = if self.braking { self.engage_left.saturating_sub(1) } else { self.engage_cycles };
         self.braking = true;
-        self.tau = ActuatedVector::zeros();
+        self.tau = ActuatedVector::zeros(self.tau.sizes());
         if self.engage_left == 0 { Actuation::Brakes } else { Actuation::Torque(self.tau) }
     }
 }

@@ -4,30 +4,36 @@ use rand_pcg::Pcg64;
 use rand_pcg::rand_core::{Rng, SeedableRng};
 use std::f64::consts::TAU;
 use upswing_config::EncoderSettings;
-use upswing_model::{JointVector, NQ, NU};
+use upswing_model::JointVector;
 
 /// The encoders of all joints.
 #[derive(Clone, Debug)]
 pub(crate) struct Encoders {
     settings: EncoderSettings,
+    /// Resolution of each joint, rad or m.
+    resolution: JointVector,
     random: Pcg64,
 }
 
 impl Encoders {
     pub(crate) fn new(settings: &EncoderSettings) -> Self {
-        Self { settings: *settings, random: Pcg64::seed_from_u64(settings.seed) }
+        let EncoderSettings { arm_resolution, pendulum_resolution, noise, seed, .. } = *settings;
+        let mut resolution = JointVector::repeat(noise.sizes(), pendulum_resolution);
+        resolution.actuated_mut().fill(arm_resolution);
+        Self { settings: *settings, resolution, random: Pcg64::seed_from_u64(seed) }
     }
 
-    /// Readings of the true angles `q` (rad): q + bias + noise, rounded to the resolution, rad. Each call draws new noise.
-    pub(crate) fn read(&mut self, q: &JointVector) -> [f64; NQ] {
-        let EncoderSettings { arm_resolution, pendulum_resolution, noise, bias, .. } = self.settings;
-        std::array::from_fn(|i| {
-            let resolution = if i < NU { arm_resolution } else { pendulum_resolution };
-            let mut angle = q[i] + bias[i];
+    /// Readings of the true positions `q` (rad or m): q + bias + noise, rounded to the resolution, rad or m. Each call draws new
+    /// noise.
+    pub(crate) fn read(&mut self, q: &JointVector) -> JointVector {
+        let EncoderSettings { noise, bias, .. } = self.settings;
+        let resolution = self.resolution;
+        JointVector::from_fn(q.sizes(), |i| {
+            let mut position = q[i] + bias[i];
             if noise[i] > 0.0 {
-                angle += noise[i] * self.standard_normal();
+                position += noise[i] * self.standard_normal();
             }
-            (angle / resolution).round() * resolution
+            (position / resolution[i]).round() * resolution[i]
         })
     }
 

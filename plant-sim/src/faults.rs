@@ -1,8 +1,7 @@
 //! Faults of the transmission of measurements and commands, faults of encoders, and external torques.
 
 use upswing_config::{EventError, Fault, FaultKind, MAX_DELAY};
-use upswing_ipc::Measurement;
-use upswing_model::JointVector;
+use upswing_model::{ActuatedVector, JointVector, Sizes};
 
 /// Largest number of faults, and of pushes, that can be set at the same time.
 const MOST_FAULTS: usize = 16;
@@ -36,12 +35,34 @@ pub(crate) fn check_room(count: usize, next: u64, from: u64) -> Result<(), SetEv
     if count >= MOST_FAULTS { Err(SetEventError::TooMany) } else { Ok(()) }
 }
 
+/// A measurement of encoders and drives, as [`upswing_ipc::Measurement`], with the joints sorted.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Reading {
+    /// Number of the cycle; 0 before the first measurement.
+    pub seq: u64,
+    /// Simulated time, ns.
+    pub t_ns: u64,
+    /// Measured positions, rad or m.
+    pub q: JointVector,
+    /// Measured torques or forces, N m or N.
+    pub tau: ActuatedVector,
+    /// Status bits.
+    pub status: u64,
+}
+
+impl Reading {
+    /// The content of a measurement before cycle 1.
+    fn none(sizes: Sizes) -> Self {
+        Self { seq: 0, t_ns: 0, q: JointVector::zeros(sizes), tau: ActuatedVector::zeros(sizes), status: 0 }
+    }
+}
+
 /// A fault, with the measurement that it may freeze.
 #[derive(Clone, Debug)]
 struct FaultState {
     fault: Fault,
     /// The true measurement of the cycle in which the fault begins.
-    at_begin: Measurement,
+    at_begin: Reading,
 }
 
 /// The faults that are set, and the measurements that they delay, freeze or repeat.
@@ -51,23 +72,23 @@ pub(crate) struct Faults {
     /// falsify it.
     states: Vec<FaultState>,
     /// True measurements, a ring buffer by cycle number.
-    history: [Measurement; HISTORY],
+    history: [Reading; HISTORY],
     /// The measurement that the daemon received in the last cycle.
-    last_shown: Measurement,
+    last_shown: Reading,
 }
 
 impl Faults {
-    pub(crate) fn new(faults: &[Fault]) -> Self {
-        let state = |fault: &Fault| FaultState { fault: *fault, at_begin: Measurement::default() };
+    pub(crate) fn new(faults: &[Fault], sizes: Sizes) -> Self {
+        let none = Reading::none(sizes);
+        let state = |fault: &Fault| FaultState { fault: *fault, at_begin: none };
         let mut states: Vec<_> = faults.iter().map(state).collect();
         sort(&mut states);
-        let none = Measurement::default();
         Self { states, history: [none; HISTORY], last_shown: none }
     }
 
     /// Adds a fault that begins in cycle `next` or later.
     pub(crate) fn add(&mut self, fault: &Fault, next: u64) -> Result<(), SetEventError> {
-        fault.check()?;
+        fault.check(self.sizes())?;
         self.states.retain(|state| {
             state.fault.cycles == 0 || state.fault.from.saturating_add(state.fault.cycles) > next
         });
@@ -83,7 +104,7 @@ impl Faults {
     }
 
     /// Stores the true measurement of the present cycle; called again if the state is reset in the cycle.
-    pub(crate) fn measured(&mut self, measurement: Measurement) {
+    pub(crate) fn measured(&mut self, measurement: Reading) {
         self.history[slot(measurement.seq)] = measurement;
         for state in &mut self.states {
             if state.fault.from == measurement.seq {
@@ -98,7 +119,7 @@ impl Faults {
     }
 
     /// The measurement that the daemon receives in the present cycle `seq`; that of the last cycle if no new one arrives.
-    pub(crate) fn show(&self, seq: u64) -> Measurement {
+    pub(crate) fn show(&self, seq: u64) -> Reading {
         let mut measurement = self.at(seq);
         for FaultState { fault, at_begin } in self.states.iter().filter(|state| state.fault.acts(seq)) {
             let since = seq - fault.from;
@@ -116,7 +137,7 @@ impl Faults {
                     measurement = self.at(seq - delay);
                 }
                 FaultKind::FreezeMeasurement => {
-                    (measurement.q, measurement.tau_measured) = (at_begin.q, at_begin.tau_measured);
+                    (measurement.q, measurement.tau) = (at_begin.q, at_begin.tau);
                 }
                 FaultKind::StaleTime => measurement.t_ns = at_begin.t_ns,
                 FaultKind::EncoderStuck => measurement.q[fault.joint] = at_begin.q[fault.joint],
@@ -136,18 +157,22 @@ impl Faults {
         self.states.iter().any(|state| state.fault.kind == FaultKind::LoseCommand && state.fault.acts(seq))
     }
 
-    /// External torque on the joints in cycle `seq`, N m; `None` if there is none.
+    /// External torques or forces on the joints in cycle `seq`, N m or N; `None` if there is none.
     pub(crate) fn torque(&self, seq: u64) -> Option<JointVector> {
         let acting = self.states.iter().filter(|s| s.fault.kind == FaultKind::ArmTorque && s.fault.acts(seq));
         acting.fold(None, |sum, FaultState { fault, .. }| {
-            let mut sum = sum.unwrap_or_else(JointVector::zeros);
+            let mut sum = sum.unwrap_or_else(|| JointVector::zeros(self.sizes()));
             sum[fault.joint] += fault.amount;
             Some(sum)
         })
     }
 
+    fn sizes(&self) -> Sizes {
+        self.last_shown.q.sizes()
+    }
+
     /// The true measurement of cycle `seq`, one of the last [`HISTORY`] cycles.
-    fn at(&self, seq: u64) -> Measurement {
+    fn at(&self, seq: u64) -> Reading {
         self.history[slot(seq)]
     }
 }

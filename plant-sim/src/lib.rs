@@ -1,4 +1,4 @@
-//! The simulated robot: dynamics (1) of arm and pendulum, drives, encoders, brakes and faults.
+//! The simulated robot: dynamics (1), drives, encoders, brakes and faults.
 //!
 //! [`Plant`] is the simulation: deterministic, without clock or shared memory, usable with a controller in the same process.
 //! [`run`] is the plant process, which steps a [`Plant`] on one of the clocks `wall`, `paced` and `lockstep`
@@ -7,7 +7,7 @@
 //! | module | contents |
 //! |---|---|
 //! | `plant` | the plant: state, measurement and step |
-//! | `mechanism` | arm and pendulum: dynamics, friction, stops, brakes, external loads, integration |
+//! | `mechanism` | the chain: dynamics, friction, stops, brakes, external loads, integration |
 //! | `drives`, `encoders`, `faults` | actuators, sensors, and their faults |
 //! | `start` | check of requested states |
 //! | `service`, `commands`, `requests` | the process: its loop, the daemon's commands, the `plant` service |
@@ -37,7 +37,6 @@ use clap::builder::{PossibleValuesParser, TypedValueParser};
 use tracing::info;
 use upswing_config::{Config, PendulumStart};
 use upswing_ipc::{Clock, Domain};
-use upswing_model::{NU, StartError};
 use upswing_process::{Failure, ProcessArgs, shutdown_flag};
 
 /// Parser of a clock's name for command lines; shell completions list the names.
@@ -55,10 +54,10 @@ pub struct PlantArgs {
     /// Clock: wall (real time), paced (real time, but waits for the daemon), lockstep (advances on request)
     #[arg(long, value_name = "CLOCK", default_value = "paced", value_parser = clock_parser())]
     pub clock: Clock,
-    /// Start angles of joints 1 to 7, deg [default: start.q_deg of plant.toml]
-    #[arg(long, value_name = "Q1,..,Q7", value_delimiter = ',', allow_hyphen_values = true)]
+    /// Start positions of the actuated joints, deg or m [default: start.q_deg of plant.toml]
+    #[arg(long, value_name = "Q1,Q2,..", value_delimiter = ',', allow_hyphen_values = true)]
     pub start: Option<Vec<f64>>,
-    /// Start of the pendulum: its rest position, or q8 = q9 = 0 [default: start.pendulum of plant.toml]
+    /// Start of the unactuated joints: their rest position, or 0 [default: start.pendulum of plant.toml]
     #[arg(long, value_name = "START")]
     pub start_pendulum: Option<PendulumStart>,
     /// Scenario of the plant: a name, or the path of a .toml file
@@ -74,11 +73,11 @@ impl PlantArgs {
             let purpose = config.use_scenario(scenario)?;
             info!(%scenario, "{purpose}");
         }
-        if let Some(degrees) = &self.start {
-            let degrees: [f64; NU] = degrees.as_slice().try_into().map_err(|_| {
-                Failure::BadInput(format!("--start: {}", StartError::Length { got: degrees.len() }))
-            })?;
-            config.plant.start.q = degrees.map(f64::to_radians);
+        if let Some(start) = &self.start {
+            config.plant.start.q = config
+                .plant_model
+                .actuated_from_shown(start)
+                .map_err(|e| Failure::BadInput(format!("--start: {e}")))?;
         }
         if let Some(pendulum) = self.start_pendulum {
             config.plant.start.pendulum = pendulum;

@@ -3,30 +3,27 @@
 use crate::drives::Actuation;
 use upswing_config::{Config, FrictionSettings, JointStopSettings};
 use upswing_model::thresholds::REST_SPEED_BRAKED;
-use upswing_model::{
-    ActuatedVector, JointParts, JointVector, Model, N_UNACTUATED, NU, State, StateParts, Workspace,
-    runge_kutta_step, state,
-};
+use upswing_model::{ActuatedVector, JointVector, Model, State, Workspace, runge_kutta_step};
 
-/// A force on the tip of the rod, world frame, N.
+/// A force on the tip of the last body, world frame, N.
 pub(crate) type TipForce = [f64; 3];
 
 /// External load on the mechanism, constant over a control period.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct ExternalLoad {
     pub tip_force: Option<TipForce>,
-    /// Torque on the joints, N m.
+    /// Torque or force on the joints, N m or N.
     pub joint_torque: Option<JointVector>,
 }
 
 /// Mechanism of arm and pendulum with its state and integrator.
 #[derive(Clone, Debug)]
 pub(crate) struct Mechanism {
-    /// q, rad.
+    /// q, rad or m.
     pub q: JointVector,
-    /// qd, rad/s.
+    /// qd, rad/s or m/s.
     pub qd: JointVector,
-    model: Model,
+    pub model: Model,
     friction: Friction,
     stops: JointStopSettings,
     /// Time constant of the brakes, s; at least one integration step, so that the integration resolves it.
@@ -38,7 +35,7 @@ pub(crate) struct Mechanism {
 }
 
 impl Mechanism {
-    /// Creates the mechanism in the state q (rad), qd (rad/s).
+    /// Creates the mechanism in the state q (rad or m), qd (rad/s or m/s).
     pub(crate) fn new(config: &Config, model: Model, q: &JointVector, qd: &JointVector) -> Self {
         let settings = &config.plant;
         let step = config.daemon.cycle.period.seconds() / f64::from(settings.integrator.substeps);
@@ -65,29 +62,24 @@ impl Mechanism {
 
     /// One integration step.
     fn integrate(&mut self, actuation: &Actuation, external: &ExternalLoad) -> Option<()> {
-        let (x, h) = (state(&self.q, &self.qd), self.step);
+        let (x, h) = (State::new(&self.q, &self.qd), self.step);
         let derivative = |x: &State| {
             let (q, qd) = (x.q(), x.qd());
             let qdd = self.acceleration(&q, &qd, actuation, external).ok_or(())?;
-            Ok::<_, ()>(state(&qd, &qdd))
+            Ok::<_, ()>(State::new(&qd, &qdd))
         };
-        let x = runge_kutta_step(&x, h, derivative).ok()?;
+        let mut x = runge_kutta_step(&x, h, derivative).ok()?;
         if !x.iter().all(|v| v.is_finite()) {
             return None;
         }
-        let (q, mut qd) = (x.q(), x.qd());
         if *actuation == Actuation::Brakes {
-            for i in 0..NU {
-                if qd[i].abs() < REST_SPEED_BRAKED {
-                    qd[i] = 0.0;
-                }
-            }
+            x.qd_a_mut().iter_mut().filter(|v| v.abs() < REST_SPEED_BRAKED).for_each(|v| *v = 0.0);
         }
-        (self.q, self.qd) = (q, qd);
+        (self.q, self.qd) = (x.q(), x.qd());
         Some(())
     }
 
-    /// Joint accelerations qdd at (q, qd), rad/s^2; `None` if the mass matrix cannot be factorised.
+    /// Joint accelerations qdd at (q, qd), rad/s^2 or m/s^2; `None` if the mass matrix cannot be factorised.
     fn acceleration(
         &mut self,
         q: &JointVector,
@@ -97,17 +89,15 @@ impl Mechanism {
     ) -> Option<JointVector> {
         let mut load = self.passive_load(q, qd, external);
         let Actuation::Torque(torque) = actuation else { return self.braked_acceleration(q, qd, &load) };
-        for i in 0..NU {
-            load[i] += torque[i];
-        }
+        load.actuated_mut().iter_mut().zip(torque.iter()).for_each(|(load, torque)| *load += torque);
         self.model.forward_dynamics(q, qd, &load, &mut self.work)
     }
 
-    /// Torque of friction, stops and external load on the joints, N m.
+    /// Torque or force of friction, stops and external load on the joints, N m or N.
     fn passive_load(&self, q: &JointVector, qd: &JointVector, external: &ExternalLoad) -> JointVector {
         let mut load = -self.friction.torque(qd);
-        for i in 0..load.len() {
-            load[i] += stop_torque(&self.stops, i, q[i], qd[i]);
+        for (i, load) in load.iter_mut().enumerate() {
+            *load += stop_torque(&self.stops, i, q[i], qd[i]);
         }
         if let Some(force) = external.tip_force {
             load += self.model.torque_of_tip_force(q, &force.into());
@@ -118,7 +108,7 @@ impl Mechanism {
         load
     }
 
-    /// Torque with which closed brakes hold the arm at rest, N m; `None` while it moves.
+    /// Torque or force with which closed brakes hold the actuated joints at rest, N m or N; `None` while they move.
     pub(crate) fn held_load(&mut self, external: &ExternalLoad) -> Option<ActuatedVector> {
         let (q, qd) = (self.q, self.qd);
         if qd.actuated().amax() != 0.0 {
@@ -130,54 +120,49 @@ impl Mechanism {
         Some(force.actuated())
     }
 
-    /// Accelerations with closed brakes, rad/s^2: qdd = [u, qdd_U], u = -qd_A / time constant, (3a) with the pendulum's load (N m),
-    /// M_UU qdd_U = load_U - (M_UA u + C_U qd + g_U).
+    /// Accelerations with closed brakes, rad/s^2 or m/s^2: qdd = [u, qdd_U], u = -qd_A / time constant, (3a) with the load on the
+    /// unactuated joints (N m or N), M_UU qdd_U = load_U - (M_UA u + C_U qd + g_U).
     fn braked_acceleration(
         &mut self,
         q: &JointVector,
         qd: &JointVector,
         load: &JointVector,
     ) -> Option<JointVector> {
-        let mut qdd = JointVector::zeros();
-        for i in 0..NU {
-            qdd[i] = -qd[i] / self.brake_time_constant;
-        }
+        let mut qdd = JointVector::zeros(q.sizes());
+        qdd.actuated_mut().copy_from_slice(&-(qd.actuated() / self.brake_time_constant));
         let force = self.model.inverse_dynamics(q, qd, &qdd, &mut self.work) - load;
-        let mass = self.model.mass_matrix(q, &mut self.work);
-        let mass_u = mass.fixed_view::<N_UNACTUATED, N_UNACTUATED>(NU, NU).into_owned();
-        // nalgebra's factorisation: the model's own is written out for M of all joints, and M_UU has the unactuated ones.
-        qdd.unactuated_mut().copy_from(&-mass_u.cholesky()?.solve(&force.unactuated()));
+        let mass_u = self.model.mass_matrix(q, &mut self.work).unactuated();
+        qdd.unactuated_mut().copy_from_slice(&-mass_u.solve_positive(&force.unactuated())?);
         Some(qdd)
     }
 }
 
-/// Torque of the mechanical stop of a joint (counted from 0), N m.
+/// Torque or force of the mechanical stop of a joint, by its index in q, N m or N.
 fn stop_torque(stops: &JointStopSettings, joint: usize, q: f64, qd: f64) -> f64 {
-    let depth = q.abs() - stops.q[joint];
+    let (below, above) = (stops.q_min[joint] - q, q - stops.q_max[joint]);
+    let (direction, depth) = if above > below { (1.0, above) } else { (-1.0, below) };
     if stops.stiffness[joint] == 0.0 || depth <= 0.0 {
         return 0.0;
     }
-    let back = stops.stiffness[joint] * depth + stops.damping[joint] * qd * q.signum();
-    -q.signum() * back.max(0.0)
+    let back = stops.stiffness[joint] * depth + stops.damping[joint] * qd * direction;
+    -direction * back.max(0.0)
 }
 
 /// Joint friction, viscous qd + coulomb tanh(qd / smoothing), less the share that the drives compensate.
 #[derive(Clone, Debug)]
 struct Friction {
-    /// Viscous coefficients, N m s/rad.
+    /// Viscous coefficients, N m s/rad or N s/m.
     viscous: JointVector,
-    /// Coulomb torques, N m.
+    /// Coulomb torques or forces, N m or N.
     coulomb: JointVector,
-    /// Speed over which the Coulomb torque changes its sign, rad/s.
+    /// Speed over which the Coulomb torque changes its sign, rad/s or m/s.
     smoothing: f64,
 }
 
 impl Friction {
     fn new(settings: &FrictionSettings) -> Self {
         let residual = 1.0 - settings.arm_compensation;
-        let join = |arm: &[f64; NU], pendulum: &[f64; N_UNACTUATED]| {
-            JointVector::from_fn(|i, _| if i < NU { residual * arm[i] } else { pendulum[i - NU] })
-        };
+        let join = |arm: &ActuatedVector, pendulum| JointVector::joined(&(arm * residual), pendulum);
         Self {
             viscous: join(&settings.arm_viscous, &settings.pendulum_viscous),
             coulomb: join(&settings.arm_coulomb, &settings.pendulum_coulomb),
@@ -185,9 +170,9 @@ impl Friction {
         }
     }
 
-    /// Friction torque at velocities qd (rad/s), N m, with the sign of the velocity: it acts as -torque.
+    /// Friction at velocities qd (rad/s or m/s), N m or N, with the sign of the velocity: it acts as -torque.
     fn torque(&self, qd: &JointVector) -> JointVector {
-        JointVector::from_fn(|i, _| {
+        JointVector::from_fn(qd.sizes(), |i| {
             let viscous = self.viscous[i] * qd[i];
             // No tanh where the Coulomb torque is fully compensated or 0.
             if self.coulomb[i] == 0.0 {

@@ -1,18 +1,19 @@
 //! The simulated plant: its state, and its step of one control period.
 
-use crate::drives::Drives;
+use crate::drives::{DriveCommand, Drives};
 use crate::encoders::Encoders;
-use crate::faults::{Faults, SetEventError, check_room};
+use crate::faults::{Faults, Reading, SetEventError, check_room};
 use crate::mechanism::{ExternalLoad, Mechanism, TipForce};
 use crate::start::{StateError, check_state};
 use upswing_config::{Config, Fault, Push, RobotSettings};
 use upswing_ipc::{Clock, Command, Measurement};
-use upswing_model::{ActuatedVector, JointVector, Model, NU, Period, StateParts};
+use upswing_model::{ActuatedVector, JointVector, Model, Order, Period};
 
-/// Simulated robot arm and pendulum with drives, encoders, brakes and faults.
+/// Simulated robot with drives, encoders, brakes and faults.
 ///
 /// While the brakes are released the state obeys M(q) qdd + C(q, qd) qd + g(q) = tau - friction + stops + external load (1).
-/// Brakes that hold decelerate the arm by u = qdd_A = -qd_A / time constant; the pendulum then obeys (3a), less its friction.
+/// Brakes that hold decelerate the actuated joints by u = qdd_A = -qd_A / time constant; the unactuated ones then obey (3a), less
+/// their friction.
 /// Torques are constant over a control period, which the classical Runge-Kutta method integrates in `substeps` steps.
 ///
 /// Equal settings, commands and calls give bit-equal states: there is no clock and no I/O, noise depends on its seed alone.
@@ -38,7 +39,7 @@ impl Plant {
         urdf.with_scaled_masses(differences.arm_mass_scale, differences.pendulum_mass_scale)
             .with_scaled_rod_length(differences.pendulum_length_scale)
             .with_payload(differences.payload, differences.payload_position.into())
-            .with_rotors(differences.rotor_inertia)
+            .with_rotors(&differences.rotor_inertia)
     }
 
     /// A plant at rest in the start pose of the settings, with closed brakes, before cycle 1.
@@ -52,20 +53,21 @@ impl Plant {
         Self::at(config, &x.q(), &x.qd())
     }
 
-    /// A plant in a given state (q in rad, qd in rad/s, joint frames), with closed brakes, before cycle 1.
+    /// A plant in a given state (q in rad or m, qd in rad/s or m/s, joint frames), with closed brakes, before cycle 1.
     ///
     /// # Errors
     /// [`StateError`] with the first joint that is not a number or outside its limits.
     pub fn at(config: &Config, q: &JointVector, qd: &JointVector) -> Result<Self, StateError> {
-        check_state(&config.robot, q, qd)?;
+        let model = Self::model(config);
+        check_state(&model, &config.robot, q, qd)?;
         let settings = &config.plant;
         let period = config.daemon.cycle.period;
         let mut plant = Self {
             robot: config.robot.clone(),
-            mechanism: Mechanism::new(config, Self::model(config), q, qd),
+            mechanism: Mechanism::new(config, model, q, qd),
             drives: Drives::new(&settings.drive, &config.robot.limits.tau_max, period),
             encoders: Encoders::new(&settings.encoder),
-            faults: Faults::new(&settings.faults),
+            faults: Faults::new(&settings.faults, q.sizes()),
             pushes: settings.pushes.clone(),
             period,
             seq: 1,
@@ -74,7 +76,7 @@ impl Plant {
         Ok(plant)
     }
 
-    /// Puts the plant into a given state (q in rad, qd in rad/s, joint frames), and clears a drive fault and the peaks of the
+    /// Puts the plant into a given state (q in rad or m, qd in rad/s or m/s, joint frames), and clears a drive fault and the peaks of the
     /// torques. Cycle numbers continue. The closed brakes stop an arm that moves.
     ///
     /// # Errors
@@ -83,7 +85,7 @@ impl Plant {
         if !self.brakes_closed() {
             return Err(StateError::BrakesReleased);
         }
-        check_state(&self.robot, q, qd)?;
+        check_state(&self.mechanism.model, &self.robot, q, qd)?;
         (self.mechanism.q, self.mechanism.qd) = (*q, *qd);
         self.drives.reset();
         self.sense();
@@ -97,23 +99,34 @@ impl Plant {
     /// still moves, and under a drive fault). The time is simulated, `seq` * period, the clock `lockstep`. Under a
     /// fault of the transmission it may be an earlier measurement, or that of the last cycle again: see its `seq`.
     pub fn measure(&self) -> Measurement {
-        self.faults.show(self.seq)
+        let Reading { seq, t_ns, q, tau, status } = self.faults.show(self.seq);
+        Measurement {
+            seq,
+            t_ns,
+            status,
+            clock: Clock::Lockstep.code(),
+            period_ns: self.period.nanos(),
+            ..Measurement::new(self.order(), &q, &tau)
+        }
     }
 
     /// Advances the plant by one control period under `command`; `None` if the daemon sent no new command.
     ///
     /// The drives follow the newest command until none has arrived for `drive.watchdog_cycles`: then, and before the first
     /// command, the brakes are closed. The drives limit each torque to 100 % of its limit and report that. A torque that is
-    /// not a number is a drive fault, which closes the brakes until a command closes them, too. Number and age of the
-    /// command are not checked.
+    /// not a number, or a command for another chain, is a drive fault, which closes the brakes until a command closes them, too.
+    /// Number and age of the command are not checked.
     pub fn step(&mut self, command: Option<&Command>) {
         let command = command.filter(|_| !self.faults.loses_command(self.seq));
         self.faults.end(self.seq);
+        let sizes = self.order().sizes();
+        let command = command
+            .map(|command| DriveCommand { tau: command.torque(sizes).ok(), brake: command.brake != 0 });
         let actuation = self.drives.step(self.seq, command);
         let external = self.external_load();
         if self.mechanism.advance(&actuation, &external).is_none() {
             // The integration diverged: the last finite state stays, at rest.
-            self.mechanism.qd = JointVector::zeros();
+            self.mechanism.qd = JointVector::zeros(self.mechanism.qd.sizes());
             self.drives.fail();
         }
         self.seq = self.seq.saturating_add(1);
@@ -161,12 +174,17 @@ impl Plant {
         self.period.nanos_of(self.seq)
     }
 
-    /// True joint positions q, joint frames, rad.
+    /// The index sets A and U of the chain.
+    pub fn order(&self) -> &Order {
+        self.mechanism.model.order()
+    }
+
+    /// True joint positions q, joint frames, rad or m.
     pub fn position(&self) -> &JointVector {
         &self.mechanism.q
     }
 
-    /// True joint velocities qd, joint frames, rad/s.
+    /// True joint velocities qd, joint frames, rad/s or m/s.
     pub fn velocity(&self) -> &JointVector {
         &self.mechanism.qd
     }
@@ -181,7 +199,7 @@ impl Plant {
         self.drives.fault()
     }
 
-    /// Largest magnitude of each drive's torque since the start or the last reset, N m.
+    /// Largest magnitude of each drive's torque or force since the start or the last reset, N m or N.
     pub fn tau_peak(&self) -> &ActuatedVector {
         self.drives.tau_peak()
     }
@@ -200,20 +218,16 @@ impl Plant {
         } else {
             None
         };
-        let tau: [f64; NU] =
-            load.as_ref().map_or(*self.drives.tau(), |load| self.drives.sensed_load(load)).into();
-        self.faults.measured(Measurement {
+        self.faults.measured(Reading {
             seq: self.seq,
             t_ns: self.time_ns(),
             q: self.encoders.read(&self.mechanism.q),
-            tau_measured: tau,
+            tau: load.as_ref().map_or(*self.drives.tau(), |load| self.drives.sensed_load(load)),
             status: bit(self.brakes_closed(), Measurement::BRAKES_CLOSED)
                 | bit(self.drives.ready(), Measurement::DRIVES_READY)
                 | bit(self.drives.saturated(), Measurement::SATURATED)
                 | bit(self.drive_fault(), Measurement::DRIVE_FAULT)
                 | bit(load.is_some(), Measurement::LOAD_SENSED),
-            clock: Clock::Lockstep.code(),
-            period_ns: self.period.nanos(),
         });
     }
 

@@ -4,10 +4,10 @@ use crate::{Plant, SetEventError, StateError};
 use tracing::warn;
 use upswing_config::{Fault, FaultKind, Push};
 use upswing_ipc::{
-    GrantError, IpcError, Node, PlantKind, PlantPacing, PlantRequest, PlantResponse, Server, Text,
-    UnknownCode,
+    GrantError, IpcError, Node, OtherChain, PlantKind, PlantPacing, PlantRequest, PlantResponse, Server,
+    Text, UnknownCode,
 };
-use upswing_model::JointVector;
+use upswing_model::State;
 
 /// The server of the `plant` service.
 pub(crate) struct RequestServer {
@@ -44,6 +44,9 @@ enum PlantRequestError {
     /// The kind of the request does not exist.
     #[error(transparent)]
     UnknownKind(#[from] UnknownCode),
+    /// The requested state is that of another chain.
+    #[error(transparent)]
+    OtherChain(#[from] OtherChain),
     /// The plant cannot be put into the requested state.
     #[error(transparent)]
     State(#[from] StateError),
@@ -66,11 +69,9 @@ fn answer(plant: &mut Plant, pacing: &mut PlantPacing, request: &PlantRequest) -
     PlantResponse {
         accepted: outcome.is_ok().into(),
         seq: plant.completed(),
-        q: (*plant.position()).into(),
-        qd: (*plant.velocity()).into(),
         brakes_closed: plant.brakes_closed().into(),
-        tau_peak: (*plant.tau_peak()).into(),
         reason: outcome.map_or_else(|e| Text::new(&e.to_string()), |()| Text::default()),
+        ..PlantResponse::new(plant.order(), &State::new(plant.position(), plant.velocity()), plant.tau_peak())
     }
 }
 
@@ -83,7 +84,8 @@ fn execute(
     match request.kind()? {
         PlantKind::Status => {}
         PlantKind::ResetState => {
-            plant.reset(&JointVector::from(request.q), &JointVector::from(request.qd))?;
+            let x = request.state(plant.order())?;
+            plant.reset(&x.q(), &x.qd())?;
         }
         PlantKind::AdvanceTo => pacing.grant(request.seq)?,
         PlantKind::SetFault => set_fault(plant, first_cycle(next, request)?, request)?,
@@ -103,6 +105,8 @@ fn set_fault(plant: &mut Plant, from: u64, request: &PlantRequest) -> Result<(),
     };
     // Kinds of faults without a joint come with joint 0, which becomes an invalid index.
     let joint = usize::try_from(request.joint).unwrap_or(usize::MAX).wrapping_sub(1);
+    let order = plant.order();
+    let joint = if joint < order.sizes().joints() { order.coordinate(joint) } else { joint };
     let (cycles, amount) = (request.cycles, request.amount);
     let fault = Fault { kind, from, cycles, joint, amount };
     Ok(plant.set_fault(&fault)?)

@@ -3,9 +3,8 @@
 mod common;
 
 use allocation_counter::measure;
-use common::{settings, torque};
+use common::{brake, equal_torques, settings};
 use upswing_config::{Fault, FaultKind, Push};
-use upswing_ipc::Command;
 use upswing_plant::Plant;
 
 #[test]
@@ -20,11 +19,11 @@ fn no_kind_of_cycle_uses_the_heap() {
     let mut plant = Plant::new(&config).unwrap();
     let (q, qd) = (*plant.position(), *plant.velocity());
     let commands = [
-        Some(torque([1.0; _])),
-        Some(torque([1e3; _])),
+        Some(equal_torques(1.0)),
+        Some(equal_torques(1e3)),
         None,
-        Some(torque([f64::NAN; _])),
-        Some(Command { brake: 1, ..Command::default() }),
+        Some(equal_torques(f64::NAN)),
+        Some(brake()),
     ];
     let heap = measure(|| {
         for command in commands.iter().cycle().take(100) {

@@ -3,12 +3,12 @@
 
 mod common;
 
-use common::settings;
+use common::{brake, settings, sizes};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 use upswing_config::{Fault, FaultKind, Push};
 use upswing_ipc::Command;
-use upswing_model::NU;
+use upswing_model::ActuatedVector;
 use upswing_plant::Plant;
 
 #[derive(Clone, Debug)]
@@ -22,11 +22,14 @@ enum Event {
 
 fn command() -> impl Strategy<Value = Option<Command>> {
     let number = prop_oneof![8 => -400.0..400.0, 1 => Just(f64::NAN), 1 => any::<f64>()];
-    let command = (prop::array::uniform7(number), 0_u64..3).prop_map(|(tau, brake)| Command {
-        tau,
-        brake: brake / 2,
-        ..Command::default()
-    });
+    // A command in five is for another chain.
+    let command = (prop::collection::vec(number, sizes().actuated()), 0_u64..3, 0_u64..5).prop_map(
+        |(tau, brake, other)| Command {
+            brake: brake / 2,
+            joints: 9 + u64::from(other == 0),
+            ..torque(&ActuatedVector::from_slice(sizes(), &tau).unwrap())
+        },
+    );
     prop::option::weighted(0.9, command)
 }
 
@@ -63,7 +66,7 @@ fn run(scenario: &str, events: &[Event]) -> Vec<u64> {
                     let state = || plant.position().iter().chain(plant.velocity().iter());
                     assert!(state().all(|v| v.is_finite()));
                     assert!(measured.seq <= plant.seq(), "nothing is measured before its time");
-                    for i in 0..NU {
+                    for i in 0..sizes().actuated() {
                         assert!(measured.tau_measured[i].abs() <= limits.tau_max[i]);
                     }
                     seen.extend(state().chain(&measured.q).map(|v| v.to_bits()));

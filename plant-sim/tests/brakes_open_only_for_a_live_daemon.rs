@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{Answerer, Peer, PlantProcess, wait_for};
+use common::{Answerer, Peer, PlantProcess, equal_torques, wait_for};
 use upswing_ipc::{Clock, Command, Measurement, TempDomain};
 
 fn brakes_closed(measurement: &Measurement) -> bool {
@@ -81,8 +81,8 @@ fn commands_that_answer_nothing_do_not_count() {
     for seq in 1..2_000 {
         // The first command answers a measurement that does not exist; the second has a number that is not new.
         let measurement_seq = if seq % 2 == 0 { 0 } else { u64::MAX };
-        commands.write(Command { seq, measurement_seq, ..Command::default() });
-        commands.write(Command { seq: 0, measurement_seq: measurements.read().seq, ..Command::default() });
+        commands.write(Command { seq, measurement_seq, ..equal_torques(0.0) });
+        commands.write(Command { seq: 0, measurement_seq: measurements.read().seq, ..equal_torques(0.0) });
         std::thread::yield_now();
         worst |= !measurements.read().status & Measurement::BRAKES_CLOSED;
     }

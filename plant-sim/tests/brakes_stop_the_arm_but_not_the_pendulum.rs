@@ -2,29 +2,29 @@
 
 mod common;
 
-use common::{frictionless, level_pose, settings, torque};
-use upswing_ipc::Command;
-use upswing_model::{JointVector, NU, Period};
+use common::{at_rest, brake, equal_torques, frictionless, level_pose, settings, sizes};
+use upswing_model::{ActuatedVector, JointVector, Period, Workspace};
 use upswing_plant::Plant;
 
 #[test]
 fn the_arm_stops_with_its_time_constant_and_the_pendulum_swings_on() {
     let config = settings();
-    let qd = JointVector::from_fn(|i, _| if i < NU { 0.1 * (i as f64 + 1.0) } else { 0.0 });
+    let mut qd = at_rest();
+    qd.actuated_mut().copy_from_slice(&ActuatedVector::from_fn(sizes(), |i| 0.1 * (i as f64 + 1.0)));
     let time_constant = config.plant.drive.brake_time_constant;
     let mut plant = Plant::at(&config, &level_pose(), &qd).unwrap();
     for _ in 0..80 {
-        plant.step(Some(&Command { brake: 1, ..Command::default() }));
+        plant.step(Some(&brake()));
     }
     let decay = (-80.0 * 125e-6 / time_constant).exp();
-    for i in 0..NU {
+    for i in 0..sizes().actuated() {
         assert!((plant.velocity()[i] - qd[i] * decay).abs() < 1e-9, "joint {}", i + 1);
     }
     for _ in 0..1_200 {
         plant.step(None);
     }
     let stopped = *plant.position();
-    for i in 0..NU {
+    for i in 0..sizes().actuated() {
         assert_eq!(plant.velocity()[i], 0.0);
         let way = stopped[i] - level_pose()[i];
         assert!((way - qd[i] * time_constant).abs() < 1e-6, "joint {}: {way} rad", i + 1);
@@ -35,11 +35,7 @@ fn the_arm_stops_with_its_time_constant_and_the_pendulum_swings_on() {
         swing = swing.max(plant.velocity()[7].abs());
     }
     assert!(swing > 0.1, "the stop has set the pendulum in motion: {swing} rad/s");
-    assert_eq!(
-        plant.position().fixed_rows::<NU>(0),
-        stopped.fixed_rows::<NU>(0),
-        "and the arm stays exactly"
-    );
+    assert_eq!(plant.position().actuated(), stopped.actuated(), "and the arm stays exactly");
 }
 
 #[test]
@@ -63,25 +59,23 @@ fn friction_is_the_torque_that_the_settings_state() {
         let period = Period::from_micros(2);
         with.daemon.cycle.period = period;
         without.daemon.cycle.period = period;
-        let qd = JointVector::from_fn(|i, _| if i % 2 == 0 { 0.3 } else { -0.2 });
-        let mut expected = JointVector::zeros();
+        let qd = JointVector::from_fn(sizes(), |i| if i % 2 == 0 { 0.3 } else { -0.2 });
         let f = &with.plant.friction;
-        for i in 0..9 {
-            let (viscous, coulomb, felt) = if i < NU {
-                (f.arm_viscous[i], f.arm_coulomb[i], 1.0 - compensation)
-            } else {
-                (f.pendulum_viscous[i - NU], f.pendulum_coulomb[i - NU], 1.0)
-            };
-            expected[i] = -felt * (viscous * qd[i] + coulomb * (qd[i] / f.coulomb_smoothing).tanh());
-        }
+        let felt =
+            |arm: &ActuatedVector, pendulum| JointVector::joined(&(arm * (1.0 - compensation)), pendulum);
+        let viscous = felt(&f.arm_viscous, &f.pendulum_viscous);
+        let coulomb = felt(&f.arm_coulomb, &f.pendulum_coulomb);
+        let expected = JointVector::from_fn(sizes(), |i| {
+            -(viscous[i] * qd[i] + coulomb[i] * (qd[i] / f.coulomb_smoothing).tanh())
+        });
         let next = |config| {
             let mut plant = Plant::at(config, &level_pose(), &qd).unwrap();
-            plant.step(Some(&torque([0.0; NU])));
+            plant.step(Some(&equal_torques(0.0)));
             *plant.velocity()
         };
-        let mass = with.model.mass_matrix(&level_pose(), &mut upswing_model::Workspace::default());
-        let got = mass * (next(&with) - next(&without)) / period.seconds();
-        for i in 0..9 {
+        let mass = with.model.mass_matrix(&level_pose(), &mut Workspace::default());
+        let got = &mass * &((next(&with) - next(&without)) / period.seconds());
+        for i in 0..sizes().joints() {
             let tolerance = 0.02 * expected[i].abs() + 1e-4;
             assert!(
                 (got[i] - expected[i]).abs() < tolerance,
@@ -99,7 +93,7 @@ fn braked_friction_takes_energy_from_the_pendulum_only() {
     let config = settings();
     let mut q = level_pose();
     q[7] = 0.5;
-    let mut plant = Plant::at(&config, &q, &JointVector::zeros()).unwrap();
+    let mut plant = Plant::at(&config, &q, &at_rest()).unwrap();
     let mut last = common::energy(&config.model, &plant);
     for _ in 0..10 {
         for _ in 0..100 {

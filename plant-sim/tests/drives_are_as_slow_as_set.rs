@@ -3,17 +3,14 @@
 
 mod common;
 
-use common::{frictionless, level_pose, settings, torque};
+use common::{at_rest, brake, equal_torques, frictionless, level_pose, measured_torque, settings, torque};
 use upswing_config::Config;
-use upswing_ipc::{Command, Measurement};
-use upswing_model::{JointVector, NU};
+use upswing_ipc::Measurement;
 use upswing_plant::Plant;
 
 fn plant(config: &Config) -> Plant {
-    Plant::at(config, &level_pose(), &JointVector::zeros()).unwrap()
+    Plant::at(config, &level_pose(), &at_rest()).unwrap()
 }
-
-const BRAKE: Command = Command { seq: 0, t_ns: 0, measurement_seq: 0, tau: [0.0; NU], brake: 1 };
 
 #[test]
 fn a_command_acts_after_its_delay() {
@@ -22,7 +19,7 @@ fn a_command_acts_after_its_delay() {
         config.plant.drive.command_delay = delay;
         let mut plant = plant(&config);
         for k in 0..150_u32 {
-            plant.step(Some(&torque([f64::from(k); NU])));
+            plant.step(Some(&equal_torques(f64::from(k))));
             let measured = plant.measure();
             assert_eq!(plant.brakes_closed(), k < delay, "delay {delay}, cycle {k}");
             if k >= delay {
@@ -39,10 +36,10 @@ fn the_torque_approaches_its_command_exponentially() {
     config.plant.drive.torque_lag = 0.001;
     let mut plant = plant(&config);
     // With closed brakes the torque loop settles, so that the first torque acts without lag.
-    plant.step(Some(&torque([2.0; NU])));
-    assert_eq!(plant.measure().tau_measured, [2.0; NU]);
+    plant.step(Some(&equal_torques(2.0)));
+    assert!(measured_torque(&plant).iter().all(|tau| *tau == 2.0));
     for k in 1..80 {
-        plant.step(Some(&torque([10.0; NU])));
+        plant.step(Some(&equal_torques(10.0)));
         let expected = 10.0 - 8.0 * (-f64::from(k) * 125e-6 / 1e-3).exp();
         let got = plant.measure().tau_measured[3];
         assert!((got - expected).abs() < 1e-12, "cycle {k}: {got} N m, expected {expected}");
@@ -59,19 +56,19 @@ fn closed_brakes_show_their_load_less_the_offset_while_the_arm_stands() {
     let sensed = |plant: &Plant| plant.measure().status & Measurement::LOAD_SENSED != 0;
     for _ in 0..10 {
         let shown = plant.measure().tau_measured;
-        for i in 0..NU {
+        for i in 0..sizes().actuated() {
             let error = shown[i] - (load[i] - offset[i]);
             assert!(sensed(&plant) && error.abs() < 1e-3, "joint {}: {error} N m", i + 1);
         }
-        plant.step(Some(&BRAKE));
+        plant.step(Some(&brake()));
     }
-    plant.step(Some(&torque([1.0; NU])));
+    plant.step(Some(&equal_torques(1.0)));
     assert!(!sensed(&plant), "brakes are open");
-    plant.step(Some(&BRAKE));
+    plant.step(Some(&brake()));
     assert!(plant.brakes_closed() && !sensed(&plant), "the arm still moves");
-    assert_eq!(plant.measure().tau_measured, [0.0; NU]);
+    assert!(measured_torque(&plant).iter().all(|tau| *tau == 0.0));
     for _ in 0..8000 {
-        plant.step(Some(&BRAKE));
+        plant.step(Some(&brake()));
     }
     assert!(sensed(&plant), "it stands");
 }
@@ -84,10 +81,10 @@ fn an_offset_moves_the_arm_but_not_the_sensor() {
     config.plant.drive.torque_offset = offset;
     let mut with = plant(&config);
     for _ in 0..100 {
-        with.step(Some(&torque([1.0; NU])));
+        with.step(Some(&equal_torques(1.0)));
         without.step(Some(&torque(offset.map(|offset| 1.0 + offset))));
         assert_eq!(with.position(), without.position());
-        assert_eq!(with.measure().tau_measured, [1.0; NU]);
+        assert!(measured_torque(&with).iter().all(|tau| *tau == 1.0));
     }
 }
 
@@ -97,16 +94,16 @@ fn silence_closes_the_brakes_after_the_watchdogs_time() {
     let cycles = config.plant.drive.watchdog_cycles;
     let (mut silent, mut twin) = (plant(&config), plant(&config));
     for round in 0..3 {
-        silent.step(Some(&torque([3.0; NU])));
-        twin.step(Some(&torque([3.0; NU])));
+        silent.step(Some(&equal_torques(3.0)));
+        twin.step(Some(&equal_torques(3.0)));
         for k in 1..cycles {
             silent.step(None);
-            twin.step(Some(&torque([3.0; NU])));
+            twin.step(Some(&equal_torques(3.0)));
             assert!(!silent.brakes_closed(), "round {round}, silent for {k}");
             assert_eq!(silent.position(), twin.position(), "the last command stays in force");
         }
         silent.step(None);
-        twin.step(Some(&BRAKE));
+        twin.step(Some(&brake()));
         assert!(silent.brakes_closed(), "round {round}");
         assert_eq!(silent.position(), twin.position());
     }
@@ -118,20 +115,20 @@ fn brakes_hold_after_their_time_and_the_arm_is_free_until_then() {
     config.plant.drive.brake_engage = 0.01;
     let (mut late, mut free) = (plant(&config), plant(&config));
     for plant in [&mut late, &mut free] {
-        plant.step(Some(&torque([0.0; NU])));
+        plant.step(Some(&equal_torques(0.0)));
     }
     for k in 0..80 {
-        late.step(Some(&BRAKE));
-        free.step(Some(&torque([0.0; NU])));
+        late.step(Some(&brake()));
+        free.step(Some(&equal_torques(0.0)));
         assert_eq!(late.measure().status, Measurement::DRIVES_READY, "cycle {k}: they do not hold yet");
         assert_eq!(late.position(), free.position());
     }
-    let before = late.velocity().fixed_rows::<NU>(0).norm();
+    let before = late.velocity().actuated().norm();
     assert!(before > 0.01, "it falls with {before} rad/s");
-    late.step(Some(&BRAKE));
+    late.step(Some(&brake()));
     assert_eq!(late.measure().status, Measurement::DRIVES_READY | Measurement::BRAKES_CLOSED);
     for _ in 0..800 {
-        late.step(Some(&BRAKE));
+        late.step(Some(&brake()));
     }
-    assert!(late.velocity().fixed_rows::<NU>(0).norm() < 1e-3 * before);
+    assert!(late.velocity().actuated().norm() < 1e-3 * before);
 }

@@ -2,9 +2,9 @@
 
 mod common;
 
-use common::{level_pose, settings};
+use common::{at_rest, level_pose, measured_position, settings, sizes};
 use upswing_config::Config;
-use upswing_model::{JointVector, NQ};
+use upswing_model::JointVector;
 use upswing_plant::Plant;
 
 const CYCLES: usize = 4_000;
@@ -14,19 +14,19 @@ fn noisy(seed: u64) -> Config {
     let encoder = &mut config.plant.encoder;
     // So fine that rounding is negligible.
     (encoder.arm_resolution, encoder.pendulum_resolution) = (1e-9, 1e-9);
-    encoder.noise = std::array::from_fn(|i| 1e-4 * (i as f64 + 1.0));
-    encoder.bias = std::array::from_fn(|i| 0.01 * (i as f64 - 4.0));
+    encoder.noise = JointVector::from_fn(sizes(), |i| 1e-4 * (i as f64 + 1.0));
+    encoder.bias = JointVector::from_fn(sizes(), |i| 0.01 * (i as f64 - 4.0));
     encoder.seed = seed;
     config
 }
 
 /// Errors of all encoders over a run with closed brakes, rad.
-fn errors(config: &Config) -> Vec<[f64; NQ]> {
-    let mut plant = Plant::at(config, &level_pose(), &JointVector::zeros()).unwrap();
+fn errors(config: &Config) -> Vec<JointVector> {
+    let mut plant = Plant::at(config, &level_pose(), &at_rest()).unwrap();
     let run = (0..CYCLES).map(|_| {
-        let measured = plant.measure();
-        assert_eq!(measured.q, plant.measure().q, "measuring again gives the same");
-        let error = std::array::from_fn(|i| measured.q[i] - plant.position()[i]);
+        let measured = measured_position(&plant);
+        assert_eq!(measured, measured_position(&plant), "measuring again gives the same");
+        let error = measured - plant.position();
         plant.step(None);
         error
     });
@@ -39,8 +39,8 @@ fn mean_and_deviation_are_those_of_the_settings() {
     let errors = errors(&config);
     let n = CYCLES as f64;
     let encoder = &config.plant.encoder;
-    let mean: [f64; NQ] = std::array::from_fn(|i| errors.iter().map(|e| e[i]).sum::<f64>() / n);
-    for i in 0..NQ {
+    let mean = JointVector::from_fn(sizes(), |i| errors.iter().map(|e| e[i]).sum::<f64>() / n);
+    for i in 0..sizes().joints() {
         let sigma = encoder.noise[i];
         assert!(
             (mean[i] - encoder.bias[i]).abs() < 5.0 * sigma / n.sqrt(),
@@ -61,9 +61,9 @@ fn mean_and_deviation_are_those_of_the_settings() {
 fn noise_is_white_and_independent_between_joints() {
     let config = noisy(6);
     let (errors, encoder) = (errors(&config), &config.plant.encoder);
-    let unit = |e: &[f64; NQ], i: usize| (e[i] - encoder.bias[i]) / encoder.noise[i];
+    let unit = |e: &JointVector, i: usize| (e[i] - encoder.bias[i]) / encoder.noise[i];
     let tolerance = 5.0 / (CYCLES as f64).sqrt();
-    for i in 0..NQ {
+    for i in 0..sizes().joints() {
         let next: f64 = errors.windows(2).map(|pair| unit(&pair[0], i) * unit(&pair[1], i)).sum();
         assert!((next / CYCLES as f64).abs() < tolerance, "joint {}: from cycle to cycle", i + 1);
         for j in 0..i {
@@ -75,7 +75,12 @@ fn noise_is_white_and_independent_between_joints() {
 
 #[test]
 fn equal_seeds_give_equal_noise_and_others_do_not() {
-    let bits = |seed| errors(&noisy(seed)).into_iter().flatten().map(f64::to_bits).collect::<Vec<_>>();
+    let bits = |seed| {
+        errors(&noisy(seed))
+            .iter()
+            .flat_map(|e| e.iter().map(|v| v.to_bits()).collect::<Vec<_>>())
+            .collect::<Vec<_>>()
+    };
     assert_eq!(bits(1), bits(1));
     assert_ne!(bits(1), bits(2));
 }

@@ -2,9 +2,8 @@
 
 mod common;
 
-use common::{level_pose, settings, torque};
+use common::{at_rest, equal_torques, level_pose, settings, sizes};
 use upswing_ipc::{Clock, Measurement};
-use upswing_model::{JointVector, NQ, NU};
 use upswing_plant::Plant;
 
 #[test]
@@ -12,12 +11,13 @@ fn every_angle_is_on_the_grid_and_nearest() {
     let config = settings();
     let encoder = &config.plant.encoder;
     assert_eq!(encoder.pendulum_resolution, std::f64::consts::TAU / 131_072.0);
-    let mut plant = Plant::at(&config, &level_pose(), &JointVector::zeros()).unwrap();
+    let mut plant = Plant::at(&config, &level_pose(), &at_rest()).unwrap();
     for _ in 0..500 {
-        plant.step(Some(&torque([1.0; NU])));
+        plant.step(Some(&equal_torques(1.0)));
         let measured = plant.measure();
-        for i in 0..NQ {
-            let step = if i < NU { encoder.arm_resolution } else { encoder.pendulum_resolution };
+        for i in 0..sizes().joints() {
+            let step =
+                if i < sizes().actuated() { encoder.arm_resolution } else { encoder.pendulum_resolution };
             let steps = (measured.q[i] / step).round();
             assert_eq!(measured.q[i], steps * step, "joint {} is on the grid", i + 1);
             let error = (measured.q[i] - plant.position()[i]).abs();

@@ -2,8 +2,8 @@
 
 mod common;
 
-use common::{energy, frictionless, level_pose, torque};
-use upswing_model::{JointVector, NU, Period};
+use common::{at_rest, energy, equal_torques, frictionless, level_pose};
+use upswing_model::Period;
 use upswing_plant::Plant;
 
 #[test]
@@ -11,11 +11,11 @@ fn a_pendulum_on_a_braked_arm_keeps_its_energy_for_ten_seconds() {
     let mut config = frictionless();
     // Eight times the real period: at the real period the drift is too small to measure.
     config.daemon.cycle.period = Period::from_micros(1000);
-    let mut plant = Plant::at(&config, &level_pose(), &JointVector::zeros()).unwrap();
+    let mut plant = Plant::at(&config, &level_pose(), &at_rest()).unwrap();
     let at_rest = energy(&config.model, &plant);
     let mut q = level_pose();
     (q[7], q[8]) = (1.2, 0.3);
-    plant.reset(&q, &JointVector::zeros()).unwrap();
+    plant.reset(&q, &at_rest()).unwrap();
     let of_swing = energy(&config.model, &plant) - at_rest;
     assert!(of_swing > 0.3, "a swing of {of_swing} J is none");
 
@@ -30,7 +30,7 @@ fn a_pendulum_on_a_braked_arm_keeps_its_energy_for_ten_seconds() {
     }
     assert!(speed > 5.0, "the pendulum swings: {speed} rad/s");
     assert!(drift < 1e-8, "relative drift {drift:e}");
-    assert_eq!(plant.position().fixed_rows::<NU>(0), level_pose().fixed_rows::<NU>(0), "the arm stood still");
+    assert_eq!(plant.position().actuated(), level_pose().actuated(), "the arm stood still");
 }
 
 #[test]
@@ -40,11 +40,11 @@ fn the_whole_robot_keeps_its_energy_in_ten_seconds_of_free_fall() {
     config.plant.integrator.substeps = 2;
     let mut q = level_pose();
     (q[1], q[5], q[7]) = (0.4, 0.3, 1.0);
-    let mut plant = Plant::at(&config, &q, &JointVector::zeros()).unwrap();
+    let mut plant = Plant::at(&config, &q, &at_rest()).unwrap();
     let before = energy(&config.model, &plant);
     let (mut drift, mut kinetic): (f64, f64) = (0.0, 0.0);
     for _ in 0..80_000 {
-        plant.step(Some(&torque([0.0; NU])));
+        plant.step(Some(&equal_torques(0.0)));
         if plant.seq().is_multiple_of(16) {
             drift = drift.max((energy(&config.model, &plant) - before).abs());
             kinetic = kinetic.max(before - config.model.potential_energy(plant.position()));

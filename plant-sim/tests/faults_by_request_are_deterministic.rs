@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{Answerer, Peer, PlantProcess, settings, torque, wait_for};
+use common::{Answerer, Peer, PlantProcess, equal_torques, settings, wait_for};
 use upswing_config::{Config, Fault, FaultKind, Push};
 use upswing_ipc::{PlantKind, PlantRequest, TempDomain};
 use upswing_plant::Plant;
@@ -19,7 +19,7 @@ fn twin(config: &Config, disturb: impl Fn(&mut Plant)) -> Plant {
             disturb(&mut plant);
         }
         let shown = plant.measure().seq;
-        let command = (shown != answered).then(|| torque([0.0; _]));
+        let command = (shown != answered).then(|| equal_torques(0.0));
         answered = shown;
         plant.step(command.as_ref());
     }
@@ -38,8 +38,8 @@ fn conforms(options: &[&str], config: &Config, request: PlantRequest, twin: &Pla
     peer.advance_to(END);
     daemon.answer_until("the last cycle", || peer.status().seq == END);
     let status = wait_for("the pause", || Some(peer.status()).filter(|s| s.seq == END));
-    let expected: ([f64; 9], [f64; 9]) = ((*twin.position()).into(), (*twin.velocity()).into());
-    assert_eq!((status.q, status.qd), expected, "{what}");
+    let (x, _) = status.vectors(twin.order()).unwrap();
+    assert_eq!((x.q(), x.qd()), (*twin.position(), *twin.velocity()), "{what}");
     assert_eq!(status.brakes_closed == 1, twin.brakes_closed(), "{what}");
     assert_eq!(config.plant.drive.watchdog_cycles, 20, "faults below are longer than that");
 }

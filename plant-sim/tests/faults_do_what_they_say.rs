@@ -2,10 +2,10 @@
 
 mod common;
 
-use common::{level_pose, settings, torque};
+use common::{at_rest, equal_torques, level_pose, settings, sizes, torque};
 use upswing_config::{EventError, Fault, FaultKind, MAX_DELAY, Push};
 use upswing_ipc::Measurement;
-use upswing_model::{JointVector, NU};
+use upswing_model::{ActuatedVector, JointVector};
 use upswing_plant::{Plant, SetEventError};
 
 const FROM: u64 = 100;
@@ -16,11 +16,12 @@ const END: u64 = 140;
 fn measurements(faults: impl IntoIterator<Item = Fault>) -> Vec<Measurement> {
     let mut config = settings();
     config.plant.faults.extend(faults);
-    let mut plant = Plant::at(&config, &level_pose(), &JointVector::from_fn(|i, _| 0.1 * i as f64)).unwrap();
+    let mut plant =
+        Plant::at(&config, &level_pose(), &JointVector::from_fn(sizes(), |i| 0.1 * i as f64)).unwrap();
     let mut seen = vec![Measurement::default()];
     while plant.seq() <= END {
         seen.push(plant.measure());
-        plant.step(Some(&torque([plant.seq() as f64 / 10.0; NU])));
+        plant.step(Some(&equal_torques(plant.seq() as f64 / 10.0)));
     }
     seen
 }
@@ -61,8 +62,9 @@ fn a_torque_from_outside_acts_as_one_of_the_drives() {
     let moved = |faults: &[Fault], tau: f64| {
         let mut config = settings();
         config.plant.faults.extend(faults);
-        let mut plant = Plant::at(&config, &level_pose(), &JointVector::zeros()).unwrap();
-        let command = |tau: f64| torque(std::array::from_fn(|i| if i == 3 { tau } else { 0.0 }));
+        let mut plant = Plant::at(&config, &level_pose(), &at_rest()).unwrap();
+        let command =
+            |tau: f64| torque(&ActuatedVector::from_fn(sizes(), |i| if i == 3 { tau } else { 0.0 }));
         while plant.seq() <= END {
             let during = (FROM..FROM + CYCLES).contains(&plant.seq());
             plant.step(Some(&command(if during { tau } else { 0.0 })));
@@ -71,7 +73,7 @@ fn a_torque_from_outside_acts_as_one_of_the_drives() {
     };
     let push = Fault { joint: 3, amount: 20.0, ..Fault::new(FaultKind::ArmTorque, FROM, CYCLES) };
     let ((pushed, shown), (driven, _), (free, _)) = (moved(&[push], 0.0), moved(&[], 20.0), moved(&[], 0.0));
-    assert!((driven - free).amax() > 1e-5 && (pushed - driven).amax() < 1e-12, "{}", pushed - driven);
+    assert!((driven - free).amax() > 1e-5 && (pushed - driven).amax() < 1e-12, "{:?}", pushed - driven);
     assert_eq!(shown, 0.0, "no drive gives it");
     let half = Fault { amount: 10.0, ..push };
     assert!((moved(&[half, half], 0.0).0 - driven).amax() < 1e-12, "two add up");
@@ -95,7 +97,7 @@ fn a_stale_time_stays() {
 
 #[test]
 fn one_encoder_is_stuck_jumps_or_dies_and_the_others_do_not() {
-    for joint in 0..9 {
+    for joint in 0..sizes().joints() {
         let (pairs, first) = corrupted(FaultKind::EncoderStuck, joint, 0.0);
         for (seen, mut truth) in pairs {
             truth.q[joint] = first.q[joint];
@@ -131,7 +133,7 @@ fn an_encoder_is_as_broken_in_an_old_measurement_whichever_broke_first() {
     }
     // The same for faults that are set in a run.
     for faults in [[late, jump], [jump, late]] {
-        let mut plant = Plant::at(&settings(), &level_pose(), &JointVector::zeros()).unwrap();
+        let mut plant = Plant::at(&settings(), &level_pose(), &at_rest()).unwrap();
         for fault in faults {
             plant.set_fault(&Fault { from: 1, ..fault }).unwrap();
         }
@@ -146,11 +148,11 @@ fn an_encoder_is_as_broken_in_an_old_measurement_whichever_broke_first() {
 fn lost_commands_leave_the_last_one_in_force_until_the_watchdog_closes_the_brakes() {
     let mut config = settings();
     config.plant.faults.push(Fault::new(FaultKind::LoseCommand, FROM, 30));
-    let mut plant = Plant::at(&config, &level_pose(), &JointVector::zeros()).unwrap();
+    let mut plant = Plant::at(&config, &level_pose(), &at_rest()).unwrap();
     let watchdog = u64::from(config.plant.drive.watchdog_cycles);
     while plant.seq() <= END {
         let seq = plant.seq();
-        plant.step(Some(&torque([seq as f64; NU])));
+        plant.step(Some(&equal_torques(seq as f64)));
         let lost = (FROM..FROM + 30).contains(&seq);
         let braked = lost && seq - FROM + 1 >= watchdog;
         assert_eq!(plant.brakes_closed(), braked, "cycle {seq}");
@@ -162,8 +164,8 @@ fn lost_commands_leave_the_last_one_in_force_until_the_watchdog_closes_the_brake
 
 #[test]
 fn a_fault_set_in_a_run_begins_with_the_next_measurement() {
-    let mut plant = Plant::at(&settings(), &level_pose(), &JointVector::zeros()).unwrap();
-    for _ in 0..9 {
+    let mut plant = Plant::at(&settings(), &level_pose(), &at_rest()).unwrap();
+    for _ in 0..sizes().joints() {
         plant.step(None);
     }
     let before = plant.measure();
@@ -181,7 +183,7 @@ fn a_fault_set_in_a_run_begins_with_the_next_measurement() {
 
 #[test]
 fn what_cannot_be_is_refused_and_changes_nothing() {
-    let mut plant = Plant::at(&settings(), &level_pose(), &JointVector::zeros()).unwrap();
+    let mut plant = Plant::at(&settings(), &level_pose(), &at_rest()).unwrap();
     plant.step(None);
     let fault = Fault::new(FaultKind::EncoderStuck, 2, 0);
     let delay = |amount| Fault { amount, ..Fault::new(FaultKind::DelayMeasurement, 2, 0) };

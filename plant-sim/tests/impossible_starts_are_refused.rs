@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::settings;
+use common::{at_rest, settings};
 use std::process::{Command as Process, Output};
 use upswing_config::PendulumStart;
 use upswing_ipc::TempDomain;
@@ -14,7 +14,7 @@ fn a_plant_starts_at_rest_or_at_zero() {
     let mut config = settings();
     let at_rest = Plant::new(&config).unwrap();
     // The pitch q2 - q4 + q6 of the shipped start pose is 90 deg: both are the same equilibrium.
-    assert!(at_rest.position().rows(7, 2).amax() < 1e-9);
+    assert!(at_rest.position().unactuated().amax() < 1e-9);
     config.plant.start.q[5] += 0.2;
     let tilted = Plant::new(&config).unwrap();
     assert!((tilted.position()[8] - 0.2).abs() < 1e-9, "q9 = pitch - 90 deg");
@@ -25,16 +25,16 @@ fn a_plant_starts_at_rest_or_at_zero() {
 #[test]
 fn a_pose_whose_pendulum_rests_beyond_its_limit_is_refused() {
     let mut config = settings();
-    config.plant.start.q = [0.0; _];
+    config.plant.start.q.fill(0.0);
     let refused = Plant::new(&config).unwrap_err();
     assert!(
-        matches!(refused, StateError::Angle(StartError::RestOutsideLimits { joint: 9, .. })),
+        matches!(refused, StateError::Position(StartError::RestOutsideLimits { ref joint, .. }) if joint == "pendulum_2"),
         "{refused}"
     );
     config.plant.start.q[2] = f64::NAN;
     assert!(matches!(
         Plant::new(&config).unwrap_err(),
-        StateError::Angle(StartError::NotFinite { joint: 3, .. })
+        StateError::Position(StartError::NotFinite { joint, .. }) if joint == "joint_3"
     ));
 }
 

@@ -2,24 +2,27 @@
 
 mod common;
 
-use common::{level_pose, settings, torque};
+use common::{level_pose, settings, sizes, torque};
 use upswing_config::Config;
-use upswing_model::{JointVector, NU, Period, State, state};
+use upswing_model::{ActuatedVector, JointVector, Period, State};
 use upswing_plant::Plant;
 
-const TAU: [f64; NU] = [5.0, -60.0, 3.0, 20.0, -1.0, 2.0, 0.2];
+const TAU: [f64; 7] = [5.0, -60.0, 3.0, 20.0, -1.0, 2.0, 0.2];
 
 fn after(config: &Config, brakes: bool, substeps: u32, periods: u32) -> State {
     let mut config = config.clone();
     config.plant.integrator.substeps = substeps;
     let mut q = level_pose();
     (q[7], q[8]) = (0.5, -0.3);
-    let qd = JointVector::from_fn(|i, _| 0.05 * (i as f64 - 4.0));
+    let qd = JointVector::from_fn(sizes(), |i| 0.05 * (i as f64 - 4.0));
     let mut plant = Plant::at(&config, &q, &qd).unwrap();
     for _ in 0..periods {
-        plant.step(if brakes { None } else { Some(torque(TAU)) }.as_ref());
+        plant.step(
+            if brakes { None } else { Some(torque(&ActuatedVector::from_slice(sizes(), &TAU).unwrap())) }
+                .as_ref(),
+        );
     }
-    state(plant.position(), plant.velocity())
+    State::new(plant.position(), plant.velocity())
 }
 
 #[test]
@@ -38,7 +41,7 @@ fn halving_the_step_divides_the_error_by_sixteen() {
     let mut config = settings();
     // Long enough that rounding is negligible. No Coulomb friction: it is too steep for the order of the method.
     config.daemon.cycle.period = Period::from_micros(4000);
-    config.plant.friction.pendulum_coulomb = [0.0; _];
+    config.plant.friction.pendulum_coulomb.fill(0.0);
     config.plant.drive.brake_time_constant = 0.1;
     for brakes in [false, true] {
         let exact = after(&config, brakes, 32, 20);

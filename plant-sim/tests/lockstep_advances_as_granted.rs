@@ -2,10 +2,11 @@
 
 mod common;
 
-use common::{Answerer, Peer, PlantProcess, settings, torque};
+use common::{Answerer, Peer, PlantProcess, equal_torques, settings};
 use std::time::Duration;
 use upswing_config::FaultKind;
 use upswing_ipc::{Clock, Measurement, PlantKind, PlantRequest, TempDomain};
+use upswing_model::State;
 use upswing_plant::Plant;
 
 const LOCKSTEP: &[&str] = &["--clock", "lockstep"];
@@ -26,11 +27,11 @@ fn granted_cycles_are_answered_one_by_one_and_equal_those_in_process() {
         while twin.seq() <= granted {
             let measured = common::wait_for("the next measurement", || daemon.answer());
             assert_eq!(measured, twin.measure(), "no cycle is left out");
-            twin.step(Some(&torque([0.0; _])));
+            twin.step(Some(&equal_torques(0.0)));
         }
         let status = common::wait_for("the pause", || Some(peer.status()).filter(|s| s.seq == granted));
-        assert_eq!(status.q, <[f64; 9]>::from(*twin.position()), "the same state to the last bit");
-        assert_eq!(status.qd, <[f64; 9]>::from(*twin.velocity()));
+        let (x, _) = status.vectors(twin.order()).unwrap();
+        assert_eq!((x.q(), x.qd()), (*twin.position(), *twin.velocity()), "the same state to the last bit");
         assert_eq!(status.brakes_closed, 0);
     }
     let refused = peer.advance_to(149);
@@ -88,10 +89,10 @@ fn a_state_is_set_only_with_closed_brakes() {
     let domain = TempDomain::new("reset").unwrap();
     let _plant = PlantProcess::start(&domain, LOCKSTEP);
     let peer = Peer::join(&domain);
-    let mut request = PlantRequest::new(PlantKind::ResetState);
-    request.q[3] = -1.5;
-    request.q[8] = 0.1;
-    request.qd[7] = 0.5;
+    let order = *settings().model.order();
+    let mut x = State::zeros(order.sizes());
+    (x.q_mut()[3], x.q_mut()[8], x.qd_mut()[7]) = (-1.5, 0.1, 0.5);
+    let request = PlantRequest::reset_state(&order, &x);
     let done = peer.ask(request);
     assert_eq!((done.accepted, done.q, done.qd, done.seq), (1, request.q, request.qd, 0), "{}", done.reason);
 
@@ -99,7 +100,15 @@ fn a_state_is_set_only_with_closed_brakes() {
     bad.q[3] = f64::NAN;
     let refused = peer.ask(bad);
     assert_eq!((refused.accepted, refused.q), (0, request.q));
-    assert!(refused.reason.as_str().unwrap().starts_with("angle of joint 4: "), "{}", refused.reason);
+    assert!(
+        refused.reason.as_str().unwrap().starts_with("position of joint `joint_4`: "),
+        "{}",
+        refused.reason
+    );
+
+    let refused = peer.ask(PlantRequest { actuated: 6, ..request });
+    assert_eq!((refused.accepted, refused.q), (0, request.q));
+    assert!(refused.reason.as_str().unwrap().contains("expected 9 and 7"), "{}", refused.reason);
 
     let mut daemon = Answerer::join(&peer);
     peer.advance_to(1);

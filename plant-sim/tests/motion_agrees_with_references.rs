@@ -2,9 +2,9 @@
 
 mod common;
 
-use common::{frictionless, level_pose, torque};
+use common::{at_rest, frictionless, level_pose, sizes, torque};
 use upswing_config::Config;
-use upswing_model::{JointVector, Model, NU, State, StateParts, Workspace, state};
+use upswing_model::{JointVector, Model, State, Workspace};
 use upswing_plant::Plant;
 
 /// Ratio of the period of a pendulum to that of small swings: 1 / agm(1, cos(amplitude / 2)); amplitude in rad.
@@ -29,7 +29,7 @@ fn small_swing_frequency(model: &Model, joint: usize) -> f64 {
 fn swing_period(config: &Config, joint: usize, amplitude: f64) -> f64 {
     let mut q = level_pose();
     q[joint] = amplitude;
-    let mut plant = Plant::at(config, &q, &JointVector::zeros()).unwrap();
+    let mut plant = Plant::at(config, &q, &at_rest()).unwrap();
     let h = plant.period().seconds();
     let mut falls = Vec::new();
     for k in 0..80_000 {
@@ -75,7 +75,7 @@ fn the_rod_swings_like_a_uniform_rod_of_half_a_metre() {
 /// State derivative of the arm without brakes under joint torques `tau` (N m).
 fn free(model: &Model, x: &State, tau: &JointVector, work: &mut Workspace) -> State {
     let (q, qd) = (x.q(), x.qd());
-    state(&qd, &model.forward_dynamics(&q, &qd, tau, work).unwrap())
+    State::new(&qd, &model.forward_dynamics(&q, &qd, tau, work).unwrap())
 }
 
 /// Gragg's modified midpoint rule with Richardson extrapolation in the square of the step: order 12.
@@ -107,22 +107,22 @@ fn one_second_under_changing_torques_agrees_with_order_twelve() {
     config.plant.integrator.substeps = 2;
     let mut q = level_pose();
     (q[7], q[8]) = (0.5, -0.3);
-    let qd = JointVector::from_fn(|i, _| 0.05 * (i as f64 - 4.0));
+    let qd = JointVector::from_fn(sizes(), |i| 0.05 * (i as f64 - 4.0));
     let mut plant = Plant::at(&config, &q, &qd).unwrap();
-    let mut x = state(&q, &qd);
+    let mut x = State::new(&q, &qd);
     let (h, work) = (plant.period().seconds(), &mut Workspace::default());
     let holding = config.model.gravity_torque(&q, work);
     for k in 0..8_000 {
         let t = f64::from(k) * h;
-        let mut tau = JointVector::zeros();
-        for i in 0..NU {
-            tau[i] = holding[i]
+        let mut tau = at_rest();
+        for (i, tau) in tau.actuated_mut().iter_mut().enumerate() {
+            *tau = holding[i]
                 + 0.1 * (7.0 * t + i as f64).sin() * config.robot.limits.tau_max[i] / (2.0 + i as f64);
         }
-        plant.step(Some(&torque(tau.fixed_rows::<NU>(0).into_owned().into())));
+        plant.step(Some(&torque(&tau.actuated())));
         x = extrapolated(&config.model, &x, &tau, h, work);
     }
-    let (moved, error) = ((x.q() - q).amax(), (state(plant.position(), plant.velocity()) - x).amax());
+    let (moved, error) = ((x.q() - q).amax(), (State::new(plant.position(), plant.velocity()) - x).amax());
     println!("moved by {moved} rad, differs by {error:e} rad or rad/s");
     assert!(moved > 0.3);
     assert!(error < 1e-8, "{error:e} rad or rad/s");

@@ -2,51 +2,84 @@
 #![allow(dead_code)] // each test file uses its own part
 
 use std::process::{Child, Command as Process, Stdio};
+use std::sync::LazyLock;
 use std::time::{Duration, Instant};
 use upswing_config::Config;
 use upswing_ipc::{
     Client, Command, Measurement, Node, PlantKind, PlantRequest, PlantResponse, Reader, TempDomain, Writer,
 };
-use upswing_model::{ActuatedVector, JointVector, Model, NU, Workspace, state};
+use upswing_model::{ActuatedVector, JointVector, Model, Sizes, State, Workspace};
 use upswing_plant::Plant;
 
+static SETTINGS: LazyLock<Config> = LazyLock::new(|| Config::embedded().unwrap());
+
 pub fn settings() -> Config {
-    Config::embedded().unwrap()
+    SETTINGS.clone()
+}
+
+/// Numbers of joints of the robot.
+pub fn sizes() -> Sizes {
+    SETTINGS.model.sizes()
 }
 
 /// The settings without friction and stops.
 pub fn frictionless() -> Config {
     let mut config = settings();
     let friction = &mut config.plant.friction;
-    friction.pendulum_viscous = [0.0; _];
-    friction.pendulum_coulomb = [0.0; _];
+    friction.pendulum_viscous.fill(0.0);
+    friction.pendulum_coulomb.fill(0.0);
     friction.arm_compensation = 1.0;
-    config.plant.stops.stiffness = [0.0; _];
+    config.plant.stops.stiffness.fill(0.0);
     config
+}
+
+/// Velocities of all joints at rest, rad/s.
+pub fn at_rest() -> JointVector {
+    JointVector::zeros(sizes())
 }
 
 /// Arm pose [0, 0, 0, -90, 0, 0, 0] deg, in which the pendulum hangs at q8 = q9 = 0; rad.
 pub fn level_pose() -> JointVector {
-    let mut q = JointVector::zeros();
+    let mut q = at_rest();
     q[3] = -90_f64.to_radians();
     q
 }
 
 /// Command with released brakes and torques `tau`, N m.
-pub fn torque(tau: [f64; NU]) -> Command {
-    Command { tau, brake: 0, ..Command::default() }
+pub fn torque(tau: &ActuatedVector) -> Command {
+    Command::new(tau)
+}
+
+/// Command with released brakes and the same torque on all actuated joints, N m.
+pub fn equal_torques(tau: f64) -> Command {
+    torque(&ActuatedVector::repeat(sizes(), tau))
+}
+
+/// Command that closes the brakes.
+pub fn brake() -> Command {
+    Command { brake: 1, ..equal_torques(0.0) }
+}
+
+/// Measured positions of all joints in the present cycle, rad.
+pub fn measured_position(plant: &Plant) -> JointVector {
+    plant.measure().vectors(plant.order()).unwrap().0
+}
+
+/// Measured torques in the present cycle, N m.
+pub fn measured_torque(plant: &Plant) -> ActuatedVector {
+    plant.measure().vectors(plant.order()).unwrap().1
 }
 
 /// Sum of kinetic and potential energy, J.
 pub fn energy(model: &Model, plant: &Plant) -> f64 {
-    model.energy(&state(plant.position(), plant.velocity()), &mut Workspace::default())
+    model.energy(&State::new(plant.position(), plant.velocity()), &mut Workspace::default())
 }
 
 /// Torque that holds the arm in its present position, N m.
 pub fn holding_torque(model: &Model, plant: &Plant) -> ActuatedVector {
     model.torque(
-        &state(plant.position(), plant.velocity()),
-        &ActuatedVector::zeros(),
+        &State::new(plant.position(), plant.velocity()),
+        &ActuatedVector::zeros(model.sizes()),
         &mut Workspace::default(),
     )
 }
@@ -150,7 +183,7 @@ impl Answerer {
             seq: self.seq,
             t_ns: measurement.t_ns,
             measurement_seq: measurement.seq,
-            ..Command::default()
+            ..equal_torques(0.0)
         });
         Some(measurement)
     }
