@@ -5,6 +5,7 @@ use crate::rule::{BetweenZeroAndOne, MotionTime, Positive, Rule, ShareBelowOne, 
 use serde::{Deserialize, Deserializer};
 use std::time::Duration;
 use upswing_model::{ActuatedVector, JointVector};
+use upswing_trajectory::INTERVALS;
 
 /// Settings of the planner.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -24,6 +25,9 @@ pub struct PlannerSettings {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct OfflineSettings {
+    /// N, number of collocation intervals of every trajectory.
+    #[serde(deserialize_with = "Whole::<{ *INTERVALS.start() as i64 }, { *INTERVALS.end() as i64 }>::read")]
+    pub intervals: usize,
     /// r of R = r I in (6a), s^4/rad^2.
     #[serde(deserialize_with = "Positive::read")]
     pub input_weight: f64,
@@ -96,15 +100,15 @@ pub struct ReplanSettings {
     pub metric: ActuatedVector,
 }
 
-/// Numbers of sub-horizons that divide the intervals of a trajectory evenly.
+/// Numbers of sub-horizons to choose from.
 pub const SUB_HORIZONS: [usize; 5] = [1, 2, 4, 5, 10];
 
 fn sub_horizons<'de, D: Deserializer<'de>>(from: D) -> Result<usize, D::Error> {
     let value = i64::deserialize(from)?;
-    SUB_HORIZONS.into_iter().find(|n| *n as i64 == value).ok_or_else(|| {
-        let expected = format!("one of {SUB_HORIZONS:?}, which divide the 100 intervals evenly");
-        refused(expected, value)
-    })
+    SUB_HORIZONS
+        .into_iter()
+        .find(|n| *n as i64 == value)
+        .ok_or_else(|| refused(format!("one of {SUB_HORIZONS:?}"), value))
 }
 
 /// Solver of the quadratic programs of a replan.
@@ -150,7 +154,17 @@ pub struct BalanceSettings {
 impl PlannerSettings {
     /// Checks the rules between the settings of the planner.
     pub(crate) fn validate(&self) -> Result<(), SettingsConflict> {
-        let OfflineSettings { t_f_min, t_f_max, .. } = self.offline;
+        let OfflineSettings { intervals, t_f_min, t_f_max, .. } = self.offline;
+        let sub_horizons = self.replan.sub_horizons;
+        if !intervals.is_multiple_of(sub_horizons) {
+            let expected = format!("a number that divides the {intervals} of offline.intervals evenly");
+            return Err(SettingsConflict::new(
+                "replan.sub_horizons",
+                expected,
+                sub_horizons,
+                "change one of both",
+            ));
+        }
         SettingsConflict::unless_above("offline.t_f_max_s", t_f_max, t_f_min, "offline.t_f_min_s")
     }
 }

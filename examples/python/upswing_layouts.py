@@ -50,21 +50,25 @@ class Percentiles(Structure):
 
 
 class Measurement(Structure):
-    SIZE = 168
+    SIZE = 312
     OFFSETS = {
         "seq": 0,
         "t_ns": 8,
-        "q": 16,
-        "tau_measured": 88,
-        "status": 144,
-        "clock": 152,
-        "period_ns": 160,
+        "joints": 16,
+        "actuated": 24,
+        "q": 32,
+        "tau_measured": 160,
+        "status": 288,
+        "clock": 296,
+        "period_ns": 304,
     }
     _fields_ = [
         ("seq", c_uint64),
         ("t_ns", c_uint64),
-        ("q", (c_double * 9)),
-        ("tau_measured", (c_double * 7)),
+        ("joints", c_uint64),
+        ("actuated", c_uint64),
+        ("q", (c_double * 16)),
+        ("tau_measured", (c_double * 16)),
         ("status", c_uint64),
         ("clock", c_uint64),
         ("period_ns", c_uint64),
@@ -72,33 +76,37 @@ class Measurement(Structure):
 
     @staticmethod
     def type_name():
-        return "upswing.Measurement.v1"
+        return "upswing.Measurement.v2"
 
 
 class Command(Structure):
-    SIZE = 88
+    SIZE = 176
     OFFSETS = {
         "seq": 0,
         "t_ns": 8,
         "measurement_seq": 16,
-        "tau": 24,
-        "brake": 80,
+        "joints": 24,
+        "actuated": 32,
+        "tau": 40,
+        "brake": 168,
     }
     _fields_ = [
         ("seq", c_uint64),
         ("t_ns", c_uint64),
         ("measurement_seq", c_uint64),
-        ("tau", (c_double * 7)),
+        ("joints", c_uint64),
+        ("actuated", c_uint64),
+        ("tau", (c_double * 16)),
         ("brake", c_uint64),
     ]
 
     @staticmethod
     def type_name():
-        return "upswing.Command.v1"
+        return "upswing.Command.v2"
 
 
 class Telemetry(Structure):
-    SIZE = 632
+    SIZE = 1160
     OFFSETS = {
         "seq": 0,
         "t_ns": 8,
@@ -110,19 +118,21 @@ class Telemetry(Structure):
         "plan_id": 56,
         "flags": 64,
         "t_plan": 72,
-        "q": 80,
-        "qd": 152,
-        "q_d": 224,
-        "qd_d": 296,
-        "u_d": 368,
-        "u": 424,
-        "tau": 480,
-        "tau_measured": 536,
-        "wake_ns": 592,
-        "read_ns": 600,
-        "compute_ns": 608,
-        "write_ns": 616,
-        "clock": 624,
+        "joints": 80,
+        "actuated": 88,
+        "q": 96,
+        "qd": 224,
+        "q_d": 352,
+        "qd_d": 480,
+        "u_d": 608,
+        "u": 736,
+        "tau": 864,
+        "tau_measured": 992,
+        "wake_ns": 1120,
+        "read_ns": 1128,
+        "compute_ns": 1136,
+        "write_ns": 1144,
+        "clock": 1152,
     }
     _fields_ = [
         ("seq", c_uint64),
@@ -135,14 +145,16 @@ class Telemetry(Structure):
         ("plan_id", c_uint64),
         ("flags", c_uint64),
         ("t_plan", c_double),
-        ("q", (c_double * 9)),
-        ("qd", (c_double * 9)),
-        ("q_d", (c_double * 9)),
-        ("qd_d", (c_double * 9)),
-        ("u_d", (c_double * 7)),
-        ("u", (c_double * 7)),
-        ("tau", (c_double * 7)),
-        ("tau_measured", (c_double * 7)),
+        ("joints", c_uint64),
+        ("actuated", c_uint64),
+        ("q", (c_double * 16)),
+        ("qd", (c_double * 16)),
+        ("q_d", (c_double * 16)),
+        ("qd_d", (c_double * 16)),
+        ("u_d", (c_double * 16)),
+        ("u", (c_double * 16)),
+        ("tau", (c_double * 16)),
+        ("tau_measured", (c_double * 16)),
         ("wake_ns", c_uint64),
         ("read_ns", c_uint64),
         ("compute_ns", c_uint64),
@@ -152,11 +164,11 @@ class Telemetry(Structure):
 
     @staticmethod
     def type_name():
-        return "upswing.Telemetry.v3"
+        return "upswing.Telemetry.v4"
 
 
 class TelemetryBatch(Structure):
-    SIZE = 40464
+    SIZE = 74256
     OFFSETS = {
         "count": 0,
         "dropped": 8,
@@ -170,39 +182,35 @@ class TelemetryBatch(Structure):
 
     @staticmethod
     def type_name():
-        return "upswing.TelemetryBatch.v3"
+        return "upswing.TelemetryBatch.v4"
 
 
-class PlanMessage(Structure):
-    SIZE = 137600
+class PlanHeader(Structure):
+    SIZE = 64
     OFFSETS = {
         "id": 0,
         "fingerprint": 8,
         "activation_ns": 16,
         "t_f": 24,
-        "x": 32,
-        "u": 14576,
-        "f": 20232,
-        "k": 34776,
-        "k_final": 136584,
-        "checksum": 137592,
+        "joints": 32,
+        "actuated": 40,
+        "intervals": 48,
+        "checksum": 56,
     }
     _fields_ = [
         ("id", c_uint64),
         ("fingerprint", c_uint64),
         ("activation_ns", c_uint64),
         ("t_f", c_double),
-        ("x", ((c_double * 18) * 101)),
-        ("u", ((c_double * 7) * 101)),
-        ("f", ((c_double * 18) * 101)),
-        ("k", (((c_double * 18) * 7) * 101)),
-        ("k_final", ((c_double * 18) * 7)),
+        ("joints", c_uint64),
+        ("actuated", c_uint64),
+        ("intervals", c_uint64),
         ("checksum", c_uint64),
     ]
 
     @staticmethod
     def type_name():
-        return "upswing.Plan.v2"
+        return "upswing.Plan.v3"
 
 
 class ControlRequest(Structure):
@@ -266,19 +274,25 @@ class ControlResponse(Structure):
 
 
 class PlannerRequest(Structure):
-    SIZE = 184
+    SIZE = 312
     OFFSETS = {
         "kind": 0,
         "from_now": 8,
-        "start": 16,
-        "iterations": 160,
-        "budget_ms": 168,
-        "publish": 176,
+        "joints": 16,
+        "actuated": 24,
+        "q": 32,
+        "qd": 160,
+        "iterations": 288,
+        "budget_ms": 296,
+        "publish": 304,
     }
     _fields_ = [
         ("kind", c_uint64),
         ("from_now", c_uint64),
-        ("start", (c_double * 18)),
+        ("joints", c_uint64),
+        ("actuated", c_uint64),
+        ("q", (c_double * 16)),
+        ("qd", (c_double * 16)),
         ("iterations", c_uint64),
         ("budget_ms", c_uint64),
         ("publish", c_uint64),
@@ -286,7 +300,7 @@ class PlannerRequest(Structure):
 
     @staticmethod
     def type_name():
-        return "upswing.PlannerRequest.v1"
+        return "upswing.PlannerRequest.v2"
 
 
 class PlannerResponse(Structure):
@@ -334,22 +348,26 @@ class PlannerResponse(Structure):
 
 
 class PlantRequest(Structure):
-    SIZE = 216
+    SIZE = 344
     OFFSETS = {
         "kind": 0,
-        "q": 8,
-        "qd": 80,
-        "seq": 152,
-        "fault": 160,
-        "joint": 168,
-        "amount": 176,
-        "cycles": 184,
-        "impulse": 192,
+        "joints": 8,
+        "actuated": 16,
+        "q": 24,
+        "qd": 152,
+        "seq": 280,
+        "fault": 288,
+        "joint": 296,
+        "amount": 304,
+        "cycles": 312,
+        "impulse": 320,
     }
     _fields_ = [
         ("kind", c_uint64),
-        ("q", (c_double * 9)),
-        ("qd", (c_double * 9)),
+        ("joints", c_uint64),
+        ("actuated", c_uint64),
+        ("q", (c_double * 16)),
+        ("qd", (c_double * 16)),
         ("seq", c_uint64),
         ("fault", c_uint64),
         ("joint", c_uint64),
@@ -360,33 +378,37 @@ class PlantRequest(Structure):
 
     @staticmethod
     def type_name():
-        return "upswing.PlantRequest.v2"
+        return "upswing.PlantRequest.v3"
 
 
 class PlantResponse(Structure):
-    SIZE = 480
+    SIZE = 680
     OFFSETS = {
         "accepted": 0,
         "seq": 8,
-        "q": 16,
-        "qd": 88,
-        "brakes_closed": 160,
-        "tau_peak": 168,
-        "reason": 224,
+        "joints": 16,
+        "actuated": 24,
+        "q": 32,
+        "qd": 160,
+        "brakes_closed": 288,
+        "tau_peak": 296,
+        "reason": 424,
     }
     _fields_ = [
         ("accepted", c_uint64),
         ("seq", c_uint64),
-        ("q", (c_double * 9)),
-        ("qd", (c_double * 9)),
+        ("joints", c_uint64),
+        ("actuated", c_uint64),
+        ("q", (c_double * 16)),
+        ("qd", (c_double * 16)),
         ("brakes_closed", c_uint64),
-        ("tau_peak", (c_double * 7)),
+        ("tau_peak", (c_double * 16)),
         ("reason", Text),
     ]
 
     @staticmethod
     def type_name():
-        return "upswing.PlantResponse.v1"
+        return "upswing.PlantResponse.v2"
 
 
 class Clock(IntEnum):
@@ -466,6 +488,9 @@ STALE = 2
 LIMITED = 4
 BRAKE = 8
 
+# Room of an array with a value per joint.
+MOST_JOINTS = 16
+
 # Blackboards: each start of a writer has its own service, CHANNEL/EPOCH.
 MEASUREMENT_CHANNEL = "measurement"
 COMMAND_CHANNEL = "command"
@@ -473,8 +498,10 @@ MAX_READERS = 8
 MAX_NODES = 24
 
 # Publish and subscribe: service, payload, samples that wait for a slow subscriber.
-PLAN = ("plan", PlanMessage, 2)
 TELEMETRY = ("telemetry", TelemetryBatch, 256)
+
+# The same with a header and a slice of c_double.
+PLAN = ("plan", PlanHeader, 2)
 
 # Request and response: service, request, response.
 CONTROL = ("control", ControlRequest, ControlResponse)

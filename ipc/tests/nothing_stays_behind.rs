@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{Victim, domain_of_child, until_killed, wait_for};
+use common::{SIZES, Victim, domain_of_child, until_killed, wait_for};
 use std::os::unix::fs::{PermissionsExt, symlink};
 use upswing_ipc::{
     Command, ControlRequest, Domain, IpcError, Measurement, PlanMessage, PlantRequest, TelemetryBatch,
@@ -41,7 +41,7 @@ fn after_an_orderly_end() {
     let mut finder = node.finder::<Command>();
     let reader = finder.poll().unwrap();
     let ends = (
-        (node.publisher::<PlanMessage>().unwrap(), node.subscriber::<PlanMessage>().unwrap()),
+        (node.plan_publisher(SIZES.0, SIZES.1).unwrap(), node.subscriber::<PlanMessage>().unwrap()),
         (node.publisher::<TelemetryBatch>().unwrap(), node.subscriber::<TelemetryBatch>().unwrap()),
         (node.server::<ControlRequest>().unwrap(), node.client::<ControlRequest>().unwrap()),
     );

@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{Victim, domain_of_child, until_killed, wait_for};
+use common::{SIZES, Victim, domain_of_child, until_killed, wait_for};
 use iceoryx2::prelude::{Config, FileName, Node as IoxNode, NodeBuilder, Path, SemanticString, ipc};
 use std::ffi::CString;
 use std::os::unix::ffi::OsStrExt;
@@ -53,7 +53,7 @@ fn nobody_waits_for_a_lock_whose_holder_is_stopped() {
     let _server = node.server::<ControlRequest>().unwrap();
     let client = plant.client::<ControlRequest>().unwrap();
     assert!(client.has_server());
-    let _ends = (node.publisher::<PlanMessage>().unwrap(), plant.subscriber::<PlanMessage>().unwrap());
+    let _ends = (node.plan_publisher(SIZES.0, SIZES.1).unwrap(), plant.subscriber::<PlanMessage>().unwrap());
     let writer = plant.writer::<Measurement>().unwrap();
     assert_eq!(finder.poll().unwrap().unwrap().epoch(), writer.epoch());
     victim.kill();

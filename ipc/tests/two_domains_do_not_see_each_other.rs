@@ -1,5 +1,8 @@
 //! Domains are separate, even if the name of one is a prefix of the other's.
 
+mod common;
+
+use common::{SIZES, plan};
 use std::time::Duration;
 use upswing_ipc::{
     CallError, Command, ControlKind, ControlRequest, Domain, DomainError, PlanMessage, TempDomain,
@@ -18,8 +21,8 @@ fn writers_plans_and_servers_stay_in_their_domain() {
     let (subscriber_near, subscriber_far) =
         (near.subscriber::<PlanMessage>().unwrap(), far.subscriber::<PlanMessage>().unwrap());
     let (publisher_near, _publisher_far) =
-        (near.publisher::<PlanMessage>().unwrap(), far.publisher::<PlanMessage>().unwrap());
-    publisher_near.publish(&PlanMessage::boxed_zeroed()).unwrap();
+        (near.plan_publisher(SIZES.0, SIZES.1).unwrap(), far.plan_publisher(SIZES.0, SIZES.1).unwrap());
+    publisher_near.publish(&plan(1)).unwrap();
     assert!(subscriber_near.receive().unwrap().is_some());
     assert!(subscriber_far.receive().unwrap().is_none());
 
@@ -60,7 +63,7 @@ fn removing_a_domain_leaves_those_whose_names_begin_alike() {
         .map(|n| {
             (
                 n.subscriber::<PlanMessage>().unwrap(),
-                n.publisher::<PlanMessage>().unwrap(),
+                n.plan_publisher(SIZES.0, SIZES.1).unwrap(),
                 n.writer::<Command>().unwrap(),
             )
         })
@@ -68,7 +71,7 @@ fn removing_a_domain_leaves_those_whose_names_begin_alike() {
     let before: Vec<_> = longer.iter().map(files).collect();
     assert!(before.iter().all(|names| names.iter().any(|n| n.ends_with(".connection"))), "{before:?}");
 
-    drop(short.join("daemon").unwrap().publisher::<PlanMessage>().unwrap());
+    drop(short.join("daemon").unwrap().plan_publisher(SIZES.0, SIZES.1).unwrap());
     assert!(short.remove_if_unused().unwrap());
     let after: Vec<_> = longer.iter().map(files).collect();
     assert_eq!(before, after);

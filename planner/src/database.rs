@@ -1,5 +1,5 @@
 //! The trajectory database: [`build()`] it, [`merge()`] its shards, [`verify()`] its records, describe it ([`DatabaseOverview`]), and find
-//! the entries nearest to a start pose ([`NearestPose`]). The file format is that of [`upswing_trajectory::Database`].
+//! the entries nearest to a start pose ([`NearestKey`]). The file format is that of [`upswing_trajectory::Database`].
 
 mod build;
 mod merge;
@@ -10,7 +10,7 @@ mod verify;
 
 pub use build::build;
 pub use merge::merge;
-pub use nearest::{NearestPose, Neighbour};
+pub use nearest::{NearestKey, Neighbour};
 pub use overview::{DatabaseOverview, JointCoverage};
 pub use stored::{DatabaseFile, SHIPPED};
 pub use verify::{Discrepancy, RecordFlaw, verify};
@@ -18,7 +18,7 @@ pub use verify::{Discrepancy, RecordFlaw, verify};
 use crate::offline::problem_fingerprint;
 use std::path::{Path, PathBuf};
 use upswing_config::{Config, GridSettings};
-use upswing_model::{State, StateParts};
+use upswing_model::State;
 use upswing_process::output::OutputError;
 use upswing_trajectory::{Certificate, Database, DatabaseError, DatabaseHeading, PoseOutcome, Trajectory};
 use xxhash_rust::xxh3::Xxh3;
@@ -158,7 +158,12 @@ fn summary(database: &Database, poses: usize, resumed: usize) -> BuildSummary {
 
 /// The header of a database (or of one shard) for the robot, the optimisation problem and the grid of the settings.
 fn heading(config: &Config, shard: Shard) -> DatabaseHeading {
+    let sizes = config.model.sizes();
     DatabaseHeading {
+        sizes,
+        joints: DatabaseHeading::joints_of(&config.model),
+        intervals: config.planner.offline.intervals,
+        key: sizes.actuated(),
         model: config.model.fingerprint(),
         problem: problem_fingerprint(config),
         grid: grid_fingerprint(&config.grid),
@@ -187,9 +192,9 @@ pub fn has_grid_of(config: &Config, database: &Database) -> bool {
 /// Checks that a database was made for the robot model, the limits and the weights of the settings; its grid may be another.
 ///
 /// # Errors
-/// [`DatabaseError::Fingerprint`] with both fingerprints.
+/// Those of [`DatabaseHeading::check_origin`].
 pub fn check_origin(config: &Config, database: &Database) -> Result<(), DatabaseError> {
-    database.heading.check_origin(config.model.fingerprint(), problem_fingerprint(config))
+    database.heading.check_origin(&config.model, problem_fingerprint(config))
 }
 
 /// Refuses a file that was made for another robot, other settings or another grid.

@@ -1,14 +1,14 @@
 //! Offline optimisation of a swing-up, (6), (8), (9)/(11), under the settings of a configuration.
 
 use upswing_config::{Config, PlannerSettings, ReplanSettings, TorqueForm};
-use upswing_model::{ActuatedVector, NQ, NU, NX, State, StateParts};
+use upswing_model::{Sizes, State};
 use upswing_ocp::interior_point::{NlpOptions, NlpSolution, NlpStatus};
-use upswing_ocp::kkt::KnotVector;
 use upswing_ocp::lqr::LqrWeights;
 use upswing_ocp::multistart::{self, Search, limit_in_the_way};
 use upswing_ocp::problem::{Problem, TorqueConstraint, upright_target};
 use upswing_ocp::qp::QpWeights;
-use upswing_trajectory::{N, Trajectory};
+use upswing_ocp::slab::{KnotParts as _, KnotVector};
+use upswing_trajectory::Trajectory;
 use xxhash_rust::xxh3::Xxh3;
 
 /// The optimisation problem (6), (8) of a start state (rad, rad/s) under the limits and weights of the settings.
@@ -21,8 +21,9 @@ pub fn problem(config: &Config, start: State) -> Problem<'_> {
         torque: torque_constraint(config, offline.torque),
         input_weight: offline.input_weight,
         t_f: (offline.t_f_min, offline.t_f_max),
+        intervals: offline.intervals,
         start,
-        target: upright_target(config.robot.target.pitch, config.robot.target.q8),
+        target: upright_target(config.model.sizes(), config.robot.target.pitch, config.robot.target.q8),
     }
 }
 
@@ -31,29 +32,31 @@ pub fn torque_constraint(config: &Config, form: TorqueForm) -> TorqueConstraint 
     let bound = &config.robot.coriolis_bound;
     match form {
         TorqueForm::Exact => TorqueConstraint::Exact,
-        TorqueForm::Paper => TorqueConstraint::WithoutCoriolis {
-            lower: ActuatedVector::from(bound.lower),
-            upper: ActuatedVector::from(bound.upper),
-        },
+        TorqueForm::Paper => TorqueConstraint::WithoutCoriolis { lower: bound.lower, upper: bound.upper },
     }
 }
 
 /// XXH3 hash of the inputs of a database other than the robot: limits, torque constraint, weights, target, dimensions.
 pub fn problem_fingerprint(config: &Config) -> u64 {
-    let p = problem(config, State::zeros());
+    let sizes = config.model.sizes();
+    let p = problem(config, State::zeros(sizes));
     let mut hash = Xxh3::new();
     let mut put = |v: f64| hash.update(&v.to_le_bytes());
     let l = &p.limits;
-    l.q_min.iter().chain(&l.q_max).chain(&l.qd_max).chain(&l.tau_max).for_each(|v| put(*v));
+    [&l.q_min, &l.q_max, &l.qd_max]
+        .into_iter()
+        .flat_map(|v| v.iter())
+        .chain(l.tau_max.iter())
+        .for_each(|v| put(*v));
     let (lower, upper) = p.torque.bounds(&l.tau_max);
-    lower.iter().chain(&upper).for_each(|v| put(*v));
+    lower.iter().chain(upper.iter()).for_each(|v| put(*v));
     put(f64::from(u8::from(p.torque == TorqueConstraint::Exact)));
     [p.input_weight, p.t_f.0, p.t_f.1].into_iter().for_each(&mut put);
     for row in &p.target {
         row.coefficients.iter().for_each(|v| put(*v));
         put(row.value);
     }
-    [NX, NU, N].into_iter().for_each(|n| put(n as f64));
+    [sizes.state(), sizes.actuated(), p.intervals].into_iter().for_each(|n| put(n as f64));
     hash.digest()
 }
 
@@ -88,9 +91,9 @@ pub fn options(config: &Config) -> NlpOptions<'static> {
 }
 
 /// The weights of the settings for the gains (20), and for the gain that balances at x_N.
-pub fn lqr_weights(settings: &PlannerSettings) -> LqrWeights {
+pub fn lqr_weights(settings: &PlannerSettings, sizes: Sizes) -> LqrWeights {
     let PlannerSettings { lqr: weights, balance, .. } = settings;
-    let mut q = State::zeros();
+    let mut q = State::zeros(sizes);
     q.q_mut().fill(weights.q_angles);
     q.qd_a_mut().fill(weights.q_velocities_actuated);
     q.qd_u_mut().fill(weights.q_velocities_unactuated);
@@ -102,10 +105,9 @@ pub fn lqr_weights(settings: &PlannerSettings) -> LqrWeights {
 
 /// The weights of the settings for the objective (17) of a replan.
 pub fn qp_weights(settings: &ReplanSettings) -> QpWeights {
-    let z = KnotVector::from_fn(|i, _| match i {
-        i if i < NQ => settings.weight_q[i],
-        i if i < NX => settings.weight_qd[i - NQ],
-        i => settings.weight_u[i - NX],
-    });
+    let ReplanSettings { weight_q, weight_qd, weight_u, .. } = settings;
+    let mut z = KnotVector::zeros(weight_q.sizes());
+    z.x_mut().copy_from_slice(&State::new(weight_q, weight_qd));
+    z.u_mut().copy_from_slice(weight_u);
     QpWeights { t_f: settings.weight_t_f, z }
 }

@@ -2,7 +2,7 @@
 
 use std::convert::Infallible;
 use upswing_config::HoldGains;
-use upswing_model::{ActuatedVector, Model, State, StateParts, Workspace, runge_kutta_step};
+use upswing_model::{ActuatedVector, Model, State, Workspace, runge_kutta_step};
 
 /// Predicts the state `seconds` after `x` (rad, rad/s) while the daemon holds the arm at `q_hold` (rad) and the pendulum
 /// swings freely; classical Runge-Kutta method with steps of at most a millisecond.
@@ -21,7 +21,7 @@ pub fn held(
     const STEP: f64 = 1e-3;
     let mut f = |x: &State| {
         let (q, qd) = (x.q_a(), x.qd_a());
-        let u = ActuatedVector::from_fn(|i, _| {
+        let u = ActuatedVector::from_fn(x.sizes(), |i| {
             gains.stiffness[i] * (q_hold[i] - q[i]) - gains.damping[i] * qd[i]
         });
         Ok::<_, Infallible>(model.f(x, &u, work))
@@ -40,7 +40,7 @@ pub fn held(
 mod tests {
     use super::held;
     use upswing_config::{Config, PendulumStart};
-    use upswing_model::{ActuatedVector, Workspace};
+    use upswing_model::Workspace;
 
     fn rest(config: &Config) -> upswing_model::State {
         let q = [0.0, -15.0, 0.0, -95.0, 0.0, 10.0, 0.0].map(f64::to_radians);
@@ -51,7 +51,7 @@ mod tests {
     fn a_system_at_rest_stays() {
         let config = Config::embedded().expect("embedded settings");
         let x = rest(&config);
-        let q_hold = ActuatedVector::from_fn(|i, _| x[i]);
+        let q_hold = x.q_a();
         let later = held(&config.model, &config.daemon.hold, &x, &q_hold, 0.5, &mut Workspace::default());
         assert!((later - x).amax() < 1e-9, "moved by {:e}", (later - x).amax());
     }
@@ -61,8 +61,8 @@ mod tests {
         let config = Config::embedded().expect("embedded settings");
         let mut work = Workspace::default();
         let mut x = rest(&config);
-        x[8] += 0.3;
-        let q_hold = ActuatedVector::from_fn(|i, _| x[i]);
+        x.q_u_mut()[1] += 0.3;
+        let q_hold = x.q_a();
         let mut go = |x, seconds| held(&config.model, &config.daemon.hold, x, &q_hold, seconds, &mut work);
         let (half, whole) = (go(&x, 0.2), go(&x, 0.4));
         assert!((go(&half, 0.2) - whole).amax() < 1e-10);

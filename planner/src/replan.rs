@@ -12,19 +12,20 @@ mod summary;
 pub use outcome::{FailedAttempt, Method, NoPlan, PlanningFailure, Replan, ReplanStatistics, SecondOpinion};
 pub use summary::{MarginShares, PlanSummary};
 
-use crate::database::{DatabaseFile, NearestPose, Neighbour};
+use crate::database::{DatabaseFile, NearestKey, Neighbour};
 use crate::offline::{self, lqr_weights, problem, problem_fingerprint, qp_weights, torque_constraint};
 use std::time::Instant;
 use upswing_config::{Config, ConfigError, QpBackend};
 use upswing_ipc::operator::Manoeuvre;
-use upswing_model::{LimitKind, NU, NX, State, StateParts, Workspace};
+use upswing_model::{LimitKind, State, Workspace};
 use upswing_ocp::interior_point::{self, NlpOptions, NlpStatus};
-use upswing_ocp::kkt::{KnotParts, KnotVector, TargetRow};
+use upswing_ocp::kkt::TargetRow;
 use upswing_ocp::lqr;
 use upswing_ocp::multistart::{self, Search};
 use upswing_ocp::problem::Problem;
 use upswing_ocp::qp::{Backend, Qp, QpOptions, QpSolution, QpSolver, QpStatus};
-use upswing_trajectory::{Database, DatabaseError, Entry, Gains, Margins, N, Trajectory, UnmetCriterion};
+use upswing_ocp::slab::Slab;
+use upswing_trajectory::{Database, DatabaseError, Entry, Gains, Margins, Trajectory, UnmetCriterion};
 
 /// Tolerance of each QP: a tenth of the defect that four linearisations reach.
 const QP_TOLERANCE: f64 = 1e-9;
@@ -109,9 +110,9 @@ pub struct Planner {
     /// Source of the entries, for messages.
     origin: String,
     entries: Vec<Entry>,
-    /// Search trees of the poses in which the entries start, and in which they end.
-    starts: NearestPose,
-    ends: NearestPose,
+    /// Search trees of the keys of the entries, and of the poses in which they end.
+    starts: NearestKey,
+    ends: NearestKey,
 }
 
 impl Planner {
@@ -130,9 +131,8 @@ impl Planner {
     /// As [`Self::new`].
     pub fn with_database(config: Config, database: DatabaseFile) -> Result<Self, PlannerError> {
         let DatabaseFile { bytes, origin } = database;
-        let decoded = Database::decode(&bytes).and_then(|database| {
-            database.entries_for(config.model.fingerprint(), problem_fingerprint(&config))
-        });
+        let decoded = Database::decode(&bytes)
+            .and_then(|database| database.entries_for(&config.model, problem_fingerprint(&config)));
         match decoded {
             Ok(entries) => Ok(Self::with_entries(config, origin, entries)),
             Err(cause) => Err(PlannerError::Database { origin, cause }),
@@ -141,9 +141,9 @@ impl Planner {
 
     /// Creates a planner with `entries` that were made for these settings; `origin` names their source in messages.
     pub fn with_entries(config: Config, origin: String, entries: Vec<Entry>) -> Self {
-        let poses = |knot: usize| entries.iter().map(move |e| pose(&e.trajectory.x[knot]));
         let metric = &config.planner.replan.metric;
-        let (starts, ends) = (NearestPose::new(poses(0), metric), NearestPose::new(poses(N), metric));
+        let starts = NearestKey::new(entries.iter().map(|e| e.key.clone()), metric);
+        let ends = NearestKey::new(entries.iter().map(|e| pose(e.trajectory.end())), metric);
         Self { config, origin, entries, starts, ends }
     }
 
@@ -168,7 +168,7 @@ impl Planner {
     }
 
     /// Search tree of the poses in which trajectories of a manoeuvre begin.
-    fn tree(&self, manoeuvre: Manoeuvre) -> &NearestPose {
+    fn tree(&self, manoeuvre: Manoeuvre) -> &NearestKey {
         match manoeuvre {
             Manoeuvre::SwingUp => &self.starts,
             Manoeuvre::SwingDown => &self.ends,
@@ -182,7 +182,11 @@ impl Planner {
             QpBackend::Structured => Backend::Structured,
             QpBackend::Clarabel => Backend::Clarabel,
         };
-        QpSolver::new(backend, N / settings.sub_horizons)
+        QpSolver::new(
+            backend,
+            self.config.model.sizes(),
+            self.config.planner.offline.intervals / settings.sub_horizons,
+        )
     }
 
     /// Plans a swing-up from `start` (rad, rad/s): [`Self::replan_with`] a new solver.
@@ -286,8 +290,8 @@ impl Planner {
     ) -> Problem<'_> {
         let mut problem = self.problem_with_margin(start, knot_margin);
         if manoeuvre == Manoeuvre::SwingDown {
-            let end = &reference.x[N];
-            problem.target = (0..NX).map(|i| TargetRow::unit(i, end[i])).collect();
+            let end = reference.end();
+            problem.target = (0..end.len()).map(|i| TargetRow::unit(end.sizes(), i, end[i])).collect();
             keep_target_within(&mut problem);
         }
         problem
@@ -407,7 +411,13 @@ impl Planner {
         statistics.check += begin.elapsed();
         let begin = Instant::now();
         let ts = self.config.daemon.cycle.period.seconds();
-        let gains = lqr::synthesize(model, &trajectory, &lqr_weights(&self.config.planner), ts, &mut work)?;
+        let gains = lqr::synthesize(
+            model,
+            &trajectory,
+            &lqr_weights(&self.config.planner, model.sizes()),
+            ts,
+            &mut work,
+        )?;
         statistics.lqr += begin.elapsed();
         let begin = Instant::now();
         criteria.check_feedback(model, &trajectory, &gains).map_err(unmet)?;
@@ -462,7 +472,7 @@ impl Planner {
         let mut solve = |qp: &Qp, again: bool| {
             let status = if again { solver.solve_again(qp, &options) } else { solver.solve(qp, &options) };
             if let (QpStatus::Stalled(stall), QpSolver::Structured(_)) = (status, &*solver) {
-                let mut second = QpSolver::new(Backend::Clarabel, qp.defects.len());
+                let mut second = QpSolver::new(Backend::Clarabel, qp.start.sizes(), qp.x.len());
                 let clarabel = second.solve(qp, &options);
                 second_opinions.push(SecondOpinion { entry, iteration, stall, clarabel });
                 return solution_of(&second, clarabel, iteration);
@@ -470,24 +480,25 @@ impl Planner {
             solution_of(solver, status, iteration)
         };
         let parts = self.config.planner.replan.sub_horizons;
-        let length = N / parts;
-        let mut z = vec![KnotVector::zeros(); N + 1];
-        z[0].x_mut().copy_from(&qp.start);
+        let n = trajectory.intervals();
+        let length = n / parts;
+        let mut z = Slab::zeros(trajectory.sizes(), n + 1, 1);
+        z.x_mut(0).copy_from_slice(&qp.start);
         let mut dt = None;
-        for first in (0..N).step_by(length) {
+        for first in (0..n).step_by(length) {
             let last = first + length;
             let solution = if parts == 1 {
                 solve(qp, warm)?
             } else {
-                solve(&qp.part((first, last), &z[first], dt), false)?
+                solve(&qp.part((first, last), &z.knot(first), dt), false)?
             };
-            z[first..=last].copy_from_slice(&solution.z);
+            (first..=last).for_each(|k| z.set(k, &solution.z.knot(k - first)));
             dt = dt.or(Some(solution.t * parts as f64));
         }
         trajectory.t_f += dt.unwrap_or(0.0);
-        for (k, dz) in z.iter().enumerate() {
-            trajectory.x[k] += dz.x();
-            trajectory.u[k] += dz.u();
+        for (k, (x, u)) in trajectory.x.iter_mut().zip(&mut trajectory.u).enumerate() {
+            *x += z.x(k);
+            *u += z.u(k);
         }
         Ok(())
     }
@@ -515,7 +526,7 @@ fn keep_target_within(problem: &mut Problem<'_>) {
     }
 }
 
-/// q_A of a state, rad.
-fn pose(x: &State) -> [f64; NU] {
-    std::array::from_fn(|i| x[i])
+/// q_A of a state, rad or m: its key in the search trees.
+fn pose(x: &State) -> Vec<f64> {
+    x.q_a().to_vec()
 }

@@ -3,7 +3,8 @@
 use crate::replan::NoPlan;
 use std::time::Duration;
 use upswing_ipc::operator::Manoeuvre;
-use upswing_ipc::{Mode, PlannerStatus, UnknownCode};
+use upswing_ipc::{Mode, OtherChain, PlannerStatus, UnknownCode};
+use upswing_model::LimitKind;
 
 /// Error of a request to the planner. Its text is the reason in the response.
 #[derive(Debug, thiserror::Error)]
@@ -14,27 +15,24 @@ pub(crate) enum PlannerRequestError {
     /// The request asks for too many QP iterations.
     #[error("iterations: expected 0 (the setting) to {max}, got {got}")]
     Iterations { got: u64, max: u64 },
-    /// An entry of the start state is not a finite number.
-    #[error("start state: expected numbers, entry {entry} is {got}")]
-    StartNotFinite { entry: usize, got: f64 },
-    /// A joint position of the start state is outside its limits, rad; `joint` counts from 1.
-    #[error(
-        "start of joint {joint}: expected {:.1} to {:.1} deg, got {:.2} deg",
-        .min.to_degrees(), .max.to_degrees(), .got.to_degrees()
-    )]
-    StartPosition { joint: usize, min: f64, max: f64, got: f64 },
-    /// A joint velocity of the start state is above its limit, rad/s; `joint` counts from 1.
-    #[error(
-        "start velocity of joint {joint}: expected at most {:.1} deg/s, got {:.2} deg/s",
-        .max.to_degrees(), .got.to_degrees()
-    )]
-    StartVelocity { joint: usize, max: f64, got: f64 },
+    /// The start state has another number of joints than the model.
+    #[error(transparent)]
+    StartOfOtherChain(OtherChain),
+    /// A position or velocity of the start state is not a finite number.
+    #[error("start {kind} of joint `{joint}`: expected a number, got {got}")]
+    StartNotFinite { kind: LimitKind, joint: String, got: f64 },
+    /// A position or velocity of the start state is outside its limits, in `unit`: deg, m, deg/s or m/s.
+    #[error("start {kind} of joint `{joint}`: expected {min:.3} to {max:.3} {unit}, got {got:.3} {unit}")]
+    StartOutsideLimits { kind: LimitKind, joint: String, min: f64, max: f64, got: f64, unit: String },
     /// The daemon has sent no telemetry since the planner started.
     #[error("no telemetry from the daemon yet: is upswingd running?")]
     NoTelemetry,
     /// The newest telemetry of the daemon is seconds old.
     #[error("no telemetry from the daemon for some seconds: is upswingd running?")]
     DaemonSilent,
+    /// The telemetry has another number of joints than the model.
+    #[error(transparent)]
+    TelemetryOfOtherChain(OtherChain),
     /// The mode in the telemetry does not exist.
     #[error(transparent)]
     UnknownMode(UnknownCode),
@@ -65,12 +63,14 @@ impl PlannerRequestError {
     /// Status code in the response for this error.
     pub(crate) fn status(&self) -> PlannerStatus {
         match self {
-            Self::UnknownKind(_) | Self::Iterations { .. } | Self::StartNotFinite { .. } => {
-                PlannerStatus::BadRequest
-            }
-            Self::StartPosition { .. } | Self::StartVelocity { .. } => PlannerStatus::StartOutsideLimits,
+            Self::UnknownKind(_)
+            | Self::Iterations { .. }
+            | Self::StartOfOtherChain(_)
+            | Self::StartNotFinite { .. } => PlannerStatus::BadRequest,
+            Self::StartOutsideLimits { .. } => PlannerStatus::StartOutsideLimits,
             Self::NoTelemetry
             | Self::DaemonSilent
+            | Self::TelemetryOfOtherChain(_)
             | Self::UnknownMode(_)
             | Self::Mode { .. }
             | Self::TelemetryTooOld { .. }

@@ -14,7 +14,7 @@ use upswing_ipc::{
     Subscriber, Telemetry, TelemetryBatch, Text, TopicPayload as _,
 };
 use upswing_model::thresholds::{HELD_ACCELERATION, REST_SPEED_START, SAME_START, START_SLACK};
-use upswing_model::{ActuatedVector, Model, NQ, State, StateParts, Workspace};
+use upswing_model::{ActuatedVector, LimitKind, Model, State, Workspace};
 use upswing_ocp::qp::QpSolver;
 use upswing_process::notify::Notifier;
 use upswing_process::{Failure, ProcessArgs, shutdown_flag};
@@ -53,7 +53,8 @@ pub fn run(args: &ProcessArgs) -> Result<(), Failure> {
 fn serve(planner: &Planner, domain: &Domain, stop: &Arc<AtomicBool>) -> Result<(), upswing_ipc::IpcError> {
     let node = domain.join("planner")?;
     let server = node.server()?;
-    let publisher = node.publisher::<PlanMessage>()?;
+    let model = &planner.config().model;
+    let publisher = node.plan_publisher(model.sizes(), planner.config().planner.offline.intervals)?;
     let telemetry = node.subscriber()?;
     let mut handler = RequestHandler::new(planner);
     info!(entries = planner.entries().len(), domain = domain.name(), "planner ready");
@@ -95,7 +96,7 @@ fn serve(planner: &Planner, domain: &Domain, stop: &Arc<AtomicBool>) -> Result<(
             response
         })?;
         for plan in &published {
-            publisher.publish(&Box::<PlanMessage>::from(plan))?;
+            publisher.publish(&PlanMessage::new(plan, model.order()))?;
             info!(id = format!("{:016x}", plan.id), t_f = plan.trajectory.t_f, "plan published");
         }
         publisher.deliver_history()?;
@@ -170,7 +171,8 @@ impl<'a> RequestHandler<'a> {
     /// once; stops as soon as `wanted` returns false.
     pub fn prepare(&mut self, wanted: &dyn Fn() -> bool) {
         let Some((record, seen)) = &self.newest else { return };
-        let start = measured(record);
+        let Ok(vectors) = record.vectors(self.planner.config().model.order()) else { return };
+        let start = vectors.x;
         // Not in lockstep: there equal runs have to give equal plans, however long planning takes.
         if stands_still(record)
             || stale(record, *seen)
@@ -246,7 +248,9 @@ impl<'a> RequestHandler<'a> {
         let PlanStart { x: start, activation_ns, due } = if request.from_now == 1 {
             self.start_from_now(manoeuvre, begin)?
         } else {
-            PlanStart { x: State::from(request.start), activation_ns: None, due: None }
+            let order = self.planner.config().model.order();
+            let x = request.start(order).map_err(PlannerRequestError::StartOfOtherChain)?;
+            PlanStart { x, activation_ns: None, due: None }
         };
         check_start(self.planner, &start)?;
         let deadline = (request.budget_ms > 0)
@@ -312,8 +316,10 @@ impl<'a> RequestHandler<'a> {
             Ok(mode) => return Err(PlannerRequestError::Mode { manoeuvre, needed, mode }),
             Err(unknown) => return Err(PlannerRequestError::UnknownMode(unknown)),
         }
-        let x = measured(record);
         let config = self.planner.config();
+        let vectors =
+            record.vectors(config.model.order()).map_err(PlannerRequestError::TelemetryOfOtherChain)?;
+        let x = vectors.x;
         if manoeuvre == Manoeuvre::SwingDown || hangs(&config.model, &x) {
             return Ok(PlanStart { x, activation_ns: None, due: None });
         }
@@ -324,7 +330,7 @@ impl<'a> RequestHandler<'a> {
         if age > EXTRAPOLATED {
             return Err(PlannerRequestError::TelemetryTooOld { age, limit: EXTRAPOLATED });
         }
-        let q_hold = ActuatedVector::from_fn(|i, _| record.q_d[i]);
+        let q_hold = vectors.x_d.q_a();
         let due = begin + self.lead;
         let ahead = due.saturating_duration_since(*seen);
         let (hold, seconds) = (&config.daemon.hold, ahead.as_secs_f64());
@@ -332,11 +338,6 @@ impl<'a> RequestHandler<'a> {
         let activation_ns = record.t_ns.saturating_add(u64::try_from(ahead.as_nanos()).unwrap_or(u64::MAX));
         Ok(PlanStart { x, activation_ns: Some(activation_ns), due: Some(due) })
     }
-}
-
-/// The measured state x in a record, rad and rad/s.
-fn measured(record: &Telemetry) -> State {
-    State::from_fn(|i, _| if i < NQ { record.q[i] } else { record.qd[i - NQ] })
 }
 
 /// Whether the clock of the plant stands still while a plan is made.
@@ -356,28 +357,40 @@ fn at_rest(x: &State) -> bool {
 
 /// Whether arm and pendulum are at rest and stay there: the pendulum is not at the turning point of a swing.
 fn hangs(model: &Model, x: &State) -> bool {
-    let qdd_u = model.f(x, &ActuatedVector::zeros(), &mut Workspace::default()).qd_u();
+    let qdd_u = model.f(x, &ActuatedVector::zeros(model.sizes()), &mut Workspace::default()).qd_u();
     at_rest(x) && qdd_u.iter().all(|a| a.abs() <= HELD_ACCELERATION)
 }
 
 /// Whether a plan from `a` can start in `b`: both are at rest in the same pose.
 fn near(a: &State, b: &State) -> bool {
-    at_rest(a) && at_rest(b) && (0..NQ).all(|i| (a[i] - b[i]).abs() <= SAME_START)
+    at_rest(a) && at_rest(b) && (a.q() - b.q()).iter().all(|d| d.abs() <= SAME_START)
 }
 
 fn check_start(planner: &Planner, start: &State) -> Result<(), PlannerRequestError> {
-    if let Some(entry) = start.iter().position(|v| !v.is_finite()) {
-        return Err(PlannerRequestError::StartNotFinite { entry, got: start[entry] });
-    }
-    let limits = &planner.config().robot.planning;
-    for i in 0..NQ {
-        let (joint, q, qd) = (i + 1, start.q()[i], start.qd()[i]);
-        let (min, max) = (limits.q_min[i], limits.q_max[i]);
-        if !(q >= min - START_SLACK && q <= max + START_SLACK) {
-            return Err(PlannerRequestError::StartPosition { joint, min, max, got: q });
+    let config = planner.config();
+    let (model, limits) = (&config.model, &config.robot.planning);
+    for (row, got) in start.iter().copied().enumerate() {
+        let (kind, i) = LimitKind::of_row(row, model.sizes());
+        let joint = || model.joint_name(i).to_owned();
+        if !got.is_finite() {
+            return Err(PlannerRequestError::StartNotFinite { kind, joint: joint(), got });
         }
-        if !(qd.abs() <= limits.qd_max[i]) {
-            return Err(PlannerRequestError::StartVelocity { joint, max: limits.qd_max[i], got: qd });
+        let (min, max) = limits.range(kind, i);
+        let (slack, per) = match kind {
+            LimitKind::Velocity => (0.0, "/s"),
+            _ => (START_SLACK, ""),
+        };
+        if !(got >= min - slack && got <= max + slack) {
+            let [(min, unit), (max, _), (got, _)] = [min, max, got].map(|v| model.joint_kind(i).shown(v));
+            let unit = format!("{unit}{per}");
+            return Err(PlannerRequestError::StartOutsideLimits {
+                kind,
+                joint: joint(),
+                min,
+                max,
+                got,
+                unit,
+            });
         }
     }
     Ok(())

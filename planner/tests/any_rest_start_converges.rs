@@ -2,7 +2,7 @@
 //! starts at q8 = q9 = 0 near the level flange do, too; for an infeasible start the limit is named.
 
 use upswing_config::{Config, PendulumStart};
-use upswing_model::{LimitKind, NQ, State, Workspace};
+use upswing_model::{LimitKind, State, Workspace};
 use upswing_ocp::interior_point::{NlpSolution, NlpStatus};
 use upswing_ocp::multistart::Search;
 use upswing_planner::offline::{optimize, options};
@@ -16,15 +16,16 @@ fn solve(config: &Config, start: State) -> NlpSolution {
 
 fn assert_solved(config: &Config, start: State) {
     let solution = solve(config, start);
-    let q = start.fixed_rows::<NQ>(0).map(f64::to_degrees);
-    assert_eq!(solution.status, NlpStatus::Solved, "from {q}");
+    let q = start.q().map(f64::to_degrees);
+    assert_eq!(solution.status, NlpStatus::Solved, "from {q:?}");
     let t = &solution.trajectory;
-    assert!(t.defect(&config.model, &mut Workspace::default()) <= 1e-8, "from {q}");
+    assert!(t.defect(&config.model, &mut Workspace::default()) <= 1e-8, "from {q:?}");
     let limits = &config.robot.planning;
     for x in t.x.iter() {
-        for i in 0..NQ {
-            assert!(x[i] >= limits.q_min[i] - 1e-9 && x[i] <= limits.q_max[i] + 1e-9, "q{} from {q}", i + 1);
-            assert!(x[NQ + i].abs() <= limits.qd_max[i] + 1e-9, "qd{} from {q}", i + 1);
+        for i in 0..q.len() {
+            let (at, speed) = (x.q()[i], x.qd()[i].abs());
+            assert!(at >= limits.q_min[i] - 1e-9 && at <= limits.q_max[i] + 1e-9, "q{} from {q:?}", i + 1);
+            assert!(speed <= limits.qd_max[i] + 1e-9, "qd{} from {q:?}", i + 1);
         }
     }
 }
@@ -78,7 +79,8 @@ fn a_rod_that_falls_too_fast_is_infeasible() {
     // From pitch 30 deg the rod falls faster than joint 9 may move, whatever the arm does.
     match solve(&config, zero_start(&config, 30.0)).status {
         NlpStatus::Infeasible(limit) => {
-            assert_eq!((limit.kind, limit.joint), (LimitKind::Velocity, NQ - 1), "{limit}");
+            let last = config.model.sizes().joints() - 1;
+            assert_eq!((limit.kind, limit.joint), (LimitKind::Velocity, last), "{limit}");
         }
         other => panic!("expected infeasible, got {other}"),
     }

@@ -15,8 +15,9 @@ fn planner(factor: f64) -> Planner {
     let mut config = Config::embedded().expect("embedded settings");
     let settings = &mut config.planner.replan;
     settings.weight_t_f *= factor;
-    let all = settings.weight_q.iter_mut().chain(&mut settings.weight_qd).chain(&mut settings.weight_u);
-    all.for_each(|weight| *weight *= factor);
+    settings.weight_q *= factor;
+    settings.weight_qd *= factor;
+    settings.weight_u *= factor;
     Planner::new(config).expect("the shipped database fits")
 }
 
@@ -57,9 +58,8 @@ fn the_answer_names_it_and_the_status_counts_it() {
         answer.reason.as_str().expect("text").to_owned()
     };
     assert!(!ask(&status).contains("Clarabel"));
-    let start = start(&planner).into();
-    let kind = PlannerKind::SwingUp.code();
-    let answer = ask(&PlannerRequest { kind, start, ..PlannerRequest::default() });
+    let order = planner.config().model.order();
+    let answer = ask(&PlannerRequest::from_state(PlannerKind::SwingUp, order, &start(&planner)));
     assert!(answer.contains("QPs solved by Clarabel"), "{answer}");
     let status = ask(&status);
     assert!(status.contains("Clarabel was asked for a second opinion on"), "{status}");

@@ -268,12 +268,12 @@ fn consistent_records_of_something_else_are_found() {
     let hanging = entry(&|t| {
         let start = t.x[0];
         t.x.fill(start);
-        t.u.fill(upswing_model::ActuatedVector::zeros());
+        t.u.fill(upswing_model::ActuatedVector::zeros(config.model.sizes()));
     });
     assert!(matches!(hanging, RecordFlaw::End { row: 4.., .. }), "{hanging}");
     let elsewhere = entry(&|t| t.x.iter_mut().for_each(|x| x[0] += 0.1));
     assert!(matches!(elsewhere, RecordFlaw::Start { row: 0, .. }), "{elsewhere}");
-    let jumping = entry(&|t| t.x[50][8] += 0.01);
+    let jumping = entry(&|t| t.x[50].q_u_mut()[1] += 0.01);
     assert!(matches!(jumping, RecordFlaw::Defect { .. }), "{jumping}");
     let hurried = entry(&|t| t.t_f *= 0.99);
     assert!(matches!(hurried, RecordFlaw::Defect { .. }), "{hurried}");

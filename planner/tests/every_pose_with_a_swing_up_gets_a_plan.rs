@@ -4,12 +4,12 @@
 use rayon::prelude::*;
 use upswing_config::{Config, PendulumStart};
 use upswing_ipc::operator::Manoeuvre;
-use upswing_model::{NU, State};
+use upswing_model::{ActuatedVector, State};
 use upswing_ocp::interior_point::NlpStatus;
 use upswing_ocp::multistart::Search;
 use upswing_planner::offline::{optimize, options};
 use upswing_planner::replan::{Effort, Method, Planner};
-use upswing_trajectory::{Certificate, Entry, N};
+use upswing_trajectory::{Certificate, Entry};
 
 /// Largest ratio of the duration of a plan to that of the optimum.
 const LONGEST: f64 = 1.05;
@@ -20,7 +20,7 @@ fn planner() -> Planner {
     Planner::new(Config::embedded().expect("embedded settings")).expect("the shipped database fits")
 }
 
-fn rest(config: &Config, degrees: [f64; NU]) -> State {
+fn rest(config: &Config, degrees: [f64; 7]) -> State {
     config.start_state(&degrees.map(f64::to_radians), PendulumStart::Rest).expect("a rest position")
 }
 
@@ -31,17 +31,17 @@ fn plans_where_there_is_an_optimum(planner: &Planner, start: &State) -> bool {
     if optimum.status != NlpStatus::Solved {
         return false;
     }
-    let q = start.fixed_rows::<NU>(0).map(f64::to_degrees).transpose();
+    let q = start.q_a().map(f64::to_degrees);
     let replan = planner.replan(start, config.planner.replan.iterations, None);
-    let replan = replan.unwrap_or_else(|e| panic!("from {q}: {e}"));
-    assert!(replan.defect <= config.planner.replan.defect, "from {q}: defect {:e}", replan.defect);
-    assert!((replan.trajectory.x[0] - start).amax() <= 1e-7, "from {q}: starts elsewhere");
+    let replan = replan.unwrap_or_else(|e| panic!("from {q:?}: {e}"));
+    assert!(replan.defect <= config.planner.replan.defect, "from {q:?}: defect {:e}", replan.defect);
+    assert!((replan.trajectory.x[0] - start).amax() <= 1e-7, "from {q:?}: starts elsewhere");
     let longer = replan.trajectory.t_f / optimum.trajectory.t_f;
-    assert!(longer <= LONGEST, "from {q}: {:.3} s, {longer:.4} of the optimum", replan.trajectory.t_f);
+    assert!(longer <= LONGEST, "from {q:?}: {:.3} s, {longer:.4} of the optimum", replan.trajectory.t_f);
     config
         .plan_criteria()
         .check(&config.model, &replan.plan(config))
-        .unwrap_or_else(|e| panic!("from {q}: {e}"));
+        .unwrap_or_else(|e| panic!("from {q:?}: {e}"));
     true
 }
 
@@ -86,11 +86,11 @@ fn over_the_whole_range_of_every_joint() {
     let mut starts = Vec::new();
     while starts.len() < POSES {
         // Two of three poses anywhere, the third in the range of the database.
-        let mut q = [0.0; NU];
+        let mut q = ActuatedVector::zeros(config.model.sizes());
         if starts.len() % 3 == 0 {
             config.grid.axes.iter().for_each(|axis| q[axis.joint] = between(axis.from, axis.to));
         } else {
-            q = std::array::from_fn(|i| between(limits.q_min[i], limits.q_max[i]));
+            q = limits.q_min.actuated().zip_map(&limits.q_max.actuated(), &mut between);
         }
         starts.extend(config.start_state(&q, PendulumStart::Rest));
     }
@@ -149,7 +149,7 @@ fn with_a_target_on_its_limit() {
         assert!(up.defect <= planner.config().planner.replan.defect, "{:e}", up.defect);
         let far = Effort::iterations(10);
         planner.replan_with(&mut solver, Manoeuvre::SwingUp, &start, &far).expect("a plan");
-        let end = up.trajectory.x[N];
+        let end = *up.trajectory.end();
         let down = planner.replan_with(&mut solver, Manoeuvre::SwingDown, &end, &quadratic);
         down.unwrap_or_else(|e| panic!("down from the end of {moved:?}: {e}"));
     }

@@ -1,36 +1,39 @@
-//! The K-D tree finds the same poses as a linear search, also on regular grids with ties.
+//! The K-D tree finds the same keys as a linear search, for keys of any length, also on regular grids with ties.
 
 use proptest::prelude::*;
-use upswing_model::NU;
-use upswing_planner::database::NearestPose;
+use upswing_planner::database::NearestKey;
 
-fn brute_force(poses: &[[f64; NU]], metric: &[f64; NU], q: &[f64; NU], count: usize) -> Vec<usize> {
-    let scale = metric.map(f64::sqrt);
-    let distance = |p: &[f64; NU]| (0..NU).map(|j| (q[j] * scale[j] - p[j] * scale[j]).powi(2)).sum::<f64>();
-    let mut order: Vec<usize> = (0..poses.len()).collect();
-    order.sort_by(|a, b| distance(&poses[*a]).total_cmp(&distance(&poses[*b])).then(a.cmp(b)));
+fn brute_force(keys: &[Vec<f64>], metric: &[f64], q: &[f64], count: usize) -> Vec<usize> {
+    let scale: Vec<f64> = metric.iter().map(|w| w.sqrt()).collect();
+    let distance = |key: &[f64]| {
+        let offsets = q.iter().zip(key).zip(&scale).map(|((q, p), s)| q * s - p * s);
+        offsets.map(|d| d * d).sum::<f64>()
+    };
+    let mut order: Vec<usize> = (0..keys.len()).collect();
+    order.sort_by(|a, b| distance(&keys[*a]).total_cmp(&distance(&keys[*b])).then(a.cmp(b)));
     order.truncate(count);
     order
 }
 
-fn grid(points: usize) -> Vec<[f64; NU]> {
-    let mut poses = vec![[0.0; NU]];
-    for joint in [0, 1, 3, 5] {
-        poses = poses
+/// A regular grid over the coordinates `varied` of keys with `length` coordinates.
+fn grid(length: usize, varied: &[usize], points: usize) -> Vec<Vec<f64>> {
+    let mut keys = vec![vec![0.0; length]];
+    for coordinate in varied.iter().filter(|coordinate| **coordinate < length) {
+        keys = keys
             .iter()
-            .flat_map(|p| {
-                (0..points).map(move |i| {
-                    let mut p = *p;
-                    p[joint] = i as f64 - 1.5;
-                    p
+            .flat_map(|key| {
+                (0..points).map(|i| {
+                    let mut key = key.clone();
+                    key[*coordinate] = i as f64 - 1.5;
+                    key
                 })
             })
             .collect();
     }
-    poses
+    keys
 }
 
-fn indices(tree: &NearestPose, q: &[f64; NU], count: usize) -> Vec<usize> {
+fn indices(tree: &NearestKey, q: &[f64], count: usize) -> Vec<usize> {
     tree.nearest(q, count).iter().map(|n| n.index).collect()
 }
 
@@ -40,22 +43,32 @@ proptest! {
 
     #[test]
     fn on_a_regular_grid(
-        q in prop::array::uniform7(-3.0..3.0),
+        q in prop::array::uniform16(-3.0..3.0),
         // Half steps lie exactly between grid points: ties.
-        halves in prop::array::uniform7(-6i32..6),
-        metric in prop::array::uniform7(0.1..3.0),
+        halves in prop::array::uniform16(-6i32..6),
+        metric in prop::array::uniform16(0.1..3.0),
+        length in 1usize..=16,
         points in 1usize..5,
         count in 1usize..6,
     ) {
-        let poses = grid(points);
-        let tree = NearestPose::new(poses.iter().copied(), &metric);
-        prop_assert_eq!(indices(&tree, &q, count), brute_force(&poses, &metric, &q, count));
-        let tie = halves.map(|h| 0.5 * f64::from(h));
-        prop_assert_eq!(indices(&tree, &tie, count), brute_force(&poses, &metric, &tie, count));
+        let (q, metric) = (&q[..length], &metric[..length]);
+        let keys = grid(length, &[0, 1, 3, 5], points);
+        let tree = NearestKey::new(keys.clone(), metric);
+        prop_assert_eq!(indices(&tree, q, count), brute_force(&keys, metric, q, count));
+        let tie: Vec<f64> = halves[..length].iter().map(|h| 0.5 * f64::from(*h)).collect();
+        prop_assert_eq!(indices(&tree, &tie, count), brute_force(&keys, metric, &tie, count));
     }
 }
 
 #[test]
-fn of_no_poses_none_is_nearest() {
-    assert!(NearestPose::new([], &[1.0; NU]).nearest(&[0.0; NU], 3).is_empty());
+fn of_no_keys_none_is_nearest() {
+    assert!(NearestKey::new([], &[1.0; 7]).nearest(&[0.0; 7], 3).is_empty());
+}
+
+#[test]
+fn coordinates_without_a_weight_do_not_count() {
+    let tree = NearestKey::new([vec![2.0, 0.0], vec![1.0, 9.0]], &[1.0]);
+    assert_eq!(indices(&tree, &[0.0, 0.0], 2), [1, 0]);
+    let tree = NearestKey::new([vec![2.0], vec![1.0], vec![3.0]], &[]);
+    assert_eq!(indices(&tree, &[0.0], 2), [0, 1]);
 }

@@ -3,7 +3,7 @@
 
 use serde::Deserialize;
 use upswing_config::{Config, PendulumStart, TorqueForm};
-use upswing_model::{NQ, NU, Workspace};
+use upswing_model::Workspace;
 use upswing_ocp::interior_point::NlpStatus;
 use upswing_ocp::multistart::Search;
 use upswing_planner::offline::{optimize, options, problem};
@@ -29,20 +29,17 @@ fn assert_limits(config: &Config, trajectory: &Trajectory) {
     let (low, high) = problem.torque.bounds(&limits.tau_max);
     let mut work = Workspace::default();
     for (k, (x, u)) in trajectory.knots().enumerate() {
-        for i in 0..NQ {
-            assert!(
-                x[i] >= limits.q_min[i] - SLACK && x[i] <= limits.q_max[i] + SLACK,
-                "q{} at knot {k}",
-                i + 1
-            );
-            assert!(x[NQ + i].abs() <= limits.qd_max[i] + SLACK, "qd{} at knot {k}", i + 1);
+        for (i, (q, qd)) in x.q().iter().zip(x.qd().iter()).enumerate() {
+            let within = (limits.q_min[i] - SLACK)..=(limits.q_max[i] + SLACK);
+            assert!(within.contains(q), "q{} at knot {k}", i + 1);
+            assert!(qd.abs() <= limits.qd_max[i] + SLACK, "qd{} at knot {k}", i + 1);
         }
         let tau = match config.planner.offline.torque {
             TorqueForm::Exact => config.model.torque(x, u, &mut work),
             TorqueForm::Paper => config.model.torque_without_coriolis(x, u, &mut work),
         };
-        for i in 0..NU {
-            assert!(tau[i] >= low[i] - SLACK && tau[i] <= high[i] + SLACK, "tau{} at knot {k}", i + 1);
+        for (i, tau) in tau.iter().enumerate() {
+            assert!(*tau >= low[i] - SLACK && *tau <= high[i] + SLACK, "tau{} at knot {k}", i + 1);
         }
     }
 }
@@ -56,7 +53,7 @@ fn check(torque: TorqueForm) {
     for known in reference.trajectories {
         let q: Vec<f64> = known.start_deg.iter().map(|d| d.to_radians()).collect();
         let start = config.start_state(&q, PendulumStart::Rest).expect("a start at rest");
-        assert!((start[NQ - 1].to_degrees() - known.start_q9_deg).abs() < 1e-9);
+        assert!((start.q_u()[1].to_degrees() - known.start_q9_deg).abs() < 1e-9);
         let solution = optimize(&config, start, Search::First, None, &options(&config));
         let name = format!("{:?} ({torque:?})", known.start_deg);
         assert_eq!(solution.status, NlpStatus::Solved, "{name}");
@@ -64,7 +61,7 @@ fn check(torque: TorqueForm) {
         assert!(defect <= 1e-8, "{name}: defect {defect:e}");
         assert!((solution.trajectory.x[0] - start).amax() == 0.0, "{name}: another start");
         for row in problem(&config, start).target {
-            let miss = row.coefficients.dot(&solution.trajectory.x[100]) - row.value;
+            let miss = row.coefficients.dot(solution.trajectory.end()) - row.value;
             assert!(miss.abs() <= 1e-8, "{name}: target missed by {miss:e}");
         }
         assert_limits(&config, &solution.trajectory);

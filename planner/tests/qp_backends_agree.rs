@@ -2,12 +2,12 @@
 //! infeasible.
 
 use upswing_config::{Config, PendulumStart};
-use upswing_model::{LimitKind, NQ, NU, NX, NZ, State, Workspace};
-use upswing_ocp::kkt::KnotVector;
+use upswing_model::{ActuatedVector, LimitKind, State, Workspace};
 use upswing_ocp::qp::{Backend, Bound, Qp, QpOptions, QpSolver, QpStatus};
+use upswing_ocp::slab::{KnotParts as _, KnotVector};
 use upswing_planner::offline::{problem, qp_weights};
 use upswing_planner::replan::Planner;
-use upswing_trajectory::{N, Trajectory};
+use upswing_trajectory::Trajectory;
 
 /// The QP back ends, `Structured` first.
 const BACKENDS: [Backend; 2] = [Backend::Structured, Backend::Clarabel];
@@ -20,6 +20,12 @@ const PRECISE: QpOptions<'_> = QpOptions {
     deadline: None,
     cancelled: None,
 };
+
+/// A QP solver for the entries of a planner.
+fn solver(planner: &Planner, backend: Backend) -> QpSolver {
+    let entry = &planner.entries()[0].trajectory;
+    QpSolver::new(backend, entry.sizes(), entry.intervals())
+}
 
 fn planner() -> Planner {
     Planner::new(Config::embedded().expect("embedded settings")).expect("the shipped database fits")
@@ -43,9 +49,9 @@ impl Random {
 }
 
 /// The QP for a start at rest that is `offset` (rad) away from the start of an entry.
-fn qp_at(planner: &Planner, entry: usize, offset: &[f64; NU]) -> Option<Qp> {
+fn qp_at(planner: &Planner, entry: usize, offset: &[f64; 7]) -> Option<Qp> {
     let reference = &planner.entries()[entry].trajectory;
-    let q: [f64; NU] = std::array::from_fn(|i| reference.x[0][i] + offset[i]);
+    let q: Vec<f64> = reference.start().q_a().iter().zip(offset).map(|(q, offset)| q + offset).collect();
     let start = planner.config().start_state(&q, PendulumStart::Rest).ok()?;
     Some(qp_from(planner, reference, reference, start))
 }
@@ -56,33 +62,43 @@ fn qp_from(planner: &Planner, reference: &Trajectory, at: &Trajectory, start: St
     Qp::new(&problem, reference, at, &weights, &mut Workspace::default())
 }
 
+fn largest(values: &[f64]) -> f64 {
+    values.iter().copied().fold(f64::NEG_INFINITY, f64::max)
+}
+
 /// Largest violation of any constraint (rad, rad/s, share of half a torque range), computed from the statement.
 fn violation(qp: &Qp, solver: &QpSolver) -> f64 {
     let s = solver.solution();
-    let x = |k: usize| -> State { s.z[k].fixed_rows::<NX>(0).into() };
-    let f =
-        |k: usize| qp.dynamics[k].apply(&s.z[k]) * (0.5 * qp.h) + qp.dynamics[k].f * (s.t / (2 * N) as f64);
+    let n = qp.x.len();
+    let x = |k: usize| s.z.x(k);
+    let f = |k: usize| {
+        let of_z = qp.dynamics.apply(k, &s.z.knot(k)) * (0.5 * qp.h);
+        of_z + qp.dynamics.f.state(k) * (s.t / (2 * n) as f64)
+    };
     let mut worst = (x(0) - qp.start).amax().max(s.t - qp.t.1).max(qp.t.0 - s.t);
-    for k in 0..N {
-        worst = worst.max((x(k + 1) - x(k) - f(k) - f(k + 1) + qp.defects[k]).amax());
+    for k in 0..n {
+        worst = worst.max((x(k + 1) - x(k) - f(k) - f(k + 1) + qp.defects.state(k)).amax());
         let (lower, upper) = &qp.x[k];
-        worst = worst.max((lower - x(k + 1)).max()).max((x(k + 1) - upper).max());
+        worst = worst.max(largest(&(lower - x(k + 1)))).max(largest(&(x(k + 1) - upper)));
     }
-    for (z, torque) in s.z.iter().zip(&qp.torque) {
-        let tau = torque.jacobian * z;
-        let half = (torque.upper - torque.lower) * 0.5;
-        worst = worst.max((torque.lower - tau).component_div(&half).max());
-        worst = worst.max((tau - torque.upper).component_div(&half).max());
+    for (k, (lower, upper)) in qp.torque.bounds.iter().enumerate() {
+        let mut tau = ActuatedVector::zeros(lower.sizes());
+        qp.torque.jacobian.times(k, &s.z.knot(k), &mut tau);
+        let half = (upper - lower) * 0.5;
+        worst = worst.max(largest(&(lower - tau).component_div(&half)));
+        worst = worst.max(largest(&(tau - upper).component_div(&half)));
     }
-    qp.target.iter().map(|row| (row.coefficients.dot(&x(N)) - row.value).abs()).fold(worst, f64::max)
+    qp.target.iter().map(|row| (row.coefficients.dot(&x(n)) - row.value).abs()).fold(worst, f64::max)
 }
 
 /// Largest difference of states (rad, rad/s) and durations (s), and of inputs as they count in the objective: times
 /// the root of their weight.
 fn difference(qp: &Qp, a: &QpSolver, b: &QpSolver) -> f64 {
-    let scale = KnotVector::from_fn(|i, _| if i < NX { 1.0 } else { qp.weight[0][i].sqrt() });
+    let mut scale = KnotVector::zeros(qp.start.sizes());
+    scale.x_mut().fill(1.0);
+    scale.u_mut().copy_from_slice(&qp.weight.u(0).map(f64::sqrt));
     let (a, b) = (a.solution(), b.solution());
-    let z = a.z.iter().zip(&b.z).map(|(a, b)| (a - b).component_mul(&scale).amax());
+    let z = (0..=qp.x.len()).map(|k| (a.z.knot(k) - b.z.knot(k)).component_mul(&scale).amax());
     z.fold((a.t - b.t).abs(), f64::max)
 }
 
@@ -91,10 +107,10 @@ fn on_random_starts_up_to_the_corners_of_a_cell() {
     /// Number of QPs; Clarabel takes nearly all of the time.
     const QPS: usize = 200;
     /// Half spacings of the paper's grid, rad.
-    const CELL: [f64; NU] = [0.305, 0.175, 0.0, 0.175, 0.0, 0.349, 0.0];
+    const CELL: [f64; 7] = [0.305, 0.175, 0.0, 0.175, 0.0, 0.349, 0.0];
     let planner = planner();
     let mut random = Random(1);
-    let [mut structured, mut clarabel] = BACKENDS.map(|backend| QpSolver::new(backend, N));
+    let [mut structured, mut clarabel] = BACKENDS.map(|backend| solver(&planner, backend));
     let (mut done, mut active, mut infeasible) = (0, 0, 0);
     while done < QPS {
         let entry = random.next() as usize % planner.entries().len();
@@ -110,8 +126,9 @@ fn on_random_starts_up_to_the_corners_of_a_cell() {
         let Some(mut qp) = qp_at(&planner, entry, &offset) else { continue };
         if done % 5 == 4 {
             // The arm moves at full speed.
-            for i in 0..NU {
-                qp.start[NQ + i] += planner.config().robot.planning.qd_max[i] * random.sign().signum();
+            let qd_max = planner.config().robot.planning.qd_max.actuated();
+            for (qd, max) in qp.start.qd_a_mut().iter_mut().zip(qd_max.iter()) {
+                *qd += max * random.sign().signum();
             }
         }
         if done % 10 == 9 {
@@ -119,7 +136,7 @@ fn on_random_starts_up_to_the_corners_of_a_cell() {
             let joint = [1, 3, 5][random.next() as usize % 3];
             let limits = &planner.config().robot.planning;
             qp.start[joint] = limits.q_max[joint] - planner.entries()[entry].trajectory.x[0][joint];
-            qp.start[NQ + joint] = limits.qd_max[joint] * random.sign().abs();
+            qp.start.qd_mut()[joint] = limits.qd_max[joint] * random.sign().abs();
         }
         let verdicts = [structured.solve(&qp, &PRECISE), clarabel.solve(&qp, &PRECISE)];
         done += 1;
@@ -145,9 +162,9 @@ fn on_random_starts_up_to_the_corners_of_a_cell() {
 
 fn touches_a_limit(qp: &Qp, solver: &QpSolver) -> bool {
     let z = &solver.solution().z;
-    (0..N).any(|k| {
-        let x: State = z[k + 1].fixed_rows::<NX>(0).into();
-        (x - qp.x[k].0).min().min((qp.x[k].1 - x).min()) < 1e-6
+    qp.x.iter().enumerate().any(|(k, (lower, upper))| {
+        let x = z.x(k + 1);
+        largest(&(lower - x)).max(largest(&(x - upper))) > -1e-6
     })
 }
 
@@ -156,7 +173,7 @@ fn towards_its_stop(planner: &Planner, entry: usize, joint: usize, fast: f64) ->
     let reference = &planner.entries()[entry].trajectory;
     let mut start = reference.x[0];
     start[joint] = planner.config().robot.planning.q_max[joint];
-    start[NQ + joint] = fast;
+    start.qd_mut()[joint] = fast;
     qp_from(planner, reference, reference, start)
 }
 
@@ -164,7 +181,7 @@ fn towards_its_stop(planner: &Planner, entry: usize, joint: usize, fast: f64) ->
 fn infeasible_ones_are_infeasible_for_both() {
     let planner = planner();
     for backend in BACKENDS {
-        let mut solver = QpSolver::new(backend, N);
+        let mut solver = solver(&planner, backend);
         for entry in [3, 40, 99, 150] {
             for joint in [1, 3, 5] {
                 let fast = planner.config().robot.planning.qd_max[joint];
@@ -177,13 +194,13 @@ fn infeasible_ones_are_infeasible_for_both() {
             }
         }
         // A duration that no motion within the limits has, and a target outside its bounds.
-        let mut qp = qp_at(&planner, 40, &[0.0; NU]).expect("an entry starts at rest");
+        let mut qp = qp_at(&planner, 40, &[0.0; 7]).expect("an entry starts at rest");
         qp.t = (50.0, 60.0);
         assert!(
             matches!(solver.solve(&qp, &QpOptions::new(1e-9)), QpStatus::Infeasible(_)),
             "{backend:?}: duration"
         );
-        let mut qp = qp_at(&planner, 40, &[0.0; NU]).expect("an entry starts at rest");
+        let mut qp = qp_at(&planner, 40, &[0.0; 7]).expect("an entry starts at rest");
         qp.target[4].value += 10.0;
         assert!(
             matches!(solver.solve(&qp, &QpOptions::new(1e-9)), QpStatus::Infeasible(_)),
@@ -203,7 +220,7 @@ fn softened_limits_yield_where_hard_ones_contradict() {
         let mut qp = towards_its_stop(&planner, 40, joint, limits.qd_max[joint]);
         for compliance in [1e-2, 1e-4] {
             qp.compliance = compliance;
-            let [mut structured, mut clarabel] = BACKENDS.map(|backend| QpSolver::new(backend, N));
+            let [mut structured, mut clarabel] = BACKENDS.map(|backend| solver(&planner, backend));
             let verdicts = [structured.solve(&qp, &PRECISE), clarabel.solve(&qp, &PRECISE)];
             assert_eq!(verdicts, [QpStatus::Solved; 2], "joint {joint}, compliance {compliance:e}");
             let difference = difference(&qp, &structured, &clarabel);
@@ -213,8 +230,8 @@ fn softened_limits_yield_where_hard_ones_contradict() {
         }
     }
     // If the constraints are consistent, soft bounds of small compliance give the solution of hard bounds.
-    let mut qp = qp_at(&planner, 77, &[0.05; NU]).expect("a start at rest");
-    let [mut hard, mut soft] = [QpSolver::new(Backend::Structured, N), QpSolver::new(Backend::Structured, N)];
+    let mut qp = qp_at(&planner, 77, &[0.05; 7]).expect("a start at rest");
+    let [mut hard, mut soft] = [(); 2].map(|()| solver(&planner, Backend::Structured));
     assert_eq!(hard.solve(&qp, &PRECISE), QpStatus::Solved);
     qp.compliance = 1e-9;
     assert_eq!(soft.solve(&qp, &PRECISE), QpStatus::Solved);
@@ -227,11 +244,11 @@ fn a_limit_that_jumps_away_is_named() {
     let planner = planner();
     for (joint, knot) in [(0, 1), (3, 40), (5, 90)] {
         // Contradicting bounds: at least 0.5 rad at the knot, at most 0 one interval later.
-        let mut qp = qp_at(&planner, 40, &[0.0; NU]).expect("an entry starts at rest");
+        let mut qp = qp_at(&planner, 40, &[0.0; 7]).expect("an entry starts at rest");
         qp.x[knot - 1].0[joint] = 0.5;
         qp.x[knot - 1].1[joint] = 1.0;
         qp.x[knot].1[joint] = 0.0;
-        let status = QpSolver::new(Backend::Structured, N).solve(&qp, &QpOptions::new(1e-9));
+        let status = solver(&planner, Backend::Structured).solve(&qp, &QpOptions::new(1e-9));
         let QpStatus::Infeasible(Some(conflict)) = status else { panic!("joint {joint}: {status:?}") };
         assert_eq!(conflict.bound, Bound::Joint(LimitKind::Position, joint), "{conflict}");
         assert!(conflict.knot == knot || conflict.knot == knot + 1, "{conflict}");
@@ -243,15 +260,16 @@ fn a_warm_start_ends_where_a_cold_one_does() {
     let planner = planner();
     for (entry, offset) in [(10, 0.05), (40, -0.1), (77, 0.15)] {
         let reference = &planner.entries()[entry].trajectory;
-        let q: [f64; NU] = std::array::from_fn(|i| reference.x[0][i] + offset * [1.0, 0.5, 0.0][i % 3]);
+        let q_a = reference.start().q_a();
+        let q: Vec<f64> = q_a.iter().enumerate().map(|(i, q)| q + offset * [1.0, 0.5, 0.0][i % 3]).collect();
         let start = planner.config().start_state(&q, PendulumStart::Rest).expect("a start at rest");
         let mut at = reference.clone();
-        let mut warm = QpSolver::new(Backend::Structured, N);
+        let mut warm = solver(&planner, Backend::Structured);
         for iteration in 0..4 {
             let qp = qp_from(&planner, reference, &at, start);
             let status =
                 if iteration == 0 { warm.solve(&qp, &PRECISE) } else { warm.solve_again(&qp, &PRECISE) };
-            let mut cold = QpSolver::new(Backend::Structured, N);
+            let mut cold = solver(&planner, Backend::Structured);
             assert_eq!(
                 [status, cold.solve(&qp, &PRECISE)],
                 [QpStatus::Solved; 2],
@@ -260,9 +278,9 @@ fn a_warm_start_ends_where_a_cold_one_does() {
             let difference = difference(&qp, &warm, &cold);
             assert!(difference <= 1e-6, "entry {entry}, QP {iteration}: {difference:e}");
             at.t_f += warm.solution().t;
-            for (k, dz) in warm.solution().z.iter().enumerate() {
-                at.x[k] += dz.fixed_rows::<NX>(0);
-                at.u[k] += dz.fixed_rows::<NU>(NX);
+            for (k, (x, u)) in at.x.iter_mut().zip(&mut at.u).enumerate() {
+                *x += warm.solution().z.x(k);
+                *u += warm.solution().z.u(k);
             }
         }
     }
@@ -272,34 +290,38 @@ fn a_warm_start_ends_where_a_cold_one_does() {
 fn equal_qps_give_equal_bits_whatever_was_solved_before() {
     let planner = planner();
     // Entries whose start remains within the limits when it is moved.
-    let mut qps = (0..planner.entries().len()).filter_map(|entry| qp_at(&planner, entry, &[0.02; NU]));
+    let mut qps = (0..planner.entries().len()).filter_map(|entry| qp_at(&planner, entry, &[0.02; 7]));
     let (first, other) = (qps.nth(20).expect("one"), qps.nth(20).expect("another"));
     let options = QpOptions::new(1e-9);
-    let mut fresh = QpSolver::new(Backend::Structured, N);
+    let mut fresh = solver(&planner, Backend::Structured);
     assert_eq!(fresh.solve(&first, &options), QpStatus::Solved);
-    let mut used = QpSolver::new(Backend::Structured, N);
+    let mut used = solver(&planner, Backend::Structured);
     assert_eq!(used.solve(&other, &options), QpStatus::Solved);
     assert_eq!(used.solve(&first, &options), QpStatus::Solved);
     let bits = |s: &QpSolver| -> Vec<u64> {
-        s.solution().z.iter().flat_map(|z| z.iter().map(|v| v.to_bits()).collect::<Vec<_>>()).collect()
+        let z = &s.solution().z;
+        (0..z.panels()).flat_map(|k| z.vector(k)).map(|v| v.to_bits()).collect()
     };
     assert_eq!(bits(&fresh), bits(&used));
-    assert_eq!(bits(&fresh).len(), (N + 1) * NZ);
+    assert_eq!(bits(&fresh).len(), (first.x.len() + 1) * first.start.sizes().knot());
 }
 
 #[test]
 fn a_deadline_in_the_past_leaves_the_first_iterate() {
     let planner = planner();
     let entries = 0..planner.entries().len();
-    let qp = entries.filter_map(|entry| qp_at(&planner, entry, &[0.02; NU])).next().expect("a start at rest");
+    let qp = entries.filter_map(|entry| qp_at(&planner, entry, &[0.02; 7])).next().expect("a start at rest");
     for backend in BACKENDS {
-        let mut solver = QpSolver::new(backend, N);
+        let mut solver = solver(&planner, backend);
         let options = QpOptions { deadline: Some(std::time::Instant::now()), ..QpOptions::new(1e-9) };
         let solved = QpOptions { deadline: None, ..options };
         assert_eq!(solver.solve(&qp, &solved), QpStatus::Solved, "{backend:?}");
         assert_eq!(solver.solve(&qp, &options), QpStatus::Deadline, "{backend:?}");
         assert_eq!(solver.solution().iterations, 0);
-        assert!(solver.solution().z[1..].iter().all(|z| z.amax() == 0.0), "{backend:?}: no step yet");
+        assert!(
+            (1..=qp.x.len()).all(|k| solver.solution().z.knot(k).amax() == 0.0),
+            "{backend:?}: no step yet"
+        );
     }
 }
 
@@ -307,9 +329,9 @@ fn a_deadline_in_the_past_leaves_the_first_iterate() {
 fn what_is_less_accurate_than_asked_for_is_not_solved() {
     let planner = planner();
     let entries = 0..planner.entries().len();
-    let qp = entries.filter_map(|entry| qp_at(&planner, entry, &[0.02; NU])).next().expect("a start at rest");
+    let qp = entries.filter_map(|entry| qp_at(&planner, entry, &[0.02; 7])).next().expect("a start at rest");
     // No solver meets this tolerance: Clarabel reports `SolverStatus::AlmostSolved`.
-    let mut solver = QpSolver::new(Backend::Clarabel, N);
+    let mut solver = solver(&planner, Backend::Clarabel);
     let status = solver.solve(&qp, &QpOptions::new(1e-20));
     assert!(matches!(status, QpStatus::Stalled(_)), "{status:?}");
 }
@@ -320,9 +342,9 @@ fn the_last_iterate_of_a_stopped_solve_is_the_best() {
     let fast = |joint: usize| planner.config().robot.planning.qd_max[joint];
     let hopeless = [(3, 1), (3, 5), (40, 3), (99, 1), (99, 5)]
         .map(|(entry, joint)| towards_its_stop(&planner, entry, joint, fast(joint)));
-    let solvable = qp_at(&planner, 40, &[0.05; NU]).expect("a start at rest");
+    let solvable = qp_at(&planner, 40, &[0.05; 7]).expect("a start at rest");
     for qp in hopeless.iter().chain([&solvable]) {
-        let mut solver = QpSolver::new(Backend::Structured, N);
+        let mut solver = solver(&planner, Backend::Structured);
         let mut before = f64::INFINITY;
         for max_iterations in 0..12 {
             let status = solver.solve(qp, &QpOptions { max_iterations, ..QpOptions::new(1e-9) });

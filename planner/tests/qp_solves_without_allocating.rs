@@ -6,7 +6,6 @@ use upswing_model::Workspace;
 use upswing_ocp::qp::{Backend, Qp, QpOptions, QpSolver, QpStatus};
 use upswing_planner::offline::{problem, qp_weights};
 use upswing_planner::replan::Planner;
-use upswing_trajectory::N;
 
 #[test]
 fn after_the_first_one() {
@@ -19,7 +18,8 @@ fn after_the_first_one() {
         Qp::new(&problem, reference, reference, &weights, &mut Workspace::default())
     };
     let (first, second) = (qp(40), qp(41));
-    let mut solver = QpSolver::new(Backend::Structured, N);
+    let reference = &planner.entries()[0].trajectory;
+    let mut solver = QpSolver::new(Backend::Structured, reference.sizes(), reference.intervals());
     let options = QpOptions::new(1e-9);
     let heap = measure(|| assert_eq!(solver.solve(&first, &options), QpStatus::Solved));
     assert!(heap.count_total > 0, "the counter counts");

@@ -7,7 +7,7 @@ use upswing_ipc::operator::Manoeuvre;
 use upswing_model::State;
 use upswing_ocp::interior_point::NlpStatus;
 use upswing_planner::replan::{Effort, Planner, PlanningFailure};
-use upswing_trajectory::{Entry, N};
+use upswing_trajectory::Entry;
 
 fn planner() -> Planner {
     Planner::new(Config::embedded().expect("embedded settings")).expect("the shipped database fits")
@@ -25,6 +25,11 @@ fn start(planner: &Planner, degrees: [f64; 7]) -> State {
     planner.config().start_state(&q, PendulumStart::Rest).expect("a start at rest")
 }
 
+/// Whether the pendulum is upright within `most` (rad) in the state `x`.
+fn upright(x: &State, most: f64) -> bool {
+    (x.q_u()[0] - std::f64::consts::PI).abs() <= most && x.q_u()[1].abs() <= most
+}
+
 const STARTS: [[f64; 7]; 3] = [
     [0.0, -15.0, 0.0, -95.0, 0.0, 10.0, 0.0],
     [-15.0, -15.0, 0.0, -95.0, 0.0, 10.0, 0.0],
@@ -40,12 +45,9 @@ fn with_the_default_number_of_linearisations() {
         assert!(replan.defect <= 1e-6, "{degrees:?}: defect {:e}", replan.defect);
         assert!(replan.margins.smallest() >= 0.0, "{degrees:?}: {:?}", replan.margins);
         assert!((replan.trajectory.x[0] - x).amax() <= 1e-7, "{degrees:?}: starts elsewhere");
-        let end = replan.trajectory.x[N];
-        assert!(
-            (end[7] - std::f64::consts::PI).abs() <= 1e-7 && end[8].abs() <= 1e-7,
-            "{degrees:?}: not upright"
-        );
-        assert!(end.fixed_rows::<9>(9).amax() <= 1e-7, "{degrees:?}: not at rest");
+        let end = replan.trajectory.end();
+        assert!(upright(end, 1e-7), "{degrees:?}: not upright");
+        assert!(end.qd().amax() <= 1e-7, "{degrees:?}: not at rest");
     }
 }
 
@@ -73,19 +75,16 @@ fn one_qp_is_enough_only_where_the_settings_say_so() {
 #[test]
 fn two_sub_horizons_meet_and_more_give_a_plan_or_a_reason() {
     for sub_horizons in SUB_HORIZONS {
-        assert_eq!(N % sub_horizons, 0, "the settings offer what divides the horizon");
         let mut config = Config::embedded().expect("embedded settings");
+        let intervals = config.planner.offline.intervals;
+        assert_eq!(intervals % sub_horizons, 0, "the settings offer what divides the horizon");
         config.planner.replan.sub_horizons = sub_horizons;
         let planner = Planner::new(config).expect("the shipped database fits");
         let x = start(&planner, STARTS[1]);
         match planner.replan(&x, 10, None) {
             Ok(replan) => {
                 assert!(replan.defect <= 1e-6, "{sub_horizons} parts: defect {:e}", replan.defect);
-                let end = replan.trajectory.x[N];
-                assert!(
-                    (end[7] - std::f64::consts::PI).abs() <= 1e-6 && end[8].abs() <= 1e-6,
-                    "{sub_horizons} parts: not upright"
-                );
+                assert!(upright(replan.trajectory.end(), 1e-6), "{sub_horizons} parts: not upright");
             }
             // The first sub-horizon determines the duration; the last of many may not reach the target within it.
             Err(refusal) => assert!(sub_horizons > 2, "{sub_horizons} parts: {refusal}"),
@@ -109,7 +108,8 @@ fn a_pendulum_that_swings_at_the_start_is_caught() {
     let mut x = start(&planner, STARTS[0]);
     for (q8, q9, qd8, qd9) in [(0.2, 0.1, -0.5, 0.3), (-0.3, -0.1, 0.8, 0.0), (0.1, 0.2, 0.0, -0.8)] {
         let rest = start(&planner, STARTS[0]);
-        (x[7], x[8], x[16], x[17]) = (rest[7] + q8, rest[8] + q9, qd8, qd9);
+        x.q_u_mut().copy_from_slice(&[rest.q_u()[0] + q8, rest.q_u()[1] + q9]);
+        x.qd_u_mut().copy_from_slice(&[qd8, qd9]);
         let replan = planner.replan(&x, 10, None).expect("a plan");
         assert!(replan.defect <= 1e-6, "defect {:e}", replan.defect);
         assert!((replan.trajectory.x[0] - x).amax() <= 1e-7);
@@ -138,7 +138,7 @@ fn a_swing_down_ends_where_an_entry_began_on_a_limit_too() {
     assert!(entries.len() > 5, "only {} entries with joint 4 on its limit", entries.len());
     for entry in entries {
         let effort = Effort::iterations(planner.config().planner.replan.iterations);
-        let mut start = entry.trajectory.x[N];
+        let mut start = *entry.trajectory.end();
         // Off the end of the swing-up, as after a push.
         start[0] += 0.01;
         let replan = planner.replan_with(&mut solver, Manoeuvre::SwingDown, &start, &effort);
@@ -153,7 +153,7 @@ fn an_impossible_start_is_refused_with_the_reason_of_each_entry() {
     let mut x = start(&planner, STARTS[0]);
     // At full speed towards a position limit the arm cannot stay within the limit.
     x[1] = planner.config().robot.planning.q_max[1];
-    x[10] = planner.config().robot.planning.qd_max[1];
+    x.qd_mut()[1] = planner.config().robot.planning.qd_max[1];
     let quadratic = Effort { optimise: false, ..Effort::iterations(2) };
     let refusal = planner.replan_with(&mut planner.solver(), Manoeuvre::SwingUp, &x, &quadratic);
     let refusal = refusal.expect_err("no plan");

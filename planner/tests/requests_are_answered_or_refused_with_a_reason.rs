@@ -4,11 +4,13 @@ use std::cell::Cell;
 use std::time::{Duration, Instant};
 use upswing_config::{Config, PendulumStart};
 use upswing_ipc::operator::{Manoeuvre, NextAction, OperatorRequest};
-use upswing_ipc::{Clock, Mode, PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus, Telemetry};
-use upswing_model::{NQ, State, StateParts};
+use upswing_ipc::{
+    Clock, CycleVectors, Mode, PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus, Telemetry,
+};
+use upswing_model::{ActuatedVector, JointVector, State};
 use upswing_planner::replan::Planner;
 use upswing_planner::service::RequestHandler;
-use upswing_trajectory::{N, Plan};
+use upswing_trajectory::Plan;
 
 fn planner() -> Planner {
     Planner::new(Config::embedded().expect("embedded settings")).expect("the shipped database fits")
@@ -19,14 +21,23 @@ fn rest(planner: &Planner) -> State {
     planner.config().start_state(&q, PendulumStart::Rest).expect("a start at rest")
 }
 
-/// A telemetry record at state `x` (rad, rad/s), with clock `lockstep` or a clock that runs.
-fn record(x: &State, mode: Mode, lockstep: bool) -> Telemetry {
-    let mut record = Telemetry { mode: mode.code(), ..Telemetry::default() };
-    for i in 0..NQ {
-        (record.q[i], record.qd[i], record.q_d[i]) = (x[i], x[NQ + i], x[i]);
-    }
-    record.clock = if lockstep { Clock::Lockstep } else { Clock::Paced }.code();
-    record
+/// The end of a swing-up: upright, at rest.
+fn end(planner: &Planner) -> State {
+    *planner.entries()[17].trajectory.end()
+}
+
+/// A telemetry record of the shipped arm at state `x` (rad, rad/s), with clock `lockstep` or a clock that runs.
+fn record(planner: &Planner, x: &State, mode: Mode, lockstep: bool) -> Telemetry {
+    let zero = ActuatedVector::zeros(x.sizes());
+    let x_d = State::new(&x.q(), &JointVector::zeros(x.sizes()));
+    let vectors = CycleVectors { x: *x, x_d, u_d: zero, u: zero, tau: zero, tau_measured: zero };
+    let clock = if lockstep { Clock::Lockstep } else { Clock::Paced }.code();
+    Telemetry { mode: mode.code(), clock, ..Telemetry::new(planner.config().model.order(), &vectors) }
+}
+
+/// A request for a swing-up from rest.
+fn from_rest(planner: &Planner) -> PlannerRequest {
+    PlannerRequest::from_state(PlannerKind::SwingUp, planner.config().model.order(), &rest(planner))
 }
 
 fn ask(handler: &mut RequestHandler<'_>, request: &PlannerRequest) -> (PlannerResponse, Option<Plan>) {
@@ -46,7 +57,7 @@ fn a_plan_is_ready_while_the_arm_holds() {
     let planner = planner();
     let mut handler = RequestHandler::new(&planner);
     let x = rest(&planner);
-    handler.observe(record(&x, Mode::Hold, false), Instant::now());
+    handler.observe(record(&planner, &x, Mode::Hold, false), Instant::now());
     handler.prepare(&|| true);
     let (answer, plan) = ask(&mut handler, &PlannerRequest::from_now(Manoeuvre::SwingUp));
     assert_eq!(answer.reason.as_str(), Ok("ready before it was asked for"));
@@ -58,7 +69,7 @@ fn a_plan_is_ready_while_the_arm_holds() {
     for (shift, ready) in [(1e-4, true), (1e-2, false)] {
         let mut moved = x;
         moved[1] += shift;
-        handler.observe(record(&moved, Mode::Hold, false), Instant::now());
+        handler.observe(record(&planner, &moved, Mode::Hold, false), Instant::now());
         let (answer, plan) = ask(&mut handler, &PlannerRequest::from_now(Manoeuvre::SwingUp));
         assert_eq!(answer.reason.as_str().expect("text").starts_with("ready"), ready, "moved by {shift}");
         assert!((plan.expect("a plan").trajectory.x[0] - moved).amax() < 2e-4);
@@ -70,12 +81,12 @@ fn in_lockstep_a_plan_begins_with_the_state_of_the_record() {
     let planner = planner();
     let mut handler = RequestHandler::new(&planner);
     let mut x = rest(&planner);
-    x[NQ + 7] = 0.3;
+    x.qd_u_mut()[0] = 0.3;
     for moving in [false, true] {
         if !moving {
-            x[NQ + 7] = 0.0;
+            x.qd_u_mut()[0] = 0.0;
         }
-        handler.observe(record(&x, Mode::Hold, true), Instant::now());
+        handler.observe(record(&planner, &x, Mode::Hold, true), Instant::now());
         handler.prepare(&|| true);
         let (answer, plan) = ask(&mut handler, &PlannerRequest::from_now(Manoeuvre::SwingUp));
         assert_eq!(answer.reason.as_str(), Ok(""), "nothing is prepared in lockstep");
@@ -88,8 +99,8 @@ fn a_moving_start_is_predicted_for_the_activation_of_its_plan() {
     let planner = planner();
     let mut handler = RequestHandler::new(&planner);
     let mut x = rest(&planner);
-    x[NQ + 7] = 0.5;
-    let now = Telemetry { t_ns: 3_000_000_000, ..record(&x, Mode::Hold, false) };
+    x.qd_u_mut()[0] = 0.5;
+    let now = Telemetry { t_ns: 3_000_000_000, ..record(&planner, &x, Mode::Hold, false) };
     // On a busy machine a plan may be late; the next one looks further ahead.
     let (answer, plan) = (0..100)
         .find_map(|_| {
@@ -104,10 +115,10 @@ fn a_moving_start_is_predicted_for_the_activation_of_its_plan() {
     assert!(ahead >= planner.config().planner.replan.lead, "{ahead:?}");
     let start = plan.trajectory.x[0];
     // The pendulum has moved on by about its speed times the lead; the arm still holds.
-    let swung = start[7] - x[7];
+    let swung = start.q_u()[0] - x.q_u()[0];
     let want = 0.5 * ahead.as_secs_f64();
     assert!(swung > 0.5 * want && swung < 1.5 * want, "swung by {swung} rad instead of about {want}");
-    assert!((0..7).all(|i| (start[i] - x[i]).abs() < 1e-2));
+    assert!((start.q_a() - x.q_a()).amax() < 1e-2);
 }
 
 #[test]
@@ -115,13 +126,13 @@ fn a_pendulum_that_turns_round_is_not_at_rest() {
     let planner = planner();
     let mut handler = RequestHandler::new(&planner);
     let mut x = rest(&planner);
-    x[7] += 10_f64.to_radians();
-    handler.observe(record(&x, Mode::Hold, false), Instant::now());
+    x.q_u_mut()[0] += 10_f64.to_radians();
+    handler.observe(record(&planner, &x, Mode::Hold, false), Instant::now());
     // No plan is prepared for a state that does not last.
     handler.prepare(&|| true);
     let mut reason = String::new();
     let plan = (0..100).find_map(|_| {
-        handler.observe(record(&x, Mode::Hold, false), Instant::now());
+        handler.observe(record(&planner, &x, Mode::Hold, false), Instant::now());
         let (answer, plan) = ask(&mut handler, &PlannerRequest::from_now(Manoeuvre::SwingUp));
         reason = answer.reason.to_string();
         plan
@@ -130,25 +141,25 @@ fn a_pendulum_that_turns_round_is_not_at_rest() {
     assert!(plan.activation_ns.is_some());
     let start = plan.trajectory.x[0];
     // The pendulum falls back during the lead.
-    assert!(start[7] < x[7] - 1e-3, "{start}");
+    assert!(start.q_u()[0] < x.q_u()[0] - 1e-3, "{start:?}");
 }
 
 #[test]
 fn a_swing_down_begins_upright_and_ends_hanging_at_rest() {
     let planner = planner();
     let mut handler = RequestHandler::new(&planner);
-    let mut upright = planner.entries()[17].trajectory.x[N];
+    let mut upright = end(&planner);
     upright[1] += 0.02;
     upright[5] -= 0.01;
-    handler.observe(record(&upright, Mode::Balance, false), Instant::now());
+    handler.observe(record(&planner, &upright, Mode::Balance, false), Instant::now());
     let (answer, plan) = ask(&mut handler, &PlannerRequest::from_now(Manoeuvre::SwingDown));
     assert_eq!(answer.status(), Ok(PlannerStatus::Solved), "{:?}", answer.reason.as_str());
     let trajectory = plan.expect("a plan").trajectory;
     assert!((trajectory.x[0] - upright).amax() < 1e-6);
     assert!(answer.defect <= 1e-6, "defect {:e}", answer.defect);
     assert!(answer.margin_q >= 0.0 && answer.margin_qd >= 0.0 && answer.margin_tau >= 0.0, "{answer:?}");
-    let end = trajectory.x[N];
-    assert!(end.fixed_rows::<NQ>(NQ).amax() < 1e-7, "not at rest");
+    let end = trajectory.end();
+    assert!(end.qd().amax() < 1e-7, "not at rest");
     let q = end.q();
     let hanging = planner.config().model.rest_position(&q, &mut upswing_model::Workspace::default());
     assert!((hanging.expect("a rest pose") - q).amax() < 1e-6, "not hanging");
@@ -165,9 +176,8 @@ fn from_another_mode_or_without_a_daemon() {
     );
     for mode in Mode::ALL.iter().copied() {
         for (manoeuvre, needed) in [(Manoeuvre::SwingUp, Mode::Hold), (Manoeuvre::SwingDown, Mode::Balance)] {
-            let x =
-                if mode == Mode::Balance { planner.entries()[17].trajectory.x[N] } else { rest(&planner) };
-            handler.observe(record(&x, mode, false), Instant::now());
+            let x = if mode == Mode::Balance { end(&planner) } else { rest(&planner) };
+            handler.observe(record(&planner, &x, mode, false), Instant::now());
             let answer = ask(&mut handler, &PlannerRequest::from_now(manoeuvre));
             if mode == needed {
                 assert!(answer.1.is_some(), "{manoeuvre} in {mode}: {:?}", answer.0.reason);
@@ -184,24 +194,23 @@ fn from_a_daemon_that_has_fallen_silent() {
     let planner = planner();
     let mut handler = RequestHandler::new(&planner);
     let mut moving = rest(&planner);
-    moving[NQ + 7] = 0.5;
+    moving.qd_u_mut()[0] = 0.5;
     let long_ago = Instant::now().checked_sub(Duration::from_secs(6)).expect("the clock runs for longer");
     let reason = "no telemetry from the daemon for some seconds";
-    for (x, mode, manoeuvre) in [
-        (moving, Mode::Hold, Manoeuvre::SwingUp),
-        (planner.entries()[17].trajectory.x[N], Mode::Balance, Manoeuvre::SwingDown),
-    ] {
-        handler.observe(record(&x, mode, false), long_ago);
+    for (x, mode, manoeuvre) in
+        [(moving, Mode::Hold, Manoeuvre::SwingUp), (end(&planner), Mode::Balance, Manoeuvre::SwingDown)]
+    {
+        handler.observe(record(&planner, &x, mode, false), long_ago);
         refused(ask(&mut handler, &PlannerRequest::from_now(manoeuvre)), PlannerStatus::NotReady, reason);
     }
     // No plan is prepared from old telemetry either.
-    handler.observe(record(&rest(&planner), Mode::Hold, false), long_ago);
+    handler.observe(record(&planner, &rest(&planner), Mode::Hold, false), long_ago);
     handler.prepare(&|| true);
-    handler.observe(record(&rest(&planner), Mode::Hold, false), Instant::now());
+    handler.observe(record(&planner, &rest(&planner), Mode::Hold, false), Instant::now());
     let (answer, _) = ask(&mut handler, &PlannerRequest::from_now(Manoeuvre::SwingUp));
     assert_eq!(answer.reason.as_str(), Ok(""));
     // In lockstep the clock stands still while a plan is made.
-    handler.observe(record(&moving, Mode::Hold, true), long_ago);
+    handler.observe(record(&planner, &moving, Mode::Hold, true), long_ago);
     assert!(ask(&mut handler, &PlannerRequest::from_now(Manoeuvre::SwingUp)).1.is_some());
 }
 
@@ -209,11 +218,7 @@ fn from_a_daemon_that_has_fallen_silent() {
 fn nonsense() {
     let planner = planner();
     let mut handler = RequestHandler::new(&planner);
-    let good = PlannerRequest {
-        kind: PlannerKind::SwingUp.code(),
-        start: rest(&planner).into(),
-        ..PlannerRequest::default()
-    };
+    let good = from_rest(&planner);
     let with = |change: &dyn Fn(&mut PlannerRequest)| {
         let mut request = good;
         change(&mut request);
@@ -221,14 +226,35 @@ fn nonsense() {
     };
     refused(ask(&mut handler, &with(&|r| r.kind = 99)), PlannerStatus::BadRequest, "99");
     refused(ask(&mut handler, &with(&|r| r.iterations = 101)), PlannerStatus::BadRequest, "got 101");
-    refused(ask(&mut handler, &with(&|r| r.start[3] = f64::NAN)), PlannerStatus::BadRequest, "entry 3");
-    refused(ask(&mut handler, &with(&|r| r.start[1] = 9.0)), PlannerStatus::StartOutsideLimits, "joint 2");
     refused(
-        ask(&mut handler, &with(&|r| r.start[NQ] = 9.0)),
-        PlannerStatus::StartOutsideLimits,
-        "velocity of joint 1",
+        ask(&mut handler, &with(&|r| r.q[3] = f64::NAN)),
+        PlannerStatus::BadRequest,
+        "position of joint `joint_4`",
     );
+    refused(
+        ask(&mut handler, &with(&|r| r.q[1] = 9.0)),
+        PlannerStatus::StartOutsideLimits,
+        "position of joint `joint_2`",
+    );
+    refused(
+        ask(&mut handler, &with(&|r| r.qd[0] = 9.0)),
+        PlannerStatus::StartOutsideLimits,
+        "velocity of joint `joint_1`",
+    );
+    refused(ask(&mut handler, &with(&|r| r.joints = 3)), PlannerStatus::BadRequest, "3 joints");
+    refused(ask(&mut handler, &with(&|r| r.actuated = u64::MAX)), PlannerStatus::BadRequest, "actuated");
     assert!(ask(&mut handler, &good).1.is_some());
+}
+
+#[test]
+fn telemetry_of_another_chain() {
+    let planner = planner();
+    let mut handler = RequestHandler::new(&planner);
+    let foreign = Telemetry { joints: 3, ..record(&planner, &rest(&planner), Mode::Hold, false) };
+    handler.observe(foreign, Instant::now());
+    handler.prepare(&|| true);
+    let answer = ask(&mut handler, &PlannerRequest::from_now(Manoeuvre::SwingUp));
+    refused(answer, PlannerStatus::NotReady, "telemetry of 3 joints");
 }
 
 #[test]
@@ -237,11 +263,7 @@ fn a_plan_is_called_solved_only_where_its_defect_is_within_the_setting() {
     config.planner.replan.iterations = 1;
     let planner = Planner::new(config).expect("the shipped database fits");
     let mut handler = RequestHandler::new(&planner);
-    let request = PlannerRequest {
-        kind: PlannerKind::SwingUp.code(),
-        start: rest(&planner).into(),
-        ..PlannerRequest::default()
-    };
+    let request = from_rest(&planner);
     let (answer, plan) = ask(&mut handler, &request);
     assert_eq!(answer.status(), Ok(PlannerStatus::OpenDefect));
     assert!(plan.is_some() && answer.defect > planner.config().planner.replan.defect);
@@ -254,11 +276,7 @@ fn a_plan_is_called_solved_only_where_its_defect_is_within_the_setting() {
 fn a_plan_that_nobody_waits_for_any_more_is_given_up() {
     let planner = planner();
     let mut handler = RequestHandler::new(&planner);
-    let request = PlannerRequest {
-        kind: PlannerKind::SwingUp.code(),
-        start: rest(&planner).into(),
-        ..PlannerRequest::default()
-    };
+    let request = from_rest(&planner);
     let asked = Cell::new(0);
     let wanted = || {
         asked.set(asked.get() + 1);
@@ -273,12 +291,6 @@ fn a_plan_that_nobody_waits_for_any_more_is_given_up() {
 fn a_budget_that_is_too_short() {
     let planner = planner();
     let mut handler = RequestHandler::new(&planner);
-    let request = PlannerRequest {
-        kind: PlannerKind::SwingUp.code(),
-        start: rest(&planner).into(),
-        budget_ms: 1,
-        iterations: 100,
-        ..PlannerRequest::default()
-    };
+    let request = PlannerRequest { budget_ms: 1, iterations: 100, ..from_rest(&planner) };
     refused(ask(&mut handler, &request), PlannerStatus::Deadline, "time budget");
 }

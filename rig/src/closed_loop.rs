@@ -47,8 +47,8 @@ pub enum Aborted {
     Silent,
     /// The controller tripped.
     #[error(
-        "{mode} tripped {time:.3} s after the plan's start: {trip}; q {:.3?} rad, qd {:.3?} rad/s",
-        .record.q, .record.qd
+        "{mode} tripped {time:.3} s after the plan's start: {trip}; q {:.3?} and qd {:.3?} in rad or m and seconds",
+        .record.of_joints(&.record.q), .record.of_joints(&.record.qd)
     )]
     Tripped {
         /// Mode before the trip.
@@ -202,7 +202,8 @@ impl<D: FnOnce(f64) -> Disturbances> Course for SwingUpRun<'_, D> {
         let settings = &self.config.planner.replan;
         let effort = Effort::iterations(settings.iterations);
         let replan = self.planner.replan_with(self.solver, manoeuvre, &start, &effort)?;
-        let plan = accept(&Box::<PlanMessage>::from(&replan.plan(self.config)), self.config)?;
+        let plan =
+            accept(&PlanMessage::new(&replan.plan(self.config), self.config.model.order()), self.config)?;
         let id = plan.id;
         self.cycle(Some(StepRequest::Load(plan)))?;
         self.cycle(Some(StepRequest::Start(id)))?;
@@ -247,7 +248,7 @@ pub fn swing_up(
         disturbances: Some(disturbances),
         missed: Vec::new(),
         records,
-        fastest: JointVector::zeros(),
+        fastest: JointVector::zeros(config.model.sizes()),
     };
     let period = config.daemon.cycle.period.seconds();
     let response = course::swing_up(&mut run, period, seconds)?;

@@ -16,7 +16,7 @@ use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
 use upswing_config::{Config, PendulumStart};
 use upswing_ipc::Telemetry;
-use upswing_model::{NU, State, StateParts};
+use upswing_model::{ActuatedVector, Model, State};
 use upswing_ocp::qp::QpSolver;
 use upswing_planner::replan::Planner;
 use upswing_plant::Plant;
@@ -34,7 +34,7 @@ const BLOCK: u128 = 1_000_003;
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error(
     "the ranges of the grid hold no start: in none of {DRAWS} random poses the pendulum hangs within {:.0} deg; \
-     choose ranges in which q2 - q4 + q6 comes near 90 deg", LARGEST_REST_ANGLE.to_degrees()
+     choose ranges with poses in which it does", LARGEST_REST_ANGLE.to_degrees()
 )]
 pub struct NoStart;
 
@@ -56,7 +56,7 @@ impl RandomStarts<'_> {
     pub fn start(&self, index: u64) -> Result<State, NoStart> {
         let mut rng = self.generator(index);
         for _ in 0..DRAWS {
-            let mut q_a = [0.0; NU];
+            let mut q_a = ActuatedVector::zeros(self.config.model.sizes());
             for axis in &self.config.grid.axes {
                 q_a[axis.joint] = axis.from + (axis.to - axis.from) * unit(&mut rng);
             }
@@ -93,9 +93,9 @@ fn unit(rng: &mut Pcg64) -> f64 {
     (rng.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
 }
 
-/// Angles of joints 1-7 in the state `x`, deg.
-pub fn arm_degrees(x: &State) -> [f64; NU] {
-    std::array::from_fn(|i| x[i].to_degrees())
+/// Positions of the actuated joints in the state `x`, deg or m.
+pub fn shown_pose(model: &Model, x: &State) -> Vec<f64> {
+    x.q_a().iter().enumerate().map(|(i, q)| model.joint_kind(i).shown(*q).0).collect()
 }
 
 /// A study of many runs from random starts.
@@ -174,7 +174,7 @@ impl Scratch {
         seconds: f64,
         disturbances: impl FnOnce(f64) -> Disturbances,
     ) -> Result<SwingUpEvaluation, Aborted> {
-        plant.plant.start.q = std::array::from_fn(|i| start[i]);
+        plant.plant.start.q = start.q_a();
         plant.plant.start.pendulum = PendulumStart::Rest;
         plant.plant.encoder.seed = plant.plant.encoder.seed.wrapping_add(index);
         let plant = Plant::new(&plant)?;

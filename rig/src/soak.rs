@@ -8,14 +8,14 @@ pub use cycles::CycleCounts;
 pub use health::{ResourceGrowth, ResourceSample};
 
 use crate::course::SETTLE;
-use crate::montecarlo::{NoStart, RandomStarts, arm_degrees};
+use crate::montecarlo::{NoStart, RandomStarts, shown_pose};
 use crate::session::{Role, Session, SessionError};
 use serde::Serialize;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use upswing_ipc::operator::{Manoeuvre, OperatorError, OperatorRequest};
-use upswing_ipc::{Clock, ControlResponse, Mode, PlantKind, PlantRequest, Telemetry};
-use upswing_model::{JointVector, State, StateParts};
+use upswing_ipc::{Clock, ControlResponse, Mode, OtherChain, PlantKind, PlantRequest, Telemetry};
+use upswing_model::State;
 use upswing_record::evaluation::tilt;
 
 /// Time in Balance before and after the push, and time in Hold after the swing-down, s.
@@ -106,6 +106,9 @@ enum RoundFailure {
     /// The rod is not upright.
     #[error("the rod is {deg:.2} deg from upright after the push")]
     Tilted { deg: f64 },
+    /// The telemetry has another number of joints than the model.
+    #[error(transparent)]
+    Chain(#[from] OtherChain),
     /// The daemon sends no telemetry.
     #[error("no telemetry for {PATIENCE:.0?}")]
     Silent,
@@ -217,8 +220,8 @@ impl<'a> Soak<'a> {
         let angle = std::f64::consts::TAU * share();
 
         self.phase = "settle";
-        let q = start.q().into();
-        let reset = PlantRequest { q, ..PlantRequest::new(PlantKind::ResetState) };
+        let order = self.starts.config.model.order();
+        let reset = PlantRequest::reset_state(order, start);
         self.session.plant(&reset)?;
         self.pass(SETTLE)?;
         self.session.request(OperatorRequest::Enable)?;
@@ -237,7 +240,8 @@ impl<'a> Soak<'a> {
         self.pass(BALANCE.1)?;
         self.expect(Mode::Balance)?;
         if let Some(record) = &self.newest {
-            let deg = tilt(&self.starts.config.model, &JointVector::from(record.q)).to_degrees();
+            let vectors = record.vectors(order).map_err(RoundFailure::Chain)?;
+            let deg = tilt(&self.starts.config.model, &vectors.x.q()).to_degrees();
             if !(deg <= UPRIGHT_DEG) {
                 return Err(RoundFailure::Tilted { deg }.into());
             }
@@ -377,11 +381,12 @@ impl<'a> Soak<'a> {
         Ok(matches!(mode, Ok(Mode::Idle | Mode::Fault)))
     }
 
-    /// Start pose of the first round: angles of joints 1-7, deg, comma-separated.
+    /// Start pose of the first round: positions of the actuated joints, deg or m, comma-separated.
     ///
     /// # Errors
     /// [`NoStart`] if no random pose is suitable.
     pub fn first_start(starts: &RandomStarts<'_>) -> Result<String, NoStart> {
-        Ok(arm_degrees(&starts.start(0)?).map(|deg| deg.to_string()).join(","))
+        let pose = shown_pose(&starts.config.model, &starts.start(0)?);
+        Ok(pose.iter().map(f64::to_string).collect::<Vec<_>>().join(","))
     }
 }

@@ -81,7 +81,7 @@ fn each_alone() {
 
     // What the simulated plant knows counts, whatever the filter shows.
     for (joint, words) in [(3, "a velocity reached 120 %"), (8, "the pendulum reached 120 %")] {
-        let mut fastest = JointVector::zeros();
+        let mut fastest = JointVector::zeros(config.model.sizes());
         fastest[joint] = 1.2 * limits.qd_max[joint];
         let response = PlannerResponse::default();
         only(SwingUpEvaluation::new(&config, &response, &good, 0, SECONDS, Some(&fastest)).failures, words);

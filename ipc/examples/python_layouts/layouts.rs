@@ -5,10 +5,11 @@ use std::fmt::{Debug, Write};
 use std::mem::offset_of;
 use upswing_ipc::{
     BlackboardPayload, Clock, Command, ControlKind, ControlRequest, ControlResponse, Degradation, Domain,
-    MAX_NODES, MAX_READERS, Measurement, Mode, Percentiles, PlanMessage, PlannerKind, PlannerRequest,
-    PlannerResponse, PlannerStatus, PlantKind, PlantRequest, PlantResponse, Readiness, RequestPayload,
-    Telemetry, TelemetryBatch, Text, TopicPayload,
+    MAX_NODES, MAX_READERS, Measurement, Mode, Percentiles, PlanHeader, PlanMessage, PlannerKind,
+    PlannerRequest, PlannerResponse, PlannerStatus, PlantKind, PlantRequest, PlantResponse, Readiness,
+    RequestPayload, Telemetry, TelemetryBatch, Text, TopicPayload,
 };
+use upswing_model::MOST_JOINTS;
 
 const HEAD: &str = r#""""What crosses the shared memory of upswing: payloads, codes, services.
 
@@ -97,8 +98,8 @@ pub fn module() -> String {
     let out = &mut text;
     class!(out, Text { len, bytes });
     class!(out, Percentiles { count, p50, p99, p99_9, p99_99, max });
-    class!(out, Measurement { seq, t_ns, q, tau_measured, status, clock, period_ns });
-    class!(out, Command { seq, t_ns, measurement_seq, tau, brake });
+    class!(out, Measurement { seq, t_ns, joints, actuated, q, tau_measured, status, clock, period_ns });
+    class!(out, Command { seq, t_ns, measurement_seq, joints, actuated, tau, brake });
     class!(
         out,
         Telemetry {
@@ -112,6 +113,8 @@ pub fn module() -> String {
             plan_id,
             flags,
             t_plan,
+            joints,
+            actuated,
             q,
             qd,
             q_d,
@@ -128,7 +131,7 @@ pub fn module() -> String {
         }
     );
     class!(out, TelemetryBatch { count, dropped, records });
-    class!(out, PlanMessage { id, fingerprint, activation_ns, t_f, x, u, f, k, k_final, checksum });
+    class!(out, PlanHeader { id, fingerprint, activation_ns, t_f, joints, actuated, intervals, checksum });
     class!(out, ControlRequest { kind, plan_id });
     class!(
         out,
@@ -151,7 +154,7 @@ pub fn module() -> String {
             next
         }
     );
-    class!(out, PlannerRequest { kind, from_now, start, iterations, budget_ms, publish });
+    class!(out, PlannerRequest { kind, from_now, joints, actuated, q, qd, iterations, budget_ms, publish });
     class!(
         out,
         PlannerResponse {
@@ -173,8 +176,8 @@ pub fn module() -> String {
             reason,
         }
     );
-    class!(out, PlantRequest { kind, q, qd, seq, fault, joint, amount, cycles, impulse });
-    class!(out, PlantResponse { accepted, seq, q, qd, brakes_closed, tau_peak, reason });
+    class!(out, PlantRequest { kind, joints, actuated, q, qd, seq, fault, joint, amount, cycles, impulse });
+    class!(out, PlantResponse { accepted, seq, joints, actuated, q, qd, brakes_closed, tau_peak, reason });
     codes(out, "Clock", Clock::ALL);
     codes(out, "Mode", Mode::ALL);
     codes(out, "Readiness", Readiness::ALL);
@@ -200,6 +203,8 @@ pub fn module() -> String {
         ("BRAKE", Telemetry::BRAKE),
     ];
     constants(out, &flags);
+    out.push_str("\n# Room of an array with a value per joint.\n");
+    constants(out, &[("MOST_JOINTS", MOST_JOINTS as u64)]);
     services(out);
     text
 }
@@ -210,13 +215,14 @@ fn services(out: &mut String) {
     let _ = writeln!(out, "COMMAND_CHANNEL = \"{}\"", Command::CHANNEL);
     constants(out, &[("MAX_READERS", MAX_READERS as u64), ("MAX_NODES", MAX_NODES as u64)]);
     out.push_str("\n# Publish and subscribe: service, payload, samples that wait for a slow subscriber.\n");
-    let _ = writeln!(out, "PLAN = (\"{}\", PlanMessage, {})", PlanMessage::SERVICE, PlanMessage::BUFFER);
     let _ = writeln!(
         out,
         "TELEMETRY = (\"{}\", TelemetryBatch, {})",
         TelemetryBatch::SERVICE,
         TelemetryBatch::BUFFER
     );
+    out.push_str("\n# The same with a header and a slice of c_double.\n");
+    let _ = writeln!(out, "PLAN = (\"{}\", PlanHeader, {})", PlanMessage::SERVICE, PlanMessage::BUFFER);
     out.push_str("\n# Request and response: service, request, response.\n");
     let _ = writeln!(out, "CONTROL = (\"{}\", ControlRequest, ControlResponse)", ControlRequest::SERVICE);
     let _ = writeln!(out, "PLANNER = (\"{}\", PlannerRequest, PlannerResponse)", PlannerRequest::SERVICE);

@@ -24,10 +24,6 @@ const MAX_SUBSCRIBERS: usize = 8;
 /// Samples of one topic that a subscriber may hold at a time.
 const MAX_HELD: usize = 2;
 
-/// Samples that a publisher has memory for, beside those that wait for subscribers and the history: those that subscribers hold,
-/// one that each of them is about to hold or has just dropped, and the next one.
-const SPARE: usize = MAX_SUBSCRIBERS * (MAX_HELD + 1) + 1;
-
 /// A message that one process publishes and several receive.
 pub trait TopicPayload: Sized + Debug + 'static {
     /// Name of the service.
@@ -139,7 +135,9 @@ impl<T: TopicPayload> Subscriber<T> {
 }
 
 /// A received sample; its place in shared memory is free again when it is dropped.
-pub struct Sample<T: TopicPayload>(IoxSample<ipc::Service, T::Shared, T::Header>);
+pub struct Sample<T: TopicPayload>(SharedSample<T>);
+
+type SharedSample<T> = IoxSample<ipc::Service, <T as TopicPayload>::Shared, <T as TopicPayload>::Header>;
 
 impl<T: TopicPayload<Shared = T> + ZeroCopySend> Deref for Sample<T> {
     type Target = T;
@@ -176,8 +174,9 @@ pub(super) fn publisher<T: TopicPayload>(
         let create = || {
             with_length(service.publisher_builder())
                 .max_loaned_samples(1)
-                // iceoryx2 counts as if every subscriber had other samples in its buffer.
-                .override_sample_preallocation(|worst| worst.min(T::BUFFER + T::HISTORY + SPARE))
+                // The buffers of all subscribers have the newest samples, so that these count once; iceoryx2 counts them for
+                // each subscriber. Besides there are those that subscribers hold, the history and the next sample.
+                .override_sample_preallocation(|_| T::BUFFER + MAX_SUBSCRIBERS * MAX_HELD + T::HISTORY + 1)
                 // A slow subscriber loses its oldest samples; it never stops the publisher.
                 .backpressure_strategy(BackpressureStrategy::DiscardData)
                 .set_degradation_handler(|_, _| DegradationAction::Ignore)
@@ -253,7 +252,7 @@ pub(super) fn deliver_history<T: TopicPayload>(publisher: &Publisher<T>) -> Resu
 
 /// The result of [`Subscriber::receive`], of that of iceoryx2.
 pub(super) fn received<T: TopicPayload>(
-    sample: Result<Option<IoxSample<ipc::Service, T::Shared, T::Header>>, ReceiveError>,
+    sample: Result<Option<SharedSample<T>>, ReceiveError>,
 ) -> Result<Option<Sample<T>>, IpcError> {
     let sample = sample.map_err(|e| IpcError::Receive { service: T::SERVICE, cause: e.into() })?;
     Ok(sample.map(Sample))

@@ -4,7 +4,8 @@
 use std::os::unix::process::parent_id;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
-use upswing_ipc::Domain;
+use upswing_ipc::{Domain, PlanHeader, PlanMessage};
+use upswing_model::{Model, Sizes};
 
 const CHILD: &str = "UPSWING_IPC_TEST_CHILD";
 
@@ -74,4 +75,53 @@ pub fn wait_for<T>(what: &str, mut attempt: impl FnMut() -> Option<T>) -> T {
         assert!(start.elapsed() < Duration::from_secs(60), "stuck while waiting for {what}");
         std::thread::sleep(Duration::from_millis(2));
     }
+}
+
+/// A chain of revolute joints about x, one per entry of `actuated`.
+pub fn chain(actuated: &[bool]) -> Model {
+    let mut urdf = "<robot name=\"chain\"><link name=\"l0\"/>".to_owned();
+    for (i, actuated) in actuated.iter().enumerate() {
+        let (effort, next) = (if *actuated { 10 } else { 0 }, i + 1);
+        urdf += &format!(
+            "<joint name=\"j{next}\" type=\"revolute\"><parent link=\"l{i}\"/><child link=\"l{next}\"/>\
+             <origin xyz=\"0 0 0.3\"/><axis xyz=\"1 0 0\"/>\
+             <limit lower=\"-3\" upper=\"3\" velocity=\"10\" effort=\"{effort}\"/></joint>\
+             <link name=\"l{next}\"><inertial><origin xyz=\"0 0 0.15\"/><mass value=\"1\"/>\
+             <inertia ixx=\"0.01\" ixy=\"0\" ixz=\"0\" iyy=\"0.01\" iyz=\"0\" izz=\"0.01\"/></inertial></link>"
+        );
+    }
+    Model::from_urdf(&(urdf + "</robot>")).unwrap()
+}
+
+/// Chains with unactuated joints in all places.
+pub fn chains() -> [Model; 7] {
+    const A: bool = true;
+    const U: bool = false;
+    let paper = [A, A, A, A, A, A, A, U, U];
+    let (mut longest, mut longest_free) = ([A; 16], [U; 16]);
+    (longest[3], longest_free[8]) = (U, A);
+    let all: [&[bool]; 7] = [&[A, U], &[U, A], &[A, U, A], &[U, A, U, A, U], &paper, &longest, &longest_free];
+    all.map(chain)
+}
+
+/// Sizes of the plans of [`plan`].
+pub const SIZES: (Sizes, usize) = (Sizes::new(3, 2).unwrap(), 25);
+
+/// A sealed plan without a zero byte pattern that a truncation could reproduce.
+pub fn plan(id: u64) -> PlanMessage {
+    let number = |i: usize| id as f64 + i as f64 / 3.0;
+    let header = PlanHeader {
+        id,
+        fingerprint: 0x0123_4567_89ab_cdef,
+        activation_ns: 0,
+        t_f: number(1),
+        joints: SIZES.0.joints() as u64,
+        actuated: SIZES.0.actuated() as u64,
+        intervals: SIZES.1 as u64,
+        checksum: 0,
+    };
+    let values = (2..2 + PlanMessage::length(SIZES.0, SIZES.1)).map(number).collect();
+    let mut plan = PlanMessage { header, values };
+    plan.seal();
+    plan
 }

@@ -21,8 +21,8 @@ pub fn merge(inputs: &[PathBuf], output: &OutputFile) -> Result<BuildSummary, Bu
     let mut present = BTreeSet::new();
     for path in inputs {
         let database = read(path)?;
-        let expected = *first.get_or_insert(database.heading);
-        same_origin(path, &database.heading, &expected)?;
+        let expected = first.get_or_insert_with(|| database.heading.clone());
+        same_origin(path, &database.heading, expected)?;
         if expected.shards != database.heading.shards {
             let (expected, got) = (expected.shards, database.heading.shards);
             return Err(BuildError::Foreign { path: path.clone(), what: "number of shards", expected, got });

@@ -1,8 +1,7 @@
 //! Figures of a database as a whole: durations, costs, the worst certificate, and the start poses of its entries.
 
 use serde::Serialize;
-use upswing_model::NU;
-use upswing_trajectory::{Certificate, Database, Entry, PoseOutcome};
+use upswing_trajectory::{Certificate, Database, DatabaseHeading, Entry, PoseOutcome};
 
 /// Figures of all records of a database.
 #[derive(Clone, Debug)]
@@ -19,7 +18,7 @@ pub struct DatabaseOverview {
     pub cost: (f64, f64),
     /// Worst value of each figure of the certificates.
     pub worst: Certificate,
-    /// Distribution of the start angles of each joint that has more than one.
+    /// Distribution of the start angles of each actuated joint that has more than one.
     pub joints: Vec<JointCoverage>,
     /// Number of entries for each pair of start angles of the last two of `joints`, one row per angle of the first of them;
     /// empty if there are fewer than two.
@@ -29,8 +28,10 @@ pub struct DatabaseOverview {
 /// Distribution of the entries over the start angles of a joint.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct JointCoverage {
-    /// The joint, counted from 1.
-    pub joint: usize,
+    /// Name of the joint.
+    pub joint: String,
+    #[serde(skip)]
+    coordinate: usize,
     /// The start angles, ascending, deg.
     pub angles_deg: Vec<f64>,
     /// Number of entries at each angle.
@@ -46,7 +47,7 @@ impl DatabaseOverview {
             entries.iter().map(|e| value(e)).fold(limits, |(a, b), v| (a.min(v), b.max(v)))
         };
         let count = |outcome: PoseOutcome| database.records.iter().filter(|r| r.outcome == outcome).count();
-        let joints = joints(&entries);
+        let joints = joints(&database.heading, &entries);
         Self {
             entries: entries.len(),
             rejected: count(PoseOutcome::Rejected),
@@ -63,26 +64,28 @@ impl DatabaseOverview {
     }
 }
 
-/// Start angle of a joint, counted from 1, deg, rounded: grid angles stay distinct, equal angles with different rounding errors
-/// become equal.
-fn start_deg(entry: &Entry, joint: usize) -> f64 {
-    (entry.trajectory.x[0][joint - 1].to_degrees() * 1e3).round() / 1e3
+/// Start angle of the joint of index `coordinate` in sorted vectors, deg, rounded: grid angles stay distinct, equal angles with
+/// different rounding errors become equal.
+fn start_deg(entry: &Entry, coordinate: usize) -> f64 {
+    (entry.trajectory.start()[coordinate].to_degrees() * 1e3).round() / 1e3
 }
 
-fn joints(entries: &[&Entry]) -> Vec<JointCoverage> {
-    let coverage = |joint: usize| {
-        let mut angles_deg: Vec<f64> = entries.iter().map(|e| start_deg(e, joint)).collect();
+fn joints(heading: &DatabaseHeading, entries: &[&Entry]) -> Vec<JointCoverage> {
+    let coverage = |(coordinate, joint): (usize, &String)| {
+        let mut angles_deg: Vec<f64> = entries.iter().map(|e| start_deg(e, coordinate)).collect();
         angles_deg.sort_by(f64::total_cmp);
         angles_deg.dedup();
-        let count = |a: &f64| entries.iter().filter(|e| start_deg(e, joint) == *a).count();
-        JointCoverage { joint, entries: angles_deg.iter().map(count).collect(), angles_deg }
+        let count = |a: &f64| entries.iter().filter(|e| start_deg(e, coordinate) == *a).count();
+        let entries = angles_deg.iter().map(count).collect();
+        JointCoverage { joint: joint.clone(), coordinate, entries, angles_deg }
     };
-    (1..=NU).map(coverage).filter(|c| c.angles_deg.len() > 1).collect()
+    let actuated = heading.joints.iter().enumerate().take(heading.sizes.actuated());
+    actuated.map(coverage).filter(|c| c.angles_deg.len() > 1).collect()
 }
 
 fn map(entries: &[&Entry], rows: &JointCoverage, columns: &JointCoverage) -> Vec<Vec<usize>> {
     let count = |r: f64, c: f64| {
-        let here = |e: &&&Entry| start_deg(e, rows.joint) == r && start_deg(e, columns.joint) == c;
+        let here = |e: &&&Entry| start_deg(e, rows.coordinate) == r && start_deg(e, columns.coordinate) == c;
         entries.iter().filter(here).count()
     };
     rows.angles_deg.iter().map(|r| columns.angles_deg.iter().map(|c| count(*r, *c)).collect()).collect()

@@ -7,7 +7,7 @@ use upswing_config::Config;
 use upswing_model::State;
 use upswing_ocp::interior_point::NlpStatus;
 use upswing_ocp::multistart::Search;
-use upswing_trajectory::{Certificate, Database, Entry, Margins, N, PoseOutcome, PoseRecord};
+use upswing_trajectory::{Certificate, Database, Entry, Margins, PoseOutcome, PoseRecord};
 
 /// A pose whose record differs from the result of a build with these settings.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -129,8 +129,9 @@ fn has_start(config: &Config, record: &PoseRecord, start: &State) -> Result<(), 
     match &record.outcome {
         PoseOutcome::Solved(entry) => {
             let away = (entry.trajectory.x[0] - start).abs();
-            let row = away.imax();
-            if away[row] <= ROUNDING { Ok(()) } else { Err(RecordFlaw::Start { row, by: away[row] }) }
+            let (row, by) =
+                away.iter().copied().enumerate().max_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((0, 0.0));
+            if by <= ROUNDING { Ok(()) } else { Err(RecordFlaw::Start { row, by }) }
         }
         _ => {
             let solution = optimize(config, *start, Search::Best, None, &options(config));
@@ -149,7 +150,7 @@ fn verify_entry(config: &Config, entry: &Entry) -> Result<(), RecordFlaw> {
         return Err(RecordFlaw::Certificate { recorded, computed });
     }
     for (row, target) in problem(config, trajectory.x[0]).target.iter().enumerate() {
-        let by = (target.coefficients.dot(&trajectory.x[N]) - target.value).abs();
+        let by = (target.coefficients.dot(trajectory.end()) - target.value).abs();
         // Written so that NaN fails, here and below.
         if !(by <= ROUNDING) {
             return Err(RecordFlaw::End { row, by });

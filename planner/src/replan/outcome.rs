@@ -205,8 +205,7 @@ impl Replan {
         let mut hash = xxhash_rust::xxh3::Xxh3::new();
         let t = &self.trajectory;
         let numbers = t.x.iter().flat_map(|x| x.iter()).chain(t.u.iter().flat_map(|u| u.iter()));
-        let gains = self.gains.knots.iter().chain([&self.gains.end]).flat_map(|k| k.iter());
-        numbers.chain([&t.t_f]).chain(gains).for_each(|v| hash.update(&v.to_le_bytes()));
+        numbers.chain([&t.t_f]).chain(self.gains.as_slice()).for_each(|v| hash.update(&v.to_le_bytes()));
         hash.digest().max(1)
     }
 }

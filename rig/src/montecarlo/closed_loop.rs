@@ -1,13 +1,13 @@
 //! Monte Carlo study of swing-ups under one plant condition that is unknown to planner and controller.
 
 use super::condition::PlantCondition;
-use super::{ENDED_BADLY, NoStart, Scratch, Spread, Study, StudyError, arm_degrees};
+use super::{ENDED_BADLY, NoStart, Scratch, Spread, Study, StudyError, shown_pose};
 use crate::closed_loop::{Aborted, Disturbances};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::time::Instant;
 use upswing_ipc::Telemetry;
-use upswing_model::{NU, State};
+use upswing_model::State;
 use upswing_record::evaluation::{MotionFigures, SwingUpEvaluation};
 
 /// Result of the swing-up from one start. All fields but the time are functions of settings, condition, seed and index only.
@@ -15,8 +15,8 @@ use upswing_record::evaluation::{MotionFigures, SwingUpEvaluation};
 pub struct RunResult {
     /// Number of the start.
     pub index: u64,
-    /// Angles of joints 1-7 at the start, deg.
-    pub start_deg: [f64; NU],
+    /// Positions of the actuated joints at the start, deg or m.
+    pub start_deg: Vec<f64>,
     /// Figures of a completed run; `None` if the run was aborted.
     pub end: Option<RunFigures>,
     /// Kind of the failure; `None`: success, the rod was balanced at the end.
@@ -137,7 +137,14 @@ impl ConditionStudy<'_> {
             Err(e) => (None, Some(e.kind()), vec![e.to_string()]),
         };
         let time_s = begin.elapsed().as_secs_f64();
-        Ok(RunResult { index, start_deg: arm_degrees(&start), end, failure, reasons, time_s })
+        Ok(RunResult {
+            index,
+            start_deg: shown_pose(&self.study.starts.config.model, &start),
+            end,
+            failure,
+            reasons,
+            time_s,
+        })
     }
 
     fn swing_up(

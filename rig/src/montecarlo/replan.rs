@@ -1,11 +1,11 @@
 //! Monte Carlo study of plans: replans from many random starts, checked as the daemon checks them.
 
-use super::{NoStart, Spread, Study, StudyError, arm_degrees};
+use super::{NoStart, Spread, Study, StudyError, shown_pose};
 use serde::Serialize;
 use std::time::Instant;
 use upswing_ipc::PlanMessage;
 use upswing_ipc::operator::Manoeuvre;
-use upswing_model::{NU, State};
+use upswing_model::State;
 use upswing_ocp::qp::QpSolver;
 use upswing_planner::replan::{Effort, PlanSummary, Planner};
 use upswingd::plan::accept;
@@ -18,8 +18,8 @@ pub const CLOSED_DEFECT: f64 = 1e-6;
 pub struct StartResult {
     /// Number of the start.
     pub index: u64,
-    /// Angles of joints 1-7 at the start, deg.
-    pub start_deg: [f64; NU],
+    /// Positions of the actuated joints at the start, deg or m.
+    pub start_deg: Vec<f64>,
     /// The plan, also one that the daemon refuses; `None` if there is none.
     pub plan: Option<PlanFigures>,
     /// Reason for the failure; `None`: success.
@@ -141,7 +141,7 @@ fn sample(planner: &Planner, solver: &mut QpSolver, index: u64, start: &State) -
     let total = begin.elapsed().as_secs_f64();
     let (plan, failure, times) = match &result {
         Ok(replan) => {
-            let message = Box::<PlanMessage>::from(&replan.plan(config));
+            let message = PlanMessage::new(&replan.plan(config), config.model.order());
             let refused = accept(&message, config).err();
             let failure = refused.map(|e| format!("the daemon refused the plan: {e}"));
             let figures = PlanFigures { t_f: replan.trajectory.t_f, plan: replan.into() };
@@ -150,5 +150,5 @@ fn sample(planner: &Planner, solver: &mut QpSolver, index: u64, start: &State) -
         }
         Err(e) => (None, Some(e.to_string()), StartTimes { total, ..StartTimes::default() }),
     };
-    StartResult { index, start_deg: arm_degrees(start), plan, failure, times }
+    StartResult { index, start_deg: shown_pose(&config.model, start), plan, failure, times }
 }

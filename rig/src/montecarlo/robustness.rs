@@ -1,13 +1,13 @@
 //! Robustness curves: share of successful swing-ups over the size of one error or disturbance.
 
 use super::variation::{MissedCycleCounts, ValueError, Variation};
-use super::{ENDED_BADLY, NoStart, Scratch, Study, StudyError, arm_degrees, wilson};
+use super::{ENDED_BADLY, NoStart, Scratch, Study, StudyError, shown_pose, wilson};
 use crate::closed_loop::Aborted;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use upswing_config::{Config, VelocityEstimate};
 use upswing_ipc::Telemetry;
-use upswing_model::{NU, State};
+use upswing_model::State;
 use upswing_record::evaluation::SwingUpEvaluation;
 
 /// One point to compute of a robustness curve: variation, value and settings.
@@ -46,8 +46,8 @@ impl RobustnessCase {
 pub struct FailedStart {
     /// Number of the start.
     pub index: u64,
-    /// Angles of joints 1-7 at the start, deg.
-    pub start_deg: [f64; NU],
+    /// Positions of the actuated joints at the start, deg or m.
+    pub start_deg: Vec<f64>,
     /// Kind of the failure.
     pub kind: String,
     /// Details of the failure, one per criterion that was not met.
@@ -139,7 +139,12 @@ impl RobustnessStudy<'_> {
             Ok(evaluation) => (ENDED_BADLY.into(), evaluation.failures),
             Err(e) => (e.kind(), vec![e.to_string()]),
         };
-        Ok(Some(FailedStart { index, start_deg: arm_degrees(&start), kind, reasons }))
+        Ok(Some(FailedStart {
+            index,
+            start_deg: shown_pose(&self.study.starts.config.model, &start),
+            kind,
+            reasons,
+        }))
     }
 
     fn swing_up(
