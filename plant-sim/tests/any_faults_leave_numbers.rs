@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{brake, settings, sizes};
+use common::{settings, sizes, torque};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 use upswing_config::{Fault, FaultKind, Push};

@@ -3,13 +3,21 @@
 
 mod common;
 
-use common::{at_rest, brake, equal_torques, frictionless, level_pose, measured_torque, settings, torque};
+use common::{
+    at_rest, brake, equal_torques, frictionless, level_pose, measured_torque, settings, sizes, torque,
+};
 use upswing_config::Config;
 use upswing_ipc::Measurement;
+use upswing_model::ActuatedVector;
 use upswing_plant::Plant;
 
 fn plant(config: &Config) -> Plant {
     Plant::at(config, &level_pose(), &at_rest()).unwrap()
+}
+
+/// An offset of each torque sensor, N m.
+fn offset() -> ActuatedVector {
+    ActuatedVector::from_slice(sizes(), &[0.5, -0.25, 0.125, 1.0, -0.5, 0.25, -0.125]).unwrap()
 }
 
 #[test]
@@ -49,7 +57,7 @@ fn the_torque_approaches_its_command_exponentially() {
 #[test]
 fn closed_brakes_show_their_load_less_the_offset_while_the_arm_stands() {
     let mut config = settings();
-    let offset = [0.5, -0.25, 0.125, 1.0, -0.5, 0.25, -0.125];
+    let offset = offset();
     config.plant.drive.torque_offset = offset;
     let mut plant = plant(&config);
     let load = common::holding_torque(&config.plant_model, &plant);
@@ -75,14 +83,14 @@ fn closed_brakes_show_their_load_less_the_offset_while_the_arm_stands() {
 
 #[test]
 fn an_offset_moves_the_arm_but_not_the_sensor() {
-    let offset = [0.5, -0.25, 0.125, 1.0, -0.5, 0.25, -0.125];
+    let offset = offset();
     let mut config = settings();
     let mut without = plant(&config);
     config.plant.drive.torque_offset = offset;
     let mut with = plant(&config);
     for _ in 0..100 {
         with.step(Some(&equal_torques(1.0)));
-        without.step(Some(&torque(offset.map(|offset| 1.0 + offset))));
+        without.step(Some(&torque(&offset.map(|offset| 1.0 + offset))));
         assert_eq!(with.position(), without.position());
         assert!(measured_torque(&with).iter().all(|tau| *tau == 1.0));
     }

@@ -65,6 +65,20 @@ fn a_torque_that_is_no_number_closes_the_brakes_until_they_are_commanded() {
 }
 
 #[test]
+fn a_command_for_another_chain_closes_the_brakes_until_they_are_commanded() {
+    for (joints, actuated) in [(0, 0), (9, 6), (16, 7), (u64::MAX, u64::MAX)] {
+        let mut plant = plant();
+        plant.step(Some(&equal_torques(0.0)));
+        assert!(!plant.brakes_closed());
+        plant.step(Some(&Command { joints, actuated, ..equal_torques(1.0) }));
+        let faulted = Measurement::BRAKES_CLOSED | Measurement::DRIVE_FAULT;
+        assert_eq!(plant.measure().status, faulted, "{joints} joints, {actuated} of them actuated");
+        plant.step(Some(&brake()));
+        assert_eq!(plant.measure().status, Measurement::BRAKES_CLOSED | Measurement::DRIVES_READY);
+    }
+}
+
+#[test]
 fn any_brake_code_but_zero_closes_the_brakes() {
     for brake in [1, 2, u64::MAX] {
         let mut plant = plant();

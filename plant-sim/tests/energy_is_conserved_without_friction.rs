@@ -12,11 +12,11 @@ fn a_pendulum_on_a_braked_arm_keeps_its_energy_for_ten_seconds() {
     // Eight times the real period: at the real period the drift is too small to measure.
     config.daemon.cycle.period = Period::from_micros(1000);
     let mut plant = Plant::at(&config, &level_pose(), &at_rest()).unwrap();
-    let at_rest = energy(&config.model, &plant);
+    let lowest = energy(&config.model, &plant);
     let mut q = level_pose();
     (q[7], q[8]) = (1.2, 0.3);
     plant.reset(&q, &at_rest()).unwrap();
-    let of_swing = energy(&config.model, &plant) - at_rest;
+    let of_swing = energy(&config.model, &plant) - lowest;
     assert!(of_swing > 0.3, "a swing of {of_swing} J is none");
 
     let mut speed: f64 = 0.0;
@@ -25,7 +25,7 @@ fn a_pendulum_on_a_braked_arm_keeps_its_energy_for_ten_seconds() {
         plant.step(None);
         speed = speed.max(plant.velocity()[7].abs());
         if plant.seq().is_multiple_of(25) {
-            drift = drift.max((energy(&config.model, &plant) - at_rest - of_swing).abs() / of_swing);
+            drift = drift.max((energy(&config.model, &plant) - lowest - of_swing).abs() / of_swing);
         }
     }
     assert!(speed > 5.0, "the pendulum swings: {speed} rad/s");

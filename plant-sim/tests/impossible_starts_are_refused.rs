@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{at_rest, settings};
+use common::settings;
 use std::process::{Command as Process, Output};
 use upswing_config::PendulumStart;
 use upswing_ipc::TempDomain;
@@ -50,20 +50,20 @@ fn run(options: &[&str]) -> Output {
 #[test]
 fn the_process_says_what_is_wrong_and_exits_with_2() {
     for (options, expected) in [
-        (&["--start", "0,0,0,-130,0,0,0"][..], "joint 4: expected -120.0 to 120.0 deg, got -130.00 deg"),
-        (&["--start", "NaN,0,0,-90,0,0,0"], "joint 1: expected a number, got NaN"),
-        (&["--start", "-10,0,0,-90,0,0,inf"], "joint 7: expected a number, got inf"),
+        (
+            &["--start", "0,0,0,-130,0,0,0"][..],
+            "position of joint `joint_4`: expected -120.000 to 120.000 deg, got -130.000 deg",
+        ),
+        (&["--start", "NaN,0,0,-90,0,0,0"], "position of joint `joint_1`: expected a number, got NaN"),
+        (&["--start", "-10,0,0,-90,0,0,inf"], "position of joint `joint_7`: expected a number, got inf"),
         (
             &["--start", "0,-15,0"],
-            "--start: expected 7 joint angles in deg, separated by commas, as in 0,-15,0,-95,0,10,0; got 3",
+            "--start: expected 7 positions of the actuated joints, separated by commas (joint_1 in deg,joint_2 in deg,",
         ),
-        (
-            &["--start=0,0,0,0,0,0,0,0"],
-            "--start: expected 7 joint angles in deg, separated by commas, as in 0,-15,0,-95,0,10,0; got 8",
-        ),
+        (&["--start=0,0,0,0,0,0,0,0"], "joint_7 in deg); got 8"),
         (
             &["--start", "0,0,0,0,0,0,0"],
-            "rest position of joint 9 is -90.0 deg, outside its range of -45.0 to 45.0 deg",
+            "rest position of joint `pendulum_2` is -90.0 deg, outside its range of -45.0 to 45.0 deg",
         ),
         (&["--domain", "No Domain"], "domain name `No Domain`"),
         (&["--config", "/does/not/exist"], "/does/not/exist"),
