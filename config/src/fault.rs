@@ -1,8 +1,8 @@
 //! Faults of the simulated plant and pushes on its rod, each at given cycles.
 
 use crate::MAX_DELAY;
-use crate::rule::{Whole, refused};
-use serde::{Deserialize, Deserializer};
+use crate::rule::{Finite, Rule, Whole};
+use serde::Deserialize;
 use upswing_model::{Model, Sizes};
 
 /// Kind of a plant fault; the index of a variant is its code in shared memory. Simultaneous faults act in the order of the variants.
@@ -200,7 +200,7 @@ pub struct Push {
     #[serde(deserialize_with = "Whole::<1, MOST_CYCLES>::read")]
     pub cycles: u64,
     /// Force times its duration, world frame (z up), N s.
-    #[serde(rename = "impulse_ns", deserialize_with = "impulse")]
+    #[serde(rename = "impulse_ns", deserialize_with = "Finite::read")]
     pub impulse: [f64; 3],
 }
 
@@ -222,14 +222,6 @@ impl Push {
             .iter()
             .find(|v| !v.is_finite())
             .map_or(Ok(()), |got| Err(EventError::Impulse { got: *got }))
-    }
-}
-
-fn impulse<'de, D: Deserializer<'de>>(from: D) -> Result<[f64; 3], D::Error> {
-    let impulse = <[f64; 3]>::deserialize(from)?;
-    match impulse.iter().find(|v| !v.is_finite()) {
-        Some(got) => Err(refused("three finite numbers, N s", got)),
-        None => Ok(impulse),
     }
 }
 

@@ -209,15 +209,18 @@ enum PerJoint<T> {
 }
 
 /// The value of one joint: a number, or a range.
-pub(crate) trait JointValue: Copy + for<'de> Deserialize<'de> {
+pub(crate) trait JointValue: Copy {
     /// A setting of such values, in messages after "expected".
     const FORM: &'static str;
 
-    /// The value that a number is.
+    /// The value of `number`; `None` if the value of a joint is a list.
     fn of_number(number: f64) -> Option<Self>;
 
-    /// The value that a list is.
+    /// The value of `list`; `None` if it has another length, or if the value of a joint is a number.
     fn of_list(list: &[f64]) -> Option<Self>;
+
+    /// Reads the value of one joint.
+    fn read<'de, D: Deserializer<'de>>(from: D) -> Result<Self, D::Error>;
 
     /// The text "expected .., got .." if the value violates the rule `R`.
     fn violation<R: Rule>(&self) -> Option<String>;
@@ -236,6 +239,10 @@ impl JointValue for f64 {
 
     fn of_list(_: &[f64]) -> Option<Self> {
         None
+    }
+
+    fn read<'de, D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        Self::deserialize(from)
     }
 
     fn violation<R: Rule>(&self) -> Option<String> {
@@ -262,6 +269,11 @@ impl JointValue for Range {
         list.try_into().ok()
     }
 
+    fn read<'de, D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        let list = Vec::deserialize(from)?;
+        Self::of_list(&list).ok_or_else(|| refused("[lowest, highest]", format!("a list of {}", list.len())))
+    }
+
     fn violation<R: Rule>(&self) -> Option<String> {
         let [low, high] = self;
         let number = self.iter().find_map(f64::violation::<R>);
@@ -270,6 +282,15 @@ impl JointValue for Range {
 
     fn times(self, unit: f64) -> Self {
         self.map(|v| v * unit)
+    }
+}
+
+/// The value of one joint.
+struct OneValue<T>(T);
+
+impl<'de, T: JointValue> Deserialize<'de> for OneValue<T> {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        T::read(from).map(Self)
     }
 }
 
@@ -305,8 +326,8 @@ impl<'de, T: JointValue> Deserialize<'de> for PerJoint<T> {
 
             fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
                 let mut by_name = Vec::new();
-                while let Some(entry) = map.next_entry()? {
-                    by_name.push(entry);
+                while let Some((name, OneValue(value))) = map.next_entry()? {
+                    by_name.push((name, value));
                 }
                 Ok(PerJoint::ByName(by_name))
             }

@@ -11,13 +11,23 @@ const SHARE: &str = "expected a share in (0, 1]";
 #[test]
 fn robot() {
     for (from, to, parts) in [
-        ("q_deg = [170", "q_deg = [-170", &["limits.q_deg", POSITIVE, "got -170 for joint 1"]),
         (
-            "qd_deg_s = [85, 85, 100",
-            "qd_deg_s = [85, 85, nan",
-            &["limits.qd_deg_s", POSITIVE, "got NaN for joint 3"],
+            "joint_1 = [-170, 170]",
+            "joint_1 = [170, -170]",
+            &["limits.q_deg.joint_1", "expected [lowest, highest], got [170, -170]"],
         ),
-        ("40, 40]", "40, inf]", &["limits.tau_nm", POSITIVE, "got inf for joint 7"]),
+        (
+            "joint_1 = [-170, 170]",
+            "joint_1 = [-inf, 170]",
+            &["limits.q_deg.joint_1", "a finite number, got -inf"],
+        ),
+        (
+            "joint_1 = [-170, 170]",
+            "joint_1 = [0, 0]",
+            &["limits.q_deg.joint_1", "expected [lowest, highest]"],
+        ),
+        ("joint_3 = 100", "joint_3 = nan", &["limits.qd_deg_s.joint_3", POSITIVE, "got NaN"]),
+        ("joint_7 = 40 }", "joint_7 = inf }", &["limits.tau_nm.joint_7", POSITIVE, "got inf"]),
         (
             "fraction_actuated = 0.5",
             "fraction_actuated = 0",
@@ -30,41 +40,41 @@ fn robot() {
         ),
         ("torque_fraction = 0.5", "torque_fraction = -0.5", &["usage.torque_fraction", SHARE, "got -0.5"]),
         (
-            "margin_deg = [20, 0]",
-            "margin_deg = [20, -1]",
-            &["usage.position_margin_deg", NOT_NEGATIVE, "got -1 for joint 9"],
+            "pendulum_2 = 0 }",
+            "pendulum_2 = -1 }",
+            &["usage.position_margin_deg.pendulum_2", NOT_NEGATIVE, "got -1"],
         ),
         (
-            "inertia_kg_m2 = [0, 0",
-            "inertia_kg_m2 = [0, -1",
-            &["drives.rotor_inertia_kg_m2", NOT_NEGATIVE, "got -1 for joint 2"],
+            "inertia_kg_m2 = 0",
+            "inertia_kg_m2 = -1",
+            &["drives.rotor_inertia_kg_m2: ", NOT_NEGATIVE, "got -1"],
         ),
         (
-            "friction_viscous = [0, 0",
-            "friction_viscous = [0, -1",
-            &["drives.friction_viscous", NOT_NEGATIVE, "got -1 for joint 2"],
+            "friction_viscous = 0",
+            "friction_viscous = { default = 0, joint_2 = -1 }",
+            &["drives.friction_viscous.joint_2", NOT_NEGATIVE, "got -1"],
         ),
         (
-            "friction_coulomb = [0",
-            "friction_coulomb = [nan",
-            &["drives.friction_coulomb", NOT_NEGATIVE, "got NaN for joint 1"],
+            "friction_coulomb = 0",
+            "friction_coulomb = { default = nan, joint_2 = 0 }",
+            &["drives.friction_coulomb.default", NOT_NEGATIVE, "got NaN"],
         ),
         (
             "friction_smoothing_rad_s = 0.05",
             "friction_smoothing_rad_s = 0",
             &["drives.friction_smoothing_rad_s", POSITIVE, "got 0"],
         ),
-        ("upper_nm = [6", "upper_nm = [-6", &["coriolis_bound.upper_nm", POSITIVE, "got -6 for joint 1"]),
-        ("lower_nm = [-6", "lower_nm = [6", &["coriolis_bound.lower_nm", "below 0", "got 6 for joint 1"]),
+        ("joint_1 = 6,", "joint_1 = -6,", &["coriolis_bound.upper_nm.joint_1", POSITIVE, "got -6"]),
+        ("joint_1 = -6,", "joint_1 = 6.5,", &["coriolis_bound.lower_nm.joint_1", "below 0", "got 6.5"]),
         (
-            "lower_nm = [-6",
-            "lower_nm = [-160",
-            &["coriolis_bound.lower_nm", "less than the 160", "got -160 for joint 1"],
+            "joint_1 = -6,",
+            "joint_1 = -160,",
+            &["coriolis_bound.lower_nm", "less than the 160", "got -160 for joint `joint_1`"],
         ),
         (
-            "upper_nm = [6",
-            "upper_nm = [160",
-            &["coriolis_bound.upper_nm", "less than the 160", "got 160 for joint 1"],
+            "joint_1 = 6,",
+            "joint_1 = 160,",
+            &["coriolis_bound.upper_nm", "less than the 160", "got 160 for joint `joint_1`"],
         ),
         ("pitch_deg = 90", "pitch_deg = inf", &["target.pitch_deg", "from -360 to 360 deg", "got inf"]),
         ("q8_deg = 180", "q8_deg = 201", &["target.q8_deg", "from -200 to 200 deg", "got 201"]),
@@ -75,15 +85,15 @@ fn robot() {
                 "target.pitch_deg",
                 "an equilibrium",
                 "got 60.00 with q8_deg 180.00",
-                "joint 9 of robot.urdf at rest",
+                "joint `pendulum_2` of robot.urdf at rest",
             ],
         ),
         (
             "q8_deg = 180",
             "q8_deg = 170",
-            &["an equilibrium", "q8_deg 170.00", "joint 8 of robot.urdf at rest"],
+            &["an equilibrium", "q8_deg 170.00", "joint `pendulum_1` of robot.urdf at rest"],
         ),
-    ] as [(&str, &str, &[&str]); 19]
+    ] as [(&str, &str, &[&str]); 21]
     {
         refused("robot.toml", from, to, parts);
     }
@@ -93,17 +103,22 @@ fn robot() {
 fn limits_that_differ_from_the_urdf() {
     for (from, to, parts) in [
         (
-            "q_deg = [170, 120",
-            "q_deg = [170, 119",
-            &["limits.q_deg", "the 120 of joint 2 in robot.urdf", "got 119"],
+            "joint_2 = [-120, 120]",
+            "joint_2 = [-120, 119]",
+            &["limits.q_deg", "the 120 of joint `joint_2` in robot.urdf", "got 119"],
         ),
-        ("qd_deg_s = [85", "qd_deg_s = [98", &["limits.qd_deg_s", "the 85 of joint 1", "got 98"]),
         (
-            "110, 40, 40]",
-            "110, 40, 41]",
-            &["limits.tau_nm", "the 40 of joint 7", "got 41", "change both files"],
+            "joint_2 = [-120, 120]",
+            "joint_2 = [-121, 120]",
+            &["limits.q_deg", "the -120 of joint `joint_2` in robot.urdf", "got -121"],
         ),
-    ] as [(&str, &str, &[&str]); 3]
+        ("{ joint_1 = 85", "{ joint_1 = 98", &["limits.qd_deg_s", "the 85 of joint `joint_1`", "got 98"]),
+        (
+            "joint_7 = 40 }",
+            "joint_7 = 41 }",
+            &["limits.tau_nm", "the 40 of joint `joint_7`", "got 41", "change both files"],
+        ),
+    ] as [(&str, &str, &[&str]); 4]
     {
         refused("robot.toml", from, to, parts);
     }
@@ -121,9 +136,13 @@ fn planner() {
         ("\niterations = 10", "\niterations = -4", &["replan.iterations", "from 1 to", "got -4"]),
         ("sub_horizons = 1", "sub_horizons = 3", &["replan.sub_horizons", "one of", "got 3"]),
         ("weight_t_f = 300", "weight_t_f = -1.0", &["replan.weight_t_f", POSITIVE, "got -1"]),
-        ("weight_u = [0.01", "weight_u = [0", &["replan.weight_u", POSITIVE, "got 0 for joint 1"]),
+        ("weight_u = 0.01", "weight_u = 0", &["replan.weight_u: ", POSITIVE, "got 0"]),
         ("neighbours = 3", "neighbours = 0", &["replan.neighbours", "from 1 to", "got 0"]),
-        ("metric = [1", "metric = [-1", &["replan.metric", POSITIVE, "got -1 for joint 1"]),
+        (
+            "metric = 1",
+            "metric = { default = 1, joint_1 = -1 }",
+            &["replan.metric.joint_1", POSITIVE, "got -1"],
+        ),
         ("q_angles = 100", "q_angles = nan", &["lqr.q_angles", POSITIVE, "got NaN"]),
         ("\nr = 0.01", "\nr = 0", &["lqr.r", POSITIVE, "got 0"]),
     ] as [(&str, &str, &[&str]); 14]
@@ -135,12 +154,19 @@ fn planner() {
 #[test]
 fn grid() {
     for (from, to, parts) in [
-        ("joint = 4,", "joint = 8,", &["joints.joint", "from 1 to 7", "got 8"]),
-        ("joint = 4,", "joint = 2,", &["joints.joint", "at most once", "got joint 2 twice"]),
+        ("\"joint_4\"", "\"pendulum_1\"", &["joints.joint", "joint_1, joint_2", "joint_7, got `pendulum_1`"]),
+        ("\"joint_4\"", "4", &["joints.joint", "invalid type: integer `4`, expected a string"]),
+        ("\"joint_4\"", "\"joint_2\"", &["joints.joint", "at most once", "got joint `joint_2` twice"]),
+        (
+            "from_deg = -120",
+            "from_m = -120",
+            &["joints.from_deg", "a position of joint `joint_4` in this unit"],
+        ),
+        ("to_deg = 45", "to_deg = 45, to_m = 1", &["joints.to_deg", "joint `joint_1` in this unit only"]),
         (
             "from_deg = -120",
             "from_deg = -121",
-            &["joints.from_deg", "from -120 to 120 deg", "got -121 for joint 4"],
+            &["joints.from_deg", "from -120 to 120 deg", "got -121 for joint `joint_4`"],
         ),
         ("to_deg = 45", "to_deg = -60", &["joints.to_deg", "more than the -60", "got -60"]),
         ("to_deg = 45, points = 4", "to_deg = 45, points = 1", &["joints.points", "from 2 to", "got 1"]),
@@ -150,7 +176,7 @@ fn grid() {
             &["joints", "at most 1000000", "start poses"],
         ),
         ("max_rest_angle_deg = 45", "max_rest_angle_deg = 0", &["max_rest_angle_deg", POSITIVE, "got 0"]),
-    ] as [(&str, &str, &[&str]); 7]
+    ] as [(&str, &str, &[&str]); 10]
     {
         refused("grid.toml", from, to, parts);
     }
@@ -165,9 +191,9 @@ fn daemon() {
             "filter_ms = 0.1",
             &["cycle.velocity_filter_ms", "more than the 0.125", "got 0.1"],
         ),
-        ("stiffness = [100", "stiffness = [0", &["hold.stiffness", POSITIVE, "got 0 for joint 1"]),
-        ("damping = [20", "damping = [-20", &["hold.damping", POSITIVE, "got -20 for joint 1"]),
-        ("rad_s2 = [6", "rad_s2 = [inf", &["stop.deceleration_rad_s2", POSITIVE, "got inf for joint 1"]),
+        ("stiffness = 100", "stiffness = 0", &["hold.stiffness: ", POSITIVE, "got 0"]),
+        ("damping = 20", "damping = { default = -20 }", &["hold.damping.default", POSITIVE, "got -20"]),
+        ("rad_s2 = 6", "rad_s2 = inf", &["stop.deceleration_rad_s2: ", POSITIVE, "got inf"]),
         (
             "age_cycles = { warn = 4,",
             "age_cycles = { warn = 0.5,",
@@ -226,22 +252,14 @@ fn plant() {
         ("bits = 17", "bits = 33", &["encoder.pendulum_bits", "from 1 to 32", "got 33"]),
         ("watchdog_cycles = 20", "watchdog_cycles = 0", &["drive.watchdog_cycles", "from 1 to", "got 0"]),
         ("constant_ms = 10", "constant_ms = 0", &["drive.brake_time_constant_ms", POSITIVE, "got 0"]),
-        (
-            "viscous = [0.0005",
-            "viscous = [-1",
-            &["friction.pendulum_viscous", NOT_NEGATIVE, "got -1 for joint 8"],
-        ),
-        (
-            "arm_coulomb = [0.31909",
-            "arm_coulomb = [nan",
-            &["friction.arm_coulomb", NOT_NEGATIVE, "got NaN for joint 1"],
-        ),
+        ("viscous = 0.0005", "viscous = -1", &["friction.pendulum_viscous: ", NOT_NEGATIVE, "got -1"]),
+        ("joint_1 = 0.31909", "joint_1 = nan", &["friction.arm_coulomb.joint_1", NOT_NEGATIVE, "got NaN"]),
         ("compensation = 1.0", "compensation = 1.1", &["friction.arm_compensation", "[0, 1]", "got 1.1"]),
         ("rad_s = 0.01", "rad_s = 0", &["friction.coulomb_smoothing_rad_s", POSITIVE, "got 0"]),
         (
-            "q_deg = [0, -15, 0, -95",
-            "q_deg = [0, -15, 0, -125",
-            &["start.q_deg", "-120 to 120 deg", "got -125 for joint 4"],
+            "joint_4 = -95",
+            "joint_4 = -125",
+            &["start.q_deg", "-120 to 120 deg", "got -125 for joint `joint_4`"],
         ),
     ] as [(&str, &str, &[&str]); 10]
     {
@@ -262,13 +280,6 @@ fn robot_description() {
         "<mass value=\"3.94781\"/>",
         "<mass value=\"-1\"/>",
         &["link `link_1`", "mass of 0 or above", "got `-1` kg"],
-    );
-    let limit = "lower=\"-2.9670597283903604\" upper=\"2.9670597283903604\" velocity=\"1.4835298641951802\"";
-    refused(
-        "robot.urdf",
-        limit,
-        &limit.replacen("-2.9670597283903604", "-1.5707963267948966", 1),
-        &["joint `joint_1`", "symmetric about 0", "got -90 to 170 deg", "not supported yet"],
     );
 }
 

@@ -4,6 +4,7 @@ mod common;
 use common::exported;
 use std::path::Path;
 use upswing_config::{Config, EventError, Fault, FaultKind, MAX_DELAY, Push};
+use upswing_model::ActuatedVector;
 
 fn embedded() -> Config {
     Config::embedded().expect("embedded settings")
@@ -56,6 +57,46 @@ fn what_it_does_not_state_stays() {
 }
 
 #[test]
+fn a_table_of_joints_changes_those_that_it_names() {
+    let base = embedded().plant;
+    let arm_viscous = |value: &str| {
+        let text = format!("purpose = 'a'\n[friction]\narm_viscous = {value}\n");
+        under(&text).expect("scenario").plant.friction.arm_viscous
+    };
+    let mut expected = base.friction.arm_viscous;
+    expected[2] = 5.0;
+    assert_eq!(arm_viscous("{ joint_3 = 5 }"), expected);
+    assert_eq!(arm_viscous("5").to_vec(), [5.0; 7]);
+    let mut expected = ActuatedVector::zeros(expected.sizes());
+    expected[2] = 5.0;
+    assert_eq!(arm_viscous("{ default = 0, joint_3 = 5 }"), expected);
+    // The base is one number.
+    let encoder =
+        under("purpose = 'a'\n[encoder]\nnoise_rad = { joint_2 = 1e-4 }\n").expect("scenario").plant.encoder;
+    let changed = encoder.noise.iter().zip(base.encoder.noise.iter()).map(|(new, old)| new != old);
+    assert!(encoder.noise[1] == 1e-4 && changed.filter(|changed| *changed).count() == 1);
+    let stops = under("purpose = 'a'\n[stops.q_deg]\njoint_2 = [-100, 90]\n").expect("scenario").plant.stops;
+    assert_eq!((stops.q_min[1], stops.q_max[1]), (-100_f64.to_radians(), 90_f64.to_radians()));
+    assert_eq!((stops.q_min[0], stops.q_max[8]), (base.stops.q_min[0], base.stops.q_max[8]));
+}
+
+#[test]
+fn a_plant_has_the_kinds_of_joints_of_the_robot() {
+    let dir = exported();
+    let path = dir.path().join("robot-acin.urdf");
+    let text = std::fs::read_to_string(&path).expect("the arm");
+    let (arm, pendulum) = text.split_at(text.find("<joint name=\"pendulum_1\"").expect("the joint"));
+    std::fs::write(&path, format!("{arm}{}", pendulum.replacen("effort=\"0\"", "effort=\"1\"", 1)))
+        .expect("written");
+    let message =
+        under(&format!("purpose = 'a'\n[model]\nurdf = '{}'", path.display())).expect_err("8 motors");
+    assert!(
+        message.contains("model.urdf: expected the kinds of joints of robot.urdf, actuated revolute"),
+        "{message}"
+    );
+}
+
+#[test]
 fn a_second_scenario_replaces_the_first() {
     let mut config = embedded();
     config.use_scenario("second-arm").expect("scenario");
@@ -71,7 +112,9 @@ fn the_second_arm_has_the_geometry_of_the_first() {
     assert_ne!(config.plant_model.fingerprint(), config.model.fingerprint());
     assert_eq!(config.plant_model.rated_limits(), config.model.rated_limits());
     for k in 0..20 {
-        let q = upswing_model::JointVector::from_fn(|i, _| (1.7 * k as f64 + 0.9 * i as f64).sin() * 2.0);
+        let q = upswing_model::JointVector::from_fn(config.model.sizes(), |i| {
+            (1.7 * k as f64 + 0.9 * i as f64).sin() * 2.0
+        });
         assert_eq!(config.plant_model.poses(&q), config.model.poses(&q));
         assert_eq!(config.plant_model.tip(&q), config.model.tip(&q));
     }
@@ -91,7 +134,7 @@ fn any_urdf_can_be_the_plant() {
 fn faults_and_pushes_are_read() {
     let config = under(
         "purpose = 'a'\n\
-         [[fault]]\nkind = 'encoder-jump'\nfrom_cycle = 5\njoint = 8\namount = 0.1\n\
+         [[fault]]\nkind = 'encoder-jump'\nfrom_cycle = 5\njoint = 'pendulum_1'\namount = 0.1\n\
          [[fault]]\nkind = 'delay-measurement'\nfrom_cycle = 9\ncycles = 3\namount = 2\n\
          [[push]]\nfrom_cycle = 4\ncycles = 2\nimpulse_ns = [0, 0.5, 1]\n",
     )
@@ -118,26 +161,50 @@ fn what_cannot_be_is_refused() {
         ("purpose = 'a'\n[drive]\ntorque_lag_ms = -1", &["drive.torque_lag_ms", "0 or above, got -1"]),
         ("purpose = 'a'\n[drive]\ncommand_delay_cycles = 64", &["drive.command_delay_cycles", "0 to 63"]),
         ("purpose = 'a'\n[encoder]\nnoise_rad = [1, 'b']", &["encoder.noise_rad", "a list with a string"]),
-        ("purpose = 'a'\n[encoder]\nnoise_rad = [1]", &["encoder.noise_rad", "9 numbers", "got 1"]),
+        ("purpose = 'a'\n[encoder]\nnoise_rad = 'b'", &["encoder.noise_rad", "a number as in", "a string"]),
+        (
+            "purpose = 'a'\n[encoder]\nnoise_rad = [1]",
+            &["encoder.noise_rad", "by joint name", "got a list of 1"],
+        ),
+        (
+            "purpose = 'a'\n[encoder]\nnoise_rad = { joint_8 = 1 }",
+            &["line 3", "encoder.noise_rad.joint_8", "one of joint_1, joint_2", "got `joint_8`"],
+        ),
+        (
+            "purpose = 'a'\n[drive]\ntorque_lag_ms = { joint_1 = 1 }",
+            &["drive.torque_lag_ms", "invalid type: map"],
+        ),
         ("purpose = 'a'\n[start]\npendulum = 'up'", &["`up`", "`rest` or `zero`"]),
         ("purpose = 'a'\n[model]\nurdf = 'robot.toml'", &["model.urdf", "robot-acin.urdf", "a path"]),
         (
             "purpose = 'a'\n[model]\npayload_position_m = [1, 2]",
-            &["payload_position_m", "3 numbers", "got 2"],
+            &["payload_position_m", "3 numbers, for x, y and z", "got 2"],
         ),
         ("purpose = 'a'\n[[fault]]\nkind = 'b'\nfrom_cycle = 1", &["line 3", "fault.kind", "`lose-command`"]),
         ("purpose = 'a'\n[[fault]]\nkind = 'lose-command'\nfrom_cycle = 0", &["fault.from_cycle", "from 1"]),
         (
-            "purpose = 'a'\n[[fault]]\nkind = 'encoder-jump'\nfrom_cycle = 1\njoint = 8",
+            "purpose = 'a'\n[[fault]]\nkind = 'encoder-jump'\nfrom_cycle = 1\njoint = 'pendulum_1'",
             &["amount: expected a finite number other than 0, rad, got 0"],
         ),
         (
             "purpose = 'a'\n[[fault]]\nkind = 'encoder-nan'\nfrom_cycle = 1",
-            &["fault.joint", "expected a joint, got none"],
+            &["fault.joint", "expected one of joint_1, joint_2", "pendulum_2, got none"],
         ),
         (
-            "purpose = 'a'\n[[fault]]\nkind = 'stale-time'\nfrom_cycle = 1\njoint = 2",
-            &["fault.joint", "expected none for this kind, got 2"],
+            "purpose = 'a'\n[[fault]]\nkind = 'encoder-nan'\nfrom_cycle = 1\njoint = 'joint_8'",
+            &["fault.joint", "expected one of joint_1, joint_2", "pendulum_2, got `joint_8`"],
+        ),
+        (
+            "purpose = 'a'\n[[fault]]\nkind = 'arm-torque'\nfrom_cycle = 1\namount = 1\njoint = 'pendulum_1'",
+            &["fault.joint", "joint_6, joint_7, got `pendulum_1`"],
+        ),
+        (
+            "purpose = 'a'\n[[fault]]\nkind = 'encoder-nan'\nfrom_cycle = 1\njoint = 2",
+            &["fault", "integer `2`"],
+        ),
+        (
+            "purpose = 'a'\n[[fault]]\nkind = 'stale-time'\nfrom_cycle = 1\njoint = 'joint_2'",
+            &["fault.joint", "expected none for this kind, got `joint_2`"],
         ),
         (
             "purpose = 'a'\n[[fault]]\nkind = 'delay-measurement'\nfrom_cycle = 1\namount = 64",
@@ -145,9 +212,13 @@ fn what_cannot_be_is_refused() {
         ),
         (
             "purpose = 'a'\n[[push]]\nfrom_cycle = 1\ncycles = 1\nimpulse_ns = [nan, 0, 0]",
-            &["push", "expected three finite numbers, N s, got NaN"],
+            &["push.impulse_ns", "expected a finite number, got NaN for x"],
         ),
         ("purpose = 'a'\n[[push]]\nfrom_cycle = 1\ncycles = 1\nimpulse_ns = [0, 0]", &["push.impulse_ns"]),
+        (
+            "purpose = 'a'\n[[push]]\nfrom_cycle = 1\ncycles = 1\nimpulse_ns = [0, 0, 1, 0]",
+            &["push.impulse_ns", "3 numbers, for x, y and z", "got 4"],
+        ),
     ] {
         let message = under(text).err().unwrap_or_else(|| panic!("accepted: {text}"));
         for part in parts {

@@ -16,7 +16,7 @@ fn unknown_keys() {
             "neighbors =",
             &["replan.neighbors", "unknown field", "`neighbours`"],
         ),
-        ("grid.toml", "joint = 4, from_deg", "joint = 4, from", &["joints.from", "`from_deg`"]),
+        ("grid.toml", "\"joint_4\", from_deg", "\"joint_4\", from", &["joints.from", "`from_deg`"]),
         (
             "daemon.toml",
             "balance_tilt_deg =",
@@ -58,7 +58,30 @@ fn values_of_the_wrong_type() {
             "pitch_deg = \"90\"",
             &["target.pitch_deg", "string \"90\"", "expected f64"],
         ),
-        ("robot.toml", "tau_nm = [320,", "tau_nm = [true,", &["limits.tau_nm", "boolean", "expected f64"]),
+        (
+            "robot.toml",
+            "joint_1 = 320,",
+            "joint_1 = true,",
+            &["limits.tau_nm.joint_1", "boolean", "expected f64"],
+        ),
+        (
+            "robot.toml",
+            "joint_1 = [-170, 170]",
+            "joint_1 = 170",
+            &["limits.q_deg.joint_1", "integer `170`", "expected a sequence"],
+        ),
+        (
+            "robot.toml",
+            "joint_1 = [-170, 170]",
+            "joint_1 = [-170, 0, 170]",
+            &["limits.q_deg.joint_1: expected [lowest, highest], got a list of 3"],
+        ),
+        (
+            "daemon.toml",
+            "stiffness = 100",
+            "stiffness = '100'",
+            &["hold.stiffness", "string \"100\"", "a number for all joints"],
+        ),
         (
             "planner.toml",
             "torque = \"exact\"\n# Largest residual",
@@ -67,8 +90,8 @@ fn values_of_the_wrong_type() {
         ),
         (
             "grid.toml",
-            "points = 4 },\n    { joint = 2",
-            "points = 4.5 },\n    { joint = 2",
+            "points = 4 },\n    { joint = \"joint_2\"",
+            "points = 4.5 },\n    { joint = \"joint_2\"",
             &["joints.points", "floating point `4.5`"],
         ),
         (
@@ -83,7 +106,7 @@ fn values_of_the_wrong_type() {
             "pendulum = 0",
             &["start.pendulum", "string", "`pendulum = 0`"],
         ),
-    ] as [(&str, &str, &str, &[&str]); 6]
+    ] as [(&str, &str, &str, &[&str]); 9]
     {
         refused(file, from, to, parts);
     }
