@@ -82,8 +82,9 @@ fn violation(qp: &Qp, solver: &QpSolver) -> f64 {
         worst = worst.max(largest(&(lower - x(k + 1)))).max(largest(&(x(k + 1) - upper)));
     }
     for (k, (lower, upper)) in qp.torque.bounds.iter().enumerate() {
-        let mut tau = ActuatedVector::zeros(lower.sizes());
-        qp.torque.jacobian.times(k, &s.z.knot(k), &mut tau);
+        let z = s.z.knot(k);
+        let row = |i: usize| qp.torque.jacobian.row(k, i).iter().zip(z.iter()).map(|(d, z)| d * z).sum();
+        let tau = ActuatedVector::from_fn(lower.sizes(), row);
         let half = (upper - lower) * 0.5;
         worst = worst.max(largest(&(lower - tau).component_div(&half)));
         worst = worst.max(largest(&(tau - upper).component_div(&half)));

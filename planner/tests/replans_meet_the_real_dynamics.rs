@@ -168,7 +168,10 @@ fn an_impossible_start_is_refused_with_the_reason_of_each_entry() {
     // The full optimisation finds no trajectory either.
     let refusal = planner.replan(&x, 2, None).expect_err("no plan");
     assert!(
-        matches!(refusal.optimisation, Some(PlanningFailure::Optimisation(NlpStatus::Infeasible(_)))),
+        matches!(
+            refusal.optimisation.as_deref(),
+            Some(PlanningFailure::Optimisation(NlpStatus::Infeasible(_)))
+        ),
         "{refusal}"
     );
 }

@@ -152,7 +152,7 @@ pub struct NoPlan {
     /// The entries tried, in order.
     pub failed: Vec<FailedAttempt>,
     /// Reason for which the full optimisation gave no plan; `None` if it was not tried.
-    pub optimisation: Option<PlanningFailure>,
+    pub optimisation: Option<Box<PlanningFailure>>,
     /// The QPs, of all entries tried, on which Clarabel was asked.
     pub second_opinions: Vec<SecondOpinion>,
 }
@@ -181,7 +181,7 @@ impl std::error::Error for NoPlan {}
 impl NoPlan {
     /// Whether the time budget was the reason, not feasibility.
     pub fn out_of_time(&self) -> bool {
-        matches!(self.optimisation, Some(PlanningFailure::Optimisation(NlpStatus::OutOfTime)))
+        matches!(self.optimisation.as_deref(), Some(PlanningFailure::Optimisation(NlpStatus::OutOfTime)))
             || self.failed.iter().any(|a| matches!(a.failure, PlanningFailure::Deadline { .. }))
     }
 }
