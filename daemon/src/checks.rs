@@ -3,22 +3,17 @@
 
 use crate::supervisor::RequestRefusal;
 use crate::trip::{Trip, TripCause, Warnings};
-use std::ops::Range;
 use upswing_config::{Config, Level, Levels, StartTolerance};
-use upswing_ipc::Measurement;
-use upswing_model::{ActuatedVector, JointVector, NQ, NU, NX, Period, State, StateParts};
+use upswing_ipc::{Measurement, OtherChain};
+use upswing_model::{ActuatedVector, JointVector, Period, State, UnactuatedVector};
 
-/// Indices of the arm's joints, q_A.
-const ARM: Range<usize> = 0..NU;
-const PENDULUM: Range<usize> = NU..NQ;
-
-/// Largest speed that an encoder of the pendulum may report, rad/s; no pendulum reaches it.
+/// Largest speed that an encoder of the pendulum may report, rad/s or m/s; no pendulum reaches it.
 const PENDULUM_SPEED: f64 = 30.0;
 /// Largest speed that an encoder of the arm may report, as a multiple of the 100 % speed.
 const SPEED_FACTOR: f64 = 2.0;
 /// Time until a stop decelerates an accelerating arm, s.
 const STOP_DELAY: f64 = 8e-3;
-/// Largest angle that an encoder may report, rad: 16 turns.
+/// Largest position that an encoder may report, rad or m: 16 turns.
 const ENCODER_RANGE: f64 = 100.0;
 
 /// Levels of all limits, in SI units, and the warnings of the current cycle.
@@ -28,10 +23,10 @@ pub struct Checks {
     levels: Levels,
     q_min: JointVector,
     q_max: JointVector,
-    /// 100 % speeds, rad/s.
+    /// 100 % speeds.
     qd_max: JointVector,
     tau_max: ActuatedVector,
-    /// Largest speeds that the encoders may report, rad/s.
+    /// Largest speeds that the encoders may report.
     encoder_speed: JointVector,
     start: StartTolerance,
     period: Period,
@@ -50,9 +45,10 @@ impl Checks {
             q_max: planning.q_max,
             qd_max: limits.qd_max,
             tau_max: limits.tau_max,
-            encoder_speed: JointVector::from_fn(|i, _| {
-                if i < NU { SPEED_FACTOR * limits.qd_max[i] } else { PENDULUM_SPEED }
-            }),
+            encoder_speed: JointVector::joined(
+                &(limits.qd_max.actuated() * SPEED_FACTOR),
+                &UnactuatedVector::repeat(limits.qd_max.sizes(), PENDULUM_SPEED),
+            ),
             start: config.daemon.start,
             period: config.daemon.cycle.period,
             velocity_filter: config.daemon.cycle.velocity_filter,
@@ -79,9 +75,24 @@ impl Checks {
         self.warnings
     }
 
-    /// Checks that a measurement can be used: clock, period, drives, angles, torques. `not_finite`: the result of
+    /// Returns the trip for a measurement of another chain.
+    pub fn other_chain(&self, OtherChain { joints, actuated, expected, .. }: &OtherChain) -> Trip {
+        // At least one of both numbers differs.
+        let (got, expected) = match expected.joints() as u64 {
+            n if n == *joints => (*actuated, expected.actuated() as u64),
+            n => (*joints, n),
+        };
+        Trip { cause: TripCause::OtherChain, joint: 0, value: got as f64, limit: expected as f64 }
+    }
+
+    /// Checks that a measurement can be used: clock, period, drives, positions, torques `tau`. `not_finite`: the result of
     /// [`Self::finite`] for the same measurement.
-    pub fn measurement(&mut self, measurement: &Measurement, not_finite: Option<Trip>) -> Option<Trip> {
+    pub fn measurement(
+        &mut self,
+        measurement: &Measurement,
+        tau: &ActuatedVector,
+        not_finite: Option<Trip>,
+    ) -> Option<Trip> {
         if let Err(unknown) = measurement.clock() {
             let (value, limit) = (unknown.got as f64, unknown.max as f64);
             return Some(Trip { cause: TripCause::UnknownClock, joint: 0, value, limit });
@@ -95,15 +106,14 @@ impl Checks {
         }
         not_finite.or_else(|| {
             let level = scaled(self.levels.torque_fraction, |i| self.tau_max[i]);
-            beyond(TripCause::TorqueLimit, ARM, |i| measurement.tau_measured[i], level, &mut self.warnings)
+            beyond(TripCause::TorqueLimit, tau, level, &mut self.warnings)
         })
     }
 
-    /// Checks that every angle is finite and within the range of an encoder.
-    pub fn finite(&self, measurement: &Measurement) -> Option<Trip> {
-        let joint = measurement.q.iter().position(|q| exceeds(*q, ENCODER_RANGE))?;
-        let value = measurement.q[joint];
-        Some(Trip { cause: TripCause::NotFinite, joint, value, limit: ENCODER_RANGE })
+    /// Checks that every measured position is finite and within the range of an encoder.
+    pub fn finite(&self, q: &JointVector) -> Option<Trip> {
+        let joint = q.iter().position(|q| exceeds(*q, ENCODER_RANGE))?;
+        Some(Trip { cause: TripCause::NotFinite, joint, value: q[joint], limit: ENCODER_RANGE })
     }
 
     /// Checks the age of the newest measurement, cycles.
@@ -132,7 +142,7 @@ impl Checks {
         count(TripCause::LateCycles, cycles as f64, self.levels.late_cycles, &mut self.warnings)
     }
 
-    /// Checks that the angles can have changed from `last` to `q` (rad) in `cycles` cycles.
+    /// Checks that the positions can have changed from `last` to `q` in `cycles` cycles.
     pub fn jump(&mut self, last: &JointVector, q: &JointVector, cycles: u64) -> Option<Trip> {
         let elapsed = self.period.seconds_of(cycles);
         let level = |i: usize| {
@@ -140,46 +150,45 @@ impl Checks {
             let Level { warn, trip } = self.levels.encoder_jump;
             Level { warn: moved + warn, trip: moved + trip }
         };
-        beyond(TripCause::EncoderJump, 0..NQ, |i| q[i] - last[i], level, &mut self.warnings)
+        beyond(TripCause::EncoderJump, &(q - last), level, &mut self.warnings)
     }
 
-    /// Checks positions (rad) and velocities (rad/s) of the arm. The pendulum is not checked: it may fall.
+    /// Checks positions and velocities of the arm. The pendulum is not checked: it may fall.
     pub fn arm(&mut self, x: &State) -> Option<Trip> {
         let level = scaled(self.levels.velocity_fraction, |i| self.qd_max[i]);
-        let qd = x.qd_a();
-        let fast = beyond(TripCause::VelocityLimit, ARM, |i| qd[i], level, &mut self.warnings);
-        self.range(TripCause::PositionLimit, ARM, x).or(fast)
+        let fast = beyond(TripCause::VelocityLimit, &x.qd_a(), level, &mut self.warnings);
+        self.range(TripCause::PositionLimit, 0, &x.q_a()).or(fast)
     }
 
-    /// Checks the angles of the pendulum, rad; to be called while the pendulum is controlled.
+    /// Checks the positions of the pendulum; to be called while the pendulum is controlled.
     pub fn pendulum(&mut self, x: &State) -> Option<Trip> {
-        self.range(TripCause::PendulumRange, PENDULUM, x)
+        self.range(TripCause::PendulumRange, x.sizes().actuated(), &x.q_u())
     }
 
-    /// Checks the distance of every angle from the reference `x_d`, rad.
+    /// Checks the distance of every position from the reference `x_d`.
     pub fn tracking(&mut self, x: &State, x_d: &State) -> Option<Trip> {
         let level = |_| self.levels.tracking_error;
-        beyond(TripCause::TrackingError, 0..NQ, |i| x[i] - x_d[i], level, &mut self.warnings)
+        beyond(TripCause::TrackingError, &(x.q() - x_d.q()), level, &mut self.warnings)
     }
 
-    /// Checks the distance of the arm from the pose of `x_d`, which it holds or moves to, rad.
+    /// Checks the distance of the arm from the pose of `x_d`, which it holds or moves to.
     pub fn hold(&mut self, x: &State, x_d: &State) -> Option<Trip> {
         self.error_of_arm(self.levels.hold_error, x, x_d)
     }
 
-    /// Checks the distance of the arm from `x_d`, the end of a plan at which it balances, rad.
+    /// Checks the distance of the arm from `x_d`, the end of a plan at which it balances.
     pub fn balance_error(&mut self, x: &State, x_d: &State) -> Option<Trip> {
         self.error_of_arm(self.levels.balance_error, x, x_d)
     }
 
     fn error_of_arm(&mut self, level: Level, x: &State, x_d: &State) -> Option<Trip> {
-        beyond(TripCause::TrackingError, ARM, |i| x[i] - x_d[i], |_| level, &mut self.warnings)
+        beyond(TripCause::TrackingError, &(x.q_a() - x_d.q_a()), |_| level, &mut self.warnings)
     }
 
-    /// Checks the unexplained `torque` on the arm, N m.
+    /// Checks the unexplained `torque` on the arm.
     pub fn unexplained(&mut self, torque: &ActuatedVector) -> Option<Trip> {
         let level = scaled(self.levels.collision_torque, |i| self.tau_max[i]);
-        beyond(TripCause::Collision, ARM, |i| torque[i], level, &mut self.warnings)
+        beyond(TripCause::Collision, torque, level, &mut self.warnings)
     }
 
     /// Duration from which an unexplained torque counts as a collision, s.
@@ -189,31 +198,24 @@ impl Checks {
 
     /// Checks the `tilt` of the rod from its direction at the end of the plan, rad.
     pub fn balance(&mut self, tilt: f64) -> Option<Trip> {
-        let level = |_| self.levels.balance_tilt;
-        beyond(TripCause::BalanceLost, PENDULUM.start..NQ, |_| tilt, level, &mut self.warnings)
+        count(TripCause::BalanceLost, tilt, self.levels.balance_tilt, &mut self.warnings)
     }
 
-    /// Predicts the speeds of the arm from the filtered speeds `v` (rad/s) and the input `u` (rad/s^2) of the balance controller,
-    /// and checks them.
+    /// Predicts the speeds of the arm from the filtered speeds `v` and the input `u` of the balance controller, and checks them.
     pub fn balance_speed(&mut self, v: &ActuatedVector, u: &ActuatedVector) -> Option<Trip> {
         let level = scaled(self.levels.balance_speed, |i| self.qd_max[i]);
         let ahead = self.velocity_filter + STOP_DELAY;
-        beyond(TripCause::BalanceSpeed, ARM, |i| v[i] + ahead * u[i], level, &mut self.warnings)
+        beyond(TripCause::BalanceSpeed, &(v + *u * ahead), level, &mut self.warnings)
     }
 
-    /// Checks the change of the commanded torque from `last` to `tau` (N m) in one cycle.
+    /// Checks the change of the commanded torque from `last` to `tau` in one cycle.
     pub fn torque_rate(&mut self, last: &ActuatedVector, tau: &ActuatedVector) -> Option<Trip> {
         let level = scaled(self.levels.torque_rate, |i| self.tau_max[i]);
-        beyond(
-            TripCause::TorqueRate,
-            ARM,
-            |i| (tau[i] - last[i]) / self.period.seconds(),
-            level,
-            &mut self.warnings,
-        )
+        let rate = (tau - last) / self.period.seconds();
+        beyond(TripCause::TorqueRate, &rate, level, &mut self.warnings)
     }
 
-    /// Largest change of the commanded torque in one cycle while a mode begins, N m: the warning level of the torque rate.
+    /// Largest change of the commanded torque in one cycle while a mode begins: the warning level of the torque rate.
     pub fn torque_step(&self) -> ActuatedVector {
         self.tau_max * (self.levels.torque_rate.warn * self.period.seconds())
     }
@@ -245,11 +247,12 @@ impl Checks {
     /// # Errors
     /// [`RequestRefusal::StartMismatch`] for the first joint that is too far away.
     pub fn start(&self, x: &State, x_d: &State, t_plan: f64) -> Result<(), RequestRefusal> {
-        for i in 0..NX {
-            let velocity = i >= NQ;
-            let tolerance = if velocity { self.start.velocity } else { self.start.position };
-            if exceeds(x[i] - x_d[i], tolerance) {
-                let (joint, measured, expected) = (i % NQ, x[i], x_d[i]);
+        let StartTolerance { position, velocity } = self.start;
+        for (velocity, x, x_d, tolerance) in
+            [(false, x.q(), x_d.q(), position), (true, x.qd(), x_d.qd(), velocity)]
+        {
+            if let Some(joint) = (0..x.len()).find(|i| exceeds(x[*i] - x_d[*i], tolerance)) {
+                let (measured, expected) = (x[joint], x_d[joint]);
                 return Err(RequestRefusal::StartMismatch {
                     joint,
                     velocity,
@@ -263,12 +266,12 @@ impl Checks {
         Ok(())
     }
 
-    /// Checks the positions of `joints` against the range open to plans, rad.
-    fn range(&mut self, cause: TripCause, joints: Range<usize>, x: &State) -> Option<Trip> {
+    /// Checks the positions `q` of the joints with the indices from `begin` on in sorted vectors against the range open to plans.
+    fn range(&mut self, cause: TripCause, begin: usize, q: &[f64]) -> Option<Trip> {
         let Level { warn, trip } = self.levels.position_margin;
         let mut first = None;
-        for joint in joints {
-            let (value, lowest, highest) = (x[joint], self.q_min[joint], self.q_max[joint]);
+        for (joint, value) in (begin..).zip(q.iter().copied()) {
+            let (lowest, highest) = (self.q_min[joint], self.q_max[joint]);
             // The comparison is false for a NaN, which thus exceeds its limit.
             if !(lowest - warn..=highest + warn).contains(&value) {
                 self.warnings.insert(cause);
@@ -287,17 +290,16 @@ fn scaled(level: Level, full: impl Fn(usize) -> f64) -> impl Fn(usize) -> Level 
     move |i| Level { warn: level.warn * full(i), trip: level.trip * full(i) }
 }
 
-/// Checks the magnitude of the value of each of `joints`; returns a trip for the first beyond its trip level.
+/// Checks the magnitude of each of `values`, one per joint; returns a trip for the first beyond its trip level.
 fn beyond(
     cause: TripCause,
-    joints: Range<usize>,
-    value: impl Fn(usize) -> f64,
+    values: &[f64],
     level: impl Fn(usize) -> Level,
     warnings: &mut Warnings,
 ) -> Option<Trip> {
     let mut first = None;
-    for joint in joints {
-        let (value, Level { warn, trip }) = (value(joint), level(joint));
+    for (joint, value) in values.iter().copied().enumerate() {
+        let Level { warn, trip } = level(joint);
         if exceeds(value, warn) {
             warnings.insert(cause);
         }
@@ -310,7 +312,7 @@ fn beyond(
 
 /// Checks a count or a time that belongs to no joint.
 fn count(cause: TripCause, value: f64, level: Level, warnings: &mut Warnings) -> Option<Trip> {
-    beyond(cause, 0..1, |_| value, |_| level, warnings)
+    beyond(cause, &[value], |_| level, warnings)
 }
 
 /// Whether the magnitude of a value exceeds its limit; true for NaN.

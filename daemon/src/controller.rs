@@ -13,7 +13,7 @@ mod mode_changes;
 use crate::arm::ArmReference;
 use crate::checks::Checks;
 use crate::disturbance::{CommandedMotion, DisturbanceEstimate};
-use crate::law::{self, Torque};
+use crate::law::{self, JointSpaceInertia, Torque};
 use crate::modes::{ActiveMode, LoadedPlan, Setpoint};
 use crate::observer::{Observation, Observer};
 use crate::plan::Ending;
@@ -22,17 +22,23 @@ use crate::step::{CycleRecord, StepInput, StepOutput};
 use crate::supervisor::ModeEvent;
 use crate::trip::{Trip, TripCause};
 use upswing_config::{Config, HoldGains, PlanWhileTracking};
-use upswing_ipc::{Clock, Command, Measurement, Mode, RecordedStep, Telemetry};
-use upswing_model::{ActuatedVector, JointFriction, JointParts, Model, NU, State, StateParts, Workspace};
+use upswing_ipc::{Clock, Command, CycleVectors, Measurement, Mode, RecordedStep, Telemetry};
+use upswing_model::{ActuatedVector, JointFriction, JointVector, Model, Sizes, State, Workspace};
 use upswing_trajectory::Plan;
 
 /// Command of the last cycle; zero while the brakes were closed.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 struct LastCommand {
-    /// Torques, N m.
+    /// Torques.
     tau: ActuatedVector,
-    /// Motion for which the command was computed; `None` if the limiter cut it.
-    motion: Option<CommandedMotion>,
+    /// qdd for which the command was computed; `None` if the limiter cut it.
+    qdd: Option<JointVector>,
+}
+
+impl LastCommand {
+    fn none(sizes: Sizes) -> Self {
+        Self { tau: ActuatedVector::zeros(sizes), qdd: None }
+    }
 }
 
 /// Controller of the robot: observer, supervisor and control law.
@@ -43,7 +49,7 @@ pub struct Controller {
     tau_max: ActuatedVector,
     friction: JointFriction,
     hold: HoldGains,
-    stop_deceleration: [f64; NU],
+    stop_deceleration: ActuatedVector,
     while_tracking: PlanWhileTracking,
 
     /// Numbers of the last step and of the last cycle; both count from 1.
@@ -52,6 +58,8 @@ pub struct Controller {
     /// Time of the last step on the plant's clock, ns.
     now_ns: u64,
     last: LastCommand,
+    /// Inertia in the state for which the last torque was computed.
+    inertia: JointSpaceInertia,
 
     observer: Observer,
     disturbance: DisturbanceEstimate,
@@ -77,7 +85,7 @@ impl Controller {
     /// Creates a controller in mode Idle without a measurement.
     pub fn new(config: &Config) -> Self {
         let (robot, daemon) = (&config.robot, &config.daemon);
-        let tau_max = robot.limits.tau_max;
+        let (sizes, tau_max) = (config.model.sizes(), robot.limits.tau_max);
         Self {
             model: config.model.clone(),
             work: Workspace::default(),
@@ -89,8 +97,9 @@ impl Controller {
             step: 0,
             cycle: 0,
             now_ns: 0,
-            last: LastCommand::default(),
-            observer: Observer::new(&daemon.cycle),
+            last: LastCommand::none(sizes),
+            inertia: JointSpaceInertia::zeros(sizes),
+            observer: Observer::new(&daemon.cycle, &config.model),
             disturbance: DisturbanceEstimate::new(
                 &daemon.disturbance,
                 tau_max * daemon.disturbance.most,
@@ -119,7 +128,7 @@ impl Controller {
         self.trip.as_ref()
     }
 
-    /// State x = [q, qd] of the last cycle: measured angles (rad) and estimated velocities (rad/s).
+    /// State x = [q, qd] of the last cycle: measured positions and estimated velocities.
     pub fn state(&self) -> &State {
         &self.observer.x
     }
@@ -153,11 +162,11 @@ impl Controller {
             Ok(torque) => (setpoint, torque),
             Err(trip) => {
                 self.trip_to_fault(trip);
-                (self.no_motion(), Torque::default())
+                (self.no_motion(), Torque::none(self.model.sizes()))
             }
         };
         if self.mode.is_braked() {
-            self.last = LastCommand::default();
+            self.last = LastCommand::none(self.model.sizes());
         }
 
         let t_ns = if wall { now_ns } else { measurement.t_ns };
@@ -167,8 +176,8 @@ impl Controller {
                 seq: self.cycle,
                 t_ns,
                 measurement_seq: measurement.seq,
-                tau: telemetry.tau,
                 brake: self.mode.is_braked().into(),
+                ..Command::new(&torque.tau)
             },
             record: CycleRecord {
                 telemetry,
@@ -203,9 +212,8 @@ impl Controller {
     fn observe(&mut self, measurement: &Measurement, now_ns: u64, elapsed: f64) -> bool {
         let first = self.observer.is_new();
         let braked = self.mode.is_braked();
-        let expected = self.last.motion.as_ref().map(|motion| &motion.qdd);
         let Observation { is_new, restarted } =
-            self.observer.observe(measurement, now_ns, &mut self.checks, expected, braked);
+            self.observer.observe(measurement, now_ns, &mut self.checks, self.last.qdd.as_ref(), braked);
         if matches!(self.mode, ActiveMode::Idle | ActiveMode::Hold(_)) {
             self.observer.drop_turns();
         }
@@ -218,7 +226,7 @@ impl Controller {
         } else {
             self.collision(elapsed)
         };
-        let stuck = self.stuck_encoder(measurement, is_new, braked);
+        let stuck = self.stuck_encoder(is_new, braked);
         if let Some(trip) = restarted.or(self.observer.unfit).or(stuck).or(collision) {
             self.trip_to_fault(trip);
         }
@@ -244,9 +252,9 @@ impl Controller {
             // The arm is at rest, so that the noise of its velocities is left out; the pendulum may swing.
             let mut x = self.observer.x;
             x.qd_a_mut().fill(0.0);
-            let explained = self.model.torque(&x, &ActuatedVector::zeros(), &mut self.work);
+            let explained = self.model.torque(&x, &ActuatedVector::zeros(x.sizes()), &mut self.work);
             let elapsed = self.checks.period().seconds_of(self.observer.cycles());
-            self.disturbance.weigh(&(explained - ActuatedVector::from(measurement.tau_measured)), elapsed);
+            self.disturbance.weigh(&(explained - self.observer.tau), elapsed);
         }
     }
 
@@ -254,7 +262,9 @@ impl Controller {
     /// that has lasted too long.
     fn collision(&mut self, elapsed: f64) -> Option<Trip> {
         let v = self.observer.filtered.actuated();
-        self.disturbance.update(&v, self.last.motion.as_ref(), elapsed);
+        let reduced_inertia = &self.inertia.reduced;
+        let motion = self.last.qdd.as_ref().map(|qdd| CommandedMotion { qdd, reduced_inertia });
+        self.disturbance.update(&v, motion, elapsed);
         let unexplained = self.checks.unexplained(self.disturbance.unexplained());
         // Drives that do not act leave the whole command unexplained; a limit of their own covers them.
         let pressed = unexplained.is_some() && self.observer.drives_act();
@@ -262,8 +272,8 @@ impl Controller {
         unexplained.filter(|_| self.pressed >= self.checks.collision_time())
     }
 
-    /// Returns the trip for an angle, or a whole measurement, that does not change although the command must have changed it.
-    fn stuck_encoder(&mut self, measurement: &Measurement, is_new: bool, braked: bool) -> Option<Trip> {
+    /// Returns the trip for a position, or a whole measurement, that does not change although the command must have changed it.
+    fn stuck_encoder(&mut self, is_new: bool, braked: bool) -> Option<Trip> {
         if self.checks.warnings().contains(TripCause::EncoderJump) {
             self.standstill.jumped();
         }
@@ -277,8 +287,8 @@ impl Controller {
         }
         let elapsed = self.checks.period().seconds_of(self.observer.cycles());
         let q = self.observer.x.q();
-        let tau = measurement.tau_measured.into();
-        let frozen = if self.load_sensed { self.standstill.observe_all(&q, &tau, elapsed) } else { None };
+        let tau = &self.observer.tau;
+        let frozen = if self.load_sensed { self.standstill.observe_all(&q, tau, elapsed) } else { None };
         self.standstill.observe(&q, elapsed).or(frozen)
     }
 
@@ -317,7 +327,7 @@ impl Controller {
     /// rest for a shutdown or trips to Fault.
     fn keep_arm(&mut self, elapsed: f64) -> Option<Setpoint> {
         let x = self.observer.x;
-        let mut u_d = ActuatedVector::zeros();
+        let mut u_d = ActuatedVector::zeros(x.sizes());
         if let ActiveMode::Stop(reference) = &mut self.mode {
             u_d = reference.decelerate(&self.stop_deceleration, elapsed);
             if reference.is_settled(&x, self.now_ns) {
@@ -343,7 +353,7 @@ impl Controller {
 
     /// Idle and Fault: the brakes hold the arm in place.
     fn no_motion(&self) -> Setpoint {
-        let none = ActuatedVector::zeros();
+        let none = ActuatedVector::zeros(self.model.sizes());
         Setpoint { x_d: self.observer.x, u_d: none, u: none, t_plan: 0.0 }
     }
 
@@ -355,22 +365,21 @@ impl Controller {
     /// The [`Trip`] for a torque that is not finite, or that changes too fast.
     fn torque(&mut self, setpoint: &Setpoint) -> Result<Torque, Trip> {
         if self.mode.is_braked() {
-            return Ok(Torque::default());
+            return Ok(Torque::none(self.model.sizes()));
         }
         let friction = self.friction.torque(&setpoint.x_d.qd_a());
         let besides = self.disturbance.estimate() - friction;
         let (x, u) = (&self.observer.x, &setpoint.u);
-        let law = law::torque(&self.model, x, u, &besides, &self.tau_max, &mut self.work);
-        let (torque, inertia) = law.ok_or(Trip::plain(TripCause::LawNotFinite))?;
+        let law = law::torque(&self.model, x, u, &besides, &self.tau_max, &mut self.work, &mut self.inertia);
+        let torque = law.ok_or(Trip::plain(TripCause::LawNotFinite))?;
         let torque = self.blend(torque)?;
-        let motion = CommandedMotion { qdd: torque.qdd, reduced_inertia: inertia.reduced };
-        self.last = LastCommand { tau: torque.tau, motion: (!torque.limited).then_some(motion) };
+        self.last = LastCommand { tau: torque.tau, qdd: (!torque.limited).then_some(torque.qdd) };
         if self.blend_cycles > 0 {
             // The torque does not belong to u yet, and the brakes may still be opening.
             self.standstill.reset();
         } else {
             let qd = self.observer.filtered.actuated();
-            self.standstill.command(u, &torque, self.disturbance.estimate(), &inertia, &qd);
+            self.standstill.command(u, &torque, self.disturbance.estimate(), &self.inertia, &qd);
         }
         Ok(torque)
     }
@@ -397,6 +406,14 @@ impl Controller {
     ) -> Telemetry {
         let fault = self.trip.filter(|_| self.mode() == Mode::Fault).map_or(0, |trip| trip.cause.code());
         let flag = |set: bool, bit: u64| if set { bit } else { 0 };
+        let vectors = CycleVectors {
+            x: State::new(&self.observer.position(), &self.observer.x.qd()),
+            x_d: setpoint.x_d,
+            u_d: setpoint.u_d,
+            u: setpoint.u,
+            tau: torque.tau,
+            tau_measured: self.observer.tau,
+        };
         Telemetry {
             seq: self.cycle,
             t_ns,
@@ -409,16 +426,8 @@ impl Controller {
                 | flag(torque.limited, Telemetry::LIMITED)
                 | flag(self.mode.is_braked(), Telemetry::BRAKE),
             t_plan: setpoint.t_plan,
-            q: self.observer.position().into(),
-            qd: self.observer.x.qd().into(),
-            q_d: setpoint.x_d.q().into(),
-            qd_d: setpoint.x_d.qd().into(),
-            u_d: setpoint.u_d.into(),
-            u: setpoint.u.into(),
-            tau: torque.tau.into(),
-            tau_measured: measurement.tau_measured,
             clock: measurement.clock,
-            ..Telemetry::default()
+            ..Telemetry::new(self.model.order(), &vectors)
         }
     }
 }

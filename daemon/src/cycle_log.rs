@@ -8,11 +8,12 @@ use crate::supervisor::RequestRefusal;
 use crate::trip::{TripCause, warning_texts};
 use std::time::{Duration, Instant};
 use tracing::{error, info, warn};
-use upswing_config::DaemonSettings;
+use upswing_config::{Config, DaemonSettings};
 use upswing_ipc::{
     Clock, ControlResponse, IpcError, Mode, Node, Publisher, Readiness, StepBatch, Telemetry, TelemetryBatch,
     Text,
 };
+use upswing_model::Model;
 
 /// Longest time for which telemetry waits for its batch to fill.
 const FLUSH: Duration = Duration::from_millis(5);
@@ -24,6 +25,7 @@ const OVERRUN_LOG: Duration = Duration::from_secs(1);
 /// Log of the control cycles since the start of the daemon.
 pub struct CycleLog<'a> {
     settings: &'a DaemonSettings,
+    model: &'a Model,
     /// The newest record; `None` before the first.
     pub newest: Option<CycleRecord>,
     /// Time of the last record with a new measurement.
@@ -50,9 +52,11 @@ impl<'a> CycleLog<'a> {
     ///
     /// # Errors
     /// [`IpcError`] if a publisher cannot be created.
-    pub fn new(settings: &'a DaemonSettings, node: &Node) -> Result<Self, IpcError> {
+    pub fn new(config: &'a Config, node: &Node) -> Result<Self, IpcError> {
+        let settings = &config.daemon;
         Ok(Self {
             settings,
+            model: &config.model,
             newest: None,
             sign_of_life: Instant::now(),
             telemetry: node.publisher()?,
@@ -194,7 +198,7 @@ impl<'a> CycleLog<'a> {
         let seq = record.telemetry.seq;
         match record.trip {
             Some(trip) if mode == Mode::Fault => {
-                error!("cycle {seq}: {before} -> {mode}: {trip}");
+                error!("cycle {seq}: {before} -> {mode}: {}", trip.text(self.model));
                 self.flight = match self.recorder.save(&self.settings.recorder) {
                     Ok(Some(path)) => format!("the cycles before it are in {}", path.display()),
                     Ok(None) => String::new(),
@@ -206,7 +210,9 @@ impl<'a> CycleLog<'a> {
                     info!("{}", self.flight);
                 }
             }
-            Some(trip) if mode == Mode::Stop => warn!("cycle {seq}: {before} -> {mode}: {trip}"),
+            Some(trip) if mode == Mode::Stop => {
+                warn!("cycle {seq}: {before} -> {mode}: {}", trip.text(self.model));
+            }
             _ => info!("cycle {seq}: {before} -> {mode}"),
         }
     }
@@ -214,7 +220,7 @@ impl<'a> CycleLog<'a> {
     /// Message about the last Fault or Stop: its trip, and the path of the flight record; empty if there is none.
     pub fn remark(&self) -> String {
         let trip = self.newest.and_then(|record| record.trip);
-        let told = trip.map(|trip| format!("tripped: {trip}"));
+        let told = trip.map(|trip| format!("tripped: {}", trip.text(self.model)));
         let flight = Some(&self.flight).filter(|text| self.mode() == Mode::Fault && !text.is_empty());
         told.into_iter().chain(flight.cloned()).collect::<Vec<_>>().join("; ")
     }

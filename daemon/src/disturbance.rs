@@ -1,29 +1,28 @@
-//! Disturbance estimate: the torque on joints 1 to 7 besides the commanded one that the model does not explain
+//! Disturbance estimate: the torque on the actuated joints besides the commanded one that the model does not explain
 //! (friction, another mass, an offset of a torque sensor). It is subtracted from the command.
 //!
 //! The torque law (24) with tau = M~ u + ... - tau^ makes the arm follow M~ (qdd_A - u) = tau_d - tau^ with an unknown
 //! tau_d. The filtered velocity v lags by T_1; with u and tau^ filtered by the same lag (u_f, tau^_f),
 //! tau^' = L (M~ (v' - u_f) + tau^_f - tau^) is tau^ = L / (s + L) 1 / (T_1 s + 1) tau_d: it converges to a constant tau_d within
 //! a few 1 / L, and an exact model gives tau^ = 0. The state is a torque, not an acceleration: where M~ is nearly
-//! singular (q2 near 0, axes 1 and 3 parallel), the corresponding acceleration changes quickly. The paper has no such estimate.
+//! singular (on the arm q2 near 0, axes 1 and 3 parallel), the corresponding acceleration changes quickly. The paper has no such estimate.
 //!
 //! L is a function of M~, L(M~) = L_heavy + (L_light - L_heavy) m (M~ + m)^-1, so that each direction has the bandwidth of its
 //! inertia: a torque accelerates a light direction more, and the noise of its velocity is the noise of a smaller torque.
 //!
-//! Near q2 = 0, 0.5 N m accelerate the arm so much that L is too slow when the brakes open. Torque sensors on the link side
+//! Where M~ is nearly singular, 0.5 N m accelerate the arm so much that L is too slow when the brakes open. Torque sensors on the link side
 //! measure the load that the brakes hold: its part that gravity does not explain is tau_d before anything moves.
 
-use nalgebra::Cholesky;
 use upswing_config::DisturbanceSettings;
-use upswing_model::{ActuatedMatrix, ActuatedVector, JointParts, JointVector, NU};
+use upswing_model::{ActuatedMatrix, ActuatedVector, JointVector};
 
 /// Motion for which a command was computed.
 #[derive(Clone, Copy, Debug)]
-pub struct CommandedMotion {
-    /// qdd = [u, qdd_U], rad/s^2.
-    pub qdd: JointVector,
-    /// M~, kg m^2.
-    pub reduced_inertia: ActuatedMatrix,
+pub struct CommandedMotion<'a> {
+    /// qdd = [u, qdd_U].
+    pub qdd: &'a JointVector,
+    /// M~.
+    pub reduced_inertia: &'a ActuatedMatrix,
 }
 
 /// Disturbance estimate with its filter states.
@@ -31,27 +30,27 @@ pub struct CommandedMotion {
 pub struct DisturbanceEstimate {
     /// L_heavy, L_light, and the inertia m at their mean.
     settings: DisturbanceSettings,
-    /// Largest tau^, N m: a larger torque is a collision or a fault, not a disturbance.
+    /// Largest tau^: a larger torque is a collision or a fault, not a disturbance.
     most: ActuatedVector,
     /// Time constant T_1 of the velocity filter, s.
     time_constant: f64,
-    /// tau^, N m.
+    /// tau^
     estimate: ActuatedVector,
-    /// tau^ without its limit, N m, with the bandwidth L_heavy.
+    /// tau^ without its limit, with the bandwidth L_heavy.
     unlimited: ActuatedVector,
     lagging_estimate: ActuatedVector,
-    /// u_f, rad/s^2.
+    /// u_f
     lagging_input: ActuatedVector,
-    /// The last v, rad/s; `None` before the first.
+    /// The last v; `None` before the first.
     last: Option<ActuatedVector>,
     /// Time over which loads have been averaged, s.
     weighed: f64,
 }
 
 impl DisturbanceEstimate {
-    /// Creates an estimate of 0 with the limit `most` (N m) and the time constant T_1 (s) of the velocity filter.
+    /// Creates an estimate of 0 with the limit `most` and the time constant T_1 (s) of the velocity filter.
     pub fn new(settings: &DisturbanceSettings, most: ActuatedVector, time_constant: f64) -> Self {
-        let none = ActuatedVector::zeros();
+        let none = ActuatedVector::zeros(most.sizes());
         Self {
             settings: *settings,
             most,
@@ -65,12 +64,12 @@ impl DisturbanceEstimate {
         }
     }
 
-    /// The estimate tau^, N m.
+    /// The estimate tau^.
     pub fn estimate(&self) -> &ActuatedVector {
         &self.estimate
     }
 
-    /// The unexplained torque, N m: tau^ without its limit.
+    /// The unexplained torque: tau^ without its limit.
     pub fn unexplained(&self) -> &ActuatedVector {
         &self.unlimited
     }
@@ -80,14 +79,14 @@ impl DisturbanceEstimate {
         *self = Self::new(&self.settings, self.most, self.time_constant);
     }
 
-    /// Updates the estimate with the torque `d` (N m) on an arm at rest behind closed brakes, `elapsed` (s) after the previous one:
+    /// Updates the estimate with the torque `d` on an arm at rest behind closed brakes, `elapsed` (s) after the previous one:
     /// first as a mean, later with the bandwidth L. A torque beyond the largest estimate on any joint is no offset of a
     /// sensor (a wrong model, a robot that leans on something) and resets the estimate.
     pub fn weigh(&mut self, d: &ActuatedVector, elapsed: f64) {
         if self.settings.bandwidth == 0.0 || !(elapsed > 0.0) {
             return;
         }
-        if !(0..NU).all(|i| d[i].abs() <= self.most[i]) {
+        if !d.iter().zip(self.most.iter()).all(|(d, most)| d.abs() <= *most) {
             self.reset();
             return;
         }
@@ -98,10 +97,10 @@ impl DisturbanceEstimate {
         (self.estimate, self.unlimited, self.lagging_estimate) = (estimate, estimate, estimate);
     }
 
-    /// Updates the estimate with the filtered velocity `v` (rad/s), `elapsed` (s) after the previous one. `motion`: the motion for
+    /// Updates the estimate with the filtered velocity `v`, `elapsed` (s) after the previous one. `motion`: the motion for
     /// which the command in between was computed; `None` if the torque limiter cut the command, so that the arm moved otherwise:
     /// then the estimate stays as it is.
-    pub fn update(&mut self, v: &ActuatedVector, motion: Option<&CommandedMotion>, elapsed: f64) {
+    pub fn update(&mut self, v: &ActuatedVector, motion: Option<CommandedMotion<'_>>, elapsed: f64) {
         if self.settings.bandwidth == 0.0 || !(elapsed > 0.0) {
             return;
         }
@@ -112,13 +111,13 @@ impl DisturbanceEstimate {
         self.lagging_input += (u - self.lagging_input) * lag;
         self.lagging_estimate += (self.estimate - self.lagging_estimate) * lag;
         let unexplained = (v - last) / elapsed - self.lagging_input;
-        let torque = reduced_inertia * unexplained + self.lagging_estimate;
+        let torque = reduced_inertia * &unexplained + self.lagging_estimate;
         self.unlimited += (torque - self.unlimited) * -(-elapsed * self.settings.bandwidth).exp_m1();
         let estimate = self.estimate + self.share(reduced_inertia, &(torque - self.estimate), elapsed);
         self.estimate = estimate.inf(&self.most).sup(&-self.most);
     }
 
-    /// Part of `change` (N m) by which the estimate changes in `elapsed` s, for the inertia M~ (kg m^2).
+    /// Part of `change` by which the estimate changes in `elapsed` s, for the inertia M~.
     fn share(&self, inertia: &ActuatedMatrix, change: &ActuatedVector, elapsed: f64) -> ActuatedVector {
         let DisturbanceSettings { bandwidth, light_bandwidth, light_inertia, .. } = self.settings;
         let [heavy, light] = [bandwidth, light_bandwidth].map(|l| -(-elapsed * l).exp_m1());
@@ -126,10 +125,12 @@ impl DisturbanceEstimate {
         if light <= heavy {
             return taken;
         }
-        let sum = inertia + ActuatedMatrix::from_diagonal_element(light_inertia);
-        // nalgebra's factorisation: the model's own is written out for M of all joints, and this sum has the actuated ones.
-        match Cholesky::new(sum) {
-            Some(sum) => taken + sum.solve(change) * ((light - heavy) * light_inertia),
+        let mut sum = *inertia;
+        for i in 0..change.len() {
+            sum[(i, i)] += light_inertia;
+        }
+        match sum.solve_positive(change) {
+            Some(solved) => taken + solved * ((light - heavy) * light_inertia),
             None => taken,
         }
     }
@@ -140,18 +141,35 @@ mod tests {
     use super::{CommandedMotion, DisturbanceEstimate};
     use upswing_config::{Config, DisturbanceSettings, PendulumStart};
     use upswing_model::{
-        ActuatedMatrix, ActuatedVector, JointParts, JointVector, State, StateParts, Workspace,
+        ActuatedMatrix, ActuatedVector, JointVector, Sizes, State, UnactuatedVector, Workspace,
     };
 
     const T_S: f64 = 125e-6;
     const T_1: f64 = 0.012;
     const L: f64 = 40.0;
 
-    /// Returns the commanded motion with the input `u` (rad/s^2) and the inertia M~ (kg m^2).
-    fn motion(u: &ActuatedVector, reduced_inertia: ActuatedMatrix) -> CommandedMotion {
-        let mut qdd = JointVector::zeros();
-        qdd.actuated_mut().copy_from(u);
-        CommandedMotion { qdd, reduced_inertia }
+    /// Those of the arm.
+    fn sizes() -> Sizes {
+        Sizes::new(9, 7).expect("sizes")
+    }
+
+    fn of_arm(values: [f64; 7]) -> ActuatedVector {
+        ActuatedVector::from_slice(sizes(), &values).expect("seven joints")
+    }
+
+    fn all(value: f64) -> ActuatedVector {
+        ActuatedVector::repeat(sizes(), value)
+    }
+
+    /// Updates the estimate with the velocity `v` (rad/s) after the input `u` (rad/s^2) and the inertia `reduced_inertia` (kg m^2).
+    fn update(
+        estimate: &mut DisturbanceEstimate,
+        v: &ActuatedVector,
+        u: &ActuatedVector,
+        reduced_inertia: &ActuatedMatrix,
+    ) {
+        let qdd = JointVector::joined(u, &UnactuatedVector::zeros(u.sizes()));
+        estimate.update(v, Some(CommandedMotion { qdd: &qdd, reduced_inertia }), T_S);
     }
 
     /// Settings with the same bandwidth in all directions.
@@ -159,7 +177,7 @@ mod tests {
         DisturbanceSettings { bandwidth: L, light_bandwidth: L, light_inertia: 0.05, most: 1.0 }
     }
 
-    /// Simulates joints 1 to 7 under a changing input and the torque `d`, with the velocity filter. Returns the largest
+    /// Simulates the arm under a changing input and the torque `d`, with the velocity filter. Returns the largest
     /// difference between the estimate and `d` after `seconds`, N m, and the estimate.
     fn after(seconds: f64, d: &ActuatedVector, settings: &DisturbanceSettings) -> (f64, ActuatedVector) {
         let config = Config::embedded().expect("embedded settings");
@@ -169,23 +187,25 @@ mod tests {
         let mut work = Workspace::default();
         let inertia_inverse = |x: &State| {
             let mut work = Workspace::default();
-            let zero = model.torque(x, &ActuatedVector::zeros(), &mut work);
+            let zero = model.torque(x, &all(0.0), &mut work);
             let column = |i: usize, work: &mut Workspace| {
-                let mut unit = ActuatedVector::zeros();
+                let mut unit = all(0.0);
                 unit[i] = 1.0;
                 model.torque(x, &unit, work) - zero
             };
             let columns: Vec<_> = (0..7).map(|i| column(i, &mut work)).collect();
-            nalgebra::SMatrix::<f64, 7, 7>::from_columns(&columns).try_inverse().expect("regular")
+            nalgebra::SMatrix::<f64, 7, 7>::from_fn(|i, j| columns[j][i]).try_inverse().expect("regular")
         };
-        let mut estimate = DisturbanceEstimate::new(settings, ActuatedVector::repeat(30.0), T_1);
-        let (mut filtered, mut u) = (ActuatedVector::zeros(), ActuatedVector::zeros());
+        let mut estimate = DisturbanceEstimate::new(settings, all(30.0), T_1);
+        let (mut filtered, mut u) = (all(0.0), all(0.0));
         for i in 0..(seconds / T_S) as usize {
-            estimate.update(&filtered, Some(&motion(&u, model.reduced_inertia(&work))), T_S);
-            u = ActuatedVector::from_fn(|j, _| (10.0 * i as f64 * T_S + j as f64).sin());
+            update(&mut estimate, &filtered, &u, &model.reduced_inertia(&mut work));
+            u = ActuatedVector::from_fn(sizes(), |j| (10.0 * i as f64 * T_S + j as f64).sin());
             let inverse = inertia_inverse(&x);
             model.torque(&x, &u, &mut work);
-            let u_real = u + inverse * (d - estimate.estimate());
+            let unexplained =
+                inverse * nalgebra::SVector::<f64, 7>::from_column_slice(&(d - estimate.estimate()));
+            let u_real = u + of_arm(unexplained.into());
             let f = model.f(&x, &u_real, &mut Workspace::default());
             x += f * T_S;
             let v = x.qd_a();
@@ -196,13 +216,13 @@ mod tests {
 
     #[test]
     fn an_exact_model_leaves_nothing_whatever_the_input() {
-        let (left, _) = after(0.3, &ActuatedVector::zeros(), &settings());
+        let (left, _) = after(0.3, &all(0.0), &settings());
         assert!(left < 0.05, "{left} N m");
     }
 
     #[test]
     fn a_constant_torque_is_known_after_a_few_time_constants() {
-        let d = ActuatedVector::from_column_slice(&[3.0, -2.0, 1.0, 0.5, 0.1, -0.2, 0.05]);
+        let d = of_arm([3.0, -2.0, 1.0, 0.5, 0.1, -0.2, 0.05]);
         // 1 - exp(-t L), delayed by the filter.
         let early = after(1.0 / L, &d, &settings()).1[0];
         assert!(early > 0.3 * d[0] && early < 0.7 * d[0], "{early} of {} N m after 1 / L", d[0]);
@@ -213,17 +233,17 @@ mod tests {
     #[test]
     fn what_is_light_is_known_sooner_and_what_is_heavy_as_before() {
         let faster = DisturbanceSettings { light_bandwidth: 10.0 * L, ..settings() };
-        assert!(after(0.3, &ActuatedVector::zeros(), &faster).0 < 0.05, "an exact model leaves nothing");
+        assert!(after(0.3, &all(0.0), &faster).0 < 0.05, "an exact model leaves nothing");
         // Joint 7 has 0.002 kg m^2.
-        let d = ActuatedVector::from_column_slice(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.05]);
+        let d = of_arm([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.05]);
         let share = |settings| after(1.0 / L, &d, settings).1[6] / d[6];
         let (same, sooner) = (share(&settings()), share(&faster));
         assert!(same < 0.5 && sooner > 0.65, "{same} and {sooner} of it after 1 / L");
         // For the inertia m the bandwidth is the mean of both.
-        let estimate = DisturbanceEstimate::new(&faster, ActuatedVector::repeat(30.0), T_1);
+        let estimate = DisturbanceEstimate::new(&faster, all(30.0), T_1);
         for (inertia, bandwidth) in [(1e-6, 10.0 * L), (faster.light_inertia, 5.5 * L), (1e6, L)] {
-            let inertia = ActuatedMatrix::from_diagonal_element(inertia);
-            let taken = estimate.share(&inertia, &ActuatedVector::repeat(1.0), 1e-6).amax() * 1e6;
+            let inertia = ActuatedMatrix::from_diagonal_element(sizes(), inertia);
+            let taken = estimate.share(&inertia, &all(1.0), 1e-6).amax() * 1e6;
             assert!((taken - bandwidth).abs() < 1e-3 * bandwidth, "{taken} instead of {bandwidth} rad/s");
         }
     }
@@ -233,18 +253,14 @@ mod tests {
         let config = Config::embedded().expect("embedded settings");
         let (model, mut work) = (&config.model, Workspace::default());
         let x = config.start_state(&[0.0; 7], PendulumStart::Zero).expect("a start");
-        let none = ActuatedVector::zeros();
+        let none = all(0.0);
         model.torque(&x, &none, &mut work);
-        let mut estimate = DisturbanceEstimate::new(&settings(), ActuatedVector::repeat(30.0), T_1);
-        estimate.update(&none, Some(&motion(&none, model.reduced_inertia(&work))), T_S);
-        estimate.update(
-            &ActuatedVector::repeat(0.1),
-            Some(&motion(&none, model.reduced_inertia(&work))),
-            T_S,
-        );
+        let mut estimate = DisturbanceEstimate::new(&settings(), all(30.0), T_1);
+        update(&mut estimate, &none, &none, &model.reduced_inertia(&mut work));
+        update(&mut estimate, &all(0.1), &none, &model.reduced_inertia(&mut work));
         let known = *estimate.estimate();
         assert!(known.amax() > 0.0);
-        estimate.update(&ActuatedVector::repeat(0.5), None, T_S);
+        estimate.update(&all(0.5), None, T_S);
         assert_eq!(*estimate.estimate(), known);
         estimate.reset();
         assert_eq!(*estimate.estimate(), none);
@@ -255,25 +271,21 @@ mod tests {
         let config = Config::embedded().expect("embedded settings");
         let (model, mut work) = (&config.model, Workspace::default());
         let x = config.start_state(&[0.0; 7], PendulumStart::Zero).expect("a start");
-        let none = ActuatedVector::zeros();
+        let none = all(0.0);
         model.torque(&x, &none, &mut work);
-        let most = ActuatedVector::from_column_slice(&[3.0, 3.0, 2.0, 2.0, 1.0, 0.4, 0.4]);
+        let most = of_arm([3.0, 3.0, 2.0, 2.0, 1.0, 0.4, 0.4]);
         let mut estimate = DisturbanceEstimate::new(&settings(), most, T_1);
-        estimate.update(&none, Some(&motion(&none, model.reduced_inertia(&work))), T_S);
-        estimate.update(
-            &ActuatedVector::repeat(2.0),
-            Some(&motion(&none, model.reduced_inertia(&work))),
-            T_S,
-        );
+        update(&mut estimate, &none, &none, &model.reduced_inertia(&mut work));
+        update(&mut estimate, &all(2.0), &none, &model.reduced_inertia(&mut work));
         let got = estimate.estimate();
-        assert!((0..7).all(|i| got[i].abs() <= most[i]) && got[1].abs() == most[1], "{got}");
+        assert!((0..7).all(|i| got[i].abs() <= most[i]) && got[1].abs() == most[1], "{got:?}");
     }
 
     #[test]
     fn a_load_behind_closed_brakes_is_known_at_once_and_averaged() {
-        let most = ActuatedVector::repeat(2.0);
+        let most = all(2.0);
         let mut estimate = DisturbanceEstimate::new(&settings(), most, T_1);
-        let d = ActuatedVector::from_column_slice(&[0.5, -0.2, 0.1, 0.0, 0.3, -0.4, 0.05]);
+        let d = of_arm([0.5, -0.2, 0.1, 0.0, 0.3, -0.4, 0.05]);
         estimate.weigh(&d, T_S);
         assert_eq!(*estimate.estimate(), d);
         estimate.weigh(&(d * 3.0), T_S);
@@ -286,7 +298,7 @@ mod tests {
             let mut wrong = d;
             wrong[4] = bad;
             estimate.weigh(&wrong, T_S);
-            assert_eq!(*estimate.estimate(), ActuatedVector::zeros(), "{bad} N m");
+            assert_eq!(*estimate.estimate(), all(0.0), "{bad} N m");
             estimate.weigh(&d, T_S);
             assert_eq!(*estimate.estimate(), d, "begins anew after {bad} N m");
         }
@@ -297,17 +309,13 @@ mod tests {
         let config = Config::embedded().expect("embedded settings");
         let (model, mut work) = (&config.model, Workspace::default());
         let x = config.start_state(&[0.0; 7], PendulumStart::Zero).expect("a start");
-        model.torque(&x, &ActuatedVector::zeros(), &mut work);
-        let mut estimate = DisturbanceEstimate::new(
-            &DisturbanceSettings { bandwidth: 0.0, ..settings() },
-            ActuatedVector::repeat(30.0),
-            T_1,
-        );
+        model.torque(&x, &all(0.0), &mut work);
+        let mut estimate =
+            DisturbanceEstimate::new(&DisturbanceSettings { bandwidth: 0.0, ..settings() }, all(30.0), T_1);
         for i in 0..10 {
-            let v = ActuatedVector::repeat(f64::from(i));
-            estimate.update(&v, Some(&motion(&ActuatedVector::zeros(), model.reduced_inertia(&work))), T_S);
+            update(&mut estimate, &all(f64::from(i)), &all(0.0), &model.reduced_inertia(&mut work));
         }
-        estimate.weigh(&ActuatedVector::repeat(0.1), T_S);
-        assert_eq!(*estimate.estimate(), ActuatedVector::zeros());
+        estimate.weigh(&all(0.1), T_S);
+        assert_eq!(*estimate.estimate(), all(0.0));
     }
 }

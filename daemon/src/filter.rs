@@ -1,9 +1,9 @@
-//! The differential filter of Section VI, which estimates joint velocities from joint angles, and the compensation of its lag by
+//! The differential filter of Section VI, which estimates joint velocities from joint positions, and the compensation of its lag by
 //! the accelerations of the model.
 
-use upswing_model::JointVector;
+use upswing_model::{JointVector, Sizes};
 
-/// s / (T_1 s + 1) for every joint, discretised exactly for angles that are constant over a cycle.
+/// s / (T_1 s + 1) for every joint, discretised exactly for positions that are constant over a cycle.
 ///
 /// With the state z: v = (q - z) / T_1 and, one cycle T_s later, z + (1 - exp(-T_s / T_1)) (q - z). The first
 /// sample sets z = q, so that v = 0.
@@ -13,7 +13,7 @@ pub struct DifferentialFilter {
     period: f64,
     /// Time constant T_1, s.
     time_constant: f64,
-    /// z and the last q, rad; `None` before the first sample.
+    /// z and the last q; `None` before the first sample.
     state: Option<(JointVector, JointVector)>,
 }
 
@@ -28,20 +28,20 @@ impl DifferentialFilter {
         self.state = None;
     }
 
-    /// Shifts the zero of a joint, so that all its angles grow by `offset` (rad); its velocity does not change.
-    pub fn shift(&mut self, joint: usize, offset: f64) {
+    /// Shifts the zeros of the joints, so that their positions grow by `offset`; their velocities do not change.
+    pub fn shift(&mut self, offset: &JointVector) {
         if let Some((z, q)) = &mut self.state {
-            z[joint] += offset;
-            q[joint] += offset;
+            *z += offset;
+            *q += offset;
         }
     }
 
-    /// The last sample, rad.
+    /// The last sample.
     pub fn last(&self) -> Option<&JointVector> {
         self.state.as_ref().map(|(_, q)| q)
     }
 
-    /// Takes the sample `q` (rad), `cycles` cycles after the previous one; returns v, rad/s.
+    /// Takes the sample `q`, `cycles` cycles after the previous one; returns v.
     pub fn update(&mut self, q: &JointVector, cycles: u64) -> JointVector {
         let z = match &self.state {
             None => *q,
@@ -64,22 +64,23 @@ pub struct LagCompensation {
     period: f64,
     /// Time constant T_1, s.
     time_constant: f64,
-    /// The filtered acceleration a, rad/s^2.
+    /// The filtered acceleration a.
     acceleration: JointVector,
 }
 
 impl LagCompensation {
-    /// Creates the compensation for a filter with the cycle time T_s = `period` and the time constant T_1, both in s and above 0.
-    pub fn new(period: f64, time_constant: f64) -> Self {
-        Self { period, time_constant, acceleration: JointVector::zeros() }
+    /// Creates the compensation for a filter of a chain of `sizes` with the cycle time T_s = `period` and the time constant T_1, both in s
+    /// and above 0.
+    pub fn new(sizes: Sizes, period: f64, time_constant: f64) -> Self {
+        Self { period, time_constant, acceleration: JointVector::zeros(sizes) }
     }
 
     /// Resets the filtered acceleration to 0.
     pub fn reset(&mut self) {
-        self.acceleration = JointVector::zeros();
+        self.acceleration = JointVector::zeros(self.acceleration.sizes());
     }
 
-    /// Takes the acceleration `qdd` (rad/s^2) of the last `cycles` cycles; returns T_1 a, rad/s.
+    /// Takes the acceleration `qdd` of the last `cycles` cycles; returns T_1 a.
     pub fn update(&mut self, qdd: &JointVector, cycles: u64) -> JointVector {
         let share = -(-(cycles as f64) * self.period / self.time_constant).exp_m1();
         self.acceleration += (qdd - self.acceleration) * share;

@@ -12,7 +12,7 @@ use upswing_ipc::Telemetry;
 use xxhash_rust::xxh3::xxh3_64;
 
 /// First word of a flight record: the type of the file, and the version of its records.
-pub const MAGIC: u64 = u64::from_le_bytes(*b"upswfl03");
+pub const MAGIC: u64 = u64::from_le_bytes(*b"upswfl04");
 /// Extension of the file names.
 const EXTENSION: &str = "flight";
 const WORD: usize = 8;

@@ -1,31 +1,37 @@
 //! Torque law (24) and torque limiter.
 
-use nalgebra::SMatrix;
 use upswing_model::{
-    ActuatedMatrix, ActuatedVector, HybridDynamics, JointParts, JointVector, Model, N_UNACTUATED, NQ, NU,
-    State, Workspace,
+    ActuatedMatrix, ActuatedVector, HybridDynamics, JointVector, Joints, Matrix, Model, Sizes, State,
+    Unactuated, Workspace,
 };
 
 /// Torque for the drives.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Torque {
-    /// tau_A, N m; finite and within the limits.
+    /// tau_A; finite and within the limits.
     pub tau: ActuatedVector,
-    /// Part of the torque that the limiter cut, N m.
+    /// Part of the torque that the limiter cut.
     pub cut: ActuatedVector,
     /// Whether the limiter cut at least one joint.
     pub limited: bool,
-    /// Acceleration qdd = [u, qdd_U] (3a) of the uncut torque, rad/s^2.
+    /// Acceleration qdd = [u, qdd_U] (3a) of the uncut torque.
     pub qdd: JointVector,
 }
 
 impl Torque {
-    /// Moves from `last` towards this torque on the straight line, as far as no joint changes by more than `most` (N m). On this line
+    /// No torque, for closed brakes.
+    pub fn none(sizes: Sizes) -> Self {
+        let none = ActuatedVector::zeros(sizes);
+        Self { tau: none, cut: none, limited: false, qdd: JointVector::zeros(sizes) }
+    }
+
+    /// Moves from `last` towards this torque on the straight line, as far as no joint changes by more than `most`. On this line
     /// the accelerations lie between those of both ends; with a limit per joint they would not, if M~ is nearly singular.
     #[must_use]
     pub fn near(self, last: &ActuatedVector, most: &ActuatedVector) -> Self {
         let way = self.tau - last;
-        let share = (0..NU).fold(1.0, |share: f64, i| share.min(most[i] / way[i].abs()));
+        let share =
+            most.iter().zip(way.iter()).fold(1.0, |share: f64, (most, way)| share.min(most / way.abs()));
         if share >= 1.0 {
             return self;
         }
@@ -33,18 +39,24 @@ impl Torque {
     }
 }
 
-/// Joint-space inertia of the robot in the state for which a torque was computed, kg m^2.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// Joint-space inertia of the robot in the state for which a torque was computed.
+#[derive(Clone, Debug, PartialEq)]
 pub struct JointSpaceInertia {
     /// Reduced inertia M~ (10).
     pub reduced: ActuatedMatrix,
-    /// Columns of M for the unactuated joints.
-    pub unactuated: SMatrix<f64, NQ, N_UNACTUATED>,
+    /// Columns [M_AU; M_UU] of M (2) for the unactuated joints.
+    pub unactuated: Matrix<Joints, Unactuated>,
 }
 
-/// Computes tau_A = M~ u + C~ qd + g~ (24) at the state `x` (rad, rad/s) for the input `u` (rad/s^2), minus the `disturbance` torque
-/// (N m; the paper has none), limited to +-`tau_max` (N m), and the inertia in `x`; `None` if
-/// the torque is not finite.
+impl JointSpaceInertia {
+    /// The inertia 0.
+    pub const fn zeros(sizes: Sizes) -> Self {
+        Self { reduced: ActuatedMatrix::zeros(sizes), unactuated: Matrix::zeros(sizes) }
+    }
+}
+
+/// Computes tau_A = M~ u + C~ qd + g~ (24) at the state `x` for the input `u`, minus the `disturbance` torque (the paper has none),
+/// limited to +-`tau_max`, and the `inertia` in `x`; `None` if the torque is not finite, and then `inertia` is as before.
 pub fn torque(
     model: &Model,
     x: &State,
@@ -52,56 +64,72 @@ pub fn torque(
     disturbance: &ActuatedVector,
     tau_max: &ActuatedVector,
     work: &mut Workspace,
-) -> Option<(Torque, JointSpaceInertia)> {
+    inertia: &mut JointSpaceInertia,
+) -> Option<Torque> {
     let HybridDynamics { qdd_u, tau } = model.hybrid_dynamics(x, u, work);
     let tau = tau - disturbance;
     if !tau.iter().all(|v| v.is_finite()) {
         return None;
     }
-    let mut qdd = JointVector::zeros();
-    qdd.actuated_mut().copy_from(u);
-    qdd.unactuated_mut().copy_from(&qdd_u);
-    let within = ActuatedVector::from_fn(|i, _| tau[i].min(tau_max[i]).max(-tau_max[i]));
-    let limited = (0..NU).any(|i| within[i] != tau[i]);
-    let inertia =
-        JointSpaceInertia { reduced: model.reduced_inertia(work), unactuated: work.unactuated_columns() };
-    Some((Torque { tau: within, cut: tau - within, limited, qdd }, inertia))
+    let within = tau.inf(tau_max).sup(&-tau_max);
+    inertia.reduced = model.reduced_inertia(work);
+    inertia.unactuated = model.unactuated_columns(work);
+    Some(Torque {
+        tau: within,
+        cut: tau - within,
+        limited: within != tau,
+        qdd: JointVector::joined(u, &qdd_u),
+    })
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{Torque, torque};
+    use super::{JointSpaceInertia, Torque, torque};
     use upswing_config::Config;
-    use upswing_model::{ActuatedVector, JointVector, NU, State, StateParts, Workspace, state};
+    use upswing_model::{ActuatedVector, JointVector, Model, State, UnactuatedVector, Workspace};
+
+    fn model() -> Model {
+        Config::embedded().expect("settings").model
+    }
 
     /// Returns a state in motion, and an input.
     fn motion() -> (State, ActuatedVector) {
-        let q = JointVector::from_fn(|i, _| 0.3 * (i as f64 - 4.0));
-        let qd = JointVector::from_fn(|i, _| 0.7 - 0.2 * i as f64);
-        (state(&q, &qd), ActuatedVector::from_fn(|i, _| 2.0 - 0.8 * i as f64))
+        let sizes = model().sizes();
+        let q = JointVector::from_fn(sizes, |i| 0.3 * (i as f64 - 4.0));
+        let qd = JointVector::from_fn(sizes, |i| 0.7 - 0.2 * i as f64);
+        (State::new(&q, &qd), ActuatedVector::from_fn(sizes, |i| 2.0 - 0.8 * i as f64))
     }
 
     /// Computes the torque for a disturbance and limits, N m.
     fn law(x: &State, u: &ActuatedVector, disturbance: f64, limit: f64) -> Option<Torque> {
-        let config = Config::embedded().expect("settings");
-        let [disturbance, limit] = [disturbance, limit].map(ActuatedVector::repeat);
-        let law = torque(&config.model, x, u, &disturbance, &limit, &mut Workspace::default());
-        law.map(|(torque, _)| torque)
+        let [disturbance, limit] = [disturbance, limit].map(|v| ActuatedVector::repeat(x.sizes(), v));
+        law_with(x, u, &disturbance, &limit)
+    }
+
+    fn law_with(
+        x: &State,
+        u: &ActuatedVector,
+        disturbance: &ActuatedVector,
+        limit: &ActuatedVector,
+    ) -> Option<Torque> {
+        let mut inertia = JointSpaceInertia::zeros(x.sizes());
+        torque(&model(), x, u, disturbance, limit, &mut Workspace::default(), &mut inertia)
     }
 
     #[test]
     fn the_arm_accelerates_as_asked() {
         let (x, u) = motion();
-        let model = Config::embedded().expect("settings").model;
+        let model = model();
         for disturbance in [0.0, 3.0] {
             let Torque { tau, limited, qdd, .. } = law(&x, &u, disturbance, 1e3).expect("finite");
             // The disturbance acts on the arm, too.
-            let load = JointVector::from_fn(|i, _| if i < NU { tau[i] + disturbance } else { 0.0 });
+            let disturbance = ActuatedVector::repeat(x.sizes(), disturbance);
+            let load = JointVector::joined(&(tau + disturbance), &UnactuatedVector::zeros(x.sizes()));
             let got = model.forward_dynamics(&x.q(), &x.qd(), &load, &mut Workspace::default());
             let error = (got.expect("a solution") - qdd).amax();
             // Rounding errors, with inertias of 0.001 to 10 kg m^2.
             assert!(error < 1e-9 && !limited, "{error:e} rad/s^2");
-            assert!((0..NU).all(|i| qdd[i] == u[i]), "{qdd} is not {u}");
+            assert_eq!(qdd.actuated(), u);
         }
     }
 
@@ -111,7 +139,7 @@ mod tests {
         let free = law(&x, &u, 0.0, 1e3).expect("finite").tau;
         let cut = law(&x, &u, 0.0, 5.0).expect("finite");
         assert!(cut.limited && free.amax() > 5.0);
-        for i in 0..NU {
+        for i in 0..u.len() {
             assert_eq!(cut.tau[i], free[i].clamp(-5.0, 5.0), "joint {}", i + 1);
             assert_eq!(cut.cut[i], free[i] - cut.tau[i], "joint {}: what was taken off", i + 1);
         }
@@ -121,18 +149,18 @@ mod tests {
     fn a_torque_near_the_last_one_is_as_near_as_it_may_be() {
         let (x, u) = motion();
         let free = law(&x, &u, 0.0, 1e3).expect("finite");
-        let step = ActuatedVector::from_fn(|i, _| 1.0 + i as f64);
+        let step = ActuatedVector::from_fn(x.sizes(), |i| 1.0 + i as f64);
         for (by, limited) in [(0.9, false), (-0.9, false), (3.0, true), (-3.0, true)] {
             let last = free.tau + step * by;
             let near = free.near(&last, &step);
             let expected = if limited { last - step * by.signum() } else { free.tau };
-            assert!((near.tau - expected).amax() < 1e-12, "{by}: {}", near.tau);
+            assert!((near.tau - expected).amax() < 1e-12, "{by}: {:?}", near.tau);
             assert_eq!((near.limited, near.qdd), (limited, free.qdd), "{by}");
         }
         // One joint that is far away slows the others down: the accelerations stay between those of both torques.
-        let last = free.tau - ActuatedVector::from_fn(|i, _| if i == 0 { 4.0 } else { 0.4 });
-        let way = free.near(&last, &ActuatedVector::repeat(1.0)).tau - last;
-        assert!((way - (free.tau - last) * 0.25).amax() < 1e-12, "{way}");
+        let last = free.tau - ActuatedVector::from_fn(x.sizes(), |i| if i == 0 { 4.0 } else { 0.4 });
+        let way = free.near(&last, &ActuatedVector::repeat(x.sizes(), 1.0)).tau - last;
+        assert!((way - (free.tau - last) * 0.25).amax() < 1e-12, "{way:?}");
         // A torque that was cut stays marked.
         assert!(law(&x, &u, 0.0, 5.0).expect("finite").near(&free.tau, &(step * 1e3)).limited);
     }
@@ -143,13 +171,11 @@ mod tests {
         u[3] = f64::NAN;
         assert_eq!(law(&x, &u, 0.0, 1e3), None);
         // One NaN is enough.
-        let config = Config::embedded().expect("settings");
-        for (joint, value) in (0..NU).flat_map(|i| [f64::NAN, f64::INFINITY].map(|value| (i, value))) {
-            let (x, u) = motion();
-            let mut disturbance = ActuatedVector::zeros();
+        let (x, u) = motion();
+        for (joint, value) in (0..u.len()).flat_map(|i| [f64::NAN, f64::INFINITY].map(|value| (i, value))) {
+            let mut disturbance = ActuatedVector::zeros(x.sizes());
             disturbance[joint] = value;
-            let limit = ActuatedVector::repeat(1e3);
-            let got = torque(&config.model, &x, &u, &disturbance, &limit, &mut Workspace::default());
+            let got = law_with(&x, &u, &disturbance, &ActuatedVector::repeat(x.sizes(), 1e3));
             assert_eq!(got, None, "{value} on joint {}", joint + 1);
         }
     }

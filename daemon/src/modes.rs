@@ -9,16 +9,16 @@ use crate::supervisor::is_braked;
 use crate::trip::Trip;
 use nalgebra::Vector3;
 use upswing_ipc::Mode;
-use upswing_model::{ActuatedVector, JointParts, Model, State, StateParts};
+use upswing_model::{ActuatedVector, Model, State};
 use upswing_trajectory::{Plan, Reference};
 
 /// Setpoint of one cycle: the reference of the torque law (24), and the input after feedback.
 pub struct Setpoint {
-    /// x_d, rad and rad/s.
+    /// x_d
     pub x_d: State,
-    /// u_d, rad/s^2.
+    /// u_d
     pub u_d: ActuatedVector,
-    /// u = u_d + feedback, rad/s^2.
+    /// u = u_d + feedback
     pub u: ActuatedVector,
     /// Time since the start of the plan, s; 0 without a plan.
     pub t_plan: f64,
@@ -116,7 +116,7 @@ impl RunningPlan {
     }
 
     /// Reference at the end x_N of the plan.
-    pub fn end(&self) -> Reference {
+    pub fn end(&self) -> Reference<'_> {
         self.loaded.plan.end()
     }
 
@@ -133,7 +133,7 @@ impl RunningPlan {
         let t_plan = self.time(now_ns);
         let reference = self.loaded.plan.reference(t_plan);
         let lost = checks.tracking(x, &reference.x);
-        let u = reference.u + reference.gain * (x - reference.x);
+        let u = reference.input(x);
         match checks.pendulum(x).or(lost) {
             Some(trip) => Err(trip),
             None => Ok(Setpoint { x_d: reference.x, u_d: reference.u, u, t_plan }),
@@ -156,7 +156,7 @@ impl RunningPlan {
         let rod = model.rod(&x.q());
         let tilt = rod.cross(&self.rod_at_end).norm().atan2(rod.dot(&self.rod_at_end));
         let tilted = checks.balance(tilt);
-        let u = end.u + end.gain * (x - end.x);
+        let u = end.input(x);
         let astray = checks.balance_error(x, &end.x);
         let fast = checks.balance_speed(&observer.filtered.actuated(), &u);
         match checks.pendulum(x).or(tilted).or(astray).or(fast) {

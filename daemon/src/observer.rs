@@ -6,11 +6,9 @@ use crate::trip::{Trip, TripCause};
 use std::f64::consts::{PI, TAU};
 use upswing_config::{CycleSettings, VelocityEstimate};
 use upswing_ipc::{Clock, Measurement};
-use upswing_model::{JointVector, NU, State, state};
+use upswing_model::{ActuatedVector, JointKind, JointVector, Model, Order, State};
 
-/// Index of q8, the first joint of the pendulum: the only joint that can turn over.
-const Q8: usize = NU;
-/// Angle by which q8 may exceed half a turn before a turn is dropped, rad: so that q8 of an upright rod does not alternate.
+/// Angle by which a joint may exceed half a turn before a turn is dropped, rad: so that the angle of an upright rod does not alternate.
 const SLACK: f64 = 0.5;
 
 /// Result of taking a measurement.
@@ -25,13 +23,18 @@ pub struct Observation {
 /// Observer of the plant: the newest measurement, filtered and checked.
 #[derive(Clone, Debug)]
 pub struct Observer {
-    /// Angles of the newest measurement, rad.
+    order: Order,
+    /// Whether each joint turns over: an unactuated joint does, unless it is prismatic.
+    turns_over: Vec<bool>,
+    /// Positions of the newest measurement.
     measured: JointVector,
+    /// Torques of the newest measurement.
+    pub tau: ActuatedVector,
     filter: DifferentialFilter,
     lag_compensation: Option<LagCompensation>,
-    /// x = [q, qd]: measured angles, rad, and filtered velocities with the compensation of their lag, rad/s.
+    /// x = [q, qd]: measured positions, and filtered velocities with the compensation of their lag.
     pub x: State,
-    /// Velocities of the filter without the compensation of their lag, rad/s.
+    /// Velocities of the filter without the compensation of their lag.
     pub filtered: JointVector,
     /// The trip for a newest measurement that cannot be used; `None` if it can.
     pub unfit: Option<Trip>,
@@ -50,20 +53,25 @@ pub struct Observer {
     cycles: u64,
     /// Consecutive cycles in which the drives did not act although the brakes were commanded open.
     stopped: u64,
-    /// Whole turns of q8 that were dropped, rad.
-    turned: f64,
+    /// Whole turns that were dropped, rad.
+    turned: JointVector,
 }
 
 impl Observer {
-    /// Creates an observer without a measurement.
-    pub fn new(cycle: &CycleSettings) -> Self {
+    /// Creates an observer of the robot `model` without a measurement.
+    pub fn new(cycle: &CycleSettings, model: &Model) -> Self {
+        let sizes = model.sizes();
+        let turns_over = |joint| joint >= sizes.actuated() && model.joint_kind(joint) != JointKind::Prismatic;
         Self {
-            measured: JointVector::zeros(),
+            order: *model.order(),
+            turns_over: (0..sizes.joints()).map(turns_over).collect(),
+            measured: JointVector::zeros(sizes),
+            tau: ActuatedVector::zeros(sizes),
             filter: DifferentialFilter::new(cycle.period.seconds(), cycle.velocity_filter),
             lag_compensation: (cycle.velocity == VelocityEstimate::Model)
-                .then(|| LagCompensation::new(cycle.period.seconds(), cycle.velocity_filter)),
-            x: State::zeros(),
-            filtered: JointVector::zeros(),
+                .then(|| LagCompensation::new(sizes, cycle.period.seconds(), cycle.velocity_filter)),
+            x: State::zeros(sizes),
+            filtered: JointVector::zeros(sizes),
             unfit: Some(Trip::plain(TripCause::NoMeasurement)),
             drives_ready: false,
             seq: 0,
@@ -73,7 +81,7 @@ impl Observer {
             age: 0,
             cycles: 0,
             stopped: 0,
-            turned: 0.0,
+            turned: JointVector::zeros(sizes),
         }
     }
 
@@ -93,7 +101,7 @@ impl Observer {
     }
 
     /// Takes the newest measurement, whether or not it is new. `now_ns`: time of the cycle, used on the clock `wall`
-    /// only. `expected`: qdd for which the last command was computed, rad/s^2; `None` if the limiter cut it. `braked`: the brakes
+    /// only. `expected`: qdd for which the last command was computed; `None` if the limiter cut it. `braked`: the brakes
     /// were closed, so that motion since the previous measurement is no fault.
     pub fn observe(
         &mut self,
@@ -103,7 +111,10 @@ impl Observer {
         expected: Option<&JointVector>,
         braked: bool,
     ) -> Observation {
-        self.measured = measurement.q.into();
+        let vectors = measurement.vectors(&self.order);
+        if let Ok((q, tau)) = vectors {
+            (self.measured, self.tau) = (q, tau);
+        }
         let wall = measurement.clock().is_ok_and(Clock::is_real_time);
         if measurement.seq == self.seq {
             if wall && self.seq > 0 {
@@ -127,9 +138,13 @@ impl Observer {
         self.drives_ready = measurement.status & Measurement::DRIVES_READY != 0;
         let acts = self.drives_ready && measurement.status & Measurement::BRAKES_CLOSED == 0;
         self.stopped = if acts || braked { 0 } else { self.stopped.saturating_add(elapsed) };
-        let not_finite = checks.finite(measurement);
+        if let Err(other) = vectors {
+            self.unfit = Some(checks.other_chain(&other));
+            return Observation { is_new: true, restarted };
+        }
+        let not_finite = checks.finite(&self.measured);
         self.unfit = checks
-            .measurement(measurement, not_finite)
+            .measurement(measurement, &self.tau, not_finite)
             .or(checks.age(self.age))
             .or(checks.drives(self.stopped));
         if not_finite.is_some() {
@@ -146,33 +161,33 @@ impl Observer {
             self.unfit = self.unfit.or(Some(trip).filter(|_| !braked));
         }
         self.filtered = self.filter.update(&q, cycles);
-        let expected = expected.copied().unwrap_or_default();
-        let lag = self.lag_compensation.as_mut();
-        let lag = lag.map_or_else(JointVector::zeros, |lag| lag.update(&expected, cycles));
-        self.x = state(&q, &(self.filtered + lag));
+        let none = JointVector::zeros(q.sizes());
+        let expected = expected.unwrap_or(&none);
+        let lag = self.lag_compensation.as_mut().map_or(none, |lag| lag.update(expected, cycles));
+        self.x = State::new(&q, &(self.filtered + lag));
         (self.filtered_seq, self.cycles) = (self.seq, cycles);
         // The limits apply to the measured motion of the arm, without the accelerations of the model.
-        let arm = checks.arm(&state(&q, &self.filtered));
+        let arm = checks.arm(&State::new(&q, &self.filtered));
         self.unfit = self.unfit.or(arm);
         Observation { is_new: true, restarted }
     }
 
-    /// Measured angles, q8 without the dropped turns, rad.
+    /// Measured positions without the dropped turns.
     pub fn position(&self) -> JointVector {
-        let mut q = self.measured;
-        q[Q8] -= self.turned;
-        q
+        self.measured - self.turned
     }
 
-    /// Drops whole turns of q8: a pendulum that fell over to the other side hangs at 0 again, where plans can begin. To be called
-    /// only while no reference contains q8.
+    /// Drops whole turns of the unactuated joints: a pendulum that fell over to the other side hangs at 0 again, where plans can begin.
+    /// To be called only while the reference does not contain these joints.
     pub fn drop_turns(&mut self) {
-        let q8 = self.x[Q8];
-        if q8.abs() > PI + SLACK {
-            let turns = (q8 / TAU).round() * TAU;
+        let q = self.x.q();
+        let turns = JointVector::from_fn(q.sizes(), |i| {
+            if self.turns_over[i] && q[i].abs() > PI + SLACK { (q[i] / TAU).round() * TAU } else { 0.0 }
+        });
+        if turns.amax() > 0.0 {
             self.turned += turns;
-            self.x[Q8] -= turns;
-            self.filter.shift(Q8, -turns);
+            self.x = State::new(&(q - turns), &self.x.qd());
+            self.filter.shift(&-turns);
         }
     }
 
@@ -180,7 +195,8 @@ impl Observer {
     pub fn restart(&mut self) -> Trip {
         let trip = Trip::plain(TripCause::MeasurementRestarted);
         self.forget();
-        (self.seq, self.filtered_seq, self.turned) = (0, 0, 0.0);
+        (self.seq, self.filtered_seq) = (0, 0);
+        self.turned = JointVector::zeros(self.turned.sizes());
         (self.t_ns, self.age, self.stopped) = (0, 0, 0);
         self.unfit = Some(trip);
         trip
@@ -201,7 +217,7 @@ mod tests {
     use crate::trip::TripCause;
     use upswing_config::{Config, VelocityEstimate};
     use upswing_ipc::{Clock, Measurement};
-    use upswing_model::{JointVector, NQ};
+    use upswing_model::{ActuatedVector, JointVector};
 
     const PERIOD_NS: u64 = 125_000;
 
@@ -213,7 +229,10 @@ mod tests {
     impl Seen {
         fn new() -> Self {
             let config = Config::embedded().expect("settings");
-            Self { observer: Observer::new(&config.daemon.cycle), checks: Checks::new(&config) }
+            Self {
+                observer: Observer::new(&config.daemon.cycle, &config.model),
+                checks: Checks::new(&config),
+            }
         }
 
         /// Takes a measurement without delay; returns the cause of a trip, and whether a restart was noticed.
@@ -225,14 +244,15 @@ mod tests {
     }
 
     fn measured(seq: u64, q: f64, clock: Clock) -> Measurement {
+        let model = Config::embedded().expect("settings").model;
+        let (q, tau) = (JointVector::repeat(model.sizes(), q), ActuatedVector::zeros(model.sizes()));
         Measurement {
             seq,
             t_ns: seq * PERIOD_NS,
-            q: [q; NQ],
             status: Measurement::DRIVES_READY,
             clock: clock.code(),
             period_ns: PERIOD_NS,
-            ..Measurement::default()
+            ..Measurement::new(model.order(), &q, &tau)
         }
     }
 
@@ -273,7 +293,7 @@ mod tests {
                 let next = Measurement { t_ns: k, ..measured(seq + k, 0.2, clock) };
                 assert_eq!(seen.take(&next, false), (None, k == 0), "{clock}, measurement {k}");
                 assert_eq!(seen.observer.position()[7], 0.2, "its turns are not those of the one before");
-                assert_eq!(seen.observer.filtered, JointVector::zeros(), "nor is its motion");
+                assert_eq!(seen.observer.filtered.amax(), 0.0, "nor is its motion");
                 assert_eq!(seen.observer.cycles(), if k == 0 { seq } else { 1 });
             }
             // The inactive drives of the first plant do not count for the second.
@@ -301,7 +321,7 @@ mod tests {
             let next = Measurement { seq: 2, t_ns: 2 * PERIOD_NS, ..turned };
             assert_eq!(seen.take(&next, false), (None, false), "{turns}");
             assert!((seen.observer.position()[7] - 0.1).abs() < 1e-12);
-            assert!(seen.observer.filtered.amax() < 1e-9, "{}", seen.observer.filtered);
+            assert!(seen.observer.filtered.amax() < 1e-9, "{:?}", seen.observer.filtered);
         }
         // The pendulum near the top may be on either side of it.
         for angle in [3.6, -3.6] {
@@ -316,14 +336,16 @@ mod tests {
     fn the_arm_is_as_fast_as_measured_whatever_the_model_expects() {
         let mut config = Config::embedded().expect("settings");
         config.daemon.cycle.velocity = VelocityEstimate::Model;
-        let mut observer = Observer::new(&config.daemon.cycle);
+        let mut observer = Observer::new(&config.daemon.cycle, &config.model);
         let mut checks = Checks::new(&config);
         for seq in 1..1000 {
             let next = measured(seq, 0.1, Clock::Paced);
-            observer.observe(&next, 0, &mut checks, Some(&JointVector::repeat(1e3)), false);
+            let expected = JointVector::repeat(config.model.sizes(), 1e3);
+            observer.observe(&next, 0, &mut checks, Some(&expected), false);
             assert_eq!(observer.unfit, None);
         }
-        assert!(observer.x[9] > 5.0, "what is expected enters the state: {}", observer.x[9]);
+        let qd = observer.x.qd();
+        assert!(qd[0] > 5.0, "what is expected enters the state: {}", qd[0]);
     }
 
     #[test]
@@ -356,7 +378,7 @@ mod tests {
         let q = 0.1 + 10.0 * 125e-6 * 1.3;
         assert_eq!(seen.take(&measured(11, q, Clock::Paced), false), (None, false));
         assert_eq!(seen.observer.cycles(), 10);
-        assert!(seen.observer.filtered.iter().all(|v| *v > 0.1), "{}", seen.observer.filtered);
+        assert!(seen.observer.filtered.iter().all(|v| *v > 0.1), "{:?}", seen.observer.filtered);
     }
 
     #[test]
@@ -392,7 +414,7 @@ mod tests {
             let unfit = seen.take(&measured(2, 0.9, Clock::Paced), braked).0;
             assert_eq!(unfit, (!braked).then_some(TripCause::EncoderJump));
             // The jump gives no speed: the robot was moved by other means.
-            assert_eq!(seen.observer.filtered, JointVector::zeros());
+            assert_eq!(seen.observer.filtered.amax(), 0.0);
             assert_eq!(seen.take(&measured(3, 0.9, Clock::Paced), braked), (None, false));
         }
     }

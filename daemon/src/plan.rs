@@ -25,13 +25,12 @@ pub enum PlanRefusal {
     Criterion(#[from] UnmetCriterion),
 }
 
-/// Checks a plan: checksum, id, fingerprint, and [`Config::plan_criteria`]. `message` must be a copy to which no other
-/// process can write.
+/// Checks a plan: checksum, numbers of joints, id, fingerprint, and [`Config::plan_criteria`].
 ///
 /// # Errors
 /// The first check that failed, with its numbers.
 pub fn accept(message: &PlanMessage, config: &Config) -> Result<Box<Plan>, PlanRefusal> {
-    let plan = Box::<Plan>::try_from(message)?;
+    let plan = Box::new(message.plan(config.model.order())?);
     let expected = config.model.fingerprint();
     if plan.fingerprint != expected {
         return Err(PlanRefusal::Fingerprint { expected, got: plan.fingerprint });

@@ -14,6 +14,7 @@ use upswing_ipc::{
     Command, CycleStart, CycleTimes, DaemonPacing, DaemonWake, Measurement, Reader, Telemetry, WriterEntry,
     monotonic_ns,
 };
+use upswing_model::{ActuatedVector, Sizes};
 use upswing_trajectory::Plan;
 
 /// Capacity of the ring of records: the service thread may be one second late.
@@ -91,6 +92,7 @@ pub struct RealtimeThread {
     /// Degradations, bits of [`upswing_ipc::Degradation`].
     degraded: u64,
     command_seq: u64,
+    sizes: Sizes,
     /// Whether the plant has changed or restarted since the last step.
     restarted: bool,
     /// Answer to the request of this cycle, with the number of the request.
@@ -119,6 +121,7 @@ impl RealtimeThread {
             overruns: 0,
             degraded: 0,
             command_seq: 0,
+            sizes: config.model.sizes(),
             restarted: false,
             answer: None,
             retired: [None, None],
@@ -157,7 +160,7 @@ impl RealtimeThread {
             t_ns: monotonic_ns(),
             measurement_seq: self.pacing.newest_seq(),
             brake: 1,
-            ..Command::default()
+            ..Command::new(&ActuatedVector::zeros(self.sizes))
         });
     }
 

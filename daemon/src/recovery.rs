@@ -4,9 +4,9 @@
 use crate::step::CycleRecord;
 use crate::trip::TripCause;
 use upswing_config::RecoverySettings;
-use upswing_ipc::Mode;
 use upswing_ipc::operator::PublishedPlan;
-use upswing_model::{NQ, NU};
+use upswing_ipc::{Mode, Telemetry};
+use upswing_model::Order;
 
 /// The next action of a recovery.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,6 +34,8 @@ enum RecoveryStage {
 #[derive(Clone, Debug)]
 pub struct Recovery {
     settings: RecoverySettings,
+    /// Joints of the records.
+    order: Order,
     stage: RecoveryStage,
     /// Attempts since the last request of the operator.
     attempts: u32,
@@ -43,9 +45,9 @@ pub struct Recovery {
 }
 
 impl Recovery {
-    /// Creates the state without a recovery in progress.
-    pub fn new(settings: RecoverySettings) -> Self {
-        Self { settings, stage: RecoveryStage::Off, attempts: 0, mode: Mode::Idle, now: 0 }
+    /// Creates the state without a recovery in progress. `order`: the joints of the robot.
+    pub fn new(settings: RecoverySettings, order: Order) -> Self {
+        Self { settings, order, stage: RecoveryStage::Off, attempts: 0, mode: Mode::Idle, now: 0 }
     }
 
     /// Whether a recovery is in progress.
@@ -88,7 +90,7 @@ impl Recovery {
         }
         match self.stage {
             RecoveryStage::Off => None,
-            RecoveryStage::Settling { lost, rest } => self.settle(lost, rest, &telemetry.qd),
+            RecoveryStage::Settling { lost, rest } => self.settle(lost, rest, telemetry),
             RecoveryStage::Planning { asked } => {
                 self.give_up_after(asked);
                 None
@@ -104,8 +106,9 @@ impl Recovery {
         }
     }
 
-    fn settle(&mut self, lost: u64, rest: Option<u64>, qd: &[f64; NQ]) -> Option<RecoveryAction> {
-        let still = qd[NU..].iter().all(|qd| qd.abs() <= self.settings.rest_speed);
+    fn settle(&mut self, lost: u64, rest: Option<u64>, telemetry: &Telemetry) -> Option<RecoveryAction> {
+        let slow = |qd: &f64| qd.abs() <= self.settings.rest_speed;
+        let still = telemetry.vectors(&self.order).is_ok_and(|vectors| vectors.x.qd_u().iter().all(slow));
         let rest = if still && self.mode == Mode::Hold { Some(rest.unwrap_or(self.now)) } else { None };
         self.stage = RecoveryStage::Settling { lost, rest };
         if rest.is_some_and(|since| self.elapsed(since) >= self.settings.rest.as_nanos()) {

@@ -20,7 +20,7 @@ use upswing_config::{Config, RealtimeMode};
 use upswing_ipc::operator::{Manoeuvre, OperatorError, PublishedPlan, request_plan};
 use upswing_ipc::{
     Command, ControlKind, ControlRequest, ControlResponse, Degradation, Domain, FinderThread, IpcError,
-    Measurement, Mode, Node, PlanMessage, PlannerRequest, Reader, Text,
+    Measurement, Mode, Node, PlanHeader, PlanMessage, PlannerRequest, Reader, Text,
 };
 use upswing_process::Failure;
 use upswing_process::notify::Notifier;
@@ -117,9 +117,9 @@ fn start_thread(
 /// Reason for which a request to the real-time thread has no effect, or no known effect.
 #[derive(Debug, thiserror::Error)]
 enum ControlRequestError {
-    /// The controller refused the request.
-    #[error(transparent)]
-    Refused(#[from] RequestRefusal),
+    /// The controller refused the request, in words.
+    #[error("{0}")]
+    Refused(String),
     /// The plan fails a check.
     #[error(transparent)]
     Plan(#[from] PlanRefusal),
@@ -177,11 +177,11 @@ impl<'a> ServiceThread<'a> {
             waiting: None,
             threads: [(0, 1); 2],
             prioritised: false,
-            log: CycleLog::new(&config.daemon, node).map_err(Failure::failed)?,
+            log: CycleLog::new(config, node).map_err(Failure::failed)?,
             manager: Notifier::new(),
             beats: 0,
             mode_told: None,
-            recovery: Recovery::new(config.daemon.recovery),
+            recovery: Recovery::new(config.daemon.recovery, *config.model.order()),
             asker: None,
             closing: Arc::default(),
             degraded: 0,
@@ -208,7 +208,10 @@ impl<'a> ServiceThread<'a> {
             self.set_priorities();
             match plans.receive() {
                 // The plan is copied: the planner could change it while it is being checked.
-                Ok(Some(sample)) => self.load(&sample.boxed_copy()),
+                Ok(Some(sample)) => match sample.copied() {
+                    Ok(message) => self.load(&message),
+                    Err(damaged) => self.refuse_plan(sample.header().id, &damaged),
+                },
                 Ok(None) => {}
                 Err(e) => self.warn_once(e),
             }
@@ -362,7 +365,9 @@ impl<'a> ServiceThread<'a> {
                     self.last_refusal.clear();
                     return Ok("");
                 }
-                Some(Err(refusal)) => return Err(refusal.into()),
+                Some(Err(refusal)) => {
+                    return Err(ControlRequestError::Refused(refusal.text(&self.config.model)));
+                }
                 None => {}
             }
             let stands_still = self.link.shared.stands_still.load(Ordering::Acquire);
@@ -387,20 +392,23 @@ impl<'a> ServiceThread<'a> {
     }
 
     fn load(&mut self, message: &PlanMessage) {
+        let PlanHeader { id, t_f, .. } = message.header;
         let accepted = self.at_normal_priority(|| plan::accept(message, self.config));
         let sent =
             accepted.map_err(ControlRequestError::from).and_then(|plan| self.send(StepRequest::Load(plan)));
         match sent {
             Ok(number) => {
-                info!("plan {} loaded, t_F = {:.3} s", message.id, message.t_f);
-                self.sent_plans.sent(number, message.id);
+                info!("plan {id} loaded, t_F = {t_f:.3} s");
+                self.sent_plans.sent(number, id);
                 self.last_refusal.clear();
             }
-            Err(reason) => {
-                warn!("plan {} refused: {reason}", message.id);
-                self.last_refusal = format!("plan {}: {reason}", message.id);
-            }
+            Err(reason) => self.refuse_plan(id, &reason),
         }
+    }
+
+    fn refuse_plan(&mut self, id: u64, reason: &impl Display) {
+        warn!("plan {id} refused: {reason}");
+        self.last_refusal = format!("plan {id}: {reason}");
     }
 
     /// Does work of some milliseconds at normal priority, so that other processes on this CPU, perhaps the plant, can run.
@@ -451,6 +459,7 @@ impl<'a> ServiceThread<'a> {
                 Reply::Answer { number, result } => {
                     let plan = self.sent_plans.answered(number, result.is_ok());
                     if let Err(refusal) = result {
+                        let refusal = refusal.text(&self.config.model);
                         let request = plan.map_or("queued request".into(), |plan| format!("plan {plan}"));
                         warn!("{request} refused: {refusal}");
                         self.last_refusal = format!("{request}: {refusal}");

@@ -1,7 +1,7 @@
-//! Detects stuck encoders: angles that do not change although the torque must have moved their joints.
+//! Detects stuck encoders: positions that do not change although the torque must have moved their joints.
 //!
 //! A stuck encoder shows a robot at rest; a feedback controller then commands a constant or growing torque, of which the model
-//! predicts the effect. While the angle of joint i keeps its value, the displacement y_i since its last change obeys
+//! predicts the effect. While the position of joint i keeps its value, the displacement y_i since its last change obeys
 //!
 //! ```text
 //! M_i y'' + d_i y' = T_i + d,    y(0) = y'(0) = 0,
@@ -21,7 +21,7 @@ use crate::law::{JointSpaceInertia, Torque};
 use crate::trip::{Trip, TripCause};
 use upswing_config::StandstillSettings;
 use upswing_model::thresholds::REST_SPEED_ESTIMATE;
-use upswing_model::{ActuatedVector, JointParts, JointVector, N_UNACTUATED, NQ, NU};
+use upswing_model::{ActuatedVector, JointVector, UnactuatedVector};
 
 /// Time without a change of its angle after which a joint counts as at rest, s: a joint that reverses rests for less.
 const STANDS: f64 = 0.01;
@@ -39,19 +39,20 @@ const QUIET: f64 = 0.1;
 const NOISE: f64 = 0.1;
 const LAG: f64 = 0.03;
 
-/// First joint of the wrist, 0-based: motion of the other joints hardly changes the disturbance estimate of the wrist.
-const WRIST: usize = 4;
+/// Number of actuated joints before the wrist: motion of the other joints hardly changes the disturbance estimate of the wrist. A machine
+/// with fewer actuated joints has no wrist.
+const BEFORE_WRIST: usize = 4;
 
 /// State of the test of one joint since the last change of its angle.
 #[derive(Clone, Copy, Debug)]
 struct JointTest {
-    /// Measured angle, rad, and the time for which it has kept this value, s.
+    /// Measured position, and the time for which it has kept this value, s.
     angle: f64,
     time: f64,
-    /// Disturbance estimates, N m, kept from the last change of the angle on, but updated: one while the arm is slow, the other
+    /// Disturbance estimates, kept from the last change of the angle on, but updated: one while the arm is slow, the other
     /// always at the wrist and never at the other joints.
     estimate: [f64; VIEWS],
-    /// y and y' for d = 1 N m and T_i = 0, rad and rad/s.
+    /// y and y' for d = 1 and T_i = 0.
     per_torque: [f64; 2],
     /// Predictions if joints at rest stay at rest, if all joints move as commanded, and if none moves.
     cases: [[PredictedMotion; CASES]; VIEWS],
@@ -65,14 +66,14 @@ const VIEWS: usize = 2;
 /// Motion predicted for one joint under one assumption about the other joints.
 #[derive(Clone, Copy, Debug)]
 struct PredictedMotion {
-    /// y and y' for d = 0, rad and rad/s.
+    /// y and y' for d = 0.
     y: [f64; 2],
-    /// Lower and upper end of the interval of d that explains the standstill, N m; empty if lower > upper.
+    /// Lower and upper end of the interval of d that explains the standstill; empty if lower > upper.
     unknown: [f64; 2],
 }
 
 impl JointTest {
-    /// Begins with the first measurement of `angle` (rad), with d in a band about `middle`, N m.
+    /// Begins with the first measurement of `angle`, with d in a band about `middle`.
     fn new(angle: f64, middle: f64, band: f64) -> Self {
         let case = PredictedMotion { y: [0.0; 2], unknown: [middle - band, middle + band] };
         Self {
@@ -94,21 +95,20 @@ fn advance(y: &mut [f64; 2], torque: f64, inertia: f64, friction: f64, elapsed: 
 /// Torques that drive the joints in a cycle, and the inertias of the joints.
 #[derive(Clone, Copy, Debug)]
 struct DrivingTorque {
-    /// T under each assumption, without the disturbance estimate, N m.
+    /// T under each assumption, without the disturbance estimate.
     torque: [JointVector; CASES],
-    /// Inertias M_i of single joints, kg m^2.
+    /// Inertias M_i of single joints.
     inertia: JointVector,
 }
 
 /// Last measurement, the time for which it has not changed, and the torques commanded meanwhile.
 #[derive(Clone, Copy, Debug)]
 struct UnchangedMeasurement {
-    /// Measured angles, rad.
     q: JointVector,
     tau: ActuatedVector,
     /// Time without any change of the measurement, s.
     time: f64,
-    /// Smallest and largest commanded torques meanwhile, N m.
+    /// Smallest and largest commanded torques meanwhile.
     low: ActuatedVector,
     high: ActuatedVector,
     /// Time for which these have differed by more than the resolution of the sensors, s.
@@ -116,9 +116,9 @@ struct UnchangedMeasurement {
 }
 
 impl UnchangedMeasurement {
-    /// Begins with a changed measurement: angles `q` (rad) and torques `tau` (N m).
+    /// Begins with a changed measurement of positions `q` and torques `tau`.
     fn new(q: &JointVector, tau: &ActuatedVector) -> Self {
-        let (low, high) = (ActuatedVector::repeat(f64::INFINITY), ActuatedVector::repeat(f64::NEG_INFINITY));
+        let [low, high] = [f64::INFINITY, f64::NEG_INFINITY].map(|v| ActuatedVector::repeat(q.sizes(), v));
         Self { q: *q, tau: *tau, time: 0.0, low, high, differs: 0.0 }
     }
 }
@@ -127,34 +127,39 @@ impl UnchangedMeasurement {
 #[derive(Clone, Debug)]
 pub struct Standstill {
     settings: StandstillSettings,
-    /// Smallest changes of the torques that the sensors show, N m.
+    /// Smallest changes of the torques that the sensors show.
     resolution: ActuatedVector,
     unchanged: Option<UnchangedMeasurement>,
-    /// Angles beyond which a joint may rest on its mechanical stop, rad.
+    /// Positions beyond which a joint may rest on its mechanical stop.
     reach: JointVector,
-    joints: [JointTest; NQ],
+    /// One for each joint.
+    joints: Vec<JointTest>,
     /// Time for which a jump of an angle still affects the disturbance estimate, s.
     pause: f64,
     /// Time for which the arm has been slow, s.
     quiet: f64,
-    /// The last disturbance estimate, N m.
+    /// The last disturbance estimate.
     estimate: ActuatedVector,
     /// Torques of the last command; `None` while the brakes hold.
     drive: Option<DrivingTorque>,
 }
 
 impl Standstill {
-    /// `q_max`: end of the range open to plans (rad), near which the pendulum may rest on its stop; `tau_max`: 100 % torques (N m).
+    /// `q_max`: end of the range open to plans, near which the pendulum may rest on its stop; `tau_max`: 100 % torques.
     pub fn new(settings: &StandstillSettings, q_max: &JointVector, tau_max: &ActuatedVector) -> Self {
+        let sizes = tau_max.sizes();
         Self {
             settings: *settings,
-            resolution: tau_max * settings.torque,
+            resolution: *tau_max * settings.torque,
             unchanged: None,
-            reach: JointVector::from_fn(|i, _| if i < NU { f64::INFINITY } else { q_max[i] - NEAR_STOP }),
-            joints: [JointTest::new(f64::NAN, 0.0, 0.0); NQ],
+            reach: JointVector::joined(
+                &ActuatedVector::repeat(sizes, f64::INFINITY),
+                &(q_max.unactuated() - UnactuatedVector::repeat(sizes, NEAR_STOP)),
+            ),
+            joints: vec![JointTest::new(f64::NAN, 0.0, 0.0); sizes.joints()],
             pause: 0.0,
             quiet: 0.0,
-            estimate: ActuatedVector::zeros(),
+            estimate: ActuatedVector::zeros(sizes),
             drive: None,
         }
     }
@@ -173,14 +178,14 @@ impl Standstill {
         self.pause = QUIET;
     }
 
-    /// Takes the torque of this cycle, which acts until the next measurement. `u`: commanded acceleration (rad/s^2), `estimate`:
-    /// disturbance estimate (N m), `inertia`: inertia matrices of this cycle, `qd`: measured speeds of the arm (rad/s).
+    /// Takes the torque of this cycle, which acts until the next measurement. `u`: commanded acceleration, `estimate`: disturbance
+    /// estimate, `inertia`: inertia matrices of this cycle, `qd`: measured speeds of the arm.
     pub fn command(
         &mut self,
         u: &ActuatedVector,
         torque: &Torque,
         estimate: &ActuatedVector,
-        JointSpaceInertia { reduced, unactuated: columns }: &JointSpaceInertia,
+        JointSpaceInertia { reduced, unactuated }: &JointSpaceInertia,
         qd: &ActuatedVector,
     ) {
         if let Some(unchanged) = &mut self.unchanged {
@@ -188,48 +193,48 @@ impl Standstill {
             unchanged.high = unchanged.high.sup(&torque.tau);
         }
         let cut = &torque.cut;
-        let qdd_u = torque.qdd.unactuated();
-        let m_au = columns.fixed_rows::<NU>(0);
-        let m_uu = columns.fixed_rows::<N_UNACTUATED>(NU);
+        let (sizes, qdd_u) = (u.sizes(), torque.qdd.unactuated());
         // Joints at rest do not follow u: the torque commanded for their acceleration drives the other joints.
-        let standing = ActuatedVector::from_fn(|i, _| if self.joints[i].time > STANDS { u[i] } else { 0.0 });
-        let (carried, full, reaction) = (reduced * standing, reduced * u, m_au.tr_mul(&standing));
+        let standing =
+            ActuatedVector::from_fn(sizes, |i| if self.joints[i].time > STANDS { u[i] } else { 0.0 });
+        let (carried, full) = (reduced * &standing, reduced * u);
+        let single = ActuatedVector::from_fn(sizes, |i| reduced[(i, i)]);
+        // A column of M consists of one of M_AU and one of M_UU, which is symmetric.
+        let column = |c: usize| unactuated.column(c);
+        let single_u = UnactuatedVector::from_fn(sizes, |c| column(c).unactuated()[c]);
+        let moving = UnactuatedVector::from_fn(sizes, |c| column(c).unactuated().dot(&qdd_u));
+        let reaction = UnactuatedVector::from_fn(sizes, |c| column(c).actuated().dot(&standing));
         let change = estimate - self.estimate;
         // Errors of the model for fast joints change the estimates of all joints.
         if qd.amax() >= REST_SPEED_ESTIMATE {
             self.quiet = 0.0;
         }
         let slow = self.quiet > QUIET;
-        let mut inertia = JointVector::zeros();
-        let mut torque = [JointVector::zeros(); CASES];
-        for i in 0..NU {
-            inertia[i] = reduced[(i, i)];
-            let joint = &mut self.joints[i];
+        for (i, joint) in self.joints.iter_mut().enumerate().take(u.len()) {
             if joint.time == 0.0 {
                 *joint = JointTest::new(joint.angle, estimate[i], self.settings.unknown[i]);
                 let speed = (qd[i].abs() - NOISE - LAG * u[i].abs()).max(0.0).copysign(qd[i]);
                 joint.cases.as_flattened_mut().iter_mut().for_each(|case| case.y[1] = speed);
             } else {
                 joint.estimate[0] += if slow { change[i] } else { 0.0 };
-                joint.estimate[1] += if i < WRIST { 0.0 } else { change[i] };
+                joint.estimate[1] += if i < BEFORE_WRIST { 0.0 } else { change[i] };
             }
-            torque[0][i] = carried[i] + inertia[i] * (u[i] - standing[i]) - cut[i];
-            torque[1][i] = inertia[i] * u[i] - cut[i];
-            torque[2][i] = full[i] - cut[i];
         }
         self.estimate = *estimate;
-        let moving = m_uu * qdd_u;
-        for i in 0..N_UNACTUATED {
-            inertia[NU + i] = m_uu[(i, i)];
-            torque[0][NU + i] = moving[i] + reaction[i];
-            torque[1][NU + i] = moving[i];
-            torque[2][NU + i] = torque[0][NU + i];
-        }
-        let drive = DrivingTorque { torque, inertia };
-        self.drive = Some(drive);
+        self.drive = Some(DrivingTorque {
+            torque: [
+                JointVector::joined(
+                    &(carried + single.component_mul(&(u - standing)) - cut),
+                    &(moving + reaction),
+                ),
+                JointVector::joined(&(single.component_mul(u) - cut), &moving),
+                JointVector::joined(&(full - cut), &(moving + reaction)),
+            ],
+            inertia: JointVector::joined(&single, &single_u),
+        });
     }
 
-    /// Takes the angles `q` (rad) and the measured torques `tau` (N m), `elapsed` (s) after the previous ones. Returns a trip if none
+    /// Takes the positions `q` and the measured torques `tau`, `elapsed` (s) after the previous ones. Returns a trip if none
     /// of them changes although the commanded torque does.
     pub fn observe_all(&mut self, q: &JointVector, tau: &ActuatedVector, elapsed: f64) -> Option<Trip> {
         let unchanged = self.unchanged.get_or_insert_with(|| UnchangedMeasurement::new(q, tau));
@@ -239,30 +244,31 @@ impl Standstill {
         }
         unchanged.time += elapsed;
         let range = unchanged.high - unchanged.low;
-        let joint = (0..NU).find(|&i| range[i] > self.resolution[i])?;
+        let joint = (0..range.len()).find(|&i| range[i] > self.resolution[i])?;
         unchanged.differs += elapsed;
         let (cause, value) = (TripCause::FrozenMeasurement, unchanged.time);
         (unchanged.differs > SHOWN).then_some(Trip { cause, joint, value, limit: SHOWN })
     }
 
-    /// Takes the angles `q` (rad), `elapsed` (s) after the previous ones. Returns a trip for the first joint with an unexplained
+    /// Takes the positions `q`, `elapsed` (s) after the previous ones. Returns a trip for the first joint with an unexplained
     /// standstill.
     pub fn observe(&mut self, q: &JointVector, elapsed: f64) -> Option<Trip> {
-        let drive = self.drive?;
+        let drive = self.drive.as_ref()?;
         self.quiet += elapsed;
         if self.pause > 0.0 {
             self.pause -= elapsed;
             self.joints.iter_mut().for_each(|joint| joint.angle = f64::NAN);
         }
         let mut first = None;
-        for i in 0..NQ {
-            let (joint, angle) = (&mut self.joints[i], self.settings.angle[i]);
+        let before_wrist = BEFORE_WRIST.min(q.sizes().actuated());
+        for (i, joint) in self.joints.iter_mut().enumerate() {
+            let angle = self.settings.angle[i];
             if q[i] != joint.angle || q[i].abs() > self.reach[i] {
                 *joint = JointTest::new(q[i], 0.0, self.settings.unknown[i]);
                 continue;
             }
             joint.time += elapsed;
-            let limit = angle + if i < WRIST { CREEP * joint.time } else { 0.0 };
+            let limit = angle + if i < before_wrist { CREEP * joint.time } else { 0.0 };
             let (inertia, friction) = (drive.inertia[i], self.settings.friction[i]);
             advance(&mut joint.per_torque, 1.0, inertia, friction, elapsed);
             let mut explained = true;
@@ -286,5 +292,5 @@ impl Standstill {
     }
 }
 
-/// Distance from the end of its range within which a joint of the pendulum may rest on its stop, rad.
+/// Distance from the end of its range within which a joint of the pendulum may rest on its stop, rad or m.
 const NEAR_STOP: f64 = 0.02;

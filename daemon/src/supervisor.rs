@@ -6,8 +6,8 @@
 use crate::plan::Ending;
 use crate::trip::{Trip, TripCause};
 use std::fmt;
-use thiserror::Error;
 use upswing_ipc::{Mode, Readiness};
+use upswing_model::{LimitKind, Model};
 
 /// An event that can change the mode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -96,10 +96,9 @@ pub fn is_braked(mode: Mode) -> bool {
 }
 
 /// Refusal of a request, which changed nothing.
-#[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum RequestRefusal {
     /// The mode does not allow the request.
-    #[error("{event} is not possible in mode {mode}; next: {}", .mode.next_action())]
     Mode {
         /// The mode at the time of the request.
         mode: Mode,
@@ -107,18 +106,12 @@ pub enum RequestRefusal {
         event: ModeEvent,
     },
     /// The measurement cannot be trusted.
-    #[error("the robot cannot be enabled: {0}; next: {remedy}, then {enable}", remedy = .0.cause.remedy(), enable = Mode::Idle.next_action())]
     Unfit(Trip),
     /// A drive is not powered.
-    #[error("the drives are not ready; next: {DRIVES_ON}, then {}", Mode::Idle.next_action())]
     DrivesNotReady,
     /// No plan is loaded.
-    #[error("no plan is loaded: request one from the planner")]
     NoPlan,
     /// The loaded plan is not the plan that is to be started.
-    #[error(
-        "plan {asked:016x} is not loaded, but plan {loaded:016x} of another request: request a plan again"
-    )]
     OtherPlan {
         /// Id of the plan that is to be started.
         asked: u64,
@@ -126,33 +119,26 @@ pub enum RequestRefusal {
         loaded: u64,
     },
     /// The start time of the plan, for which its first state was predicted, is still to come.
-    #[error("the plan begins in {wait:.3} s: start it then")]
     BeforeActivation {
         /// Time until the start time, s.
         wait: f64,
     },
     /// The measured state does not match the state of the plan.
-    #[error(
-        "the measured state is not the plan's: joint {} is at {measured:.4} {unit}, the plan at t = {t_plan:.3} s at \
-         {expected:.4} {unit} (tolerance {tolerance} {unit}): request a plan from the current state",
-        .joint + 1, unit = if *.velocity { "rad/s" } else { "rad" }
-    )]
     StartMismatch {
-        /// Joint, 0-based.
+        /// Index of the joint in sorted vectors.
         joint: usize,
-        /// Whether the velocity (rad/s) does not match, otherwise the angle (rad).
+        /// Whether the velocity does not match, otherwise the position.
         velocity: bool,
-        /// Measured value, rad or rad/s.
+        /// Measured value.
         measured: f64,
-        /// Value of the plan, rad or rad/s.
+        /// Value of the plan.
         expected: f64,
         /// Time since the plan's activation, s.
         t_plan: f64,
-        /// Largest difference allowed, rad or rad/s.
+        /// Largest difference allowed.
         tolerance: f64,
     },
     /// The loaded plan is too old.
-    #[error("the plan was loaded {age:.0} s ago, at most {limit:.0} s are allowed: request a new one")]
     PlanExpired {
         /// Time since the plan was loaded, s.
         age: f64,
@@ -160,15 +146,11 @@ pub enum RequestRefusal {
         limit: f64,
     },
     /// A plan is being tracked, and the settings forbid loading another plan meanwhile.
-    #[error(
-        "plan {running} is being tracked, and plans.while_tracking is \"refuse\": send it again afterwards"
-    )]
     Tracking {
         /// Id of the running plan.
         running: u64,
     },
     /// The process shuts down.
-    #[error("the daemon is shutting down; next: start it again")]
     ShuttingDown,
 }
 
@@ -176,6 +158,45 @@ pub enum RequestRefusal {
 const DRIVES_ON: &str = "switch the drives on";
 
 impl RequestRefusal {
+    /// The refusal in words, with names and units of joints from `model`.
+    pub fn text(&self, model: &Model) -> String {
+        match self {
+            Self::Mode { mode, event } => {
+                format!("{event} is not possible in mode {mode}; next: {}", mode.next_action())
+            }
+            Self::Unfit(trip) => format!(
+                "the robot cannot be enabled: {}; next: {}, then {}",
+                trip.text(model),
+                trip.cause.remedy(),
+                Mode::Idle.next_action()
+            ),
+            Self::DrivesNotReady => {
+                format!("the drives are not ready; next: {DRIVES_ON}, then {}", Mode::Idle.next_action())
+            }
+            Self::NoPlan => "no plan is loaded: request one from the planner".to_owned(),
+            Self::OtherPlan { asked, loaded } => format!(
+                "plan {asked:016x} is not loaded, but plan {loaded:016x} of another request: request a plan again"
+            ),
+            Self::BeforeActivation { wait } => format!("the plan begins in {wait:.3} s: start it then"),
+            Self::StartMismatch { joint, velocity, measured, expected, t_plan, tolerance } => {
+                let kind = if *velocity { LimitKind::Velocity } else { LimitKind::Position };
+                let (name, unit) = (model.joint_name(*joint), kind.unit(model.joint_kind(*joint)));
+                format!(
+                    "the measured state is not the plan's: joint `{name}` is at {measured:.4} {unit}, the plan at t = \
+                     {t_plan:.3} s at {expected:.4} {unit} (tolerance {tolerance} {unit}): request a plan from the current \
+                     state"
+                )
+            }
+            Self::PlanExpired { age, limit } => format!(
+                "the plan was loaded {age:.0} s ago, at most {limit:.0} s are allowed: request a new one"
+            ),
+            Self::Tracking { running } => format!(
+                "plan {running} is being tracked, and plans.while_tracking is \"refuse\": send it again afterwards"
+            ),
+            Self::ShuttingDown => "the daemon is shutting down; next: start it again".to_owned(),
+        }
+    }
+
     /// The readiness of a daemon that refuses an enable for this reason.
     pub fn readiness(&self) -> Readiness {
         match self {

@@ -1,6 +1,6 @@
 //! Causes of warnings and of trips to Fault or Stop: the limits that the daemon checks.
 
-use std::fmt;
+use upswing_model::{LimitKind, Model};
 
 /// Defines the causes, each with its code and its text.
 macro_rules! causes {
@@ -34,7 +34,7 @@ causes! {
     MeasurementGap = 3, "measurements were missed";
     /// The plant restarted: its measurements do not continue the earlier ones.
     MeasurementRestarted = 4, "the plant restarted";
-    /// An angle is not finite, or beyond the range of an encoder.
+    /// A position is not finite, or beyond the range of an encoder.
     NotFinite = 5, "an angle is not finite";
     /// An angle changed faster than the joint can move.
     EncoderJump = 6, "an angle jumped";
@@ -74,6 +74,8 @@ causes! {
     Collision = 23, "something is in the arm's way";
     /// No angle and no measured torque changes, although the commanded torque does.
     FrozenMeasurement = 24, "the measurements are frozen";
+    /// The measurements are those of another chain.
+    OtherChain = 25, "plant and daemon have different joints";
 }
 
 // `fault_text` finds a cause by its code.
@@ -100,6 +102,7 @@ impl TripCause {
             }
             Self::PositionLimit | Self::PendulumRange => "move the joint into its range",
             Self::PeriodMismatch | Self::UnknownClock => "start both with the same version",
+            Self::OtherChain => "start both with the same robot",
             Self::DriveFault | Self::DrivesStopped => "clear the drives' fault",
             Self::NotFinite
             | Self::EncoderJump
@@ -161,9 +164,10 @@ impl Warnings {
 pub struct Trip {
     /// Limit that was exceeded.
     pub cause: TripCause,
-    /// Joint, 0-based; 0 for a limit of no joint.
+    /// Index of the joint in sorted vectors; 0 for a limit of no joint.
     pub joint: usize,
-    /// Value beyond the trip level: rad, rad/s, N m, N m/s, cycles or ns, depending on the cause.
+    /// Value beyond the trip level: a position, velocity, torque or its rate in the unit of the joint, s, ns or a count, depending on the
+    /// cause.
     pub value: f64,
     /// Trip level, in the unit of the value.
     pub limit: f64,
@@ -176,90 +180,76 @@ impl Trip {
     }
 }
 
-impl fmt::Display for Trip {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { cause, joint, value, limit } = self;
-        let joint = joint + 1;
+impl Trip {
+    /// The trip in words, with the name of its joint in `model`.
+    pub fn text(&self, model: &Model) -> String {
+        let Self { cause, joint, value, limit } = *self;
+        let (name, kind) = (model.joint_name(joint), model.joint_kind(joint));
+        let [q, qd, tau] =
+            [LimitKind::Position, LimitKind::Velocity, LimitKind::Torque].map(|quantity| quantity.unit(kind));
         match cause {
             TripCause::StaleMeasurement => {
-                write!(f, "no new measurement for {value:.0} cycles, limit {limit:.0}")
+                format!("no new measurement for {value:.0} cycles, limit {limit:.0}")
             }
-            TripCause::MeasurementGap => write!(f, "{value:.0} measurements were missed, limit {limit:.0}"),
+            TripCause::MeasurementGap => format!("{value:.0} measurements were missed, limit {limit:.0}"),
             TripCause::NotFinite => {
-                write!(f, "the angle of joint {joint} is {value}, expected at most {limit} rad")
+                format!("the position of joint `{name}` is {value}, expected at most {limit} {q}")
             }
-            TripCause::EncoderJump => {
-                write!(
-                    f,
-                    "the angle of joint {joint} jumped by {value:.5} rad, at most {limit:.5} rad are possible"
-                )
-            }
+            TripCause::EncoderJump => format!(
+                "the position of joint `{name}` jumped by {value:.5} {q}, at most {limit:.5} {q} are possible"
+            ),
             TripCause::PositionLimit | TripCause::PendulumRange => {
-                write!(f, "joint {joint} at {value:.4} rad, limit {limit:.4} rad")
+                format!("joint `{name}` at {value:.4} {q}, limit {limit:.4} {q}")
             }
             TripCause::VelocityLimit => {
-                write!(f, "joint {joint} moves at {value:.4} rad/s, limit {limit:.4} rad/s")
+                format!("joint `{name}` moves at {value:.4} {qd}, limit {limit:.4} {qd}")
             }
             TripCause::TorqueLimit => {
-                write!(f, "joint {joint} shows a torque of {value:.2} N m, limit {limit:.2} N m")
+                format!("joint `{name}` shows a torque of {value:.2} {tau}, limit {limit:.2} {tau}")
             }
-            TripCause::TorqueRate => {
-                write!(
-                    f,
-                    "the torque commanded to joint {joint} changes by {value:.0} N m/s, limit {limit:.0} N m/s"
-                )
-            }
-            TripCause::DrivesStopped => {
-                write!(
-                    f,
-                    "brakes closed or drives not ready for {value:.0} cycles with the brakes commanded open, limit \
-                     {limit:.0}"
-                )
-            }
+            TripCause::TorqueRate => format!(
+                "the torque commanded to joint `{name}` changes by {value:.0} {tau}/s, limit {limit:.0} {tau}/s"
+            ),
+            TripCause::DrivesStopped => format!(
+                "brakes closed or drives not ready for {value:.0} cycles with the brakes commanded open, limit {limit:.0}"
+            ),
             TripCause::PeriodMismatch => {
-                write!(f, "the plant has a period of {value:.0} ns, the daemon one of {limit:.0} ns")
+                format!("the plant has a period of {value:.0} ns, the daemon one of {limit:.0} ns")
+            }
+            TripCause::OtherChain => {
+                format!(
+                    "number of joints or of actuated joints: the plant has {value:.0}, the daemon {limit:.0}"
+                )
             }
             TripCause::UnknownClock => {
-                write!(f, "the plant names clock {value:.0}, the last known is {limit:.0}")
+                format!("the plant names clock {value:.0}, the last known is {limit:.0}")
             }
             TripCause::TrackingError => {
-                write!(f, "joint {joint} is {value:.4} rad from its reference, limit {limit:.4} rad")
+                format!("joint `{name}` is {value:.4} {q} from its reference, limit {limit:.4} {q}")
             }
             TripCause::BalanceLost => {
-                write!(f, "the rod is {value:.4} rad from the end of the plan, limit {limit:.4} rad")
+                format!("the rod is {value:.4} rad from the end of the plan, limit {limit:.4} rad")
             }
-            TripCause::FrozenMeasurement => {
-                write!(
-                    f,
-                    "no angle and no measured torque has changed for {value:.4} s, although the commanded torque did"
-                )
-            }
-            TripCause::Collision => {
-                write!(
-                    f,
-                    "an unexplained torque of {value:.2} N m acts on joint {joint}, limit {limit:.2} N m: is \
-                     something in its way?"
-                )
-            }
-            TripCause::BalanceSpeed => {
-                write!(
-                    f,
-                    "joint {joint} would have to move at {value:.4} rad/s to keep the rod upright, limit {limit:.4} rad/s"
-                )
-            }
-            TripCause::StuckEncoder => {
-                write!(
-                    f,
-                    "the angle of joint {joint} has not changed for {value:.4} s, although the torque must have moved it \
-                     by more than {limit} rad: its encoder is stuck, or something blocks it"
-                )
-            }
-            TripCause::LateCycles => write!(f, "{value:.0} late cycles in a row, limit {limit:.0}"),
+            TripCause::FrozenMeasurement => format!(
+                "no position and no measured torque has changed for {value:.4} s, although the commanded torque did"
+            ),
+            TripCause::Collision => format!(
+                "an unexplained torque of {value:.2} {tau} acts on joint `{name}`, limit {limit:.2} {tau}: is something in \
+                 its way?"
+            ),
+            TripCause::BalanceSpeed => format!(
+                "joint `{name}` would have to move at {value:.4} {qd} to keep the rod upright, limit {limit:.4} {qd}"
+            ),
+            TripCause::StuckEncoder => format!(
+                "the position of joint `{name}` has not changed for {value:.4} s, although the torque must have moved it by \
+                 more than {limit} {q}: its encoder is stuck, or something blocks it"
+            ),
+            TripCause::LateCycles => format!("{value:.0} late cycles in a row, limit {limit:.0}"),
             TripCause::NoMeasurement
             | TripCause::MeasurementRestarted
             | TripCause::DriveFault
             | TripCause::LawNotFinite
-            | TripCause::PlanAge => f.write_str(cause.text()),
+            | TripCause::PlanAge => cause.text().to_owned(),
         }
     }
 }
@@ -267,45 +257,48 @@ impl fmt::Display for Trip {
 #[cfg(test)]
 mod tests {
     use super::{Trip, TripCause};
+    use upswing_config::Config;
 
-    /// Expected texts for joint 3, 0-based, with the value 1.5 and the limit 4.
-    const TEXTS: [(TripCause, &str); 18] = [
+    /// Expected texts for `joint_3` with the value 1.5 and the limit 4.
+    const TEXTS: [(TripCause, &str); 19] = [
         (TripCause::StaleMeasurement, "no new measurement for 2 cycles, limit 4"),
         (TripCause::MeasurementGap, "2 measurements were missed, limit 4"),
-        (TripCause::NotFinite, "the angle of joint 3 is 1.5, expected at most 4 rad"),
+        (TripCause::NotFinite, "the position of joint `joint_3` is 1.5, expected at most 4 rad"),
         (
             TripCause::EncoderJump,
-            "the angle of joint 3 jumped by 1.50000 rad, at most 4.00000 rad are possible",
+            "the position of joint `joint_3` jumped by 1.50000 rad, at most 4.00000 rad are possible",
         ),
-        (TripCause::PositionLimit, "joint 3 at 1.5000 rad, limit 4.0000 rad"),
-        (TripCause::PendulumRange, "joint 3 at 1.5000 rad, limit 4.0000 rad"),
-        (TripCause::VelocityLimit, "joint 3 moves at 1.5000 rad/s, limit 4.0000 rad/s"),
-        (TripCause::TorqueLimit, "joint 3 shows a torque of 1.50 N m, limit 4.00 N m"),
-        (TripCause::TorqueRate, "the torque commanded to joint 3 changes by 2 N m/s, limit 4 N m/s"),
+        (TripCause::PositionLimit, "joint `joint_3` at 1.5000 rad, limit 4.0000 rad"),
+        (TripCause::PendulumRange, "joint `joint_3` at 1.5000 rad, limit 4.0000 rad"),
+        (TripCause::VelocityLimit, "joint `joint_3` moves at 1.5000 rad/s, limit 4.0000 rad/s"),
+        (TripCause::TorqueLimit, "joint `joint_3` shows a torque of 1.50 N m, limit 4.00 N m"),
+        (TripCause::TorqueRate, "the torque commanded to joint `joint_3` changes by 2 N m/s, limit 4 N m/s"),
+        (TripCause::OtherChain, "number of joints or of actuated joints: the plant has 2, the daemon 4"),
         (TripCause::PeriodMismatch, "the plant has a period of 2 ns, the daemon one of 4 ns"),
         (TripCause::UnknownClock, "the plant names clock 2, the last known is 4"),
-        (TripCause::TrackingError, "joint 3 is 1.5000 rad from its reference, limit 4.0000 rad"),
+        (TripCause::TrackingError, "joint `joint_3` is 1.5000 rad from its reference, limit 4.0000 rad"),
         (TripCause::BalanceLost, "the rod is 1.5000 rad from the end of the plan, limit 4.0000 rad"),
         (TripCause::LateCycles, "2 late cycles in a row, limit 4"),
         (TripCause::PlanAge, "the loaded plan is old"),
         (
             TripCause::BalanceSpeed,
-            "joint 3 would have to move at 1.5000 rad/s to keep the rod upright, limit 4.0000 rad/s",
+            "joint `joint_3` would have to move at 1.5000 rad/s to keep the rod upright, limit 4.0000 rad/s",
         ),
         (
             TripCause::Collision,
-            "an unexplained torque of 1.50 N m acts on joint 3, limit 4.00 N m: is something in its way?",
+            "an unexplained torque of 1.50 N m acts on joint `joint_3`, limit 4.00 N m: is something in its way?",
         ),
         (
             TripCause::FrozenMeasurement,
-            "no angle and no measured torque has changed for 1.5000 s, although the commanded torque did",
+            "no position and no measured torque has changed for 1.5000 s, although the commanded torque did",
         ),
     ];
 
     #[test]
     fn a_trip_tells_joint_value_and_limit() {
+        let model = Config::embedded().expect("settings").model;
         for (cause, text) in TEXTS {
-            assert_eq!(Trip { cause, joint: 2, value: 1.5, limit: 4.0 }.to_string(), text);
+            assert_eq!(Trip { cause, joint: 2, value: 1.5, limit: 4.0 }.text(&model), text);
         }
     }
 }
