@@ -3,17 +3,6 @@
 /// Encapsulation header of a message: CDR, little-endian.
 pub const HEADER: [u8; 4] = [0, 1, 0, 0];
 
-/// Encodes a message that consists of words of 8 bytes, which need no padding.
-pub fn of_words(words: impl Iterator<Item = u64>) -> Vec<u8> {
-    HEADER.into_iter().chain(words.flat_map(u64::to_le_bytes)).collect()
-}
-
-/// Decodes the words of a message; `None` if the header differs or the length is no multiple of 8 bytes.
-pub fn words(message: &[u8]) -> Option<Vec<u64>> {
-    let (words, rest) = message.strip_prefix(&HEADER)?.as_chunks();
-    rest.is_empty().then(|| words.iter().map(|word| u64::from_le_bytes(*word)).collect())
-}
-
 /// Writer of a message. Numbers are aligned to their size, counted from the end of the header.
 pub struct Cdr(Vec<u8>);
 
@@ -32,9 +21,13 @@ impl Cdr {
         self.0.extend(value.to_le_bytes());
     }
 
-    pub fn f64(&mut self, value: f64) {
+    pub fn u64(&mut self, value: u64) {
         self.align(8);
         self.0.extend(value.to_le_bytes());
+    }
+
+    pub fn f64(&mut self, value: f64) {
+        self.u64(value.to_bits());
     }
 
     /// Writes the length of a sequence, before its items.
@@ -56,5 +49,44 @@ impl Cdr {
 
     pub fn bytes(self) -> Vec<u8> {
         self.0
+    }
+}
+
+/// Reader of a message of numbers, as [`Cdr`] writes it. Its methods return `None` where the message ends early.
+pub struct CdrReader<'a> {
+    body: &'a [u8],
+    at: usize,
+}
+
+impl<'a> CdrReader<'a> {
+    /// The reader of a message; `None` if its header differs.
+    pub fn new(message: &'a [u8]) -> Option<Self> {
+        Some(Self { body: message.strip_prefix(&HEADER)?, at: 0 })
+    }
+
+    fn take<const N: usize>(&mut self) -> Option<[u8; N]> {
+        let from = self.at.next_multiple_of(N);
+        let bytes = *self.body.get(from..)?.first_chunk()?;
+        self.at = from + N;
+        Some(bytes)
+    }
+
+    pub fn u64(&mut self) -> Option<u64> {
+        self.take().map(u64::from_le_bytes)
+    }
+
+    /// Length of a sequence of numbers of eight bytes; `None`, too, if the message is too short for them.
+    pub fn length(&mut self) -> Option<usize> {
+        let items = usize::try_from(self.take().map(u32::from_le_bytes)?).ok()?;
+        (items.checked_mul(size_of::<u64>())? <= self.body.len() - self.at).then_some(items)
+    }
+
+    pub fn f64(&mut self) -> Option<f64> {
+        self.u64().map(f64::from_bits)
+    }
+
+    /// Whether all of the message is read.
+    pub fn is_empty(&self) -> bool {
+        self.at == self.body.len()
     }
 }

@@ -6,20 +6,20 @@ use upswing_config::Config;
 use upswing_ipc::operator::planning_text;
 use upswing_ipc::{Mode, PlannerResponse, Telemetry};
 use upswing_model::thresholds::{REPORT_POSITION_SLACK, REST_SPEED_REPORT};
-use upswing_model::{JointParts, JointVector, Limits, Model, NQ, NU};
+use upswing_model::{JointVector, Limits, Model};
 
 /// Figures of a motion: `T` is a number, or a statistic of the numbers of many motions.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct MotionFigures<T = f64> {
-    /// Largest difference between a position of joints 1-7 and its reference while tracking, rad.
+    /// Largest difference between a position of an actuated joint and its reference while tracking, rad or m.
     pub tracking_error_arm: T,
-    /// Largest difference between a position of joints 8-9 and its reference while tracking, rad.
+    /// Largest difference between a position of an unactuated joint and its reference while tracking, rad or m.
     pub tracking_error_pendulum: T,
-    /// Largest share of the 100 % position limits that joints 1-7 reached.
+    /// Largest share of the half of its 100 % position range that an actuated joint was away from the middle.
     pub peak_position: T,
-    /// Largest share of the 100 % velocity limits that joints 1-7 reached.
+    /// Largest share of the 100 % velocity limits that the actuated joints reached.
     pub peak_velocity: T,
-    /// Largest share of the 100 % velocity limits that joints 8 and 9 reached while tracking or balancing.
+    /// Largest share of the 100 % velocity limits that the unactuated joints reached while tracking or balancing.
     pub peak_velocity_pendulum: T,
     /// Largest share of the 100 % torque limits in the commanded torques, at most 1 because of the limiter.
     pub peak_torque: T,
@@ -27,7 +27,7 @@ pub struct MotionFigures<T = f64> {
     pub limited_share: T,
     /// Largest angle of the rod from upright in the last second of balance, deg.
     pub final_tilt_deg: T,
-    /// Largest velocity of joints 1-7 in the last second of balance, rad/s.
+    /// Largest velocity of the actuated joints in the last second of balance, rad/s or m/s.
     pub final_speed: T,
 }
 
@@ -58,7 +58,7 @@ pub struct MotionStatistics {
     pub balance_s: f64,
     /// Number of recorded cycles.
     pub cycles: u64,
-    /// Number of records lost between daemon and recorder.
+    /// Number of records that were lost between daemon and recorder, or are of another robot.
     pub dropped: u64,
     /// Number of late cycles (clocks `wall` and `paced`).
     pub overruns: u64,
@@ -93,22 +93,24 @@ const BALANCED_DEG: f64 = 2.0;
 /// for which the gains were computed; one hard push takes about 0.02 s in two seconds.
 const LIMITED_SHARE: f64 = 0.01;
 
-/// Angle of the rod from upright at joint positions q (rad), rad: between the line from joint 9 to the tip and the vertical.
+/// Angle of the rod from upright at joint positions q, rad: between the line from the last joint to the tip and the vertical.
 pub fn tilt(model: &Model, q: &JointVector) -> f64 {
     let rod = model.rod(q);
     (rod.z / rod.norm()).clamp(-1.0, 1.0).acos()
 }
 
-/// Excess of a joint position over its limit, with the joint (from 0) and the record.
+/// Excess of a joint position over its limit, with the joint (its number in the chain, from 0) and the record.
 struct LimitExcess<'a> {
-    rad: f64,
+    /// rad or m
+    by: f64,
+    unit: &'static str,
     joint: usize,
     record: Option<&'a Telemetry>,
 }
 
 impl std::fmt::Display for LimitExcess<'_> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "joint {} went {:.5} rad past its position limit", self.joint + 1, self.rad)?;
+        write!(f, "joint {} went {:.5} {} past its position limit", self.joint + 1, self.by, self.unit)?;
         if let Some((record, mode)) = self.record.and_then(|r| Some((r, r.mode().ok()?))) {
             write!(f, " in mode {mode}, {:.3} s after the plan's start", record.t_plan)?;
         }
@@ -122,6 +124,8 @@ pub struct MotionStatisticsCounter {
     /// Tracking errors and peaks; the other figures follow at the end.
     motion: MotionFigures,
     cycles: u64,
+    /// Number of records of another robot, which do not count as cycles.
+    foreign: u64,
     overruns: u64,
     /// Number of cycles of tracking and balancing.
     controlled: u64,
@@ -134,7 +138,7 @@ pub struct MotionStatisticsCounter {
     balances: u64,
     /// Time of the preceding cycle if it was balanced, ns.
     balanced_ns: Option<u64>,
-    /// Cycles of the last second of balance: time (ns), tilt of the rod (rad), speed of the fastest joint of the arm (rad/s).
+    /// Cycles of the last second of balance: time (ns), tilt of the rod (rad), speed of the fastest actuated joint (rad/s or m/s).
     end: VecDeque<(u64, f64, f64)>,
 }
 
@@ -143,30 +147,31 @@ impl MotionStatisticsCounter {
     pub fn count(&mut self, model: &Model, limits: &Limits, t: &Telemetry) {
         /// One second, ns.
         const SECOND: u64 = 1_000_000_000;
+        let Ok(vectors) = t.vectors(model.order()) else {
+            self.foreign += 1;
+            return;
+        };
+        let (q, qd) = (vectors.x.q(), vectors.x.qd());
         let motion = &mut self.motion;
         self.cycles += 1;
         self.overruns += u64::from(t.flags & Telemetry::OVERRUN != 0);
-        for i in 0..NU {
-            let range = if t.q[i] < 0.0 { limits.q_min[i] } else { limits.q_max[i] };
-            motion.peak_position = motion.peak_position.max(t.q[i] / range);
-            motion.peak_velocity = motion.peak_velocity.max(t.qd[i].abs() / limits.qd_max[i]);
-            motion.peak_torque = motion.peak_torque.max(t.tau[i].abs() / limits.tau_max[i]);
-        }
+        let middle = (limits.q_max + limits.q_min) / 2.0;
+        let reach = (limits.q_max - limits.q_min) / 2.0;
+        let most =
+            |shares: &[f64], before: f64| shares.iter().fold(before, |most, share| most.max(share.abs()));
+        let speeds = qd.component_div(&limits.qd_max);
+        motion.peak_position = most(&(q - middle).component_div(&reach).actuated(), motion.peak_position);
+        motion.peak_velocity = most(&speeds.actuated(), motion.peak_velocity);
+        motion.peak_torque = most(&vectors.tau.component_div(&limits.tau_max), motion.peak_torque);
         if matches!(t.mode(), Ok(Mode::Track | Mode::Balance)) {
             self.controlled += 1;
             self.limited += u64::from(t.flags & Telemetry::LIMITED != 0);
-            for i in NU..NQ {
-                motion.peak_velocity_pendulum =
-                    motion.peak_velocity_pendulum.max(t.qd[i].abs() / limits.qd_max[i]);
-            }
+            motion.peak_velocity_pendulum = most(&speeds.unactuated(), motion.peak_velocity_pendulum);
         }
         if t.mode() == Ok(Mode::Track) {
-            for i in 0..NQ {
-                let error = (t.q[i] - t.q_d[i]).abs();
-                let worst =
-                    if i < NU { &mut motion.tracking_error_arm } else { &mut motion.tracking_error_pendulum };
-                *worst = worst.max(error);
-            }
+            let error = q - vectors.x_d.q();
+            motion.tracking_error_arm = most(&error.actuated(), motion.tracking_error_arm);
+            motion.tracking_error_pendulum = most(&error.unactuated(), motion.tracking_error_pendulum);
         }
         let before = self.balanced_ns.take();
         if t.mode() == Ok(Mode::Balance) {
@@ -179,8 +184,7 @@ impl MotionStatisticsCounter {
             if self.end.back().is_some_and(|(last, ..)| t.t_ns < *last) {
                 self.end.clear();
             }
-            let fastest = t.qd[..NU].iter().fold(0.0, |most: f64, v| v.abs().max(most));
-            self.end.push_back((t.t_ns, tilt(model, &JointVector::from(t.q)), fastest));
+            self.end.push_back((t.t_ns, tilt(model, &q), qd.actuated().amax()));
             while self.end.front().is_some_and(|(begin, ..)| t.t_ns.saturating_sub(*begin) >= SECOND) {
                 self.end.pop_front();
             }
@@ -202,20 +206,22 @@ impl MotionStatisticsCounter {
             },
             balance_s: self.balance_ns as f64 * 1e-9 + self.balances as f64 * period,
             cycles: self.cycles,
-            dropped,
+            dropped: dropped + self.foreign,
             overruns: self.overruns,
         }
     }
 }
 
 impl<'a> LimitExcess<'a> {
-    fn most(limits: &Limits, records: &'a [Telemetry]) -> Self {
-        let mut most = Self { rad: f64::NEG_INFINITY, joint: 0, record: None };
+    fn most(model: &Model, limits: &Limits, records: &'a [Telemetry]) -> Self {
+        let mut most = Self { by: f64::NEG_INFINITY, unit: "", joint: 0, record: None };
         for t in records {
-            for i in 0..NU {
-                let rad = (t.q[i] - limits.q_max[i]).max(limits.q_min[i] - t.q[i]);
-                if rad > most.rad {
-                    most = Self { rad, joint: i, record: Some(t) };
+            let Ok(vectors) = t.vectors(model.order()) else { continue };
+            for (i, q) in vectors.x.q_a().iter().enumerate() {
+                let by = (q - limits.q_max[i]).max(limits.q_min[i] - q);
+                if by > most.by {
+                    let (unit, joint) = (model.joint_kind(i).unit(), model.order().joint(i));
+                    most = Self { by, unit, joint, record: Some(t) };
                 }
             }
         }
@@ -225,7 +231,7 @@ impl<'a> LimitExcess<'a> {
 
 impl SwingUpEvaluation {
     /// Evaluates the records of a swing-up that has to balance for `seconds`. `fastest`: the largest true speeds of all joints,
-    /// rad/s, if a simulated plant provides them; they count in addition to the estimated speeds, which the filter smooths.
+    /// rad/s or m/s, if a simulated plant provides them; they count in addition to the estimated speeds, which the filter smooths.
     pub fn new(
         config: &Config,
         plan: &PlannerResponse,
@@ -242,10 +248,10 @@ impl SwingUpEvaluation {
         if let Some(fastest) = fastest {
             let shares = fastest.component_div(&limits.qd_max);
             let motion = &mut statistics.motion;
-            motion.peak_velocity = shares.actuated().max().max(motion.peak_velocity);
-            motion.peak_velocity_pendulum = shares.unactuated().max().max(motion.peak_velocity_pendulum);
+            motion.peak_velocity = shares.actuated().amax().max(motion.peak_velocity);
+            motion.peak_velocity_pendulum = shares.unactuated().amax().max(motion.peak_velocity_pendulum);
         }
-        let beyond = LimitExcess::most(limits, records);
+        let beyond = LimitExcess::most(&config.model, limits, records);
         let mut failures = Vec::new();
         let (s, m) = (&statistics, &statistics.motion);
         let mut fail = |bad: bool, text: String| {
@@ -287,7 +293,7 @@ impl SwingUpEvaluation {
                 100.0 * LIMITED_SHARE
             ),
         );
-        fail(beyond.rad > REPORT_POSITION_SLACK, beyond.to_string());
+        fail(beyond.by > REPORT_POSITION_SLACK, beyond.to_string());
         fail(s.dropped > 0, format!("{} telemetry records were lost", s.dropped));
         Self {
             success: failures.is_empty(),

@@ -9,8 +9,8 @@
 //! | `/tf` | `tf2_msgs/msg/TFMessage` | 125 Hz | pose of each link of the URDF in the frame of its parent |
 //! | `/robot_description` | `std_msgs/msg/String` | once | the URDF |
 //!
-//! Messages are ROS 2 messages in CDR, with their definitions in the file: all of these tools read them without ROS, and a
-//! message of a cycle is the bytes of the cycle in shared memory after a header of four bytes. Protobuf would need a generated
+//! Messages are ROS 2 messages in CDR, with their definitions in the file: all of these tools read them without ROS. Values of joints are
+//! lists as long as the robot has joints, in the chain's order; the metadata contain the names of the joints ([`JOINTS`]). Protobuf would need a generated
 //! descriptor and is no smaller for arrays of doubles; JSON is four times as large.
 //!
 //! Times of messages are `t_ns` of the cycle: CLOCK_MONOTONIC on the wall clock, otherwise time since the start of the plant.
@@ -41,10 +41,14 @@ use upswing_process::Failure;
 
 /// Name of the metadata record with the data that identify the run.
 pub const DETAILS: &str = "upswing";
+/// Key of the names of the joints in that record, in the chain's order, separated by commas.
+pub const JOINTS: &str = "joints";
 /// Number of cycles per chunk: a quarter of a second at 8 kHz, large enough to compress well.
 pub const CHUNK: usize = 2048;
 /// Topic of the cycles.
 const CYCLE_TOPIC: &str = "/upswing/cycle";
+/// Topic of the steps.
+const STEP_TOPIC: &str = "/upswing/step";
 
 /// Error of writing or reading a recording.
 #[derive(Debug, thiserror::Error)]
@@ -91,6 +95,27 @@ pub enum RecordingError {
         /// Length of the message, bytes.
         bytes: usize,
     },
+    /// A cycle of another robot than the cycles before it.
+    #[error(
+        "{}: message {number} is of {} joints, {} of them actuated, expected {} and {} as in the cycles before it",
+        path.display(), .got.0, .got.1, .expected.0, .expected.1
+    )]
+    Joints {
+        /// Path of the file.
+        path: PathBuf,
+        /// Number of the message.
+        number: u32,
+        /// Numbers of joints of the cycle, all and actuated.
+        got: (u64, u64),
+        /// Numbers of joints of the cycles before it.
+        expected: (u64, u64),
+    },
+    /// A cycle to be recorded is of another robot.
+    #[error(transparent)]
+    OtherChain(#[from] upswing_ipc::OtherChain),
+    /// A plan to be recorded has other sizes than its header states.
+    #[error(transparent)]
+    Plan(#[from] upswing_ipc::DamagedPlan),
     /// Messages of another version: their name or a field differs.
     #[error(
         "{}: the messages are `{name}` with {difference}, expected `{expected}`; read it with the version of upswing that \
@@ -162,7 +187,9 @@ fn advice(cause: &std::io::Error) -> &'static str {
 impl From<RecordingError> for Failure {
     fn from(e: RecordingError) -> Self {
         match e {
-            RecordingError::Write { .. } | RecordingError::Ipc(_) => Self::failed(e),
+            RecordingError::Write { .. } | RecordingError::Ipc(_) | RecordingError::Plan(_) => {
+                Self::failed(e)
+            }
             _ => Self::bad_input(e),
         }
     }

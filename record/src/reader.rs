@@ -1,7 +1,7 @@
 //! Reader of recordings, also of recordings by a killed process, rewritten by other tools, or damaged.
 
 use super::parts::{self, FilePart, FileParts, PartError};
-use super::{CYCLE_TOPIC, DETAILS, Elapsed, FieldDifference, RecordingError, cdr, cycle, messages};
+use super::{CYCLE_TOPIC, DETAILS, Elapsed, FieldDifference, RecordingError, STEP_TOPIC, cycle, messages};
 use mcap::records::{Record, op};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -30,14 +30,13 @@ impl Window {
 
 /// A message of a recording.
 #[derive(Clone, Debug)]
-#[expect(clippy::large_enum_variant, reason = "hardly any are plans")]
 pub enum Message {
     /// The record of a cycle.
     Cycle(Telemetry),
     /// The input of the controller in one step.
     Step(RecordedStep),
     /// A plan that a later step may load.
-    Plan(Box<PlanMessage>),
+    Plan(PlanMessage),
 }
 
 /// The contents of a recording other than its messages.
@@ -94,8 +93,15 @@ pub fn scan<E: From<RecordingError>>(
         cause: Box::new(mcap::McapError::BadMagic),
     })?;
     let (schemas, channels) = (BTreeMap::new(), BTreeMap::new());
-    let (settings, elapsed, clock) = (0, Elapsed::default(), u64::MAX);
-    let mut reader = MessageReader { path, window, schemas, channels, settings, elapsed, clock };
+    let mut reader = MessageReader {
+        path,
+        window,
+        schemas,
+        channels,
+        settings: 0,
+        elapsed: Elapsed::default(),
+        joints: None,
+    };
     let mut recording = Recording::default();
     let (mut finished, mut seen) = (false, 0_u64);
     let mut damage = DamagedParts::default();
@@ -173,8 +179,6 @@ impl DamagedParts {
 #[derive(Clone, Copy)]
 enum MessageKind {
     Cycle,
-    /// A cycle in the first version of the message: its clock is that of the step before it.
-    CycleWithoutClock,
     Step,
     Plan,
 }
@@ -190,8 +194,8 @@ struct MessageReader<'a> {
     /// Size of the settings read so far, bytes.
     settings: usize,
     elapsed: Elapsed,
-    /// Code of the plant's clock in the newest step; before the first step a number that is no code.
-    clock: u64,
+    /// Numbers of joints, all and actuated, of the cycles read so far.
+    joints: Option<(u64, u64)>,
 }
 
 impl MessageReader<'_> {
@@ -211,25 +215,11 @@ impl MessageReader<'_> {
                 self.schemas.insert(header.id, (header.name, text(&data)));
             }
             Record::Channel(c) => {
-                let first = &cycle::first_definition();
-                if c.topic == CYCLE_TOPIC && self.check(c.schema_id, cycle::TYPE, first).is_ok() {
-                    self.channels.insert(c.id, MessageKind::CycleWithoutClock);
-                    return Ok(None);
-                }
+                let (cycle, step, plan) = (&cycle::CYCLE, &cycle::STEP, &messages::PLANS);
                 let known = [
-                    (CYCLE_TOPIC, MessageKind::Cycle, cycle::TYPE, cycle::definition()),
-                    (
-                        messages::STEPS.name,
-                        MessageKind::Step,
-                        messages::STEPS.kind,
-                        messages::STEPS.definition.into(),
-                    ),
-                    (
-                        messages::PLANS.name,
-                        MessageKind::Plan,
-                        messages::PLANS.kind,
-                        messages::PLANS.definition.into(),
-                    ),
+                    (CYCLE_TOPIC, MessageKind::Cycle, cycle.name, cycle.definition()),
+                    (STEP_TOPIC, MessageKind::Step, step.name, step.definition()),
+                    (plan.name, MessageKind::Plan, plan.kind, plan.definition.into()),
                 ];
                 if let Some((_, kind, name, definition)) = known.iter().find(|(topic, ..)| c.topic == *topic)
                 {
@@ -239,28 +229,29 @@ impl MessageReader<'_> {
             }
             Record::Message { header, data } => {
                 let Some(kind) = self.channels.get(&header.channel_id) else { return Ok(None) };
-                let mut words = cdr::words(&data);
-                if let (MessageKind::CycleWithoutClock, Some(words)) = (kind, &mut words) {
-                    words.push(self.clock);
-                }
-                let words = words.as_deref();
                 let (number, bytes) = (header.sequence, data.len());
                 let other = || RecordingError::MessageLength { path: self.path.to_owned(), number, bytes };
                 return match kind {
-                    MessageKind::Cycle | MessageKind::CycleWithoutClock => {
-                        let cycle = words.and_then(Telemetry::from_words).ok_or_else(other)?;
+                    MessageKind::Cycle => {
+                        let words = cycle::CYCLE.decode(&data);
+                        let cycle = words.and_then(|w| Telemetry::from_words(&w)).ok_or_else(other)?;
+                        let got = (cycle.joints, cycle.actuated);
+                        let expected = *self.joints.get_or_insert(got);
+                        if got != expected {
+                            let path = self.path.to_owned();
+                            return Err(RecordingError::Joints { path, number, got, expected });
+                        }
                         let t = self.elapsed.until(cycle.t_ns) as f64 * 1e-9;
                         let inside = t >= self.window.from && t <= self.window.to;
                         Ok(inside.then_some(Message::Cycle(cycle)))
                     }
                     MessageKind::Step => {
-                        let step = words.and_then(RecordedStep::from_words).ok_or_else(other)?;
-                        self.clock = step.measurement.clock;
+                        let words = cycle::STEP.decode(&data);
+                        let step = words.and_then(|w| RecordedStep::from_words(&w)).ok_or_else(other)?;
                         Ok(Some(Message::Step(step)))
                     }
                     MessageKind::Plan => {
-                        let plan = words.and_then(PlanMessage::from_words).ok_or_else(other)?;
-                        Ok(Some(Message::Plan(plan)))
+                        Ok(Some(Message::Plan(messages::read_plan(&data).ok_or_else(other)?)))
                     }
                 };
             }

@@ -1,10 +1,11 @@
 //! Replay: runs a controller on the recorded inputs of every step and compares its output with the recorded cycles.
 
-use crate::{Message, Recording, RecordingError, Window, cycle, scan};
+use crate::cycle::CycleNumber;
+use crate::{JOINTS, Message, Recording, RecordingError, Window, messages, scan};
 use std::collections::BTreeMap;
 use std::path::Path;
 use upswing_config::{Config, ConfigError};
-use upswing_ipc::{RecordedStep, Telemetry, UnknownCode};
+use upswing_ipc::{OtherChain, RecordedStep, Telemetry, UnknownCode};
 use upswingd::controller::Controller;
 use upswingd::os::flush_to_zero;
 use upswingd::plan::{PlanRefusal, accept};
@@ -49,6 +50,17 @@ pub enum ReplayError {
     /// The recording has no steps.
     #[error("expected steps to replay, got none: the recording is of an older version")]
     NoSteps,
+    /// The recording is of another robot than the settings.
+    #[error("expected a recording of a robot with the joints {expected}, got one with {got}")]
+    OtherRobot {
+        /// Names of the joints of the settings.
+        expected: String,
+        /// Names of the joints in the recording.
+        got: String,
+    },
+    /// The recording is of a robot with other numbers of joints than the settings.
+    #[error(transparent)]
+    OtherChain(#[from] OtherChain),
     /// Earlier steps are missing, so that the state of the controller is unknown.
     #[error(
         "expected step {expected}, got step {got}: a replay needs all steps from the start of the daemon; record with \
@@ -103,7 +115,7 @@ pub enum RecordedRequestError {
 pub struct Difference {
     /// Number of the cycle.
     pub cycle: u64,
-    /// Name of the field; for an array with the number of the joint, from 1.
+    /// Name of the field; for a list with the name of the joint, like `tau of joint_4`.
     pub field: String,
     /// Value in the recording.
     pub recorded: String,
@@ -142,6 +154,15 @@ pub fn replay(recorded: &RecordedRun, config: &Config) -> Result<Replay, ReplayE
 }
 
 fn run(run: &RecordedRun, config: &Config) -> Result<Replay, ReplayError> {
+    let expected = messages::joint_names(&config.model);
+    if let Some(got) = run.recording.details.get(JOINTS).filter(|got| **got != expected) {
+        return Err(ReplayError::OtherRobot { expected, got: got.clone() });
+    }
+    for cycle in &run.cycles {
+        cycle.vectors(config.model.order())?;
+    }
+    let mut numbers = CycleNumber::all(&config.model);
+    numbers.retain(|number| !OF_THE_THREAD.contains(&number.field));
     // In the order of daemons and cycles: a recording may continue over restarts of the daemon.
     let mut recorded = run.cycles.iter().peekable();
     let mut plans = BTreeMap::new();
@@ -151,7 +172,7 @@ fn run(run: &RecordedRun, config: &Config) -> Result<Replay, ReplayError> {
     for input in &run.inputs {
         let step = match input {
             Message::Plan(plan) => {
-                plans.insert(plan.id, &**plan);
+                plans.insert(plan.header.id, plan);
                 continue;
             }
             Message::Step(step) => step,
@@ -183,33 +204,29 @@ fn run(run: &RecordedRun, config: &Config) -> Result<Replay, ReplayError> {
         replay.cycles.push(telemetry);
         if let Some(record) = recorded.next_if(|record| record.seq == cycle) {
             replay.compared += 1;
-            compare(record, &telemetry, &mut replay);
+            compare(&numbers, record, &telemetry, &mut replay);
         }
     }
     if replay.steps == 0 { Err(ReplayError::NoSteps) } else { Ok(replay) }
 }
 
-/// Compares two records of the same cycle and stores the first differences in `replay`.
-fn compare(recorded: &Telemetry, replayed: &Telemetry, replay: &mut Replay) {
+/// Compares the `numbers` of two records of the same cycle and stores the first differences in `replay`.
+fn compare(numbers: &[CycleNumber], recorded: &Telemetry, replayed: &Telemetry, replay: &mut Replay) {
     let mut recorded = *recorded;
     recorded.flags &= !Telemetry::OVERRUN;
     let words = |record: &Telemetry| record.words().collect::<Vec<_>>();
     let (old, new) = (words(&recorded), words(replayed));
-    for field in cycle::FIELDS.iter().filter(|field| !OF_THE_THREAD.contains(&field.name)) {
-        let Some(i) = (field.offset..field.offset + field.length).find(|i| old[*i] != new[*i]) else {
-            continue;
-        };
-        let text = |word: u64| {
-            if field.integer { word.to_string() } else { f64::from_bits(word).to_string() }
-        };
-        let joint = if field.length > 1 { format!("{}", i - field.offset + 1) } else { String::new() };
+    for number in numbers.iter().filter(|number| number.bits(&old) != number.bits(&new)) {
         let difference = Difference {
             cycle: replayed.seq,
-            field: format!("{}{joint}", field.name),
-            recorded: text(old[i]),
-            replayed: text(new[i]),
+            field: match &number.joint {
+                Some(joint) => format!("{} of {joint}", number.field),
+                None => number.field.to_owned(),
+            },
+            recorded: number.text(&old),
+            replayed: number.text(&new),
         };
-        if matches!(field.name, "mode" | "fault") {
+        if matches!(number.field, "mode" | "fault") {
             replay.decision.get_or_insert(difference.clone());
         }
         replay.difference.get_or_insert(difference);

@@ -1,8 +1,8 @@
 //! Links of the robot in its URDF: frames for recordings, shapes for pictures.
 
-use nalgebra::{Isometry3, Point3, Unit, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 use serde::Serialize;
-use upswing_model::{JointVector, Model, Urdf, UrdfError, UrdfLink, UrdfShape, UrdfVisual};
+use upswing_model::{Model, Urdf, UrdfError, UrdfJointKind, UrdfLink, UrdfShape, UrdfVisual};
 
 /// A capsule: all points within `radius` of the line segment from `a` to `b`.
 #[derive(Clone, Debug, Serialize)]
@@ -17,6 +17,17 @@ pub struct Capsule {
     pub colour: [u8; 3],
 }
 
+/// Joint of a link.
+#[derive(Clone, Copy, Debug)]
+pub struct LinkJoint {
+    /// Number of the joint in the chain, from 0.
+    pub index: usize,
+    /// Axis in the frame of the link.
+    pub axis: Unit<Vector3<f64>>,
+    /// Whether the joint slides along its axis; otherwise it turns about it.
+    pub slides: bool,
+}
+
 /// A link of the robot.
 #[derive(Clone, Debug)]
 pub struct Link {
@@ -26,8 +37,8 @@ pub struct Link {
     pub parent: Option<usize>,
     /// Pose of the link in the frame of its parent at q = 0, m.
     pub origin: Isometry3<f64>,
-    /// Index of the joint in q and its axis in the frame of the link; `None` for a fixed link.
-    pub joint: Option<(usize, Unit<Vector3<f64>>)>,
+    /// Joint of the link; `None` for a fixed link.
+    pub joint: Option<LinkJoint>,
     /// Shapes of the link for pictures.
     pub shapes: Vec<Capsule>,
 }
@@ -42,13 +53,13 @@ pub struct Robot {
 }
 
 impl Robot {
-    /// Reads the links from a URDF; `model`, read from the same URDF, gives the indices of the joints in q.
+    /// Reads the links from a URDF; `model`, read from the same URDF, gives the order of the joints.
     ///
     /// # Errors
     /// [`UrdfError`] if the text is no usable URDF.
     pub fn from_urdf(urdf: &str, model: &Model) -> Result<Self, UrdfError> {
         let robot = Urdf::read(urdf)?;
-        let names = model.joint_names();
+        let names: Vec<_> = model.joint_names().collect();
         let root = &robot.links[robot.root];
         let mut links = vec![Link {
             name: root.name.clone(),
@@ -72,7 +83,11 @@ impl Robot {
                 name: link.name.clone(),
                 parent: Some(parent),
                 origin: joint.origin,
-                joint: index.map(|i| (i, Unit::new_unchecked(joint.axis))),
+                joint: index.map(|index| LinkJoint {
+                    index,
+                    axis: Unit::new_unchecked(joint.axis),
+                    slides: joint.kind == UrdfJointKind::Prismatic,
+                }),
                 shapes: shapes(link),
             });
         }
@@ -80,14 +95,21 @@ impl Robot {
     }
 
     /// Name of the parent, name of the link, and its pose in the frame of the parent (m), for each link except the root, at the
-    /// joint positions q (rad).
-    pub fn transforms(&self, q: &JointVector) -> impl Iterator<Item = (&str, &str, Isometry3<f64>)> {
+    /// joint positions `q` (rad or m) in the chain's order. Joints beyond the end of `q` are at 0.
+    pub fn transforms(&self, q: &[f64]) -> impl Iterator<Item = (&str, &str, Isometry3<f64>)> {
         self.links.iter().filter_map(|link| {
-            let turn = link.joint.map_or_else(UnitQuaternion::identity, |(i, axis)| {
-                UnitQuaternion::from_axis_angle(&axis, q[i])
+            let motion = link.joint.map_or_else(Isometry3::identity, |LinkJoint { index, axis, slides }| {
+                let q = q.get(index).copied().unwrap_or_default();
+                match slides {
+                    true => Translation3::from(axis.into_inner() * q).into(),
+                    false => Isometry3::from_parts(
+                        Translation3::identity(),
+                        UnitQuaternion::from_axis_angle(&axis, q),
+                    ),
+                }
             });
             let parent = &self.links[link.parent?];
-            Some((parent.name.as_str(), link.name.as_str(), link.origin * turn))
+            Some((parent.name.as_str(), link.name.as_str(), link.origin * motion))
         })
     }
 }

@@ -31,7 +31,8 @@ impl Tap {
         while let Some(steps) = self.steps.receive()? {
             // A plan is published before the step that loads it, so that it has arrived by now.
             while let Some(plan) = self.plans.receive()? {
-                if let Some(recorder) = &mut recorder {
+                // The daemon refuses a plan of impossible sizes.
+                if let (Some(recorder), Ok(plan)) = (&mut recorder, plan.copied()) {
                     recorder.write_plan(&plan)?;
                 }
             }

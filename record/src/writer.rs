@@ -1,6 +1,6 @@
 //! Writer of recordings.
 
-use super::{CHUNK, CYCLE_TOPIC, DETAILS, RecordingError, Tally, cdr, cycle, messages};
+use super::{CHUNK, CYCLE_TOPIC, DETAILS, JOINTS, RecordingError, STEP_TOPIC, Tally, cycle, messages};
 use crate::robot::Robot;
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, WriteOptions, Writer};
@@ -11,7 +11,7 @@ use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 use upswing_config::Config;
 use upswing_ipc::{PlanMessage, RecordedStep, Telemetry};
-use upswing_model::NQ;
+use upswing_model::Order;
 
 /// Rate of the topics for the display of the robot, Hz: higher than the refresh rate of most screens.
 const VIEW_RATE: f64 = 125.0;
@@ -22,7 +22,8 @@ pub struct Recorder {
     writer: Writer<BufWriter<File>>,
     channels: Channels,
     robot: Robot,
-    joint_names: [String; NQ],
+    joint_names: Vec<String>,
+    order: Order,
     view_every: u64,
     tally: Tally,
     /// Time of the last message, ns.
@@ -59,6 +60,7 @@ impl Recorder {
             ("version".into(), env!("CARGO_PKG_VERSION").into()),
             ("model_fingerprint".into(), format!("{:016x}", config.model.fingerprint())),
             ("period_us".into(), (period * 1e6).to_string()),
+            (JOINTS.into(), messages::joint_names(&config.model)),
         ]);
         all.extend(details.into_iter().map(|(key, value)| (key.to_owned(), value)));
         let (writer, channels) = begin(file, texts, all)
@@ -68,7 +70,8 @@ impl Recorder {
             writer,
             channels,
             robot,
-            joint_names: config.model.joint_names().map(str::to_owned),
+            joint_names: config.model.joint_names().map(str::to_owned).collect(),
+            order: *config.model.order(),
             view_every: ((1.0 / (VIEW_RATE * period)) as u64).max(1),
             tally: Tally::default(),
             last_ns: 0,
@@ -78,20 +81,23 @@ impl Recorder {
     /// Appends cycles.
     ///
     /// # Errors
-    /// [`RecordingError::Write`], for example if the disk is full.
+    /// [`RecordingError::Write`], for example if the disk is full; [`RecordingError::OtherChain`] if a cycle is of another robot.
     pub fn write(&mut self, records: &[Telemetry]) -> Result<(), RecordingError> {
-        let result = records.iter().try_for_each(|record| self.append(record));
-        result.map_err(|cause| self.error(cause))
+        for record in records {
+            record.vectors(&self.order)?;
+            self.append(record).map_err(|cause| self.error(cause))?;
+        }
+        Ok(())
     }
 
-    /// Appends inputs of the controller.
+    /// Appends inputs of the controller; a measurement in them may be of another robot, which the controller then refused.
     ///
     /// # Errors
-    /// As [`Recorder::write`].
+    /// [`RecordingError::Write`].
     pub fn write_steps(&mut self, steps: &[RecordedStep]) -> Result<(), RecordingError> {
         let mut put = |step: &RecordedStep| {
             let t_ns = step.measurement.t_ns;
-            self.put(self.channels.step, step.number, t_ns, &cdr::of_words(step.words()))
+            self.put(self.channels.step, step.number, t_ns, &cycle::STEP.encode(step.words()))
         };
         steps.iter().try_for_each(&mut put).map_err(|cause| self.error(cause))
     }
@@ -99,10 +105,11 @@ impl Recorder {
     /// Appends a plan; call it before the step that loads the plan is written.
     ///
     /// # Errors
-    /// As [`Recorder::write`].
+    /// [`RecordingError::Write`]; [`RecordingError::Plan`] if the plan has other sizes than its header states.
     pub fn write_plan(&mut self, plan: &PlanMessage) -> Result<(), RecordingError> {
-        let message = cdr::of_words(plan.words());
-        self.put(self.channels.plan, plan.id, self.last_ns, &message).map_err(|cause| self.error(cause))
+        let message = messages::plan(plan)?;
+        self.put(self.channels.plan, plan.header.id, self.last_ns, &message)
+            .map_err(|cause| self.error(cause))
     }
 
     fn error(&self, cause: mcap::McapError) -> RecordingError {
@@ -115,10 +122,9 @@ impl Recorder {
         if self.tally.cycles == 1 {
             self.put(self.channels.description, seq, t_ns, &messages::description(&self.robot.urdf))?;
         }
-        self.put(self.channels.cycle, seq, t_ns, &cycle::encode(record))?;
+        self.put(self.channels.cycle, seq, t_ns, &cycle::CYCLE.encode(record.words()))?;
         if record.seq.is_multiple_of(self.view_every) {
-            let names = self.joint_names.each_ref().map(String::as_str);
-            let states = messages::joint_states(&names, record);
+            let states = messages::joint_states(&self.joint_names, &self.order, record);
             self.put(self.channels.joint_states, seq, t_ns, &states)?;
             let transforms = messages::transforms(&self.robot, record);
             self.put(self.channels.transforms, seq, t_ns, &transforms)?;
@@ -182,10 +188,11 @@ fn begin(
         writer.add_channel(schema, topic, "cdr", &BTreeMap::new())
     };
     let mut known = |t: &messages::Topic| channel(t.name, t.kind, t.definition);
-    let (step, plan) = (known(&messages::STEPS)?, known(&messages::PLANS)?);
+    let plan = known(&messages::PLANS)?;
     let (joint_states, transforms, description) =
         (known(&messages::JOINT_STATES)?, known(&messages::TRANSFORMS)?, known(&messages::DESCRIPTION)?);
-    let cycle = channel(CYCLE_TOPIC, cycle::TYPE, &cycle::definition())?;
+    let mut of_fields = |topic, kind: &cycle::MessageType| channel(topic, kind.name, &kind.definition());
+    let (cycle, step) = (of_fields(CYCLE_TOPIC, &cycle::CYCLE)?, of_fields(STEP_TOPIC, &cycle::STEP)?);
     // From here on the file is readable if the process is killed.
     writer.flush()?;
     Ok((writer, Channels { cycle, step, plan, joint_states, transforms, description }))

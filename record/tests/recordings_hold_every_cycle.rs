@@ -5,11 +5,15 @@ use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 use std::path::Path;
 use upswing_config::Config;
-use upswing_ipc::{Mode, Telemetry};
-use upswing_record::{CHUNK, Recorder, RecordingError, Window, cycle, read};
+use upswing_ipc::{Measurement, Mode, PlanHeader, PlanMessage, RecordedStep, Telemetry};
+use upswing_model::{ActuatedVector, JointVector};
+use upswing_record::cycle::{CYCLE, CycleNumber, layout_of};
+use upswing_record::replay::{RecordedRun, ReplayError, replay};
+use upswing_record::{CHUNK, JOINTS, Message, Recorder, Recording, RecordingError, Window, read, scan};
 
 fn record(seq: u64) -> Telemetry {
-    let mut t = Telemetry { seq, t_ns: seq * 125_000, mode: seq % 6, ..Telemetry::default() };
+    let (t_ns, mode) = (seq * 125_000, seq % 6);
+    let mut t = Telemetry { seq, t_ns, mode, joints: 9, actuated: 7, ..Telemetry::default() };
     for i in 0..9 {
         (t.q[i], t.qd[i]) = ((seq as f64 * 1e-3 + i as f64).sin(), -0.0);
     }
@@ -67,17 +71,112 @@ fn an_existing_file_is_kept() {
 
 #[test]
 fn other_messages_are_refused() {
-    let good = cycle::encode(&record(3));
-    assert_eq!(cycle::decode(&good), Some(record(3)));
+    let good = CYCLE.encode(record(3).words());
+    let decoded = CYCLE.decode(&good).expect("a cycle");
+    assert_eq!(Telemetry::from_words(&decoded), Some(record(3)));
     for bad in [&good[..good.len() - 1], &good[..good.len() - 8], &good[4..], &[]] {
-        assert_eq!(cycle::decode(bad), None);
+        assert_eq!(CYCLE.decode(bad), None);
+    }
+    // The length of each list.
+    let lengths = good.windows(4).enumerate().filter(|(_, bytes)| matches!(bytes, [9 | 7, 0, 0, 0]));
+    let lengths: Vec<_> = lengths.map(|(at, _)| at).filter(|at| at % 4 == 0).collect();
+    assert_eq!(lengths.len(), 8);
+    for at in lengths {
+        for length in [0, 1, 8, 17, u32::MAX] {
+            let mut bad = good.clone();
+            bad[at..at + 4].copy_from_slice(&length.to_le_bytes());
+            assert_eq!(CYCLE.decode(&bad), None, "{length} at byte {at}");
+        }
     }
     // The definition names each field and each mode.
-    let definition = cycle::definition();
+    let definition = CYCLE.definition();
     let balance = format!("uint64 BALANCE={}", Mode::Balance.code());
-    for text in ["float64[9] q", "uint64 wake_ns", &balance] {
-        assert!(cycle::layout_of(&definition).contains(&text), "{text} in {definition}");
+    for text in ["float64[] q", "uint64 wake_ns", &balance] {
+        assert!(layout_of(&definition).contains(&text), "{text} in {definition}");
     }
+}
+
+#[test]
+fn each_number_has_its_joint_and_its_unit() {
+    let config = Config::embedded().expect("the settings load");
+    let numbers = CycleNumber::all(&config.model);
+    assert_eq!(numbers.len(), 15 + 4 * 9 + 4 * 7);
+    let words: Vec<_> = record(3).words().collect();
+    let of = |field: &str, joint: Option<&str>| {
+        let number = numbers.iter().find(|n| n.field == field && n.joint.as_deref() == joint);
+        number.map(|n| (n.text(&words), n.unit))
+    };
+    assert_eq!(of("seq", None), Some(("3".into(), "")));
+    assert_eq!(of("q", Some("pendulum_2")), Some((record(3).q[8].to_string(), "rad")));
+    assert_eq!(of("tau", Some("joint_7")), Some((f64::MIN_POSITIVE.to_string(), "N m")));
+    assert_eq!(of("u", Some("pendulum_1")), None);
+}
+
+#[test]
+fn steps_and_plans_come_back() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let path = dir.path().join("run.mcap");
+    let config = Config::embedded().expect("the settings load");
+    let mut recorder = Recorder::create(&path, &config, []).expect("the file is made");
+    let sizes = config.model.sizes();
+    let length = PlanMessage::length(sizes, 20);
+    let values: Vec<_> = (0..length).map(|i| (i as f64).sin()).collect();
+    let header = PlanHeader { id: 5, joints: 9, actuated: 7, intervals: 20, ..PlanHeader::default() };
+    let mut plan = PlanMessage { header, values };
+    plan.seal();
+    recorder.write_plan(&plan).expect("written");
+    // Before the first measurement, and with that of another robot, which the controller refuses.
+    let q = JointVector::from_fn(sizes, |i| 0.1 * i as f64);
+    let tau = ActuatedVector::repeat(sizes, 3.0);
+    let measurements = [
+        Measurement::default(),
+        Measurement { seq: 1, ..Measurement::new(config.model.order(), &q, &tau) },
+        Measurement { seq: 2, joints: 3, actuated: 1, ..Measurement::default() },
+    ];
+    let steps =
+        measurements.map(|measurement| RecordedStep { number: 4, measurement, ..RecordedStep::default() });
+    recorder.write_steps(&steps).expect("written");
+    recorder.write(&[record(1)]).expect("written");
+    let mut longer = plan.clone();
+    longer.values.push(0.0);
+    assert!(matches!(recorder.write_plan(&longer), Err(RecordingError::Plan(_))));
+    recorder.finish().expect("finished");
+
+    let (mut plans, mut read_back) = (Vec::new(), Vec::new());
+    let keep = |_: &Recording, message| -> Result<(), RecordingError> {
+        match message {
+            Message::Plan(plan) => plans.push(plan),
+            Message::Step(step) => read_back.push(step),
+            Message::Cycle(_) => {}
+        }
+        Ok(())
+    };
+    scan(&path, Window::ALL, |_, _| (), keep).expect("it reads");
+    assert_eq!((plans, read_back), (vec![plan], steps.to_vec()));
+}
+
+#[test]
+fn another_robot_is_refused() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let config = Config::embedded().expect("the settings load");
+    let small = |seq| Telemetry { joints: 2, actuated: 1, ..record(seq) };
+    let mut recorder = Recorder::create(&dir.path().join("a.mcap"), &config, []).expect("made");
+    recorder.write(&[record(1)]).expect("written");
+    assert!(matches!(recorder.write(&[small(2)]), Err(RecordingError::OtherChain(_))));
+    recorder.finish().expect("finished");
+
+    // The same numbers of joints with other names.
+    let path = dir.path().join("b.mcap");
+    let details = [(JOINTS, "a,b,c,d,e,f,g,h,i".to_owned())];
+    let mut recorder = Recorder::create(&path, &config, details).expect("made");
+    recorder.write(&[record(1)]).expect("written");
+    recorder.finish().expect("finished");
+    let run = RecordedRun::read(&path).expect("it reads");
+    assert!(matches!(replay(&run, &config), Err(ReplayError::OtherRobot { .. })));
+
+    // Other numbers of joints.
+    let run = RecordedRun { cycles: vec![small(1)], ..RecordedRun::default() };
+    assert!(matches!(replay(&run, &config), Err(ReplayError::OtherChain(_))));
 }
 
 #[test]
@@ -150,6 +249,38 @@ fn with_chunk(bytes: &[u8], extra: &[u8]) -> Vec<u8> {
         let before = opcode == mcap::records::op::CHUNK && std::mem::take(&mut first);
         [if before { extra } else { &[] }, &part(opcode, body)].concat()
     })
+}
+
+#[test]
+fn a_change_of_robots_in_a_file_is_refused() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let path = recorded(dir.path(), &(1..=2).map(record).collect::<Vec<_>>());
+    let bytes = std::fs::read(&path).expect("read");
+    // The summary repeats the channels: number, number of the schema, length of the topic, topic.
+    let mut channel = None;
+    rewritten(&bytes, |opcode, body| {
+        if opcode == mcap::records::op::CHANNEL && body[8..].starts_with(b"/upswing/cycle") {
+            channel = Some([body[0], body[1]]);
+        }
+        Vec::new()
+    });
+    let mut message = channel.expect("a channel").to_vec();
+    message.resize(22, 0);
+    message.extend(CYCLE.encode(Telemetry { joints: 2, actuated: 1, ..record(3) }.words()));
+    let message = part(mcap::records::op::MESSAGE, &message);
+    let extra = chunk(message.len() as u64, 0, "", &message);
+    // After the first chunk, which contains the definitions.
+    let mut first = true;
+    let mixed = rewritten(&bytes, |opcode, body| {
+        let after = opcode == mcap::records::op::CHUNK && std::mem::take(&mut first);
+        [part(opcode, body), if after { extra.clone() } else { Vec::new() }].concat()
+    });
+    std::fs::write(&path, mixed).expect("written");
+    let refused = read(&path, Window::ALL);
+    assert!(
+        matches!(refused, Err(RecordingError::Joints { expected: (2, 1), got: (9, 7), .. })),
+        "{refused:?}"
+    );
 }
 
 #[test]

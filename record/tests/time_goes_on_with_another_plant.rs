@@ -3,7 +3,6 @@
 
 use upswing_config::Config;
 use upswing_ipc::{Mode, Telemetry};
-use upswing_model::JointVector;
 use upswing_record::evaluation::{MotionStatisticsCounter, tilt};
 use upswing_record::{Recorder, Window, read};
 
@@ -15,7 +14,8 @@ const PERIOD: f64 = 125e-6;
 /// Cycles of two plants in balance with different arm positions; the cycle numbers of the daemon continue.
 fn cycles() -> Vec<Telemetry> {
     let cycle = |seq: u64| {
-        let mut t = Telemetry { seq, t_ns: (seq - 1) % CYCLES * PERIOD_NS, ..Telemetry::default() };
+        let t_ns = (seq - 1) % CYCLES * PERIOD_NS;
+        let mut t = Telemetry { seq, t_ns, joints: 9, actuated: 7, ..Telemetry::default() };
         t.mode = Mode::Balance.code();
         t.q[1] = if seq <= CYCLES { 1.0 } else { 0.5 };
         t
@@ -49,7 +49,8 @@ fn in_the_figures() {
     let cycles = cycles();
     cycles.iter().for_each(|cycle| counter.count(&config.model, &config.robot.limits, cycle));
     let figures = counter.statistics(PERIOD, 0);
-    let tilts = [&cycles[0], &cycles[cycles.len() - 1]].map(|c| tilt(&config.model, &JointVector::from(c.q)));
+    let position = |cycle: &Telemetry| cycle.vectors(config.model.order()).expect("nine joints").x.q();
+    let tilts = [&cycles[0], &cycles[cycles.len() - 1]].map(|c| tilt(&config.model, &position(c)));
     assert!(tilts[0] > tilts[1], "{tilts:?}");
     assert!(
         (figures.motion.final_tilt_deg - tilts[1].to_degrees()).abs() < 1e-9,
