@@ -12,15 +12,15 @@ import signal
 import sys
 import time
 import tomllib
+import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import upswing_layouts as layouts
-from upswing_ipc import Node
+from upswing_ipc import Node, Refused
 from upswing_layouts import Clock, Command, Measurement
 
-NQ, NU = 9, 7
 # Silence after which a daemon counts as lost, and how often one is looked for.
 LOST_AFTER_S = 1.0
 SEARCH_PERIOD_S = 0.1
@@ -45,6 +45,20 @@ def load(urdf):
     return model
 
 
+def unactuated_joints(urdf):
+    """Names of the joints without a motor: those with effort="0", or without an effort."""
+    joints = ElementTree.parse(urdf).getroot().findall("joint")
+    limits = {joint.get("name"): joint.find("limit") for joint in joints}
+    return {name for name, limit in limits.items() if limit is None or float(limit.get("effort", 0)) == 0}
+
+
+def per_joint(value, names):
+    """A setting that is one number for all joints, or a table of joint names with a default."""
+    if isinstance(value, dict):
+        return np.array([value[name] if name in value else value["default"] for name in names], dtype=float)
+    return np.full(len(names), float(value))
+
+
 class Plant:
     """Robot and pendulum; brakes as in upswing-plant."""
 
@@ -52,37 +66,53 @@ class Plant:
         settings = tomllib.loads((config / "plant.toml").read_text(encoding="utf-8"))
         daemon = tomllib.loads((config / "daemon.toml").read_text(encoding="utf-8"))
         robot = tomllib.loads((config / "robot.toml").read_text(encoding="utf-8"))
-        self.model = load(config / settings["model"]["urdf"])
-        if self.model.nv != NQ:
-            raise ValueError(f"{settings['model']['urdf']}: expected {NQ} joints, got {self.model.nv}")
+        urdf = config / settings["model"]["urdf"]
+        self.model = load(urdf)
+        if (self.model.jnt_type != mujoco.mjtJoint.mjJNT_HINGE).any():
+            raise ValueError(f"{urdf}: expected revolute joints only")
+        names = [self.model.joint(i).name for i in range(self.model.njnt)]
+        without_motor = unactuated_joints(urdf)
+        # The index sets A and U; payloads have the order of the chain, as MuJoCo.
+        self.actuated = np.array([i for i, name in enumerate(names) if name not in without_motor])
+        self.unactuated = np.array([i for i, name in enumerate(names) if name in without_motor])
+        actuated, unactuated = ([names[i] for i in indices] for indices in (self.actuated, self.unactuated))
+        if not 0 < len(unactuated) < len(names) <= layouts.MOST_JOINTS:
+            raise ValueError(f"{urdf}: expected 2 to {layouts.MOST_JOINTS} joints, some of them with a motor and some without")
         self.period_ns = daemon["cycle"]["period_us"] * 1000
         self.model.opt.timestep = self.period_ns * 1e-9
-        self.model.dof_damping[NU:] = settings["friction"]["pendulum_viscous"]
-        self.model.dof_frictionloss[NU:] = settings["friction"]["pendulum_coulomb"]
+        self.model.dof_damping[self.unactuated] = per_joint(settings["friction"]["pendulum_viscous"], unactuated)
+        self.model.dof_frictionloss[self.unactuated] = per_joint(settings["friction"]["pendulum_coulomb"], unactuated)
         self.brake_time_constant = settings["drive"]["brake_time_constant_ms"] * 1e-3
-        self.tau_max = np.array(robot["limits"]["tau_nm"], dtype=float)
-        self.grid = np.full(NQ, settings["encoder"]["arm_resolution_rad"])
-        self.grid[NU:] = 2 * np.pi / 2 ** settings["encoder"]["pendulum_bits"]
+        self.tau_max = per_joint(robot["limits"]["tau_nm"], actuated)
+        encoder = settings["encoder"]
+        self.grid = np.empty(len(names))
+        self.grid[self.actuated] = per_joint(encoder["arm_resolution_rad"], actuated)
+        self.grid[self.unactuated] = 2 * np.pi / 2 ** per_joint(encoder["pendulum_bits"], unactuated)
         self.data = mujoco.MjData(self.model)
-        self.data.qpos[:NU] = np.radians(settings["start"]["q_deg"])
+        self.data.qpos[self.actuated] = np.radians(per_joint(settings["start"]["q_deg"], actuated))
         self._hang()
-        self.tau = np.zeros(NU)
+        self.tau = np.zeros(len(actuated))
         self.braking, self.fault, self.saturated = True, False, False
         self.seq = 1
 
+    @property
+    def sizes(self):
+        """Numbers of joints and of actuated joints."""
+        return len(self.grid), len(self.tau)
+
     def _hang(self):
         """Newton's method: the pendulum at rest under the arm."""
-        data = self.data
+        data, free = self.data, self.unactuated
         for _ in range(50):
             mujoco.mj_forward(self.model, data)
-            gravity, step = data.qfrc_bias[NU:].copy(), 1e-6
-            slope = np.empty((2, 2))
-            for i in range(2):
-                data.qpos[NU + i] += step
+            gravity, step = data.qfrc_bias[free].copy(), 1e-6
+            slope = np.empty((len(free), len(free)))
+            for column, i in enumerate(free):
+                data.qpos[i] += step
                 mujoco.mj_forward(self.model, data)
-                slope[:, i] = (data.qfrc_bias[NU:] - gravity) / step
-                data.qpos[NU + i] -= step
-            data.qpos[NU:] -= np.linalg.solve(slope, gravity)
+                slope[:, column] = (data.qfrc_bias[free] - gravity) / step
+                data.qpos[i] -= step
+            data.qpos[free] -= np.linalg.solve(slope, gravity)
         if np.abs(gravity).max() > 1e-6:
             raise ValueError("start.q_deg of plant.toml: the pendulum has no rest there")
 
@@ -90,18 +120,19 @@ class Plant:
         """Of u = -qd_A / time constant: the rows of the arm of (1), with qdd_U from those of the pendulum."""
         model, data = self.model, self.data
         mujoco.mj_forward(model, data)
-        mass = np.zeros((NQ, NQ))
+        mass = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, mass)
         h = data.qfrc_bias - data.qfrc_passive - data.qfrc_constraint
-        u = -data.qvel[:NU] / self.brake_time_constant
-        unactuated = -np.linalg.solve(mass[NU:, NU:], mass[NU:, :NU] @ u + h[NU:])
-        return mass[:NU, :NU] @ u + mass[:NU, NU:] @ unactuated + h[:NU]
+        A, U = self.actuated, self.unactuated
+        u = -data.qvel[A] / self.brake_time_constant
+        qdd_u = -np.linalg.solve(mass[np.ix_(U, U)], mass[np.ix_(U, A)] @ u + h[U])
+        return mass[np.ix_(A, A)] @ u + mass[np.ix_(A, U)] @ qdd_u + h[A]
 
     def step(self, command):
         """One period under a command; None: the brakes are closed."""
         self.saturated = False
         if command is not None:
-            tau = np.array(command.tau)
+            tau = np.array(command.tau[: len(self.tau)])
             if not np.isfinite(tau).all():
                 self.fault = True
             elif command.brake:
@@ -109,11 +140,11 @@ class Plant:
         self.braking = command is None or self.fault or command.brake != 0
         if self.braking:
             self.tau[:] = 0
-            self.data.qfrc_applied[:NU] = self._brake_torque()
+            self.data.qfrc_applied[self.actuated] = self._brake_torque()
         else:
             self.saturated = bool((np.abs(tau) > self.tau_max).any())
             self.tau = np.clip(tau, -self.tau_max, self.tau_max)
-            self.data.qfrc_applied[:NU] = self.tau
+            self.data.qfrc_applied[self.actuated] = self.tau
         mujoco.mj_step(self.model, self.data)
         self.seq += 1
 
@@ -124,16 +155,17 @@ class Plant:
         status |= layouts.SATURATED if self.saturated else 0
         measurement = Measurement(seq=self.seq, t_ns=self.seq * self.period_ns, status=status)
         measurement.clock, measurement.period_ns = Clock.Paced, self.period_ns
-        measurement.q[:] = (np.round(self.data.qpos / self.grid) * self.grid).tolist()
-        measurement.tau_measured[:] = self.tau.tolist()
+        measurement.joints, measurement.actuated = self.sizes
+        measurement.q[: len(self.grid)] = (np.round(self.data.qpos / self.grid) * self.grid).tolist()
+        measurement.tau_measured[: len(self.tau)] = self.tau.tolist()
         return measurement
 
 
 class Daemon:
-    """The commands of the newest daemon."""
+    """The commands of the newest daemon; `sizes` are the numbers of joints that it must have."""
 
-    def __init__(self, node):
-        self.node, self.reader, self.seq = node, None, 0
+    def __init__(self, node, sizes):
+        self.node, self.sizes, self.reader, self.seq = node, sizes, None, 0
         self.searched = -SEARCH_PERIOD_S
 
     def search(self):
@@ -150,6 +182,8 @@ class Daemon:
         command = self.reader.take() if self.reader is not None else None
         if command is None or command.seq <= self.seq or not 1 <= command.measurement_seq <= newest:
             return None
+        if (got := (command.joints, command.actuated)) != self.sizes:
+            raise Refused(f"command for (joints, actuated) = {got}, expected {self.sizes}: daemon and plant have other robots")
         self.seq = command.seq
         return command
 
@@ -157,7 +191,7 @@ class Daemon:
 def run(plant, node, going):
     """Publishes measurement n, waits for the command that answers it, advances one period."""
     writer = node.writer(layouts.MEASUREMENT_CHANNEL, Measurement)
-    daemon = Daemon(node)
+    daemon = Daemon(node, plant.sizes)
     period = plant.period_ns * 1e-9
     deadline = time.monotonic()
     present = False

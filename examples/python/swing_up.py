@@ -42,6 +42,16 @@ class Telemetry:
         return np.frombuffer(bytes(self._raw), dtype=np.dtype(layouts.Telemetry))
 
 
+def of_joints(records, field):
+    """The values of the joints in a field with one per joint, q .. qd_d: an array cycles x joints, from base to tip."""
+    return records[field][:, : min(records["joints"].max(initial=0), layouts.MOST_JOINTS)]
+
+
+def of_actuated(records, field):
+    """As `of_joints`, of a field with one value per actuated joint, u_d .. tau_measured."""
+    return records[field][:, : min(records["actuated"].max(initial=0), layouts.MOST_JOINTS)]
+
+
 def swing_up(node, seconds):
     """Enables, plans from the present state, swings up and balances; returns the plan's answer and the telemetry."""
     control, planner = node.client(layouts.CONTROL), node.client(layouts.PLANNER)
@@ -96,11 +106,12 @@ def plot(records, path):
     t = (records["seq"] - records["seq"][0]) * PERIOD_S
     figure, axes = plt.subplots(3, 1, sharex=True, figsize=(9, 8), layout="constrained")
     colors = plt.get_cmap("tab10").colors
-    for i in range(9):
-        axes[0].plot(t, np.degrees(records["q"][:, i]), color=colors[i], label=f"$q_{{{i + 1}}}$")
-        axes[0].plot(t, np.degrees(records["q_d"][:, i]), color=colors[i], linestyle="--", linewidth=0.8)
-    for i in range(7):
-        axes[1].plot(t, records["tau"][:, i], color=colors[i], label=rf"$\tau_{{{i + 1}}}$")
+    for i, (q, q_d) in enumerate(zip(of_joints(records, "q").T, of_joints(records, "q_d").T)):
+        color = colors[i % len(colors)]
+        axes[0].plot(t, np.degrees(q), color=color, label=f"$q_{{{i + 1}}}$")
+        axes[0].plot(t, np.degrees(q_d), color=color, linestyle="--", linewidth=0.8)
+    for i, tau in enumerate(of_actuated(records, "tau").T):
+        axes[1].plot(t, tau, color=colors[i % len(colors)], label=rf"$\tau_{{{i + 1}}}$")
     axes[0].set_ylabel("angle in deg, desired dashed")
     axes[1].set_ylabel("torque in N m")
     axes[2].step(t, records["mode"], where="post", color="black")
@@ -114,8 +125,8 @@ def plot(records, path):
 
 
 def tilt_deg(q):
-    """Angle between the rod and where a plan ends, upright; its joints are nearly orthogonal there."""
-    return np.degrees(np.hypot(np.abs(q[..., 7]) - np.pi, q[..., 8]))
+    """Angle between the rod and where a plan of this robot ends, upright; its two joints, the last ones, are nearly orthogonal there."""
+    return np.degrees(np.hypot(np.abs(q[..., -2]) - np.pi, q[..., -1]))
 
 
 def main():
@@ -130,10 +141,11 @@ def main():
         print(f"error: {refusal}", file=sys.stderr)
         return 1
     records = telemetry.array()
-    error = np.abs(records["q"] - records["q_d"])[records["mode"] == Mode.Track].max()
+    q = of_joints(records, "q")
+    error = np.abs(q - of_joints(records, "q_d"))[records["mode"] == Mode.Track].max()
     print(f"plan      {plan.t_f:.3f} s long, made in {plan.time_total_us * 1e-3:.0f} ms")
     print(f"tracking  within {error:.3f} rad")
-    print(f"balance   rod within {tilt_deg(records['q'][-round(1 / PERIOD_S) :]).max():.2f} deg of upright in the last second")
+    print(f"balance   rod within {tilt_deg(q[-round(1 / PERIOD_S) :]).max():.2f} deg of upright in the last second")
     print(f"cycles    {len(records)} received, {telemetry.dropped} lost")
     if args.plot:
         plot(records, args.plot)

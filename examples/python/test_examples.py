@@ -10,7 +10,9 @@ import time
 import unittest
 from pathlib import Path
 
+import numpy as np
 import upswing_layouts as layouts
+from upswing_ipc import Node
 
 HERE = Path(__file__).parent
 UPSWING = sys.argv.pop()
@@ -87,6 +89,19 @@ class SwingUps(unittest.TestCase):
             tracking, tilt = self.swing_up(system)
             self.assertLess(tracking, 0.1)
             self.assertLess(tilt, 2)
+            self.check_plan(system)
+
+    def check_plan(self, system):
+        """The newest plan: its shapes, and its defects (6b)."""
+        plans, end = Node(system.domain, "python test").subscribe_plans(), time.monotonic() + 60
+        while (plan := plans.take()) is None and time.monotonic() < end:
+            time.sleep(0.01)
+        knots = plan.header.intervals + 1
+        shapes = [array.shape for array in (plan.x, plan.u, plan.f, plan.k, plan.k_final)]
+        self.assertEqual(shapes, [(knots, 18), (knots, 7), (knots, 18), (knots, 7, 18), (7, 18)])
+        half_h = 0.5 * plan.header.t_f / plan.header.intervals
+        defects = plan.x[1:] - plan.x[:-1] - half_h * (plan.f[1:] + plan.f[:-1])
+        self.assertLess(np.abs(defects).max(), 1e-3)
 
     def test_mujoco_takes_the_place_of_the_plant(self):
         with System("mujoco") as system:

@@ -5,6 +5,7 @@ Needs iceoryx2 in exactly the version of the Rust side: every version has its ow
 
 import ctypes
 import fcntl
+import math
 import os
 import re
 import time
@@ -12,6 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import iceoryx2 as iox2
+import numpy as np
 import upswing_layouts as layouts
 
 KEY = ctypes.c_uint64(0)
@@ -102,12 +104,20 @@ class Node:
             time.sleep(0.02)
 
     def subscribe(self, topic, patience=30.0):
-        """A subscriber of `layouts.TELEMETRY` or `layouts.PLAN`, once there is a publisher."""
+        """A subscriber of `layouts.TELEMETRY`, once there is a publisher."""
         name, payload, buffer = topic
+        return self._subscribe(name, lambda service: service.publish_subscribe(payload), buffer, patience)
 
+    def subscribe_plans(self, patience=30.0):
+        """The plans that the planner publishes, once there is one."""
+        name, header, buffer = layouts.PLAN
+        plans = lambda service: service.publish_subscribe(iox2.Slice[ctypes.c_double]).user_header(header)
+        return Plans(self._subscribe(name, plans, buffer, patience))
+
+    def _subscribe(self, name, pattern, buffer, patience):
         def attempt():
             try:
-                service = self._service(name).publish_subscribe(payload).open()
+                service = pattern(self._service(name)).open()
                 return service.subscriber_builder().buffer_size(buffer).create()
             except iox2.PublishSubscribeOpenError:
                 return None
@@ -153,6 +163,39 @@ class Node:
                 if service.dynamic_config.number_of_writers > 0:
                     return Reader(name, service, service.reader_builder().create(), payload)
         return None
+
+
+class Plans:
+    """A subscriber of plans."""
+
+    def __init__(self, port):
+        self.port = port
+
+    def take(self):
+        """The oldest plan that was not taken yet, or None."""
+        if (sample := self.port.receive()) is None:
+            return None
+        header = copy(sample.user_header().contents)
+        try:
+            # Not `payload().len()`: in iceoryx2 0.10 that is the number of bytes (issue 1533).
+            return Plan(header, sample.payload_ptr, sample.header.number_of_elements)
+        finally:
+            sample.delete()
+
+
+class Plan:
+    """A plan in arrays: x, f: knots x 2n; u: knots x n_A; k: knots x n_A x 2n; k_final: n_A x 2n. Joints from base to tip."""
+
+    def __init__(self, header, address, length):
+        n, actuated, knots = header.joints, header.actuated, header.intervals + 1
+        shapes = [(knots, 2 * n), (knots, actuated), (knots, 2 * n), (knots, actuated, 2 * n), (actuated, 2 * n)]
+        lengths = [math.prod(shape) for shape in shapes]
+        if not 0 < actuated < n <= layouts.MOST_JOINTS or length != sum(lengths):
+            raise ValueError(f"damaged plan: {length} numbers for n = {n}, n_A = {actuated}, N = {header.intervals}")
+        values = np.frombuffer(ctypes.string_at(address, length * ctypes.sizeof(ctypes.c_double)))
+        parts = np.split(values, np.cumsum(lengths)[:-1])
+        self.header = header
+        self.x, self.u, self.f, self.k, self.k_final = (part.reshape(shape) for part, shape in zip(parts, shapes))
 
 
 class Client:
