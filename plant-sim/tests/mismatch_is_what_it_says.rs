@@ -23,7 +23,7 @@ fn acceleration(config: &Config, tau: &ActuatedVector) -> JointVector {
     let mut config = config.clone();
     config.daemon.cycle.period = Period::from_micros(1);
     let mut plant = Plant::at(&config, &pose(), &at_rest()).unwrap();
-    plant.step(Some(&torque(&tau)));
+    plant.step(Some(&torque(tau)));
     *plant.velocity() / 1e-6
 }
 

@@ -30,6 +30,7 @@ impl Window {
 
 /// A message of a recording.
 #[derive(Clone, Debug)]
+#[expect(clippy::large_enum_variant, reason = "a scan has one at a time")]
 pub enum Message {
     /// The record of a cycle.
     Cycle(Telemetry),
@@ -59,7 +60,7 @@ impl Recording {
     }
 }
 
-/// Reads the cycles of a window and the other contents of a recording into memory: 5 MB per second at 8 kHz.
+/// Reads the cycles of a window and the other contents of a recording into memory: 9 MB per second at 8 kHz.
 ///
 /// # Errors
 /// As [`scan`].
