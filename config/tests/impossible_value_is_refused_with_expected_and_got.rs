@@ -134,6 +134,7 @@ fn planner() {
         ("tolerance = 1e-9", "tolerance = 1", &["offline.tolerance", "between 0 and 1", "got 1"]),
         ("max_iterations = 3000", "max_iterations = 0", &["offline.max_iterations", "from 1 to", "got 0"]),
         ("\niterations = 10", "\niterations = -4", &["replan.iterations", "from 1 to", "got -4"]),
+        ("intervals = 100", "intervals = 19", &["offline.intervals", "from 20 to 1000", "got 19"]),
         ("sub_horizons = 1", "sub_horizons = 3", &["replan.sub_horizons", "one of", "got 3"]),
         ("weight_t_f = 300", "weight_t_f = -1.0", &["replan.weight_t_f", POSITIVE, "got -1"]),
         ("weight_u = 0.01", "weight_u = 0", &["replan.weight_u: ", POSITIVE, "got 0"]),
@@ -145,7 +146,7 @@ fn planner() {
         ),
         ("q_angles = 100", "q_angles = nan", &["lqr.q_angles", POSITIVE, "got NaN"]),
         ("\nr = 0.01", "\nr = 0", &["lqr.r", POSITIVE, "got 0"]),
-    ] as [(&str, &str, &[&str]); 14]
+    ] as [(&str, &str, &[&str]); 15]
     {
         refused("planner.toml", from, to, parts);
     }
