@@ -13,8 +13,7 @@ use upswing_record::evaluation::SwingUpEvaluation;
 use upswingd::controller::Controller;
 use upswingd::plan::{PlanRefusal, accept};
 use upswingd::step::{StepInput, StepOutput, StepRequest};
-use upswingd::supervisor::RequestRefusal;
-use upswingd::trip::Trip;
+use upswingd::trip::TripCause;
 
 /// Consecutive cycles without a new measurement after which a run is aborted; one second at 8 kHz.
 const MOST_SILENT: u32 = 8000;
@@ -37,7 +36,7 @@ pub enum Aborted {
         /// Name of the request.
         request: &'static str,
         /// Reason of the refusal.
-        refusal: RequestRefusal,
+        refusal: String,
     },
     /// The plant refused a push.
     #[error("push: {0}")]
@@ -47,7 +46,7 @@ pub enum Aborted {
     Silent,
     /// The controller tripped.
     #[error(
-        "{mode} tripped {time:.3} s after the plan's start: {trip}; q {:.3?} and qd {:.3?} in rad or m and seconds",
+        "{mode} tripped {time:.3} s after the plan's start: {reason}; q {:.3?}, qd {:.3?}",
         .record.of_joints(&.record.q), .record.of_joints(&.record.qd)
     )]
     Tripped {
@@ -55,8 +54,12 @@ pub enum Aborted {
         mode: Mode,
         /// Time since the start of the plan, s; 0 before the start.
         time: f64,
-        /// Limit that was exceeded, with joint and value.
-        trip: Trip,
+        /// Limit that was exceeded.
+        cause: TripCause,
+        /// Name of the joint that exceeded it; the first one for a limit of no joint.
+        joint: String,
+        /// Limit, joint and value in words.
+        reason: String,
         /// Record of the cycle of the trip.
         record: Box<Telemetry>,
     },
@@ -72,8 +75,8 @@ impl Aborted {
             Self::Refused { request, .. } => format!("{request} was refused"),
             Self::Push(_) => "the push cannot be".into(),
             Self::Silent => "no measurements".into(),
-            Self::Tripped { mode, trip, .. } => {
-                format!("{mode} tripped: {}, joint {}", trip.cause.text(), trip.joint + 1)
+            Self::Tripped { mode, cause, joint, .. } => {
+                format!("{mode} tripped: {}, joint `{joint}`", cause.text())
             }
         }
     }
@@ -150,15 +153,23 @@ impl<D> SwingUpRun<'_, D> {
         if matches!(record.mode(), Ok(Mode::Track | Mode::Balance)) {
             self.fastest = self.fastest.sup(&self.system.plant.velocity().abs());
         }
+        let model = &self.config.model;
         if let (Some(request), Some(Err(refusal))) = (name, output.answer) {
-            return Err(Aborted::Refused { request, refusal });
+            return Err(Aborted::Refused { request, refusal: refusal.text(model) });
         }
         match output.record.trip {
             Some(trip) => {
                 let start =
                     self.records.iter().find(|r| r.mode() == Ok(Mode::Track)).map_or(record.t_ns, |r| r.t_ns);
                 let time = record.t_ns.saturating_sub(start) as f64 * 1e-9;
-                Err(Aborted::Tripped { mode: before, time, trip, record: Box::new(record) })
+                Err(Aborted::Tripped {
+                    mode: before,
+                    time,
+                    cause: trip.cause,
+                    joint: model.joint_name(trip.joint).to_owned(),
+                    reason: trip.text(model),
+                    record: Box::new(record),
+                })
             }
             None => Ok(()),
         }
