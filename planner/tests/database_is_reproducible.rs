@@ -326,6 +326,17 @@ fn other_limits_are_refused_with_both_fingerprints() {
 }
 
 #[test]
+fn another_number_of_intervals_is_refused() {
+    let mut config = Config::embedded().expect("embedded settings");
+    config.planner.offline.intervals = 50;
+    let refusal = Planner::new(config).expect_err("made for 100 intervals");
+    assert!(
+        matches!(refusal, PlannerError::Database { cause: DatabaseError::Fingerprint { .. }, .. }),
+        "{refusal}"
+    );
+}
+
+#[test]
 fn a_full_disk_gives_one_clear_error_and_loses_nothing_that_was_finished() {
     let dir = tempfile::tempdir().expect("a folder");
     let disk = dir.path().join("disk");

@@ -6,6 +6,9 @@ use upswing_config::{Config, PendulumStart, SUB_HORIZONS, TorqueForm};
 use upswing_ipc::operator::Manoeuvre;
 use upswing_model::State;
 use upswing_ocp::interior_point::NlpStatus;
+use upswing_ocp::multistart::Search;
+use upswing_planner::database::certify;
+use upswing_planner::offline::{optimize, options};
 use upswing_planner::replan::{Effort, Planner, PlanningFailure};
 use upswing_trajectory::Entry;
 
@@ -70,6 +73,34 @@ fn one_qp_is_enough_only_where_the_settings_say_so() {
     config.daemon.plans.defect_of_one_qp = 1e-3;
     let planner = Planner::new(config).expect("the shipped database fits");
     assert!(planner.replan(&x, 1, None).is_err());
+}
+
+#[test]
+fn with_other_numbers_of_intervals() {
+    for intervals in [60, 200] {
+        let mut config = Config::embedded().expect("embedded settings");
+        config.planner.offline.intervals = intervals;
+        let start = |degrees: [f64; 7]| {
+            config.start_state(&degrees.map(f64::to_radians), PendulumStart::Rest).expect("a start at rest")
+        };
+        let (x, near) = (start(STARTS[0]), start(STARTS[1]));
+        let optimum = optimize(&config, near, Search::First, None, &options(&config));
+        assert_eq!(optimum.status, NlpStatus::Solved, "{intervals} intervals");
+        let entry = Entry::new(&optimum.trajectory, |t| certify(&config, t));
+        let planner = Planner::with_entries(config.clone(), "computed".into(), vec![entry]);
+        let effort = Effort { optimise: false, ..Effort::iterations(config.planner.replan.iterations) };
+        let mut replan = |manoeuvre, start: &State| {
+            let replan = planner.replan_with(&mut planner.solver(), manoeuvre, start, &effort);
+            let replan = replan.unwrap_or_else(|e| panic!("{manoeuvre}, {intervals} intervals: {e}"));
+            assert_eq!(replan.trajectory.intervals(), intervals);
+            assert_eq!(replan.gains.intervals(), intervals);
+            assert!(replan.defect <= 1e-6, "{intervals} intervals: defect {:e}", replan.defect);
+            replan
+        };
+        let up = replan(Manoeuvre::SwingUp, &x);
+        assert!(upright(up.trajectory.end(), 1e-7));
+        replan(Manoeuvre::SwingDown, up.trajectory.end());
+    }
 }
 
 #[test]
