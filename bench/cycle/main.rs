@@ -13,7 +13,7 @@ use std::hint::black_box;
 use std::time::Instant;
 use upswing_config::Config;
 use upswing_ipc::{Command, Measurement, Mode, TempDomain};
-use upswing_model::{ActuatedVector, NQ, State, Workspace};
+use upswing_model::{ActuatedVector, State, Workspace};
 use upswingd::controller::Controller;
 use upswingd::step::{StepInput, StepRequest};
 
@@ -90,10 +90,8 @@ fn law(config: &Config, file: Option<&str>) -> Vec<f64> {
     let mut random = random();
     let samples: Vec<(State, ActuatedVector)> = (0..STATES)
         .map(|_| {
-            let x = State::from_fn(|i, _| {
-                random() * if i < NQ { limits.q_max[i] } else { limits.qd_max[i - NQ] }
-            });
-            (x, ActuatedVector::from_fn(|_, _| 10.0 * random()))
+            let x = State::new(&limits.q_max.map(|q| q * random()), &limits.qd_max.map(|qd| qd * random()));
+            (x, ActuatedVector::from_fn(x.sizes(), |_| 10.0 * random()))
         })
         .collect();
     let mut work = Workspace::default();

@@ -215,11 +215,14 @@ mod tests {
     use super::Observer;
     use crate::checks::Checks;
     use crate::trip::TripCause;
+    use std::sync::LazyLock;
     use upswing_config::{Config, VelocityEstimate};
     use upswing_ipc::{Clock, Measurement};
     use upswing_model::{ActuatedVector, JointVector};
 
     const PERIOD_NS: u64 = 125_000;
+
+    static CONFIG: LazyLock<Config> = LazyLock::new(|| Config::embedded().expect("settings"));
 
     struct Seen {
         observer: Observer,
@@ -228,7 +231,7 @@ mod tests {
 
     impl Seen {
         fn new() -> Self {
-            let config = Config::embedded().expect("settings");
+            let config = &*CONFIG;
             Self {
                 observer: Observer::new(&config.daemon.cycle, &config.model),
                 checks: Checks::new(&config),
@@ -244,7 +247,7 @@ mod tests {
     }
 
     fn measured(seq: u64, q: f64, clock: Clock) -> Measurement {
-        let model = Config::embedded().expect("settings").model;
+        let model = &CONFIG.model;
         let (q, tau) = (JointVector::repeat(model.sizes(), q), ActuatedVector::zeros(model.sizes()));
         Measurement {
             seq,
@@ -334,7 +337,7 @@ mod tests {
 
     #[test]
     fn the_arm_is_as_fast_as_measured_whatever_the_model_expects() {
-        let mut config = Config::embedded().expect("settings");
+        let mut config = CONFIG.clone();
         config.daemon.cycle.velocity = VelocityEstimate::Model;
         let mut observer = Observer::new(&config.daemon.cycle, &config.model);
         let mut checks = Checks::new(&config);

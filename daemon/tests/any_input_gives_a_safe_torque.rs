@@ -3,10 +3,9 @@
 
 mod common;
 
-use common::{at_rest, config, measurement, rest_plan, rest_pose};
+use common::{at_rest, config, measurement, rest_plan, rest_pose, sizes};
 use proptest::prelude::*;
 use upswing_ipc::{Measurement, Mode};
-use upswing_model::{NQ, NU};
 use upswingd::controller::Controller;
 use upswingd::step::{StepInput, StepRequest};
 use upswingd::supervisor::is_braked;
@@ -29,7 +28,7 @@ enum Disturbance {
 fn disturbances() -> impl Strategy<Value = Disturbance> {
     prop_oneof![
         30 => Just(Disturbance::None),
-        4 => (0..NQ, prop_oneof![any::<f64>(), -0.01..0.01, -3.0..3.0]).prop_map(|(i, v)| Disturbance::Angle(i, v)),
+        4 => (0..sizes().joints(), prop_oneof![any::<f64>(), -0.01..0.01, -3.0..3.0]).prop_map(|(i, v)| Disturbance::Angle(i, v)),
         1 => any::<u64>().prop_map(Disturbance::Status),
         1 => (0_u64..5).prop_map(Disturbance::Clock),
         1 => any::<u64>().prop_map(Disturbance::Period),
@@ -38,7 +37,7 @@ fn disturbances() -> impl Strategy<Value = Disturbance> {
         1 => Just(Disturbance::Lost),
         1 => Just(Disturbance::Restart),
         1 => (0_u64..40).prop_map(Disturbance::Late),
-        1 => (0..NU, any::<f64>()).prop_map(|(i, v)| Disturbance::Torque(i, v)),
+        1 => (0..sizes().actuated(), any::<f64>()).prop_map(|(i, v)| Disturbance::Torque(i, v)),
     ]
 }
 

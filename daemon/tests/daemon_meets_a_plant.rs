@@ -3,15 +3,13 @@
 mod common;
 
 use common::live::{LONG, Plant, ask, ask_until, running_plant};
-use common::{config, rest_payload};
+use common::{config, message, resting, sizes};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{JoinHandle, sleep, spawn};
 use std::time::{Duration, Instant};
 use upswing_config::Config;
-use upswing_ipc::{
-    Clock, ControlKind, ControlRequest, Domain, Mode, PlanMessage, Telemetry, TelemetryBatch, TempDomain,
-};
+use upswing_ipc::{Clock, ControlKind, ControlRequest, Domain, Mode, Telemetry, TelemetryBatch, TempDomain};
 use upswing_process::Failure;
 use upswingd::service::serve;
 use upswingd::trip::TripCause;
@@ -43,7 +41,8 @@ fn on_lockstep_every_measurement_gets_one_cycle_and_requests_wait_for_the_next()
     let domain = TempDomain::new("daemon").unwrap();
     let node = domain.join("plant").unwrap();
     let telemetry = node.subscriber::<TelemetryBatch>().unwrap();
-    let plans = node.publisher::<PlanMessage>().unwrap();
+    let config = config();
+    let plans = node.plan_publisher(sizes(), config.planner.offline.intervals).unwrap();
     let client = node.client::<ControlRequest>().unwrap();
     let mut plant = Plant::new(&node, Clock::Lockstep);
     let daemon = Daemon::start(&domain);
@@ -57,12 +56,11 @@ fn on_lockstep_every_measurement_gets_one_cycle_and_requests_wait_for_the_next()
     assert_eq!((answer.accepted, answer.mode()), (1, Ok(Mode::Idle)), "{}", answer.reason);
     assert!(answer.reason.as_str().unwrap().contains("queued"), "{}", answer.reason);
     let q = plant.q;
-    let mut payload = rest_payload(&config(), &common::at_rest(&q), 1.0);
-    plans.publish(&payload).unwrap();
+    let mut plan = resting(&config, &common::at_rest(&q), 1.0);
+    plans.publish(&message(&plan)).unwrap();
     ask_until(&client, ControlKind::Status, |answer| answer.plan_id == 7);
-    payload.fingerprint = 1;
-    payload.seal();
-    plans.publish(&payload).unwrap();
+    plan.fingerprint = 1;
+    plans.publish(&message(&plan)).unwrap();
     ask_until(&client, ControlKind::Status, |answer| answer.reason.as_str().unwrap().contains("fingerprint"));
     client.call(&ControlRequest::start(7), LONG).unwrap();
 
@@ -224,7 +222,10 @@ fn the_cycles_before_a_fault_are_kept() {
     plant.exchange();
     let answer = ask_until(&client, ControlKind::Status, |answer| answer.mode() == Ok(Mode::Fault));
     let told = answer.reason.as_str().unwrap().to_owned();
-    assert!(told.contains("joint 4 is NaN") && told.contains(folder.path().to_str().unwrap()), "{told}");
+    assert!(
+        told.contains("joint `joint_4` is NaN") && told.contains(folder.path().to_str().unwrap()),
+        "{told}"
+    );
     let files: Vec<_> =
         std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().path()).collect();
     assert_eq!(files.len(), 1, "{files:?}");

@@ -2,11 +2,11 @@
 
 mod common;
 
-use common::{PERIOD_NS, at_rest, config, measurement, rest_plan, rest_pose, upright_pose};
-use nalgebra::SMatrix;
+use common::{PERIOD_NS, all, at_rest, config, measurement, rest_plan, rest_pose, sizes, unit, upright_pose};
+use nalgebra::{DMatrix, DVector};
 use upswing_config::{Config, Level};
 use upswing_ipc::{Clock, Measurement, Mode, Readiness, Telemetry};
-use upswing_model::{ActuatedVector, JointVector, NU, Workspace};
+use upswing_model::{ActuatedVector, JointVector, MOST_JOINTS, Workspace};
 use upswingd::controller::Controller;
 use upswingd::step::{StepInput, StepOutput, StepRequest};
 use upswingd::supervisor::RequestRefusal;
@@ -32,7 +32,7 @@ fn enabled_with(config: &Config, q: JointVector) -> (Controller, JointVector) {
 /// A measurement whose angles flicker by a step of the encoders, as those of a robot do that moves against its torques: else
 /// they would count as stuck.
 fn flickering(seq: u64, q: &JointVector) -> Measurement {
-    measurement(seq, &q.add_scalar(if seq.is_multiple_of(2) { 2e-5 } else { 0.0 }))
+    measurement(seq, &(q + all(if seq.is_multiple_of(2) { 2e-5 } else { 0.0 })))
 }
 
 /// One in Balance.
@@ -64,7 +64,7 @@ fn faults_on(spoil: impl Fn(&mut Measurement), cause: TripCause, joint: usize) -
     spoil(&mut bad);
     let output = controller.step(StepInput::new(bad, 0, None));
     assert_eq!(trip(&controller), Some((Mode::Fault, cause, joint)));
-    assert_eq!((output.command.brake, output.command.tau), (1, [0.0; 7]));
+    assert_eq!((output.command.brake, output.command.tau), (1, [0.0; MOST_JOINTS]));
     assert_eq!(output.record.telemetry.fault, cause.code());
     // It stays, with its cause, until the reset.
     controller.step(StepInput::new(measurement(4, &q), 0, None));
@@ -128,22 +128,20 @@ fn torque_rate() {
         let mut plan = rest_plan(&config, &x, 1.0);
         // The input that changes the torque of joint 1 alone: (24) is affine in u.
         let mut work = Workspace::default();
-        let at_rest = config.model.torque(&x, &ActuatedVector::zeros(), &mut work);
-        let mass = SMatrix::<f64, NU, NU>::from_fn(|i, j| {
-            let unit = ActuatedVector::from_fn(|k, _| if k == j { 1.0 } else { 0.0 });
-            (config.model.torque(&x, &unit, &mut work) - at_rest)[i]
-        });
-        let mut change = ActuatedVector::zeros();
-        change[0] = jump * config.robot.limits.tau_max[0];
+        let at_rest = config.model.torque(&x, &ActuatedVector::zeros(sizes()), &mut work);
+        let n = sizes().actuated();
+        let mass = DMatrix::from_fn(n, n, |i, j| (config.model.torque(&x, &unit(j), &mut work) - at_rest)[i]);
+        let change = DVector::from_column_slice(&(unit(0) * (jump * config.robot.limits.tau_max[0])));
+        let u = mass.lu().solve(&change).unwrap() * (0.01 / common::PERIOD);
         // u_d is linear between knots 10 ms apart.
-        plan.trajectory.u[1] = mass.lu().solve(&change).unwrap() * (0.01 / common::PERIOD);
+        plan.trajectory.u[1].copy_from_slice(u.as_slice());
         controller.step(StepInput::new(measurement(3, &q), 0, Some(StepRequest::Load(plan))));
         controller.step(StepInput::new(measurement(4, &q), 0, Some(StepRequest::Start(7))));
         let output = controller.step(StepInput::new(measurement(5, &q), 0, None));
         assert_eq!((controller.mode(), warns(&output, TripCause::TorqueRate)), expected, "{jump}");
         if expected.0 == Mode::Fault {
             assert_eq!(trip(&controller), Some((Mode::Fault, TripCause::TorqueRate, 0)));
-            assert_eq!((output.command.brake, output.command.tau), (1, [0.0; 7]));
+            assert_eq!((output.command.brake, output.command.tau), (1, [0.0; MOST_JOINTS]));
         }
     }
 }
@@ -284,7 +282,7 @@ fn frozen_measurement() {
         controller.step(StepInput::new(first, 0, Some(StepRequest::Enable)));
         controller.step(StepInput::new(measurement(2, &q), 0, None));
         // A step of an encoder away from the held pose: the command changes, nothing else does.
-        let away = q.add_scalar(2e-5);
+        let away = q + all(2e-5);
         for seq in 3..400 {
             controller.step(StepInput::new(measurement(seq, &away), 0, None));
         }
@@ -318,9 +316,12 @@ fn velocity_limit_of_the_arm_only() {
 }
 
 #[test]
-fn drive_fault_period_and_clock() {
+fn drive_fault_period_joints_and_clock() {
     faults_on(|m| m.status |= Measurement::DRIVE_FAULT, TripCause::DriveFault, 0);
     faults_on(|m| m.period_ns = 1_000_000, TripCause::PeriodMismatch, 0);
+    faults_on(|m| m.joints = 8, TripCause::OtherChain, 0);
+    faults_on(|m| m.actuated = 6, TripCause::OtherChain, 0);
+    faults_on(|m| (m.joints, m.actuated) = (u64::MAX, u64::MAX), TripCause::OtherChain, 0);
     let (mut controller, q) = enabled();
     let mut bad = measurement(3, &q);
     bad.clock = 9;
@@ -457,11 +458,11 @@ fn law_not_finite() {
     let config = config();
     let (mut controller, q) = enabled();
     let mut plan = rest_plan(&config, &at_rest(&q), 1.0);
-    plan.gains.knots.iter_mut().for_each(|gain| gain.fill(f64::NAN));
+    (0..=plan.gains.intervals()).for_each(|k| plan.gains.knot_mut(k).fill(f64::NAN));
     controller.step(StepInput::new(measurement(3, &q), 0, Some(StepRequest::Load(plan))));
     let output = controller.step(StepInput::new(measurement(4, &q), 0, Some(StepRequest::Start(7))));
     assert_eq!(trip(&controller), Some((Mode::Fault, TripCause::LawNotFinite, 0)));
-    assert_eq!((output.command.brake, output.command.tau), (1, [0.0; 7]));
+    assert_eq!((output.command.brake, output.command.tau), (1, [0.0; MOST_JOINTS]));
 }
 
 #[test]
@@ -486,26 +487,27 @@ fn no_mode_begins_with_a_step() {
     let q = rest_pose(&config);
     // A gain that answers the start below with 25 % of the torque of joint 1.
     let mut work = Workspace::default();
-    config.model.hybrid_dynamics(&at_rest(&q), &ActuatedVector::zeros(), &mut work);
-    let unit = ActuatedVector::from_fn(|i, _| f64::from(u8::from(i == 0)));
+    let none = ActuatedVector::zeros(sizes());
+    config.model.hybrid_dynamics(&at_rest(&q), &none, &mut work);
     let tau_max = config.robot.limits.tau_max;
-    let inertia = config.model.reduced_inertia_times(&unit, &work)[0];
+    let inertia = config.model.reduced_inertia_times(&unit(0), &mut work)[0];
     let deviation = 0.04;
     let mut plan = rest_plan(&config, &at_rest(&q), 1.0);
-    plan.gains.knots.iter_mut().for_each(|k| k[(0, 0)] = -0.25 * tau_max[0] / inertia / deviation);
+    let gain = -0.25 * tau_max[0] / inertia / deviation;
+    (0..=plan.gains.intervals()).for_each(|k| plan.gains.knot_mut(k)[0] = gain);
     let mut away = q;
     away[0] += deviation;
 
     let mut controller = Controller::new(&config);
-    let (mut seq, mut last) = (0, ActuatedVector::zeros());
+    let (mut seq, mut last) = (0, none);
     let mut cycles = |controller: &mut Controller, mut request: Option<StepRequest>, n: usize| {
         let mut outputs = Vec::new();
         for _ in 0..n {
             seq += 1;
             let output = controller.step(StepInput::new(measurement(seq, &away), 0, request.take()));
             assert!(output.answer.as_ref().is_none_or(Result::is_ok), "{:?}", output.answer);
-            let tau = ActuatedVector::from(output.command.tau);
-            for i in 0..NU {
+            let tau = output.command.torque(sizes()).unwrap();
+            for i in 0..tau.len() {
                 let share = (tau[i] - last[i]).abs() / tau_max[i];
                 assert!(share <= 0.125 + 1e-12, "cycle {seq}, joint {}: {share}", i + 1);
             }
@@ -519,12 +521,12 @@ fn no_mode_begins_with_a_step() {
     // The brakes held.
     let request = Some(StepRequest::Enable);
     let (held, _) = cycles(&mut controller, request, 20);
-    let gravity = config.model.torque(&at_rest(&away), &ActuatedVector::zeros(), &mut work);
-    assert!((held - gravity).amax() < 1e-6, "{held}");
+    let gravity = config.model.torque(&at_rest(&away), &none, &mut work);
+    assert!((held - gravity).amax() < 1e-6, "{held:?}");
     cycles(&mut controller, Some(StepRequest::Load(plan)), 1);
     let (tracked, limited) = cycles(&mut controller, Some(StepRequest::Start(7)), 20);
     assert_eq!(controller.mode(), Mode::Track);
-    assert!((tracked - gravity)[0] / tau_max[0] < -0.2, "{tracked}");
+    assert!((tracked - gravity)[0] / tau_max[0] < -0.2, "{tracked:?}");
     // 12.5 % per cycle; what it takes is on its way in all of them but the last.
     let steps = (tracked - gravity).component_div(&tau_max).amax() / 0.125;
     assert!(steps > 2.0, "{steps}");
@@ -533,7 +535,7 @@ fn no_mode_begins_with_a_step() {
     let (stopped, limited) = cycles(&mut controller, Some(StepRequest::Stop), 20);
     assert_eq!(controller.mode(), Mode::Stop);
     // But for what the estimate of disturbances makes of an arm that does not move.
-    assert!((stopped - gravity).amax() < 5.0, "{stopped}");
+    assert!((stopped - gravity).amax() < 5.0, "{stopped:?}");
     assert!((2..=8).contains(&on_the_way(limited)));
 }
 
@@ -543,7 +545,7 @@ fn a_mode_begins_for_two_milliseconds_at_most() {
     let config = config();
     let (mut controller, mut q) = enabled();
     let mut plan = rest_plan(&config, &at_rest(&q), 1.0);
-    plan.gains.knots.iter_mut().for_each(|k| k[(0, 0)] = -1e7);
+    (0..=plan.gains.intervals()).for_each(|k| plan.gains.knot_mut(k)[0] = -1e7);
     controller.step(StepInput::new(measurement(3, &q), 0, Some(StepRequest::Load(plan))));
     q[0] += 1e-4;
     controller.step(StepInput::new(measurement(4, &q), 0, Some(StepRequest::Start(7))));
@@ -662,7 +664,7 @@ fn no_measurement_and_unready_drives_refuse_enable() {
     let told = |refusal: RequestRefusal, readiness: Readiness, remedy: &str| {
         assert_eq!(refusal.remedy(), Some(remedy));
         assert_eq!(refusal.readiness(), readiness);
-        let text = refusal.to_string();
+        let text = refusal.text(&config.model);
         assert!(text.ends_with(&format!("next: {remedy}, then upswing request enable")), "{text}");
     };
     told(output.record.unready.expect("a reason"), Readiness::NoMeasurement, "start a plant");
@@ -696,8 +698,8 @@ fn stuck_encoder() {
         let expected = stuck.then_some((Mode::Fault, TripCause::StuckEncoder, 0));
         assert_eq!(trip(&controller), expected);
         if stuck {
-            let text = controller.trip().map(ToString::to_string).unwrap_or_default();
-            assert!(text.contains("joint 1 has not changed for 0.0"), "{text}");
+            let text = controller.trip().map(|trip| trip.text(&config.model)).unwrap_or_default();
+            assert!(text.contains("joint `joint_1` has not changed for 0.0"), "{text}");
         }
     }
 }

@@ -1,5 +1,6 @@
 //! Every pair of mode and event has the result that docs/daemon.md names.
 
+use upswing_config::Config;
 use upswing_ipc::Mode::{self, Balance, Fault, Hold, Idle, Stop, Track};
 use upswing_ipc::operator::{Manoeuvre, NextAction, OperatorRequest};
 use upswingd::plan::Ending;
@@ -53,6 +54,7 @@ fn every_request_is_in_the_table() {
 
 #[test]
 fn a_refusal_names_a_step_that_is_accepted() {
+    let model = Config::embedded().unwrap().model;
     for mode in Mode::ALL.iter().copied() {
         let accepted = match mode.next_action() {
             // The planner makes such plans in these modes; then one starts.
@@ -71,7 +73,7 @@ fn a_refusal_names_a_step_that_is_accepted() {
         assert_ne!(next, mode, "it leads somewhere");
         let refused = ModeEvent::REQUESTS.into_iter().filter_map(|r| transition(mode, r).err());
         for refusal in refused {
-            let text = refusal.to_string();
+            let text = refusal.text(&model);
             assert!(text.ends_with(&format!("next: {}", mode.next_action())), "{text}");
         }
     }
@@ -84,6 +86,6 @@ fn a_refusal_names_a_step_that_is_accepted() {
 
 #[test]
 fn a_refusal_names_mode_and_request() {
-    let refusal = transition(Idle, ModeEvent::Start).unwrap_err().to_string();
+    let refusal = transition(Idle, ModeEvent::Start).unwrap_err().text(&Config::embedded().unwrap().model);
     assert!(refusal.contains("start") && refusal.contains("idle"), "{refusal}");
 }

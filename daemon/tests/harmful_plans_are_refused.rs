@@ -3,12 +3,13 @@
 
 mod common;
 
-use common::{Arm, at_rest, config, rest_payload, rest_pose, swing, upright_pose};
+use common::{Arm, at_rest, config, message, rest_pose, resting, sizes, swing, upright_pose};
 use std::collections::BTreeMap;
+use std::ops::Range;
 use upswing_config::Config;
-use upswing_ipc::{Mode, PlanMessage};
-use upswing_model::{ActuatedVector, NQ, NU, NX, State, Workspace};
-use upswing_trajectory::{KNOTS, N};
+use upswing_ipc::Mode;
+use upswing_model::Workspace;
+use upswing_trajectory::Plan;
 use upswingd::controller::Controller;
 use upswingd::plan::accept;
 use upswingd::step::{StepInput, StepRequest};
@@ -33,12 +34,6 @@ impl Random {
         from + (to - from) * (self.next() >> 11) as f64 / (1_u64 << 53) as f64
     }
 
-    /// A run of knots of any length.
-    fn knots(&mut self) -> std::ops::Range<usize> {
-        let first = self.below(KNOTS);
-        first..first + 1 + self.below(KNOTS - first)
-    }
-
     /// A size from 10^`from` to 10^`to`, of any sign.
     fn size(&mut self, from: f64, to: f64) -> f64 {
         let sign = if self.below(2) == 0 { 1.0 } else { -1.0 };
@@ -46,71 +41,100 @@ impl Random {
     }
 }
 
-fn scale(gain: &mut [[f64; NX]; NU], factor: f64) {
-    gain.as_flattened_mut().iter_mut().for_each(|v| *v *= factor);
+/// Scales the gains of some knots.
+fn scale(plan: &mut Plan, knots: Range<usize>, factor: f64) {
+    knots.for_each(|k| scale_all(plan.gains.knot_mut(k), factor));
+}
+
+fn scale_all(values: &mut [f64], factor: f64) {
+    values.iter_mut().for_each(|v| *v *= factor);
+}
+
+/// Gives the knots the gains of other knots: that of knot `from(k)` to knot k.
+fn reorder(plan: &mut Plan, from: impl Fn(usize) -> usize) {
+    let gains = plan.gains.clone();
+    all(plan).for_each(|k| plan.gains.knot_mut(k).copy_from_slice(gains.knot(from(k)).as_slice()));
+}
+
+/// All knots.
+fn all(plan: &Plan) -> Range<usize> {
+    0..plan.trajectory.x.len()
+}
+
+/// A run of knots of any length.
+fn some(plan: &Plan, random: &mut Random) -> Range<usize> {
+    let knots = all(plan).len();
+    let first = random.below(knots);
+    first..first + 1 + random.below(knots - first)
 }
 
 /// f_k of the model at every knot: nobody who wants to be believed forgets that.
-fn follow_the_model(plan: &mut PlanMessage, config: &Config) {
-    let mut work = Workspace::default();
-    for k in 0..KNOTS {
-        let (x, u) = (State::from(plan.x[k]), ActuatedVector::from(plan.u[k]));
-        plan.f[k] = config.model.f(&x, &u, &mut work).into();
-    }
+fn follow_the_model(plan: &mut Plan, config: &Config) {
+    plan.f = plan.trajectory.f(&config.model, &mut Workspace::default());
 }
 
-type Mutation = fn(&mut PlanMessage, &mut Random);
+type Mutation = fn(&mut Plan, &mut Random);
 
 const MUTATIONS: [(&str, Mutation); 16] = [
-    ("gains of the opposite sign", |p, _| p.k.iter_mut().for_each(|k| scale(k, -1.0))),
-    ("gains of a few knots of the opposite sign", |p, r| {
-        p.k[r.knots()].iter_mut().for_each(|k| scale(k, -1.0));
-    }),
-    ("gains scaled", |p, r| {
-        let factor = r.size(0.0, 8.0);
-        p.k.iter_mut().for_each(|k| scale(k, factor));
-    }),
+    ("gains of the opposite sign", |p, _| scale(p, all(p), -1.0)),
+    ("gains of a few knots of the opposite sign", |p, r| scale(p, some(p, r), -1.0)),
+    ("gains scaled", |p, r| scale(p, all(p), r.size(0.0, 8.0))),
     ("gains of a few knots scaled", |p, r| {
         let factor = r.size(-3.0, 6.0);
-        p.k[r.knots()].iter_mut().for_each(|k| scale(k, factor));
+        scale(p, some(p, r), factor);
     }),
     ("gains of every other knot larger, of the others smaller", |p, r| {
         let by = r.between(0.0, 100.0);
-        p.k.iter_mut().enumerate().for_each(|(i, k)| scale(k, if i % 2 == 0 { 1.0 + by } else { 1.0 - by }));
+        all(p).for_each(|k| scale(p, k..k + 1, if k % 2 == 0 { 1.0 + by } else { 1.0 - by }));
     }),
     ("one row of the gains", |p, r| {
-        let (row, factor) = (r.below(NU), r.size(-1.0, 4.0));
-        p.k.iter_mut().for_each(|k| k[row].iter_mut().for_each(|v| *v *= factor));
+        let (row, factor) = (r.below(sizes().actuated()), r.size(-1.0, 4.0));
+        let of_row = row * sizes().state()..(row + 1) * sizes().state();
+        all(p).for_each(|k| scale_all(&mut p.gains.knot_mut(k)[of_row.clone()], factor));
     }),
     ("one column of the gains", |p, r| {
-        let (column, factor) = (r.below(NX), r.size(-1.0, 4.0));
-        p.k.iter_mut().for_each(|k| k.iter_mut().for_each(|row| row[column] *= factor));
+        let (column, factor) = (r.below(sizes().state()), r.size(-1.0, 4.0));
+        let scale_column = |row: &mut [f64]| row[column] *= factor;
+        all(p).for_each(|k| p.gains.knot_mut(k).chunks_exact_mut(sizes().state()).for_each(scale_column));
     }),
-    ("one number of a gain", |p, r| p.k[r.below(KNOTS)][r.below(NU)][r.below(NX)] += r.size(0.0, 8.0)),
-    ("gains of other knots", |p, r| p.k.rotate_left(1 + r.below(N))),
-    ("gains backwards", |p, _| p.k.reverse()),
-    ("no gains", |p, _| p.k.iter_mut().for_each(|k| scale(k, 0.0))),
-    ("final gain scaled", |p, r| scale(&mut p.k_final, r.size(-3.0, 6.0))),
-    ("one number of the final gain", |p, r| p.k_final[r.below(NU)][r.below(NX)] += r.size(0.0, 6.0)),
-    ("another duration", |p, r| p.t_f *= r.size(-1.0, 1.0)),
+    ("one number of a gain", |p, r| {
+        let gain = p.gains.knot_mut(r.below(all(p).len()));
+        gain[r.below(gain.len())] += r.size(0.0, 8.0);
+    }),
+    ("gains of other knots", |p, r| {
+        let by = 1 + r.below(p.gains.intervals());
+        let knots = all(p).len();
+        reorder(p, |k| (k + by) % knots);
+    }),
+    ("gains backwards", |p, _| {
+        let last = p.gains.intervals();
+        reorder(p, |k| last - k);
+    }),
+    ("no gains", |p, _| scale(p, all(p), 0.0)),
+    ("final gain scaled", |p, r| scale_all(p.gains.end_mut(), r.size(-3.0, 6.0))),
+    ("one number of the final gain", |p, r| {
+        let gain = p.gains.end_mut();
+        gain[r.below(gain.len())] += r.size(0.0, 6.0);
+    }),
+    ("another duration", |p, r| p.trajectory.t_f *= r.size(-1.0, 1.0)),
     ("states elsewhere for a while", |p, r| {
-        let (row, by) = (r.below(NX), r.size(-4.0, 0.0));
-        p.x[r.knots()].iter_mut().for_each(|x| x[row] += by);
+        let (row, by) = (r.below(sizes().state()), r.size(-4.0, 0.0));
+        some(p, r).for_each(|k| p.trajectory.x[k][row] += by);
     }),
     ("another input for a while", |p, r| {
-        let (row, by) = (r.below(NU), r.size(-3.0, 2.0));
-        p.u[r.knots()].iter_mut().for_each(|u| u[row] += by);
+        let (row, by) = (r.below(sizes().actuated()), r.size(-3.0, 2.0));
+        some(p, r).for_each(|k| p.trajectory.u[k][row] += by);
     }),
 ];
 
 /// The robot follows the plan from near its start, another one for each `number`, where its drives are far from their limits
 /// with a good plan. The mode in which it ends.
-fn fly(config: &Config, plan: &PlanMessage, number: usize) -> Mode {
+fn fly(config: &Config, plan: &Plan, number: usize) -> Mode {
     let mut random = Random(number as u64);
-    let plan = accept(plan, config).expect("accepted before");
-    let mut x = plan.trajectory.x[0];
-    for i in 0..NQ {
-        x[i] += random.between(-1.0, 1.0) * 0.1 * config.daemon.start.position;
+    let plan = accept(&message(plan), config).expect("accepted before");
+    let mut x = *plan.trajectory.start();
+    for q in x.q_mut() {
+        *q += random.between(-1.0, 1.0) * 0.1 * config.daemon.start.position;
     }
     let cycles = ((plan.trajectory.t_f + 0.5) / common::PERIOD) as usize;
     let (mut controller, mut arm) = (Controller::new(config), Arm::new(config, x));
@@ -132,10 +156,10 @@ fn three_thousand_of_them() {
     let config = config();
     let (up, down) = swing(&config, &rest_pose(&config));
     let plans = [
-        (Box::from(&*up), Mode::Balance),
-        (Box::from(&*down), Mode::Hold),
-        (rest_payload(&config, &at_rest(&rest_pose(&config)), 1.0), Mode::Hold),
-        (rest_payload(&config, &at_rest(&upright_pose()), 1.0), Mode::Balance),
+        (*up, Mode::Balance),
+        (*down, Mode::Hold),
+        (resting(&config, &at_rest(&rest_pose(&config)), 1.0), Mode::Hold),
+        (resting(&config, &at_rest(&upright_pose()), 1.0), Mode::Balance),
     ];
     for (plan, end) in &plans {
         assert_eq!(fly(&config, plan, 0), *end, "without a mutation");
@@ -146,12 +170,11 @@ fn three_thousand_of_them() {
     for number in 0..3000 {
         let (name, mutate) = MUTATIONS[number % MUTATIONS.len()];
         let (plan, end) = &plans[number / MUTATIONS.len() % plans.len()];
-        let mut mutant = plan.boxed_copy();
+        let mut mutant = plan.clone();
         mutate(&mut mutant, &mut random);
         follow_the_model(&mut mutant, &config);
-        mutant.seal();
         let [refused, accepted] = tally.entry(name).or_default();
-        if accept(&mutant, &config).is_err() {
+        if accept(&message(&mutant), &config).is_err() {
             *refused += 1;
             continue;
         }

@@ -2,10 +2,12 @@
 
 mod common;
 
-use common::{Arm, PERIOD, PERIOD_NS, at_rest, config, measurement, rest_plan, rest_pose, upright_pose};
+use common::{
+    Arm, PERIOD, PERIOD_NS, at_rest, config, measurement, rest_plan, rest_pose, sizes, upright_pose,
+};
 use upswing_config::PlanWhileTracking;
 use upswing_ipc::{Clock, Measurement, Mode, Telemetry};
-use upswing_model::{ActuatedVector, JointVector, NQ, NU, Workspace};
+use upswing_model::{ActuatedVector, JointVector, Workspace};
 use upswingd::controller::Controller;
 use upswingd::step::{StepInput, StepOutput, StepRequest};
 use upswingd::supervisor::RequestRefusal;
@@ -47,7 +49,7 @@ impl Told {
 
 /// The reference of the arm: angles and speeds.
 fn reference(telemetry: &Telemetry) -> Vec<(f64, f64)> {
-    (0..NU).map(|i| (telemetry.q_d[i], telemetry.qd_d[i])).collect()
+    (0..sizes().actuated()).map(|i| (telemetry.q_d[i], telemetry.qd_d[i])).collect()
 }
 
 #[test]
@@ -60,7 +62,7 @@ fn a_stop_that_is_asked_for_again_goes_on_and_ends_in_the_pose_of_its_reference(
     let mut cycle = |controller: &mut Controller, request: Option<StepRequest>| {
         let output = controller.step(StepInput::new(arm.measure(), 0, request.clone()));
         if request == Some(StepRequest::Enable) {
-            (0..NU).for_each(|i| arm.x[NQ + i] = 0.5);
+            arm.x.qd_a_mut().fill(0.5);
         }
         arm.advance(&output.command);
         output.record.telemetry
@@ -88,7 +90,8 @@ fn a_stop_that_is_asked_for_again_goes_on_and_ends_in_the_pose_of_its_reference(
     assert_eq!((controller.mode(), last.mode), (Mode::Hold, Mode::Hold.code()));
     let held = cycle(&mut controller, None);
     assert_eq!(reference(&held), reference(&last));
-    assert_ne!(held.q_d[..NU], held.q[..NU], "the arm is near its reference, not on it");
+    let held = held.vectors(config.model.order()).unwrap();
+    assert_ne!(held.x_d.q_a(), held.x.q_a(), "the arm is near its reference, not on it");
 }
 
 #[test]
@@ -105,7 +108,8 @@ fn a_plan_that_hangs_ends_in_the_hold_of_its_end() {
         last = told.step(None);
     }
     assert_eq!(told.controller.mode(), Mode::Hold);
-    assert_eq!(last.record.telemetry.q_d[..NU], end.as_slice()[..NU]);
+    let last = last.record.telemetry.vectors(config().model.order()).unwrap();
+    assert_eq!(last.x_d.q_a(), end.actuated());
 }
 
 #[test]
@@ -233,14 +237,14 @@ fn a_shutdown_can_be_asked_for_twice_and_nothing_else_after_it() {
 fn only_a_load_that_is_sensed_behind_closed_brakes_is_an_offset() {
     let config = config();
     let q = rest_pose(&config);
-    let none = ActuatedVector::zeros();
+    let none = ActuatedVector::zeros(sizes());
     let gravity = config.model.torque(&at_rest(&q), &none, &mut Workspace::default());
     let closed = Measurement::BRAKES_CLOSED;
     for (status, offset) in
         [(0, 0.0), (closed, 0.0), (Measurement::LOAD_SENSED, 0.0), (closed | Measurement::LOAD_SENSED, 1.0)]
     {
         let mut controller = Controller::new(&config);
-        let mut tau_measured: [f64; NU] = gravity.into();
+        let mut tau_measured = *gravity.padded();
         tau_measured[0] += 1.0;
         for seq in 1..=10 {
             let status = Measurement::DRIVES_READY | status;
@@ -254,11 +258,12 @@ fn only_a_load_that_is_sensed_behind_closed_brakes_is_an_offset() {
             Measurement { status: Measurement::DRIVES_READY | status, tau_measured, ..measurement(11, &q) };
         let output = controller.step(StepInput::new(last, 0, Some(StepRequest::Enable)));
         assert_eq!(output.answer, Some(Ok(())));
-        let mut tau = ActuatedVector::zeros();
+        let mut tau = none;
         for seq in 12..30 {
-            tau = controller.step(StepInput::new(measurement(seq, &q), 0, None)).command.tau.into();
+            let output = controller.step(StepInput::new(measurement(seq, &q), 0, None));
+            tau = output.command.torque(sizes()).unwrap();
         }
         // The sensor shows 1 N m too much: so much more is commanded.
-        assert!(((tau - gravity)[0] - offset).abs() < 0.05, "{status:b}: {} N m", tau - gravity);
+        assert!(((tau - gravity)[0] - offset).abs() < 0.05, "{status:b}: {:?} N m", tau - gravity);
     }
 }

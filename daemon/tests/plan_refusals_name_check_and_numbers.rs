@@ -2,13 +2,14 @@
 
 mod common;
 
-use common::{at_rest, config, rest_payload, rest_plan, rest_pose, upright_pose};
-use upswing_config::{Config, PendulumStart, PlanWhileTracking, VelocityEstimate};
+use common::{at_rest, config, held, message, rest_plan, rest_pose, resting, sizes, unit, upright_pose};
+use nalgebra::{DMatrix, DVector};
+use upswing_config::{Config, PendulumStart, PlanWhileTracking, StartTolerance, VelocityEstimate};
 use upswing_ipc::operator::Manoeuvre;
-use upswing_ipc::{DamagedPlan, Measurement, PlanMessage};
-use upswing_model::{ActuatedVector, LimitKind, NQ, NU, NX, State, StateParts, Workspace};
+use upswing_ipc::{DamagedPlan, Measurement, OtherChain, PlanMessage};
+use upswing_model::{ActuatedVector, LimitKind, Linearization, Sizes, State, Workspace};
 use upswing_planner::replan::{Effort, Planner};
-use upswing_trajectory::{Gain, KNOTS, N, UnmetCriterion};
+use upswing_trajectory::{InterpolatedGain, Plan, UnmetCriterion};
 use upswingd::controller::Controller;
 use upswingd::plan::{PlanRefusal, accept};
 use upswingd::step::{StepInput, StepRequest};
@@ -21,32 +22,52 @@ fn rest() -> (Config, State) {
     (config, x)
 }
 
-/// What is said about a good plan after `spoil`, sealed again.
-fn refusal(spoil: impl Fn(&mut PlanMessage)) -> PlanRefusal {
+/// N of the plans.
+fn n(config: &Config) -> usize {
+    config.planner.offline.intervals
+}
+
+/// Index of an entry of a gain.
+fn entry(row: usize, column: usize) -> usize {
+    row * sizes().state() + column
+}
+
+/// Index of the entry of a gain with which an actuated joint answers the velocity of a joint.
+fn entry_qd(row: usize, joint: usize) -> usize {
+    entry(row, sizes().joints() + joint)
+}
+
+/// Scales the gains of some knots.
+fn scale(plan: &mut Plan, knots: impl IntoIterator<Item = usize>, factor: f64) {
+    knots.into_iter().for_each(|k| plan.gains.knot_mut(k).iter_mut().for_each(|v| *v *= factor));
+}
+
+/// What is said about a plan on its way from planner to daemon.
+fn sent(plan: &Plan, config: &Config) -> Result<Box<Plan>, PlanRefusal> {
+    accept(&message(plan), config)
+}
+
+/// What is said about a good plan after `spoil`.
+fn refusal(spoil: impl Fn(&mut Plan)) -> PlanRefusal {
     let (config, x) = rest();
-    let mut payload = rest_payload(&config, &x, 1.0);
-    spoil(&mut payload);
-    payload.seal();
-    let refusal = accept(&payload, &config).unwrap_err();
+    let mut plan = resting(&config, &x, 1.0);
+    spoil(&mut plan);
+    let refusal = sent(&plan, &config).unwrap_err();
     assert!(refusal.to_string().len() < 200, "fits into an answer: {refusal}");
     refusal
 }
 
 /// f_k of the model at every knot.
-fn follow_the_model(plan: &mut PlanMessage, config: &Config) {
-    for k in 0..KNOTS {
-        let (x, u) = (State::from(plan.x[k]), ActuatedVector::from(plan.u[k]));
-        plan.f[k] = config.model.f(&x, &u, &mut Workspace::default()).into();
-    }
+fn follow_the_model(plan: &mut Plan, config: &Config) {
+    plan.f = plan.trajectory.f(&config.model, &mut Workspace::default());
 }
 
-/// What is said about a plan that rests at `x` for 1 s after `spoil`, with f_k of the model, sealed again.
-fn verdict(config: &Config, x: &State, spoil: impl Fn(&mut PlanMessage)) -> Option<UnmetCriterion> {
-    let mut payload = rest_payload(config, x, 1.0);
-    spoil(&mut payload);
-    follow_the_model(&mut payload, config);
-    payload.seal();
-    match accept(&payload, config) {
+/// What is said about a plan that rests at `x` for 1 s after `spoil`, with f_k of the model.
+fn verdict(config: &Config, x: &State, spoil: impl Fn(&mut Plan)) -> Option<UnmetCriterion> {
+    let mut plan = resting(config, x, 1.0);
+    spoil(&mut plan);
+    follow_the_model(&mut plan, config);
+    match sent(&plan, config) {
         Ok(_) => None,
         Err(PlanRefusal::Criterion(unfit)) => Some(unfit),
         Err(refusal) => panic!("{refusal}"),
@@ -54,7 +75,7 @@ fn verdict(config: &Config, x: &State, spoil: impl Fn(&mut PlanMessage)) -> Opti
 }
 
 /// A swing-up from rest with the arm at `degrees`, and a swing-down from its end, for the weight r of (20).
-fn planned(r: f64, degrees: [f64; 7]) -> (Config, [Box<PlanMessage>; 2]) {
+fn planned(r: f64, degrees: [f64; 7]) -> (Config, [Plan; 2]) {
     let mut config = config();
     config.planner.lqr.r = r;
     let planner = Planner::new(config.clone()).unwrap();
@@ -62,8 +83,8 @@ fn planned(r: f64, degrees: [f64; 7]) -> (Config, [Box<PlanMessage>; 2]) {
     let effort = Effort::iterations(config.planner.replan.iterations);
     let mut solver = planner.solver();
     let up = planner.replan_with(&mut solver, Manoeuvre::SwingUp, &start, &effort).unwrap();
-    let down = planner.replan_with(&mut solver, Manoeuvre::SwingDown, &up.trajectory.x[N], &effort).unwrap();
-    let plans = [up, down].map(|replan| Box::from(&replan.plan(&config)));
+    let down = planner.replan_with(&mut solver, Manoeuvre::SwingDown, up.trajectory.end(), &effort).unwrap();
+    let plans = [up, down].map(|replan| replan.plan(&config));
     (config, plans)
 }
 
@@ -71,24 +92,8 @@ const START: [f64; 7] = [-15.0, -15.0, 0.0, -95.0, 0.0, 10.0, 0.0];
 
 #[test]
 fn a_good_plan_keeps_its_numbers() {
-    let (config, [payload, _]) = planned(0.01, START);
-    let plan = accept(&payload, &config).unwrap();
-    assert_eq!(
-        (plan.id, plan.fingerprint, plan.trajectory.t_f),
-        (payload.id, payload.fingerprint, payload.t_f)
-    );
-    for k in 0..KNOTS {
-        assert_eq!(plan.trajectory.x[k], State::from(payload.x[k]), "x at knot {k}");
-        assert_eq!(plan.trajectory.u[k], ActuatedVector::from(payload.u[k]), "u at knot {k}");
-        assert_eq!(plan.f[k], State::from(payload.f[k]), "f at knot {k}");
-        for i in 0..NU {
-            assert!(
-                (0..NX).all(|j| plan.gains.knots[k][(i, j)] == payload.k[k][i][j]),
-                "K at knot {k}, row {i}"
-            );
-            assert!((0..NX).all(|j| plan.gains.end[(i, j)] == payload.k_final[i][j]), "the final K, row {i}");
-        }
-    }
+    let (config, [plan, _]) = planned(0.01, START);
+    assert_eq!(*sent(&plan, &config).unwrap(), plan);
 }
 
 #[test]
@@ -98,7 +103,7 @@ fn stiff_gains_are_accepted() {
         for start in starts {
             let (config, plans) = planned(r, start);
             for plan in plans {
-                accept(&plan, &config).unwrap_or_else(|e| panic!("r = {r}, {start:?}: {e}"));
+                sent(&plan, &config).unwrap_or_else(|e| panic!("r = {r}, {start:?}: {e}"));
             }
         }
     }
@@ -107,10 +112,36 @@ fn stiff_gains_are_accepted() {
 #[test]
 fn checksum() {
     let (config, x) = rest();
-    let mut payload = rest_payload(&config, &x, 1.0);
-    payload.u[50][2] = 0.5;
-    let text = accept(&payload, &config).unwrap_err().to_string();
-    assert!(text.contains("checksum") && text.contains(&format!("{:016x}", payload.checksum)), "{text}");
+    let mut damaged = message(&resting(&config, &x, 1.0));
+    damaged.values[5000] += 0.5;
+    let text = accept(&damaged, &config).unwrap_err().to_string();
+    assert!(
+        text.contains("checksum") && text.contains(&format!("{:016x}", damaged.header.checksum)),
+        "{text}"
+    );
+}
+
+#[test]
+fn numbers_of_joints() {
+    let (config, x) = rest();
+    let mut other = message(&resting(&config, &x, 1.0));
+    // As many numbers, of other joints.
+    (other.header.joints, other.header.actuated) = (63, 1);
+    other.seal();
+    assert!(matches!(
+        accept(&other, &config),
+        Err(PlanRefusal::Damaged(DamagedPlan::Sizes { joints: 63, .. }))
+    ));
+    other.header.joints = 9;
+    other.seal();
+    assert!(matches!(accept(&other, &config), Err(PlanRefusal::Damaged(DamagedPlan::Length { .. }))));
+    // A chain of two joints.
+    let mut other = message(&resting(&config, &x, 1.0));
+    (other.header.joints, other.header.actuated) = (2, 1);
+    other.values.truncate(PlanMessage::length(Sizes::new(2, 1).unwrap(), n(&config)));
+    other.seal();
+    let expected = OtherChain { payload: "plan", joints: 2, actuated: 1, expected: sizes() };
+    assert_eq!(accept(&other, &config), Err(DamagedPlan::Chain(expected).into()));
 }
 
 #[test]
@@ -125,23 +156,26 @@ fn fingerprint() {
 #[test]
 fn id_and_duration() {
     assert_eq!(refusal(|p| p.id = 0), PlanRefusal::Damaged(DamagedPlan::Id));
-    assert_eq!(refusal(|p| p.t_f = 0.0), UnmetCriterion::Duration { got: 0.0 }.into());
-    assert_eq!(refusal(|p| p.t_f = 60.1), UnmetCriterion::Duration { got: 60.1 }.into());
+    assert_eq!(refusal(|p| p.trajectory.t_f = 0.0), UnmetCriterion::Duration { got: 0.0 }.into());
+    assert_eq!(refusal(|p| p.trajectory.t_f = 60.1), UnmetCriterion::Duration { got: 60.1 }.into());
     let (config, x) = rest();
-    accept(&rest_payload(&config, &x, 60.0), &config).unwrap();
-    assert!(refusal(|p| p.t_f = -1.0).to_string().contains("-1 s"));
-    assert!(refusal(|p| p.t_f = f64::INFINITY).to_string().contains("inf"));
-    assert!(matches!(refusal(|p| p.t_f = f64::NAN), PlanRefusal::Criterion(UnmetCriterion::Duration { .. })));
+    sent(&resting(&config, &x, 60.0), &config).unwrap();
+    assert!(refusal(|p| p.trajectory.t_f = -1.0).to_string().contains("-1 s"));
+    assert!(refusal(|p| p.trajectory.t_f = f64::INFINITY).to_string().contains("inf"));
+    assert!(matches!(
+        refusal(|p| p.trajectory.t_f = f64::NAN),
+        PlanRefusal::Criterion(UnmetCriterion::Duration { .. })
+    ));
 }
 
 #[test]
 fn numbers_that_are_not_finite() {
     for (part, refusal) in [
-        ("x at knot 3", refusal(|p| p.x[3][17] = f64::NAN)),
-        ("u at knot 100", refusal(|p| p.u[100][6] = f64::INFINITY)),
+        ("x at knot 3", refusal(|p| p.trajectory.x[3][17] = f64::NAN)),
+        ("u at knot 100", refusal(|p| p.trajectory.u[100][6] = f64::INFINITY)),
         ("f at knot 0", refusal(|p| p.f[0][0] = f64::NAN)),
-        ("K at knot 51", refusal(|p| p.k[51][6][17] = f64::NEG_INFINITY)),
-        ("the final K", refusal(|p| p.k_final[0][0] = f64::NAN)),
+        ("K at knot 51", refusal(|p| p.gains.knot_mut(51)[entry(6, 17)] = f64::NEG_INFINITY)),
+        ("the final K", refusal(|p| p.gains.end_mut()[0] = f64::NAN)),
     ] {
         assert!(refusal.to_string().contains(part), "{refusal}");
     }
@@ -149,11 +183,11 @@ fn numbers_that_are_not_finite() {
 
 #[test]
 fn limits_at_a_knot() {
-    let text = refusal(|p| p.x[4][1] = 2.5).to_string();
+    let text = refusal(|p| p.trajectory.x[4][1] = 2.5).to_string();
     assert!(text.contains("position of joint 2 at knot 4.00 is 2.5000") && text.contains("2.0954"), "{text}");
-    let text = refusal(|p| p.x[5][NQ + 3] = -0.8).to_string();
+    let text = refusal(|p| p.trajectory.x[5].qd_mut()[3] = -0.8).to_string();
     assert!(text.contains("velocity of joint 4 at knot 5.00 is -0.8000"), "{text}");
-    let text = refusal(|p| p.u[0][0] = 1000.0).to_string();
+    let text = refusal(|p| p.trajectory.u[0][0] = 1000.0).to_string();
     assert!(text.contains("torque of joint 1 at knot 0.00 is") && text.contains("168.0000"), "{text}");
 }
 
@@ -165,15 +199,17 @@ fn every_limit_on_both_sides_up_to_its_slack() {
         matches!(unfit, Some(UnmetCriterion::Limit { kind: k, joint: j, knot, .. })
             if (k, j, knot) == (kind, joint, number as f64))
     };
-    for i in 0..NQ {
-        for knot in [0, 57, N] {
+    for i in 0..sizes().joints() {
+        for knot in [0, 57, n(&config)] {
             for (bound, out) in [(limits.q_min[i], -1.0), (limits.q_max[i], 1.0)] {
-                let at = |by: f64| verdict(&config, &x, |p| p.x[knot][i] = bound + out * by);
+                let at = |by: f64| verdict(&config, &x, |p| p.trajectory.x[knot][i] = bound + out * by);
                 assert!(limit_of(i, knot, LimitKind::Position, at(1.1e-3)), "joint {i}, knot {knot}, {out}");
                 assert!(!limit_of(i, knot, LimitKind::Position, at(0.9e-3)), "joint {i}, knot {knot}, {out}");
             }
             for out in [-1.0, 1.0] {
-                let at = |by| verdict(&config, &x, |p| p.x[knot][NQ + i] = out * (limits.qd_max[i] + by));
+                let at = |by| {
+                    verdict(&config, &x, |p| p.trajectory.x[knot].qd_mut()[i] = out * (limits.qd_max[i] + by))
+                };
                 assert!(limit_of(i, knot, LimitKind::Velocity, at(1.1e-2)), "joint {i}, knot {knot}, {out}");
                 assert!(!limit_of(i, knot, LimitKind::Velocity, at(0.9e-2)), "joint {i}, knot {knot}, {out}");
             }
@@ -185,19 +221,17 @@ fn every_limit_on_both_sides_up_to_its_slack() {
 fn every_torque_limit_on_both_sides_up_to_its_slack() {
     let (config, x) = rest();
     let torque = |u: &ActuatedVector| config.model.torque(&x, u, &mut Workspace::default());
-    let still = torque(&ActuatedVector::zeros());
-    for i in 0..NU {
-        let mut unit = ActuatedVector::zeros();
-        unit[i] = 1.0;
-        let inertia = (torque(&unit) - still)[i];
+    let still = torque(&ActuatedVector::zeros(sizes()));
+    for i in 0..sizes().actuated() {
+        let inertia = (torque(&unit(i)) - still)[i];
         // Little more than what holds the arm: more moves the pendulum out of its limits.
         let most = still[i].abs() + 0.5 * inertia;
-        for (knot, out) in [(0, -1.0), (57, 1.0), (N, -1.0)] {
-            let u = unit * (out * most - still[i]) / inertia;
+        for (knot, out) in [(0, -1.0), (57, 1.0), (n(&config), -1.0)] {
+            let u = unit(i) * (out * most - still[i]) / inertia;
             let at = |share: f64| {
                 let mut config = config.clone();
                 config.robot.planning.tau_max[i] = most / share;
-                verdict(&config, &x, |p| p.u[knot] = u.into())
+                verdict(&config, &x, |p| p.trajectory.u[knot] = u)
             };
             let unfit = at(1.051);
             let expected = matches!(unfit, Some(UnmetCriterion::Limit { kind: LimitKind::Torque, joint, knot: k, .. })
@@ -219,10 +253,11 @@ fn positions_between_knots() {
     let limits = &config.robot.planning;
     for out in [-1.0, 1.0] {
         let unfit = verdict(&config, &x, |p| {
-            p.t_f = 60.0;
+            p.trajectory.t_f = 60.0;
             for (k, velocity) in [(4, 0.9 * limits.qd_max[1]), (5, -0.9 * limits.qd_max[1])] {
-                p.x[k][1] = if out > 0.0 { limits.q_max[1] - 0.01 } else { limits.q_min[1] + 0.01 };
-                p.x[k][NQ + 1] = out * velocity;
+                p.trajectory.x[k][1] =
+                    if out > 0.0 { limits.q_max[1] - 0.01 } else { limits.q_min[1] + 0.01 };
+                p.trajectory.x[k].qd_mut()[1] = out * velocity;
             }
         });
         let Some(UnmetCriterion::Limit { kind: LimitKind::Position, joint: 1, knot, .. }) = unfit else {
@@ -237,17 +272,17 @@ fn velocities_between_knots_to_their_extremum() {
     // qd is on its limit at both knots, and its slope changes the sign: in the middle it is h/8 (qdd_5 - qdd_4) beyond.
     let (config, x) = rest();
     let fastest = config.robot.planning.qd_max[6];
-    let h = 1.0 / N as f64;
+    let h = 1.0 / n(&config) as f64;
     for (beyond, share) in [(0.0101, 0.5), (0.0099, 0.5), (0.0101, 0.047), (0.0099, 0.047)] {
         for out in [-1.0, 1.0] {
             // qd(s) = qd_4 + h (s a - s^2 (a + b) / 2) for the slopes a and -b at the knots has its extremum at a / (a + b).
             let a = 2.0 * beyond / (share * h);
             let b = a * (1.0 - share) / share;
             let unfit = verdict(&config, &x, |p| {
-                p.x[4][NQ + 6] = out * fastest;
-                p.u[4][6] = out * a;
-                p.x[5][NQ + 6] = out * (fastest - 0.1);
-                p.u[5][6] = -out * b;
+                p.trajectory.x[4].qd_mut()[6] = out * fastest;
+                p.trajectory.u[4][6] = out * a;
+                p.trajectory.x[5].qd_mut()[6] = out * (fastest - 0.1);
+                p.trajectory.u[5][6] = -out * b;
             });
             let found = matches!(unfit, Some(UnmetCriterion::Limit { kind: LimitKind::Velocity, joint: 6, knot, .. })
                 if (knot - 4.0 - share).abs() < 1e-9);
@@ -264,9 +299,10 @@ fn a_limit_just_before_a_knot() {
     config.robot.planning.qd_max[6] = 0.002;
     let before = |beyond: f64| {
         verdict(&config, &x, |p| {
-            (p.x[4][NQ + 6], p.x[5][NQ + 6]) = (0.001, 0.001);
+            (p.trajectory.x[4].qd_mut()[6], p.trajectory.x[5].qd_mut()[6]) = (0.001, 0.001);
             // h/2 (u_4 + u_5)
-            (p.u[4][6], p.u[5][6]) = (100.0 * (0.001 + beyond), 100.0 * (0.001 + beyond));
+            (p.trajectory.u[4][6], p.trajectory.u[5][6]) =
+                (100.0 * (0.001 + beyond), 100.0 * (0.001 + beyond));
         })
     };
     let unfit = before(0.0101);
@@ -281,16 +317,16 @@ fn a_limit_just_before_a_knot() {
 fn torques_between_knots() {
     // On its way between two knots the arm passes a pose that needs more torque.
     let (mut config, x) = rest();
-    let spoil = |p: &mut PlanMessage| {
-        p.t_f = 60.0;
-        (p.x[4][NQ + 1], p.x[5][NQ + 1]) = (0.7, -0.7);
+    let spoil = |p: &mut Plan| {
+        p.trajectory.t_f = 60.0;
+        (p.trajectory.x[4].qd_mut()[1], p.trajectory.x[5].qd_mut()[1]) = (0.7, -0.7);
         // The other way before and after.
-        (p.x[3][NQ + 1], p.x[6][NQ + 1]) = (-0.7, 0.7);
+        (p.trajectory.x[3].qd_mut()[1], p.trajectory.x[6].qd_mut()[1]) = (-0.7, 0.7);
     };
     let torque = |by: f64| {
         let mut x = x;
         x[1] += by;
-        config.model.torque(&x, &ActuatedVector::zeros(), &mut Workspace::default())[1].abs()
+        config.model.torque(&x, &ActuatedVector::zeros(sizes()), &mut Workspace::default())[1].abs()
     };
     let (at_knots, between) = (torque(0.0), torque(0.7 * 0.6 / 4.0));
     assert!(between > at_knots + 1.0, "{at_knots} N m, {between} N m");
@@ -306,20 +342,20 @@ fn torques_between_knots() {
 fn a_motion_that_jumps() {
     let (config, x) = rest();
     // The arm is 0.3 rad further on from knot 40 to knot 59, and rests wherever it is.
-    let unfit = verdict(&config, &x, |p| p.x[40..60].iter_mut().for_each(|x| x[0] += 0.3)).unwrap();
+    let unfit =
+        verdict(&config, &x, |p| p.trajectory.x[40..60].iter_mut().for_each(|x| x[0] += 0.3)).unwrap();
     let text = unfit.to_string();
     assert!(text.contains("position of joint 1 jumps by 3.00e-1 rad before knot 40"), "{text}");
     assert!(text.contains("at most 1e-3"), "{text}");
     // Every row, at every knot, in both directions.
-    for row in 0..NX {
-        for (knot, sign) in [(1, 1.0), (50, -1.0), (N - 1, 1.0)] {
-            let jumps = |by| verdict(&config, &x, |p| p.x[knot][row] += sign * by);
+    for row in 0..sizes().state() {
+        for (knot, sign) in [(1, 1.0), (50, -1.0), (n(&config) - 1, 1.0)] {
+            let jumps = |by| verdict(&config, &x, |p| p.trajectory.x[knot][row] += sign * by);
             let unfit = jumps(1.5e-3);
             let Some(UnmetCriterion::Defect { kind, joint, knot: at, got, .. }) = unfit else {
                 panic!("row {row}: {unfit:?}")
             };
-            let expected = if row < NQ { LimitKind::Position } else { LimitKind::Velocity };
-            assert_eq!((kind, joint, at), (expected, row % NQ, knot));
+            assert_eq!(((kind, joint), at), (LimitKind::of_row(row, sizes()), knot));
             assert!((1.0e-3..2e-3).contains(&got), "{got}");
             assert_eq!(jumps(0.8e-3), None, "row {row}, knot {knot}");
         }
@@ -329,7 +365,7 @@ fn a_motion_that_jumps() {
 #[test]
 fn the_papers_mode_has_a_larger_defect_of_its_own() {
     let (mut config, x) = rest();
-    let jumps = |config: &Config, by| verdict(config, &x, |p| p.x[50][0] += by);
+    let jumps = |config: &Config, by| verdict(config, &x, |p| p.trajectory.x[50][0] += by);
     assert!(matches!(jumps(&config, 0.04), Some(UnmetCriterion::Defect { most: 1e-3, .. })));
     config.planner.replan.iterations = 1;
     assert_eq!(jumps(&config, 0.04), None);
@@ -338,150 +374,150 @@ fn the_papers_mode_has_a_larger_defect_of_its_own() {
 
 #[test]
 fn half_the_duration() {
-    let (config, [mut payload, _]) = planned(0.01, START);
-    payload.t_f *= 0.5;
-    payload.seal();
-    let refusal = accept(&payload, &config).unwrap_err();
+    let (config, [mut plan, _]) = planned(0.01, START);
+    plan.trajectory.t_f *= 0.5;
+    let refusal = sent(&plan, &config).unwrap_err();
     assert!(matches!(refusal, PlanRefusal::Criterion(UnmetCriterion::Defect { .. })), "{refusal}");
 }
 
 #[test]
 fn gains_that_drive_away_from_the_plan() {
     let (config, [good, _]) = planned(0.01, START);
-    let verdict = |spoil: &dyn Fn(&mut PlanMessage)| {
-        let mut payload = good.boxed_copy();
-        spoil(&mut payload);
-        payload.seal();
-        let refusal = accept(&payload, &config).unwrap_err();
+    let verdict = |spoil: &dyn Fn(&mut Plan)| {
+        let mut plan = good.clone();
+        spoil(&mut plan);
+        let refusal = sent(&plan, &config).unwrap_err();
         assert!(refusal.to_string().len() < 200, "fits into an answer: {refusal}");
         let PlanRefusal::Criterion(unfit) = refusal else { panic!("{refusal}") };
         unfit
     };
-    let scale = |gains: &mut [[[f64; NX]; NU]], factor: f64| {
-        gains.as_flattened_mut().as_flattened_mut().iter_mut().for_each(|v| *v *= factor);
-    };
-    let unfit = verdict(&|p| scale(&mut p.k, -1.0));
+    let all = 0..=n(&config);
+    let unfit = verdict(&|p| scale(p, all.clone(), -1.0));
     assert!(
         matches!(unfit, UnmetCriterion::Amplification { knot, got } if knot > 80 && got > 100.0),
         "{unfit}"
     );
-    let unfit = verdict(&|p| scale(&mut p.k[40..60], -1.0));
+    let unfit = verdict(&|p| scale(p, 40..60, -1.0));
     assert!(matches!(unfit, UnmetCriterion::Amplification { knot: 40..60, .. }), "{unfit}");
     // Their mean is right.
     let unfit = verdict(&|p| {
-        p.k.iter_mut().enumerate().for_each(|(k, gain)| {
-            scale(std::slice::from_mut(gain), if k % 2 == 0 { 11.0 } else { -9.0 });
-        });
+        all.clone().for_each(|k| scale(p, [k], if k % 2 == 0 { 11.0 } else { -9.0 }));
     });
     assert!(matches!(unfit, UnmetCriterion::Amplification { .. }), "{unfit}");
-    let unfit = verdict(&|p| scale(&mut p.k, 0.0));
+    let unfit = verdict(&|p| scale(p, all.clone(), 0.0));
     assert!(matches!(unfit, UnmetCriterion::Amplification { .. }), "{unfit}");
 }
 
 /// The amplification of the closed loop from `knot` on: plant (19), filter and delay simulated one after the other for the
 /// deviation of each row by its tolerance; half of an interval with A, B and K of one knot, half with those of the next.
-fn amplification(config: &Config, plan: &PlanMessage, knot: usize, stands: bool) -> f64 {
-    let tolerance = |row: usize| {
-        if row < NQ { config.daemon.start.position } else { config.daemon.start.velocity }
-    };
+fn amplification(config: &Config, plan: &Plan, knot: usize, stands: bool) -> f64 {
+    let n = n(config);
+    let tolerance = tolerances(config);
     let ts = common::PERIOD;
-    let half = (0.5 * plan.t_f / N as f64 / ts).round() as usize;
+    let half = (0.5 * plan.trajectory.h() / ts).round() as usize;
     let t_1 = config.daemon.cycle.velocity_filter;
     let at = |k: usize| {
-        let (x, u, gain) = if k <= N {
-            (State::from(plan.x[k]), ActuatedVector::from(plan.u[k]), &plan.k[k])
+        let (x, u, gain) = if k <= n {
+            (&plan.trajectory.x[k], plan.trajectory.u[k], plan.gains.knot(k))
         } else {
-            (State::from(plan.x[N]), ActuatedVector::zeros(), &plan.k_final)
+            (plan.trajectory.end(), ActuatedVector::zeros(sizes()), plan.gains.end())
         };
-        let d = config.model.derivatives(&x, &u, &mut Workspace::default());
-        (d.a(), d.b(), Gain::from_fn(|i, j| gain[i][j]))
+        let mut d = Linearization::new(sizes());
+        config.model.linearize(x, &u, &mut Workspace::default(), &mut d);
+        (d.a(), d.b(), gain)
     };
-    let loops: Vec<_> = (0..=KNOTS).map(at).collect();
+    // dx/dt of (19)
+    let slope = |a: &DMatrix<f64>, b: &DMatrix<f64>, x: &State, u: &ActuatedVector| {
+        let rate = a * DVector::from_column_slice(x) + b * DVector::from_column_slice(u);
+        State::from_slice(sizes(), rate.as_slice()).unwrap()
+    };
+    let loops: Vec<_> = (0..=n + 1).map(at).collect();
     // After its end the plan is held.
-    let last = if stands { N + 500 } else { N };
+    let last = if stands { n + 500 } else { n };
     let from = |row: usize| {
-        let mut x = State::zeros();
-        x[row] = tolerance(row);
+        let mut x = State::zeros(sizes());
+        x[row] = tolerance[row];
         let mut z = x.q() - x.qd() * t_1;
-        let mut on_its_way = ActuatedVector::zeros();
+        let mut on_its_way = ActuatedVector::zeros(sizes());
         let mut sum = 0.0;
         for k in knot..=last {
-            sum += (0..NX).map(|row| (x[row] / tolerance(row)).powi(2)).sum::<f64>();
-            let halves = if k < N { [k, k + 1] } else { [KNOTS, KNOTS] };
+            sum += x.component_div(&tolerance).norm_squared();
+            let halves = if k < n { [k, k + 1] } else { [n + 1, n + 1] };
             for (a, b, gain) in halves.map(|k| &loops[k]) {
                 for _ in 0..half {
                     let q = x.q();
-                    let u = gain * upswing_model::state(&q, &((q - z) / t_1));
+                    let u = InterpolatedGain::from(*gain).times(&State::new(&q, &((q - z) / t_1)));
                     z += (q - z) * (1.0 - (-ts / t_1).exp());
                     // Heun's method.
-                    let slope = a * x + b * on_its_way;
-                    let next = a * (x + slope * ts) + b * on_its_way;
-                    x += (slope + next) * (0.5 * ts);
+                    let before = slope(a, b, &x, &on_its_way);
+                    let after = slope(a, b, &(x + before * ts), &on_its_way);
+                    x += (before + after) * (0.5 * ts);
                     on_its_way = u;
                 }
             }
         }
         sum.sqrt()
     };
-    (0..NX).map(from).fold(0.0, f64::max)
+    (0..sizes().state()).map(from).fold(0.0, f64::max)
+}
+
+/// Start tolerance of each row of the state.
+fn tolerances(config: &Config) -> State {
+    let StartTolerance { position, velocity } = config.daemon.start;
+    State::new(&common::all(position), &common::all(velocity))
 }
 
 #[test]
 fn the_amplification_is_that_of_a_simulation() {
     let (config, [up, down]) = planned(0.01, START);
-    let check =
-        |plan: &PlanMessage, stands: bool, position: f64, velocity: f64, spoil: &dyn Fn(&mut PlanMessage)| {
-            let mut config = config.clone();
-            (config.daemon.start.position, config.daemon.start.velocity) = (position, velocity);
-            let mut plan = plan.boxed_copy();
-            spoil(&mut plan);
-            plan.seal();
-            let refusal = accept(&plan, &config).unwrap_err();
-            let PlanRefusal::Criterion(UnmetCriterion::Amplification { knot, got }) = refusal else {
-                panic!("{refusal}")
-            };
-            let expected = amplification(&config, &plan, knot, stands);
-            assert!((got / expected - 1.0).abs() < 0.01, "at knot {knot} {got}, expected {expected}");
-            // It is the last knot with so much of it.
-            let later = if knot < N { amplification(&config, &plan, knot + 1, stands) } else { 0.0 };
-            assert!(expected > 100.0 && later < 101.0, "at knot {knot} {expected}, then {later}");
-            knot
+    let n = n(&config);
+    let check = |plan: &Plan, stands: bool, position: f64, velocity: f64, spoil: &dyn Fn(&mut Plan)| {
+        let mut config = config.clone();
+        (config.daemon.start.position, config.daemon.start.velocity) = (position, velocity);
+        let mut plan = plan.clone();
+        spoil(&mut plan);
+        let refusal = sent(&plan, &config).unwrap_err();
+        let PlanRefusal::Criterion(UnmetCriterion::Amplification { knot, got }) = refusal else {
+            panic!("{refusal}")
         };
-    let scale =
-        |gain: &mut [[f64; NX]; NU], by: f64| gain.as_flattened_mut().iter_mut().for_each(|v| *v *= by);
-    let opposite = |p: &mut PlanMessage| p.k.iter_mut().for_each(|k| scale(k, -1.0));
-    assert!(check(&up, true, 0.05, 0.2, &opposite) < N);
-    assert!(check(&down, false, 0.05, 0.2, &opposite) < N);
+        let expected = amplification(&config, &plan, knot, stands);
+        assert!((got / expected - 1.0).abs() < 0.01, "at knot {knot} {got}, expected {expected}");
+        // It is the last knot with so much of it.
+        let later = if knot < n { amplification(&config, &plan, knot + 1, stands) } else { 0.0 };
+        assert!(expected > 100.0 && later < 101.0, "at knot {knot} {expected}, then {later}");
+        knot
+    };
+    let opposite = |p: &mut Plan| scale(p, 0..=n, -1.0);
+    assert!(check(&up, true, 0.05, 0.2, &opposite) < n);
+    assert!(check(&down, false, 0.05, 0.2, &opposite) < n);
     // With so little tolerance for velocities the angles are what matters, and the other way round.
-    assert_eq!(check(&up, true, 0.05, 1e-3, &|_| ()), N);
-    assert_eq!(check(&up, true, 1e-3, 0.2, &|_| ()), N);
+    assert_eq!(check(&up, true, 0.05, 1e-3, &|_| ()), n);
+    assert_eq!(check(&up, true, 1e-3, 0.2, &|_| ()), n);
     // Where nothing is held at the end, the gains of the last two knots are.
-    assert_eq!(check(&down, false, 0.05, 2e-4, &|p| scale(&mut p.k[N], -3.0)), N - 1);
+    assert_eq!(check(&down, false, 0.05, 2e-4, &|p| scale(p, [n], -3.0)), n - 1);
 }
 
 #[test]
 fn gains_that_answer_a_tolerated_start_with_a_blow() {
     let (config, [good, _]) = planned(0.01, START);
-    let verdict = |spoil: &dyn Fn(&mut PlanMessage)| {
-        let mut payload = good.boxed_copy();
-        spoil(&mut payload);
-        payload.seal();
-        accept(&payload, &config).map(|_| ())
+    let n = n(&config);
+    let verdict = |spoil: &dyn Fn(&mut Plan)| {
+        let mut plan = good.clone();
+        spoil(&mut plan);
+        sent(&plan, &config).map(|_| ())
     };
-    for knot in [0, 33, N] {
-        for row in [0, NX - 1] {
-            let tolerance = if row < NQ { 0.05 } else { 0.2 };
+    for knot in [0, 33, n] {
+        for row in [0, sizes().state() - 1] {
+            let tolerance = tolerances(&config)[row];
             let mut work = Workspace::default();
-            let x = State::from(good.x[knot]);
-            config.model.hybrid_dynamics(&x, &ActuatedVector::from(good.u[knot]), &mut work);
+            config.model.hybrid_dynamics(&good.trajectory.x[knot], &good.trajectory.u[knot], &mut work);
             // Each joint has its own limit; towards either side.
             for (of, limits) in [(0, 6.0), (0, -6.0), (6, 6.0), (6, -6.0)] {
                 let limit = config.robot.limits.tau_max[of];
                 // The torque of the joint for 1 rad/s^2.
-                let unit = ActuatedVector::from_fn(|i, _| f64::from(u8::from(i == of)));
-                let inertia = config.model.reduced_inertia_times(&unit, &work)[of];
+                let inertia = config.model.reduced_inertia_times(&unit(of), &mut work)[of];
                 let blow = limits * limit / inertia / tolerance;
-                let refusal = verdict(&|p| p.k[knot][of][row] += blow).unwrap_err();
+                let refusal = verdict(&|p| p.gains.knot_mut(knot)[entry(of, row)] += blow).unwrap_err();
                 let expected = matches!(
                     refusal,
                     PlanRefusal::Criterion(UnmetCriterion::Step { knot: k, joint, got, most })
@@ -492,9 +528,9 @@ fn gains_that_answer_a_tolerated_start_with_a_blow() {
             }
         }
     }
-    let refusal = verdict(&|p| p.k_final[0][0] = 1e9).unwrap_err();
+    let refusal = verdict(&|p| p.gains.end_mut()[0] = 1e9).unwrap_err();
     assert!(
-        matches!(refusal, PlanRefusal::Criterion(UnmetCriterion::Step { knot: KNOTS, joint: 0, .. })),
+        matches!(refusal, PlanRefusal::Criterion(UnmetCriterion::Step { knot, joint: 0, .. }) if knot == n + 1),
         "{refusal}"
     );
 }
@@ -503,25 +539,20 @@ fn gains_that_answer_a_tolerated_start_with_a_blow() {
 fn a_final_gain_that_lets_the_rod_fall() {
     let config = config();
     let x = at_rest(&upright_pose());
-    let mut payload = rest_payload(&config, &x, 1.0);
-    accept(&payload, &config).unwrap();
+    let mut plan = resting(&config, &x, 1.0);
+    sent(&plan, &config).unwrap();
     // The arm is held, the rod is nobody's concern.
-    payload.k_final = [[0.0; 18]; 7];
-    for i in 0..7 {
-        (payload.k_final[i][i], payload.k_final[i][NQ + i]) = (-100.0, -20.0);
-    }
-    payload.seal();
-    let refusal = accept(&payload, &config).unwrap_err();
+    plan.gains.end_mut().copy_from_slice(&held(sizes()));
+    let refusal = sent(&plan, &config).unwrap_err();
     assert!(
         matches!(refusal, PlanRefusal::Criterion(UnmetCriterion::Unstable { radius }) if radius > 1.0 && radius < 1.01),
         "{refusal}"
     );
     // So strong that one period overshoots.
-    for i in 0..7 {
-        payload.k_final[i][NQ + i] = -2.1 / common::PERIOD;
+    for i in 0..sizes().actuated() {
+        plan.gains.end_mut()[entry_qd(i, i)] = -2.1 / common::PERIOD;
     }
-    payload.seal();
-    assert!(accept(&payload, &config).is_err());
+    assert!(sent(&plan, &config).is_err());
 }
 
 #[test]
@@ -532,10 +563,9 @@ fn a_final_gain_is_judged_with_filter_and_delay() {
         let mut config = config();
         config.daemon.plans.delay = delay;
         config.daemon.cycle.velocity = velocity;
-        let mut payload = rest_payload(&config, &at_rest(&upright_pose()), 1.0);
-        payload.k_final[4][NQ + 4] -= damping;
-        payload.seal();
-        match accept(&payload, &config) {
+        let mut plan = resting(&config, &at_rest(&upright_pose()), 1.0);
+        plan.gains.end_mut()[entry_qd(4, 4)] -= damping;
+        match sent(&plan, &config) {
             Ok(_) => true,
             Err(PlanRefusal::Criterion(UnmetCriterion::Unstable { radius })) if radius > 1.0 => false,
             Err(refusal) => panic!("{damping}, {delay}, {velocity:?}: {refusal}"),
@@ -650,13 +680,12 @@ fn derivatives_of_another_model() {
     let text = refusal(|p| p.f[9][12] += 0.01).to_string();
     assert!(text.contains("f at knot 9, row 12"), "{text}");
     let (config, x) = rest();
-    for row in 0..NX {
-        for (knot, sign) in [(0, 1.0), (57, -1.0), (N, 1.0)] {
+    for row in 0..sizes().state() {
+        for (knot, sign) in [(0, 1.0), (57, -1.0), (n(&config), 1.0)] {
             let differs = |by: f64| {
-                let mut payload = rest_payload(&config, &x, 1.0);
-                payload.f[knot][row] += sign * by;
-                payload.seal();
-                accept(&payload, &config)
+                let mut plan = resting(&config, &x, 1.0);
+                plan.f[knot][row] += sign * by;
+                sent(&plan, &config)
             };
             let refusal = differs(2e-6).unwrap_err();
             let expected = matches!(
@@ -672,9 +701,9 @@ fn derivatives_of_another_model() {
 fn an_end_that_neither_stands_nor_hangs() {
     let (config, x) = rest();
     let mut moving = x;
-    moving[NQ] = 0.02;
+    moving.qd_mut()[0] = 0.02;
     // So short that nothing jumps.
-    let ends = |x: &State| accept(&rest_payload(&config, x, 0.01), &config).map(|_| ());
+    let ends = |x: &State| sent(&resting(&config, x, 0.01), &config).map(|_| ());
     let text = ends(&moving).unwrap_err().to_string();
     assert!(text.contains("ends at 0.0200 rad/s") && text.contains("at most 0.01 rad/s"), "{text}");
     let mut leaning = x;
@@ -684,10 +713,10 @@ fn an_end_that_neither_stands_nor_hangs() {
     // Both ways to end are accepted, a hair from the vertical and from rest, too.
     for q in [rest_pose(&config), upright_pose()] {
         for sign in [-1.0, 1.0] {
-            for joint in 0..NQ {
+            for joint in 0..sizes().joints() {
                 let at = |speed: f64| {
                     let mut x = at_rest(&q);
-                    x[NQ + joint] = sign * speed;
+                    x.qd_mut()[joint] = sign * speed;
                     ends(&x)
                 };
                 assert_eq!(at(0.009), Ok(()));
@@ -728,12 +757,14 @@ fn start_elsewhere() {
     };
     assert_eq!(refusal, expected);
     assert!(
-        refusal.to_string().contains("joint 3 is at 0.0000 rad, the plan at t = 0.000 s at 0.1000 rad"),
-        "{refusal}"
+        refusal
+            .text(&config.model)
+            .contains("joint `joint_3` is at 0.0000 rad, the plan at t = 0.000 s at 0.1000 rad"),
+        "{refusal:?}"
     );
     let mut moving = rest_plan(&config, &x, 1.0);
-    moving.trajectory.x[0][NQ] = 0.3;
+    moving.trajectory.x[0].qd_mut()[0] = 0.3;
     step(StepRequest::Load(moving)).unwrap();
-    let text = step(StepRequest::Start(7)).unwrap_err().to_string();
-    assert!(text.contains("joint 1") && text.contains("0.3000 rad/s"), "{text}");
+    let text = step(StepRequest::Start(7)).unwrap_err().text(&config.model);
+    assert!(text.contains("joint `joint_1`") && text.contains("0.3000 rad/s"), "{text}");
 }

@@ -2,12 +2,12 @@
 
 mod common;
 
-use common::{Arm, PERIOD, PERIOD_NS, at_rest, config, measurement, rest_payload, rest_pose, swing};
+use common::{Arm, PERIOD, PERIOD_NS, at_rest, config, measurement, message, rest_pose, resting, swing};
 use std::time::Instant;
 use upswing_config::Config;
 use upswing_ipc::operator::Manoeuvre;
-use upswing_ipc::{Clock, Mode, PlanMessage, PlannerRequest, Telemetry};
-use upswing_model::{JointVector, NQ};
+use upswing_ipc::{Clock, Mode, PlannerRequest, Telemetry};
+use upswing_model::JointVector;
 use upswing_planner::replan::Planner;
 use upswing_planner::service::RequestHandler;
 use upswing_trajectory::Plan;
@@ -30,10 +30,8 @@ fn holding(config: &Config, q: &JointVector) -> Controller {
 
 /// Stays at `q` for a second from `activation_ns` on.
 fn rest_plan(config: &Config, q: &JointVector, activation_ns: u64) -> Box<Plan> {
-    let mut payload = rest_payload(config, &at_rest(q), 1.0);
-    payload.activation_ns = activation_ns;
-    payload.seal();
-    accept(&payload, config).unwrap()
+    let activation_ns = Some(activation_ns).filter(|ns| *ns != 0);
+    accept(&message(&Plan { activation_ns, ..resting(config, &at_rest(q), 1.0) }), config).unwrap()
 }
 
 #[test]
@@ -114,7 +112,7 @@ fn a_late_start_has_to_be_where_the_plan_is_by_then() {
     };
     assert!((t_plan - 0.5).abs() < 1e-9);
     let x = plan.reference(0.5).x;
-    assert_eq!(expected, x[joint + if velocity { NQ } else { 0 }]);
+    assert_eq!(expected, if velocity { x.qd()[joint] } else { x.q()[joint] });
     assert_eq!(controller.mode(), Mode::Hold);
 }
 
@@ -150,7 +148,7 @@ fn a_predicted_start_is_met_and_ends_balanced() {
         handler.observe(newest, Instant::now());
         handler.answer(&PlannerRequest::from_now(Manoeuvre::SwingUp), &|| true).1
     });
-    let plan = accept(&Box::<PlanMessage>::from(&plan.expect("a plan")), &config).unwrap();
+    let plan = accept(&message(&plan.expect("a plan")), &config).unwrap();
     let (id, t_f, x_0) = (plan.id, plan.trajectory.t_f, plan.trajectory.x[0]);
     let activation = plan.activation_ns.expect("a moving start has its moment");
     assert!(activation > newest.t_ns);
@@ -169,8 +167,8 @@ fn a_predicted_start_is_met_and_ends_balanced() {
     let (telemetry, answer) = cycle(Some(StepRequest::Start(id)));
     assert_eq!(answer, Some(Ok(())));
     assert!(telemetry.t_plan < PERIOD, "t = {} s", telemetry.t_plan);
-    for i in 0..NQ {
-        let off = (telemetry.q[i] - x_0[i], telemetry.qd[i] - x_0[NQ + i]);
+    for i in 0..x_0.q().len() {
+        let off = (telemetry.q[i] - x_0.q()[i], telemetry.qd[i] - x_0.qd()[i]);
         // The velocity filter lags behind an accelerating pendulum.
         let tolerance = &config.daemon.start;
         assert!(

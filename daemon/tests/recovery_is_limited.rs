@@ -2,10 +2,12 @@
 //! operator end the recovery.
 
 use proptest::prelude::*;
+use std::sync::LazyLock;
 use std::time::Duration;
-use upswing_config::RecoverySettings;
+use upswing_config::{Config, RecoverySettings};
 use upswing_ipc::operator::PublishedPlan;
-use upswing_ipc::{Mode, RecordedStep, Telemetry};
+use upswing_ipc::{CycleVectors, Mode, RecordedStep, Telemetry};
+use upswing_model::{ActuatedVector, Order, State};
 use upswingd::recovery::{Recovery, RecoveryAction};
 use upswingd::step::CycleRecord;
 use upswingd::trip::{Trip, TripCause};
@@ -17,8 +19,19 @@ fn settings(attempts: u32) -> RecoverySettings {
     RecoverySettings { attempts, rest_speed: 0.05, rest, patience }
 }
 
+fn order() -> Order {
+    static ORDER: LazyLock<Order> = LazyLock::new(|| *Config::embedded().unwrap().model.order());
+    *ORDER
+}
+
+fn recovery(attempts: u32) -> Recovery {
+    Recovery::new(settings(attempts), order())
+}
+
 fn record(mode: Mode, t_ns: u64, speed: f64, cause: Option<TripCause>) -> CycleRecord {
-    let mut telemetry = Telemetry { mode: mode.code(), t_ns, ..Telemetry::default() };
+    let (x, none) = (State::zeros(order().sizes()), ActuatedVector::zeros(order().sizes()));
+    let vectors = CycleVectors { x, x_d: x, u_d: none, u: none, tau: none, tau_measured: none };
+    let mut telemetry = Telemetry { mode: mode.code(), t_ns, ..Telemetry::new(&order(), &vectors) };
     telemetry.qd[8] = speed;
     CycleRecord {
         telemetry,
@@ -31,7 +44,7 @@ fn record(mode: Mode, t_ns: u64, speed: f64, cause: Option<TripCause>) -> CycleR
 
 /// Balances at 0 s and loses the rod at 1 s.
 fn fallen(attempts: u32) -> Recovery {
-    let mut recovery = Recovery::new(settings(attempts));
+    let mut recovery = recovery(attempts);
     assert_eq!(recovery.note(&record(Mode::Balance, 0, 0.0, None), 1), None);
     assert_eq!(recovery.note(&record(Mode::Stop, SECOND, 3.0, Some(TripCause::BalanceLost)), 1), None);
     recovery
@@ -64,7 +77,7 @@ fn it_waits_plans_and_starts() {
 
 #[test]
 fn a_rod_that_the_arm_cannot_follow_is_a_loss() {
-    let mut recovery = Recovery::new(settings(1));
+    let mut recovery = recovery(1);
     recovery.note(&record(Mode::Balance, 0, 0.0, None), 1);
     recovery.note(&record(Mode::Stop, SECOND, 3.0, Some(TripCause::BalanceSpeed)), 1);
     assert!(recovery.is_active());
@@ -112,7 +125,7 @@ fn rest(recovery: &mut Recovery, seconds: std::ops::RangeInclusive<u64>) {
 /// In the middle of the second of two attempts' swing-ups, or before the first.
 fn swinging_up(again: bool) -> (Recovery, u64) {
     if !again {
-        return (Recovery::new(settings(2)), SECOND);
+        return (recovery(2), SECOND);
     }
     let mut recovery = fallen(2);
     assert_eq!(
@@ -227,7 +240,7 @@ fn a_request_of_the_operator_gives_all_attempts_again() {
 
 #[test]
 fn an_operators_stop_is_no_loss() {
-    let mut recovery = Recovery::new(settings(1));
+    let mut recovery = recovery(1);
     recovery.note(&record(Mode::Balance, 0, 0.0, None), 1);
     recovery.note(&record(Mode::Stop, SECOND, 0.0, None), 1);
     assert!(!recovery.is_active());
@@ -264,7 +277,7 @@ fn inputs() -> impl Strategy<Value = Input> {
 proptest! {
     #[test]
     fn whatever_comes(attempts in 0_u32..4, inputs in prop::collection::vec(inputs(), 1..400)) {
-        let mut recovery = Recovery::new(settings(attempts));
+        let mut recovery = recovery(attempts);
         let (mut asked, mut started, mut now) = (0, 0, 0_u64);
         for input in inputs {
             match input {

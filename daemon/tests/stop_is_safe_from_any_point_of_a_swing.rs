@@ -5,7 +5,7 @@ mod common;
 use common::{Arm, at_rest, config, rest_pose, swing};
 use upswing_config::Config;
 use upswing_ipc::{Mode, Telemetry};
-use upswing_model::{NQ, NU, State};
+use upswing_model::State;
 use upswing_trajectory::Plan;
 use upswingd::controller::Controller;
 use upswingd::step::{StepInput, StepRequest};
@@ -31,7 +31,7 @@ fn start(config: &Config, plan: &Plan, q: State) -> (Controller, Arm) {
 
 fn stop(config: &Config, mut controller: Controller, mut arm: Arm, at: usize) {
     let limits = &config.robot.limits;
-    let fastest = arm.x.fixed_rows::<NU>(NQ).abs();
+    let fastest = arm.x.qd_a().abs();
     let mut request = Some(StepRequest::Stop);
     for cycle in 0..LONGEST {
         let output = controller.step(StepInput::new(arm.measure(), 0, request.take()));
@@ -44,8 +44,7 @@ fn stop(config: &Config, mut controller: Controller, mut arm: Arm, at: usize) {
         );
         let limited = flags & Telemetry::LIMITED != 0;
         assert!(cycle < BEGINNING || !limited, "stop at cycle {at}: {:?}", output.command.tau);
-        for i in 0..NU {
-            let (q, qd) = (arm.x[i], arm.x[NQ + i]);
+        for (i, (q, qd)) in arm.x.q_a().iter().copied().zip(arm.x.qd_a().iter().copied()).enumerate() {
             assert!((limits.q_min[i]..=limits.q_max[i]).contains(&q), "cycle {at}: joint {} at {q}", i + 1);
             // No faster than when it began, but for the two milliseconds in which the torque of the plan fades.
             assert!(qd.abs() <= fastest[i] + 0.1, "cycle {at}: joint {} at {qd} rad/s", i + 1);
@@ -54,7 +53,7 @@ fn stop(config: &Config, mut controller: Controller, mut arm: Arm, at: usize) {
             return;
         }
     }
-    panic!("stop at cycle {at}: still moves after {LONGEST} cycles: {}", arm.x.fixed_rows::<NU>(NQ));
+    panic!("stop at cycle {at}: still moves after {LONGEST} cycles: {:?}", arm.x.qd_a());
 }
 
 #[test]
@@ -62,7 +61,7 @@ fn of_a_swing_up_and_of_a_swing_down() {
     let config = config();
     let q = rest_pose(&config);
     let (up, down) = swing(&config, &q);
-    let top = up.trajectory.x[up.trajectory.x.len() - 1];
+    let top = *up.trajectory.end();
     for (plan, x_0) in [(up, at_rest(&q)), (down, top)] {
         let (mut controller, mut arm) = start(&config, &plan, x_0);
         let cycles = (plan.trajectory.t_f / common::PERIOD) as usize;

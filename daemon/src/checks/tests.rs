@@ -1,22 +1,40 @@
 //! Tests of each check: for each joint, on both sides of its warning and trip levels.
 
 use super::*;
+use std::ops::Range;
 use std::sync::LazyLock;
 use upswing_ipc::Clock;
-use upswing_model::JointParts;
+use upswing_model::Sizes;
 
 /// Settings with different limits for all joints.
 fn config() -> Config {
     let mut config = Config::embedded().expect("settings");
-    for i in 0..NQ {
-        let i_ = i as f64;
-        (config.robot.planning.q_min[i], config.robot.planning.q_max[i]) = (-1.0 - 0.1 * i_, 1.5 + 0.1 * i_);
-        (config.robot.planning.qd_max[i], config.robot.limits.qd_max[i]) = (0.5, 1.0 + 0.1 * i_);
-    }
-    for i in 0..NU {
-        (config.robot.planning.tau_max[i], config.robot.limits.tau_max[i]) = (1.0, 10.0 + i as f64);
-    }
+    let sizes = config.model.sizes();
+    let (planning, limits) = (&mut config.robot.planning, &mut config.robot.limits);
+    planning.q_min = JointVector::from_fn(sizes, |i| -1.0 - 0.1 * i as f64);
+    planning.q_max = JointVector::from_fn(sizes, |i| 1.5 + 0.1 * i as f64);
+    planning.qd_max = JointVector::repeat(sizes, 0.5);
+    limits.qd_max = JointVector::from_fn(sizes, |i| 1.0 + 0.1 * i as f64);
+    planning.tau_max = ActuatedVector::repeat(sizes, 1.0);
+    limits.tau_max = ActuatedVector::from_fn(sizes, |i| 10.0 + i as f64);
     config
+}
+
+/// Numbers of joints of the arm, and the indices of q_A, q_U and q.
+fn sizes() -> Sizes {
+    CHECKS.q_min.sizes()
+}
+
+fn arm() -> Range<usize> {
+    0..sizes().actuated()
+}
+
+fn pendulum() -> Range<usize> {
+    sizes().actuated()..sizes().joints()
+}
+
+fn all() -> Range<usize> {
+    0..sizes().joints()
 }
 
 /// Checks with the settings of [`config`].
@@ -27,17 +45,16 @@ fn healthy() -> Measurement {
     Measurement {
         seq: 1,
         t_ns: 125_000,
-        q: [0.1; NQ],
-        tau_measured: [0.1; NU],
         status: Measurement::DRIVES_READY,
         clock: Clock::Paced.code(),
         period_ns: 125_000,
+        ..Measurement::default()
     }
 }
 
 /// Returns `value` for one joint and `others` for all other joints.
 fn but(joint: usize, value: f64, others: f64) -> JointVector {
-    JointVector::from_fn(|i, _| if i == joint { value } else { others })
+    JointVector::from_fn(sizes(), |i| if i == joint { value } else { others })
 }
 
 /// Runs `check` on `values`; returns its trip, and whether it warns.
@@ -67,7 +84,7 @@ fn is_a_level(
     check: impl Fn(&mut Checks, &JointVector) -> Option<Trip>,
 ) {
     let result = |values: &JointVector| result(cause, &check, values);
-    for joint in 0..NQ {
+    for joint in all() {
         if !joints.contains(&joint) {
             for value in [1e9, -1e9, f64::NAN, f64::INFINITY] {
                 assert_eq!(result(&but(joint, value, 0.0)), (None, false), "{cause:?}, joint {joint}");
@@ -94,7 +111,7 @@ fn is_a_level(
         let first = joints.clone().find(|other| *other != joint);
         assert_eq!(got.map(|trip| trip.joint), first, "{cause:?}, joint {joint}: NaN elsewhere");
     }
-    let (got, _) = result(&JointVector::repeat(1e9));
+    let (got, _) = result(&JointVector::repeat(sizes(), 1e9));
     assert_eq!(got.map(|trip| trip.joint), Some(joints.start), "{cause:?}");
 }
 
@@ -117,6 +134,14 @@ fn is_a_count(cause: TripCause, level: Level, check: impl Fn(&mut Checks, u64) -
     }
 }
 
+fn at_rest(q: &JointVector) -> State {
+    State::new(q, &JointVector::zeros(q.sizes()))
+}
+
+fn moving(q: &JointVector) -> State {
+    State::new(q, &JointVector::repeat(q.sizes(), 9.0))
+}
+
 /// Checks warnings and trips beyond the range of each of `joints`.
 fn is_a_range(
     cause: TripCause,
@@ -126,9 +151,8 @@ fn is_a_range(
 ) {
     let Level { warn, trip } = config.daemon.limits.position_margin;
     let planning = &config.robot.planning;
-    let check =
-        |checks: &mut Checks, q: &JointVector| check(checks, &upswing_model::state(q, &JointVector::zeros()));
-    for joint in 0..NQ {
+    let check = |checks: &mut Checks, q: &JointVector| check(checks, &at_rest(q));
+    for joint in all() {
         let at = |value| result(cause, &check, &but(joint, value, 0.0));
         if !joints.contains(&joint) {
             for value in [1e9, -1e9, f64::NAN] {
@@ -155,7 +179,7 @@ fn is_a_range(
         let (got, warns) = at(f64::NAN);
         assert!(got.is_some_and(|trip| trip.joint == joint) && warns, "{cause:?}, joint {joint}: NaN");
     }
-    let (got, _) = result(cause, &check, &JointVector::repeat(-1e9));
+    let (got, _) = result(cause, &check, &JointVector::repeat(sizes(), -1e9));
     assert_eq!(got.map(|trip| trip.joint), Some(joints.start), "{cause:?}");
 }
 
@@ -202,28 +226,24 @@ fn levels_of_the_joints() {
 
     is_a_level(
         TripCause::VelocityLimit,
-        ARM,
+        arm(),
         |i| share(levels.velocity_fraction, qd_max[i]),
-        |checks, qd| checks.arm(&upswing_model::state(&JointVector::zeros(), qd)),
+        |checks, qd| checks.arm(&State::new(&JointVector::zeros(sizes()), qd)),
     );
     is_a_level(
         TripCause::TorqueLimit,
-        ARM,
+        arm(),
         |i| share(levels.torque_fraction, tau_max[i]),
-        |checks, tau| {
-            let mut measurement = healthy();
-            measurement.tau_measured.copy_from_slice(&tau.as_slice()[..NU]);
-            checks.measurement(&measurement, None)
-        },
+        |checks, tau| checks.measurement(&healthy(), &tau.actuated(), None),
     );
     // Torque changes in a cycle of 125 us.
     is_a_level(
         TripCause::TorqueRate,
-        ARM,
+        arm(),
         |i| share(levels.torque_rate, tau_max[i]),
         |checks, rate| {
-            let change = ActuatedVector::from_fn(|i, _| rate[i] * 125e-6);
-            checks.torque_rate(&ActuatedVector::zeros(), &change).map(|trip| Trip {
+            let change = rate.actuated() * 125e-6;
+            checks.torque_rate(&ActuatedVector::zeros(sizes()), &change).map(|trip| Trip {
                 // Up to the rounding errors of multiplication and division.
                 value: if (trip.value / rate[trip.joint] - 1.0).abs() < 1e-12 {
                     rate[trip.joint]
@@ -234,24 +254,24 @@ fn levels_of_the_joints() {
             })
         },
     );
-    let zero = State::zeros();
+    let zero = State::zeros(sizes());
     is_a_level(
         TripCause::TrackingError,
-        0..NQ,
+        all(),
         |_| levels.tracking_error,
-        |checks, q| checks.tracking(&upswing_model::state(q, &JointVector::repeat(9.0)), &zero),
+        |checks, q| checks.tracking(&moving(q), &zero),
     );
     for cycles in [1, 3, 100] {
         is_a_level(
             TripCause::EncoderJump,
-            0..NQ,
+            all(),
             |i| {
-                let fastest = if i < NU { 2.0 * qd_max[i] } else { 30.0 };
+                let fastest = if arm().contains(&i) { 2.0 * qd_max[i] } else { 30.0 };
                 let moved = fastest * cycles as f64 * 125e-6;
                 let Level { warn, trip } = levels.encoder_jump;
                 Level { warn: moved + warn, trip: moved + trip }
             },
-            |checks, q| checks.jump(&JointVector::zeros(), q, cycles),
+            |checks, q| checks.jump(&JointVector::zeros(sizes()), q, cycles),
         );
     }
 }
@@ -259,12 +279,12 @@ fn levels_of_the_joints() {
 #[test]
 fn differences_are_taken_the_right_way_round() {
     let mut checks = CHECKS.clone();
-    let (q, last) = (JointVector::repeat(2.0), JointVector::repeat(-1.0));
+    let [q, last] = [2.0, -1.0].map(|v| JointVector::repeat(sizes(), v));
     let trip = checks.jump(&last, &q, 1).expect("3 rad");
     assert_eq!(trip.value, 3.0);
-    let [x, x_d] = [q, last].map(|q| upswing_model::state(&q, &JointVector::zeros()));
+    let [x, x_d] = [q, last].map(|q| at_rest(&q));
     assert_eq!(checks.tracking(&x, &x_d).map(|trip| trip.value), Some(3.0));
-    let [tau, before] = [2.0, -1.0].map(ActuatedVector::repeat);
+    let [tau, before] = [2.0, -1.0].map(|v| ActuatedVector::repeat(sizes(), v));
     let rate = checks.torque_rate(&before, &(tau * 100.0)).expect("a step").value;
     assert!((rate * 125e-6 - 201.0).abs() < 1e-9, "{rate}");
 }
@@ -273,10 +293,10 @@ fn differences_are_taken_the_right_way_round() {
 fn positions() {
     let config = config();
     let mut checks = CHECKS.clone();
-    is_a_range(TripCause::PositionLimit, ARM, &config, |checks, x| checks.arm(x));
-    is_a_range(TripCause::PendulumRange, PENDULUM, &config, |checks, x| checks.pendulum(x));
+    is_a_range(TripCause::PositionLimit, arm(), &config, |checks, x| checks.arm(x));
+    is_a_range(TripCause::PendulumRange, pendulum(), &config, |checks, x| checks.pendulum(x));
     // A position limit takes precedence over a velocity limit.
-    let x = State::repeat(1e9);
+    let x = State::repeat(sizes(), 1e9);
     assert_eq!(checks.arm(&x).map(|trip| trip.cause), Some(TripCause::PositionLimit));
     assert_eq!(checks.warnings.bits(), TripCause::PositionLimit.bit() | TripCause::VelocityLimit.bit());
 }
@@ -304,49 +324,44 @@ fn the_speed_that_a_balance_asks_for() {
     let mut checks = CHECKS.clone();
     let Level { warn, trip } = config.daemon.limits.balance_speed;
     let level = |i: usize| Level { warn: warn * (1.0 + 0.1 * i as f64), trip: trip * (1.0 + 0.1 * i as f64) };
-    let none = ActuatedVector::zeros();
-    let arm = |q: &JointVector| q.actuated();
-    is_a_level(TripCause::BalanceSpeed, ARM, level, |checks, v| checks.balance_speed(&arm(v), &none));
+    let none = ActuatedVector::zeros(sizes());
+    is_a_level(TripCause::BalanceSpeed, arm(), level, |checks, v| checks.balance_speed(&v.actuated(), &none));
     // The speed is predicted over T_1 = 12 ms and 8 ms.
     for (u, trips) in [(49.9, false), (50.1, true), (f64::NAN, true)] {
-        let input = ActuatedVector::from_fn(|i, _| if i == 0 { trip * u } else { 0.0 });
+        let input = but(0, trip * u, 0.0).actuated();
         assert_eq!(checks.balance_speed(&none, &input).is_some(), trips, "{u} rad/s^2");
     }
-    let (v, u) = (ActuatedVector::repeat(3.0), ActuatedVector::repeat(-150.0));
+    let [v, u] = [3.0, -150.0].map(|v| ActuatedVector::repeat(sizes(), v));
     assert_eq!(checks.balance_speed(&v, &u), None, "one against the other");
 }
 
 #[test]
 fn distances_of_the_arm_and_unexplained_torques() {
     let config = config();
-    let (levels, zero) = (&config.daemon.limits, State::zeros());
-    let moved = |q: &JointVector| upswing_model::state(q, &JointVector::repeat(9.0));
+    let (levels, zero) = (&config.daemon.limits, State::zeros(sizes()));
     is_a_level(
         TripCause::TrackingError,
-        ARM,
+        arm(),
         |_| levels.hold_error,
-        |checks, q| checks.hold(&moved(q), &zero),
+        |checks, q| checks.hold(&moving(q), &zero),
     );
     is_a_level(
         TripCause::TrackingError,
-        ARM,
+        arm(),
         |_| levels.balance_error,
-        |checks, q| checks.balance_error(&moved(q), &zero),
+        |checks, q| checks.balance_error(&moving(q), &zero),
     );
     let Level { warn, trip } = levels.collision_torque;
     let level = |i: usize| Level { warn: warn * (10.0 + i as f64), trip: trip * (10.0 + i as f64) };
-    is_a_level(TripCause::Collision, ARM, level, |checks, tau| checks.unexplained(&tau.actuated()));
+    is_a_level(TripCause::Collision, arm(), level, |checks, tau| checks.unexplained(&tau.actuated()));
 }
 
 #[test]
 fn measurements_that_cannot_be_used() {
-    let checks = &*CHECKS;
     let cause = |spoil: &dyn Fn(&mut Measurement)| {
         let mut measurement = healthy();
         spoil(&mut measurement);
-        let mut checks = CHECKS.clone();
-        let not_finite = checks.finite(&measurement);
-        checks.measurement(&measurement, not_finite)
+        CHECKS.clone().measurement(&measurement, &ActuatedVector::zeros(sizes()), None)
     };
     assert_eq!(cause(&|_| ()), None);
     for clock in [Clock::Wall, Clock::Paced, Clock::Lockstep] {
@@ -363,17 +378,21 @@ fn measurements_that_cannot_be_used() {
     let trip = cause(&|m| m.status |= Measurement::DRIVE_FAULT).expect("a fault");
     assert_eq!(trip, Trip::plain(TripCause::DriveFault));
     assert_eq!(cause(&|m| m.status = Measurement::BRAKES_CLOSED), None, "that is no fault by itself");
-    for joint in 0..NQ {
+    for joint in all() {
+        let at = |value| CHECKS.finite(&but(joint, value, 0.1));
         for value in [f64::NAN, f64::INFINITY, -f64::INFINITY, 100.1, -100.1] {
-            let trip = cause(&|m| m.q[joint] = value).expect("no angle");
+            let trip = at(value).expect("no position");
             assert_eq!((trip.cause, trip.joint, trip.limit), (TripCause::NotFinite, joint, 100.0));
             assert!(trip.value == value || value.is_nan());
-            let mut measurement = healthy();
-            measurement.q[joint] = value;
-            assert_eq!(checks.finite(&measurement).map(|trip| trip.joint), Some(joint));
+            let given = CHECKS.clone().measurement(&healthy(), &ActuatedVector::zeros(sizes()), Some(trip));
+            assert_eq!(given.map(|trip| (trip.cause, trip.joint)), Some((TripCause::NotFinite, joint)));
         }
-        assert_eq!(cause(&|m| m.q[joint] = 99.9), None);
-        assert_eq!(cause(&|m| m.q[joint] = -99.9), None);
+        assert_eq!([at(99.9), at(-99.9)], [None; 2]);
+    }
+    let expected = sizes();
+    for (joints, actuated, value, limit) in [(8, 7, 8.0, 9.0), (9, 6, 6.0, 7.0), (0, 0, 0.0, 9.0)] {
+        let trip = CHECKS.other_chain(&OtherChain { payload: "measurement", joints, actuated, expected });
+        assert_eq!(trip, Trip { cause: TripCause::OtherChain, joint: 0, value, limit });
     }
 }
 
@@ -381,10 +400,12 @@ fn measurements_that_cannot_be_used() {
 fn the_start_of_a_plan() {
     let config = config();
     let checks = Checks::new(&config);
-    let x_0 = State::from_fn(|i, _| 0.01 * i as f64);
+    let x_0 = State::from_fn(sizes(), |i| 0.01 * i as f64);
     assert_eq!(checks.start(&x_0, &x_0, 0.25), Ok(()));
-    for row in 0..NX {
-        let tolerance = if row < NQ { config.daemon.start.position } else { config.daemon.start.velocity };
+    let joints = sizes().joints();
+    for row in 0..x_0.len() {
+        let tolerance =
+            if row < joints { config.daemon.start.position } else { config.daemon.start.velocity };
         for sign in [-1.0, 1.0] {
             let at = |by: f64| {
                 let mut x = x_0;
@@ -393,7 +414,7 @@ fn the_start_of_a_plan() {
             };
             assert_eq!(at(tolerance - 1e-9).0, Ok(()), "row {row}");
             let (refusal, measured) = at(tolerance + 1e-9);
-            let (joint, velocity, expected) = (row % NQ, row >= NQ, x_0[row]);
+            let (joint, velocity, expected) = (row % joints, row >= joints, x_0[row]);
             let want = RequestRefusal::StartMismatch {
                 joint,
                 velocity,
@@ -417,6 +438,6 @@ fn the_torque_of_a_mode_that_begins() {
     let checks = Checks::new(&config);
     // The rate of 1 / ms allows 1/8 of the limit in 125 us, thus 16 steps from -limit to limit.
     let step = checks.torque_step();
-    assert!((step - config.robot.limits.tau_max * 0.125).amax() < 1e-12, "{step}");
+    assert!((step - config.robot.limits.tau_max * 0.125).amax() < 1e-12, "{step:?}");
     assert_eq!(checks.torque_steps(), 16);
 }
