@@ -40,10 +40,10 @@ impl std::fmt::Display for Degrees {
 /// Options of a start at rest.
 #[derive(Clone, Debug, clap::Args)]
 pub struct StartArgs {
-    /// Start angles of joints 1-7, deg
-    #[arg(long, value_name = "Q1,..,Q7", allow_hyphen_values = true)]
+    /// Start positions of the actuated joints, deg or m
+    #[arg(long, value_name = "Q1,..", allow_hyphen_values = true)]
     pub start: Degrees,
-    /// Start the pendulum at q8 = q9 = 0 (as in the paper's database) instead of its rest position
+    /// Start the unactuated joints at 0 (as in the paper's database) instead of their rest position
     #[arg(long)]
     pub zero: bool,
 }

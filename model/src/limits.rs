@@ -36,6 +36,12 @@ impl Limits {
         }
     }
 
+    /// Largest distance from 0 that the position limits of the joint of index `joint` in sorted vectors allow, rad or m: the scale of a
+    /// drawing.
+    pub fn largest_position(&self, joint: usize) -> f64 {
+        self.q_max[joint].abs().max(self.q_min[joint].abs())
+    }
+
     /// These limits, with pi (rad or m, also per second) instead of an infinite one: the scale of a drawing.
     pub fn scale(&self) -> Self {
         let finite = |v: f64| if v.is_finite() { v } else { std::f64::consts::PI.copysign(v) };

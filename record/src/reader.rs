@@ -6,6 +6,7 @@ use mcap::records::{Record, op};
 use std::collections::BTreeMap;
 use std::path::Path;
 use upswing_ipc::{PlanMessage, RecordedStep, Telemetry};
+use upswing_model::Model;
 
 /// Largest definition of a message type, bytes; larger ones are not from this program.
 const DEFINITION: usize = 64 << 10;
@@ -57,6 +58,26 @@ impl Recording {
     /// Text of the settings file `name`.
     pub fn file_text(&self, name: &str) -> Option<&str> {
         self.files.iter().find(|(n, _)| n == name).map(|(_, text)| text.as_str())
+    }
+
+    /// URDF of the recorded robot; `path` names the recording in errors.
+    ///
+    /// # Errors
+    /// [`RecordingError::Missing`]
+    pub fn urdf(&self, path: &Path) -> Result<&str, RecordingError> {
+        self.file_text("robot.urdf").ok_or_else(|| RecordingError::Missing {
+            path: path.to_owned(),
+            expected: "an attachment robot.urdf".into(),
+        })
+    }
+
+    /// Model of the recorded robot; `path` names the recording in errors.
+    ///
+    /// # Errors
+    /// [`RecordingError`] if the recording has no URDF or there is no model of it.
+    pub fn model(&self, path: &Path) -> Result<Model, RecordingError> {
+        Model::from_urdf(self.urdf(path)?)
+            .map_err(|cause| RecordingError::Robot { path: path.to_owned(), cause })
     }
 }
 

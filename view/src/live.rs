@@ -65,7 +65,7 @@ impl Live {
             self.builder.silence();
         }
         while let Some(plan) = self.plans.receive()? {
-            self.builder.plan(&plan.boxed_copy());
+            self.builder.plan(plan.copied());
         }
         for update in self.request_thread.updates() {
             self.builder.update(update);

@@ -15,7 +15,7 @@ use serde::Serialize;
 use std::io::{self, Write};
 use upswing_config::Config;
 use upswing_ipc::operator::OperatorRequest;
-use upswing_model::UrdfError;
+use upswing_model::{Sizes, UrdfError};
 use upswing_record::robot::Robot;
 
 const STYLE: &str = include_str!("page/page.css");
@@ -45,11 +45,18 @@ pub struct LivePageSetup {
     control: bool,
     requests: [&'static str; OperatorRequest::ALL.len()],
     period_us: f64,
+    #[serde(skip)]
+    sizes: Sizes,
     #[serde(flatten)]
     body: RobotDrawing,
 }
 
 impl LivePageSetup {
+    /// Numbers of joints of the chain.
+    pub(crate) fn sizes(&self) -> Sizes {
+        self.sizes
+    }
+
     /// Describes the page of the system `domain` with the robot of the settings.
     ///
     /// # Errors
@@ -60,7 +67,12 @@ impl LivePageSetup {
             control,
             requests: OperatorRequest::ALL.map(OperatorRequest::name),
             period_us: config.daemon.cycle.period.seconds() * 1e6,
-            body: RobotDrawing::new(Robot::from_urdf(&config.urdf, &config.model)?, &config.robot.limits),
+            sizes: config.model.sizes(),
+            body: RobotDrawing::new(
+                Robot::from_urdf(&config.urdf, &config.model)?,
+                &config.model,
+                &config.robot.limits,
+            ),
         })
     }
 }

@@ -9,17 +9,17 @@ pub mod plan;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 use upswing_ipc::{Mode, Telemetry};
-use upswing_model::{Limits, NQ, NU};
+use upswing_model::{Limits, Model};
 use upswing_process::output::{OutputError, OutputFile};
 
-/// Size of a picture, px.
-const SIZE: (u32, u32) = (1200, 820);
+/// Width of a picture, and height of a row of panels, px.
+const SIZE: (u32, u32) = (1200, 273);
 /// Most points per curve: more would enlarge the file without being visible.
 const POINTS: usize = 500;
-/// Joints of each row, 0-based, as in Fig. 4 and 5 (joint 7 is shown with the pendulum).
-const ROWS: [&[usize]; 3] = [&[0, 1, 2], &[3, 4, 5], &[6, 7, 8]];
+/// Most joints in a row of panels, as in Fig. 4 and 5.
+const JOINTS_PER_ROW: usize = 3;
 /// Upper end of the vertical axes in units of the 100 % limits, equal in all pictures, so that they can be compared. Plans may
-/// use up to 1.11 of the limit of q8.
+/// use up to 1.11 of the limit of a free joint.
 const SHOWN: f64 = 1.2;
 /// Titles of the columns.
 const COLUMNS: [&str; 3] = ["position / 100 % limit", "velocity / 100 % limit", "torque / 100 % limit"];
@@ -98,14 +98,20 @@ fn write(output: &OutputFile, drawing: &[u8]) -> Result<(), PictureError> {
 pub fn draw(
     output: &OutputFile,
     records: &[Telemetry],
+    model: &Model,
     limits: &Limits,
     period: f64,
 ) -> Result<(), PictureError> {
-    write(output, swing_up(records, limits, period)?.as_bytes())
+    write(output, swing_up(records, model, limits, period)?.as_bytes())
 }
 
 /// Returns the drawing of [`draw`] as SVG text.
-fn swing_up(records: &[Telemetry], limits: &Limits, period: f64) -> Result<String, PictureError> {
+fn swing_up(
+    records: &[Telemetry],
+    model: &Model,
+    limits: &Limits,
+    period: f64,
+) -> Result<String, PictureError> {
     const LEAD: f64 = 0.2;
     let moving = |t: &&Telemetry| matches!(t.mode(), Ok(Mode::Track | Mode::Balance));
     let first = records.iter().position(|t| moving(&t)).ok_or(PictureError::NoSwingUp)?;
@@ -120,36 +126,40 @@ fn swing_up(records: &[Telemetry], limits: &Limits, period: f64) -> Result<Strin
         shown.iter().filter(|t| moving(t)).map(|t| (time(t), value(t))).collect()
     };
     let end = shown.last().map_or(1.0, |t| time(t));
-    draw_panels(&PanelStyle { begin: -LEAD, end, dashes: Some(BLACK) }, |i| {
-        let (q, qd) = (limits.q_max[i], limits.qd_max[i]);
+    draw_panels(&PanelStyle { begin: -LEAD, end, dashes: Some(BLACK) }, model, |i| {
+        let c = model.order().coordinate(i);
+        let (q, qd) = (limits.largest_position(c), limits.qd_max[c]);
         [
             Some(CurvePair { solid: measured(&|t| t.q[i] / q), dashed: desired(&|t| t.q_d[i] / q) }),
             Some(CurvePair { solid: measured(&|t| t.qd[i] / qd), dashed: desired(&|t| t.qd_d[i] / qd) }),
-            (i < NU).then(|| CurvePair {
-                solid: measured(&|t| t.tau[i] / limits.tau_max[i]),
-                dashed: Vec::new(),
-            }),
+            limits
+                .tau_max
+                .get(c)
+                .map(|tau_max| CurvePair { solid: measured(&|t| t.tau[c] / tau_max), dashed: Vec::new() }),
         ]
     })
 }
 
-/// Draws all panels; `curves` returns the curves of a joint (0-based) in the order of [`COLUMNS`].
+/// Draws all panels; `curves` returns the curves of a joint of the chain (0-based) in the order of [`COLUMNS`].
 fn draw_panels(
     look: &PanelStyle,
+    model: &Model,
     curves: impl Fn(usize) -> [Option<CurvePair>; COLUMNS.len()],
 ) -> Result<String, PictureError> {
-    svg(SIZE, |root| {
-        let panels = root.split_evenly((ROWS.len(), COLUMNS.len()));
-        for (row, joints) in ROWS.iter().enumerate() {
+    let names: Vec<&str> = model.joint_names().collect();
+    let rows = names.len().div_ceil(JOINTS_PER_ROW);
+    svg((SIZE.0, SIZE.1 * rows as u32), |root| {
+        let panels = root.split_evenly((rows, COLUMNS.len()));
+        for (row, names) in names.chunks(JOINTS_PER_ROW).enumerate() {
             let mut columns = [const { Vec::new() }; COLUMNS.len()];
-            for joint in *joints {
-                for (column, curve) in columns.iter_mut().zip(curves(*joint)) {
-                    column.extend(curve.map(|c| (*joint, c)));
+            for (i, name) in names.iter().enumerate() {
+                for (column, curve) in columns.iter_mut().zip(curves(row * JOINTS_PER_ROW + i)) {
+                    column.extend(curve.map(|c| (*name, c)));
                 }
             }
             for (column, curves) in columns.iter().enumerate() {
                 let title = if row == 0 { COLUMNS[column] } else { "" };
-                let bottom = row + 1 == ROWS.len();
+                let bottom = row + 1 == rows;
                 draw_panel(&panels[row * COLUMNS.len() + column], title, bottom, look, curves)?;
             }
         }
@@ -167,7 +177,7 @@ fn draw_panel(
     title: &str,
     bottom: bool,
     look: &PanelStyle,
-    curves: &[(usize, CurvePair)],
+    curves: &[(&str, CurvePair)],
 ) -> DrawResult {
     let mut chart = ChartBuilder::on(area)
         .margin(8)
@@ -188,10 +198,10 @@ fn draw_panel(
     for limit in [-1.0, 1.0] {
         chart.draw_series(LineSeries::new([(look.begin, limit), (look.end, limit)], BLACK.mix(0.35)))?;
     }
-    for ((joint, curve), colour) in curves.iter().zip(COLOURS) {
+    for ((name, curve), colour) in curves.iter().zip(COLOURS) {
         chart
             .draw_series(LineSeries::new(curve.solid.iter().map(shown), colour.stroke_width(2)))?
-            .label(format!("joint {}", joint + 1))
+            .label(*name)
             .legend(move |(x, y)| PathElement::new([(x, y), (x + 16, y)], colour.stroke_width(2)));
     }
     // The dashed curves are drawn last, so that the solid curves do not hide them.
@@ -205,5 +215,3 @@ fn draw_panel(
         .label_font(("sans-serif", 13))
         .draw()
 }
-
-const _: () = assert!(NQ == 9, "the rows of the picture are those of the paper's robot");

@@ -81,7 +81,7 @@ pub fn run(
     });
     let served = Arc::clone(&site);
     let mut server = listener.serve(stop, move |request| Arc::clone(&served).answer(request));
-    let mut sampler = MotionSampler::default();
+    let mut sampler = MotionSampler::new(setup.sizes());
     let mut next = Instant::now();
     let mut watch = || -> Result<(), WebError> {
         while !stop.load(Ordering::Acquire) {

@@ -180,8 +180,13 @@ fn build(common: &CommonArgs, grid: Option<&Path>, shard: Shard, output: &Output
         })?;
     bar.finish_and_clear();
     for pose in &summary.failed {
-        let degrees = config.grid.pose(*pose as usize).map(|q| format!("{:.1}", q.to_degrees()));
-        tracing::warn!("no solution from pose {pose}, [{}] deg", degrees.join(", "));
+        let q_a = config.grid.pose(*pose as usize);
+        let shown = |(i, q): (usize, &f64)| {
+            let (q, unit) = config.model.joint_kind(i).shown(*q);
+            format!("{q:.3} {unit}")
+        };
+        let shown: Vec<String> = q_a.iter().enumerate().map(shown).collect();
+        tracing::warn!("no solution from pose {pose}, [{}]", shown.join(", "));
     }
     conclude(common, output.path(), summary, begin)
 }
@@ -398,7 +403,7 @@ fn coverage_map(overview: &DatabaseOverview) -> String {
 fn info(common: &CommonArgs, file: Option<&Path>) -> Result<(), Failure> {
     let config = common.process.load()?;
     let (database, origin) = read(&config, file)?;
-    let (h, overview) = (database.heading, DatabaseOverview::of(&database));
+    let (h, overview) = (&database.heading, DatabaseOverview::of(&database));
     common.print(&DbInfoResult {
         origin,
         poses: h.poses,
@@ -444,7 +449,7 @@ fn export(common: &CommonArgs, file: Option<&Path>, only: Option<usize>) -> Resu
         if only.is_none_or(|o| o == entry) {
             print_json(&DbExportResult {
                 entry,
-                trajectory: (&e.trajectory).into(),
+                trajectory: TrajectoryJson::new(&e.trajectory, config.model.order()),
                 status: "solved",
                 cost: e.certificate.cost,
                 certificate: (&e.certificate).into(),

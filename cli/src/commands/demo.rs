@@ -25,7 +25,7 @@ pub struct DemoArgs {
     /// Options of every command.
     #[command(flatten)]
     pub common: CommonArgs,
-    /// Start angles of joints 1-7, deg; the pendulum hangs at rest [default: the paper's experiment,
+    /// Start positions of the actuated joints, deg or m; the others hang at rest [default: the paper's experiment,
     /// 0,-15,0,-95,0,10,0]
     #[arg(long, value_name = "Q1,..,Q7", allow_hyphen_values = true)]
     pub start: Option<Degrees>,
@@ -148,7 +148,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
         picture: named.to_path_buf(),
         recording: args.record.as_deref().map(Path::to_path_buf),
     };
-    let draw = |output| picture::draw(&output, &records, &config.robot.limits, period);
+    let draw = |output| picture::draw(&output, &records, &config.model, &config.robot.limits, period);
     let drawn = picture.map_or(Ok(()), draw);
     args.common.print(&result)?;
     if !success {

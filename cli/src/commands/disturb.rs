@@ -5,6 +5,7 @@ use serde::Serialize;
 use std::time::Duration;
 use upswing_config::Push;
 use upswing_ipc::{PlantKind, PlantRequest};
+use upswing_model::Model;
 use upswing_process::Failure;
 use upswing_process::number::whole;
 use upswing_rig::fault_args::FaultArgs;
@@ -75,7 +76,8 @@ impl std::fmt::Display for DisturbResult {
 /// # Errors
 /// [`Failure::BadInput`] for invalid arguments, [`Failure::Failed`] with the reason if the plant refuses or does not answer.
 pub fn run(args: &DisturbArgs) -> Result<(), Failure> {
-    let request = request(&args.command)?;
+    let config = args.common.process.load()?;
+    let request = request(&args.command, &config.model)?;
     let plant = args.common.join_existing()?.client::<PlantRequest>().map_err(Failure::failed)?;
     let answer = plant.call(&request, PATIENCE).map_err(Failure::failed)?;
     if answer.accepted == 0 {
@@ -85,9 +87,9 @@ pub fn run(args: &DisturbArgs) -> Result<(), Failure> {
     args.common.print(&DisturbResult { success: true, cycle: answer.seq })
 }
 
-fn request(command: &DisturbCommand) -> Result<PlantRequest, Failure> {
+fn request(command: &DisturbCommand, model: &Model) -> Result<PlantRequest, Failure> {
     match command {
-        DisturbCommand::Fault(fault) => fault.request().map_err(Failure::bad_input),
+        DisturbCommand::Fault(fault) => fault.request(model).map_err(Failure::bad_input),
         DisturbCommand::Push { impulse, cycles, from } => {
             let impulse = impulse.as_slice().try_into().map_err(|_| {
                 Failure::BadInput(format!(

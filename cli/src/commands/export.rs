@@ -5,11 +5,10 @@ use crate::parse::window;
 use serde::Serialize;
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use upswing_ipc::Telemetry;
 use upswing_process::Failure;
 use upswing_process::number::{whole, within};
 use upswing_process::output::{Destination, Overwrite, PendingFile};
-use upswing_record::cycle::FIELDS;
+use upswing_record::cycle::CycleNumber;
 use upswing_record::{Message, RecordingFile, scan};
 
 /// Writes the cycles of a recording as CSV: one line per cycle, one column per number, in SI units.
@@ -70,22 +69,26 @@ pub fn run(args: &ExportArgs) -> Result<(), Failure> {
     // Opened at the first cycle: a file that is no recording thus does not overwrite the table.
     let mut table = None;
     let (mut seen, mut lines) = (0, 0);
+    let mut numbers = Vec::new();
     let bar = byte_bar();
     let progress = |done, total| {
         bar.set_length(total);
         bar.set_position(done);
     };
     let source = RecordingFile::open(&args.file, &args.common.process)?;
-    let recording = scan(source.path(), window, progress, |_, message| -> Result<(), Failure> {
+    let recording = scan(source.path(), window, progress, |recording, message| -> Result<(), Failure> {
         let Message::Cycle(cycle) = message else { return Ok(()) };
         if let (None, Some(output)) = (&table, &output) {
             let file = table.insert(output.begin().map_err(Failure::failed)?);
-            writeln!(file, "{}", columns().join(",")).map_err(unwritable)?;
+            numbers = CycleNumber::all(&recording.model(source.path())?);
+            writeln!(file, "{}", columns(&numbers).join(",")).map_err(unwritable)?;
         }
         let Some(file) = &mut table else { return Ok(()) };
         let mut write = || -> std::io::Result<()> {
             if seen % args.every as usize == 0 {
-                writeln!(file, "{}", line(&cycle))?;
+                let words: Vec<u64> = cycle.words().collect();
+                let texts: Vec<String> = numbers.iter().map(|number| number.text(&words)).collect();
+                writeln!(file, "{}", texts.join(","))?;
                 lines += 1;
             }
             seen += 1;
@@ -99,32 +102,23 @@ pub fn run(args: &ExportArgs) -> Result<(), Failure> {
     args.common.print(&ExportResult {
         csv: &args.csv,
         lines,
-        columns: columns().len(),
+        columns: numbers.len(),
         cut: recording.cut,
         damage: recording.damage,
     })
 }
 
-/// Names of the columns with units, like `q1_rad` and `t_plan_s`.
-fn columns() -> Vec<String> {
+/// Names of the columns with joints and units, like `q_joint_1_rad` and `t_plan_s`.
+fn columns(numbers: &[CycleNumber]) -> Vec<String> {
     let suffix = |unit: &str| match unit {
         "" => String::new(),
         unit => format!("_{}", unit.replace(' ', "").replace("/s^2", "_s2").replace('/', "_")),
     };
-    let names = FIELDS.iter().flat_map(|field| {
+    let name = |number: &CycleNumber| {
         // Names like `t_ns` already contain the unit.
-        let unit = if field.name.ends_with("_ns") { String::new() } else { suffix(field.unit) };
-        let joint = move |i: usize| if field.length == 1 { String::new() } else { (i + 1).to_string() };
-        (0..field.length).map(move |i| format!("{}{}{unit}", field.name, joint(i)))
-    });
-    names.collect()
-}
-
-fn line(record: &Telemetry) -> String {
-    let integer = FIELDS.iter().flat_map(|field| std::iter::repeat_n(field.integer, field.length));
-    let texts = record
-        .words()
-        .zip(integer)
-        .map(|(word, integer)| if integer { word.to_string() } else { f64::from_bits(word).to_string() });
-    texts.collect::<Vec<_>>().join(",")
+        let unit = if number.field.ends_with("_ns") { String::new() } else { suffix(number.unit) };
+        let joint = number.joint.as_ref().map_or_else(String::new, |joint| format!("_{joint}"));
+        format!("{}{joint}{unit}", number.field)
+    };
+    numbers.iter().map(name).collect()
 }

@@ -1,12 +1,13 @@
 //! `upswing model`: evaluates or prints the robot model.
 
+use super::json::in_chain;
 use super::{CommonArgs, print_json, print_line, progress_bar};
-use nalgebra::SMatrix;
+use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 use std::io::BufRead;
 use std::time::Instant;
 use upswing_model::coriolis::bound;
-use upswing_model::{ActuatedVector, JointVector, Limits, Model, NQ, NU, Workspace, state};
+use upswing_model::{ActuatedVector, JointVector, Limits, Linearization, Model, Order, State, Workspace};
 use upswing_process::number::whole;
 use upswing_process::{Failure, shutdown_flag};
 
@@ -35,7 +36,7 @@ pub enum ModelCommand {
     Urdf(CommonArgs),
     /// Sample the Coriolis torques over random admissible states: the bound c of (11), Section III-A
     ///
-    /// Uniform in the position limits of joints 1-9 and in the velocities that a plan may use. The same seed gives the
+    /// Uniform in the position limits of all joints and in the velocities that a plan may use. The same seed gives the
     /// same numbers on any number of cores.
     ///
     /// Example: upswing model bound --samples 1000000
@@ -120,6 +121,8 @@ struct ModelBoundResult {
     samples: u64,
     complete: bool,
     seed: u64,
+    /// Names of the actuated joints, in the order of the other lists.
+    joints: Vec<String>,
     lower: Vec<f64>,
     upper: Vec<f64>,
     paper_lower: Vec<f64>,
@@ -135,16 +138,12 @@ impl std::fmt::Display for ModelBoundResult {
             "Coriolis torques of {} random states{part}, seed {}, {:.1} s, N m",
             self.samples, self.seed, self.time_s
         )?;
-        write!(f, "  joint     lower     upper   lower, (11)   upper, (11)")?;
-        for i in 0..NU {
+        write!(f, "  {:<16} lower     upper   lower, (11)   upper, (11)", "joint")?;
+        for (i, joint) in self.joints.iter().enumerate() {
             write!(
                 f,
-                "\n  {:>5} {:>9.4} {:>9.4} {:>13} {:>13}",
-                i + 1,
-                self.lower[i],
-                self.upper[i],
-                self.paper_lower[i],
-                self.paper_upper[i]
+                "\n  {joint:<12} {:>9.4} {:>9.4} {:>13} {:>13}",
+                self.lower[i], self.upper[i], self.paper_lower[i], self.paper_upper[i]
             )?;
         }
         Ok(())
@@ -168,8 +167,15 @@ fn sample_bound(args: &BoundArgs) -> Result<(), Failure> {
             samples: range.samples,
             complete,
             seed: args.seed,
-            lower: vector(&range.lower),
-            upper: vector(&range.upper),
+            joints: config
+                .model
+                .joint_names()
+                .enumerate()
+                .filter(|(i, _)| config.model.order().is_actuated(*i))
+                .map(|(_, name)| name.to_owned())
+                .collect(),
+            lower: range.lower.to_vec(),
+            upper: range.upper.to_vec(),
             paper_lower: robot.coriolis_bound.lower.to_vec(),
             paper_upper: robot.coriolis_bound.upper.to_vec(),
             time_s: begin.elapsed().as_secs_f64(),
@@ -196,31 +202,38 @@ fn evaluate(
     query: &EvalInput,
     work: &mut Workspace,
 ) -> Result<ModelEvalResult, VectorLengthError> {
-    for (name, values, expected) in [("q", &query.q, NQ), ("qd", &query.qd, NQ), ("u", &query.u, NU)] {
-        if values.len() != expected {
-            return Err(VectorLengthError { name, expected, got: values.len() });
-        }
-    }
-    let q = JointVector::from_column_slice(&query.q);
-    let qd = JointVector::from_column_slice(&query.qd);
-    let (x, u) = (state(&q, &qd), ActuatedVector::from_column_slice(&query.u));
-    let d = model.derivatives(&x, &u, work);
+    let (sizes, order) = (model.sizes(), model.order());
+    let n = sizes.joints();
+    let joints = |name, values: &[f64]| {
+        order.sorted(values).ok_or(VectorLengthError { name, expected: n, got: values.len() })
+    };
+    let (q, qd) = (joints("q", &query.q)?, joints("qd", &query.qd)?);
+    let u = ActuatedVector::from_slice(sizes, &query.u);
+    let (expected, got) = (sizes.actuated(), query.u.len());
+    let u = u.ok_or(VectorLengthError { name: "u", expected, got })?;
+    let x = State::new(&q, &qd);
+    let mut d = Linearization::new(sizes);
+    model.linearize(&x, &u, work, &mut d);
+    let mass = model.mass_matrix(&q, work);
+    let in_order = |v: JointVector| order.in_chain(&v)[..n].to_vec();
     Ok(ModelEvalResult {
-        A: rows(&d.a()),
-        B: rows(&d.b()),
-        f: vector(&d.f(&x, &u)),
-        tau: vector(&d.value.tau),
-        M: rows(&model.mass_matrix(&q, work)),
-        nle: vector(&model.nonlinear_effects(&q, &qd, work)),
-        g: vector(&model.gravity_torque(&q, work)),
-        tau_without_coriolis: vector(&model.torque_without_coriolis(&x, &u, work)),
+        A: rows(&d.a(), order, true),
+        B: rows(&d.b(), order, false),
+        f: in_chain(order, &d.f(&x, &u)),
+        tau: d.value().tau.to_vec(),
+        M: (0..n)
+            .map(|i| (0..n).map(|j| mass[(order.coordinate(i), order.coordinate(j))]).collect())
+            .collect(),
+        nle: in_order(model.nonlinear_effects(&q, &qd, work)),
+        g: in_order(model.gravity_torque(&q, work)),
+        tau_without_coriolis: model.torque_without_coriolis(&x, &u, work).to_vec(),
     })
 }
 
-fn rows<const R: usize, const C: usize>(m: &SMatrix<f64, R, C>) -> Vec<Vec<f64>> {
-    m.row_iter().map(|r| r.iter().copied().collect()).collect()
-}
-
-fn vector<const R: usize>(v: &SMatrix<f64, R, 1>) -> Vec<f64> {
-    v.iter().copied().collect()
+/// Rows of a matrix over the state, in the chain's order; `square`: so are its columns.
+fn rows(m: &DMatrix<f64>, order: &Order, square: bool) -> Vec<Vec<f64>> {
+    let n = order.sizes().joints();
+    let place = |i: usize| if i < n { order.coordinate(i) } else { n + order.coordinate(i - n) };
+    let column = |j: usize| if square { place(j) } else { j };
+    (0..m.nrows()).map(|i| (0..m.ncols()).map(|j| m[(place(i), column(j))]).collect()).collect()
 }

@@ -10,7 +10,6 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use upswing_config::Config;
 use upswing_ipc::Telemetry;
-use upswing_model::NU;
 use upswing_planner::database::{self, DatabaseFile, Shard};
 use upswing_planner::replan::Planner;
 use upswing_process::Failure;
@@ -124,7 +123,7 @@ fn draw_run(
 ) -> Result<(), Failure> {
     let records = records.map_err(|e| study_failure(e.into()))?;
     let period = config.daemon.cycle.period.seconds();
-    picture::draw(output, &records, &config.robot.limits, period).map_err(Failure::failed)
+    picture::draw(output, &records, &config.model, &config.robot.limits, period).map_err(Failure::failed)
 }
 
 impl SamplingArgs {
@@ -213,17 +212,17 @@ fn write_spreads(f: &mut std::fmt::Formatter<'_>, rows: &[(&str, Option<Spread>,
     Ok(())
 }
 
-/// Lists failed starts: index, angles of joints 1-7 (deg), reason. If there are many, only the first are listed.
+/// Lists failed starts: index, positions of the actuated joints (deg or m), reason. If there are many, only the first are listed.
 fn list_failures<'a>(
     f: &mut std::fmt::Formatter<'_>,
-    failures: impl Iterator<Item = (u64, &'a [f64; NU], String)>,
+    failures: impl Iterator<Item = (u64, &'a [f64], String)>,
 ) -> std::fmt::Result {
     const SHOWN: usize = 20;
     let mut left = 0;
     for (i, (index, start_deg, reason)) in failures.enumerate() {
         if i < SHOWN {
-            let start = start_deg.map(|d| format!("{d:.2}")).join(", ");
-            write!(f, "\n  start {index} at [{start}] deg: {reason}")?;
+            let start: Vec<String> = start_deg.iter().map(|d| format!("{d:.2}")).collect();
+            write!(f, "\n  start {index} at [{}]: {reason}", start.join(", "))?;
         } else {
             left += 1;
         }

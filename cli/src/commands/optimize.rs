@@ -67,7 +67,7 @@ pub fn run(args: &OptimizeArgs) -> Result<(), Failure> {
     let status = solution.status.to_string();
     let margins = Margins::of(&solution.trajectory, &config.model, &config.robot.planning, 0);
     let result = OptimizeResult {
-        trajectory: (&solution.trajectory).into(),
+        trajectory: TrajectoryJson::new(&solution.trajectory, config.model.order()),
         status: status.clone(),
         cost: solution.cost,
         iterations: solution.iterations,

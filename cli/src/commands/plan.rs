@@ -35,7 +35,7 @@ pub struct PlanArgs {
     /// Largest number of QPs, each linearised around the previous result; 1 is the paper's mode [default: the setting]
     #[arg(long, value_parser = whole(1_u32, 100))]
     pub iterations: Option<u32>,
-    /// Adapt the optimal trajectory from these angles of joints 1-7, deg, instead of a database entry
+    /// Adapt the optimal trajectory from these positions of the actuated joints, deg or m, instead of a database entry
     #[arg(long, value_name = "Q1,..,Q7", allow_hyphen_values = true)]
     pub reference: Option<Degrees>,
     /// Draw the plan (solid) and its reference trajectory (dashed), scaled by the 100 % limits (SVG)
@@ -96,7 +96,7 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
             .map_err(Failure::failed)?;
     }
     let result = PlanResult {
-        trajectory: (&replan.trajectory).into(),
+        trajectory: TrajectoryJson::new(&replan.trajectory, planner.config().model.order()),
         status: status.to_string(),
         cost: replan.trajectory.cost(settings.offline.input_weight),
         figures: PlanSummary::from(&replan),

@@ -2,7 +2,6 @@
 
 use super::DaemonStatus;
 use serde::Serialize;
-use upswing_model::NQ;
 
 /// State of a running system at one moment.
 #[derive(Clone, Debug, Serialize)]
@@ -62,30 +61,36 @@ pub struct CycleView {
     pub tilt: f64,
     /// Direction from the last joint to the tip, world frame, z up, length 1.
     pub rod: [f64; 3],
-    /// Largest distance of joints 1-7 from the reference, rad.
+    /// Largest distance of an actuated joint from the reference, rad or m.
     pub error_arm: f64,
-    /// Largest distance of joints 8-9 from the reference, rad.
+    /// Largest distance of an unactuated joint from the reference, rad or m.
     pub error_pendulum: f64,
-    /// Joints 1-9.
-    pub joints: [JointView; NQ],
+    /// The joints in the chain's order; empty if the record is that of another chain.
+    pub joints: Vec<JointView>,
 }
 
 /// State of one joint with its 100 % limits; position limits are those of plans where these are wider.
-#[derive(Clone, Copy, Debug, Default, Serialize)]
+#[derive(Clone, Debug, Serialize)]
 pub struct JointView {
-    /// Position, rad.
+    /// Name in the URDF.
+    pub name: String,
+    /// Position, rad or m.
     pub q: f64,
-    /// Velocity, rad/s.
+    /// Position in `unit`.
+    pub shown: f64,
+    /// Unit in which the position is shown: deg or m.
+    pub unit: &'static str,
+    /// Velocity, rad/s or m/s.
     pub qd: f64,
-    /// Commanded torque, N m; 0 without a motor.
+    /// Commanded torque, N m or N; 0 without a motor.
     pub tau: f64,
-    /// Lower limit of the position, rad.
+    /// Lower limit of the position, rad or m.
     pub q_min: f64,
-    /// Upper limit of the position, rad.
+    /// Upper limit of the position, rad or m.
     pub q_max: f64,
-    /// Limit of the velocity, rad/s.
+    /// Limit of the velocity, rad/s or m/s.
     pub qd_max: f64,
-    /// Limit of the torque, N m; `None`: no motor.
+    /// Limit of the torque, N m or N; `None`: no motor.
     pub tau_max: Option<f64>,
 }
 

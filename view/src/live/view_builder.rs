@@ -4,15 +4,15 @@ use super::request_thread::LiveUpdate;
 use super::{CycleView, DaemonStatus, EventView, JointView, PlanView, Severity, View};
 use std::collections::VecDeque;
 use upswing_config::Config;
-use upswing_ipc::{Mode, PlanMessage, Telemetry};
-use upswing_model::{JointVector, Limits, Model, NQ, NU};
+use upswing_ipc::{CycleVectors, DamagedPlan, Mode, PlanMessage, Telemetry};
+use upswing_model::{JointVector, Limits, Model};
 use upswing_record::Tally;
 use upswing_record::evaluation::tilt;
 
 /// Number of events kept.
 const EVENTS: usize = 100;
 
-/// The 100 % limits; positions have the limits of plans where these are wider: q8 swings past its target.
+/// The 100 % limits; positions have the limits of plans where these are wider: free joints swing past their target.
 fn widest(rated: &Limits, planning: &Limits) -> Limits {
     Limits {
         q_min: rated.q_min.zip_map(&planning.q_min, f64::min),
@@ -105,15 +105,18 @@ impl ViewBuilder {
     }
 
     /// Takes a plan. A damaged plan, which the daemon refuses, is only an event here.
-    pub fn plan(&mut self, plan: &PlanMessage) {
-        if !plan.is_intact() {
-            return self.tell(Severity::Warning, "a damaged plan was published".into());
-        }
-        let q = JointVector::from_fn(|i, _| plan.x[plan.x.len() - 1][i]);
-        let stands = tilt(&self.model, &q) < std::f64::consts::FRAC_PI_2;
-        let view = PlanView { id: format!("{:016x}", plan.id), t_f: plan.t_f, stands };
+    pub fn plan(&mut self, plan: Result<PlanMessage, DamagedPlan>) {
+        let plan = match plan.and_then(|plan| plan.plan(self.model.order())) {
+            Ok(plan) => plan,
+            Err(damage) => {
+                return self.tell(Severity::Warning, format!("a damaged plan was published: {damage}"));
+            }
+        };
+        let t_f = plan.trajectory.t_f;
+        let stands = tilt(&self.model, &plan.trajectory.end().q()) < std::f64::consts::FRAC_PI_2;
+        let view = PlanView { id: format!("{:016x}", plan.id), t_f, stands };
         let end = if stands { "standing" } else { "hanging" };
-        self.tell(Severity::Note, format!("plan of {:.3} s that ends {end}", plan.t_f));
+        self.tell(Severity::Note, format!("plan of {:.3} s that ends {end}", t_f));
         self.plan = Some(view);
         self.plans += 1;
     }
@@ -192,11 +195,11 @@ impl ViewBuilder {
     }
 
     fn show(&self, r: &Telemetry) -> CycleView {
-        let q = JointVector::from(r.q);
-        let rod = self.model.rod(&q);
-        let error =
-            |joints: std::ops::Range<usize>| joints.map(|i| (r.q[i] - r.q_d[i]).abs()).fold(0.0, f64::max);
         let follows = matches!(r.mode(), Ok(Mode::Track | Mode::Balance));
+        let vectors = r.vectors(self.model.order()).ok();
+        let q = vectors.as_ref().map_or(JointVector::zeros(self.model.sizes()), |v| v.x.q());
+        let error = vectors.as_ref().filter(|_| follows).map_or(q * 0.0, |v| v.x.q() - v.x_d.q());
+        let rod = self.model.rod(&q);
         CycleView {
             seq: r.seq,
             t: r.t_ns as f64 * 1e-9,
@@ -208,17 +211,31 @@ impl ViewBuilder {
             t_plan: r.t_plan,
             tilt: tilt(&self.model, &q),
             rod: (rod / rod.norm()).into(),
-            error_arm: if follows { error(0..NU) } else { 0.0 },
-            error_pendulum: if follows { error(NU..NQ) } else { 0.0 },
-            joints: std::array::from_fn(|i| JointView {
-                q: r.q[i],
-                qd: r.qd[i],
-                tau: if i < NU { r.tau[i] } else { 0.0 },
-                q_min: self.limits.q_min[i],
-                q_max: self.limits.q_max[i],
-                qd_max: self.limits.qd_max[i],
-                tau_max: (i < NU).then(|| self.limits.tau_max[i]),
-            }),
+            error_arm: error.actuated().amax(),
+            error_pendulum: error.unactuated().amax(),
+            joints: vectors.map_or_else(Vec::new, |vectors| self.joints(&vectors)),
         }
+    }
+
+    fn joints(&self, vectors: &CycleVectors) -> Vec<JointView> {
+        let limits = &self.limits;
+        let joint = |(i, name): (usize, &str)| {
+            let c = self.model.order().coordinate(i);
+            let q = vectors.x.q()[c];
+            let (shown, unit) = self.model.joint_kind(c).shown(q);
+            JointView {
+                name: name.to_owned(),
+                q,
+                shown,
+                unit,
+                qd: vectors.x.qd()[c],
+                tau: vectors.tau.get(c).copied().unwrap_or_default(),
+                q_min: limits.q_min[c],
+                q_max: limits.q_max[c],
+                qd_max: limits.qd_max[c],
+                tau_max: limits.tau_max.get(c).copied(),
+            }
+        };
+        self.model.joint_names().enumerate().map(joint).collect()
     }
 }

@@ -112,6 +112,9 @@ fn heading(view: &View, theme: Theme) -> Line<'_> {
     Line::from(spans)
 }
 
+/// Most characters of the name of a joint that are shown.
+const JOINT: usize = 14;
+
 fn draw_joints(frame: &mut Frame, area: Rect, cycle: Option<&CycleView>, theme: Theme) {
     let block = Block::bordered().title(" Joints: position, velocity, torque ");
     let inner = block.inner(area);
@@ -119,24 +122,26 @@ fn draw_joints(frame: &mut Frame, area: Rect, cycle: Option<&CycleView>, theme: 
     let Some(cycle) = cycle else {
         return frame.render_widget(nothing("no cycles arrive: is a plant running?"), inner);
     };
-    // Joint and angle take 14 columns, the gaps and shares 14 more.
-    let free = usize::from(inner.width).saturating_sub(28);
+    let name = cycle.joints.iter().map(|joint| joint.name.chars().count()).max().unwrap_or(0).min(JOINT);
+    // The position with its unit takes 14 columns, the gaps and shares 15 more.
+    let free = usize::from(inner.width).saturating_sub(name + 29);
     let (wide, narrow) = (free / 2, free / 4);
     let each = narrow + 5;
     let mut lines = vec![Line::styled(
-        format!("    angle, deg  {:wide$} {:>each$} {:>each$}", "", "velocity", "torque"),
+        format!(" {:name$}    position  {:wide$} {:>each$} {:>each$}", "", "", "velocity", "torque"),
         theme.ink(Color::DarkGray),
     )];
-    lines.extend(cycle.joints.iter().enumerate().map(|(i, joint)| joint_line(i, joint, wide, narrow, theme)));
+    lines.extend(cycle.joints.iter().map(|joint| joint_line(joint, (name, wide, narrow), theme)));
     frame.render_widget(Paragraph::new(lines), inner);
 }
 
-fn joint_line(i: usize, joint: &JointView, wide: usize, narrow: usize, theme: Theme) -> Line<'static> {
+/// Draws a joint; widths of the name, of the mark of the position and of the other bars.
+fn joint_line(joint: &JointView, (name, wide, narrow): (usize, usize, usize), theme: Theme) -> Line<'static> {
     let (position, velocity) = (joint.position(), joint.velocity());
     let percent = |share: f64| format!("{:>4.0}%", 100.0 * share.abs());
     let mut spans = vec![
-        Span::raw(format!(" q{}", i + 1)),
-        Span::raw(format!("{:>10.2}  ", joint.q.to_degrees())),
+        Span::raw(format!(" {:name$.name$}", joint.name)),
+        Span::raw(format!("{:>8.2} {:<3} ", joint.shown, joint.unit)),
         Span::styled(rows::mark(position, wide), theme.share(position)),
         Span::raw(percent(velocity)),
         Span::raw(" "),
@@ -285,7 +290,7 @@ fn help(frame: &mut Frame, theme: Theme) {
             " q  quit       The monitor ends, the system goes on.".into(),
             String::new(),
             " All but stop ask first: y is yes, any other key no.".into(),
-            " Bars: shares of the 100 % limits; angles in deg.".into(),
+            " Bars: shares of the 100 % limits.".into(),
             " Any key closes this help; s still stops.".into(),
         ])
         .map(Line::raw)

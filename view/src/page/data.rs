@@ -6,7 +6,7 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;
 use upswing_ipc::Degradation;
-use upswing_model::{Limits, Model};
+use upswing_model::{JointVector, Limits, Model};
 use upswing_record::robot::{Capsule, Link, Robot};
 use upswing_record::{Recording, RecordingError};
 use xxhash_rust::xxh3::xxh3_64;
@@ -46,21 +46,40 @@ pub struct ModeSpan {
 #[derive(Debug, Serialize)]
 pub(super) struct RobotDrawing {
     links: Vec<LinkJson>,
+    joints: Vec<JointJson>,
     limits: LimitsJson,
 }
 
 impl RobotDrawing {
-    /// Links of `robot`, and `limits` drawn as 100 %.
-    pub(super) fn new(robot: Robot, limits: &Limits) -> Self {
+    /// Links of `robot`, and `limits` of its `model` drawn as 100 %.
+    pub(super) fn new(robot: Robot, model: &Model, limits: &Limits) -> Self {
+        let (sizes, order) = (model.sizes(), model.order());
+        let in_chain = |v: &JointVector| order.in_chain(v)[..sizes.joints()].to_vec();
+        let joints = model.joint_names().enumerate().map(|(i, name)| {
+            let c = order.coordinate(i);
+            let (_, unit) = model.joint_kind(c).shown(0.0);
+            JointJson { name: name.to_owned(), unit, motor: order.is_actuated(i).then_some(c) }
+        });
         Self {
             links: robot.links.into_iter().map(LinkJson::from).collect(),
+            joints: joints.collect(),
             limits: LimitsJson {
-                q: limits.q_max.iter().copied().collect(),
-                qd: limits.qd_max.iter().copied().collect(),
-                tau: limits.tau_max.iter().copied().collect(),
+                q: in_chain(&JointVector::from_fn(sizes, |c| limits.largest_position(c))),
+                qd: in_chain(&limits.qd_max),
+                tau: limits.tau_max.to_vec(),
             },
         }
     }
+}
+
+/// A joint of the chain.
+#[derive(Debug, Serialize)]
+struct JointJson {
+    name: String,
+    /// Unit in which positions are shown: deg or m.
+    unit: &'static str,
+    /// Index of its motor in lists of torques; `None`: no motor.
+    motor: Option<usize>,
 }
 
 #[derive(Debug, Serialize)]
@@ -79,6 +98,8 @@ struct LinkJson {
     rotation: [[f64; 3]; 3],
     joint: Option<usize>,
     axis: [f64; 3],
+    /// Whether the joint slides along its axis instead of turning about it.
+    slides: bool,
     shapes: Vec<Capsule>,
 }
 
@@ -90,8 +111,9 @@ impl From<Link> for LinkJson {
             parent: link.parent,
             origin: link.origin.translation.vector.into(),
             rotation: std::array::from_fn(|i| std::array::from_fn(|j| r[(i, j)])),
-            joint: link.joint.map(|(i, _)| i),
-            axis: link.joint.map_or([0.0; 3], |(_, axis)| axis.into_inner().into()),
+            joint: link.joint.map(|joint| joint.index),
+            axis: link.joint.map_or([0.0; 3], |joint| joint.axis.into_inner().into()),
+            slides: link.joint.is_some_and(|joint| joint.slides),
             shapes: link.shapes,
         }
     }
@@ -103,16 +125,16 @@ impl PageData {
     /// # Errors
     /// [`RecordingError`] if the recording has no URDF `robot.urdf` or its robot cannot be drawn.
     pub fn new(path: &Path, recording: &Recording, digest: &RecordingDigest) -> Result<Self, RecordingError> {
-        let robot = Robot::from_urdf(urdf(path, recording)?, &digest.model)
+        let robot = Robot::from_urdf(recording.urdf(path)?, &digest.model)
             .map_err(|cause| RecordingError::Robot { path: path.to_owned(), cause })?;
-        let mut motion = MotionColumns::default();
+        let mut motion = MotionColumns::new(digest.model.sizes());
         digest.samples.iter().for_each(|record| motion.push(digest.seconds(record.t_ns), record));
         Ok(Self {
             name: path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned()),
             summary: summary(digest, recording),
             details: recording.details.clone(),
             settings: settings(recording),
-            body: RobotDrawing::new(robot, &digest.model.rated_limits().scale()),
+            body: RobotDrawing::new(robot, &digest.model, &digest.model.rated_limits().scale()),
             motion,
             modes: digest.spans(),
             late: digest.late(),
@@ -120,19 +142,6 @@ impl PageData {
             period_us: digest.period * 1e6,
         })
     }
-}
-
-fn urdf<'a>(path: &Path, recording: &'a Recording) -> Result<&'a str, RecordingError> {
-    recording.file_text("robot.urdf").ok_or_else(|| RecordingError::Missing {
-        path: path.to_owned(),
-        expected: "an attachment robot.urdf".into(),
-    })
-}
-
-/// Builds the model of the robot of a recording, whose file is `path`.
-pub(super) fn model(path: &Path, recording: &Recording) -> Result<Model, RecordingError> {
-    Model::from_urdf(urdf(path, recording)?)
-        .map_err(|cause| RecordingError::Robot { path: path.to_owned(), cause })
 }
 
 fn settings(recording: &Recording) -> Vec<(String, String, String)> {
@@ -160,7 +169,7 @@ fn summary(digest: &RecordingDigest, recording: &Recording) -> Vec<(&'static str
         (
             "tracking error",
             format!(
-                "{:.3} rad (joints 1-7), {:.3} rad (pendulum)",
+                "{:.3} (actuated joints), {:.3} (free joints), rad or m",
                 motion.tracking_error_arm, motion.tracking_error_pendulum
             ),
         ),
@@ -170,13 +179,13 @@ fn summary(digest: &RecordingDigest, recording: &Recording) -> Vec<(&'static str
         rows.push((
             "last second of balance",
             format!(
-                "rod within {:.2} deg of upright, arm below {:.3} rad/s",
+                "rod within {:.2} deg of upright, actuated joints below {:.3} rad/s or m/s",
                 motion.final_tilt_deg, motion.final_speed
             ),
         ));
     }
     rows.push((
-        "peaks of joints 1-7",
+        "peaks of the actuated joints",
         format!(
             "position {}, velocity {}, torque {} of the 100 % limits",
             percent(motion.peak_position),

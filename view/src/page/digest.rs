@@ -46,7 +46,7 @@ impl RecordingDigest {
     /// [`RecordingError`] if the recording has no URDF or the model cannot be built from it.
     pub fn new(path: &Path, recording: &Recording) -> Result<Self, RecordingError> {
         Ok(Self {
-            model: super::data::model(path, recording)?,
+            model: recording.model(path)?,
             samples: Vec::new(),
             tally: Tally::default(),
             times: LatencyHistograms::default(),

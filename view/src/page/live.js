@@ -10,23 +10,25 @@ addEventListener("DOMContentLoaded", () => {
   // Samples of the last SPAN seconds. The panels hold references to these arrays.
   const t = [], modes = [], late = [];
   const columns = n => Array.from({ length: n }, () => []);
-  const motion = { q: columns(9), q_d: columns(9), qd: columns(9), qd_d: columns(9), tau: columns(7) };
+  const n = data.joints.length;
+  const motion = { q: columns(n), q_d: columns(n), qd: columns(n), qd_d: columns(n), tau: columns(data.limits.tau.length) };
   const limits = { q: data.limits.q, q_d: data.limits.q, qd: data.limits.qd, qd_d: data.limits.qd, tau: data.limits.tau };
   const parts = [];
   let view = null, times = [], connected = false, dirty = false, drawn = -PAUSE;
 
   const all = Object.values(motion).flat();
   const panels = [];
-  for (const joints of [[0, 1, 2], [3, 4, 5], [6, 7, 8]]) {
-    const panel = (title, values, wanted) => {
-      const curves = joints.filter(i => i < values.length).map((i, k) => ({
-        label: `q${i + 1}`, colour: COLOURS[k], values: values[i], desired: wanted && wanted[i], parts,
+  for (let first = 0; first < data.joints.length; first += COLOURS.length) {
+    const joints = data.joints.slice(first, first + COLOURS.length).map((joint, k) => ({ ...joint, index: first + k, colour: COLOURS[k] }));
+    const panel = (title, place, values, wanted) => {
+      const curves = joints.filter(joint => place(joint) !== null).map(joint => ({
+        label: joint.name, colour: joint.colour, values: values[place(joint)], desired: wanted && wanted[place(joint)], parts,
       }));
       panels.push(new Panel($("panels"), title, t, curves, () => {}));
     };
-    panel("position", motion.q, motion.q_d);
-    panel("velocity", motion.qd, motion.qd_d);
-    panel("torque", motion.tau, null);
+    panel("position", joint => joint.index, motion.q, motion.q_d);
+    panel("velocity", joint => joint.index, motion.qd, motion.qd_d);
+    panel("torque", joint => joint.motor, motion.tau, null);
   }
   const scene = new Scene($("scene"), data.links, () => { dirty = true; });
   document.title = `${data.domain} - upswing`;
@@ -75,7 +77,7 @@ addEventListener("DOMContentLoaded", () => {
     const rows = [["mode", view.mode || "no daemon"], ["next", view.next || "start a daemon"]];
     if (cycle) {
       rows.push(["fault", cycle.fault || "none"], ["rod", tilt]);
-      rows.push(["distance from reference", `${fixed(cycle.error_arm, 4)} rad (joints 1-7), ${fixed(cycle.error_pendulum, 4)} rad (pendulum)`]);
+      rows.push(["distance from reference", `${fixed(cycle.error_arm, 4)} (actuated joints), ${fixed(cycle.error_pendulum, 4)} (free joints), rad or m`]);
     }
     if (plan) {
       const at = cycle && cycle.plan === plan.id ? `, at ${fixed(cycle.t_plan, 2)} s` : "";

@@ -2,14 +2,14 @@
 
 use serde::Serialize;
 use upswing_ipc::Telemetry;
-use upswing_model::{NQ, NU};
+use upswing_model::Sizes;
 
 /// Rounds `value` to a multiple of 1 / `per_unit`: digits that no screen shows would double the size of the page.
 pub(super) fn round(value: f64, per_unit: f64) -> f64 {
     (value * per_unit).round() / per_unit
 }
 
-/// Samples of the motion, one column per joint: rad, rad/s, N m.
+/// Samples of the motion, one column per joint in the chain's order: rad, rad/s, N m, or m, m/s, N.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct MotionColumns {
     /// Times of the samples, s.
@@ -22,21 +22,20 @@ pub(crate) struct MotionColumns {
     tau: Vec<Vec<f64>>,
 }
 
-impl Default for MotionColumns {
-    fn default() -> Self {
+impl MotionColumns {
+    /// Columns of a chain without samples.
+    pub(crate) fn new(sizes: Sizes) -> Self {
         let columns = |n| vec![Vec::new(); n];
         Self {
             t: Vec::new(),
-            q: columns(NQ),
-            qd: columns(NQ),
-            q_d: columns(NQ),
-            qd_d: columns(NQ),
-            tau: columns(NU),
+            q: columns(sizes.joints()),
+            qd: columns(sizes.joints()),
+            q_d: columns(sizes.joints()),
+            qd_d: columns(sizes.joints()),
+            tau: columns(sizes.actuated()),
         }
     }
-}
 
-impl MotionColumns {
     /// Appends a sample at time `t`, s.
     pub(crate) fn push(&mut self, t: f64, record: &Telemetry) {
         self.t.push(t);

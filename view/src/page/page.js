@@ -44,17 +44,18 @@ addEventListener("DOMContentLoaded", () => {
   const parts = modes.filter(m => isMoving(m.name)).map(m => t.map((_, i) => i).filter(i => t[i] >= m.from && t[i] < m.to));
   const scaled = (column, limit) => column.map(v => v / limit);
   const panels = [];
-  for (const joints of [[0, 1, 2], [3, 4, 5], [6, 7, 8]]) {
-    const panel = (title, values, wanted, limits) => {
-      const curves = joints.filter(i => i < values.length).map((i, k) => ({
-        label: `q${i + 1}`, colour: COLOURS[k], values: scaled(values[i], limits[i]),
-        desired: wanted && scaled(wanted[i], limits[i]), parts,
+  for (let first = 0; first < data.joints.length; first += COLOURS.length) {
+    const joints = data.joints.slice(first, first + COLOURS.length).map((joint, k) => ({ ...joint, index: first + k, colour: COLOURS[k] }));
+    const panel = (title, place, values, wanted, limits) => {
+      const curves = joints.filter(joint => place(joint) !== null).map(joint => ({
+        label: joint.name, colour: joint.colour, values: scaled(values[place(joint)], limits[place(joint)]),
+        desired: wanted && scaled(wanted[place(joint)], limits[place(joint)]), parts,
       }));
       panels.push(new Panel($("panels"), title, t, curves, seek));
     };
-    panel("position", q, desired, data.limits.q);
-    panel("velocity", data.qd, data.qd_d, data.limits.qd);
-    panel("torque", data.tau, null, data.limits.tau);
+    panel("position", joint => joint.index, q, desired, data.limits.q);
+    panel("velocity", joint => joint.index, data.qd, data.qd_d, data.limits.qd);
+    panel("torque", joint => joint.motor, data.tau, null, data.limits.tau);
   }
 
   const scene = new Scene($("scene"), data.links, draw);
@@ -68,8 +69,9 @@ addEventListener("DOMContentLoaded", () => {
     for (let s = Math.max(begin, now - 1); s < now; s += 0.02) trail.push(scene.tip(q.map(c => at(c, place(s)))));
     trail.push(scene.tip(angles(q)));
     scene.draw(angles(q), isMoving(mode) ? angles(desired) : null, trail);
-    const deg = i => (at(q[i], where) * 180 / Math.PI).toFixed(1).padStart(7);
-    $("readout").textContent = `mode ${mode}\nq8 ${deg(7)} deg\nq9 ${deg(8)} deg`;
+    const free = data.joints.map((joint, i) => ({ ...joint, i })).filter(joint => joint.motor === null);
+    const shown = joint => joint.unit === "deg" ? (at(q[joint.i], where) * 180 / Math.PI).toFixed(1) : at(q[joint.i], where).toFixed(3);
+    $("readout").textContent = [`mode ${mode}`, ...free.map(joint => `${joint.name} ${shown(joint).padStart(7)} ${joint.unit}`)].join("\n");
     $("clock").textContent = `${now.toFixed(3)} s`;
     scrub.value = now;
     panels.forEach(panel => panel.draw(now, column => at(column, where)));

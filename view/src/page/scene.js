@@ -16,14 +16,18 @@ function turn([x, y, z], angle) {
   ];
 }
 
-// Position and rotation of each link in the world frame at the angles q, rad.
+// Position and rotation of each link in the world frame at the joint positions q, rad or m.
 function poses(links, q) {
   const result = [];
   for (const link of links) {
     const parent = link.parent === null ? { p: [0, 0, 0], r: [[1, 0, 0], [0, 1, 0], [0, 0, 1]] } : result[link.parent];
     let r = times(parent.r, link.rotation);
-    if (link.joint !== null) r = times(r, turn(link.axis, q[link.joint]));
-    result.push({ p: add(parent.p, apply(parent.r, link.origin)), r });
+    let p = add(parent.p, apply(parent.r, link.origin));
+    if (link.joint !== null) {
+      if (link.slides) p = add(p, apply(r, link.axis.map(v => v * q[link.joint])));
+      else r = times(r, turn(link.axis, q[link.joint]));
+    }
+    result.push({ p, r });
   }
   return result;
 }
@@ -32,7 +36,12 @@ class Scene {
   constructor(canvas, links, changed) {
     this.canvas = canvas;
     this.links = links;
-    this.camera = { azimuth: -0.95, elevation: 0.14, distance: 2.5, target: [0.2, 0, 1.42] };
+    // The camera looks at the middle of the robot at q = 0, from so far away that all of it is in the picture.
+    const rest = poses(links, new Array(64).fill(0));
+    const points = links.flatMap((link, i) => link.shapes.flatMap(s => [s.a, s.b]).map(v => add(rest[i].p, apply(rest[i].r, v))));
+    const [low, high] = [Math.min, Math.max].map(f => [0, 1, 2].map(k => points.reduce((m, v) => f(m, v[k]), points.length ? points[0][k] : 0)));
+    this.size = Math.max(Math.hypot(...high.map((v, k) => v - low[k])), 0.2);
+    this.camera = { azimuth: -0.95, elevation: 0.14, distance: 1.6 * this.size, target: mix(low, high, 0.5) };
     const rod = links[links.length - 1];
     const ends = rod.shapes.flatMap(s => [s.a, s.b]);
     const length = v => Math.hypot(...v);
@@ -46,7 +55,7 @@ class Scene {
     });
     canvas.addEventListener("wheel", e => {
       e.preventDefault();
-      this.camera.distance = Math.max(0.8, Math.min(8, this.camera.distance * Math.exp(e.deltaY * 0.001)));
+      this.camera.distance = Math.max(0.5 * this.size, Math.min(6 * this.size, this.camera.distance * Math.exp(e.deltaY * 0.001)));
       changed();
     }, { passive: false });
   }

@@ -69,7 +69,7 @@ pub fn draw(
     if digest.samples.iter().any(|t| matches!(t.mode(), Ok(Mode::Track | Mode::Balance))) {
         finish(
             TRAJECTORIES,
-            &swing_up(&digest.samples, &digest.model.rated_limits().scale(), digest.step())?,
+            &swing_up(&digest.samples, &digest.model, &digest.model.rated_limits().scale(), digest.step())?,
         )?;
     }
     finish(MODES, &modes(&digest.spans())?)?;

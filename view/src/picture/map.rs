@@ -4,7 +4,6 @@
 use super::{Area, DrawResult, PictureError, svg, write};
 use plotters::prelude::*;
 use upswing_config::GridAxis;
-use upswing_model::NU;
 use upswing_process::output::OutputFile;
 
 /// Edge length of a panel, px.
@@ -19,10 +18,10 @@ const CELLS: (f64, f64) = (4.0, 20.0);
 const NO_PLAN: RGBColor = RGBColor(213, 94, 0);
 
 /// Start of a plan and the margins of the plan.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct MapPoint {
     /// Start angles q_A, deg.
-    pub q_deg: [f64; NU],
+    pub q_deg: Vec<f64>,
     /// Smallest margins of position, velocity and torque, as shares of half the range; `None` if there is no plan.
     pub margins: Option<[f64; 3]>,
 }
@@ -45,7 +44,7 @@ struct MapAxis {
 }
 
 impl MapAxis {
-    fn cell(&self, q_deg: &[f64; NU]) -> usize {
+    fn cell(&self, q_deg: &[f64]) -> usize {
         let share = (q_deg[self.joint] - self.from) / (self.to - self.from);
         ((share * self.cells as f64) as usize).min(self.cells - 1)
     }

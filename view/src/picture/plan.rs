@@ -1,7 +1,7 @@
 //! Picture of a plan and the trajectory from which it was adapted, as in the paper's Fig. 4.
 
 use super::{CurvePair, POINTS, PanelStyle, PictureError, draw_panels, write};
-use upswing_model::{ActuatedVector, Limits, Model, NU, State, StateParts, Workspace};
+use upswing_model::{ActuatedVector, Limits, Model, State, Workspace};
 use upswing_process::output::OutputFile;
 use upswing_trajectory::Trajectory;
 
@@ -49,15 +49,16 @@ pub fn draw(
 ) -> Result<(), PictureError> {
     let look = PanelStyle { begin: 0.0, end: plan.t_f.max(reference.t_f), dashes: None };
     let (plan, reference) = (Samples::of(plan, model), Samples::of(reference, model));
-    let drawing = draw_panels(&look, |i| {
+    let drawing = draw_panels(&look, model, |i| {
+        let c = model.order().coordinate(i);
         let curve = |values: &dyn Fn(&Samples) -> Vec<(f64, f64)>| CurvePair {
             solid: values(&plan),
             dashed: values(&reference),
         };
         [
-            Some(curve(&|s| s.position(i, limits.q_max[i]))),
-            Some(curve(&|s| s.velocity(i, limits.qd_max[i]))),
-            (i < NU).then(|| curve(&|s| s.torque(i, limits.tau_max[i]))),
+            Some(curve(&|s| s.position(c, limits.largest_position(c)))),
+            Some(curve(&|s| s.velocity(c, limits.qd_max[c]))),
+            limits.tau_max.get(c).map(|tau_max| curve(&|s| s.torque(c, *tau_max))),
         ]
     })?;
     write(output, drawing.as_bytes())

@@ -8,6 +8,7 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::watch;
 use upswing_ipc::Telemetry;
+use upswing_model::Sizes;
 
 /// Period of the motion samples, ns: shorter than that of a screen.
 const STEP_NS: u64 = 8_000_000;
@@ -17,15 +18,15 @@ const KEPT: usize = 250;
 const EVENTS: usize = 30;
 
 /// Samples the motion from telemetry for the next frame.
-#[derive(Default)]
 pub(super) struct MotionSampler {
+    sizes: Sizes,
     frame: Motion,
     times: LatencyHistograms,
     sampled_ns: Option<u64>,
 }
 
 /// Motion since the previous frame. Times in s on the clock of the plant.
-#[derive(Clone, Default, Serialize)]
+#[derive(Clone, Serialize)]
 struct Motion {
     #[serde(flatten)]
     columns: MotionColumns,
@@ -43,7 +44,18 @@ struct LiveFrame {
     times: Vec<LatencyHistogram>,
 }
 
+impl Motion {
+    fn new(sizes: Sizes) -> Self {
+        Self { columns: MotionColumns::new(sizes), mode: Vec::new(), late: Vec::new() }
+    }
+}
+
 impl MotionSampler {
+    /// A sampler of the motion of a chain.
+    pub fn new(sizes: Sizes) -> Self {
+        Self { sizes, frame: Motion::new(sizes), times: LatencyHistograms::default(), sampled_ns: None }
+    }
+
     /// Takes the telemetry of the next cycle.
     pub fn take(&mut self, record: &Telemetry) {
         let t = record.t_ns as f64 * 1e-9;
@@ -64,7 +76,7 @@ impl MotionSampler {
     /// Serializes `view` and the motion since the previous frame as JSON, and clears the motion.
     pub fn frame(&mut self, mut view: View) -> String {
         view.events.drain(..view.events.len().saturating_sub(EVENTS));
-        let motion = std::mem::take(&mut self.frame);
+        let motion = std::mem::replace(&mut self.frame, Motion::new(self.sizes));
         // Non-finite numbers become null, which the page does not draw.
         serde_json::to_string(&LiveFrame { view, motion, times: self.times.times() }).unwrap_or_default()
     }
