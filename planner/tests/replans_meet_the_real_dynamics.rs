@@ -89,7 +89,7 @@ fn with_other_numbers_of_intervals() {
         let entry = Entry::new(&optimum.trajectory, |t| certify(&config, t));
         let planner = Planner::with_entries(config.clone(), "computed".into(), vec![entry]);
         let effort = Effort { optimise: false, ..Effort::iterations(config.planner.replan.iterations) };
-        let mut replan = |manoeuvre, start: &State| {
+        let replan = |manoeuvre, start: &State| {
             let replan = planner.replan_with(&mut planner.solver(), manoeuvre, start, &effort);
             let replan = replan.unwrap_or_else(|e| panic!("{manoeuvre}, {intervals} intervals: {e}"));
             assert_eq!(replan.trajectory.intervals(), intervals);
