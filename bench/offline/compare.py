@@ -94,7 +94,7 @@ def grid_starts(peer: Peer, points: int) -> list[list[float]]:
     poses = []
     for product in itertools.product(*values):
         pose = np.zeros(NU)
-        pose[[a["joint"] - 1 for a in axes]] = product
+        pose[[a["joint"] for a in axes]] = product
         if np.all(np.abs(peer.rest(np.radians(pose))[NU:NQ]) <= peer.settings.q_max[NU:]):
             poses.append(pose.tolist())
     if points > len(poses):

@@ -21,6 +21,8 @@ GRAVITY = (0.0, 0.0, -9.81)
 class Joint:
     """A revolute joint and the body behind it, with what is fixed to that body."""
 
+    name: str
+    """In the URDF."""
     rotation: np.ndarray
     """Axes of the joint's frame at angle 0 in the parent's frame."""
     translation: np.ndarray
@@ -78,7 +80,7 @@ def read_chain(path: Path) -> list[Joint]:
         rotation, translation = rotation @ r, translation + rotation @ p
         if joint.get("type") == "revolute":
             axis = np.array(numbers(joint.find("axis").get("xyz")))
-            chain.append(Joint(rotation, translation, axis))
+            chain.append(Joint(joint.get("name"), rotation, translation, axis))
             rotation, translation = np.eye(3), np.zeros(3)
         elif joint.get("type") != "fixed":
             raise ValueError(f"{path.name}: joint {joint.get('name')}: expected revolute or fixed")

@@ -28,6 +28,12 @@ TOLERANCE = 1e-8
 C_FLAGS = ["-O2", "-fPIC", "-shared"]
 
 
+def per_joint(value, names: list[str]) -> np.ndarray:
+    """A setting with one value per joint: a value for all joints, or a table by joint name."""
+    table = value if isinstance(value, dict) else {"default": value}
+    return np.array([table[name] if name in table else table["default"] for name in names], float)
+
+
 @dataclass
 class Settings:
     """Limits, weights and target of (6), (8), from the files that upswing reads."""
@@ -48,14 +54,21 @@ class Settings:
         robot = tomllib.loads((folder / "robot.toml").read_text())
         planner = tomllib.loads((folder / "planner.toml").read_text())
         limits, usage, offline = robot["limits"], robot["usage"], planner["offline"]
-        q_deg = np.array(limits["q_deg"], float)
-        q_deg[NU:] += usage["position_margin_deg"]
+        names = [joint.name for joint in read_chain(folder / "robot.urdf")]
+        q_deg = per_joint(limits["q_deg"], names)
+        if (q_deg[:, 0] != -q_deg[:, 1]).any():
+            raise ValueError("limits.q_deg of robot.toml: expected ranges that are symmetric about 0")
+        q_deg = q_deg[:, 1]
+        q_deg[NU:] += per_joint(usage["position_margin_deg"], names[NU:])
         share = [usage["velocity_fraction_actuated"]] * NU + [usage["velocity_fraction_unactuated"]] * (NQ - NU)
-        tau = np.array(limits["tau_nm"]) * usage["torque_fraction"]
-        bound = {key: np.array(v) if torque == "paper" else 0.0 for key, v in robot["coriolis_bound"].items()}
+        tau = per_joint(limits["tau_nm"], names[:NU]) * usage["torque_fraction"]
+        bound = {
+            key: per_joint(v, names[:NU]) if torque == "paper" else 0.0 for key, v in robot["coriolis_bound"].items()
+        }
+        grid = tomllib.loads((folder / "grid-paper.toml").read_text())["joints"]
         return cls(
             q_max=np.radians(q_deg),
-            qd_max=np.radians(limits["qd_deg_s"]) * share,
+            qd_max=np.radians(per_joint(limits["qd_deg_s"], names)) * share,
             tau_lower=-tau - bound["lower_nm"],
             tau_upper=tau - bound["upper_nm"],
             input_weight=offline["input_weight"],
@@ -63,7 +76,7 @@ class Settings:
             max_iterations=offline["max_iterations"],
             pitch=np.radians(robot["target"]["pitch_deg"]),
             q8=np.radians(robot["target"]["q8_deg"]),
-            grid=tomllib.loads((folder / "grid-paper.toml").read_text())["joints"],
+            grid=[{**axis, "joint": names.index(axis["joint"])} for axis in grid],
         )
 
 

@@ -188,7 +188,6 @@ fn negative_numbers_after_an_option() {
         (&["db", "export"], "--entry", whole),
         (&["disturb", "push", "--impulse", "0,0,1"], "--cycles", whole),
         (&["disturb", "push", "--impulse", "0,0,1"], "--from", whole),
-        (&["disturb", "fault", "encoder-jump"], "--joint", whole),
         (&["montecarlo", "closed-loop"], "--samples", whole),
         (&["montecarlo", "closed-loop"], "--only", whole),
         (&["montecarlo", "closed-loop"], "--threads", whole),

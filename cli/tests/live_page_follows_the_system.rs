@@ -21,7 +21,7 @@ fn in_chromium() {
     let text = |key: &str| begun[key].as_str().expect("a text").to_owned();
     let mut look = Command::new(python);
     look.arg(script("look_at_live.py")).args([&chromium, &text("url"), &text("token")]).arg(dir.path());
-    let blind = place.command(&["disturb", "fault", "encoder-nan", "--joint", "9"]);
+    let blind = place.command(&["disturb", "fault", "encoder-nan", "--joint", "pendulum_2"]);
     look.arg(blind.get_program()).args(blind.get_args());
     let found = run(&mut look).unwrap_or_else(|e| panic!("{e}"));
     assert!(found.contains("as it should be"), "{found}");

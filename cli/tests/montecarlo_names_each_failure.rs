@@ -59,7 +59,7 @@ fn a_start_without_a_plan() {
     let path = |name: &str| dir.path().join(name).to_str().expect("a plain path").to_owned();
     let (grid, database) = (path("grid.toml"), path("database.bin"));
     // One linearisation of one entry in the middle of the ranges does not serve all of them.
-    let pose = "joints = [{ joint = 4, from_deg = -90, to_deg = -90, points = 1 }]";
+    let pose = "joints = [{ joint = \"joint_4\", from_deg = -90, to_deg = -90, points = 1 }]";
     std::fs::write(&grid, format!("{pose}\nstart = \"rest\"\nmax_rest_angle_deg = 45\n")).expect("written");
     let build = ["db", "build", "--grid", &grid, "--output", &database];
     let built = upswing(&build);

@@ -168,20 +168,20 @@ pub enum FaultJointError {
     },
 }
 
-/// Error of a fault in a scenario file. Its text begins with `.key: `, which `TextFile::error` moves into the name of the key.
+/// Error of a fault in a scenario file or on the command line; its text begins with the name of a key.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub(crate) enum FaultInFileError {
+pub enum FaultError {
     /// The joint does not suit the kind.
-    #[error(".{0}")]
+    #[error(transparent)]
     Joint(#[from] FaultJointError),
     /// The amount does not suit the kind.
-    #[error(".{0}")]
+    #[error(transparent)]
     Event(#[from] EventError),
 }
 
 impl FaultInFile {
     /// The fault, for the robot `model`.
-    pub fn fault(self, model: &Model) -> Result<Fault, FaultInFileError> {
+    pub fn fault(self, model: &Model) -> Result<Fault, FaultError> {
         let Self { kind, from, cycles, joint, amount } = self;
         let fault = Fault { kind, from, cycles, joint: kind.joint(joint.as_deref(), model)?, amount };
         fault.check(model.sizes())?;

@@ -26,7 +26,7 @@ pub use daemon::{
     StandstillSettings, StartTolerance, StopSettings, VelocityEstimate,
 };
 pub use error::ConfigError;
-pub use fault::{EventError, Fault, FaultJointError, FaultKind, Push};
+pub use fault::{EventError, Fault, FaultError, FaultJointError, FaultKind, Push};
 pub use file::{check_regular, open_file, read_file};
 pub use grid::{GridAxis, GridSettings};
 pub use planner::{

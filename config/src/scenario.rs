@@ -34,7 +34,10 @@ pub(crate) fn read(
     })?;
     let faults = fault.into_iter().map(|fault| {
         let at = fault.span().start;
-        fault.into_inner().fault(model).map_err(|reason| file.error(at, Some("fault".into()), reason))
+        fault
+            .into_inner()
+            .fault(model)
+            .map_err(|e| file.error(at, Some("fault".into()), format_args!(".{e}")))
     });
     let faults = faults.collect::<Result<_, _>>()?;
     let mut changes = DeTable::parse(&file.text).map_err(|e| file.malformed(&e))?.into_inner();

@@ -1,6 +1,6 @@
 //! Reruns one cell of the fault matrix (docs/faults.md) and shows its last two seconds.
 //!
-//! Example: cargo run --release -p upswing-tests --example cell -- balance encoder-stuck --joint 8
+//! Example: cargo run --release -p upswing-tests --example cell -- balance encoder-stuck --joint pendulum_1
 
 use clap::Parser;
 use std::path::PathBuf;
@@ -33,7 +33,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     case.records = Some(Vec::new());
     let mut case = case.in_mode(mode(&args.mode));
     let first = case.system.plant.seq();
-    case.break_now(args.fault.fault()?);
+    let fault = args.fault.fault(&case.config.model)?;
+    case.break_now(fault);
     case.run(WATCHED);
     let records = case.records.take().unwrap_or_default();
     let cycles: Vec<Telemetry> = records.iter().map(|record| record.telemetry).collect();

@@ -7,7 +7,7 @@
 //!
 //! let mut system = System::start(Clock::Lockstep, START);
 //! system.bring_to(Mode::Balance);
-//! system.inject("encoder-jump --joint 8 --amount -0.1");
+//! system.inject("encoder-jump --joint pendulum_1 --amount -0.1");
 //! let fault = system.wait_until("a fault", |record| record.mode() == Ok(Mode::Fault));
 //! assert_eq!(upswingd::fault_text(fault.fault), Some("an angle jumped"));
 //! system.end();

@@ -79,10 +79,10 @@ pub fn mode(name: &str) -> Mode {
     *found.unwrap_or_else(|| panic!("no mode `{name}`"))
 }
 
-/// Parses a fault in the syntax of `upswing disturb fault`, for example `encoder-jump --joint 4 --amount 0.1`.
+/// Parses a fault in the syntax of `upswing disturb fault`, for example `encoder-jump --joint joint_4 --amount 0.1`.
 ///
 /// # Errors
-/// Error of the command line or [`EventError`](upswing_config::EventError).
+/// Error of the command line or [`FaultError`](upswing_config::FaultError).
 pub fn fault(text: &str) -> Result<FaultArgs, Box<dyn Error>> {
     #[derive(Parser)]
     #[command(no_binary_name = true)]
@@ -91,7 +91,7 @@ pub fn fault(text: &str) -> Result<FaultArgs, Box<dyn Error>> {
         fault: FaultArgs,
     }
     let line = Line::try_parse_from(text.split_whitespace())?;
-    line.fault.fault()?;
+    line.fault.fault(&CONFIG.model)?;
     Ok(line.fault)
 }
 
@@ -122,7 +122,8 @@ pub struct FaultCase {
     pub records: Option<Vec<CycleRecord>>,
     /// The plan that was started last.
     pub plan: Option<Box<PlanMessage>>,
-    config: Config,
+    /// Settings of the robot and of both.
+    pub config: Config,
     /// Duration t_F of the plan, cycles.
     pub plan_cycles: u64,
     /// Mode before the fault, and the true angles after [`WATCHED`] cycles without a fault, rad.

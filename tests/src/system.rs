@@ -178,7 +178,7 @@ impl System {
         }
         match goal {
             Mode::Stop => drop(self.request(OperatorRequest::Stop)),
-            Mode::Fault => self.inject("encoder-nan --joint 1 --cycles 1"),
+            Mode::Fault => self.inject("encoder-nan --joint joint_1 --cycles 1"),
             _ => {}
         }
         // In real time the plan may have ended by now, so that Track is not required any more.
@@ -187,13 +187,13 @@ impl System {
         }
     }
 
-    /// Injects a fault into the plant, in the syntax of `upswing disturb fault`, for example `encoder-jump --joint 4 --amount 0.1`; it
+    /// Injects a fault into the plant, in the syntax of `upswing disturb fault`, for example `encoder-jump --joint joint_4 --amount 0.1`; it
     /// begins in the next cycle, or in the cycle of `--from`.
     ///
     /// # Panics
     /// If there is no such fault, or the plant refuses the fault.
     pub fn inject(&mut self, fault: &str) {
-        let request = matrix::fault(fault).and_then(|args| Ok(args.request()?));
+        let request = matrix::fault(fault).and_then(|args| Ok(args.request(&self.config.model)?));
         let request = request.unwrap_or_else(|e| panic!("{fault}: {e}"));
         let response = self.session.plant(&request);
         self.must(response);

@@ -14,7 +14,7 @@ fn check(column: Mode) {
     let before = FaultCase::idle(None).in_mode(column);
     let mut wrong = Vec::new();
     for row in rows {
-        let fault = fault(&row.fault).and_then(|args| Ok(args.fault()?));
+        let fault = fault(&row.fault).and_then(|args| Ok(args.fault(&before.config.model)?));
         let fault = fault.unwrap_or_else(|e| panic!("{}: {e}", row.fault));
         let run = || {
             let mut case = before.clone();

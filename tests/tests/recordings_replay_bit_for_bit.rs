@@ -19,7 +19,7 @@ fn recorded(folder: &Path, clock: Clock, goal: Mode) -> (PathBuf, RecordedRun) {
     let file = folder.join("run.mcap");
     let mut system = System::start_recorded(clock, START, None, Some(&file));
     system.bring_to(goal);
-    system.inject("encoder-nan --joint 8 --cycles 1");
+    system.inject("encoder-nan --joint pendulum_1 --cycles 1");
     system.wait_until("a fault", |record| record.mode() == Ok(Mode::Fault));
     system.advance(400);
     system.request(OperatorRequest::Reset);

@@ -15,7 +15,7 @@ const PATIENCE: Duration = Duration::from_secs(10);
 
 /// Injects faults into the simulated plant, or pushes the pendulum.
 ///
-/// Example: upswing disturb fault encoder-stuck --joint 9 && upswing disturb push --impulse 0.02,0,0
+/// Example: upswing disturb fault encoder-stuck --joint pendulum_2 && upswing disturb push --impulse 0.02,0,0
 #[derive(Clone, Debug, clap::Args)]
 pub struct DisturbArgs {
     /// Options of every command.
@@ -31,7 +31,7 @@ pub struct DisturbArgs {
 pub enum DisturbCommand {
     /// Inject a fault
     ///
-    /// Example: upswing disturb fault encoder-jump --joint 9 --amount 0.1
+    /// Example: upswing disturb fault encoder-jump --joint pendulum_2 --amount 0.1
     Fault(FaultArgs),
     /// Push the tip of the rod
     ///
