@@ -11,7 +11,7 @@ mod filter;
 mod newton;
 
 use crate::fixed::{ActuatedVector, NU, NX, State, vector};
-use crate::kkt::KnotParts;
+use crate::fixed_kkt::KnotParts;
 use crate::problem::{KnotDerivatives, Problem};
 use bounded::BoundedVector;
 use filter::Filter;

@@ -14,131 +14,39 @@
 //! the state that leaves knot k and enters knot k+1. A backward sweep takes the value function of stages k+1..N, a
 //! quadratic in dz_{k+1} and dt, writes it in (s_k, du_{k+1}), eliminates du_{k+1}, and writes what is left in dz_k:
 //! a Riccati recursion whose gradient with respect to s_k is the multiplier of interval k. Both changes of variables
-//! are those of a double integrator but for the two rows of qdd_U, so that they cost a few row operations instead of
+//! are those of a double integrator but for the rows of qdd_U, so that they cost a few row operations instead of
 //! products of full matrices. The reduced Hessian is positive definite exactly if every pivot block is; that is the
 //! inertia test, for free. The target rows T enter as a stiff penalty, whose error iterative refinement removes.
 
 mod dynamics;
+mod orthonormal;
 mod sweep;
 mod target;
+#[cfg(test)]
+mod tests;
 mod variables;
 
 pub use dynamics::Dynamics;
 pub use sweep::Factor;
+pub(crate) use sweep::factorise;
 pub(crate) use target::nearest_state;
 pub use target::{DependentTargetRow, TargetRow, check_target_rows};
 
-use crate::fixed::{ActuatedVector, N_UNACTUATED, NQ, NU, NX, NZ, State, vector};
-use crate::rows::{STATE_ROW, StateRow};
-use nalgebra::{Const, SMatrix, SVector, U1, VectorView, VectorViewMut};
-
-/// z_k = (x_k, u_k) or a derivative with respect to it.
-pub type KnotVector = SVector<f64, NZ>;
-/// `R` consecutive components of a [`KnotVector`].
-pub type KnotPart<'a, const R: usize> = VectorView<'a, f64, Const<R>, U1, Const<NZ>>;
-/// The same, to be written.
-pub type KnotPartMut<'a, const R: usize> = VectorViewMut<'a, f64, Const<R>, U1, Const<NZ>>;
-
-/// The parts of z_k = (x_k, u_k), or of a derivative with respect to it.
-pub trait KnotParts {
-    /// The part of x_k.
-    fn x(&self) -> KnotPart<'_, NX>;
-    /// The part of u_k.
-    fn u(&self) -> KnotPart<'_, NU>;
-    /// The part of x_k, to be written.
-    fn x_mut(&mut self) -> KnotPartMut<'_, NX>;
-    /// The part of u_k, to be written.
-    fn u_mut(&mut self) -> KnotPartMut<'_, NU>;
-}
-
-impl KnotParts for KnotVector {
-    #[inline(always)]
-    fn x(&self) -> KnotPart<'_, NX> {
-        self.fixed_rows::<NX>(0)
-    }
-
-    #[inline(always)]
-    fn u(&self) -> KnotPart<'_, NU> {
-        self.fixed_rows::<NU>(NX)
-    }
-
-    #[inline(always)]
-    fn x_mut(&mut self) -> KnotPartMut<'_, NX> {
-        self.fixed_rows_mut::<NX>(0)
-    }
-
-    #[inline(always)]
-    fn u_mut(&mut self) -> KnotPartMut<'_, NU> {
-        self.fixed_rows_mut::<NU>(NX)
-    }
-}
-
-/// Second derivatives with respect to z_k.
-pub type KnotMatrix = SMatrix<f64, NZ, NZ>;
-
-/// Linearised dynamics of one knot.
-#[derive(Clone, Debug)]
-pub struct KnotDynamics {
-    /// d qdd_U / dx and d qdd_U / du: the rows of A_k and B_k that are not those of double integrators.
-    pub qdd_u_x: SMatrix<f64, N_UNACTUATED, NX>,
-    /// See `qdd_u_x`.
-    pub qdd_u_u: SMatrix<f64, N_UNACTUATED, NU>,
-    /// f(x_k, u_k)
-    pub f: State,
-}
-
-impl KnotDynamics {
-    /// Of a knot that is not linearised yet.
-    pub(crate) fn zeros() -> Self {
-        Self { qdd_u_x: SMatrix::zeros(), qdd_u_u: SMatrix::zeros(), f: State::zeros() }
-    }
-
-    /// Of knot `k`.
-    pub(crate) fn of(dynamics: &Dynamics, k: usize) -> Self {
-        let mut out = Self::zeros();
-        for c in 0..N_UNACTUATED {
-            let row = dynamics.rows.row(k, c);
-            (0..NX).for_each(|j| out.qdd_u_x[(c, j)] = row[j]);
-            (0..NU).for_each(|j| out.qdd_u_u[(c, j)] = row[NX + j]);
-        }
-        out.f = vector(dynamics.f.vector(k));
-        out
-    }
-
-    /// A dx + B du
-    pub fn apply(&self, dz: &KnotVector) -> State {
-        let (dx, du) = (dz.x(), dz.u());
-        let mut out = State::zeros();
-        out.fixed_rows_mut::<NQ>(0).copy_from(&dz.fixed_rows::<NQ>(NQ));
-        out.fixed_rows_mut::<NU>(NQ).copy_from(&du);
-        let unactuated = self.qdd_u_x * dx + self.qdd_u_u * du;
-        out.fixed_rows_mut::<N_UNACTUATED>(NQ + NU).copy_from(&unactuated);
-        out
-    }
-
-    /// [A, B]' w
-    pub fn apply_transposed(&self, w: &State) -> KnotVector {
-        let w_u = w.fixed_rows::<N_UNACTUATED>(NX - N_UNACTUATED);
-        let mut out = KnotVector::zeros();
-        out.x_mut().copy_from(&(self.qdd_u_x.transpose() * w_u));
-        for i in 0..NQ {
-            out[NQ + i] += w[i];
-        }
-        let on_u = self.qdd_u_u.transpose() * w_u + w.fixed_rows::<NU>(NQ);
-        out.u_mut().copy_from(&on_u);
-        out
-    }
-}
+use crate::dims::{Registers, dispatch, kernels};
+use crate::kernels::{amax, combine, dot, mirror, rank_update, shift_add};
+use crate::slab::{Knots, LARGEST_KNOT, Slab};
+use dynamics::{apply, apply_transposed};
+use upswing_model::{LARGEST_STATE, Sizes, State, States};
 
 /// Right-hand side of the system: gradients and residuals.
 #[derive(Clone, Debug)]
 pub struct Rhs {
-    /// g_k
-    pub g: Vec<KnotVector>,
+    /// g_k, N + 1 vectors.
+    pub g: Slab<Knots>,
     /// g_t
     pub g_t: f64,
-    /// r_k: defects, the residuals of the dynamics (6b), N of them.
-    pub defects: Vec<State>,
+    /// r_k: defects, the residuals of the dynamics (6b), N vectors.
+    pub defects: Slab<States>,
     /// r_0: what dx_0 shall be.
     pub start: State,
     /// r_N: residual of each target row.
@@ -146,69 +54,74 @@ pub struct Rhs {
 }
 
 impl Rhs {
-    fn zeros(n: usize, targets: usize) -> Self {
+    fn zeros(sizes: Sizes, n: usize, targets: usize) -> Self {
         Self {
-            g: vec![KnotVector::zeros(); n + 1],
+            g: Slab::zeros(sizes, n + 1, 1),
             g_t: 0.0,
-            defects: vec![State::zeros(); n],
-            start: State::zeros(),
+            defects: Slab::zeros(sizes, n, 1),
+            start: State::zeros(sizes),
             target: vec![0.0; targets],
         }
     }
 
     /// Overwrites this with `other`, which has the same size.
     pub(crate) fn copy_from(&mut self, other: &Self) {
-        self.g.copy_from_slice(&other.g);
+        self.g.copy_from(&other.g);
         self.g_t = other.g_t;
-        self.defects.copy_from_slice(&other.defects);
+        self.defects.copy_from(&other.defects);
         self.start = other.start;
         self.target.copy_from_slice(&other.target);
     }
 
-    /// Largest entry.
+    /// Largest absolute value of an entry.
+    #[inline(always)]
     fn norm(&self) -> f64 {
-        let g = self.g.iter().map(|g| g.amax()).fold(self.g_t.abs(), f64::max);
-        let d = self.defects.iter().map(|d| d.amax()).fold(self.start.amax(), f64::max);
-        self.target.iter().map(|t| t.abs()).fold(g.max(d), f64::max)
+        amax(self.g.as_slice())
+            .max(self.g_t.abs())
+            .max(amax(self.defects.as_slice()))
+            .max(amax(&self.start))
+            .max(amax(&self.target))
     }
 }
 
 /// Newton step that solves the system, and the multipliers of its constraints.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct NewtonStep {
-    /// dz_k
-    pub z: Vec<KnotVector>,
+    /// dz_k, N + 1 vectors.
+    pub z: Slab<Knots>,
     /// dt
     pub t: f64,
-    /// lambda_k: multipliers of the defects, N of them.
-    pub lambda: Vec<State>,
+    /// lambda_k: multipliers of the defects, N vectors.
+    pub lambda: Slab<States>,
     /// Multipliers of the target rows.
     pub lambda_target: Vec<f64>,
 }
 
 impl NewtonStep {
-    /// A step of the right size, all zero.
-    pub fn zeros(n: usize, targets: usize) -> Self {
+    /// A step of `n` intervals with `targets` target rows, all zero.
+    pub fn zeros(sizes: Sizes, n: usize, targets: usize) -> Self {
         Self {
-            z: vec![KnotVector::zeros(); n + 1],
+            z: Slab::zeros(sizes, n + 1, 1),
             t: 0.0,
-            lambda: vec![State::zeros(); n],
+            lambda: Slab::zeros(sizes, n, 1),
             lambda_target: vec![0.0; targets],
         }
     }
 
     fn copy_from(&mut self, other: &Self) {
-        self.z.copy_from_slice(&other.z);
+        self.z.copy_from(&other.z);
         self.t = other.t;
-        self.lambda.copy_from_slice(&other.lambda);
+        self.lambda.copy_from(&other.lambda);
         self.lambda_target.copy_from_slice(&other.lambda_target);
     }
 
-    fn add(&mut self, other: &Self) {
-        self.z.iter_mut().zip(&other.z).for_each(|(a, b)| *a += b);
-        self.t += other.t;
-        self.lambda.iter_mut().zip(&other.lambda).for_each(|(a, b)| *a += b);
-        self.lambda_target.iter_mut().zip(&other.lambda_target).for_each(|(a, b)| *a += b);
+    /// Adds `alpha` times `other`.
+    #[inline(always)]
+    pub(crate) fn add_scaled(&mut self, alpha: f64, other: &Self) {
+        shift_add(self.z.as_mut_slice(), alpha, other.z.as_slice());
+        self.t += alpha * other.t;
+        shift_add(self.lambda.as_mut_slice(), alpha, other.lambda.as_slice());
+        shift_add(&mut self.lambda_target, alpha, &other.lambda_target);
     }
 }
 
@@ -217,24 +130,24 @@ impl NewtonStep {
 pub struct Kkt {
     /// h = t_F / N, s.
     pub h: f64,
-    /// H_k, symmetric.
-    pub hessian: Vec<KnotMatrix>,
-    /// c_k: second derivatives with respect to z_k and t.
-    pub with_t: Vec<KnotVector>,
+    /// H_k, symmetric: N + 1 panels of as many rows as z has entries.
+    pub hessian: Slab<Knots>,
+    /// c_k: second derivatives with respect to z_k and t, N + 1 vectors.
+    pub with_t: Slab<Knots>,
     /// w: second derivative with respect to t.
     pub t_t: f64,
     /// A_k, B_k, f_k
-    pub dynamics: Vec<KnotDynamics>,
-    /// T
+    pub dynamics: Dynamics,
+    /// T, whose rows do not depend on each other.
     pub target: Vec<TargetRow>,
 }
 
 /// Memory of [`Kkt::solve_into`].
 #[derive(Clone, Debug)]
 pub struct SolveWorkspace {
-    /// Gradient of the value function of stages k+1..N at s_k = 0, and the input there.
-    gradient: Vec<StateRow>,
-    feedforward: Vec<ActuatedVector>,
+    /// Gradient of the value function of stages k+1..N at s_k = 0, and the input there, n_A entries for each interval.
+    gradient: Slab<States>,
+    feedforward: Vec<f64>,
     left: Rhs,
     next_left: Rhs,
     correction: NewtonStep,
@@ -243,88 +156,51 @@ pub struct SolveWorkspace {
 
 impl SolveWorkspace {
     /// For systems of `n` intervals with `targets` target rows.
-    pub fn new(n: usize, targets: usize) -> Self {
+    pub fn new(sizes: Sizes, n: usize, targets: usize) -> Self {
         Self {
-            gradient: vec![[0.0; STATE_ROW]; n],
-            feedforward: vec![ActuatedVector::zeros(); n],
-            left: Rhs::zeros(n, targets),
-            next_left: Rhs::zeros(n, targets),
-            correction: NewtonStep::zeros(n, targets),
-            refined: NewtonStep::zeros(n, targets),
+            gradient: Slab::zeros(sizes, n, 1),
+            feedforward: vec![0.0; n * sizes.actuated()],
+            left: Rhs::zeros(sizes, n, targets),
+            next_left: Rhs::zeros(sizes, n, targets),
+            correction: NewtonStep::zeros(sizes, n, targets),
+            refined: NewtonStep::zeros(sizes, n, targets),
         }
     }
 }
 
 impl Kkt {
-    fn intervals(&self) -> usize {
-        self.dynamics.len() - 1
-    }
-
-    /// Adds to `left` what the constraints contribute to the conditions of a solution: their multipliers' forces
-    /// on z and t, and their residuals at z and t.
-    pub(crate) fn add_constraints(&self, step: &NewtonStep, left: &mut Rhs) {
-        let n = self.intervals();
-        let half_h = 0.5 * self.h;
-        for k in 0..=n {
-            // Multipliers of the intervals on both sides.
-            let mut sum = State::zeros();
-            let g = &mut left.g[k];
-            if k < n {
-                sum += step.lambda[k];
-                for i in 0..NX {
-                    g[i] -= step.lambda[k][i];
-                }
-            }
-            if k > 0 {
-                sum += step.lambda[k - 1];
-                for i in 0..NX {
-                    g[i] += step.lambda[k - 1][i];
-                }
-            }
-            *g -= self.dynamics[k].apply_transposed(&sum) * half_h;
-            left.g_t -= sum.dot(&self.dynamics[k].f) / (2.0 * n as f64);
-        }
-        for (row, m) in self.target.iter().zip(&step.lambda_target) {
-            for i in 0..NX {
-                left.g[n][i] += row.coefficients[i] * m;
-            }
-        }
-        let mut near = self.dynamics[0].apply(&step.z[0]);
-        for k in 0..n {
-            let far = self.dynamics[k + 1].apply(&step.z[k + 1]);
-            let share = step.t / (2.0 * n as f64);
-            for i in 0..NX {
-                left.defects[k][i] += step.z[k + 1][i]
-                    - step.z[k][i]
-                    - (near[i] + far[i]) * half_h
-                    - (self.dynamics[k].f[i] + self.dynamics[k + 1].f[i]) * share;
-            }
-            near = far;
-        }
-        left.start -= step.z[0].x();
-        for (l, row) in left.target.iter_mut().zip(&self.target) {
-            *l += vector::<NX>(&row.coefficients).dot(&step.z[n].x());
-        }
-        // The multiplier of the start state is not computed: nothing needs it.
-        for i in 0..NX {
-            left.g[0][i] = 0.0;
+    /// The matrix 0 of `n` intervals.
+    pub fn zeros(sizes: Sizes, n: usize, target: &[TargetRow]) -> Self {
+        Self {
+            h: 0.0,
+            hessian: Slab::zeros(sizes, n + 1, sizes.knot()),
+            with_t: Slab::zeros(sizes, n + 1, 1),
+            t_t: 0.0,
+            dynamics: Dynamics::zeros(sizes, n),
+            target: target.to_vec(),
         }
     }
 
-    /// Residual of the linear system at `step`, with the damping of the factorisation.
-    fn residual(&self, rhs: &Rhs, step: &NewtonStep, damping: f64, input_damping: f64, left: &mut Rhs) {
-        left.copy_from(rhs);
-        left.g_t += (self.t_t + damping) * step.t;
-        for (k, z) in step.z.iter().enumerate() {
-            let g = &mut left.g[k];
-            g.gemv(1.0, &self.hessian[k], z, 1.0);
-            g.axpy(step.t, &self.with_t[k], 1.0);
-            for i in 0..NZ {
-                g[i] += z[i] * if i < NX { damping } else { input_damping };
-            }
-            left.g_t += self.with_t[k].dot(z);
-        }
-        self.add_constraints(step, left);
+    /// Numbers of joints of the chain.
+    pub fn sizes(&self) -> Sizes {
+        self.hessian.sizes()
+    }
+
+    /// N
+    pub fn intervals(&self) -> usize {
+        self.hessian.panels() - 1
+    }
+
+    /// A right-hand side of the right size, all zero.
+    pub fn zero_rhs(&self) -> Rhs {
+        Rhs::zeros(self.sizes(), self.intervals(), self.target.len())
+    }
+
+    /// Backward sweep with `damping` added to the diagonal of every H_k and to w (inertia correction): one
+    /// number for states and t, one for inputs. `factor` must be one for as many intervals. `false`, with a useless
+    /// factor, if the reduced Hessian is not positive definite or if target rows depend on each other.
+    pub fn factor_into(&self, damping: f64, input_damping: f64, factor: &mut Factor) -> bool {
+        dispatch!(self.sizes(), |d| factorise(d, self, damping, input_damping, factor))
     }
 
     /// Solves the system with the `damping` of the factorisation, refining until the residual stops shrinking: at most
@@ -334,39 +210,172 @@ impl Kkt {
         factor: &Factor,
         rhs: &Rhs,
         damping: (f64, f64),
-        (refinements, accuracy): (usize, f64),
+        refinements: (usize, f64),
         work: &mut SolveWorkspace,
         step: &mut NewtonStep,
     ) {
-        let SolveWorkspace { gradient, feedforward, left, next_left, correction, refined } = work;
-        self.sweep(factor, rhs, gradient, feedforward, step);
-        if refinements == 0 {
-            return;
-        }
-        self.residual(rhs, step, damping.0, damping.1, left);
-        let scale = rhs.norm().max(1e-300);
-        let mut norm = left.norm();
-        for _ in 0..refinements {
-            if norm <= accuracy * scale {
-                break;
-            }
-            self.sweep(factor, left, gradient, feedforward, correction);
-            refined.copy_from(step);
-            refined.add(correction);
-            self.residual(rhs, refined, damping.0, damping.1, next_left);
-            let next_norm = next_left.norm();
-            // A NaN also ends the loop.
-            if !(next_norm < norm) {
-                break;
-            }
-            step.copy_from(refined);
-            std::mem::swap(left, next_left);
-            norm = next_norm;
-        }
+        dispatch!(self.sizes(), |d| solve(d, self, factor, rhs, damping, refinements, work, step));
     }
 
-    /// A right-hand side of the right size, all zero.
-    pub fn zero_rhs(&self) -> Rhs {
-        Rhs::zeros(self.intervals(), self.target.len())
+    /// Adds J_k' diag(`sigma`) J_k to H_k for the rows J_k of panel k of `jacobian`, one for each actuated joint. `scaled` is memory for
+    /// one such panel.
+    pub(crate) fn add_products(
+        &mut self,
+        k: usize,
+        jacobian: &Slab<Knots>,
+        sigma: &[f64],
+        scaled: &mut Slab<Knots>,
+    ) {
+        let (jacobian, hessian, scaled) = (jacobian.panel(k), self.hessian.panel_mut(k), scaled.panel_mut(0));
+        dispatch!(self.dynamics.sizes(), |d| add_products(d, jacobian, sigma, hessian, scaled));
+    }
+}
+
+kernels! {
+    /// H += J' diag(`sigma`) J for the rows of `jacobian`, one for each actuated joint, and a symmetric panel `hessian` over z. `scaled`
+    /// is memory of the size of `jacobian`.
+    pub(crate) fn add_products(
+        d: D,
+        jacobian: &[f64],
+        sigma: &[f64],
+        hessian: &mut [f64],
+        scaled: &mut [f64],
+    ) {
+        let (actuated, row) = (d.actuated(), d.knot_row());
+        let (jacobian, scaled) = (&jacobian[..actuated * row], &mut scaled[..actuated * row]);
+        for i in 0..actuated {
+            for j in 0..row {
+                scaled[i * row + j] = sigma[i] * jacobian[i * row + j];
+            }
+        }
+        rank_update(d, hessian, row, d.knot(), actuated, scaled, row, jacobian, row);
+        mirror(d, hessian, row, d.knot());
+    }
+
+    /// Adds to `left` what the constraints contribute to the conditions of a solution: their multipliers' forces
+    /// on z and t, and their residuals at z and t.
+    pub(crate) fn add_constraints(d: D, kkt: &Kkt, step: &NewtonStep, left: &mut Rhs) {
+        let (state, state_row, row) = (d.state(), d.state_row(), d.knot_row());
+        let dense = d.unactuated() * row;
+        let n = kkt.intervals();
+        let half_h = 0.5 * kkt.h;
+        let (f, rows) = (kkt.dynamics.f.as_slice(), kkt.dynamics.rows.as_slice());
+        let (z, lambda) = (step.z.as_slice(), step.lambda.as_slice());
+        let g = left.g.as_mut_slice();
+        for k in 0..=n {
+            // Multipliers of the intervals on both sides.
+            let mut sum = [0.0; LARGEST_STATE];
+            let sum = &mut sum[..state_row];
+            let g = &mut g[k * row..][..row];
+            if k < n {
+                let lambda = &lambda[k * state_row..][..state_row];
+                for i in 0..state {
+                    sum[i] += lambda[i];
+                    g[i] -= lambda[i];
+                }
+            }
+            if k > 0 {
+                let lambda = &lambda[(k - 1) * state_row..][..state_row];
+                for i in 0..state {
+                    sum[i] += lambda[i];
+                    g[i] += lambda[i];
+                }
+            }
+            let mut on_z = [0.0; LARGEST_KNOT];
+            let on_z = &mut on_z[..row];
+            apply_transposed(d, &rows[k * dense..][..dense], sum, on_z);
+            for i in 0..row {
+                g[i] -= on_z[i] * half_h;
+            }
+            left.g_t -= dot(sum, &f[k * state_row..][..state_row]) / (2.0 * n as f64);
+        }
+        for (target, m) in kkt.target.iter().zip(&step.lambda_target) {
+            shift_add(&mut g[n * row..][..state], *m, &target.coefficients);
+        }
+        let (mut near, mut far) = ([0.0; LARGEST_STATE], [0.0; LARGEST_STATE]);
+        apply(d, rows, &z[..row], &mut near);
+        let share = step.t / (2.0 * n as f64);
+        let defects = left.defects.as_mut_slice();
+        for k in 0..n {
+            let (z, next) = (&z[k * row..][..row], &z[(k + 1) * row..][..row]);
+            apply(d, &rows[(k + 1) * dense..][..dense], next, &mut far);
+            let (f, f_next) = (&f[k * state_row..][..state_row], &f[(k + 1) * state_row..][..state_row]);
+            let defects = &mut defects[k * state_row..][..state_row];
+            for i in 0..state {
+                defects[i] += next[i] - z[i] - (near[i] + far[i]) * half_h - (f[i] + f_next[i]) * share;
+            }
+            near = far;
+        }
+        for i in 0..state {
+            left.start[i] -= z[i];
+        }
+        for (l, target) in left.target.iter_mut().zip(&kkt.target) {
+            *l += dot(&target.coefficients, &z[n * row..]);
+        }
+        // The multiplier of the start state is not computed: nothing needs it.
+        g[..state].fill(0.0);
+    }
+
+    /// Residual of the linear system at `step`, with the damping of the factorisation, into `left`, and its largest absolute value.
+    fn residual(
+        d: D,
+        kkt: &Kkt,
+        rhs: &Rhs,
+        step: &NewtonStep,
+        damping: (f64, f64),
+        left: &mut Rhs,
+    ) -> f64 {
+        let (state, knot, row) = (d.state(), d.knot(), d.knot_row());
+        left.copy_from(rhs);
+        left.g_t += (kkt.t_t + damping.0) * step.t;
+        let (z, g) = (step.z.as_slice(), left.g.as_mut_slice());
+        for k in 0..=kkt.intervals() {
+            let (z, g) = (&z[k * row..][..row], &mut g[k * row..][..row]);
+            combine(g, knot, z, 1, &kkt.hessian.as_slice()[k * knot * row..][..knot * row], row);
+            let with_t = &kkt.with_t.as_slice()[k * row..][..row];
+            shift_add(g, step.t, with_t);
+            for i in 0..knot {
+                g[i] += z[i] * if i < state { damping.0 } else { damping.1 };
+            }
+            left.g_t += dot(with_t, z);
+        }
+        add_constraints(d, kkt, step, left);
+        left.norm()
+    }
+}
+
+/// [`Kkt::solve_into`]
+pub(crate) fn solve<D: Registers>(
+    d: D,
+    kkt: &Kkt,
+    factor: &Factor,
+    rhs: &Rhs,
+    damping: (f64, f64),
+    (refinements, accuracy): (usize, f64),
+    work: &mut SolveWorkspace,
+    step: &mut NewtonStep,
+) {
+    let SolveWorkspace { gradient, feedforward, left, next_left, correction, refined } = work;
+    sweep::solve(d, kkt, factor, rhs, gradient, feedforward, step);
+    if refinements == 0 {
+        return;
+    }
+    let mut norm = residual(d, kkt, rhs, step, damping, left);
+    let scale = rhs.norm().max(1e-300);
+    for _ in 0..refinements {
+        if norm <= accuracy * scale {
+            break;
+        }
+        sweep::solve(d, kkt, factor, left, gradient, feedforward, correction);
+        refined.copy_from(step);
+        refined.add_scaled(1.0, correction);
+        let next_norm = residual(d, kkt, rhs, refined, damping, next_left);
+        // A NaN also ends the loop.
+        if !(next_norm < norm) {
+            break;
+        }
+        step.copy_from(refined);
+        std::mem::swap(left, next_left);
+        norm = next_norm;
     }
 }

@@ -7,13 +7,18 @@
 //!
 //! Nothing here reads files or settings, starts threads or sends anything.
 
+mod dims;
 mod fixed;
+mod fixed_kkt;
 pub mod interior_point;
+mod kernels;
 pub mod kkt;
 pub mod lqr;
 pub mod multistart;
 pub mod problem;
 pub mod qp;
+#[cfg(test)]
+mod random;
 mod rows;
 pub mod slab;
 

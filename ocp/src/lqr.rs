@@ -1,48 +1,13 @@
 //! Discrete time-variant LQR (18)-(23) along a trajectory.
 
-use crate::fixed::{N_UNACTUATED, NQ, NU, NX, vector};
-use crate::rows::{Pivot, STATE_ROW, StateRow, add_scaled};
-use nalgebra::SMatrix;
-use upswing_model::{ActuatedVector, Linearization, Model, State, Workspace};
+use crate::dims::{Registers, dispatch, kernels};
+use crate::kernels::{backward, cholesky, combine, forward, mirror, rank_update, shift_add};
+use crate::slab::{Knots, Slab};
+use nalgebra::DMatrix;
+use upswing_model::{
+    ActuatedVector, Dims, LARGEST_STATE, Linearization, MOST_JOINTS, Model, Sizes, State, States, Workspace,
+};
 use upswing_trajectory::{Gains, Trajectory};
-
-type StateVector = crate::fixed::State;
-type Gain = SMatrix<f64, NU, NX>;
-type StateMatrix = SMatrix<f64, NX, NX>;
-
-/// The symmetric matrix P of the cost-to-go x' P x, by rows.
-type CostToGo = [StateRow; NX];
-
-/// The rows of A and B that are not constant: d qdd_U / dx and d qdd_U / du.
-#[derive(Clone, Copy, Debug)]
-struct DynamicsRows {
-    a: [StateRow; N_UNACTUATED],
-    b: [[f64; NU]; N_UNACTUATED],
-}
-
-impl DynamicsRows {
-    fn new(d: &Linearization) -> Self {
-        let mut a = [[0.0; STATE_ROW]; N_UNACTUATED];
-        for (m, row) in a.iter_mut().enumerate() {
-            row[..NX].copy_from_slice(&d.qdd_u(m)[..NX]);
-        }
-        Self { a, b: std::array::from_fn(|m| std::array::from_fn(|j| d.qdd_u(m)[NX + j])) }
-    }
-
-    /// Between this (`share` = 0) and the next.
-    fn towards(&self, next: &Self, share: f64) -> Self {
-        let mut out = *self;
-        for m in 0..N_UNACTUATED {
-            for j in 0..NX {
-                out.a[m][j] += (next.a[m][j] - self.a[m][j]) * share;
-            }
-            for j in 0..NU {
-                out.b[m][j] += (next.b[m][j] - self.b[m][j]) * share;
-            }
-        }
-        out
-    }
-}
 
 /// The Riccati equation (21) has no stabilising solution at the trajectory's end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -52,12 +17,12 @@ pub struct NotStabilisable;
 /// Weights Q_c and R_c of (20).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LqrWeights {
-    /// Diagonal of Q_c along the trajectory: 1/rad^2 for angles, s^2/rad^2 for velocities.
+    /// Diagonal of Q_c along the trajectory: 1/rad^2 or 1/m^2 for positions, times s^2 for velocities.
     pub q: State,
     /// The same for the gain that holds x_N. With the weights of the trajectory that gain is unstable if the bearings of the
     /// pendulum have more friction than 0.2 N m s/rad, as at small speeds they have where they stick.
     pub q_end: State,
-    /// r of R_c = r I, s^4/rad^2.
+    /// r of R_c = r I, s^4/rad^2 or s^4/m^2.
     pub r: f64,
 }
 
@@ -73,183 +38,246 @@ pub fn synthesize(
     ts: f64,
     work: &mut Workspace,
 ) -> Result<Gains, NotStabilisable> {
-    let mut derivatives = Linearization::new(model.sizes());
-    let mut rows_at = |x: &State, u: &ActuatedVector| {
+    let (sizes, n) = (model.sizes(), trajectory.intervals());
+    let mut derivatives = Linearization::new(sizes);
+    let mut linearise = |rows: &mut Slab<Knots>, k: usize, x: &State, u: &ActuatedVector| {
         model.linearize(x, u, work, &mut derivatives);
-        DynamicsRows::new(&derivatives)
+        for c in 0..sizes.unactuated() {
+            rows.row_mut(k, c).copy_from_slice(derivatives.qdd_u(c));
+        }
     };
-    let rows: Vec<DynamicsRows> = trajectory.knots().map(|(x, u)| rows_at(x, u)).collect();
+    let mut rows = Slab::zeros(sizes, n + 1, sizes.unactuated());
+    for (k, (x, u)) in trajectory.knots().enumerate() {
+        linearise(&mut rows, k, x, u);
+    }
     // The end is an equilibrium: u = 0 there, whatever the last knot's input.
-    let at_end = rows_at(trajectory.end(), &ActuatedVector::zeros(model.sizes()));
-    let (q, q_end) = (vector(&weights.q), vector(&weights.q_end));
-    let mut p = algebraic_riccati(&at_end, &q, weights.r, ts).ok_or(NotStabilisable)?;
-    let step = |p: &mut CostToGo, rows: &DynamicsRows, q: &StateVector| {
-        riccati_step(p, rows, q, weights.r, ts).ok_or(NotStabilisable)
-    };
-    let end = {
-        let mut p = algebraic_riccati(&at_end, &q_end, weights.r, ts).ok_or(NotStabilisable)?;
-        step(&mut p, &at_end, &q_end)?.gain()
-    };
+    let mut at_end = Slab::zeros(sizes, 1, sizes.unactuated());
+    linearise(&mut at_end, 0, trajectory.end(), &ActuatedVector::zeros(sizes));
+    let gains = dispatch!(sizes, |d| recursion(d, &rows, &at_end, trajectory, weights, ts))?;
+    gains.as_slice().iter().all(|v| v.is_finite()).then_some(gains).ok_or(NotStabilisable)
+}
 
+/// The gains for the rows d qdd_U / dz of all knots, and for those at x_N with u = 0.
+fn recursion<D: Registers>(
+    d: D,
+    rows: &Slab<Knots>,
+    at_end: &Slab<Knots>,
+    trajectory: &Trajectory,
+    weights: &LqrWeights,
+    ts: f64,
+) -> Result<Gains, NotStabilisable> {
+    let LqrWeights { q, q_end, r } = weights;
+    let (sizes, n, h) = (rows.sizes(), trajectory.intervals(), trajectory.h());
+    let mut gains = Gains::zeros(sizes, n);
+    let at_end = at_end.panel(0);
+    let terminal = |q: &State| algebraic_riccati(sizes, at_end, q, *r, ts).ok_or(NotStabilisable);
+
+    let mut end = Recursion::new(&terminal(q_end)?, sizes);
+    end.step(d, (at_end, at_end, 0.0), q_end, *r, ts)?;
+    end.gain(d, gains.end_mut());
+    for k in 0..=n {
+        end.gain(d, gains.knot_mut(k));
+    }
+
+    let mut cost = Recursion::new(&terminal(q)?, sizes);
     let steps = (trajectory.t_f / ts).floor() as usize;
-    let h = trajectory.h();
-    let n = trajectory.intervals();
-    let mut knots = vec![end; n + 1];
     let mut next_knot = n;
     for i in (0..steps).rev() {
         let t = i as f64 * ts;
         let k = ((t / h) as usize).min(n - 1);
-        let between = rows[k].towards(&rows[k + 1], t / h - k as f64);
-        let step = step(&mut p, &between, &q)?;
+        cost.step(d, (rows.panel(k), rows.panel(k + 1), t / h - k as f64), q, *r, ts)?;
         // The first gain at or before a knot's time serves the knot.
         while next_knot > 0 && t <= next_knot as f64 * h {
-            knots[next_knot] = step.gain();
+            cost.gain(d, gains.knot_mut(next_knot));
             next_knot -= 1;
         }
-        if i == 0 {
-            knots[0] = step.gain();
-        }
     }
-    let finite = knots.iter().flat_map(|k| k.iter()).all(|v| v.is_finite());
-    if !finite {
-        return Err(NotStabilisable);
+    if steps > 0 {
+        cost.gain(d, gains.knot_mut(0));
     }
-    let mut gains = Gains::zeros(model.sizes(), n);
-    let put = |out: &mut [f64], gain: &Gain| out.copy_from_slice(gain.transpose().as_slice());
-    put(gains.end_mut(), &end);
-    knots.iter().enumerate().for_each(|(k, gain)| put(gains.knot_mut(k), gain));
     Ok(gains)
 }
 
-/// The factors of K in (23).
-struct GainFactors {
-    /// L L' = R + Gamma' P Gamma
-    pivot: Pivot,
-    /// L^-1 Gamma' P Phi
-    g: [StateRow; NU],
+/// The recursion (23): the cost-to-go x' P x, the factors of the gain of the last step, and the memory of a step.
+#[derive(Clone, Debug)]
+struct Recursion {
+    /// P, symmetric, one panel of as many rows as a state has entries.
+    p: Slab<States>,
+    /// d qdd_U / dx, one panel of n_U rows, and d qdd_U / du, n_U rows of n_A entries, at the time of the step.
+    a: Slab<States>,
+    b: Vec<f64>,
+    /// L of L L' = R + Gamma' P Gamma, n_A rows of n_A entries, and the inverses of its diagonal.
+    lower: Vec<f64>,
+    inverse: Vec<f64>,
+    pivot: Vec<f64>,
+    /// The factors of the update of P, of n_U + n_A rows each: [Ts a; -G]' and [V; G] with G = L^-1 Gamma' P Phi and the rows V of
+    /// P Phi of the unactuated velocities.
+    left: Slab<States>,
+    right: Slab<States>,
 }
 
-impl GainFactors {
-    /// K = -(R + Gamma' P Gamma)^-1 Gamma' P Phi
-    fn gain(&self) -> Gain {
-        let mut k = self.g;
-        self.pivot.backward(&mut k);
-        Gain::from_fn(|i, j| -k[i][j])
-    }
-}
-
-/// One step of (23): moves P one period back. With `Phi = I + Ts A` and `A = [[0, I], [0], [a]]`,
-/// `Gamma = Ts [[0], [I], [b]]` all products are a few row operations.
-fn riccati_step(
-    p: &mut CostToGo,
-    rows: &DynamicsRows,
-    q: &StateVector,
-    r: f64,
-    ts: f64,
-) -> Option<GainFactors> {
-    /// First row of the unactuated velocities.
-    const V_U: usize = NX - N_UNACTUATED;
-    // R + Gamma' P Gamma
-    let mut pivot = [[0.0; NU]; NU];
-    for (i, out) in pivot.iter_mut().enumerate() {
-        let mut row = p[NQ + i];
-        for (m, b) in rows.b.iter().enumerate() {
-            add_scaled(&mut row, b[i], &p[V_U + m]);
+impl Recursion {
+    /// From the terminal weight `p`.
+    fn new(p: &DMatrix<f64>, sizes: Sizes) -> Self {
+        let (actuated, unactuated) = (sizes.actuated(), sizes.unactuated());
+        let mut rows = Slab::zeros(sizes, 1, sizes.state());
+        for i in 0..sizes.state() {
+            rows.row_mut(0, i).copy_from_slice(p.column(i).as_slice());
         }
-        for j in 0..NU {
-            let mut sum = row[NQ + j];
-            for (m, b) in rows.b.iter().enumerate() {
-                sum += b[j] * row[V_U + m];
+        Self {
+            p: rows,
+            a: Slab::zeros(sizes, 1, unactuated),
+            b: vec![0.0; unactuated * actuated],
+            lower: vec![0.0; actuated * actuated],
+            inverse: vec![0.0; actuated],
+            pivot: vec![0.0; actuated * actuated],
+            left: Slab::zeros(sizes, 1, unactuated + actuated),
+            right: Slab::zeros(sizes, 1, unactuated + actuated),
+        }
+    }
+
+    /// Moves P one period back, with the rows d qdd_U / dz after a `share` of the way between those of two knots.
+    #[inline(always)]
+    fn step<D: Registers>(
+        &mut self,
+        d: D,
+        (from, to, share): (&[f64], &[f64], f64),
+        q: &State,
+        r: f64,
+        ts: f64,
+    ) -> Result<(), NotStabilisable> {
+        riccati_step(d, self, from, to, share, q, r, ts).then_some(()).ok_or(NotStabilisable)
+    }
+
+    /// K = -(R + Gamma' P Gamma)^-1 Gamma' P Phi of the last step into `out`, n_A rows of 2n entries.
+    fn gain<D: Registers>(&self, d: D, out: &mut [f64]) {
+        let (actuated, unactuated, state, row) = (d.actuated(), d.unactuated(), d.state(), d.state_row());
+        let mut k = [0.0; MOST_JOINTS * LARGEST_STATE];
+        let k = &mut k[..actuated * row];
+        k.copy_from_slice(&self.right.panel(0)[unactuated * row..]);
+        backward(&self.lower, &self.inverse, actuated, k, row);
+        for (out, k) in out.chunks_exact_mut(state).zip(k.chunks_exact(row)) {
+            for j in 0..state {
+                out[j] = -k[j];
             }
-            out[j] = ts * ts * sum;
-        }
-        out[i] += r;
-    }
-    let pivot = Pivot::new(&pivot)?;
-    // P Phi
-    for row in p.iter_mut() {
-        let old = *row;
-        for j in 0..NQ {
-            row[NQ + j] += ts * old[j];
-        }
-        for (m, a) in rows.a.iter().enumerate() {
-            add_scaled(row, ts * old[V_U + m], a);
         }
     }
-    // L^-1 Gamma' P Phi
-    let mut g = [[0.0; STATE_ROW]; NU];
-    for (i, g) in g.iter_mut().enumerate() {
-        add_scaled(g, ts, &p[NQ + i]);
-        for (m, b) in rows.b.iter().enumerate() {
-            add_scaled(g, ts * b[i], &p[V_U + m]);
-        }
-    }
-    pivot.forward(&mut g);
-    // Q + Phi' (P Phi) - K' (R + Gamma' P Gamma) K: its lower half, and the same above the diagonal. Without exact
-    // symmetry rounding grows over 17 000 steps.
-    let v_u: [StateRow; N_UNACTUATED] = std::array::from_fn(|m| p[V_U + m]);
-    for i in (0..NX).rev() {
-        match i / 4 {
-            0 => cost_to_go_row::<4>(p, i, rows, &v_u, &g, ts),
-            1 => cost_to_go_row::<8>(p, i, rows, &v_u, &g, ts),
-            2 => cost_to_go_row::<12>(p, i, rows, &v_u, &g, ts),
-            3 => cost_to_go_row::<16>(p, i, rows, &v_u, &g, ts),
-            _ => cost_to_go_row::<STATE_ROW>(p, i, rows, &v_u, &g, ts),
-        }
-        p[i][i] += q[i];
-    }
-    for i in 0..NX {
-        for j in 0..i {
-            p[j][i] = p[i][j];
-        }
-    }
-    Some(GainFactors { pivot, g })
 }
 
-/// The first W entries of row i of Phi' (P Phi) - G' G, for P Phi in `p` (its rows up to i) and in `v_u` (those of the
-/// unactuated velocities).
-#[inline(always)]
-fn cost_to_go_row<const W: usize>(
-    p: &mut CostToGo,
-    i: usize,
-    rows: &DynamicsRows,
-    v_u: &[StateRow; N_UNACTUATED],
-    g: &[StateRow; NU],
-    ts: f64,
-) {
-    fn first<const W: usize>(row: &StateRow) -> &[f64; W] {
-        row.first_chunk().unwrap_or(&[0.0; W])
+kernels! {
+    /// One step of (23); `false` if R + Gamma' P Gamma is not positive definite. With `Phi = I + Ts A` and
+    /// `A = [[0, I], [0], [a]]`, `Gamma = Ts [[0], [I], [b]]` all products are a few row operations.
+    fn riccati_step(
+        d: D,
+        work: &mut Recursion,
+        from: &[f64],
+        to: &[f64],
+        share: f64,
+        q: &State,
+        r: f64,
+        ts: f64,
+    ) -> bool {
+        let (n, actuated, unactuated) = (d.joints(), d.actuated(), d.unactuated());
+        let (state, row, knot_row) = (d.state(), d.state_row(), d.knot_row());
+        // First row of the unactuated velocities.
+        let v_u = n + actuated;
+        let p = &mut work.p.as_mut_slice()[..state * row];
+        let a = &mut work.a.as_mut_slice()[..unactuated * row];
+        let b = &mut work.b[..unactuated * actuated];
+        for m in 0..unactuated {
+            let (from, to) = (&from[m * knot_row..][..knot_row], &to[m * knot_row..][..knot_row]);
+            let (a, b) = (&mut a[m * row..][..state], &mut b[m * actuated..][..actuated]);
+            for j in 0..state {
+                a[j] = from[j] + (to[j] - from[j]) * share;
+            }
+            for j in 0..actuated {
+                b[j] = from[state + j] + (to[state + j] - from[state + j]) * share;
+            }
+        }
+        // R + Gamma' P Gamma
+        let pivot = &mut work.pivot[..actuated * actuated];
+        for i in 0..actuated {
+            let mut line = [0.0; LARGEST_STATE];
+            let line = &mut line[..row];
+            line.copy_from_slice(&p[(n + i) * row..][..row]);
+            combine(line, unactuated, &b[i..], actuated, &p[v_u * row..], row);
+            let out = &mut pivot[i * actuated..][..actuated];
+            out.copy_from_slice(&line[n..v_u]);
+            for m in 0..unactuated {
+                shift_add(out, line[v_u + m], &b[m * actuated..]);
+            }
+            for j in 0..actuated {
+                out[j] *= ts * ts;
+            }
+            out[i] += r;
+        }
+        if !cholesky(d, pivot, actuated, 0, actuated, &mut work.lower, &mut work.inverse) {
+            return false;
+        }
+        // P Phi
+        for i in 0..state {
+            let line = &mut p[i * row..][..row];
+            let mut on_v = [0.0; MOST_JOINTS];
+            for m in 0..unactuated {
+                on_v[m] = ts * line[v_u + m];
+            }
+            let (q, v) = line.split_at_mut(n);
+            shift_add(&mut v[..n], ts, q);
+            combine(line, unactuated, &on_v, 1, a, row);
+        }
+        // V, and L^-1 Gamma' P Phi
+        let (v, g) = work.right.as_mut_slice().split_at_mut(unactuated * row);
+        v.copy_from_slice(&p[v_u * row..]);
+        for i in 0..actuated {
+            let g = &mut g[i * row..][..row];
+            g.copy_from_slice(&p[(n + i) * row..][..row]);
+            combine(g, unactuated, &b[i..], actuated, v, row);
+            for j in 0..row {
+                g[j] *= ts;
+            }
+        }
+        forward(&work.lower, &work.inverse, actuated, g, row);
+        // Q + Phi' (P Phi) - K' (R + Gamma' P Gamma) K: its lower half, and the same above the diagonal. Without exact
+        // symmetry rounding grows over 17 000 steps.
+        let (on_v, on_g) = work.left.as_mut_slice().split_at_mut(unactuated * row);
+        for j in 0..on_v.len() {
+            on_v[j] = ts * a[j];
+        }
+        for j in 0..on_g.len() {
+            on_g[j] = -g[j];
+        }
+        for i in n..state {
+            let (low, high) = p.split_at_mut(i * row);
+            shift_add(&mut high[..row], ts, &low[(i - n) * row..]);
+        }
+        let (left, right) = (work.left.as_slice(), work.right.as_slice());
+        rank_update(d, p, row, state, unactuated + actuated, left, row, right, row);
+        for i in 0..state {
+            p[i * row + i] += q[i];
+        }
+        mirror(d, p, row, state);
+        true
     }
-    let mut row = *first::<W>(&p[i]);
-    if i >= NQ {
-        add_scaled(&mut row, ts, first(&p[i - NQ]));
-    }
-    for (a, v) in rows.a.iter().zip(v_u) {
-        add_scaled(&mut row, ts * a[i], first(v));
-    }
-    for g in g {
-        add_scaled(&mut row, -g[i], first(g));
-    }
-    p[i][..W].copy_from_slice(&row);
 }
 
-/// Phi = I + Ts A and Gamma = Ts B.
-fn discretised(rows: &DynamicsRows, ts: f64) -> (StateMatrix, SMatrix<f64, NX, NU>) {
-    let mut phi = StateMatrix::identity();
-    let mut gamma = SMatrix::zeros();
-    for i in 0..NQ {
-        phi[(i, NQ + i)] += ts;
+/// Phi = I + Ts A and Gamma = Ts B for the rows d qdd_U / dz of a knot.
+fn discretised(sizes: Sizes, rows: &[f64], ts: f64) -> (DMatrix<f64>, DMatrix<f64>) {
+    let (n, actuated, state) = (sizes.joints(), sizes.actuated(), sizes.state());
+    let mut phi = DMatrix::identity(state, state);
+    let mut gamma = DMatrix::zeros(state, actuated);
+    for i in 0..n {
+        phi[(i, n + i)] += ts;
     }
-    for i in 0..NU {
-        gamma[(NQ + i, i)] = ts;
+    for i in 0..actuated {
+        gamma[(n + i, i)] = ts;
     }
-    for m in 0..N_UNACTUATED {
-        let row = NX - N_UNACTUATED + m;
-        for j in 0..NX {
-            phi[(row, j)] += ts * rows.a[m][j];
+    for (m, row) in rows.chunks_exact(sizes.knot_row()).enumerate() {
+        let i = n + actuated + m;
+        for j in 0..state {
+            phi[(i, j)] += ts * row[j];
         }
-        for j in 0..NU {
-            gamma[(row, j)] = ts * rows.b[m][j];
+        for j in 0..actuated {
+            gamma[(i, j)] = ts * row[state + j];
         }
     }
     (phi, gamma)
@@ -257,32 +285,26 @@ fn discretised(rows: &DynamicsRows, ts: f64) -> (StateMatrix, SMatrix<f64, NX, N
 
 /// X of (21) by structured doubling (Chu, Fan, Lin, Wang, *Structure-preserving algorithms for periodic
 /// discrete-time algebraic Riccati equations*, Int. J. Control 77, 2004): each step doubles the horizon.
-fn algebraic_riccati(rows: &DynamicsRows, q: &StateVector, r: f64, ts: f64) -> Option<CostToGo> {
+fn algebraic_riccati(sizes: Sizes, rows: &[f64], q: &State, r: f64, ts: f64) -> Option<DMatrix<f64>> {
     /// 2^40 periods of 125 us are four years.
     const DOUBLINGS: usize = 40;
-    let (mut a, gamma) = discretised(rows, ts);
-    let mut g = gamma * gamma.transpose() / r;
-    let mut h = StateMatrix::from_diagonal(q);
+    let (mut a, gamma) = discretised(sizes, rows, ts);
+    let mut g = &gamma * gamma.transpose() / r;
+    let mut h = DMatrix::from_fn(q.len(), q.len(), |i, j| if i == j { q[i] } else { 0.0 });
     for _ in 0..DOUBLINGS {
-        let w = (StateMatrix::identity() + g * h).lu();
+        let w = (DMatrix::identity(q.len(), q.len()) + &g * &h).lu();
         let (w_a, w_g) = (w.solve(&a)?, w.solve(&g)?);
-        let step = a.transpose() * h * w_a;
-        g += a * w_g * a.transpose();
+        let step = a.transpose() * &h * &w_a;
+        g += &a * w_g * a.transpose();
         a *= w_a;
-        h += step;
-        h = (h + h.transpose()) * 0.5;
-        g = (g + g.transpose()) * 0.5;
+        h += &step;
+        h = (&h + h.transpose()) * 0.5;
+        g = (&g + g.transpose()) * 0.5;
         if !h.iter().all(|v| v.is_finite()) {
             return None;
         }
         if step.amax() <= 1e-13 * h.amax() {
-            let mut x = [[0.0; STATE_ROW]; NX];
-            for (i, row) in x.iter_mut().enumerate() {
-                for j in 0..NX {
-                    row[j] = h[(i, j)];
-                }
-            }
-            return Some(x);
+            return Some(h);
         }
     }
     None
@@ -291,52 +313,110 @@ fn algebraic_riccati(rows: &DynamicsRows, q: &StateVector, r: f64, ts: f64) -> O
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dims::{Avx2, Baseline};
+    use crate::random::Random;
+    use upswing_model::Fixed;
 
-    fn rows() -> DynamicsRows {
-        let mut a = [[0.0; STATE_ROW]; N_UNACTUATED];
-        for (i, row) in a.iter_mut().enumerate() {
-            for j in 0..NX {
-                row[j] = ((3 * i + 5 * j) % 7) as f64 - 3.0 + if j == NQ - 1 { 20.0 } else { 0.0 };
+    /// Random rows d qdd_U / dz of two knots, unstable in the last position.
+    fn rows(random: &mut Random, sizes: Sizes) -> Slab<Knots> {
+        let mut rows = Slab::zeros(sizes, 2, sizes.unactuated());
+        for k in 0..2 {
+            for m in 0..sizes.unactuated() {
+                let row = rows.row_mut(k, m);
+                row.fill_with(|| 3.0 * random.next());
+                row[sizes.joints() - 1] += 20.0;
             }
         }
-        let b = |i, j| ((2 * i + 3 * j) % 5) as f64 * 0.4 - 0.9;
-        DynamicsRows { a, b: std::array::from_fn(|i| std::array::from_fn(|j| b(i, j))) }
+        rows
     }
 
-    fn matrix(p: &CostToGo) -> StateMatrix {
-        StateMatrix::from_fn(|i, j| p[i][j])
+    fn positive(random: &mut Random, n: usize) -> DMatrix<f64> {
+        let seed = DMatrix::from_fn(n, n, |_, _| random.next());
+        &seed * seed.transpose() + DMatrix::identity(n, n)
+    }
+
+    fn all_sizes() -> impl Iterator<Item = Sizes> {
+        (2..=MOST_JOINTS).flat_map(|n| (1..n).filter_map(move |actuated| Sizes::new(n, actuated)))
+    }
+
+    /// P and K after one step from `p`.
+    fn stepped<D: Registers>(
+        d: D,
+        p: &DMatrix<f64>,
+        rows: &Slab<Knots>,
+        q: &State,
+        r: f64,
+        ts: f64,
+    ) -> (DMatrix<f64>, DMatrix<f64>) {
+        let sizes = rows.sizes();
+        let state = sizes.state();
+        let mut work = Recursion::new(p, sizes);
+        work.step(d, (rows.panel(0), rows.panel(1), 0.25), q, r, ts).expect("positive definite");
+        let mut gain = vec![0.0; sizes.actuated() * state];
+        work.gain(d, &mut gain);
+        let p = DMatrix::from_fn(state, state, |i, j| work.p.row(0, i)[j]);
+        (p, DMatrix::from_row_slice(sizes.actuated(), state, &gain))
     }
 
     #[test]
-    fn a_structured_step_equals_the_dense_formula_23() {
-        let (rows, ts, r) = (rows(), 1e-2, 0.01);
-        let q = StateVector::from_fn(|i, _| 1.0 + i as f64);
-        let seed = StateMatrix::from_fn(|i, j| ((i * 7 + j * 3) % 11) as f64 - 5.0);
-        let p = seed * seed.transpose() + StateMatrix::identity();
-        let mut next = [[0.0; STATE_ROW]; NX];
-        for i in 0..NX {
-            next[i][..NX].copy_from_slice(p.column(i).as_slice());
+    fn a_structured_step_equals_the_dense_formula_23_for_all_sizes() {
+        let mut random = Random(1);
+        let (ts, r) = (1e-2, 0.01);
+        for sizes in all_sizes() {
+            let rows = rows(&mut random, sizes);
+            let q = State::from_fn(sizes, |i| 1.0 + i as f64);
+            let p = positive(&mut random, sizes.state());
+            let (next, gain) = stepped(Baseline(sizes), &p, &rows, &q, r, ts);
+            let near = discretised(sizes, rows.panel(0), ts);
+            let far = discretised(sizes, rows.panel(1), ts);
+            let (phi, gamma) = (near.0 * 0.75 + far.0 * 0.25, near.1 * 0.75 + far.1 * 0.25);
+            let pivot =
+                DMatrix::identity(sizes.actuated(), sizes.actuated()) * r + gamma.transpose() * &p * &gamma;
+            let k = -pivot.try_inverse().expect("invertible") * gamma.transpose() * &p * &phi;
+            let weight = DMatrix::from_fn(q.len(), q.len(), |i, j| if i == j { q[i] } else { 0.0 });
+            let want =
+                weight + phi.transpose() * &p * &phi + (gamma.transpose() * &p * &phi).transpose() * &k;
+            let (on_k, on_p) = ((&gain - &k).amax() / k.amax(), (&next - &want).amax() / want.amax());
+            assert!(on_k < 1e-9, "{sizes:?}: K differs by {on_k:e}");
+            assert!(on_p < 1e-10, "{sizes:?}: P differs by {on_p:e}");
+            assert_eq!(next, next.transpose(), "{sizes:?}");
         }
-        let gain = riccati_step(&mut next, &rows, &q, r, ts).expect("positive definite").gain();
-        let next = matrix(&next);
-        let (phi, gamma) = discretised(&rows, ts);
-        let pivot = SMatrix::<f64, NU, NU>::identity() * r + gamma.transpose() * p * gamma;
-        let k = -pivot.try_inverse().expect("invertible") * gamma.transpose() * p * phi;
-        let want = StateMatrix::from_diagonal(&q)
-            + phi.transpose() * p * phi
-            + (gamma.transpose() * p * phi).transpose() * k;
-        assert!((gain - k).amax() < 1e-9 * k.amax(), "K differs by {}", (gain - k).amax());
-        assert!((next - want).amax() < 1e-10 * want.amax(), "P differs by {}", (next - want).amax());
+    }
+
+    /// Compares the instances of `fixed` and of the sizes `sizes` read at run time, for all registers.
+    fn all_instances_agree<D: Dims>(sizes: Sizes, fixed: D) {
+        let mut random = Random(2);
+        let rows = rows(&mut random, sizes);
+        let q = State::repeat(sizes, 1.0);
+        let p = positive(&mut random, sizes.state());
+        let want = stepped(Baseline(sizes), &p, &rows, &q, 0.1, 1e-2);
+        assert_eq!(stepped(Baseline(fixed), &p, &rows, &q, 0.1, 1e-2), want, "{sizes:?}");
+        if let (Some(run), Some(fixed)) = (Avx2::detect(sizes), Avx2::detect(fixed)) {
+            assert_eq!(stepped(run, &p, &rows, &q, 0.1, 1e-2), want, "{sizes:?}, AVX2");
+            assert_eq!(stepped(fixed, &p, &rows, &q, 0.1, 1e-2), want, "{sizes:?}, AVX2");
+        }
+    }
+
+    #[test]
+    fn sizes_and_registers_leave_the_bits_as_they_are() {
+        all_sizes().for_each(|sizes| all_instances_agree(sizes, sizes));
+        all_instances_agree(Sizes::new(9, 7).expect("a chain"), Fixed::<9, 7>);
+        all_instances_agree(Sizes::new(2, 1).expect("a chain"), Fixed::<2, 1>);
     }
 
     #[test]
     fn the_terminal_weight_is_a_fixed_point_of_23() {
-        let (rows, ts, r) = (rows(), 1e-2, 0.01);
-        let q = StateVector::repeat(1.0);
-        let x = algebraic_riccati(&rows, &q, r, ts).expect("stabilisable");
-        let mut again = x;
-        riccati_step(&mut again, &rows, &q, r, ts).expect("positive definite");
-        let (x, again) = (matrix(&x), matrix(&again));
-        assert!((again - x).amax() < 1e-9 * x.amax(), "moves by {}", (again - x).amax() / x.amax());
+        let (ts, r) = (1e-2, 0.01);
+        for (n, actuated) in [(2, 1), (3, 2), (9, 7), (16, 14)] {
+            let sizes = Sizes::new(n, actuated).expect("a chain");
+            let mut rows = rows(&mut Random(3), sizes);
+            let first = rows.panel(0).to_vec();
+            rows.panel_mut(1).copy_from_slice(&first);
+            let q = State::repeat(sizes, 1.0);
+            let x = algebraic_riccati(sizes, &first, &q, r, ts).expect("stabilisable");
+            let (again, _) = stepped(Baseline(sizes), &x, &rows, &q, r, ts);
+            let moves = (again - &x).amax() / x.amax();
+            assert!(moves < 1e-9, "{sizes:?}: moves by {moves:e}");
+        }
     }
 }

@@ -3,7 +3,7 @@
 use super::newton::LinearSystem;
 use super::{BoundedVector, Limit, NlpSolver, Scalar};
 use crate::fixed::{NU, NX};
-use crate::kkt::KnotParts;
+use crate::fixed_kkt::KnotParts;
 use upswing_model::LimitKind;
 
 /// Multipliers up to this mean size leave the residuals unscaled.

@@ -2,10 +2,10 @@
 
 use super::{NlpSolver, Residuals, Scalar};
 use crate::fixed::{ActuatedVector, N_UNACTUATED, NU, NX, NZ, State, vector};
-use crate::kkt::{
-    Dynamics, Factor, Kkt, KnotDynamics, KnotMatrix, KnotParts, KnotVector, NewtonStep, Rhs, SolveWorkspace,
-    TargetRow,
+use crate::fixed_kkt::{
+    Factor, Kkt, KnotDynamics, KnotMatrix, KnotParts, KnotVector, NewtonStep, Rhs, SolveWorkspace,
 };
+use crate::kkt::{Dynamics, TargetRow};
 use nalgebra::SMatrix;
 use upswing_model::{Dims, Sizes};
 

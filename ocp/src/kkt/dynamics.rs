@@ -1,8 +1,9 @@
 //! The linearised dynamics of all knots.
 
-use crate::slab::{Knots, Slab};
+use crate::kernels::{combine, dot, shift_add};
+use crate::slab::{Knots, LARGEST_KNOT, Slab};
 use std::ops::Range;
-use upswing_model::{ActuatedVector, Linearization, Sizes, State, States};
+use upswing_model::{ActuatedVector, Dims, Linearization, Sizes, State, States};
 
 /// A_k, B_k (19) and f_k of all knots.
 #[derive(Clone, Debug)]
@@ -37,28 +38,45 @@ impl Dynamics {
         self.f.set(k, &derivatives.f(x, u));
     }
 
+    /// Overwrites this with `other`, which has the same size.
+    pub(crate) fn copy_from(&mut self, other: &Self) {
+        self.rows.copy_from(&other.rows);
+        self.f.copy_from(&other.f);
+    }
+
     /// A dx + B du of knot `k`.
     pub fn apply(&self, k: usize, dz: &[f64]) -> State {
-        let sizes = self.sizes();
-        let (joints, state) = (sizes.joints(), sizes.state());
-        let mut out = State::zeros(sizes);
-        out.q_mut().copy_from_slice(&dz[joints..state]);
-        out.qd_a_mut().copy_from_slice(&dz[state..sizes.knot()]);
-        for (c, out) in out.qd_u_mut().iter_mut().enumerate() {
-            *out = self.rows.row(k, c).iter().zip(dz).map(|(a, dz)| a * dz).sum();
-        }
+        let mut out = State::zeros(self.sizes());
+        apply(self.sizes(), self.rows.panel(k), dz, &mut out);
         out
     }
 
     /// [A, B]' w of knot `k` into `out`, the entries of z.
     pub fn apply_transposed(&self, k: usize, w: &State, out: &mut [f64]) {
         let sizes = self.sizes();
-        let (joints, state) = (sizes.joints(), sizes.state());
-        out.fill(0.0);
-        for (c, w) in w.qd_u().iter().enumerate() {
-            out.iter_mut().zip(self.rows.row(k, c)).for_each(|(out, a)| *out += a * w);
-        }
-        out[joints..state].iter_mut().zip(w.q().iter()).for_each(|(out, w)| *out += w);
-        out[state..].iter_mut().zip(w.qd_a().iter()).for_each(|(out, w)| *out += w);
+        let mut row = [0.0; LARGEST_KNOT];
+        apply_transposed(sizes, self.rows.panel(k), w, &mut row[..sizes.knot_row()]);
+        out.copy_from_slice(&row[..sizes.knot()]);
     }
+}
+
+/// out = A dx + B du for the dense rows of a knot.
+#[inline(always)]
+pub(super) fn apply(d: impl Dims, rows: &[f64], dz: &[f64], out: &mut [f64]) {
+    let (n, actuated, state, knot, row) = (d.joints(), d.actuated(), d.state(), d.knot(), d.knot_row());
+    out[..n].copy_from_slice(&dz[n..state]);
+    out[n..n + actuated].copy_from_slice(&dz[state..knot]);
+    for i in 0..d.unactuated() {
+        out[n + actuated + i] = dot(&rows[i * row..][..knot], dz);
+    }
+}
+
+/// out = [A, B]' w for the dense rows of a knot and a padded row `out` over z.
+#[inline(always)]
+pub(super) fn apply_transposed(d: impl Dims, rows: &[f64], w: &[f64], out: &mut [f64]) {
+    let (n, actuated, state) = (d.joints(), d.actuated(), d.state());
+    out.fill(0.0);
+    combine(out, d.unactuated(), &w[n + actuated..], 1, rows, d.knot_row());
+    shift_add(&mut out[n..state], 1.0, w);
+    shift_add(&mut out[state..state + actuated], 1.0, &w[n..]);
 }

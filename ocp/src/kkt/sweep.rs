@@ -1,253 +1,298 @@
 //! The factorisation, a sweep from the target to the start, and the solution of one right-hand side with it: a sweep back
 //! and one forth.
 
-use super::variables::{Entering, KnotRow, Leaving, U};
-use super::{Kkt, KnotDynamics, KnotParts, NewtonStep, Rhs};
-use crate::fixed::{ActuatedVector, NU, NX, NZ, vector};
-use crate::rows::{KNOT_ROW, Pivot, STATE_ROW, StateRow, add_scaled};
+use super::orthonormal::OrthonormalTarget;
+use super::variables::{
+    KnotRow, Scratch, entering, entering_apply, entering_congruence, entering_transposed, leaving,
+    leaving_apply, leaving_congruence, leaving_transposed, places,
+};
+use super::{Kkt, NewtonStep, Rhs};
+use crate::dims::kernels;
+use crate::kernels::{
+    backward, cholesky, combine, dot, forward, mirror, rank_update, shift_add, solve_negative,
+};
+use crate::slab::{Knots, LARGEST_KNOT, Slab};
+use upswing_model::{Dims, Sizes};
+use upswing_model::{LARGEST_STATE, MOST_JOINTS, States};
 
 /// Stiffness of the target rows in the factorised matrix. Large against the curvature of the problem, small
 /// enough that its products keep eight digits of that curvature.
 const TARGET_STIFFNESS: f64 = 1e6;
 
-/// The inputs' block of a quadratic.
-fn inputs_block(p: &[KnotRow; NZ]) -> [[f64; NU]; NU] {
-    std::array::from_fn(|i| std::array::from_fn(|j| p[U + i][U + j]))
-}
-
-/// What the backward sweep leaves for one interval.
-#[derive(Clone, Debug)]
-struct Interval {
-    leaving: Leaving,
-    entering: Entering,
-    /// (f_k + f_{k+1}) / (2 N)
-    along_t: StateRow,
-    /// Value function of stages k+1..N as one of s_k: its matrix S and the product with dt.
-    value: [StateRow; NX],
-    value_t: StateRow,
-    /// The pivot block and du_{k+1} = K s_k + k_t dt + ...
-    pivot: Pivot,
-    gain: [StateRow; NU],
-    gain_t: ActuatedVector,
-}
-
-/// The factorised matrix.
+/// The factorised matrix: what the backward sweep leaves for each interval.
 #[derive(Clone, Debug)]
 pub struct Factor {
-    intervals: Vec<Interval>,
-    /// d^2 / du_0 dx_0 of the whole problem's value function, and its products with dt.
-    value_ux: [StateRow; NU],
-    value_xt: StateRow,
-    pivot: Pivot,
-    gain_t: ActuatedVector,
+    /// The dense rows of s_k = N dz_k and of dz_{k+1} = T (s_k, du_{k+1}): panels of n_U rows.
+    leaving: Slab<Knots>,
+    entering: Slab<Knots>,
+    /// (f_k + f_{k+1}) / (2 N)
+    along_t: Slab<States>,
+    /// Value function of stages k+1..N as one of s_k: its matrix S, and the product with dt.
+    value: Slab<States>,
+    value_t: Slab<States>,
+    /// L of each pivot block L L', n_A rows of n_A entries, and the inverses of its diagonal; the last one is that of u_0.
+    lower: Vec<f64>,
+    inverse: Vec<f64>,
+    /// du_{k+1} = K s_k + k_t dt + ...: panels of n_A rows, and n_A entries each; the last k_t is that of u_0.
+    gain: Slab<States>,
+    gain_t: Vec<f64>,
+    /// d^2 / du_0 dx_0 of the whole problem's value function, one panel of n_A rows, and its products with dt.
+    value_ux: Slab<States>,
+    value_xt: Slab<States>,
     pivot_t: f64,
+    target: OrthonormalTarget,
+    /// The quadratic in dz_k or (s_k, du_{k+1}) that the sweep has come to, one panel of which the lower triangle is kept; and the
+    /// rows of a symmetric update.
+    p: Slab<Knots>,
+    update: Slab<States>,
+    scratch: Scratch,
 }
 
 impl Factor {
     /// Memory for a factor of `n` intervals.
-    pub fn new(n: usize) -> Self {
-        let none = KnotDynamics::zeros();
-        let interval = Interval {
-            leaving: Leaving::new(0.0, &none),
-            entering: Entering::new(0.0, &none),
-            along_t: [0.0; STATE_ROW],
-            value: [[0.0; STATE_ROW]; NX],
-            value_t: [0.0; STATE_ROW],
-            pivot: Pivot::ZERO,
-            gain: [[0.0; STATE_ROW]; NU],
-            gain_t: ActuatedVector::zeros(),
-        };
+    pub fn new(sizes: Sizes, n: usize) -> Self {
+        let actuated = sizes.actuated();
         Self {
-            intervals: vec![interval; n],
-            value_ux: [[0.0; STATE_ROW]; NU],
-            value_xt: [0.0; STATE_ROW],
-            pivot: Pivot::ZERO,
-            gain_t: ActuatedVector::zeros(),
+            leaving: Slab::zeros(sizes, n, sizes.unactuated()),
+            entering: Slab::zeros(sizes, n, sizes.unactuated()),
+            along_t: Slab::zeros(sizes, n, 1),
+            value: Slab::zeros(sizes, n, sizes.state()),
+            value_t: Slab::zeros(sizes, n, 1),
+            lower: vec![0.0; (n + 1) * actuated * actuated],
+            inverse: vec![0.0; (n + 1) * actuated],
+            gain: Slab::zeros(sizes, n, actuated),
+            gain_t: vec![0.0; (n + 1) * actuated],
+            value_ux: Slab::zeros(sizes, 1, actuated),
+            value_xt: Slab::zeros(sizes, 1, 1),
             pivot_t: 0.0,
+            target: OrthonormalTarget::new(sizes),
+            p: Slab::zeros(sizes, 1, sizes.knot()),
+            update: Slab::zeros(sizes, 1, sizes.state()),
+            scratch: Scratch::new(sizes),
         }
     }
 }
 
-impl Kkt {
-    /// Backward sweep with `damping` added to the diagonal of every H_k and to w (inertia correction): one
-    /// number for states and t, one for inputs. `factor` must be one for as many intervals. `false`, with a useless
-    /// factor, if the reduced Hessian is not positive definite.
-    pub fn factor_into(&self, damping: f64, input_damping: f64, factor: &mut Factor) -> bool {
-        self.try_factor(damping, input_damping, factor).is_some()
+/// Copies the first entries of the rows of `from`, over z, into those of `to`, over states.
+#[inline(always)]
+fn copy_states(d: impl Dims, from: &[f64], to: &mut [f64]) {
+    let state = d.state();
+    for (to, from) in to.chunks_exact_mut(d.state_row()).zip(from.chunks_exact(d.knot_row())) {
+        to[..state].copy_from_slice(&from[..state]);
+        to[state..].fill(0.0);
     }
+}
 
-    fn try_factor(&self, damping: f64, input_damping: f64, factor: &mut Factor) -> Option<()> {
-        let n = self.intervals();
-        let half_h = 0.5 * self.h;
-        let add_knot = |p: &mut [KnotRow; NZ], k: usize| {
-            let columns = self.hessian[k].as_slice().chunks_exact(NZ);
-            for (i, (row, column)) in p.iter_mut().zip(columns).enumerate() {
-                for j in 0..NZ {
-                    row[j] += column[j];
-                }
-                row[i] += if i < NX { damping } else { input_damping };
-            }
-        };
-        let mut p = [[0.0; KNOT_ROW]; NZ];
-        add_knot(&mut p, n);
-        for row in &self.target {
-            let c = &row.coefficients;
-            for j in 0..NX {
-                for i in 0..NX {
-                    p[i][j] += TARGET_STIFFNESS * c[i] * c[j];
-                }
-            }
+/// Lower triangle of P + H + damping for the panels of a knot.
+#[inline(always)]
+fn add_knot(d: impl Dims, hessian: &[f64], damping: (f64, f64), p: &mut [f64]) {
+    let row = d.knot_row();
+    for i in 0..d.knot() {
+        let columns = (i + 1).next_multiple_of(4).min(row);
+        shift_add(&mut p[i * row..][..columns], 1.0, &hessian[i * row..][..columns]);
+        p[i * row + i] += if i < d.state() { damping.0 } else { damping.1 };
+    }
+}
+
+kernels! {
+    /// [`Kkt::factor_into`](super::Kkt::factor_into)
+    pub(crate) fn factorise(d: D, kkt: &Kkt, damping: f64, input_damping: f64, factor: &mut Factor) -> bool {
+        let (actuated, state, state_row) = (d.actuated(), d.state(), d.state_row());
+        let (knot, row, dense) = (d.knot(), d.knot_row(), d.unactuated() * d.knot_row());
+        let (_, _, u) = places(d);
+        let n = kkt.intervals();
+        let half_h = 0.5 * kkt.h;
+        if !factor.target.set(d, &kkt.target) {
+            return false;
         }
-        let mut p_t = self.with_t[n];
-        let mut t_t = self.t_t + damping;
+        let hessian = |k: usize| &kkt.hessian.as_slice()[k * knot * row..][..knot * row];
+        let with_t = |k: usize| &kkt.with_t.as_slice()[k * row..][..row];
+        let dynamics = |k: usize| &kkt.dynamics.rows.as_slice()[k * dense..][..dense];
+        let f = |k: usize| &kkt.dynamics.f.as_slice()[k * state_row..][..state_row];
+        let Factor { scratch, .. } = factor;
+        let p = &mut factor.p.as_mut_slice()[..knot * row];
+        let update = &mut factor.update.as_mut_slice()[..state * state_row];
+        let damping = (damping, input_damping);
+
+        p.fill(0.0);
+        let rows = factor.target.rows(d);
+        let targets = rows.len() / state_row;
+        for i in 0..rows.len() {
+            update[i] = TARGET_STIFFNESS * rows[i];
+        }
+        // The states' part of the panel: its rows are longer than those of the target.
+        for i in 0..state {
+            let columns = (i + 1).next_multiple_of(4).min(state_row);
+            combine(&mut p[i * row..][..columns], targets, &update[i..], state_row, rows, state_row);
+        }
+        add_knot(d, hessian(n), damping, p);
+        let mut p_t: KnotRow = [0.0; LARGEST_KNOT];
+        let p_t = &mut p_t[..row];
+        p_t.copy_from_slice(with_t(n));
+        let mut t_t = kkt.t_t + damping.0;
         for k in (0..n).rev() {
-            let (near, far) = (&self.dynamics[k], &self.dynamics[k + 1]);
-            let i = &mut factor.intervals[k];
-            i.entering = Entering::new(half_h, far);
-            i.leaving = Leaving::new(half_h, near);
-            for l in 0..NX {
-                i.along_t[l] = (near.f[l] + far.f[l]) / (2.0 * n as f64);
+            let m = &mut factor.entering.as_mut_slice()[k * dense..][..dense];
+            let leave = &mut factor.leaving.as_mut_slice()[k * dense..][..dense];
+            entering(d, half_h, dynamics(k + 1), m, scratch);
+            leaving(d, half_h, dynamics(k), leave);
+            let along_t = &mut factor.along_t.as_mut_slice()[k * state_row..][..state_row];
+            let (near, far) = (f(k), f(k + 1));
+            for l in 0..state_row {
+                along_t[l] = (near[l] + far[l]) / (2.0 * n as f64);
             }
             // In (s_k, du_{k+1}).
-            i.entering.congruence(&mut p);
-            let on_t = i.entering.apply_transposed(&p_t);
+            mirror(d, p, row, knot);
+            entering_congruence(d, half_h, m, p, scratch);
+            entering_transposed(d, half_h, m, p_t);
             // Without du_{k+1}.
-            i.pivot = Pivot::new(&inputs_block(&p))?;
-            for (gain, row) in i.gain.iter_mut().zip(&p[U..]) {
-                gain.copy_from_slice(&row[..STATE_ROW]);
-                gain[NX..].fill(0.0);
+            let lower = &mut factor.lower[k * actuated * actuated..][..actuated * actuated];
+            let inverse = &mut factor.inverse[k * actuated..][..actuated];
+            if !cholesky(d, p, row, u, actuated, lower, inverse) {
+                return false;
             }
-            i.pivot.forward(&mut i.gain);
-            for (a, (value, row)) in i.value.iter_mut().zip(&p).enumerate() {
-                value.copy_from_slice(&row[..STATE_ROW]);
-                value[NX..].fill(0.0);
-                for y in &i.gain {
-                    add_scaled(value, -y[a], y);
-                }
+            let gain = &mut factor.gain.as_mut_slice()[k * actuated * state_row..][..actuated * state_row];
+            copy_states(d, &p[u * row..], gain);
+            forward(lower, inverse, actuated, gain, state_row);
+            let value = &mut factor.value.as_mut_slice()[k * state * state_row..][..state * state_row];
+            copy_states(d, p, value);
+            let negative = &mut update[..actuated * state_row];
+            for l in 0..negative.len() {
+                negative[l] = -gain[l];
             }
-            for a in 0..NX {
-                for b in 0..a {
-                    let mean = 0.5 * (i.value[a][b] + i.value[b][a]);
-                    (i.value[a][b], i.value[b][a]) = (mean, mean);
-                }
+            rank_update(d, value, state_row, state, actuated, negative, state_row, gain, state_row);
+            mirror(d, value, state_row, state);
+            backward(lower, inverse, actuated, gain, state_row);
+            for l in 0..gain.len() {
+                gain[l] = -gain[l];
             }
-            i.pivot.backward(&mut i.gain);
-            i.gain.iter_mut().flatten().for_each(|v| *v = -*v);
-            i.gain_t = i.pivot.solve_negative(&on_t[U..]);
-            i.value_t.copy_from_slice(&on_t[..STATE_ROW]);
-            i.value_t[NX..].fill(0.0);
-            for (l, gain) in i.gain.iter().enumerate() {
-                add_scaled(&mut i.value_t, on_t[U + l], gain);
-                t_t += on_t[U + l] * i.gain_t[l];
+            let gain_t = &mut factor.gain_t[k * actuated..][..actuated];
+            solve_negative(lower, inverse, actuated, &p_t[u..], gain_t);
+            let value_t = &mut factor.value_t.as_mut_slice()[k * state_row..][..state_row];
+            copy_states(d, p_t, value_t);
+            combine(value_t, actuated, &p_t[u..], 1, gain, state_row);
+            for l in 0..actuated {
+                t_t += p_t[u + l] * gain_t[l];
             }
             // In dz_k.
-            let mut on_s = i.value_t;
-            for (value, t) in i.value.iter().zip(&i.along_t) {
-                add_scaled(&mut on_s, *t, value);
-            }
-            for l in 0..NX {
-                t_t += i.along_t[l] * (on_s[l] + i.value_t[l]);
-            }
-            i.leaving.congruence(&i.value, &mut p);
-            add_knot(&mut p, k);
-            let on_z = i.leaving.apply_transposed(&on_s);
-            for l in 0..NZ {
-                p_t[l] = self.with_t[k][l] + on_z[l];
-            }
+            let mut on_s = [0.0; LARGEST_STATE];
+            let on_s = &mut on_s[..state_row];
+            on_s.copy_from_slice(value_t);
+            combine(on_s, state, along_t, 1, value, state_row);
+            t_t += dot(along_t, on_s) + dot(along_t, value_t);
+            leaving_congruence(d, half_h, leave, value, p, scratch);
+            add_knot(d, hessian(k), damping, p);
+            leaving_transposed(d, half_h, leave, on_s, p_t);
+            shift_add(p_t, 1.0, with_t(k));
         }
         // At the start dx_0 is given: u_0 and t are left.
-        factor.pivot = Pivot::new(&inputs_block(&p))?;
-        for (value, row) in factor.value_ux.iter_mut().zip(&p[U..]) {
-            value.copy_from_slice(&row[..STATE_ROW]);
-            value[NX..].fill(0.0);
+        let lower = &mut factor.lower[n * actuated * actuated..];
+        let inverse = &mut factor.inverse[n * actuated..];
+        if !cholesky(d, p, row, u, actuated, lower, inverse) {
+            return false;
         }
-        factor.value_xt[..NX].copy_from_slice(&p_t.as_slice()[..NX]);
-        factor.gain_t = factor.pivot.solve_negative(&p_t.as_slice()[U..]);
-        factor.pivot_t = t_t + (0..NU).map(|l| p_t[U + l] * factor.gain_t[l]).sum::<f64>();
-        (factor.pivot_t.is_finite() && factor.pivot_t > 0.0).then_some(())
+        copy_states(d, &p[u * row..], factor.value_ux.as_mut_slice());
+        copy_states(d, p_t, factor.value_xt.as_mut_slice());
+        let gain_t = &mut factor.gain_t[n * actuated..];
+        solve_negative(lower, inverse, actuated, &p_t[u..], gain_t);
+        factor.pivot_t = t_t + dot(gain_t, &p_t[u..]);
+        factor.pivot_t.is_finite() && factor.pivot_t > 0.0
     }
 
     /// One solve with the factorised matrix; its target rows hold to 1 / stiffness only.
-    pub(super) fn sweep(
-        &self,
+    pub(super) fn solve(
+        d: D,
+        kkt: &Kkt,
         factor: &Factor,
         rhs: &Rhs,
-        gradient: &mut [StateRow],
-        feedforward: &mut [ActuatedVector],
+        gradient: &mut Slab<States>,
+        feedforward: &mut [f64],
         step: &mut NewtonStep,
     ) {
-        let n = self.intervals();
-        let mut p = rhs.g[n];
-        for (row, r) in self.target.iter().zip(&rhs.target) {
-            for i in 0..NX {
-                p[i] += TARGET_STIFFNESS * row.coefficients[i] * r;
-            }
+        let (actuated, state, state_row) = (d.actuated(), d.state(), d.state_row());
+        let (row, dense) = (d.knot_row(), d.unactuated() * d.knot_row());
+        let (_, _, u) = places(d);
+        let n = kkt.intervals();
+        let half_h = 0.5 * kkt.h;
+        let gradient = gradient.as_mut_slice();
+        let lower = |k: usize| &factor.lower[k * actuated * actuated..][..actuated * actuated];
+        let inverse = |k: usize| &factor.inverse[k * actuated..][..actuated];
+        let gain_t = |k: usize| &factor.gain_t[k * actuated..][..actuated];
+        let gain = |k: usize| &factor.gain.as_slice()[k * actuated * state_row..][..actuated * state_row];
+        let value = |k: usize| &factor.value.as_slice()[k * state * state_row..][..state * state_row];
+        let value_t = |k: usize| &factor.value_t.as_slice()[k * state_row..][..state_row];
+        let along_t = |k: usize| &factor.along_t.as_slice()[k * state_row..][..state_row];
+        let m = |k: usize| &factor.entering.as_slice()[k * dense..][..dense];
+        let leave = |k: usize| &factor.leaving.as_slice()[k * dense..][..dense];
+        let defects = |k: usize| &rhs.defects.as_slice()[k * state_row..][..state_row];
+        let g = |k: usize| &rhs.g.as_slice()[k * row..][..row];
+
+        let mut p: KnotRow = [0.0; LARGEST_KNOT];
+        let p = &mut p[..row];
+        p.copy_from_slice(g(n));
+        let rows = factor.target.rows(d);
+        let mut residual = [0.0; LARGEST_STATE];
+        factor.target.forward(&rhs.target, &mut residual);
+        for (q, r) in rows.chunks_exact(state_row).zip(residual) {
+            shift_add(&mut p[..state], TARGET_STIFFNESS * r, q);
         }
         let mut p_t = rhs.g_t;
         for k in (0..n).rev() {
-            let i = &factor.intervals[k];
-            let on = i.entering.apply_transposed(&p);
-            feedforward[k] = i.pivot.solve_negative(&on[U..]);
-            let mut on_s = [0.0; STATE_ROW];
-            on_s[..NX].copy_from_slice(&on[..NX]);
-            for (l, gain) in i.gain.iter().enumerate() {
-                add_scaled(&mut on_s, on[U + l], gain);
-                p_t += i.gain_t[l] * on[U + l];
+            entering_transposed(d, half_h, m(k), p);
+            solve_negative(lower(k), inverse(k), actuated, &p[u..], &mut feedforward[k * actuated..]);
+            let on_s = &mut gradient[k * state_row..][..state_row];
+            copy_states(d, p, on_s);
+            combine(on_s, actuated, &p[u..], 1, gain(k), state_row);
+            p_t += dot(gain_t(k), &p[u..]);
+            let mut beyond = [0.0; LARGEST_STATE];
+            let beyond = &mut beyond[..state_row];
+            beyond.copy_from_slice(on_s);
+            let mut negative = [0.0; LARGEST_STATE];
+            for l in 0..state_row {
+                negative[l] = -defects(k)[l];
             }
-            gradient[k] = on_s;
-            for (value, r) in i.value.iter().zip(rhs.defects[k].iter()) {
-                add_scaled(&mut on_s, -r, value);
-            }
-            for l in 0..NX {
-                p_t += i.along_t[l] * on_s[l] - i.value_t[l] * rhs.defects[k][l];
-            }
-            let on_z = i.leaving.apply_transposed(&on_s);
-            for l in 0..NZ {
-                p[l] = rhs.g[k][l] + on_z[l];
-            }
+            combine(beyond, state, &negative, 1, value(k), state_row);
+            p_t += dot(along_t(k), beyond) - dot(value_t(k), defects(k));
+            leaving_transposed(d, half_h, leave(k), beyond, p);
+            shift_add(p, 1.0, g(k));
         }
-        let dx0 = rhs.start;
-        let mut on_u = [0.0; NU];
-        let mut on_t = p_t;
-        for l in 0..NX {
-            on_t += factor.value_xt[l] * dx0[l];
+
+        let dx0 = &rhs.start;
+        let mut on_u = [0.0; MOST_JOINTS];
+        for (l, line) in factor.value_ux.as_slice().chunks_exact(state_row).enumerate() {
+            on_u[l] = p[u + l] + dot(dx0, line);
         }
-        for (l, value) in factor.value_ux.iter().enumerate() {
-            on_u[l] = p[U + l];
-            for j in 0..NX {
-                on_u[l] += value[j] * dx0[j];
-            }
-            on_t += factor.gain_t[l] * on_u[l];
-        }
+        let on_t = p_t + dot(dx0, factor.value_xt.as_slice()) + dot(gain_t(n), &on_u);
         let t = -on_t / factor.pivot_t;
-        let u0 = factor.pivot.solve_negative(&on_u) + factor.gain_t * t;
         step.t = t;
-        step.z[0].x_mut().copy_from(&dx0);
-        step.z[0].fixed_rows_mut::<NU>(U).copy_from(&u0);
+        let z = step.z.as_mut_slice();
+        z[..state].copy_from_slice(dx0);
+        solve_negative(lower(n), inverse(n), actuated, &on_u, &mut z[u..]);
+        shift_add(&mut z[u..u + actuated], t, gain_t(n));
+        let step_lambda = step.lambda.as_mut_slice();
         for k in 0..n {
-            let i = &factor.intervals[k];
-            let mut s = i.leaving.apply(&step.z[k]) - rhs.defects[k];
-            for l in 0..NX {
-                s[l] += i.along_t[l] * t;
+            let (near, far) = z.split_at_mut((k + 1) * row);
+            let (z, next) = (&near[k * row..], &mut far[..row]);
+            let mut s = [0.0; LARGEST_STATE];
+            let s = &mut s[..state_row];
+            leaving_apply(d, half_h, leave(k), z, s);
+            shift_add(s, -1.0, defects(k));
+            shift_add(s, t, along_t(k));
+            let lambda = &mut step_lambda[k * state_row..][..state_row];
+            lambda.copy_from_slice(&gradient[k * state_row..][..state_row]);
+            shift_add(lambda, t, value_t(k));
+            combine(lambda, state, s, 1, value(k), state_row);
+            for l in 0..state_row {
+                lambda[l] = -lambda[l];
             }
-            let mut lambda = gradient[k];
-            add_scaled(&mut lambda, t, &i.value_t);
-            for (value, s) in i.value.iter().zip(s.iter()) {
-                add_scaled(&mut lambda, *s, value);
+            for (l, gain) in gain(k).chunks_exact(state_row).enumerate() {
+                next[u + l] = feedforward[k * actuated + l] + gain_t(k)[l] * t + dot(gain, s);
             }
-            for l in 0..NX {
-                step.lambda[k][l] = -lambda[l];
-            }
-            let mut u = feedforward[k] + i.gain_t * t;
-            for (l, gain) in i.gain.iter().enumerate() {
-                for j in 0..NX {
-                    u[l] += gain[j] * s[j];
-                }
-            }
-            step.z[k + 1] = i.entering.apply(&s, &u);
+            entering_apply(d, half_h, m(k), s, next);
         }
-        for (m, (row, r)) in step.lambda_target.iter_mut().zip(self.target.iter().zip(&rhs.target)) {
-            *m = TARGET_STIFFNESS * (vector::<NX>(&row.coefficients).dot(&step.z[n].x()) + r);
+        let last = &z[n * row..];
+        for (i, q) in rows.chunks_exact(state_row).enumerate() {
+            step.lambda_target[i] = TARGET_STIFFNESS * (dot(&q[..state], last) + residual[i]);
         }
+        factor.target.backward(&mut step.lambda_target);
     }
 }

@@ -10,26 +10,26 @@
 //! A softened bound yields: w >= l - c y with the compliance c, which is a quadratic penalty of weight 1 / c.
 
 use super::{Bound, ConflictingBound, Qp, QpOptions, QpSolution, QpStatus, Stall};
-use crate::fixed::{NU, NX, NZ, State, vector};
-use crate::kkt::{
-    Factor, Kkt, KnotDynamics, KnotMatrix, KnotParts, KnotVector, NewtonStep, Rhs, SolveWorkspace, TargetRow,
-};
-use crate::rows::KNOT_ROW;
-use upswing_model::{LimitKind, Sizes};
+use crate::dims::{Registers, dispatch, kernels};
+use crate::kernels::{amax, combine, dot, shift_add};
+use crate::kkt::{self, Factor, Kkt, NewtonStep, Rhs, SolveWorkspace, TargetRow};
+use crate::slab::{Knots, LARGEST_KNOT, Slab};
+use upswing_model::{Dims, LimitKind, Sizes, State};
 
 /// Number of bounded quantities: torques of knot 0, then states and torques of each knot, then dt.
-const fn bounded_quantities(intervals: usize) -> usize {
-    NU + intervals * NZ + 1
+fn bounded_quantities(sizes: Sizes, intervals: usize) -> usize {
+    sizes.actuated() + intervals * sizes.knot() + 1
 }
 
 /// Where the torques of a knot begin among the bounded quantities; the states, if any, stand before them.
-const fn torque_at(k: usize) -> usize {
-    k * NZ
+#[inline(always)]
+fn torque_at(d: impl Dims, k: usize) -> usize {
+    k * d.knot()
 }
 
 /// Share of the way to the boundary that a step goes at most.
 const TO_BOUNDARY: f64 = 0.995;
-/// Smallest slack: angles and velocities near one are not known better, and the matrix, whose entries grow with the
+/// Smallest slack: positions and velocities near one are not known better, and the matrix, whose entries grow with the
 /// inverse, could not be factorised.
 const RESOLUTION: f64 = 1e-14;
 /// Shortest step that counts as progress.
@@ -39,9 +39,6 @@ const SHORTEST: f64 = 1e-12;
 const COLD: (f64, f64) = (1e-1, 1e-1);
 /// The same of a warm start.
 const WARM: (f64, f64) = (1e-3, 1e-5);
-
-/// Jacobian of the torques of a knot, each scaled to half its range; rows padded to full vector registers.
-type TorqueJacobian = [[f64; KNOT_ROW]; NU];
 
 /// Solver and its memory.
 #[derive(Clone, Debug)]
@@ -57,7 +54,9 @@ pub struct Structured {
     /// Iterate: dz, dt and the multipliers of defects and target rows.
     at: NewtonStep,
     step: NewtonStep,
-    jacobian: Vec<TorqueJacobian>,
+    /// Jacobian of the torques of the knots, each scaled to half its range, and memory for one panel of it.
+    jacobian: Slab<Knots>,
+    scaled: Slab<Knots>,
     lower: Vec<f64>,
     upper: Vec<f64>,
     /// By how much a bound yields to a unit of its multiplier.
@@ -99,54 +98,204 @@ impl Side {
         }
     }
 
-    /// Steps that belong to the step `sign` * dw of the distance to the bound.
-    fn expand(&mut self, sign: f64, dw: &[f64], compliance: f64) {
-        for (i, dw) in dw.iter().enumerate() {
-            let da = sign * dw + self.residual[i];
-            let dy = (self.target[i] - self.multiplier[i] * da) / self.stretch(i, compliance);
-            self.multiplier_step[i] = dy;
-            self.slack_step[i] = da + compliance * dy;
-        }
-    }
-
-    /// Distance that a multiplier's pull acts on: the slack, and what the bound yields.
-    fn stretch(&self, i: usize, compliance: f64) -> f64 {
-        self.slack[i] + compliance * self.multiplier[i]
-    }
-
-    /// Largest step that keeps slacks and multipliers from falling below zero.
-    fn longest(&self) -> f64 {
-        let mut rate = 0.0_f64;
-        for i in 0..self.slack.len() {
-            rate = rate.max(-self.slack_step[i] / self.slack[i]);
-            rate = rate.max(-self.multiplier_step[i] / self.multiplier[i]);
-        }
-        1.0 / rate
-    }
-
     /// Sum of the products of slacks and multipliers.
     fn product(&self) -> f64 {
-        self.slack.iter().zip(&self.multiplier).map(|(a, y)| a * y).sum()
+        dot(&self.slack, &self.multiplier)
     }
 
     /// The same for the distances beyond the resolution.
     fn resolved_product(&self) -> f64 {
         self.slack.iter().zip(&self.multiplier).map(|(a, y)| (a - RESOLUTION) * y).sum()
     }
+}
 
-    fn product_after(&self, alpha: f64) -> f64 {
-        (0..self.slack.len())
-            .map(|i| {
-                (self.slack[i] + alpha * self.slack_step[i])
-                    * (self.multiplier[i] + alpha * self.multiplier_step[i])
-            })
-            .sum()
+/// Distance that a multiplier's pull acts on: the slack, and what the bound yields.
+#[inline(always)]
+fn stretch(slack: f64, multiplier: f64, compliance: f64) -> f64 {
+    slack + compliance * multiplier
+}
+
+kernels! {
+    /// w of a step of z and t.
+    fn bounded(d: D, jacobian: &[f64], z: &[f64], t: f64, out: &mut [f64]) {
+        let (actuated, state, row) = (d.actuated(), d.state(), d.knot_row());
+        let mut k = 0;
+        for (z, jacobian) in z.chunks_exact(row).zip(jacobian.chunks_exact(actuated * row)) {
+            let at = torque_at(d, k);
+            if k > 0 {
+                out[at - state..at].copy_from_slice(&z[..state]);
+            }
+            for i in 0..actuated {
+                out[at + i] = dot(&jacobian[i * row..][..row], z);
+            }
+            k += 1;
+        }
+        if let Some(last) = out.last_mut() {
+            *last = t;
+        }
     }
 
-    fn advance(&mut self, alpha: f64) {
-        for i in 0..self.slack.len() {
-            self.slack[i] = (self.slack[i] + alpha * self.slack_step[i]).max(RESOLUTION);
-            self.multiplier[i] += alpha * self.multiplier_step[i];
+    /// Adds C' `pull` to the gradient.
+    fn add_pull(d: D, jacobian: &[f64], pull: &[f64], rhs: &mut Rhs) {
+        let (actuated, state, row) = (d.actuated(), d.state(), d.knot_row());
+        let mut k = 0;
+        for (g, jacobian) in
+            rhs.g.as_mut_slice().chunks_exact_mut(row).zip(jacobian.chunks_exact(actuated * row))
+        {
+            let at = torque_at(d, k);
+            let mut sum = [0.0; LARGEST_KNOT];
+            let sum = &mut sum[..row];
+            combine(sum, actuated, &pull[at..], 1, jacobian, row);
+            if k > 0 {
+                shift_add(&mut sum[..state], 1.0, &pull[at - state..at]);
+            } else {
+                // The start is given: nothing pulls at it.
+                sum[..state].fill(0.0);
+            }
+            shift_add(g, 1.0, sum);
+            k += 1;
+        }
+        rhs.g_t += pull.last().copied().unwrap_or(0.0);
+    }
+
+    /// Gradient of the objective at `z`.
+    fn objective(d: D, z: &[f64], qp: &Qp, out: &mut [f64]) {
+        let _ = d;
+        let (weight, gradient) = (qp.weight.as_slice(), qp.gradient.as_slice());
+        let (z, weight, gradient) = (&z[..out.len()], &weight[..out.len()], &gradient[..out.len()]);
+        for i in 0..out.len() {
+            out[i] = z[i] * weight[i] + gradient[i];
+        }
+    }
+
+    /// Residuals of the slacks for the bounded quantities `value`, and what the multipliers pull.
+    fn slack_residuals(
+        d: D,
+        value: &[f64],
+        lower: &[f64],
+        upper: &[f64],
+        compliance: f64,
+        below: &mut Side,
+        above: &mut Side,
+        pull: &mut [f64],
+    ) {
+        let _ = d;
+        for i in 0..value.len() {
+            pull[i] = above.multiplier[i] - below.multiplier[i];
+            below.residual[i] = value[i] - lower[i] - below.slack[i] + compliance * below.multiplier[i];
+            above.residual[i] = upper[i] - value[i] - above.slack[i] + compliance * above.multiplier[i];
+        }
+    }
+
+    /// sigma of all bounded quantities.
+    fn sigmas(d: D, below: &Side, above: &Side, compliance: f64, sigma: &mut [f64]) {
+        let _ = d;
+        for i in 0..sigma.len() {
+            sigma[i] = below.multiplier[i] / stretch(below.slack[i], below.multiplier[i], compliance)
+                + above.multiplier[i] / stretch(above.slack[i], above.multiplier[i], compliance);
+        }
+    }
+
+    /// H_k of all knots: the weights and J' sigma J.
+    fn hessians(d: D, weight: &[f64], jacobian: &[f64], sigma: &[f64], scaled: &mut [f64], hessian: &mut [f64]) {
+        let (actuated, state, knot, row) = (d.actuated(), d.state(), d.knot(), d.knot_row());
+        let mut k = 0;
+        for (hessian, jacobian) in
+            hessian.chunks_exact_mut(knot * row).zip(jacobian.chunks_exact(actuated * row))
+        {
+            let at = torque_at(d, k);
+            hessian.fill(0.0);
+            kkt::add_products(d, jacobian, &sigma[at..at + actuated], hessian, scaled);
+            for j in 0..knot {
+                hessian[j * row + j] += weight[k * row + j];
+            }
+            if k > 0 {
+                for j in 0..state {
+                    hessian[j * row + j] += sigma[at - state + j];
+                }
+            }
+            k += 1;
+        }
+    }
+
+    /// What the bounded quantities pull in a step for the targets of both sides.
+    fn pulls(d: D, below: &Side, above: &Side, compliance: f64, pull: &mut [f64]) {
+        let _ = d;
+        let (a, b) = (below, above);
+        for i in 0..pull.len() {
+            pull[i] = (b.target[i] - b.multiplier[i] * b.residual[i])
+                / stretch(b.slack[i], b.multiplier[i], compliance)
+                - (a.target[i] - a.multiplier[i] * a.residual[i])
+                    / stretch(a.slack[i], a.multiplier[i], compliance);
+        }
+    }
+
+    /// Steps of slacks and multipliers that belong to the step `sign` * `dw` of the distance to the bound.
+    fn expand(d: D, side: &mut Side, sign: f64, dw: &[f64], compliance: f64) {
+        let _ = d;
+        for i in 0..dw.len() {
+            let da = sign * dw[i] + side.residual[i];
+            let dy = (side.target[i] - side.multiplier[i] * da)
+                / stretch(side.slack[i], side.multiplier[i], compliance);
+            side.multiplier_step[i] = dy;
+            side.slack_step[i] = da + compliance * dy;
+        }
+    }
+
+    /// Largest step that keeps slacks and multipliers from falling below zero.
+    fn longest(d: D, side: &Side) -> f64 {
+        let _ = d;
+        // Four maxima side by side.
+        let mut rates = [0.0_f64; 4];
+        for (value, step) in [(&side.slack, &side.slack_step), (&side.multiplier, &side.multiplier_step)] {
+            let ((value, value_rest), (step, step_rest)) = (value.as_chunks::<4>(), step.as_chunks::<4>());
+            for i in 0..value.len().min(step.len()) {
+                for l in 0..4 {
+                    let rate = -step[i][l] / value[i][l];
+                    rates[l] = if rate > rates[l] { rate } else { rates[l] };
+                }
+            }
+            for l in 0..value_rest.len().min(step_rest.len()) {
+                rates[l] = rates[l].max(-step_rest[l] / value_rest[l]);
+            }
+        }
+        1.0 / rates[0].max(rates[1]).max(rates[2]).max(rates[3])
+    }
+
+    /// Sum of the products of slacks and multipliers after a step of the length `alpha`.
+    fn product_after(d: D, side: &Side, alpha: f64) -> f64 {
+        let _ = d;
+        let mut sum = 0.0;
+        for i in 0..side.slack.len() {
+            sum += (side.slack[i] + alpha * side.slack_step[i])
+                * (side.multiplier[i] + alpha * side.multiplier_step[i]);
+        }
+        sum
+    }
+
+    /// The targets of a predictor step: no product of slack and multiplier.
+    fn aim_at_zero(d: D, side: &mut Side) {
+        let _ = d;
+        for i in 0..side.target.len() {
+            side.target[i] = -side.slack[i] * side.multiplier[i];
+        }
+    }
+
+    /// The targets of a corrector step: the product `aim`, with the second order of the predictor's step.
+    fn aim_at(d: D, side: &mut Side, aim: f64) {
+        let _ = d;
+        for i in 0..side.target.len() {
+            side.target[i] =
+                aim - side.slack[i] * side.multiplier[i] - side.slack_step[i] * side.multiplier_step[i];
+        }
+    }
+
+    /// Moves slacks and multipliers by a step of the length `alpha`.
+    fn advance(d: D, side: &mut Side, alpha: f64) {
+        let _ = d;
+        for i in 0..side.slack.len() {
+            side.slack[i] = (side.slack[i] + alpha * side.slack_step[i]).max(RESOLUTION);
+            side.multiplier[i] += alpha * side.multiplier_step[i];
         }
     }
 }
@@ -154,29 +303,23 @@ impl Side {
 impl Structured {
     /// Allocates everything for programs of `n` intervals.
     pub(super) fn new(sizes: Sizes, n: usize) -> Self {
-        let knot = KnotDynamics::zeros();
         // More target rows than states would contradict each other.
-        let row = TargetRow::unit(sizes, 0, 0.0);
-        let kkt = Kkt {
-            h: 0.0,
-            hessian: vec![KnotMatrix::zeros(); n + 1],
-            with_t: vec![KnotVector::zeros(); n + 1],
-            t_t: 0.0,
-            dynamics: vec![knot; n + 1],
-            target: vec![row; NX],
-        };
-        let rows = bounded_quantities(n);
+        let row = TargetRow { coefficients: State::zeros(sizes), value: 0.0 };
+        let targets = sizes.state();
+        let kkt = Kkt::zeros(sizes, n, &vec![row; targets]);
+        let rows = bounded_quantities(sizes, n);
         let zeros = || vec![0.0; rows];
         Self {
-            factor: Factor::new(n),
+            factor: Factor::new(sizes, n),
             damping: 0.0,
-            work: SolveWorkspace::new(n, NX),
+            work: SolveWorkspace::new(sizes, n, targets),
             rhs: kkt.zero_rhs(),
             residual: kkt.zero_rhs(),
-            at: NewtonStep::zeros(n, NX),
-            step: NewtonStep::zeros(n, NX),
+            at: NewtonStep::zeros(sizes, n, targets),
+            step: NewtonStep::zeros(sizes, n, targets),
             kkt,
-            jacobian: vec![[[0.0; KNOT_ROW]; NU]; n + 1],
+            jacobian: Slab::zeros(sizes, n + 1, sizes.actuated()),
+            scaled: Slab::zeros(sizes, 1, sizes.actuated()),
             lower: zeros(),
             upper: zeros(),
             compliance: 0.0,
@@ -196,37 +339,36 @@ impl Structured {
 
     /// Takes over the constant parts of `qp`.
     fn load(&mut self, qp: &Qp) {
-        let (n, targets) = (qp.intervals(), qp.target.len());
-        if self.at.lambda.len() != n || self.solution.z.sizes() != qp.sizes() {
-            *self = Self::new(qp.sizes(), n);
+        let (sizes, n, targets) = (qp.sizes(), qp.intervals(), qp.target.len());
+        if (self.kkt.sizes(), self.kkt.intervals()) != (sizes, n) {
+            *self = Self::new(sizes, n);
         }
         if self.kkt.target.len() != targets {
             self.kkt.target.clone_from(&qp.target);
-            self.work = SolveWorkspace::new(n, targets);
+            self.work = SolveWorkspace::new(sizes, n, targets);
             (self.rhs, self.residual) = (self.kkt.zero_rhs(), self.kkt.zero_rhs());
-            (self.at, self.step) = (NewtonStep::zeros(n, targets), NewtonStep::zeros(n, targets));
+            (self.at, self.step) =
+                (NewtonStep::zeros(sizes, n, targets), NewtonStep::zeros(sizes, n, targets));
         }
         self.compliance = qp.compliance;
         self.kkt.h = qp.h;
         self.kkt.target.clone_from_slice(&qp.target);
-        for (k, dynamics) in self.kkt.dynamics.iter_mut().enumerate() {
-            *dynamics = KnotDynamics::of(&qp.dynamics, k);
-        }
+        self.kkt.dynamics.copy_from(&qp.dynamics);
+        let state = sizes.state();
         for (k, (lower, upper)) in qp.torque.bounds.iter().enumerate() {
-            let at = torque_at(k);
-            for i in 0..NU {
+            let at = torque_at(sizes, k);
+            for i in 0..sizes.actuated() {
                 let scale = 2.0 / (upper[i] - lower[i]);
                 self.lower[at + i] = lower[i] * scale;
                 self.upper[at + i] = upper[i] * scale;
-                let row = qp.torque.jacobian.row(k, i);
-                for j in 0..NZ {
-                    self.jacobian[k][i][j] = row[j] * scale;
+                for (scaled, j) in self.jacobian.row_mut(k, i).iter_mut().zip(qp.torque.jacobian.row(k, i)) {
+                    *scaled = j * scale;
                 }
             }
             if k > 0 {
                 let (lower, upper) = &qp.x[k - 1];
-                self.lower[at - NX..at].copy_from_slice(lower);
-                self.upper[at - NX..at].copy_from_slice(upper);
+                self.lower[at - state..at].copy_from_slice(lower);
+                self.upper[at - state..at].copy_from_slice(upper);
             }
         }
         let t = self.t_row();
@@ -238,60 +380,15 @@ impl Structured {
         self.lower.len() - 1
     }
 
-    /// w of a step of z and t.
-    fn bounded(jacobian: &[TorqueJacobian], z: &[KnotVector], t: f64, out: &mut [f64]) {
-        for (k, (z, jacobian)) in z.iter().zip(jacobian).enumerate() {
-            let at = torque_at(k);
-            if k > 0 {
-                out[at - NX..at].copy_from_slice(&z.as_slice()[..NX]);
-            }
-            for (out, row) in out[at..at + NU].iter_mut().zip(jacobian) {
-                let mut sum = 0.0;
-                for j in 0..NZ {
-                    sum += row[j] * z[j];
-                }
-                *out = sum;
-            }
-        }
-        if let Some(last) = out.last_mut() {
-            *last = t;
-        }
-    }
-
-    /// Adds C' `pull` to the gradient.
-    fn add_pull(jacobian: &[TorqueJacobian], pull: &[f64], rhs: &mut Rhs) {
-        for (k, (g, jacobian)) in rhs.g.iter_mut().zip(jacobian).enumerate() {
-            let at = torque_at(k);
-            let mut sum = [0.0; KNOT_ROW];
-            for (row, p) in jacobian.iter().zip(&pull[at..at + NU]) {
-                for j in 0..KNOT_ROW {
-                    sum[j] += p * row[j];
-                }
-            }
-            if k > 0 {
-                for j in 0..NX {
-                    sum[j] += pull[at - NX + j];
-                }
-            } else {
-                // The start is given: nothing pulls at it.
-                sum[..NX].fill(0.0);
-            }
-            for j in 0..NZ {
-                g[j] += sum[j];
-            }
-        }
-        rhs.g_t += pull.last().copied().unwrap_or(0.0);
-    }
-
     /// Starting point: no step; multipliers of the last QP if `warm`.
-    fn start(&mut self, qp: &Qp, warm: bool) {
-        self.at.z.fill(KnotVector::zeros());
-        self.at.z[0].x_mut().copy_from_slice(&qp.start);
+    fn start<D: Registers>(&mut self, d: D, qp: &Qp, warm: bool) {
+        self.at.z.clear();
+        self.at.z.x_mut(0).copy_from_slice(&qp.start);
         self.at.t = 0.0;
-        Self::bounded(&self.jacobian, &self.at.z, 0.0, &mut self.value);
+        bounded(d, self.jacobian.as_slice(), self.at.z.as_slice(), 0.0, &mut self.value);
         let (slack, barrier) = if warm { WARM } else { COLD };
         if !warm {
-            self.at.lambda.fill(State::zeros());
+            self.at.lambda.clear();
             self.at.lambda_target.fill(0.0);
         }
         for i in 0..self.value.len() {
@@ -307,143 +404,119 @@ impl Structured {
     }
 
     /// All residuals at the iterate.
-    fn residuals(&mut self, qp: &Qp) {
+    fn residuals<D: Registers>(&mut self, d: D, qp: &Qp) {
         let r = &mut self.residual;
-        for (k, g) in r.g.iter_mut().enumerate() {
-            *g = self.at.z[k].component_mul(&vector(qp.weight.vector(k)))
-                + vector::<NZ>(qp.gradient.vector(k));
-        }
+        objective(d, self.at.z.as_slice(), qp, r.g.as_mut_slice());
         r.g_t = qp.weight_t * self.at.t + qp.gradient_t;
-        r.defects.iter_mut().zip(qp.defects.vectors()).for_each(|(r, defect)| *r = vector(defect));
-        r.start = vector(&qp.start);
+        r.defects.copy_from(&qp.defects);
+        r.start = qp.start;
         r.target.iter_mut().zip(&qp.target).for_each(|(r, row)| *r = -row.value);
-        self.kkt.add_constraints(&self.at, r);
-        Self::bounded(&self.jacobian, &self.at.z, self.at.t, &mut self.value);
-        let compliance = self.compliance;
-        for i in 0..self.value.len() {
-            let (below, above) = (&mut self.below, &mut self.above);
-            self.pull[i] = above.multiplier[i] - below.multiplier[i];
-            below.residual[i] =
-                self.value[i] - self.lower[i] - below.slack[i] + compliance * below.multiplier[i];
-            above.residual[i] =
-                self.upper[i] - self.value[i] - above.slack[i] + compliance * above.multiplier[i];
-        }
-        Self::add_pull(&self.jacobian, &self.pull, r);
+        kkt::add_constraints(d, &self.kkt, &self.at, r);
+        bounded(d, self.jacobian.as_slice(), self.at.z.as_slice(), self.at.t, &mut self.value);
+        slack_residuals(
+            d,
+            &self.value,
+            &self.lower,
+            &self.upper,
+            self.compliance,
+            &mut self.below,
+            &mut self.above,
+            &mut self.pull,
+        );
+        add_pull(d, self.jacobian.as_slice(), &self.pull, r);
     }
 
     /// Largest residuals: of the constraints, and of stationarity relative to the multipliers.
-    fn sizes(&self) -> (f64, f64) {
+    fn largest_residuals(&self) -> (f64, f64) {
         let r = &self.residual;
-        let largest = |v: &[f64]| v.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
-        let primal = r.defects.iter().map(|d| d.amax()).fold(largest(&r.target), f64::max);
-        let primal = primal.max(largest(&self.below.residual)).max(largest(&self.above.residual));
-        let dual = r.g.iter().map(|g| g.amax()).fold(r.g_t.abs(), f64::max);
-        let multipliers =
-            self.at.lambda.iter().map(|l| l.amax()).fold(largest(&self.at.lambda_target), f64::max);
-        let multipliers =
-            multipliers.max(largest(&self.below.multiplier)).max(largest(&self.above.multiplier));
+        let primal = amax(r.defects.as_slice())
+            .max(amax(&r.target))
+            .max(amax(&self.below.residual))
+            .max(amax(&self.above.residual));
+        let dual = amax(r.g.as_slice()).max(r.g_t.abs());
+        let multipliers = amax(self.at.lambda.as_slice())
+            .max(amax(&self.at.lambda_target))
+            .max(amax(&self.below.multiplier))
+            .max(amax(&self.above.multiplier));
         (primal, dual / multipliers.max(1.0))
     }
 
     /// The matrix at the iterate.
-    fn condense(&mut self, qp: &Qp) {
-        for i in 0..self.sigma.len() {
-            let (below, above) = (&self.below, &self.above);
-            self.sigma[i] = below.multiplier[i] / below.stretch(i, self.compliance)
-                + above.multiplier[i] / above.stretch(i, self.compliance);
-        }
+    fn condense<D: Registers>(&mut self, d: D, qp: &Qp) {
+        sigmas(d, &self.below, &self.above, self.compliance, &mut self.sigma);
         self.kkt.t_t = qp.weight_t + self.sigma[self.t_row()];
-        for k in 0..=qp.intervals() {
-            let at = torque_at(k);
-            let jacobian = &self.jacobian[k];
-            let sigma = &self.sigma[at..at + NU];
-            let hessian = self.kkt.hessian[k].as_mut_slice();
-            for (j, column) in hessian.chunks_exact_mut(NZ).enumerate() {
-                let mut sum = [0.0; KNOT_ROW];
-                for (row, sigma) in jacobian.iter().zip(sigma) {
-                    let s = sigma * row[j];
-                    for i in 0..KNOT_ROW {
-                        sum[i] += s * row[i];
-                    }
-                }
-                column.copy_from_slice(&sum[..NZ]);
-                column[j] += qp.weight.vector(k)[j];
-                if k > 0 && j < NX {
-                    column[j] += self.sigma[at - NX + j];
-                }
-            }
-        }
+        hessians(
+            d,
+            qp.weight.as_slice(),
+            self.jacobian.as_slice(),
+            &self.sigma,
+            self.scaled.as_mut_slice(),
+            self.kkt.hessian.as_mut_slice(),
+        );
     }
 
     /// Factorises. Near the end rounding may cost a pivot its sign: then a little damping keeps the step near the
     /// iterate, whose residuals show what the step missed.
-    fn factor(&mut self) -> bool {
+    fn factorise<D: Registers>(&mut self, d: D) -> bool {
         const DAMPINGS: [f64; 3] = [0.0, 1e-6, 1e-3];
         DAMPINGS.into_iter().any(|damping| {
             self.damping = damping;
-            self.kkt.factor_into(damping, damping, &mut self.factor)
+            kkt::factorise(d, &self.kkt, damping, damping, &mut self.factor)
         })
     }
 
     /// A step of everything, for the complementarity targets of both sides.
-    fn direction(&mut self, refinements: (usize, f64)) {
+    fn direction<D: Registers>(&mut self, d: D, refinements: (usize, f64)) {
         self.rhs.copy_from(&self.residual);
-        let (a, b) = (&self.below, &self.above);
-        for i in 0..self.pull.len() {
-            self.pull[i] = (b.target[i] - b.multiplier[i] * b.residual[i]) / b.stretch(i, self.compliance)
-                - (a.target[i] - a.multiplier[i] * a.residual[i]) / a.stretch(i, self.compliance);
-        }
-        Self::add_pull(&self.jacobian, &self.pull, &mut self.rhs);
-        let (rhs, damping) = (&self.rhs, (self.damping, self.damping));
-        self.kkt.solve_into(&self.factor, rhs, damping, refinements, &mut self.work, &mut self.step);
-        Self::bounded(&self.jacobian, &self.step.z, self.step.t, &mut self.value_step);
-        self.below.expand(1.0, &self.value_step, self.compliance);
-        self.above.expand(-1.0, &self.value_step, self.compliance);
-    }
-
-    fn advance(&mut self, alpha: f64) {
-        self.at.z.iter_mut().zip(&self.step.z).for_each(|(z, dz)| *z += dz * alpha);
-        self.at.t += alpha * self.step.t;
-        self.at.lambda.iter_mut().zip(&self.step.lambda).for_each(|(l, dl)| *l += dl * alpha);
-        self.at.lambda_target.iter_mut().zip(&self.step.lambda_target).for_each(|(m, dm)| *m += dm * alpha);
-        self.below.advance(alpha);
-        self.above.advance(alpha);
+        pulls(d, &self.below, &self.above, self.compliance, &mut self.pull);
+        add_pull(d, self.jacobian.as_slice(), &self.pull, &mut self.rhs);
+        let damping = (self.damping, self.damping);
+        kkt::solve(
+            d,
+            &self.kkt,
+            &self.factor,
+            &self.rhs,
+            damping,
+            refinements,
+            &mut self.work,
+            &mut self.step,
+        );
+        bounded(d, self.jacobian.as_slice(), self.step.z.as_slice(), self.step.t, &mut self.value_step);
+        expand(d, &mut self.below, 1.0, &self.value_step, self.compliance);
+        expand(d, &mut self.above, -1.0, &self.value_step, self.compliance);
     }
 
     /// Whether the multipliers prove that no point meets all constraints: they combine the constraints to
     /// v' xi <= -c with c > 0, while |v' xi| < c for every xi within its bounds.
-    fn contradiction(&mut self, qp: &Qp) -> Option<ConflictingBound> {
-        /// Inputs that no arm reaches, rad/s^2.
+    fn contradiction(&self, qp: &Qp) -> Option<ConflictingBound> {
+        /// Inputs that no robot reaches, rad/s^2 or m/s^2.
         const LARGEST_INPUT: f64 = 1e4;
         // Bounds that yield contradict nothing.
         if self.compliance > 0.0 {
             return None;
         }
+        let state = self.kkt.sizes().state();
         // v: what is left of the gradient without the objective.
         let mut slope = 0.0;
-        let mut excess = 0.0;
+        let mut excess = self.on_start().dot(&qp.start);
         for k in 0..=qp.intervals() {
-            let weighted = self.at.z[k].component_mul(&vector(qp.weight.vector(k)));
-            let mut v = self.residual.g[k] - weighted - vector::<NZ>(qp.gradient.vector(k));
-            if k == 0 {
-                // All that acts on the start is a constant.
-                v.x_mut().fill(0.0);
-                let on_start = self.on_start();
-                excess += on_start.dot(&vector(&qp.start));
-            }
-            for i in 0..NX {
-                if k > 0 {
-                    let (lower, upper) = &qp.x[k - 1];
-                    slope += v[i].abs() * lower[i].abs().max(upper[i].abs());
+            let (residual, z) = (self.residual.g.vector(k), self.at.z.vector(k));
+            let (weight, gradient) = (qp.weight.vector(k), qp.gradient.vector(k));
+            let v = |i: usize| residual[i] - z[i] * weight[i] - gradient[i];
+            // All that acts on the start is a constant.
+            if k > 0 {
+                let (lower, upper) = &qp.x[k - 1];
+                for i in 0..state {
+                    slope += v(i).abs() * lower[i].abs().max(upper[i].abs());
                 }
             }
-            slope += v.u().lp_norm(1) * LARGEST_INPUT;
+            for i in state..z.len() {
+                slope += v(i).abs() * LARGEST_INPUT;
+            }
         }
         let v_t = self.residual.g_t - qp.weight_t * self.at.t - qp.gradient_t;
         slope += v_t.abs() * qp.t.0.abs().max(qp.t.1.abs());
-        for (lambda, r) in self.at.lambda.iter().zip(qp.defects.vectors()) {
-            excess += lambda.dot(&vector(r));
-        }
+        excess += dot(self.at.lambda.as_slice(), qp.defects.as_slice());
         for (m, row) in self.at.lambda_target.iter().zip(&qp.target) {
             excess -= m * row.value;
         }
@@ -455,15 +528,14 @@ impl Structured {
 
     /// Coefficient of dx_0 in the sum of all constraints with their multipliers.
     fn on_start(&self) -> State {
-        let lambda = &self.at.lambda[0];
-        let by_defects = self.kkt.dynamics[0].apply_transposed(lambda) * (-0.5 * self.kkt.h);
-        let mut out: State = by_defects.x().into();
-        out -= lambda;
-        for i in 0..NU {
+        let sizes = self.kkt.sizes();
+        let lambda = self.at.lambda.state(0);
+        let mut by_defects = [0.0; LARGEST_KNOT];
+        self.kkt.dynamics.apply_transposed(0, &lambda, &mut by_defects[..sizes.knot()]);
+        let mut out = State::from_fn(sizes, |i| by_defects[i] * (-0.5 * self.kkt.h) - lambda[i]);
+        for i in 0..sizes.actuated() {
             let pull = self.above.multiplier[i] - self.below.multiplier[i];
-            for j in 0..NX {
-                out[j] += pull * self.jacobian[0][i][j];
-            }
+            shift_add(&mut out, pull, self.jacobian.row(0, i));
         }
         out
     }
@@ -471,17 +543,18 @@ impl Structured {
     /// The limit whose multipliers, measured against its range and summed over all knots, are the largest, and the
     /// knot with the largest of them.
     fn heaviest(&self) -> ConflictingBound {
-        /// Limits of one knot, and the duration.
-        const KINDS: usize = NZ + 1;
-        let kind = |row: usize| if row == self.t_row() { NZ } else { (row + NX) % NZ };
-        let mut sums = [[0.0; KINDS]; 2];
+        let sizes = self.kkt.sizes();
+        let (state, knot) = (sizes.state(), sizes.knot());
+        // Limits of one knot, and the duration.
+        let kind = |row: usize| if row == self.t_row() { knot } else { (row + state) % knot };
+        let mut sums = [[0.0; LARGEST_KNOT + 1]; 2];
         for (sums, side) in sums.iter_mut().zip([&self.below, &self.above]) {
             for i in 0..self.lower.len() {
                 sums[kind(i)] += side.multiplier[i] * (self.upper[i] - self.lower[i]);
             }
         }
         let (mut upper, mut heaviest) = (false, 0);
-        for i in 0..KINDS {
+        for i in 0..=knot {
             for is_upper in [false, true] {
                 if sums[usize::from(is_upper)][i] > sums[usize::from(upper)][heaviest] {
                     (upper, heaviest) = (is_upper, i);
@@ -489,44 +562,46 @@ impl Structured {
             }
         }
         let side = if upper { &self.above } else { &self.below };
-        let (mut knot, mut most) = (0, 0.0);
+        let (mut at, mut most) = (0, 0.0);
         for i in (0..self.t_row()).filter(|i| kind(*i) == heaviest) {
             if side.multiplier[i] > most {
-                (knot, most) = ((i + NX) / NZ, side.multiplier[i]);
+                (at, most) = ((i + state) / knot, side.multiplier[i]);
             }
         }
         let bound = match heaviest {
-            i if i < NX => {
-                let (kind, joint) = LimitKind::of_row(i, self.solution.z.sizes());
+            i if i < state => {
+                let (kind, joint) = LimitKind::of_row(i, sizes);
                 Bound::Joint(kind, joint)
             }
-            i if i < NZ => Bound::Joint(LimitKind::Torque, i - NX),
+            i if i < knot => Bound::Joint(LimitKind::Torque, i - state),
             _ => Bound::Duration,
         };
-        ConflictingBound { bound, knot, upper }
+        ConflictingBound { bound, knot: at, upper }
     }
 
     /// Solves `qp`, from the multipliers of the last one if `warm`.
     pub(super) fn solve(&mut self, qp: &Qp, warm: bool, options: &QpOptions<'_>) -> QpStatus {
+        dispatch!(qp.sizes(), |d| self.solve_with(d, qp, warm, options))
+    }
+
+    fn solve_with<D: Registers>(&mut self, d: D, qp: &Qp, warm: bool, options: &QpOptions<'_>) -> QpStatus {
         self.load(qp);
-        self.start(qp, warm);
-        let mut status = self.run(qp, options);
+        self.start(d, qp, warm);
+        let mut status = self.run(d, qp, options);
         if warm && matches!(status, QpStatus::Stalled(_)) {
-            self.start(qp, false);
-            status = self.run(qp, options);
+            self.start(d, qp, false);
+            status = self.run(d, qp, options);
         }
-        for (k, z) in self.at.z.iter().enumerate() {
-            self.solution.z.vector_mut(k).copy_from_slice(z.as_slice());
-        }
+        self.solution.z.copy_from(&self.at.z);
         self.solution.t = self.at.t;
         status
     }
 
-    fn run(&mut self, qp: &Qp, options: &QpOptions<'_>) -> QpStatus {
+    fn run<D: Registers>(&mut self, d: D, qp: &Qp, options: &QpOptions<'_>) -> QpStatus {
         for iteration in 0..=options.max_iterations {
             self.solution.iterations = iteration;
-            self.residuals(qp);
-            let (primal, dual) = self.sizes();
+            self.residuals(d, qp);
+            let (primal, dual) = self.largest_residuals();
             let rows = self.lower.len();
             let mean = |below: f64, above: f64| (below + above) / (2 * rows) as f64;
             let mu = mean(self.below.product(), self.above.product());
@@ -540,35 +615,32 @@ impl Structured {
             if let Some(status) = options.stop() {
                 return status;
             }
-            self.condense(qp);
-            if !self.factor() {
+            self.condense(d, qp);
+            if !self.factorise(d) {
                 return QpStatus::Stalled(Stall::Factorisation);
             }
             for side in [&mut self.below, &mut self.above] {
-                for i in 0..rows {
-                    side.target[i] = -side.slack[i] * side.multiplier[i];
-                }
+                aim_at_zero(d, side);
             }
             // The predictor only chooses how far to go; the corrector is the step.
-            self.direction((0, 0.0));
-            let alpha = self.below.longest().min(self.above.longest()).min(1.0);
-            let after = mean(self.below.product_after(alpha), self.above.product_after(alpha));
+            self.direction(d, (0, 0.0));
+            let alpha = longest(d, &self.below).min(longest(d, &self.above)).min(1.0);
+            let after = mean(product_after(d, &self.below, alpha), product_after(d, &self.above, alpha));
             let centring = (after / mu).powi(3);
             // Closer to the boundary than asked for, rounding would spoil stationarity.
             let aim = (centring * mu).max(0.1 * options.complementarity);
             for side in [&mut self.below, &mut self.above] {
-                for i in 0..rows {
-                    side.target[i] = aim
-                        - side.slack[i] * side.multiplier[i]
-                        - side.slack_step[i] * side.multiplier_step[i];
-                }
+                aim_at(d, side, aim);
             }
-            self.direction((1, 1e-6));
-            let alpha = (TO_BOUNDARY * self.below.longest().min(self.above.longest())).min(1.0);
+            self.direction(d, (1, 1e-6));
+            let alpha = (TO_BOUNDARY * longest(d, &self.below).min(longest(d, &self.above))).min(1.0);
             if !(alpha > SHORTEST) {
                 return QpStatus::Stalled(Stall::ShortStep);
             }
-            self.advance(alpha);
+            self.at.add_scaled(alpha, &self.step);
+            for side in [&mut self.below, &mut self.above] {
+                advance(d, side, alpha);
+            }
         }
         QpStatus::Stalled(Stall::Iterations)
     }

@@ -1,0 +1,338 @@
+//! Products, updates and the Cholesky decomposition of padded panels: the linear algebra underneath the factorisation and the gains.
+//!
+//! Rows are padded to a multiple of four entries. Columns, never terms of one sum, are neighbours in a vector register, so that results
+//! do not depend on the width of the registers. Sums over entries are four sums side by side on every CPU.
+
+use crate::dims::kernels;
+use upswing_model::MOST_JOINTS;
+
+/// c += s a, of the length of `c`.
+#[inline(always)]
+pub(crate) fn shift_add(c: &mut [f64], s: f64, a: &[f64]) {
+    let a = &a[..c.len()];
+    let ((c4, c1), (a4, a1)) = (c.as_chunks_mut::<4>(), a.as_chunks::<4>());
+    // Indices, not `zip`, whose constructor is not always inlined.
+    for i in 0..c4.len() {
+        for j in 0..4 {
+            c4[i][j] += s * a4[i][j];
+        }
+    }
+    for j in 0..c1.len() {
+        c1[j] += s * a1[j];
+    }
+}
+
+/// a . b
+#[inline(always)]
+pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let b = &b[..a.len()];
+    let ((a4, a1), (b4, b1)) = (a.as_chunks::<4>(), b.as_chunks::<4>());
+    let mut sums = [0.0; 4];
+    for i in 0..a4.len() {
+        for j in 0..4 {
+            sums[j] += a4[i][j] * b4[i][j];
+        }
+    }
+    let mut rest = 0.0;
+    for j in 0..a1.len() {
+        rest += a1[j] * b1[j];
+    }
+    (sums[0] + sums[1]) + (sums[2] + sums[3]) + rest
+}
+
+/// Largest absolute value; NaN is ignored.
+#[inline(always)]
+pub(crate) fn amax(v: &[f64]) -> f64 {
+    let (v4, v1) = v.as_chunks::<4>();
+    let mut most = [0.0_f64; 4];
+    for i in 0..v4.len() {
+        for j in 0..4 {
+            let a = v4[i][j].abs();
+            most[j] = if a > most[j] { a } else { most[j] };
+        }
+    }
+    let mut all = most[0].max(most[1]).max(most[2]).max(most[3]);
+    for j in 0..v1.len() {
+        all = all.max(v1[j].abs());
+    }
+    all
+}
+
+/// c += sum_l s_l a_l for `rank` rows a_l of `stride` and s_l = s[l `s_stride`]; the length of `c` is a multiple of 4.
+///
+/// Tiles of columns stay in registers: a third of the time of one [`shift_add`] per row.
+#[inline(always)]
+pub(crate) fn combine(c: &mut [f64], rank: usize, s: &[f64], s_stride: usize, a: &[f64], stride: usize) {
+    let n = c.len();
+    if rank == 0 {
+        return;
+    }
+    assert!(n % 4 == 0 && s.len() > (rank - 1) * s_stride && a.len() >= (rank - 1) * stride + n);
+    let mut j = 0;
+    while j + 8 <= n {
+        // SAFETY: j + 8 <= n, and the assertion above covers all rows.
+        unsafe { combine_tile::<8>(c, j, rank, s, s_stride, a, stride) };
+        j += 8;
+    }
+    if j < n {
+        // SAFETY: n is a multiple of 4, hence j + 4 <= n; the assertion above covers all rows.
+        unsafe { combine_tile::<4>(c, j, rank, s, s_stride, a, stride) };
+    }
+}
+
+/// Columns j to j + W of [`combine`].
+///
+/// # Safety
+/// j + W <= c.len(), (rank - 1) s_stride < s.len() and (rank - 1) stride + j + W <= a.len().
+#[inline(always)]
+unsafe fn combine_tile<const W: usize>(
+    c: &mut [f64],
+    j: usize,
+    rank: usize,
+    s: &[f64],
+    s_stride: usize,
+    a: &[f64],
+    stride: usize,
+) {
+    // SAFETY: by the caller; l < rank.
+    unsafe {
+        let out = &mut *c.as_mut_ptr().add(j).cast::<[f64; W]>();
+        let mut sum = *out;
+        for l in 0..rank {
+            let factor = *s.get_unchecked(l * s_stride);
+            let row = &*a.as_ptr().add(l * stride + j).cast::<[f64; W]>();
+            for k in 0..W {
+                sum[k] += factor * row[k];
+            }
+        }
+        *out = sum;
+    }
+}
+
+/// Two rows and W columns of [`rank_update`], from row i and column j on.
+///
+/// # Safety
+/// i + 1 and j + W within the rows and columns of `out`, `left` and `right`, which have at least `rank` rows.
+#[inline(always)]
+unsafe fn update_tile<const W: usize>(
+    out: &mut [f64],
+    stride: usize,
+    i: usize,
+    j: usize,
+    rank: usize,
+    left: &[f64],
+    left_stride: usize,
+    right: &[f64],
+    right_stride: usize,
+) {
+    // SAFETY: by the caller; l < rank.
+    unsafe {
+        let first = out.as_mut_ptr().add(i * stride + j).cast::<[f64; W]>();
+        let second = out.as_mut_ptr().add((i + 1) * stride + j).cast::<[f64; W]>();
+        let (mut a, mut b) = (*first, *second);
+        for l in 0..rank {
+            let s = left.as_ptr().add(l * left_stride + i).cast::<[f64; 2]>();
+            let row = &*right.as_ptr().add(l * right_stride + j).cast::<[f64; W]>();
+            for c in 0..W {
+                a[c] += (*s)[0] * row[c];
+            }
+            for c in 0..W {
+                b[c] += (*s)[1] * row[c];
+            }
+        }
+        (*first, *second) = (a, b);
+    }
+}
+
+kernels! {
+    /// Lower triangle of the symmetric `out` plus sum_l left_l right_l', for `n` rows of `stride` in `out` and `rank` rows in `left` and
+    /// `right`. Entries above the diagonal become meaningless where they share a tile with the triangle; [`mirror`] sets them.
+    ///
+    /// Tiles of two rows and eight columns stay in registers. With half of the entries left out, this is half the time of [`combine`]
+    /// on all rows.
+    pub(crate) fn rank_update(
+        d: D,
+        out: &mut [f64],
+        stride: usize,
+        n: usize,
+        rank: usize,
+        left: &[f64],
+        left_stride: usize,
+        right: &[f64],
+        right_stride: usize,
+    ) {
+        let _ = d;
+        assert!(
+            stride % 4 == 0
+                && n <= stride
+                && stride <= right_stride
+                && n <= left_stride
+                && out.len() >= n * stride
+                && left.len() >= rank * left_stride
+                && right.len() >= rank * right_stride
+        );
+        let mut i = 0;
+        while i + 2 <= n {
+            let columns = (i + 2).next_multiple_of(4).min(stride);
+            let mut j = 0;
+            while j + 8 <= columns {
+                // SAFETY: i + 1 < n and j + 8 <= stride; the assertion above covers all rows.
+                unsafe { update_tile::<8>(out, stride, i, j, rank, left, left_stride, right, right_stride) };
+                j += 8;
+            }
+            if j < columns {
+                // SAFETY: the same; `columns` is a multiple of 4.
+                unsafe { update_tile::<4>(out, stride, i, j, rank, left, left_stride, right, right_stride) };
+            }
+            i += 2;
+        }
+        if i < n {
+            let columns = (i + 1).next_multiple_of(4).min(stride);
+            combine(&mut out[i * stride..][..columns], rank, &left[i..], left_stride, right, right_stride);
+        }
+    }
+
+    /// Copies the lower triangle of `n` rows to above the diagonal.
+    pub(crate) fn mirror(d: D, out: &mut [f64], stride: usize, n: usize) {
+        let _ = d;
+        for i in 0..n {
+            for j in 0..i {
+                out[j * stride + i] = out[i * stride + j];
+            }
+        }
+    }
+
+    /// Cholesky factor L (rows of `n`) and the inverses of its diagonal, of the symmetric block of `n` rows that begins at (`at`, `at`)
+    /// of `p`, of which the lower triangle is read. `false` unless the block is positive definite.
+    pub(crate) fn cholesky(
+        d: D,
+        p: &[f64],
+        stride: usize,
+        at: usize,
+        n: usize,
+        lower: &mut [f64],
+        inverse: &mut [f64],
+    ) -> bool {
+        let _ = d;
+        let (lower, inverse) = (&mut lower[..n * n], &mut inverse[..n]);
+        for i in 0..n {
+            let row = &p[(at + i) * stride + at..][..n];
+            let (done, rest) = lower.split_at_mut(i * n);
+            let rest = &mut rest[..n];
+            for j in 0..i {
+                let known = &done[j * n..][..n];
+                let mut sum = row[j];
+                for l in 0..j {
+                    sum -= rest[l] * known[l];
+                }
+                rest[j] = sum * inverse[j];
+            }
+            let mut sum = row[i];
+            for l in 0..i {
+                sum -= rest[l] * rest[l];
+            }
+            // A NaN is refused, too.
+            if !(sum > 0.0 && sum.is_finite()) {
+                return false;
+            }
+            let root = sum.sqrt();
+            (rest[i], inverse[i]) = (root, 1.0 / root);
+        }
+        true
+    }
+}
+
+/// b = L^-1 b for a factor of [`cholesky`] and `n` rows of `stride`.
+#[inline(always)]
+pub(crate) fn forward(lower: &[f64], inverse: &[f64], n: usize, b: &mut [f64], stride: usize) {
+    for i in 0..n {
+        let (done, rest) = b.split_at_mut(i * stride);
+        let row = &mut rest[..stride];
+        let mut s = [0.0; MOST_JOINTS];
+        for l in 0..i {
+            s[l] = -lower[i * n + l];
+        }
+        combine(row, i, &s, 1, done, stride);
+        for j in 0..stride {
+            row[j] *= inverse[i];
+        }
+    }
+}
+
+/// b = L'^-1 b for a factor of [`cholesky`] and `n` rows of `stride`.
+#[inline(always)]
+pub(crate) fn backward(lower: &[f64], inverse: &[f64], n: usize, b: &mut [f64], stride: usize) {
+    for i in (0..n).rev() {
+        let (rest, done) = b.split_at_mut((i + 1) * stride);
+        let row = &mut rest[i * stride..];
+        let mut s = [0.0; MOST_JOINTS];
+        for l in i + 1..n {
+            s[l - i - 1] = -lower[l * n + i];
+        }
+        combine(row, n - 1 - i, &s, 1, done, stride);
+        for j in 0..stride {
+            row[j] *= inverse[i];
+        }
+    }
+}
+
+/// x = -(L L')^-1 b for a factor of [`cholesky`] and one column of `n` entries.
+#[inline(always)]
+pub(crate) fn solve_negative(lower: &[f64], inverse: &[f64], n: usize, b: &[f64], x: &mut [f64]) {
+    let (lower, inverse, b, x) = (&lower[..n * n], &inverse[..n], &b[..n], &mut x[..n]);
+    for i in 0..n {
+        x[i] = -b[i];
+        for l in 0..i {
+            x[i] += -lower[i * n + l] * x[l];
+        }
+        x[i] *= inverse[i];
+    }
+    for i in (0..n).rev() {
+        for l in i + 1..n {
+            x[i] += -lower[l * n + i] * x[l];
+        }
+        x[i] *= inverse[i];
+    }
+}
+
+/// rows = E^-1 rows for a matrix E of `n` rows, by Gaussian elimination with row pivots, which overwrites E. What a singular E leaves
+/// is not finite.
+#[inline(always)]
+pub(crate) fn solve_rows(e: &mut [f64], n: usize, rows: &mut [f64], stride: usize) {
+    for p in 0..n {
+        let mut best = p;
+        for i in p + 1..n {
+            if e[i * n + p].abs() > e[best * n + p].abs() {
+                best = i;
+            }
+        }
+        if best != p {
+            for j in 0..n {
+                e.swap(p * n + j, best * n + j);
+            }
+            for j in 0..stride {
+                rows.swap(p * stride + j, best * stride + j);
+            }
+        }
+        for i in p + 1..n {
+            let factor = e[i * n + p] / e[p * n + p];
+            let (done, rest) = e.split_at_mut(i * n);
+            shift_add(&mut rest[p..n], -factor, &done[p * n + p..][..n - p]);
+            let (done, rest) = rows.split_at_mut(i * stride);
+            shift_add(&mut rest[..stride], -factor, &done[p * stride..][..stride]);
+        }
+    }
+    for p in (0..n).rev() {
+        let (rest, done) = rows.split_at_mut((p + 1) * stride);
+        let row = &mut rest[p * stride..];
+        for l in p + 1..n {
+            shift_add(row, -e[p * n + l], &done[(l - p - 1) * stride..][..stride]);
+        }
+        for j in 0..stride {
+            row[j] /= e[p * n + p];
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;
