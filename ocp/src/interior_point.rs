@@ -10,15 +10,13 @@ mod conditions;
 mod filter;
 mod newton;
 
-use crate::fixed::{ActuatedVector, NU, NX, State, vector};
-use crate::fixed_kkt::KnotParts;
 use crate::problem::{KnotDerivatives, Problem};
+use crate::slab::{Slab, entries};
 use bounded::BoundedVector;
 use filter::Filter;
-use nalgebra::SVector;
 use newton::{Direction, LinearSystem};
 use std::time::{Duration, Instant};
-use upswing_model::{Dims, LimitKind, Sizes, Workspace};
+use upswing_model::{ActuatedVector, LimitKind, Sizes, State, States, Workspace};
 use upswing_trajectory::Trajectory;
 
 /// When to stop.
@@ -101,22 +99,21 @@ pub struct NlpSolution {
     pub stationarity: f64,
 }
 
-type Scalar = SVector<f64, 1>;
-
-/// Primal variables of an iterate.
+/// Primal variables of an iterate: the entries of all knots, one knot after the other.
 #[derive(Clone, Debug)]
 struct Primal {
+    sizes: Sizes,
     t: f64,
-    x: Vec<State>,
-    u: Vec<ActuatedVector>,
+    x: Vec<f64>,
+    u: Vec<f64>,
     /// Slacks of the constrained torque, in units of half its range.
-    s: Vec<ActuatedVector>,
+    s: Vec<f64>,
 }
 
 impl Primal {
     /// N
     fn intervals(&self) -> usize {
-        self.x.len() - 1
+        self.x.len() / self.sizes.state() - 1
     }
 
     /// h = t_F / N
@@ -124,52 +121,80 @@ impl Primal {
         self.t / self.intervals() as f64
     }
 
-    /// x_k and u_k as the model takes them.
-    fn knot(&self, sizes: Sizes, k: usize) -> (upswing_model::State, upswing_model::ActuatedVector) {
-        (
-            upswing_model::State::from_fn(sizes, |i| self.x[k][i]),
-            upswing_model::ActuatedVector::from_fn(sizes, |i| self.u[k][i]),
-        )
+    /// x_k
+    fn x(&self, k: usize) -> State {
+        entries(self.sizes, part(&self.x, k, self.sizes.state()))
+    }
+
+    /// u_k
+    fn u(&self, k: usize) -> ActuatedVector {
+        entries(self.sizes, part(&self.u, k, self.sizes.actuated()))
+    }
+
+    /// x_1..x_N, which have bounds: x_0 is given.
+    fn free_x(&self) -> &[f64] {
+        &self.x[self.sizes.state()..]
     }
 
     /// sum u_k' u_k
     fn effort(&self) -> f64 {
-        self.u.iter().map(|u| u.norm_squared()).sum()
+        self.u.iter().map(|u| u * u).sum()
     }
+
+    fn trajectory(&self) -> Trajectory {
+        let knots = 0..=self.intervals();
+        Trajectory {
+            t_f: self.t,
+            x: knots.clone().map(|k| self.x(k)).collect(),
+            u: knots.map(|k| self.u(k)).collect(),
+        }
+    }
+}
+
+/// The entries of knot `k` of `length` each.
+#[inline]
+fn part(entries: &[f64], k: usize, length: usize) -> &[f64] {
+    &entries[k * length..][..length]
+}
+
+/// a += s b
+fn add_scaled(a: &mut [f64], s: f64, b: &[f64]) {
+    a.iter_mut().zip(b).for_each(|(a, b)| *a += s * b);
 }
 
 /// Residuals of the constraints.
 #[derive(Clone, Debug)]
 struct Residuals {
     /// Defects: the residuals of the dynamics (6b).
-    defects: Vec<State>,
+    defects: Slab<States>,
     target: Vec<f64>,
-    /// tau_k - s_k, scaled.
-    torque: Vec<ActuatedVector>,
+    /// tau_k - s_k, scaled, of all knots.
+    torque: Vec<f64>,
 }
 
 impl Residuals {
+    /// Their entries, and zeros.
+    fn parts(&self) -> [&[f64]; 3] {
+        [self.defects.as_slice(), &self.target, &self.torque]
+    }
+
     /// Sum of absolute values.
     fn total(&self) -> f64 {
-        let sum = |v: &[f64]| v.iter().map(|a| a.abs()).sum::<f64>();
-        self.defects.iter().map(|d| d.lp_norm(1)).sum::<f64>()
-            + sum(&self.target)
-            + self.torque.iter().map(|d| d.lp_norm(1)).sum::<f64>()
+        self.parts().iter().map(|part| part.iter().map(|v| v.abs()).sum::<f64>()).sum()
     }
 
     fn largest(&self) -> f64 {
-        let d = self.defects.iter().map(|d| d.amax()).fold(0.0, f64::max);
-        let t = self.target.iter().fold(0.0, |m: f64, t| m.max(t.abs()));
-        self.torque.iter().map(|d| d.amax()).fold(d.max(t), f64::max)
+        self.parts().into_iter().flatten().fold(0.0, |largest: f64, v| largest.max(v.abs()))
     }
 
     /// self * a + other
     fn scaled_plus(&self, a: f64, other: &Self) -> Self {
-        Self {
-            defects: self.defects.iter().zip(&other.defects).map(|(p, q)| p * a + q).collect(),
-            target: self.target.iter().zip(&other.target).map(|(p, q)| p * a + q).collect(),
-            torque: self.torque.iter().zip(&other.torque).map(|(p, q)| p * a + q).collect(),
+        let mut sum = other.clone();
+        let Self { defects, target, torque } = &mut sum;
+        for (sum, part) in [defects.as_mut_slice(), target, torque].into_iter().zip(self.parts()) {
+            add_scaled(sum, a, part);
         }
+        sum
     }
 }
 
@@ -185,21 +210,20 @@ struct TrialPoint {
 struct NlpSolver<'a> {
     problem: &'a Problem<'a>,
     work: Workspace,
-    /// Derivatives at one knot: first and second ones.
+    /// Derivatives at one knot.
     derivatives: KnotDerivatives,
-    hessian: Vec<f64>,
     /// Centre and half range of the constrained torque.
     torque_centre: ActuatedVector,
     torque_half: ActuatedVector,
     primal: Primal,
     /// Multipliers of the defects, of the target rows, and of tau_k = s_k.
-    lambda: Vec<State>,
+    lambda: Slab<States>,
     lambda_target: Vec<f64>,
-    lambda_torque: Vec<ActuatedVector>,
-    /// Bounds of x_1..x_N (x_0 is given).
-    bound_x: Vec<BoundedVector<NX>>,
-    bound_s: Vec<BoundedVector<NU>>,
-    bound_t: BoundedVector<1>,
+    lambda_torque: Vec<f64>,
+    /// Bounds of x_1..x_N (x_0 is given), of the slacks and of t_F.
+    bound_x: BoundedVector,
+    bound_s: BoundedVector,
+    bound_t: BoundedVector,
     mu: f64,
     /// Last damping that a factorisation needed.
     last_damping: f64,
@@ -218,45 +242,43 @@ impl<'a> NlpSolver<'a> {
     fn new(problem: &'a Problem<'a>, guess: &Trajectory) -> Self {
         let mut work = Workspace::default();
         let mu = BARRIER;
+        let (sizes, n) = (problem.sizes(), guess.intervals());
         let (low, high) = problem.torque.bounds(&problem.limits.tau_max);
-        let (low, high) = (vector::<NU>(&low), vector::<NU>(&high));
         let (torque_centre, torque_half) = ((low + high) * 0.5, (high - low) * 0.5);
-        let mut t = Scalar::new(guess.t_f);
-        let bound_t = BoundedVector::new(Scalar::new(problem.t_f.0), Scalar::new(problem.t_f.1), &mut t, mu);
+        let mut t = [guess.t_f];
+        let bound_t = BoundedVector::new(vec![problem.t_f.0], vec![problem.t_f.1], &mut t, mu);
         let mut primal = Primal {
+            sizes,
             t: t[0],
-            x: guess.x.iter().map(|x| vector(x)).collect(),
-            u: guess.u.iter().map(|u| vector(u)).collect(),
-            s: Vec::new(),
+            x: guess.x.iter().flat_map(|x| x.iter().copied()).collect(),
+            u: guess.u.iter().flat_map(|u| u.iter().copied()).collect(),
+            s: Vec::with_capacity((n + 1) * sizes.actuated()),
         };
-        primal.x[0] = vector(&problem.start);
-        let n = guess.intervals();
-        let bound_x = (1..=n)
-            .map(|k| {
-                let (lowest, highest) = problem.bounds(k);
-                BoundedVector::new(vector(&lowest), vector(&highest), &mut primal.x[k], mu)
-            })
-            .collect();
-        let one = ActuatedVector::repeat(1.0);
-        let mut bound_s = Vec::with_capacity(n + 1);
-        for k in 0..=n {
-            let (x, u) = primal.knot(problem.sizes(), k);
-            let (_, tau) = problem.knot(&x, &u, &mut work);
-            let mut s = (vector(&tau) - torque_centre).component_div(&torque_half);
-            bound_s.push(BoundedVector::new(-one, one, &mut s, mu));
-            primal.s.push(s);
+        let (start, free) = primal.x.split_at_mut(sizes.state());
+        start.copy_from_slice(&problem.start);
+        let (mut lowest, mut highest) = (Vec::with_capacity(free.len()), Vec::with_capacity(free.len()));
+        for k in 1..=n {
+            let (low, high) = problem.bounds(k);
+            lowest.extend_from_slice(&low);
+            highest.extend_from_slice(&high);
         }
+        let bound_x = BoundedVector::new(lowest, highest, free, mu);
+        for k in 0..=n {
+            let (_, tau) = problem.knot(&primal.x(k), &primal.u(k), &mut work);
+            primal.s.extend_from_slice(&(tau - torque_centre).component_div(&torque_half));
+        }
+        let ones = vec![1.0; primal.s.len()];
+        let bound_s = BoundedVector::new(vec![-1.0; ones.len()], ones, &mut primal.s, mu);
         Self {
             problem,
             derivatives: KnotDerivatives::new(problem),
-            hessian: vec![0.0; problem.sizes().knot() * problem.sizes().knot_row()],
             work,
             torque_centre,
             torque_half,
-            primal,
-            lambda: vec![State::zeros(); n],
+            lambda: Slab::zeros(sizes, n, 1),
             lambda_target: vec![0.0; problem.target.len()],
-            lambda_torque: vec![ActuatedVector::zeros(); n + 1],
+            lambda_torque: vec![0.0; primal.s.len()],
+            primal,
             bound_x,
             bound_s,
             bound_t,
@@ -266,65 +288,52 @@ impl<'a> NlpSolver<'a> {
     }
 
     fn residuals(&mut self, p: &Primal) -> Residuals {
-        let (half_h, n) = (0.5 * p.h(), p.intervals());
-        let mut f: Vec<State> = Vec::with_capacity(n + 1);
-        let mut torque = Vec::with_capacity(n + 1);
+        let (sizes, n) = (p.sizes, p.intervals());
+        let half_h = 0.5 * p.h();
+        let mut defects = Slab::<States>::zeros(sizes, n, 1);
+        let mut torque = Vec::with_capacity(p.s.len());
+        let mut last: Option<(State, State)> = None;
         for k in 0..=n {
-            let (x, u) = p.knot(self.problem.sizes(), k);
-            let (f_k, tau) = self.problem.knot(&x, &u, &mut self.work);
-            f.push(vector(&f_k));
-            torque.push((vector(&tau) - self.torque_centre).component_div(&self.torque_half) - p.s[k]);
+            let (x, u) = (p.x(k), p.u(k));
+            let (f, tau) = self.problem.knot(&x, &u, &mut self.work);
+            let tau = (tau - self.torque_centre).component_div(&self.torque_half);
+            torque.extend(tau.iter().zip(part(&p.s, k, sizes.actuated())).map(|(tau, s)| tau - s));
+            if let Some((last_x, last_f)) = last {
+                defects.set(k - 1, &(x - last_x - (last_f + f) * half_h));
+            }
+            last = Some((x, f));
         }
-        Residuals {
-            defects: (0..n).map(|k| p.x[k + 1] - p.x[k] - (f[k] + f[k + 1]) * half_h).collect(),
-            target: self
-                .problem
-                .target
-                .iter()
-                .map(|r| vector::<NX>(&r.coefficients).dot(&p.x[n]) - r.value)
-                .collect(),
-            torque,
-        }
+        let end = p.x(n);
+        let target = self.problem.target.iter().map(|row| row.residual(&end)).collect();
+        Residuals { defects, target, torque }
     }
 
     /// Barrier function of the primal variables.
     fn barrier_function(&self, p: &Primal) -> f64 {
-        let mut phi = self.problem.cost(p.t, p.intervals(), p.effort())
-            + self.bound_t.barrier(&Scalar::new(p.t), self.mu);
-        for (b, x) in self.bound_x.iter().zip(&p.x[1..]) {
-            phi += b.barrier(x, self.mu);
-        }
-        for (b, s) in self.bound_s.iter().zip(&p.s) {
-            phi += b.barrier(s, self.mu);
-        }
-        phi
+        self.problem.cost(p.t, p.intervals(), p.effort())
+            + self.bound_t.barrier(&[p.t], self.mu)
+            + self.bound_x.barrier(p.free_x(), self.mu)
+            + self.bound_s.barrier(&p.s, self.mu)
     }
 
     fn moved(&self, d: &Direction, alpha: f64) -> Primal {
         let mut p = self.primal.clone();
-        p.t += alpha * d.step.t;
-        for k in 0..p.x.len() {
-            p.x[k] += d.step.z[k].x() * alpha;
-            p.u[k] += d.step.z[k].u() * alpha;
-            p.s[k] += d.s[k] * alpha;
-        }
+        p.t += alpha * d.t;
+        add_scaled(&mut p.x, alpha, &d.x);
+        add_scaled(&mut p.u, alpha, &d.u);
+        add_scaled(&mut p.s, alpha, &d.s);
         p
     }
 
     /// Derivative of the barrier function along the primal step.
     fn slope(&self, d: &Direction) -> f64 {
-        let (h, r) = (self.primal.h(), self.problem.input_weight);
-        let t = Scalar::new(self.primal.t);
-        let mut slope = (self.objective_on_t() + self.bound_t.gradient(&t, self.mu)[0]) * d.step.t;
-        for k in 0..self.primal.x.len() {
-            slope += self.primal.u[k].dot(&d.step.z[k].u()) * (h * r);
-            slope += self.bound_s[k].gradient(&self.primal.s[k], self.mu).dot(&d.s[k]);
-            if k > 0 {
-                let dx = d.step.z[k].x();
-                slope += self.bound_x[k - 1].gradient(&self.primal.x[k], self.mu).dot(&dx);
-            }
-        }
-        slope
+        let p = &self.primal;
+        let effort: f64 = p.u.iter().zip(&d.u).map(|(u, du)| u * du).sum();
+        p.h() * self.problem.input_weight * effort
+            + self.objective_on_t() * d.t
+            + self.bound_t.slope(&[p.t], &[d.t], self.mu)
+            + self.bound_x.slope(p.free_x(), d.free_x(), self.mu)
+            + self.bound_s.slope(&p.s, &d.s, self.mu)
     }
 
     /// The solver's loop: check convergence, update the barrier, compute the search direction, find an acceptable trial point,
@@ -357,15 +366,9 @@ impl<'a> NlpSolver<'a> {
                 None => break (NlpStatus::Infeasible(self.blocking_limit()), stationarity),
             }
         };
-        let Primal { t, x, .. } = &self.primal;
-        let cost = self.problem.cost(*t, self.primal.intervals(), self.primal.effort());
-        let knots = (0..x.len()).map(|k| self.primal.knot(self.problem.sizes(), k));
+        let cost = self.problem.cost(self.primal.t, self.primal.intervals(), self.primal.effort());
         NlpSolution {
-            trajectory: Trajectory {
-                t_f: *t,
-                x: knots.clone().map(|(x, _)| x).collect(),
-                u: knots.map(|(_, u)| u).collect(),
-            },
+            trajectory: self.primal.trajectory(),
             status,
             cost,
             iterations,
@@ -511,17 +514,15 @@ impl<'a> NlpSolver<'a> {
     fn accept(&mut self, trial: TrialPoint) -> Residuals {
         let TrialPoint { primal, residuals, direction: d, alpha } = trial;
         self.primal = primal;
-        self.lambda.iter_mut().zip(&d.step.lambda).for_each(|(l, new)| *l += (new - *l) * alpha);
-        let targets = self.lambda_target.iter_mut().zip(&d.step.lambda_target);
-        targets.for_each(|(l, new)| *l += (new - *l) * alpha);
-        self.lambda_torque.iter_mut().zip(&d.lambda_torque).for_each(|(l, dl)| *l += dl * alpha);
-        for k in 0..self.primal.x.len() {
-            self.bound_s[k].advance(&self.primal.s[k], &d.bound_s[k], d.alpha.1, self.mu);
-            if k > 0 {
-                self.bound_x[k - 1].advance(&self.primal.x[k], &d.bound_x[k - 1], d.alpha.1, self.mu);
-            }
-        }
-        self.bound_t.advance(&Scalar::new(self.primal.t), &d.bound_t, d.alpha.1, self.mu);
+        let advance = |old: &mut [f64], new: &[f64]| {
+            old.iter_mut().zip(new).for_each(|(old, new)| *old += (new - *old) * alpha);
+        };
+        advance(self.lambda.as_mut_slice(), d.lambda.as_slice());
+        advance(&mut self.lambda_target, &d.lambda_target);
+        advance(&mut self.lambda_torque, &d.lambda_torque);
+        self.bound_x.advance(self.primal.free_x(), &d.bound_x, d.alpha.1, self.mu);
+        self.bound_s.advance(&self.primal.s, &d.bound_s, d.alpha.1, self.mu);
+        self.bound_t.advance(&[self.primal.t], &d.bound_t, d.alpha.1, self.mu);
         residuals
     }
 }

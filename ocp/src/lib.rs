@@ -8,8 +8,6 @@
 //! Nothing here reads files or settings, starts threads or sends anything.
 
 mod dims;
-mod fixed;
-mod fixed_kkt;
 pub mod interior_point;
 mod kernels;
 pub mod kkt;
@@ -19,7 +17,4 @@ pub mod problem;
 pub mod qp;
 #[cfg(test)]
 mod random;
-mod rows;
 pub mod slab;
-
-pub use fixed::{UnsupportedSizes, check_sizes};

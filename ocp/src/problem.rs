@@ -8,6 +8,7 @@ use upswing_trajectory::Trajectory;
 
 /// The form of the motor torque that is kept within its limits, with what its bounds need.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[expect(clippy::large_enum_variant, reason = "there is one of a problem")]
 pub enum TorqueConstraint {
     /// (9): the torque itself.
     Exact,

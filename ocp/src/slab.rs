@@ -1,5 +1,6 @@
 //! Vectors and matrices of all knots or intervals in one piece of memory.
 
+use crate::kernels::{dot, shift_add};
 use std::marker::PhantomData;
 use std::ops::Range;
 use upswing_model::{ActuatedVector, LARGEST_STATE, MOST_JOINTS, Sizes, Space, State, States, Vector};
@@ -54,7 +55,7 @@ impl KnotParts for KnotVector {
 }
 
 /// The vector of `values`, of which there are as many as the space has.
-fn entries<S: Space, const CAPACITY: usize>(sizes: Sizes, values: &[f64]) -> Vector<S, CAPACITY> {
+pub(crate) fn entries<S: Space, const CAPACITY: usize>(sizes: Sizes, values: &[f64]) -> Vector<S, CAPACITY> {
     let mut vector = Vector::zeros(sizes);
     vector.copy_from_slice(values);
     vector
@@ -209,6 +210,20 @@ impl Slab<Knots> {
     /// The part of u_k of the vector of panel `k`.
     pub fn u(&self, k: usize) -> ActuatedVector {
         entries(self.sizes, &self.vector(k)[self.sizes.state()..])
+    }
+
+    /// Adds to `out` the product of panel `k` and the vector `z`.
+    pub(crate) fn add_times(&self, k: usize, z: &[f64], out: &mut [f64]) {
+        for (out, row) in out.iter_mut().zip(self.panel(k).chunks_exact(self.stride())) {
+            *out += dot(z, row);
+        }
+    }
+
+    /// Adds to `out` the product of the transposed panel `k` and the vector `p`.
+    pub(crate) fn add_transposed_times(&self, k: usize, p: &[f64], out: &mut [f64]) {
+        for (p, row) in p.iter().zip(self.panel(k).chunks_exact(self.stride())) {
+            shift_add(out, *p, row);
+        }
     }
 
     /// The part of x_k of the vector of panel `k`, to be written.

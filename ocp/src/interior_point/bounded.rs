@@ -1,55 +1,66 @@
 //! Bounds with logarithmic barriers.
 
-use nalgebra::SVector;
-
 /// A vector with lower and upper bounds, their multipliers and their steps.
 #[derive(Clone, Debug)]
-pub(super) struct BoundedVector<const D: usize> {
-    pub(super) lower: SVector<f64, D>,
-    pub(super) upper: SVector<f64, D>,
-    pub(super) z_lower: SVector<f64, D>,
-    pub(super) z_upper: SVector<f64, D>,
+pub(super) struct BoundedVector {
+    pub(super) lower: Vec<f64>,
+    pub(super) upper: Vec<f64>,
+    pub(super) z_lower: Vec<f64>,
+    pub(super) z_upper: Vec<f64>,
 }
 
-impl<const D: usize> BoundedVector<D> {
+/// Steps of the multipliers of lower and upper bounds.
+pub(super) struct DualStep {
+    lower: Vec<f64>,
+    upper: Vec<f64>,
+}
+
+impl BoundedVector {
     /// Multipliers of a central point; `v` is moved inside by 1 % of the range where needed.
-    pub(super) fn new(
-        lower: SVector<f64, D>,
-        upper: SVector<f64, D>,
-        v: &mut SVector<f64, D>,
-        barrier: f64,
-    ) -> Self {
-        for i in 0..D {
+    pub(super) fn new(lower: Vec<f64>, upper: Vec<f64>, v: &mut [f64], mu: f64) -> Self {
+        for i in 0..v.len() {
             let push = (1e-2 * (upper[i] - lower[i])).min(1e-2 * lower[i].abs().max(1.0));
             v[i] = v[i].clamp(lower[i] + push, upper[i] - push);
         }
-        let mut b = Self { lower, upper, z_lower: lower, z_upper: upper };
-        b.z_lower = (*v - b.lower).map(|gap| barrier / gap);
-        b.z_upper = (b.upper - *v).map(|gap| barrier / gap);
-        b
+        let z_lower = (0..v.len()).map(|i| mu / (v[i] - lower[i])).collect();
+        let z_upper = (0..v.len()).map(|i| mu / (upper[i] - v[i])).collect();
+        Self { lower, upper, z_lower, z_upper }
     }
 
-    /// Diagonal of the barrier's second derivative, primal-dual.
-    pub(super) fn sigma(&self, v: &SVector<f64, D>) -> SVector<f64, D> {
-        self.z_lower.component_div(&(v - self.lower)) + self.z_upper.component_div(&(self.upper - v))
+    /// Number of entries.
+    pub(super) fn len(&self) -> usize {
+        self.lower.len()
     }
 
-    /// Gradient of the barrier.
-    pub(super) fn gradient(&self, v: &SVector<f64, D>, mu: f64) -> SVector<f64, D> {
-        SVector::from_fn(|i, _| mu / (self.upper[i] - v[i]) - mu / (v[i] - self.lower[i]))
+    /// Entry i of the diagonal of the barrier's second derivative, primal-dual.
+    #[inline(always)]
+    pub(super) fn sigma(&self, i: usize, v: f64) -> f64 {
+        self.z_lower[i] / (v - self.lower[i]) + self.z_upper[i] / (self.upper[i] - v)
+    }
+
+    /// Entry i of the gradient of the barrier.
+    #[inline(always)]
+    pub(super) fn gradient(&self, i: usize, v: f64, mu: f64) -> f64 {
+        mu / (self.upper[i] - v) - mu / (v - self.lower[i])
+    }
+
+    /// Derivative of the barrier along the step `dv`.
+    pub(super) fn slope(&self, v: &[f64], dv: &[f64], mu: f64) -> f64 {
+        (0..v.len()).map(|i| self.gradient(i, v[i], mu) * dv[i]).sum()
     }
 
     /// Value of the barrier; infinite outside the bounds.
-    pub(super) fn barrier(&self, v: &SVector<f64, D>, mu: f64) -> f64 {
-        /// Logarithms are slow: one is taken of a product of gaps, before that can underflow.
+    pub(super) fn barrier(&self, v: &[f64], mu: f64) -> f64 {
+        /// Logarithms are slow: one is taken of a product of gaps, before that can underflow or overflow.
         const SMALL: f64 = 1e-200;
+        const LARGE: f64 = 1e200;
         let (mut sum, mut product) = (0.0, 1.0);
-        for i in 0..D {
+        for i in 0..v.len() {
             let (low, high) = (v[i] - self.lower[i], self.upper[i] - v[i]);
             if !(low > 0.0 && high > 0.0) {
                 return f64::INFINITY;
             }
-            if product < SMALL {
+            if !(SMALL..LARGE).contains(&product) {
                 sum += f64::ln(product);
                 product = 1.0;
             }
@@ -59,62 +70,43 @@ impl<const D: usize> BoundedVector<D> {
     }
 
     /// Steps of the multipliers that belong to the step `dv`.
-    pub(super) fn dual_step(
-        &self,
-        v: &SVector<f64, D>,
-        dv: &SVector<f64, D>,
-        mu: f64,
-    ) -> (SVector<f64, D>, SVector<f64, D>) {
-        let lower = SVector::from_fn(|i, _| {
+    pub(super) fn dual_step(&self, v: &[f64], dv: &[f64], mu: f64) -> DualStep {
+        let lower = |i: usize| {
             let gap = v[i] - self.lower[i];
             mu / gap - self.z_lower[i] - self.z_lower[i] / gap * dv[i]
-        });
-        let upper = SVector::from_fn(|i, _| {
+        };
+        let upper = |i: usize| {
             let gap = self.upper[i] - v[i];
             mu / gap - self.z_upper[i] + self.z_upper[i] / gap * dv[i]
-        });
-        (lower, upper)
+        };
+        DualStep { lower: (0..v.len()).map(lower).collect(), upper: (0..v.len()).map(upper).collect() }
     }
 
     /// Largest fractions of the steps that keep `share` of the distance to the bounds: (primal, dual).
-    pub(super) fn to_boundary(
-        &self,
-        v: &SVector<f64, D>,
-        dv: &SVector<f64, D>,
-        dz: &(SVector<f64, D>, SVector<f64, D>),
-        share: f64,
-    ) -> (f64, f64) {
+    pub(super) fn to_boundary(&self, v: &[f64], dv: &[f64], dz: &DualStep, share: f64) -> (f64, f64) {
         let (mut primal, mut dual) = (1.0_f64, 1.0_f64);
         let limit = |gap: f64, rate: f64| if rate < 0.0 { -share * gap / rate } else { f64::INFINITY };
-        for i in 0..D {
+        for i in 0..v.len() {
             primal = primal.min(limit(v[i] - self.lower[i], dv[i])).min(limit(self.upper[i] - v[i], -dv[i]));
-            dual = dual.min(limit(self.z_lower[i], dz.0[i])).min(limit(self.z_upper[i], dz.1[i]));
+            dual = dual.min(limit(self.z_lower[i], dz.lower[i])).min(limit(self.z_upper[i], dz.upper[i]));
         }
         (primal, dual)
     }
 
     /// Moves the multipliers and keeps them near those of a central point.
-    pub(super) fn advance(
-        &mut self,
-        v: &SVector<f64, D>,
-        dz: &(SVector<f64, D>, SVector<f64, D>),
-        alpha: f64,
-        mu: f64,
-    ) {
+    pub(super) fn advance(&mut self, v: &[f64], dz: &DualStep, alpha: f64, mu: f64) {
         /// Largest ratio of a multiplier to mu / gap, and its inverse.
         const KAPPA: f64 = 1e10;
-        self.z_lower += dz.0 * alpha;
-        self.z_upper += dz.1 * alpha;
-        for i in 0..D {
+        for i in 0..v.len() {
             let (low, high) = (mu / (v[i] - self.lower[i]), mu / (self.upper[i] - v[i]));
-            self.z_lower[i] = self.z_lower[i].clamp(low / KAPPA, low * KAPPA);
-            self.z_upper[i] = self.z_upper[i].clamp(high / KAPPA, high * KAPPA);
+            self.z_lower[i] = (self.z_lower[i] + alpha * dz.lower[i]).clamp(low / KAPPA, low * KAPPA);
+            self.z_upper[i] = (self.z_upper[i] + alpha * dz.upper[i]).clamp(high / KAPPA, high * KAPPA);
         }
     }
 
     /// Largest |z gap - mu|.
-    pub(super) fn complementarity(&self, v: &SVector<f64, D>, mu: f64) -> f64 {
-        (0..D)
+    pub(super) fn complementarity(&self, v: &[f64], mu: f64) -> f64 {
+        (0..v.len())
             .map(|i| {
                 let low = (self.z_lower[i] * (v[i] - self.lower[i]) - mu).abs();
                 low.max((self.z_upper[i] * (self.upper[i] - v[i]) - mu).abs())
@@ -123,6 +115,6 @@ impl<const D: usize> BoundedVector<D> {
     }
 
     pub(super) fn multiplier_sum(&self) -> f64 {
-        self.z_lower.sum() + self.z_upper.sum()
+        self.z_lower.iter().sum::<f64>() + self.z_upper.iter().sum::<f64>()
     }
 }

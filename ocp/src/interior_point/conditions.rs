@@ -1,9 +1,9 @@
 //! How far an iterate is from the conditions of an optimum, and which limit is in its way.
 
 use super::newton::LinearSystem;
-use super::{BoundedVector, Limit, NlpSolver, Scalar};
-use crate::fixed::{NU, NX};
-use crate::fixed_kkt::KnotParts;
+use super::{BoundedVector, Limit, NlpSolver, part};
+use crate::kkt::Kkt;
+use crate::slab::KnotVector;
 use upswing_model::LimitKind;
 
 /// Multipliers up to this mean size leave the residuals unscaled.
@@ -13,66 +13,69 @@ impl NlpSolver<'_> {
     /// Largest residual of the stationarity conditions, scaled by the size of the multipliers.
     pub(super) fn stationarity(&self, linear: &mut LinearSystem) -> f64 {
         let LinearSystem { kkt, torque, rhs, .. } = linear;
+        let Kkt { h, dynamics, target, .. } = kkt;
+        let (n, sizes) = (self.primal.intervals(), self.primal.sizes);
+        let (state, actuated) = (sizes.state(), sizes.actuated());
         let g_t = self.objective_gradient(&mut rhs.g);
-        let mut worst = 0.0_f64;
         let mut on_t = g_t - self.bound_t.z_lower[0] + self.bound_t.z_upper[0];
-        let n = self.primal.intervals();
+        let mut worst = 0.0_f64;
+        let mut by_defects = KnotVector::zeros(sizes);
         for k in 0..=n {
             let w = self.defect_multiplier(k);
-            let mut grad = rhs.g[k] - kkt.dynamics[k].apply_transposed(&w) * (0.5 * kkt.h);
-            on_t -= w.dot(&kkt.dynamics[k].f) * (0.5 / n as f64);
-            for i in 0..NX {
-                if k > 0 {
-                    grad[i] += self.lambda[k - 1][i];
+            on_t -= w.dot(&dynamics.f.state(k)) * (0.5 / n as f64);
+            dynamics.apply_transposed(k, &w, &mut by_defects);
+            torque.add_transposed_times(k, part(&self.lambda_torque, k, actuated), rhs.g.vector_mut(k));
+            let g = rhs.g.vector_mut(k);
+            for (g, by_defects) in g.iter_mut().zip(by_defects.iter()) {
+                *g -= by_defects * (0.5 * *h);
+            }
+            if k == 0 {
+                // x_0 is given: only u_0 has a condition.
+                g[..state].fill(0.0);
+            } else {
+                let before = self.lambda.vector(k - 1);
+                let (lower, upper) =
+                    (part(&self.bound_x.z_lower, k - 1, state), part(&self.bound_x.z_upper, k - 1, state));
+                for i in 0..state {
+                    g[i] += before[i] + upper[i] - lower[i];
                 }
                 if k < n {
-                    grad[i] -= self.lambda[k][i];
-                }
-            }
-            if k == n {
-                for (row, m) in kkt.target.iter().zip(&self.lambda_target) {
-                    for i in 0..NX {
-                        grad[i] += row.coefficients[i] * m;
+                    let after = self.lambda.vector(k);
+                    (0..state).for_each(|i| g[i] -= after[i]);
+                } else {
+                    for (row, m) in target.iter().zip(&self.lambda_target) {
+                        (0..state).for_each(|i| g[i] += row.coefficients[i] * m);
                     }
                 }
             }
-            grad += torque[k] * self.lambda_torque[k];
-            let b = &self.bound_s[k];
-            worst = worst.max((-self.lambda_torque[k] - b.z_lower + b.z_upper).amax());
-            if k > 0 {
-                let b = &self.bound_x[k - 1];
-                for i in 0..NX {
-                    grad[i] += b.z_upper[i] - b.z_lower[i];
-                }
-                worst = worst.max(grad.amax());
-            } else {
-                // x_0 is given: only u_0 has a condition.
-                worst = worst.max(grad.u().amax());
-            }
+            worst = g.iter().fold(worst, |worst, g| worst.max(g.abs()));
         }
-        let equalities: f64 = self.lambda_torque.iter().map(|y| y.lp_norm(1)).sum::<f64>()
-            + self.lambda.iter().map(|l| l.lp_norm(1)).sum::<f64>();
+        let b = &self.bound_s;
+        for (i, lambda) in self.lambda_torque.iter().enumerate() {
+            worst = worst.max((-lambda - b.z_lower[i] + b.z_upper[i]).abs());
+        }
+        let sum = |v: &[f64]| v.iter().map(|v| v.abs()).sum::<f64>();
+        let equalities = sum(&self.lambda_torque) + sum(self.lambda.as_slice());
         let count = 1.5 * self.bounds();
         worst.max(on_t.abs()) / ((self.multiplier_sum() + equalities) / count).max(S_MAX) * S_MAX
     }
 
     /// Largest |z gap - mu| of all bounds, scaled by the size of their multipliers.
     pub(super) fn complementarity(&self, mu: f64) -> f64 {
-        let t = self.bound_t.complementarity(&Scalar::new(self.primal.t), mu);
-        let x = self.bound_x.iter().zip(&self.primal.x[1..]).map(|(b, x)| b.complementarity(x, mu));
-        let s = self.bound_s.iter().zip(&self.primal.s).map(|(b, s)| b.complementarity(s, mu));
-        x.chain(s).fold(t, f64::max) / (self.multiplier_sum() / self.bounds()).max(S_MAX) * S_MAX
+        let t = self.bound_t.complementarity(&[self.primal.t], mu);
+        let x = self.bound_x.complementarity(self.primal.free_x(), mu);
+        let s = self.bound_s.complementarity(&self.primal.s, mu);
+        t.max(x).max(s) / (self.multiplier_sum() / self.bounds()).max(S_MAX) * S_MAX
     }
 
     /// Number of bounds of states and slacks.
     fn bounds(&self) -> f64 {
-        (2 * (self.bound_x.len() * NX + self.bound_s.len() * NU)) as f64
+        (2 * (self.bound_x.len() + self.bound_s.len())) as f64
     }
 
     /// Sum of the multipliers of the bounds of states and slacks.
     fn multiplier_sum(&self) -> f64 {
-        let x: f64 = self.bound_x.iter().map(BoundedVector::multiplier_sum).sum();
-        x + self.bound_s.iter().map(BoundedVector::multiplier_sum).sum::<f64>()
+        self.bound_x.multiplier_sum() + self.bound_s.multiplier_sum()
     }
 
     /// The limit with the largest multiplier, as a share of its range: at a point where the constraints contradict
@@ -85,18 +88,15 @@ impl NlpSolver<'_> {
                 worst = (pull, Limit { kind, joint, time: knot as f64 * h });
             }
         };
-        for (k, b) in self.bound_x.iter().enumerate() {
-            for i in 0..NX {
-                let pull = b.z_lower[i].max(b.z_upper[i]) * (b.upper[i] - b.lower[i]);
-                let (kind, joint) = LimitKind::of_row(i, self.problem.sizes());
-                consider(pull, kind, joint, k + 1);
-            }
+        let sizes = self.primal.sizes;
+        let pull = |b: &BoundedVector, i: usize| b.z_lower[i].max(b.z_upper[i]) * (b.upper[i] - b.lower[i]);
+        for i in 0..self.bound_x.len() {
+            let (kind, joint) = LimitKind::of_row(i % sizes.state(), sizes);
+            consider(pull(&self.bound_x, i), kind, joint, 1 + i / sizes.state());
         }
-        for (k, b) in self.bound_s.iter().enumerate() {
-            for i in 0..NU {
-                let pull = b.z_lower[i].max(b.z_upper[i]) * (b.upper[i] - b.lower[i]);
-                consider(pull, LimitKind::Torque, i, k);
-            }
+        for i in 0..self.bound_s.len() {
+            let (knot, joint) = (i / sizes.actuated(), i % sizes.actuated());
+            consider(pull(&self.bound_s, i), LimitKind::Torque, joint, knot);
         }
         worst.1
     }

@@ -1,13 +1,10 @@
 //! The linear system of an iteration, its factorisation and the step that it gives.
 
-use super::{NlpSolver, Residuals, Scalar};
-use crate::fixed::{ActuatedVector, N_UNACTUATED, NU, NX, NZ, State, vector};
-use crate::fixed_kkt::{
-    Factor, Kkt, KnotDynamics, KnotMatrix, KnotParts, KnotVector, NewtonStep, Rhs, SolveWorkspace,
-};
-use crate::kkt::{Dynamics, TargetRow};
-use nalgebra::SMatrix;
-use upswing_model::{Dims, Sizes};
+use super::bounded::DualStep;
+use super::{BoundedVector, NlpSolver, Residuals, part};
+use crate::kkt::{Factor, Kkt, NewtonStep, Rhs, SolveWorkspace, TargetRow};
+use crate::slab::{Knots, Slab};
+use upswing_model::{ActuatedVector, Sizes, State, States, UnactuatedVector};
 
 /// Of the linear solves: each refinement gains several digits; more than this many means there is nothing left to
 /// gain, and so does a residual this small against the right-hand side.
@@ -17,29 +14,40 @@ const ACCURACY: f64 = 1e-12;
 /// Inputs are ten times larger than angles and velocities: their damping is smaller by the square of it.
 const INPUT_DAMPING: f64 = 1e-2;
 
-/// Gradients of the torques tau_k with respect to z_k in units of the slacks, one column for each motor.
-type TorqueGradients = SMatrix<f64, NZ, NU>;
-
-/// Full primal-dual step.
+/// Full primal-dual step: entries of all knots, as in the iterate.
 pub(super) struct Direction {
-    pub(super) step: NewtonStep,
-    /// Damping of the factorisation that gave it.
-    pub(super) damping: f64,
-    pub(super) s: Vec<ActuatedVector>,
-    /// Step of lambda_torque.
-    pub(super) lambda_torque: Vec<ActuatedVector>,
-    pub(super) bound_x: Vec<(State, State)>,
-    pub(super) bound_s: Vec<(ActuatedVector, ActuatedVector)>,
-    pub(super) bound_t: (Scalar, Scalar),
+    sizes: Sizes,
+    pub(super) t: f64,
+    pub(super) x: Vec<f64>,
+    pub(super) u: Vec<f64>,
+    pub(super) s: Vec<f64>,
+    /// Multipliers after a full step.
+    pub(super) lambda: Slab<States>,
+    pub(super) lambda_target: Vec<f64>,
+    pub(super) lambda_torque: Vec<f64>,
+    pub(super) bound_x: DualStep,
+    pub(super) bound_s: DualStep,
+    pub(super) bound_t: DualStep,
     /// Largest fractions to the boundary.
     pub(super) alpha: (f64, f64),
+    /// Damping of the factorisation that gave it.
+    pub(super) damping: f64,
+}
+
+impl Direction {
+    /// The step of x_1..x_N.
+    pub(super) fn free_x(&self) -> &[f64] {
+        &self.x[self.sizes.state()..]
+    }
 }
 
 /// The linear system of an iteration and the memory to solve it, made once.
 pub(super) struct LinearSystem {
     pub(super) kkt: Kkt,
-    dynamics: Dynamics,
-    pub(super) torque: Vec<TorqueGradients>,
+    /// Jacobians of the torques tau_k with respect to z_k in units of the slacks.
+    pub(super) torque: Slab<Knots>,
+    /// Memory for one of them.
+    scaled: Slab<Knots>,
     pub(super) factor: Factor,
     pub(super) rhs: Rhs,
     pub(super) work: SolveWorkspace,
@@ -47,24 +55,14 @@ pub(super) struct LinearSystem {
 
 impl LinearSystem {
     pub(super) fn new(sizes: Sizes, target: &[TargetRow], n: usize) -> Self {
-        let kkt = Kkt {
-            h: 0.0,
-            hessian: vec![KnotMatrix::zeros(); n + 1],
-            with_t: vec![KnotVector::zeros(); n + 1],
-            t_t: 0.0,
-            dynamics: vec![KnotDynamics::zeros(); n + 1],
-            target: target.to_vec(),
-        };
-        let rhs = kkt.zero_rhs();
-        let work = SolveWorkspace::new(n, target.len());
-        let dynamics = Dynamics::zeros(sizes, n);
+        let kkt = Kkt::zeros(sizes, n, target);
         Self {
+            rhs: kkt.zero_rhs(),
             kkt,
-            dynamics,
-            torque: vec![TorqueGradients::zeros(); n + 1],
-            factor: Factor::new(n),
-            rhs,
-            work,
+            torque: Slab::zeros(sizes, n + 1, sizes.actuated()),
+            scaled: Slab::zeros(sizes, 1, sizes.actuated()),
+            factor: Factor::new(sizes, n),
+            work: SolveWorkspace::new(sizes, n, target.len()),
         }
     }
 }
@@ -72,56 +70,54 @@ impl LinearSystem {
 impl NlpSolver<'_> {
     /// Multiplier sum w_k = lambda_{k-1} + lambda_k of the defects at knot k.
     pub(super) fn defect_multiplier(&self, k: usize) -> State {
-        let mut w = State::zeros();
+        let mut w = State::zeros(self.primal.sizes);
         if k > 0 {
-            w += self.lambda[k - 1];
+            w += self.lambda.state(k - 1);
         }
         if k < self.primal.intervals() {
-            w += self.lambda[k];
+            w += self.lambda.state(k);
         }
         w
     }
 
-    /// Sets the matrix (without barrier and torque terms) and the torques' gradients to those of the current point.
+    /// Sets the matrix (without barrier and torque terms) and the torques' Jacobians to those of the current point.
     pub(super) fn linearise(&mut self, linear: &mut LinearSystem) {
-        let (h, n) = (self.primal.h(), self.primal.intervals());
+        let (h, n, sizes) = (self.primal.h(), self.primal.intervals(), self.primal.sizes);
+        let (state, actuated) = (sizes.state(), sizes.actuated());
         let r = self.problem.input_weight;
-        let sizes = self.problem.sizes();
-        let kkt = &mut linear.kkt;
-        kkt.h = h;
-        kkt.t_t = 0.0;
+        let Kkt { hessian, with_t, dynamics, .. } = &mut linear.kkt;
         for k in 0..=n {
-            let (x, u) = self.primal.knot(sizes, k);
-            let w = self.defect_multiplier(k);
-            let w_u =
-                upswing_model::UnactuatedVector::from_fn(sizes, |i| w[NX - N_UNACTUATED + i] * (-0.5 * h));
-            let mu = self.lambda_torque[k].component_div(&self.torque_half);
-            let mu = upswing_model::ActuatedVector::from_fn(sizes, |i| mu[i]);
-            let (derivatives, hessian) = (&mut self.derivatives, &mut self.hessian);
-            self.problem.knot_derivatives(&x, &u, &w_u, &mu, &mut self.work, derivatives, hessian);
-            let rows = hessian.chunks_exact(sizes.knot_row());
-            // Symmetric: rows are columns.
-            let columns = kkt.hessian[k].as_mut_slice().chunks_exact_mut(NZ);
-            columns.zip(rows).for_each(|(column, row)| column.copy_from_slice(&row[..NZ]));
-            linear.dynamics.set(k, &derivatives.dynamics, &x, &u);
-            kkt.dynamics[k] = KnotDynamics::of(&linear.dynamics, k);
-            let with_t = &mut kkt.with_t[k];
-            *with_t = kkt.dynamics[k].apply_transposed(&w) * (-0.5 / n as f64);
-            for i in 0..NU {
-                kkt.hessian[k][(NX + i, NX + i)] += h * r;
-                with_t[NX + i] += r * u[i] / n as f64;
-                let tau = derivatives.torque().tau(i);
-                linear.torque[k].set_column(i, &(vector::<NZ>(tau) / self.torque_half[i]));
+            let (x, u, w) = (self.primal.x(k), self.primal.u(k), self.defect_multiplier(k));
+            let w_u: UnactuatedVector = w.qd_u() * (-0.5 * h);
+            let lambda = part(&self.lambda_torque, k, actuated);
+            let mu = ActuatedVector::from_fn(sizes, |i| lambda[i] / self.torque_half[i]);
+            let (work, derivatives) = (&mut self.work, &mut self.derivatives);
+            self.problem.knot_derivatives(&x, &u, &w_u, &mu, work, derivatives, hessian.panel_mut(k));
+            dynamics.set(k, &derivatives.dynamics, &x, &u);
+            let with_t = with_t.vector_mut(k);
+            dynamics.apply_transposed(k, &w, with_t);
+            with_t.iter_mut().for_each(|v| *v *= -0.5 / n as f64);
+            for i in 0..actuated {
+                hessian.row_mut(k, state + i)[state + i] += h * r;
+                with_t[state + i] += r * u[i] / n as f64;
+                let row = linear.torque.row_mut(k, i);
+                for (out, tau) in row.iter_mut().zip(derivatives.torque().tau(i)) {
+                    *out = tau / self.torque_half[i];
+                }
             }
         }
+        linear.kkt.h = h;
+        linear.kkt.t_t = 0.0;
     }
 
     /// Gradient of the objective: with respect to z_k into `g`; that with respect to t_F is returned.
-    pub(super) fn objective_gradient(&self, g: &mut [KnotVector]) -> f64 {
-        let (h, r) = (self.primal.h(), self.problem.input_weight);
-        for (g, u) in g.iter_mut().zip(self.primal.u.iter()) {
-            g.fill(0.0);
-            g.u_mut().copy_from(&(u * (h * r)));
+    pub(super) fn objective_gradient(&self, g: &mut Slab<Knots>) -> f64 {
+        let p = &self.primal;
+        let factor = p.h() * self.problem.input_weight;
+        g.clear();
+        for k in 0..=p.intervals() {
+            let u = part(&p.u, k, p.sizes.actuated());
+            g.u_mut(k).iter_mut().zip(u).for_each(|(g, u)| *g = u * factor);
         }
         self.objective_on_t()
     }
@@ -134,39 +130,35 @@ impl NlpSolver<'_> {
 
     /// Adds barrier and torque terms to the matrix.
     pub(super) fn condense(&self, linear: &mut LinearSystem) {
-        linear.kkt.t_t += self.bound_t.sigma(&Scalar::new(self.primal.t))[0];
-        for k in 0..self.primal.x.len() {
-            let hessian = &mut linear.kkt.hessian[k];
-            if k > 0 {
-                let sigma = self.bound_x[k - 1].sigma(&self.primal.x[k]);
-                for i in 0..NX {
-                    hessian[(i, i)] += sigma[i];
-                }
-            }
-            let sigma = self.bound_s[k].sigma(&self.primal.s[k]);
-            for (gradient, sigma) in linear.torque[k].column_iter().zip(&sigma) {
-                hessian.ger(*sigma, &gradient, &gradient, 1.0);
-            }
+        let p = &self.primal;
+        let (state, actuated) = (p.sizes.state(), p.sizes.actuated());
+        linear.kkt.t_t += self.bound_t.sigma(0, p.t);
+        for (i, x) in p.free_x().iter().enumerate() {
+            let (k, row) = (1 + i / state, i % state);
+            linear.kkt.hessian.row_mut(k, row)[row] += self.bound_x.sigma(i, *x);
+        }
+        let sigma: Vec<f64> = p.s.iter().enumerate().map(|(i, s)| self.bound_s.sigma(i, *s)).collect();
+        let LinearSystem { kkt, torque, scaled, .. } = linear;
+        for k in 0..=p.intervals() {
+            kkt.add_products(k, torque, part(&sigma, k, actuated), scaled);
         }
     }
 
     fn right_hand_side(&self, linear: &mut LinearSystem, c: &Residuals) {
-        let rhs = &mut linear.rhs;
-        rhs.g_t = self.objective_gradient(&mut rhs.g)
-            + self.bound_t.gradient(&Scalar::new(self.primal.t), self.mu)[0];
-        rhs.defects.copy_from_slice(&c.defects);
+        let LinearSystem { torque, rhs, .. } = linear;
+        let p = &self.primal;
+        let (state, actuated) = (p.sizes.state(), p.sizes.actuated());
+        rhs.g_t = self.objective_gradient(&mut rhs.g) + self.bound_t.gradient(0, p.t, self.mu);
+        rhs.defects.copy_from(&c.defects);
         rhs.target.copy_from_slice(&c.target);
-        for k in 0..self.primal.x.len() {
-            if k > 0 {
-                let barrier = self.bound_x[k - 1].gradient(&self.primal.x[k], self.mu);
-                for i in 0..NX {
-                    rhs.g[k][i] += barrier[i];
-                }
-            }
-            let sigma = self.bound_s[k].sigma(&self.primal.s[k]);
-            let pull =
-                sigma.component_mul(&c.torque[k]) + self.bound_s[k].gradient(&self.primal.s[k], self.mu);
-            rhs.g[k] += linear.torque[k] * pull;
+        for (i, x) in p.free_x().iter().enumerate() {
+            rhs.g.vector_mut(1 + i / state)[i % state] += self.bound_x.gradient(i, *x, self.mu);
+        }
+        let b = &self.bound_s;
+        let pull = |(i, s): (usize, &f64)| b.sigma(i, *s) * c.torque[i] + b.gradient(i, *s, self.mu);
+        let pull: Vec<f64> = p.s.iter().enumerate().map(pull).collect();
+        for k in 0..=p.intervals() {
+            torque.add_transposed_times(k, part(&pull, k, actuated), rhs.g.vector_mut(k));
         }
     }
 
@@ -174,42 +166,48 @@ impl NlpSolver<'_> {
     pub(super) fn direction(&self, linear: &mut LinearSystem, damping: f64, c: &Residuals) -> Direction {
         self.right_hand_side(linear, c);
         let LinearSystem { kkt, torque, factor, rhs, work, .. } = linear;
-        let n = self.primal.intervals();
-        let mut step = NewtonStep::zeros(n, kkt.target.len());
-        kkt.solve_into(
-            factor,
-            rhs,
-            (damping, damping * INPUT_DAMPING),
-            (REFINEMENTS, ACCURACY),
-            work,
-            &mut step,
-        );
+        let p = &self.primal;
+        let (sizes, n) = (p.sizes, p.intervals());
+        let mut step = NewtonStep::zeros(sizes, n, kkt.target.len());
+        let dampings = (damping, damping * INPUT_DAMPING);
+        kkt.solve_into(factor, rhs, dampings, (REFINEMENTS, ACCURACY), work, &mut step);
+        let (mut x, mut u, mut s) = (p.x.clone(), p.u.clone(), c.torque.clone());
+        for k in 0..=n {
+            let (dx, du) = step.z.vector(k).split_at(sizes.state());
+            x[k * dx.len()..][..dx.len()].copy_from_slice(dx);
+            u[k * du.len()..][..du.len()].copy_from_slice(du);
+            torque.add_times(k, step.z.vector(k), &mut s[k * du.len()..][..du.len()]);
+        }
+        let b = &self.bound_s;
+        let multiplier = |i: usize| b.sigma(i, p.s[i]) * s[i] + b.gradient(i, p.s[i], self.mu);
+        let lambda_torque = (0..s.len()).map(multiplier).collect();
         let share = (1.0 - self.mu).max(0.99);
         let mut alpha = (1.0_f64, 1.0_f64);
-        let mut shorten = |a: (f64, f64)| alpha = (alpha.0.min(a.0), alpha.1.min(a.1));
-        let (mut s, mut lambda_torque) = (Vec::with_capacity(n + 1), Vec::with_capacity(n + 1));
-        let (mut bound_x, mut bound_s) = (Vec::with_capacity(n), Vec::with_capacity(n + 1));
-        for k in 0..self.primal.x.len() {
-            let (b, v) = (&self.bound_s[k], &self.primal.s[k]);
-            let ds = torque[k].tr_mul(&step.z[k]) + c.torque[k];
-            let new_lambda = b.sigma(v).component_mul(&ds) + b.gradient(v, self.mu);
-            let dz = b.dual_step(v, &ds, self.mu);
-            shorten(b.to_boundary(v, &ds, &dz, share));
-            lambda_torque.push(new_lambda - self.lambda_torque[k]);
-            s.push(ds);
-            bound_s.push(dz);
-            if k > 0 {
-                let (b, v) = (&self.bound_x[k - 1], &self.primal.x[k]);
-                let dx: State = step.z[k].x().into();
-                let dz = b.dual_step(v, &dx, self.mu);
-                shorten(b.to_boundary(v, &dx, &dz, share));
-                bound_x.push(dz);
-            }
+        let mut dual_step = |b: &BoundedVector, v: &[f64], dv: &[f64]| {
+            let dz = b.dual_step(v, dv, self.mu);
+            let to_boundary = b.to_boundary(v, dv, &dz, share);
+            alpha = (alpha.0.min(to_boundary.0), alpha.1.min(to_boundary.1));
+            dz
+        };
+        let bound_x = dual_step(&self.bound_x, p.free_x(), &x[sizes.state()..]);
+        let bound_s = dual_step(&self.bound_s, &p.s, &s);
+        let bound_t = dual_step(&self.bound_t, &[p.t], &[step.t]);
+        let NewtonStep { t, lambda, lambda_target, .. } = step;
+        Direction {
+            sizes,
+            t,
+            x,
+            u,
+            s,
+            lambda,
+            lambda_target,
+            lambda_torque,
+            bound_x,
+            bound_s,
+            bound_t,
+            alpha,
+            damping,
         }
-        let (t, dt) = (Scalar::new(self.primal.t), Scalar::new(step.t));
-        let bound_t = self.bound_t.dual_step(&t, &dt, self.mu);
-        shorten(self.bound_t.to_boundary(&t, &dt, &bound_t, share));
-        Direction { step, s, lambda_torque, damping, bound_x, bound_s, bound_t, alpha }
     }
 
     /// Factorises with as little damping as gives the right inertia, at least `least`: that damping.

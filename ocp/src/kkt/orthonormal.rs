@@ -1,6 +1,6 @@
 //! The rows of the target condition, orthonormal.
 
-use super::TargetRow;
+use super::{DependentTargetRow, TargetRow};
 use crate::kernels::{dot, shift_add};
 use upswing_model::Dims;
 
@@ -24,16 +24,20 @@ impl OrthonormalTarget {
         Self { rows: vec![0.0; most * d.state_row()], lower: vec![0.0; most * (most + 1) / 2], count: 0 }
     }
 
-    /// Decomposes `target`; `false` if its rows depend on each other.
-    pub(super) fn set(&mut self, d: impl Dims, target: &[TargetRow]) -> bool {
+    /// Decomposes `target`.
+    ///
+    /// # Errors
+    /// [`DependentTargetRow`] with the first row that depends on the rows before it.
+    pub(super) fn set(&mut self, d: impl Dims, target: &[TargetRow]) -> Result<(), DependentTargetRow> {
         /// Least share of a row that the rows before it do not span.
         const INDEPENDENT: f64 = 1e-8;
         let row = d.state_row();
         self.count = target.len();
-        if self.count > d.state() {
-            return false;
-        }
         for (i, target) in target.iter().enumerate() {
+            // There is no memory for more rows, nor can they be independent.
+            if i == d.state() {
+                return Err(DependentTargetRow { row: i });
+            }
             let (done, rest) = self.rows.split_at_mut(i * row);
             let q = &mut rest[..row];
             q.copy_from_slice(&target.coefficients.padded()[..row]);
@@ -46,14 +50,14 @@ impl OrthonormalTarget {
             let length = dot(q, q).sqrt();
             // A NaN is refused, too.
             if !(length > INDEPENDENT * before) {
-                return false;
+                return Err(DependentTargetRow { row: i });
             }
             lower[i] = length;
             for v in q {
                 *v /= length;
             }
         }
-        true
+        Ok(())
     }
 
     /// Q

@@ -102,7 +102,7 @@ kernels! {
         let (_, _, u) = places(d);
         let n = kkt.intervals();
         let half_h = 0.5 * kkt.h;
-        if !factor.target.set(d, &kkt.target) {
+        if factor.target.set(d, &kkt.target).is_err() {
             return false;
         }
         let hessian = |k: usize| &kkt.hessian.as_slice()[k * knot * row..][..knot * row];

@@ -1,7 +1,8 @@
 //! Rows of the target condition (8).
 
-use nalgebra::{DMatrix, DVector};
-use upswing_model::{Sizes, State};
+use super::orthonormal::OrthonormalTarget;
+use crate::kernels::combine;
+use upswing_model::{Dims, LARGEST_STATE, Sizes, State};
 
 /// One row of the target condition: `coefficients` . x_N = `value` (8).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,35 +49,25 @@ pub struct DependentTargetRow {
 /// # Errors
 /// [`DependentTargetRow`] with the first row that does.
 pub fn check_target_rows(rows: &[TargetRow]) -> Result<(), DependentTargetRow> {
-    /// Share of a row that has to be orthogonal to the rows before it.
-    const INDEPENDENT: f64 = 1e-8;
-    let Some(r) = triangle(rows) else { return Ok(()) };
-    let independent = |i: usize| i < r.nrows() && r[(i, i)].abs() > INDEPENDENT * rows[i].coefficients.norm();
-    match (0..rows.len()).find(|i| !independent(*i)) {
-        Some(row) => Err(DependentTargetRow { row }),
-        None => Ok(()),
-    }
+    let Some(first) = rows.first() else { return Ok(()) };
+    let sizes = first.coefficients.sizes();
+    OrthonormalTarget::new(sizes).set(sizes, rows)
 }
 
-/// The matrix T' of the coefficients, one column for each row of the target.
-fn transposed(rows: &[TargetRow]) -> Option<DMatrix<f64>> {
-    let state = rows.first()?.coefficients.len();
-    Some(DMatrix::from_fn(state, rows.len(), |i, j| rows[j].coefficients[i]))
-}
-
-/// R of T' = Q R.
-fn triangle(rows: &[TargetRow]) -> Option<DMatrix<f64>> {
-    transposed(rows).map(|t| t.qr().r())
-}
-
-/// The state closest to `x` that meets all rows, which do not depend on each other: x - T' (T T')^-1 (T x - b) by T' = Q R.
+/// The state closest to `x` that meets all rows; `x` if they depend on each other.
 pub(crate) fn nearest_state(rows: &[TargetRow], x: &State) -> State {
-    let Some(t) = transposed(rows) else { return *x };
-    let (q, r) = t.qr().unpack();
-    let residual = DVector::from_iterator(rows.len(), rows.iter().map(|row| row.residual(x)));
-    let Some(y) = r.tr_solve_upper_triangular(&residual) else { return *x };
-    let step = q * y;
-    State::from_fn(x.sizes(), |i| x[i] - step[i])
+    let sizes = x.sizes();
+    let mut target = OrthonormalTarget::new(sizes);
+    if target.set(sizes, rows).is_err() {
+        return *x;
+    }
+    // x - T' (T T')^-1 (T x - b) = x - Q' L^-1 (T x - b)
+    let (mut residual, mut step) = ([0.0; LARGEST_STATE], [0.0; LARGEST_STATE]);
+    let along: Vec<f64> = rows.iter().map(|row| row.residual(x)).collect();
+    target.forward(&along, &mut residual);
+    let length = sizes.state_row();
+    combine(&mut step[..length], rows.len(), &residual, 1, target.rows(sizes), length);
+    State::from_fn(sizes, |i| x[i] - step[i])
 }
 
 #[cfg(test)]
