@@ -19,7 +19,6 @@ use crate::offline::problem_fingerprint;
 use std::path::{Path, PathBuf};
 use upswing_config::{Config, GridSettings};
 use upswing_model::State;
-use upswing_ocp::UnsupportedSizes;
 use upswing_process::output::OutputError;
 use upswing_trajectory::{Certificate, Database, DatabaseError, DatabaseHeading, PoseOutcome, Trajectory};
 use xxhash_rust::xxh3::Xxh3;
@@ -52,9 +51,6 @@ impl std::str::FromStr for Shard {
 /// Error of a build, merge or verification of a database.
 #[derive(Debug, thiserror::Error)]
 pub enum BuildError {
-    /// The solvers do not serve a robot with these numbers of joints.
-    #[error(transparent)]
-    Sizes(#[from] UnsupportedSizes),
     /// A file cannot be read or written.
     #[error("cannot {action} {}: {cause}", path.display())]
     File {

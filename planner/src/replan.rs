@@ -25,7 +25,6 @@ use upswing_ocp::multistart::{self, Search};
 use upswing_ocp::problem::Problem;
 use upswing_ocp::qp::{Backend, Qp, QpOptions, QpSolution, QpSolver, QpStatus};
 use upswing_ocp::slab::Slab;
-use upswing_ocp::{UnsupportedSizes, check_sizes};
 use upswing_trajectory::{Database, DatabaseError, Entry, Gains, Margins, Trajectory, UnmetCriterion};
 
 /// Tolerance of each QP: a tenth of the defect that four linearisations reach.
@@ -94,9 +93,6 @@ pub enum PlannerError {
     /// The database cannot be read.
     #[error(transparent)]
     File(#[from] ConfigError),
-    /// The solvers do not serve a robot with these numbers of joints.
-    #[error(transparent)]
-    Sizes(#[from] UnsupportedSizes),
     /// The database cannot be used.
     #[error("{origin}: {cause}")]
     Database {
@@ -123,8 +119,7 @@ impl Planner {
     /// Creates a planner with the database of the settings.
     ///
     /// # Errors
-    /// [`PlannerError`] if the database is unreadable, damaged, or was made for another robot or other settings, or if the solvers
-    /// do not serve the robot.
+    /// [`PlannerError`] if the database is unreadable, damaged, or was made for another robot or other settings.
     pub fn new(config: Config) -> Result<Self, PlannerError> {
         let database = DatabaseFile::of(&config)?;
         Self::with_database(config, database)
@@ -135,7 +130,6 @@ impl Planner {
     /// # Errors
     /// As [`Self::new`].
     pub fn with_database(config: Config, database: DatabaseFile) -> Result<Self, PlannerError> {
-        check_sizes(config.model.sizes())?;
         let DatabaseFile { bytes, origin } = database;
         let decoded = Database::decode(&bytes)
             .and_then(|database| database.entries_for(&config.model, problem_fingerprint(&config)));

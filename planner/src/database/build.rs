@@ -16,7 +16,6 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 use upswing_config::{Config, GridSettings};
-use upswing_ocp::check_sizes;
 use upswing_ocp::interior_point::{NlpOptions, NlpStatus};
 use upswing_ocp::multistart::Search;
 use upswing_process::output::OutputFile;
@@ -55,7 +54,6 @@ pub fn build(
     stop: &AtomicBool,
     progress: impl Fn(usize) + Sync,
 ) -> Result<BuildSummary, BuildError> {
-    check_sizes(config.model.sizes())?;
     let heading = heading(config, shard);
     let lines = lines(&config.grid, shard);
     let poses = lines.iter().map(Vec::len).sum();
