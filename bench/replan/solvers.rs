@@ -10,7 +10,6 @@ use upswing_ocp::lqr;
 use upswing_ocp::qp::{Backend, Qp, QpOptions, QpSolver, QpStatus};
 use upswing_planner::offline::{lqr_weights, qp_weights};
 use upswing_planner::replan::{Effort, Planner, Replan};
-use upswing_trajectory::N;
 
 /// As in a replan (`planner/src/replan.rs`) but for a tenth of its complementarity, with which all solvers come equally
 /// close to the exact solution.
@@ -65,7 +64,8 @@ pub fn run(folder: &Path, count: u64) {
 /// The first QP of each replan.
 fn one_qp(planner: &Planner, starts: &[State], path: &Path) {
     let backends = [Backend::Structured, Backend::Clarabel];
-    let mut solvers = backends.map(|backend| QpSolver::new(backend, N));
+    let (sizes, intervals) = (planner.config().model.sizes(), planner.config().planner.offline.intervals);
+    let mut solvers = backends.map(|backend| QpSolver::new(backend, sizes, intervals));
     let mut file = QpFile::default();
     let mut infeasible = 0;
     for start in starts {
@@ -122,7 +122,8 @@ fn replans(planner: &Planner, starts: &[State]) {
         iterations.last().unwrap_or(&0)
     );
 
-    let (weights, ts) = (lqr_weights(&config.planner), config.daemon.cycle.period.seconds());
+    let (weights, ts) =
+        (lqr_weights(&config.planner, config.model.sizes()), config.daemon.cycle.period.seconds());
     let mut work = Workspace::default();
     let times: Vec<MeasuredTime> = plans
         .iter()

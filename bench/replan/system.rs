@@ -4,7 +4,7 @@ use crate::{config, print, starts};
 use std::time::{Duration, Instant};
 use upswing_config::Config;
 use upswing_ipc::operator::{Manoeuvre, OperatorRequest};
-use upswing_ipc::{Clock, PlannerRequest, PlannerResponse};
+use upswing_ipc::{Clock, PlannerKind, PlannerRequest, PlannerResponse};
 use upswing_model::State;
 use upswing_planner::database::DatabaseFile;
 use upswing_rig::session::{Role, Session};
@@ -14,7 +14,7 @@ use upswing_trajectory::{Database, PoseOutcome};
 /// How long an answer may take.
 const PATIENCE: Duration = Duration::from_secs(30);
 /// Where the arm holds, deg.
-const POSE_DEG: [f64; 7] = [0.0, -15.0, 0.0, -95.0, 0.0, 10.0, 0.0];
+const POSE_DEG: &[f64] = &[0.0, -15.0, 0.0, -95.0, 0.0, 10.0, 0.0];
 /// Entries of the paper's database.
 const PAPER_ENTRIES: usize = 256;
 
@@ -39,7 +39,11 @@ fn requests(starts: &[State]) {
     // Time to settle, and for the planner to make its plan.
     session.advance((1.0 / period) as u64).expect("time passes");
     let from_now = PlannerRequest::from_now(Manoeuvre::SwingUp);
-    let fresh = |start: &State| PlannerRequest { from_now: 0, start: (*start).into(), ..from_now };
+    let order = *system.config.model.order();
+    let fresh = |start: &State| PlannerRequest {
+        publish: 1,
+        ..PlannerRequest::from_state(PlannerKind::SwingUp, &order, start)
+    };
     let (mut computed, mut ready, mut planning, mut status) = (vec![], vec![], vec![], vec![]);
     // In turns, so that the id of the loaded plan changes with each request.
     for start in starts {

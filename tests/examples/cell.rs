@@ -49,8 +49,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             continue;
         }
         let largest = |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, f64::max);
-        let error = largest(&mut cycle.q.iter().zip(&cycle.q_d).map(|(q, d)| (q - d).abs()));
-        let tau = largest(&mut cycle.tau.iter().map(|tau| tau.abs()));
+        let error =
+            largest(&mut cycle.of_joints(&cycle.q).iter().zip(&cycle.q_d).map(|(q, d)| (q - d).abs()));
+        let tau = largest(&mut cycle.of_actuated(&cycle.tau).iter().map(|tau| tau.abs()));
         let mode = cycle.mode_text();
         let brake = if cycle.flags & Telemetry::BRAKE == 0 { "open" } else { "closed" };
         let warnings: Vec<_> = warning_texts(cycle.warnings).collect();
@@ -62,7 +63,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         );
     }
     if let Some(trip) = case.system.controller.trip() {
-        println!("\ntripped: {trip}");
+        println!("\ntripped: {}", trip.text(&case.config.model));
     }
     println!("\noutcome: {}", case.outcome());
 

@@ -6,7 +6,7 @@ use std::error::Error;
 use std::sync::LazyLock;
 use upswing_config::{Config, Fault, FaultKind};
 use upswing_ipc::{Mode, PlanMessage};
-use upswing_model::{JointVector, NU};
+use upswing_model::{ActuatedVector, JointVector};
 use upswing_planner::replan::Planner;
 use upswing_plant::Plant;
 use upswing_rig::closed_loop::ClosedLoop;
@@ -121,7 +121,7 @@ pub struct FaultCase {
     /// Records of every cycle since the start; `None`: no recording.
     pub records: Option<Vec<CycleRecord>>,
     /// The plan that was started last.
-    pub plan: Option<Box<PlanMessage>>,
+    pub plan: Option<PlanMessage>,
     /// Settings of the robot and of both.
     pub config: Config,
     /// Duration t_F of the plan, cycles.
@@ -142,11 +142,11 @@ impl FaultCase {
         Self::idle_at(scenario, None)
     }
 
-    /// A case as [`Self::idle`], with joints 1 to 7 at `pose` (rad) if one is given.
+    /// A case as [`Self::idle`], with the actuated joints at `pose` (rad or m) if one is given.
     ///
     /// # Panics
     /// If there is no such scenario, or the pendulum has no rest position within its limits in this pose.
-    pub fn idle_at(scenario: Option<&str>, pose: Option<[f64; NU]>) -> Self {
+    pub fn idle_at(scenario: Option<&str>, pose: Option<ActuatedVector>) -> Self {
         let mut config = CONFIG.clone();
         if let Some(scenario) = scenario {
             config.use_scenario(scenario).unwrap_or_else(|e| panic!("{e}"));
@@ -209,7 +209,7 @@ impl FaultCase {
         };
         let period = self.config.daemon.cycle.period.seconds();
         self.plan_cycles = (replan.trajectory.t_f / period).ceil() as u64;
-        let plan = Box::from(&replan.plan(&self.config));
+        let plan = PlanMessage::new(&replan.plan(&self.config), self.config.model.order());
         let Ok(accepted) = accept(&plan, &self.config) else { return false };
         let id = accepted.id;
         self.plan = Some(plan);
@@ -245,9 +245,9 @@ impl FaultCase {
         let mode = self.system.controller.mode();
         let Some(output) = self.system.cycle(request) else { return };
         let command = &output.command;
-        for i in 0..NU {
-            let (tau, max) = (command.tau[i], self.config.robot.limits.tau_max[i]);
-            let max = if command.brake == 1 { 0.0 } else { max };
+        let torque = command.torque(self.config.model.sizes()).unwrap_or_else(|e| panic!("{e}"));
+        for (i, (tau, max)) in torque.iter().zip(self.config.robot.limits.tau_max.iter()).enumerate() {
+            let max = if command.brake == 1 { 0.0 } else { *max };
             assert!(tau.abs() <= max, "cycle {}: {tau} N m on joint {}, limit {max}", command.seq, i + 1);
         }
         let now = self.system.controller.mode();

@@ -12,8 +12,8 @@ use upswing_record::evaluation::SwingUpEvaluation;
 use upswing_rig::course::{SessionCourse, swing_up};
 use upswing_rig::session::{Programs, Role, Session, SessionError, SessionOptions};
 
-/// Start pose in the paper's experiment: angles of joints 1-7, deg.
-pub const START: [f64; 7] = [0.0, -15.0, 0.0, -95.0, 0.0, 10.0, 0.0];
+/// Start pose in the paper's experiment: angles of the actuated joints, deg.
+pub const START: &[f64] = &[0.0, -15.0, 0.0, -95.0, 0.0, 10.0, 0.0];
 /// Longest wait for a condition in real time; long, because test machines may be busy.
 const PATIENCE: Duration = Duration::from_secs(60);
 /// Time in which the arm settles in Hold, cycles.
@@ -50,11 +50,11 @@ impl Drop for System {
 }
 
 impl System {
-    /// Starts the dedicated programs with the plant on `clock` and joints 1-7 at `start_deg` (deg).
+    /// Starts the dedicated programs with the plant on `clock` and the actuated joints at `start_deg` (deg).
     ///
     /// # Panics
     /// If a program does not start; the message contains the end of its log.
-    pub fn start(clock: Clock, start_deg: [f64; 7]) -> Self {
+    pub fn start(clock: Clock, start_deg: &[f64]) -> Self {
         Self::start_with(clock, start_deg, None)
     }
 
@@ -62,7 +62,7 @@ impl System {
     ///
     /// # Panics
     /// As [`Self::start`], and if the settings are invalid.
-    pub fn start_with(clock: Clock, start_deg: [f64; 7], settings: Option<&Path>) -> Self {
+    pub fn start_with(clock: Clock, start_deg: &[f64], settings: Option<&Path>) -> Self {
         Self::start_recorded(clock, start_deg, settings, None)
     }
 
@@ -72,7 +72,7 @@ impl System {
     /// As [`Self::start_with`], and if the file cannot be created.
     pub fn start_recorded(
         clock: Clock,
-        start_deg: [f64; 7],
+        start_deg: &[f64],
         settings: Option<&Path>,
         file: Option<&Path>,
     ) -> Self {
@@ -88,7 +88,7 @@ impl System {
             config: settings.map(Path::to_owned),
             domain,
             clock,
-            start: Some(start_deg.map(|d| d.to_string()).join(",")),
+            start: Some(start_deg.iter().map(f64::to_string).collect::<Vec<_>>().join(",")),
             scenario: None,
             logs: folder.clone(),
         };

@@ -1,9 +1,8 @@
 //! An external torque on a joint of the arm, as in a push or a collision, leads to Fault in every mode with open brakes.
 //! Light joints exceed their speed limit at once; in directions of large inertia the collision limit trips.
 
-use upswing_config::{Config, Fault, FaultKind};
+use upswing_config::{Fault, FaultKind};
 use upswing_ipc::Mode;
-use upswing_model::NU;
 use upswing_tests::matrix::{FaultCase, WATCHED};
 use upswingd::trip::TripCause;
 
@@ -12,9 +11,8 @@ const SOON: u64 = 1_600;
 
 /// What a constant torque on a joint of the arm, a share of its 100 % limit, leads to.
 fn pushed(before: &FaultCase, joint: usize, share: f64, cycles: u64) -> (Mode, Option<TripCause>, u64) {
-    let limits = Config::embedded().expect("settings").robot.limits;
     let mut case = before.clone();
-    let amount = share * limits.tau_max[joint];
+    let amount = share * case.config.robot.limits.tau_max[joint];
     case.break_now(Fault { joint, amount, ..Fault::new(FaultKind::ArmTorque, 0, cycles) });
     for cycle in 0..WATCHED {
         case.run(1);
@@ -30,7 +28,7 @@ fn pushed(before: &FaultCase, joint: usize, share: f64, cycles: u64) -> (Mode, O
 fn a_strong_push_in_any_mode() {
     for mode in [Mode::Hold, Mode::Track, Mode::Balance] {
         let before = FaultCase::idle(None).in_mode(mode);
-        for joint in 0..NU {
+        for joint in 0..before.config.model.sizes().actuated() {
             for share in [0.15, -0.15] {
                 let (then, cause, cycles) = pushed(&before, joint, share, 0);
                 println!("{mode}, joint {}, {share}: {then}, {cause:?} after {cycles}", joint + 1);

@@ -6,11 +6,13 @@ use std::time::{Duration, Instant};
 use upswing_config::Config;
 use upswing_ipc::operator::{OperatorError, OperatorRequest};
 use upswing_ipc::{Clock, Mode, PlanMessage, PlannerKind, PlannerRequest};
+use upswing_model::{ActuatedVector, State};
 use upswing_planner::replan::Planner;
 use upswing_rig::session::{Role, SessionError};
 use upswing_tests::matrix::{PAGE, mode, table};
 use upswing_tests::running::{LONG, wait_for};
 use upswing_tests::{START, System};
+use upswing_trajectory::Plan;
 use upswingd::trip::TripCause;
 
 const SECTION: &str = "Of processes";
@@ -146,21 +148,23 @@ fn outcome(system: &mut System, before: Mode) -> String {
     }
 }
 
+/// The state in which the system starts.
+fn start(config: &Config) -> State {
+    let q_a = ActuatedVector::from_fn(config.model.sizes(), |i| START[i].to_radians());
+    config.start_state(&q_a, config.plant.start.pendulum).expect("a start")
+}
+
 fn kill_planner_at_work(system: &mut System) {
     let node = system.session.node().clone();
     let (tell, told) = mpsc::channel();
     let asker = std::thread::spawn(move || {
-        let start = Config::embedded().expect("settings");
-        let q = START.map(f64::to_radians);
-        let x = start.start_state(&q, start.plant.start.pendulum).expect("a start");
+        let config = Config::embedded().expect("settings");
         let request = PlannerRequest {
-            kind: PlannerKind::SwingUp.code(),
-            start: x.into(),
             publish: 1,
-            ..PlannerRequest::default()
+            // Many QPs, so that it is still at work when it dies.
+            iterations: 50,
+            ..PlannerRequest::from_state(PlannerKind::SwingUp, config.model.order(), &start(&config))
         };
-        // Many QPs, so that it is still at work when it dies.
-        let request = PlannerRequest { iterations: 50, ..request };
         let client = node.client::<PlannerRequest>().expect("a client");
         wait_for("the planner", || client.has_server().then_some(()));
         tell.send(()).expect("somebody listens");
@@ -182,43 +186,51 @@ fn kill_planner_at_work(system: &mut System) {
     system.restart(Role::Planner);
 }
 
-type Damage = fn(&mut PlanMessage);
+type Damage = fn(&mut Plan);
 
 /// A plan without damage.
-static GOOD: LazyLock<Box<PlanMessage>> = LazyLock::new(|| {
+static GOOD: LazyLock<Plan> = LazyLock::new(|| {
     let config = Config::embedded().expect("settings");
     let planner = Planner::new(config.clone()).expect("the database fits");
-    let x = config.start_state(&START.map(f64::to_radians), config.plant.start.pendulum).expect("a start");
     let iterations = config.planner.replan.iterations;
-    Box::from(&planner.replan(&x, iterations, None).expect("a plan").plan(&config))
+    planner.replan(&start(&config), iterations, None).expect("a plan").plan(&config)
 });
 
 /// In place of the planner, sends a plan once for each of its fields that is damaged; the daemon names the field.
 fn damage_plans(system: &mut System) {
-    let damages: [(&str, Damage); 10] = [
+    let damages: [(&str, Damage); 9] = [
         ("fingerprint", |p| p.fingerprint ^= 1),
         ("id: expected", |p| p.id = 0),
-        ("x at knot 50", |p| p.x[50][3] = f64::NAN),
-        ("u at knot 0", |p| p.u[0][6] = f64::INFINITY),
+        ("x at knot 50", |p| p.trajectory.x[50][3] = f64::NAN),
+        ("u at knot 0", |p| p.trajectory.u[0][6] = f64::INFINITY),
         ("f at knot 100", |p| p.f[100][17] = f64::NAN),
-        ("K at knot 7", |p| p.k[7][0][0] = f64::NAN),
-        ("the final K", |p| p.k_final[6][17] = f64::NEG_INFINITY),
-        ("t_F", |p| p.t_f = -p.t_f),
-        ("position of joint 1", |p| p.x[20][0] = 10.0),
-        ("checksum", |p| p.checksum ^= 1),
+        ("K at knot 7", |p| p.gains.knot_mut(7)[0] = f64::NAN),
+        ("the final K", |p| p.gains.end_mut().fill(f64::NEG_INFINITY)),
+        ("t_F", |p| p.trajectory.t_f *= -1.0),
+        ("position of joint 1", |p| p.trajectory.x[20][0] = 10.0),
     ];
     let before = system.status().plan_id;
     system.kill(Role::Planner);
-    let publisher = system.session.node().publisher::<PlanMessage>().expect("the planner's place");
-    for (i, (word, damage)) in damages.into_iter().enumerate() {
-        let mut plan = GOOD.boxed_copy();
-        plan.id = 1000 + i as u64;
+    let order = *system.config.model.order();
+    let intervals = GOOD.trajectory.intervals();
+    let publisher =
+        system.session.node().plan_publisher(order.sizes(), intervals).expect("the planner's place");
+    // What a planner with an error would send.
+    let wrong = damages.into_iter().zip(1000..).map(|((word, damage), id)| {
+        let mut plan = Plan { id, ..GOOD.clone() };
         damage(&mut plan);
-        // All but the checksum is what a planner with an error would send.
-        if word != "checksum" {
-            plan.seal();
-        }
-        publisher.publish(&plan).expect("published");
+        (word, PlanMessage::new(&plan, &order))
+    });
+    // What becomes of a plan on its way, or comes from a planner of another robot.
+    let good = PlanMessage::new(&GOOD, &order);
+    let mut changed = good.clone();
+    changed.header.checksum ^= 1;
+    let mut of_another_chain = good.clone();
+    of_another_chain.header.joints += 1;
+    of_another_chain.seal();
+    let broken = [("checksum", changed), ("length", of_another_chain)];
+    for (word, message) in wrong.chain(broken) {
+        publisher.publish(&message).expect("published");
         wait_for(word, || {
             system.session.collect().expect("telemetry");
             let reason = system.status().reason.to_string();

@@ -3,7 +3,7 @@
 
 use upswing_config::{Config, Push};
 use upswing_ipc::{Mode, Telemetry};
-use upswing_model::{ActuatedVector, NU};
+use upswing_model::ActuatedVector;
 use upswing_tests::matrix::FaultCase;
 use upswingd::step::StepRequest;
 
@@ -16,11 +16,11 @@ const LONGEST: u64 = 4_000;
 const BEGINNING: u64 = 16;
 
 fn q(case: &FaultCase) -> ActuatedVector {
-    case.system.plant.position().fixed_rows::<NU>(0).into()
+    case.system.plant.position().actuated()
 }
 
 fn qd(case: &FaultCase) -> ActuatedVector {
-    case.system.plant.velocity().fixed_rows::<NU>(0).into()
+    case.system.plant.velocity().actuated()
 }
 
 fn everyday(mode: Mode) -> FaultCase {
@@ -67,18 +67,17 @@ fn stop(mut case: FaultCase, at: u64) {
     let mut cycles = 1;
     while case.mode().0 != Mode::Hold {
         assert_eq!(case.mode(), (Mode::Stop, false), "stop at {at}: {:?}", case.system.controller.trip());
-        assert!(cycles < LONGEST, "stop at {at}: still moves: {}", qd(&case));
+        assert!(cycles < LONGEST, "stop at {at}: still moves: {:?}", qd(&case));
         case.run(1);
         cycles += 1;
-        for i in 0..NU {
-            let (q, qd) = (q(&case)[i], qd(&case)[i]);
-            assert!((limits.q_min[i]..=limits.q_max[i]).contains(&q), "stop at {at}: joint {} at {q}", i + 1);
+        for (i, (q, qd)) in q(&case).iter().zip(qd(&case).iter()).enumerate() {
+            assert!((limits.q_min[i]..=limits.q_max[i]).contains(q), "stop at {at}: joint {} at {q}", i + 1);
             // The torque of the plan fades in two milliseconds, and acts a little later.
             assert!(qd.abs() <= fastest[i] + 0.1, "stop at {at}: joint {} at {qd} rad/s", i + 1);
         }
         let telemetry = case.records.as_ref().and_then(|records| records.last()).expect("a cycle").telemetry;
         let limited = telemetry.flags & Telemetry::LIMITED != 0;
-        assert!(cycles < BEGINNING || !limited, "stop at {at}: {:?}", telemetry.tau);
+        assert!(cycles < BEGINNING || !limited, "stop at {at}: {:?}", telemetry.of_actuated(&telemetry.tau));
     }
     let pose = q(&case);
     for _ in 0..SECOND {

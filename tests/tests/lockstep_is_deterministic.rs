@@ -5,7 +5,7 @@ use upswing_ipc::{Clock, Telemetry};
 use upswing_tests::{System, same_bits};
 
 fn run() -> Vec<Telemetry> {
-    let mut system = System::start(Clock::Lockstep, [10.0, 10.0, 0.0, -100.0, 0.0, -20.0, 0.0]);
+    let mut system = System::start(Clock::Lockstep, &[10.0, 10.0, 0.0, -100.0, 0.0, -20.0, 0.0]);
     let report = system.swing_up(2.0);
     assert!(report.success, "{report}");
     std::mem::take(&mut system.session.records)

@@ -4,7 +4,6 @@
 use std::f64::consts::TAU;
 use upswing_config::{Config, Push};
 use upswing_ipc::Mode;
-use upswing_model::NU;
 use upswing_tests::matrix::FaultCase;
 use upswingd::trip::TripCause;
 
@@ -31,11 +30,17 @@ fn from_any_direction() {
             for cycle in 0..WATCHED {
                 case.run(1);
                 let (q, qd) = (case.system.plant.position(), case.system.plant.velocity());
-                for i in 0..NU {
-                    let share = qd[i].abs() / limits.qd_max[i];
-                    assert!(share < fastest, "{impulse:?} N s, cycle {cycle}: joint {} at {share:.2}", i + 1);
+                for (i, share) in qd.abs().component_div(&limits.qd_max).actuated().iter().enumerate() {
+                    assert!(
+                        *share < fastest,
+                        "{impulse:?} N s, cycle {cycle}: joint {} at {share:.2}",
+                        i + 1
+                    );
                 }
-                assert!(q[8].abs().to_degrees() < 60.0, "{impulse:?} N s, cycle {cycle}: through its stop");
+                assert!(
+                    q.unactuated()[1].abs().to_degrees() < 60.0,
+                    "{impulse:?} N s, cycle {cycle}: through its stop"
+                );
             }
             let (mode, trip) = (case.mode().0, case.system.controller.trip());
             match trip.map(|trip| trip.cause) {

@@ -3,12 +3,13 @@
 
 use upswing_config::{Config, PendulumStart};
 use upswing_ipc::{Clock, Mode, Telemetry};
+use upswing_model::ActuatedVector;
 use upswing_planner::replan::Planner;
 use upswing_plant::Plant;
 use upswing_rig::closed_loop::{Disturbances, swing_up};
 use upswing_tests::{System, same_bits};
 
-const START_DEG: [f64; 7] = [10.0, 10.0, 0.0, -100.0, 0.0, -20.0, 0.0];
+const START_DEG: &[f64] = &[10.0, 10.0, 0.0, -100.0, 0.0, -20.0, 0.0];
 /// Balance time, s.
 const SECONDS: f64 = 2.0;
 
@@ -18,7 +19,7 @@ fn moving(records: Vec<Telemetry>) -> Vec<Telemetry> {
 
 fn in_one_process() -> Vec<Telemetry> {
     let mut config = Config::embedded().expect("embedded settings");
-    config.plant.start.q = START_DEG.map(f64::to_radians);
+    config.plant.start.q = ActuatedVector::from_fn(config.model.sizes(), |i| START_DEG[i].to_radians());
     config.plant.start.pendulum = PendulumStart::Rest;
     let plant = Plant::new(&config).expect("a start");
     let planner = Planner::new(config.clone()).expect("the shipped database fits");

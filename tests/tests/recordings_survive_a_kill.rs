@@ -5,9 +5,8 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 use upswing_ipc::Clock;
 use upswing_record::{CHUNK, Tally, Window, read};
-use upswing_tests::{System, programs};
+use upswing_tests::{START, System, programs};
 
-const START: [f64; 7] = [0.0, -15.0, 0.0, -95.0, 0.0, 10.0, 0.0];
 const PATIENCE: Duration = Duration::from_secs(60);
 
 #[test]

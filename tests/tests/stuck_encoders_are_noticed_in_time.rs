@@ -3,7 +3,6 @@
 
 use upswing_config::{Config, Fault, FaultKind};
 use upswing_ipc::Mode;
-use upswing_model::{NQ, NU};
 use upswing_rig::montecarlo::RandomStarts;
 use upswing_tests::matrix::FaultCase;
 use upswingd::trip::TripCause;
@@ -31,11 +30,11 @@ fn broken(config: &Config, before: &FaultCase, fault: Fault) -> Ending {
     let mut ending = Ending { noticed: None, hidden: 0.0, speed: 0.0 };
     for cycle in 0..LONGEST {
         case.run(1);
-        let (plant, shown) = (&case.system.plant, case.system.plant.measure().q);
-        for i in 0..NU {
-            ending.hidden = ending.hidden.max((plant.position()[i] - shown[i]).abs());
-            ending.speed = ending.speed.max(plant.velocity()[i].abs() / config.robot.limits.qd_max[i]);
-        }
+        let plant = &case.system.plant;
+        let (shown, _) = plant.measure().vectors(plant.order()).expect("the joints of the robot");
+        ending.hidden = ending.hidden.max((plant.position() - shown).actuated().amax());
+        let speed = plant.velocity().component_div(&config.robot.limits.qd_max);
+        ending.speed = ending.speed.max(speed.actuated().amax());
         if case.mode().0 == Mode::Fault {
             ending.noticed = case.system.controller.trip().map(|trip| (cycle, trip.cause));
             break;
@@ -50,8 +49,7 @@ fn each(mode: Mode, check: impl Fn(&Config, &FaultCase, &str)) {
     let starts = RandomStarts { config: &config, seed: SEED };
     for scenario in [None, Some("everyday")] {
         for start in 0..=POSES {
-            let x = (start > 0).then(|| starts.start(start).expect("a start"));
-            let pose = x.map(|x| std::array::from_fn(|i| x[i]));
+            let pose = (start > 0).then(|| starts.start(start).expect("a start").q_a());
             let before = FaultCase::idle_at(scenario, pose).in_mode(mode);
             check(&config, &before, &format!("{mode}, start {start}, {}", scenario.unwrap_or("ideal")));
         }
@@ -81,7 +79,7 @@ fn all(mode: Mode) {
 fn single(mode: Mode, hidden: f64) {
     each(mode, |config, before, what| {
         let fastest = config.daemon.limits.velocity_fraction.trip;
-        for joint in 0..NQ {
+        for joint in 0..config.model.sizes().joints() {
             let what = format!("{what}, joint {}", joint + 1);
             let end = broken(config, before, Fault { joint, ..Fault::new(FaultKind::EncoderStuck, 0, 0) });
             println!("{what}: {:?}, {:.4} rad hidden, speed {:.2}", end.noticed, end.hidden, end.speed);

@@ -3,21 +3,20 @@
 
 use upswing_ipc::operator::Manoeuvre;
 use upswing_ipc::{Clock, Mode};
-use upswing_model::{NQ, NU};
 use upswing_rig::course::{SessionCourse, execute};
-use upswing_tests::System;
+use upswing_tests::{START, System};
 
 #[test]
 fn and_a_second_swing_up_follows() {
-    up_down_and_up([-15.0, -15.0, 0.0, -95.0, 0.0, 10.0, 0.0]);
+    up_down_and_up(&[-15.0, -15.0, 0.0, -95.0, 0.0, 10.0, 0.0]);
 }
 
 #[test]
 fn where_joint_4_is_on_its_limit_too() {
-    up_down_and_up([-60.0, -30.0, 0.0, -120.0, 0.0, -20.0, 0.0]);
+    up_down_and_up(&[-60.0, -30.0, 0.0, -120.0, 0.0, -20.0, 0.0]);
 }
 
-fn up_down_and_up(start_deg: [f64; 7]) {
+fn up_down_and_up(start_deg: &[f64]) {
     let mut system = System::start(Clock::Lockstep, start_deg);
     let report = system.swing_up(3.0);
     assert!(report.success, "{report}");
@@ -33,24 +32,26 @@ fn up_down_and_up(start_deg: [f64; 7]) {
     let down = &system.session.records[before..];
     let limits = &system.config.robot.limits;
     for record in down {
-        for i in 0..NU {
-            assert!(record.tau[i].abs() <= limits.tau_max[i], "torque {} of joint {}", record.tau[i], i + 1);
+        let vectors = record.vectors(system.config.model.order()).expect("the joints of the robot");
+        for (i, (tau, max)) in vectors.tau.iter().zip(limits.tau_max.iter()).enumerate() {
+            assert!(tau.abs() <= *max, "torque {tau} of joint {}", i + 1);
         }
-        for i in 0..NQ {
-            assert!(record.qd[i].abs() <= limits.qd_max[i], "speed {} of joint {}", record.qd[i], i + 1);
+        for (i, (qd, max)) in vectors.x.qd().iter().zip(limits.qd_max.iter()).enumerate() {
+            assert!(qd.abs() <= *max, "speed {qd} of joint {}", i + 1);
         }
     }
     let error = |record: &upswing_ipc::Telemetry| {
-        (0..NQ).map(|i| (record.q[i] - record.q_d[i]).abs()).fold(0.0, f64::max)
+        let vectors = record.vectors(system.config.model.order()).expect("the joints of the robot");
+        (vectors.x.q() - vectors.x_d.q()).amax()
     };
     let tracked = down.iter().filter(|r| r.mode() == Ok(Mode::Track)).map(error).fold(0.0, f64::max);
     assert!(tracked > 0.0 && tracked < 0.1, "tracking error {tracked} rad");
     let last = down.last().expect("records");
     assert_eq!(last.mode(), Ok(Mode::Hold));
     // Hanging: nobody controls the pendulum in Hold, so that what is left at the end of the plan swings on.
-    assert!(last.q[7].abs() < 0.1, "q8 is {} rad", last.q[7]);
-    assert!(last.qd[..NU].iter().all(|v| v.abs() < 0.01), "{:?}", last.qd);
-    assert!(last.qd[NU..].iter().all(|v| v.abs() < 0.3), "{:?}", last.qd);
+    let x = last.vectors(system.config.model.order()).expect("the joints of the robot").x;
+    assert!(x.q_u()[0].abs() < 0.1, "q8 is {} rad", x.q_u()[0]);
+    assert!(x.qd_a().amax() < 0.01 && x.qd_u().amax() < 0.3, "{:?}", x.qd());
 
     let before = system.session.records.len();
     go(&mut system, Manoeuvre::SwingUp);
@@ -61,7 +62,7 @@ fn up_down_and_up(start_deg: [f64; 7]) {
 
 #[test]
 fn only_from_balance() {
-    let mut system = System::start(Clock::Lockstep, [0.0, -15.0, 0.0, -95.0, 0.0, 10.0, 0.0]);
+    let mut system = System::start(Clock::Lockstep, START);
     // The planner answers with the mode as soon as it has heard of it.
     let refusal = (0..100)
         .find_map(|_| {
