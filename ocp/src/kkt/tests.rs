@@ -5,8 +5,8 @@ use super::*;
 use crate::dims::{Avx2, Baseline};
 use crate::random::Random;
 use nalgebra::{DMatrix, DVector};
-use upswing_model::{Dims, Fixed};
 use upswing_model::MOST_JOINTS;
+use upswing_model::{Dims, Fixed};
 
 /// All numbers of joints and motors of a chain.
 fn all_sizes() -> impl Iterator<Item = Sizes> {

@@ -645,3 +645,6 @@ impl Structured {
         QpStatus::Stalled(Stall::Iterations)
     }
 }
+
+#[cfg(test)]
+mod tests;
