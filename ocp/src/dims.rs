@@ -8,8 +8,11 @@
 use upswing_model::Dims;
 
 /// Dimensions of a routine, and the registers that it is compiled for.
-pub(crate) trait Registers: Dims {
-    /// Whether the routine is compiled for AVX2. Values of a type with `true` exist only where the CPU has it.
+///
+/// # Safety
+/// Values of a type with [`Self::AVX2`] exist only where the CPU has AVX2.
+pub(crate) unsafe trait Registers: Dims {
+    /// Whether the routine is compiled for AVX2.
     const AVX2: bool;
 }
 
@@ -47,7 +50,8 @@ macro_rules! registers {
             }
         }
 
-        impl<D: Dims> Registers for $name<D> {
+        // SAFETY: `Avx2::detect` alone makes a value of `Avx2`.
+        unsafe impl<D: Dims> Registers for $name<D> {
             const AVX2: bool = $avx2;
         }
     )*};
@@ -87,7 +91,11 @@ macro_rules! kernels {
         #[inline(always)]
         $visibility fn $name<D: $crate::dims::Registers>($d: D $(, $argument: $type)*) $(-> $out)? {
             #[inline(always)]
-            fn body<D: $crate::dims::Registers>($d: D $(, $argument: $type)*) $(-> $out)? $body
+            fn body<D: $crate::dims::Registers>($d: D $(, $argument: $type)*) $(-> $out)? {
+                // Some need its type only.
+                let _ = $d;
+                $body
+            }
 
             #[inline(never)]
             fn baseline<D: $crate::dims::Registers>($d: D $(, $argument: $type)*) $(-> $out)? {
@@ -103,7 +111,7 @@ macro_rules! kernels {
 
             #[cfg(target_arch = "x86_64")]
             if D::AVX2 {
-                // SAFETY: a value of such a type exists only where the CPU has AVX2.
+                // SAFETY: a value of such a type exists only where the CPU has AVX2, as `Registers` demands.
                 return unsafe { avx2($d $(, $argument)*) };
             }
             baseline($d $(, $argument)*)

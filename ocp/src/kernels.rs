@@ -67,7 +67,7 @@ pub(crate) fn combine(c: &mut [f64], rank: usize, s: &[f64], s_stride: usize, a:
     if rank == 0 {
         return;
     }
-    assert!(n % 4 == 0 && s.len() > (rank - 1) * s_stride && a.len() >= (rank - 1) * stride + n);
+    assert!(n.is_multiple_of(4) && s.len() > (rank - 1) * s_stride && a.len() >= (rank - 1) * stride + n);
     let mut j = 0;
     while j + 8 <= n {
         // SAFETY: j + 8 <= n, and the assertion above covers all rows.
@@ -161,9 +161,8 @@ kernels! {
         right: &[f64],
         right_stride: usize,
     ) {
-        let _ = d;
         assert!(
-            stride % 4 == 0
+            stride.is_multiple_of(4)
                 && n <= stride
                 && stride <= right_stride
                 && n <= left_stride
@@ -194,7 +193,6 @@ kernels! {
 
     /// Copies the lower triangle of `n` rows to above the diagonal.
     pub(crate) fn mirror(d: D, out: &mut [f64], stride: usize, n: usize) {
-        let _ = d;
         for i in 0..n {
             for j in 0..i {
                 out[j * stride + i] = out[i * stride + j];
@@ -213,7 +211,6 @@ kernels! {
         lower: &mut [f64],
         inverse: &mut [f64],
     ) -> bool {
-        let _ = d;
         let (lower, inverse) = (&mut lower[..n * n], &mut inverse[..n]);
         for i in 0..n {
             let row = &p[(at + i) * stride + at..][..n];

@@ -119,16 +119,15 @@ kernels! {
     /// w of a step of z and t.
     fn bounded(d: D, jacobian: &[f64], z: &[f64], t: f64, out: &mut [f64]) {
         let (actuated, state, row) = (d.actuated(), d.state(), d.knot_row());
-        let mut k = 0;
-        for (z, jacobian) in z.chunks_exact(row).zip(jacobian.chunks_exact(actuated * row)) {
+        for k in 0..z.len() / row {
             let at = torque_at(d, k);
+            let (z, jacobian) = (&z[k * row..][..row], &jacobian[k * actuated * row..][..actuated * row]);
             if k > 0 {
                 out[at - state..at].copy_from_slice(&z[..state]);
             }
             for i in 0..actuated {
                 out[at + i] = dot(&jacobian[i * row..][..row], z);
             }
-            k += 1;
         }
         if let Some(last) = out.last_mut() {
             *last = t;
@@ -138,11 +137,10 @@ kernels! {
     /// Adds C' `pull` to the gradient.
     fn add_pull(d: D, jacobian: &[f64], pull: &[f64], rhs: &mut Rhs) {
         let (actuated, state, row) = (d.actuated(), d.state(), d.knot_row());
-        let mut k = 0;
-        for (g, jacobian) in
-            rhs.g.as_mut_slice().chunks_exact_mut(row).zip(jacobian.chunks_exact(actuated * row))
-        {
+        let g = rhs.g.as_mut_slice();
+        for k in 0..g.len() / row {
             let at = torque_at(d, k);
+            let (g, jacobian) = (&mut g[k * row..][..row], &jacobian[k * actuated * row..][..actuated * row]);
             let mut sum = [0.0; LARGEST_KNOT];
             let sum = &mut sum[..row];
             combine(sum, actuated, &pull[at..], 1, jacobian, row);
@@ -153,14 +151,12 @@ kernels! {
                 sum[..state].fill(0.0);
             }
             shift_add(g, 1.0, sum);
-            k += 1;
         }
         rhs.g_t += pull.last().copied().unwrap_or(0.0);
     }
 
     /// Gradient of the objective at `z`.
     fn objective(d: D, z: &[f64], qp: &Qp, out: &mut [f64]) {
-        let _ = d;
         let (weight, gradient) = (qp.weight.as_slice(), qp.gradient.as_slice());
         let (z, weight, gradient) = (&z[..out.len()], &weight[..out.len()], &gradient[..out.len()]);
         for i in 0..out.len() {
@@ -179,7 +175,6 @@ kernels! {
         above: &mut Side,
         pull: &mut [f64],
     ) {
-        let _ = d;
         for i in 0..value.len() {
             pull[i] = above.multiplier[i] - below.multiplier[i];
             below.residual[i] = value[i] - lower[i] - below.slack[i] + compliance * below.multiplier[i];
@@ -189,7 +184,6 @@ kernels! {
 
     /// sigma of all bounded quantities.
     fn sigmas(d: D, below: &Side, above: &Side, compliance: f64, sigma: &mut [f64]) {
-        let _ = d;
         for i in 0..sigma.len() {
             sigma[i] = below.multiplier[i] / stretch(below.slack[i], below.multiplier[i], compliance)
                 + above.multiplier[i] / stretch(above.slack[i], above.multiplier[i], compliance);
@@ -199,11 +193,10 @@ kernels! {
     /// H_k of all knots: the weights and J' sigma J.
     fn hessians(d: D, weight: &[f64], jacobian: &[f64], sigma: &[f64], scaled: &mut [f64], hessian: &mut [f64]) {
         let (actuated, state, knot, row) = (d.actuated(), d.state(), d.knot(), d.knot_row());
-        let mut k = 0;
-        for (hessian, jacobian) in
-            hessian.chunks_exact_mut(knot * row).zip(jacobian.chunks_exact(actuated * row))
-        {
+        for k in 0..weight.len() / row {
             let at = torque_at(d, k);
+            let hessian = &mut hessian[k * knot * row..][..knot * row];
+            let jacobian = &jacobian[k * actuated * row..][..actuated * row];
             hessian.fill(0.0);
             kkt::add_products(d, jacobian, &sigma[at..at + actuated], hessian, scaled);
             for j in 0..knot {
@@ -214,13 +207,11 @@ kernels! {
                     hessian[j * row + j] += sigma[at - state + j];
                 }
             }
-            k += 1;
         }
     }
 
     /// What the bounded quantities pull in a step for the targets of both sides.
     fn pulls(d: D, below: &Side, above: &Side, compliance: f64, pull: &mut [f64]) {
-        let _ = d;
         let (a, b) = (below, above);
         for i in 0..pull.len() {
             pull[i] = (b.target[i] - b.multiplier[i] * b.residual[i])
@@ -232,7 +223,6 @@ kernels! {
 
     /// Steps of slacks and multipliers that belong to the step `sign` * `dw` of the distance to the bound.
     fn expand(d: D, side: &mut Side, sign: f64, dw: &[f64], compliance: f64) {
-        let _ = d;
         for i in 0..dw.len() {
             let da = sign * dw[i] + side.residual[i];
             let dy = (side.target[i] - side.multiplier[i] * da)
@@ -244,7 +234,6 @@ kernels! {
 
     /// Largest step that keeps slacks and multipliers from falling below zero.
     fn longest(d: D, side: &Side) -> f64 {
-        let _ = d;
         // Four maxima side by side.
         let mut rates = [0.0_f64; 4];
         for (value, step) in [(&side.slack, &side.slack_step), (&side.multiplier, &side.multiplier_step)] {
@@ -264,7 +253,6 @@ kernels! {
 
     /// Sum of the products of slacks and multipliers after a step of the length `alpha`.
     fn product_after(d: D, side: &Side, alpha: f64) -> f64 {
-        let _ = d;
         let mut sum = 0.0;
         for i in 0..side.slack.len() {
             sum += (side.slack[i] + alpha * side.slack_step[i])
@@ -275,7 +263,6 @@ kernels! {
 
     /// The targets of a predictor step: no product of slack and multiplier.
     fn aim_at_zero(d: D, side: &mut Side) {
-        let _ = d;
         for i in 0..side.target.len() {
             side.target[i] = -side.slack[i] * side.multiplier[i];
         }
@@ -283,7 +270,6 @@ kernels! {
 
     /// The targets of a corrector step: the product `aim`, with the second order of the predictor's step.
     fn aim_at(d: D, side: &mut Side, aim: f64) {
-        let _ = d;
         for i in 0..side.target.len() {
             side.target[i] =
                 aim - side.slack[i] * side.multiplier[i] - side.slack_step[i] * side.multiplier_step[i];
@@ -292,7 +278,6 @@ kernels! {
 
     /// Moves slacks and multipliers by a step of the length `alpha`.
     fn advance(d: D, side: &mut Side, alpha: f64) {
-        let _ = d;
         for i in 0..side.slack.len() {
             side.slack[i] = (side.slack[i] + alpha * side.slack_step[i]).max(RESOLUTION);
             side.multiplier[i] += alpha * side.multiplier_step[i];
