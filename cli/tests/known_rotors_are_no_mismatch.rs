@@ -24,12 +24,9 @@ fn from_a_database_made_for_them() {
 
     // One pose, which is the start.
     let (grid, database) = (path("grid.toml"), path("database.bin"));
-    let joints = [
-        "2, from_deg = -15, to_deg = -15",
-        "4, from_deg = -95, to_deg = -95",
-        "6, from_deg = 10, to_deg = 10",
-    ];
-    let joints = joints.map(|joint| format!("{{ joint = {joint}, points = 1 }}")).join(", ");
+    let axis =
+        |(joint, deg)| format!("{{ joint = \"{joint}\", from_deg = {deg}, to_deg = {deg}, points = 1 }}");
+    let joints = [("joint_2", -15), ("joint_4", -95), ("joint_6", 10)].map(axis).join(", ");
     let text = format!("joints = [{joints}]\nstart = \"rest\"\nmax_rest_angle_deg = 45\n");
     std::fs::write(&grid, text).expect("written");
     let built = upswing(&["db", "build", "--config", &settings, "--grid", &grid, "--output", &database]);
