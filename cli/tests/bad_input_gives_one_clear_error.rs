@@ -39,17 +39,23 @@ fn with_settings(change: impl FnOnce(&Path), command: &[&str], parts: &[&str]) {
 #[test]
 fn starts() {
     for command in ["demo", "plan", "optimize"] {
-        refused(&[command, "--start", "0,-150,0,-95,0,10,0"], &["joint 2", "-120.0 to 120.0 deg", "-150.00"]);
-        refused(&[command, "--start", "0,nan,0,-95,0,10,0"], &["joint 2", "NaN"]);
+        refused(
+            &[command, "--start", "0,-150,0,-95,0,10,0"],
+            &["`joint_2`", "-120.000 to 120.000 deg", "-150.000"],
+        );
+        refused(&[command, "--start", "0,nan,0,-95,0,10,0"], &["`joint_2`", "NaN"]);
         refused(
             &[command, "--start", "0,-15,0,-95,0,10"],
-            &["expected 7", "deg", "0,-15,0,-95,0,10,0", "got 6"],
+            &["expected 7", "joint_1 in deg,joint_2 in deg", "got 6"],
         );
         refused(&[command, "--start", "0,-15,x,-95,0,10,0"], &["deg", "0,-15,0,-95,0,10,0", "`x`"]);
-        refused(&[command, "--start", "0,0,0,-10,0,0,0"], &["joint 9 is -80.0 deg", "-45.0 to 45.0 deg"]);
+        refused(
+            &[command, "--start", "0,0,0,-10,0,0,0"],
+            &["`pendulum_2` is -80.0 deg", "-45.0 to 45.0 deg"],
+        );
     }
     let plan = ["plan", "--start", "0,-15,0,-95,0,10,0", "--reference"];
-    refused(&[&plan[..], &["0,-150,0,-95,0,10,0"]].concat(), &["--reference", "joint 2", "-150.00"]);
+    refused(&[&plan[..], &["0,-150,0,-95,0,10,0"]].concat(), &["--reference", "`joint_2`", "-150.000"]);
     refused(&[&plan[..], &["0,-15"]].concat(), &["--reference", "expected 7", "got 2"]);
 }
 
@@ -79,7 +85,13 @@ fn scenarios_and_disturbances() {
     refused(&["demo", "--scenario", "moon"], &["`moon`", "second-arm", "ends in .toml"]);
     refused(&["plant", "--scenario", "no/moon.toml"], &["no/moon.toml: cannot be read"]);
     refused(&["disturb", "fault", "rust"], &["rust", "encoder-stuck"]);
-    refused(&["disturb", "fault", "encoder-nan"], &["joint: expected 1 to 9, got 0"]);
+    refused(
+        &["disturb", "fault", "encoder-nan"],
+        &["joint: expected one of joint_1", "pendulum_2, got none"],
+    );
+    refused(&["disturb", "fault", "encoder-nan", "--joint", "9"], &["pendulum_2, got `9`"]);
+    refused(&["disturb", "fault", "arm-torque", "--joint", "pendulum_1"], &["joint_7, got `pendulum_1`"]);
+    refused(&["disturb", "fault", "stale-time", "--joint", "joint_1"], &["expected none for this kind"]);
     refused(
         &["disturb", "fault", "delay-measurement", "--amount", "0.5"],
         &["whole number of cycles", "0.5"],
