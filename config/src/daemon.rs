@@ -190,7 +190,7 @@ pub struct Levels {
     /// Distance of the arm from the end of the plan in Balance, rad.
     #[serde(rename = "balance_error_rad", deserialize_with = "Positive::read")]
     pub balance_error: Level,
-    /// Tilt of the rod from upright in Balance, rad.
+    /// Distance of the unactuated joints from the end of the plan in Balance, norm, rad.
     #[serde(rename = "balance_tilt_deg", deserialize_with = "AcuteAngle::degrees")]
     pub balance_tilt: Level,
     /// Predicted speed of the arm in Balance, as a share of the 100 % limits.

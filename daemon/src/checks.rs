@@ -196,9 +196,12 @@ impl Checks {
         self.levels.collision_time
     }
 
-    /// Checks the `tilt` of the rod from its direction at the end of the plan, rad.
-    pub fn balance(&mut self, tilt: f64) -> Option<Trip> {
-        count(TripCause::BalanceLost, tilt, self.levels.balance_tilt, &mut self.warnings)
+    /// Checks the distance |q_U - q_U,N| of the pendulum from `x_d`, the end of a plan at which it balances.
+    pub fn balance(&mut self, x: &State, x_d: &State) -> Option<Trip> {
+        let distance = (x.q_u() - x_d.q_u()).norm();
+        let lost = count(TripCause::BalanceLost, distance, self.levels.balance_tilt, &mut self.warnings);
+        // The first unactuated joint names the unit.
+        lost.map(|trip| Trip { joint: x.sizes().actuated(), ..trip })
     }
 
     /// Predicts the speeds of the arm from the filtered speeds `v` and the input `u` of the balance controller, and checks them.

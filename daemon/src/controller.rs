@@ -299,9 +299,7 @@ impl Controller {
         self.finish_plan();
         let setpoint = match &self.mode {
             ActiveMode::Track(plan) => plan.track(self.now_ns, &self.observer.x, &mut self.checks),
-            ActiveMode::Balance(plan) => {
-                plan.balance(self.now_ns, &self.observer, &self.model, &mut self.checks)
-            }
+            ActiveMode::Balance(plan) => plan.balance(self.now_ns, &self.observer, &mut self.checks),
             _ => return None,
         };
         setpoint.map_err(|trip| self.trip_to_stop(trip)).ok()

@@ -139,6 +139,7 @@ impl DisturbanceEstimate {
 #[cfg(test)]
 mod tests {
     use super::{CommandedMotion, DisturbanceEstimate};
+    use nalgebra::{DMatrix, DVector};
     use upswing_config::{Config, DisturbanceSettings, PendulumStart};
     use upswing_model::{
         ActuatedMatrix, ActuatedVector, JointVector, Sizes, State, UnactuatedVector, Workspace,
@@ -194,7 +195,7 @@ mod tests {
                 model.torque(x, &unit, work) - zero
             };
             let columns: Vec<_> = (0..7).map(|i| column(i, &mut work)).collect();
-            nalgebra::SMatrix::<f64, 7, 7>::from_fn(|i, j| columns[j][i]).try_inverse().expect("regular")
+            DMatrix::from_fn(7, 7, |i, j| columns[j][i]).try_inverse().expect("regular")
         };
         let mut estimate = DisturbanceEstimate::new(settings, all(30.0), T_1);
         let (mut filtered, mut u) = (all(0.0), all(0.0));
@@ -203,9 +204,8 @@ mod tests {
             u = ActuatedVector::from_fn(sizes(), |j| (10.0 * i as f64 * T_S + j as f64).sin());
             let inverse = inertia_inverse(&x);
             model.torque(&x, &u, &mut work);
-            let unexplained =
-                inverse * nalgebra::SVector::<f64, 7>::from_column_slice(&(d - estimate.estimate()));
-            let u_real = u + of_arm(unexplained.into());
+            let unexplained = inverse * DVector::from_column_slice(&(d - estimate.estimate()));
+            let u_real = u + ActuatedVector::from_fn(sizes(), |i| unexplained[i]);
             let f = model.f(&x, &u_real, &mut Workspace::default());
             x += f * T_S;
             let v = x.qd_a();

@@ -7,7 +7,6 @@ use crate::observer::Observer;
 use crate::plan::Ending;
 use crate::supervisor::is_braked;
 use crate::trip::Trip;
-use nalgebra::Vector3;
 use upswing_ipc::Mode;
 use upswing_model::{ActuatedVector, Model, State};
 use upswing_trajectory::{Plan, Reference};
@@ -99,15 +98,15 @@ pub struct RunningPlan {
     pub loaded: LoadedPlan,
     /// Time of the plan's t = 0, ns on the plant's clock.
     start_ns: u64,
-    /// Direction of the rod at x_N, m.
-    rod_at_end: Vector3<f64>,
+    /// Whether the rod stands or hangs at x_N.
+    ending: Ending,
 }
 
 impl RunningPlan {
     /// Starts a plan with t = 0 at the time `start_ns`.
     pub fn new(loaded: LoadedPlan, start_ns: u64, model: &Model) -> Self {
-        let rod_at_end = model.rod(&loaded.plan.end().x.q());
-        Self { loaded, start_ns, rod_at_end }
+        let ending = Ending::of(&model.rod(&loaded.plan.end().x.q()));
+        Self { loaded, start_ns, ending }
     }
 
     /// Time t of the plan at the time `now_ns`, s.
@@ -122,7 +121,7 @@ impl RunningPlan {
 
     /// Returns how the plan ends if t >= t_F at the time `now_ns`; otherwise `None`.
     pub fn ending(&self, now_ns: u64) -> Option<Ending> {
-        (self.time(now_ns) >= self.loaded.plan.trajectory.t_f).then(|| Ending::of(&self.rod_at_end))
+        (self.time(now_ns) >= self.loaded.plan.trajectory.t_f).then_some(self.ending)
     }
 
     /// Track: returns the setpoint at the time `now_ns`.
@@ -143,23 +142,15 @@ impl RunningPlan {
     /// Balance: returns the setpoint at the end of the plan, with its final gain.
     ///
     /// # Errors
-    /// The [`Trip`] if the rod tilts too far, the arm is too far from x_N or would have to move too fast, or the pendulum is beyond
-    /// its range.
-    pub fn balance(
-        &self,
-        now_ns: u64,
-        observer: &Observer,
-        model: &Model,
-        checks: &mut Checks,
-    ) -> Result<Setpoint, Trip> {
+    /// The [`Trip`] if the pendulum or the arm is too far from x_N, the arm would have to move too fast, or the pendulum is beyond its
+    /// range.
+    pub fn balance(&self, now_ns: u64, observer: &Observer, checks: &mut Checks) -> Result<Setpoint, Trip> {
         let (x, end) = (&observer.x, self.end());
-        let rod = model.rod(&x.q());
-        let tilt = rod.cross(&self.rod_at_end).norm().atan2(rod.dot(&self.rod_at_end));
-        let tilted = checks.balance(tilt);
+        let lost = checks.balance(x, &end.x);
         let u = end.input(x);
         let astray = checks.balance_error(x, &end.x);
         let fast = checks.balance_speed(&observer.filtered.actuated(), &u);
-        match checks.pendulum(x).or(tilted).or(astray).or(fast) {
+        match checks.pendulum(x).or(lost).or(astray).or(fast) {
             Some(trip) => Err(trip),
             None => Ok(Setpoint { x_d: end.x, u_d: end.u, u, t_plan: self.time(now_ns) }),
         }

@@ -232,10 +232,7 @@ mod tests {
     impl Seen {
         fn new() -> Self {
             let config = &*CONFIG;
-            Self {
-                observer: Observer::new(&config.daemon.cycle, &config.model),
-                checks: Checks::new(&config),
-            }
+            Self { observer: Observer::new(&config.daemon.cycle, &config.model), checks: Checks::new(config) }
         }
 
         /// Takes a measurement without delay; returns the cause of a trip, and whether a restart was noticed.
@@ -311,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn whole_turns_of_joint_8_are_dropped_however_many_and_whichever_way() {
+    fn whole_turns_of_the_pendulum_are_dropped_however_many_and_whichever_way() {
         for turns in [-3.0, -1.0, 1.0, 3.0] {
             let mut seen = Seen::new();
             let turn = turns * std::f64::consts::TAU;

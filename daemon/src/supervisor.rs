@@ -26,7 +26,7 @@ pub enum ModeEvent {
     Shutdown,
     /// The plan has reached t_F, with the rod standing or hanging.
     PlanEnded(Ending),
-    /// A limit of the class "stop" is beyond its trip level: tracking error, tilt of the rod, speed to keep it upright, range
+    /// A limit of the class "stop" is beyond its trip level: tracking error, distance of the pendulum, speed to keep it upright, range
     /// of the pendulum, late cycles.
     TripToStop,
     /// A limit of the class "fault" is beyond its trip level: measurement, drives or control law cannot be trusted.

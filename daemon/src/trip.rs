@@ -58,7 +58,7 @@ causes! {
     LawNotFinite = 15, "the control law gave no finite torque";
     /// An angle is too far from its reference.
     TrackingError = 16, "too far from the reference";
-    /// The rod is too far from upright.
+    /// The pendulum is too far from its position at the end of the plan.
     BalanceLost = 17, "the rod fell";
     /// An angle of the pendulum is too far past the range open to plans.
     PendulumRange = 18, "the pendulum is beyond the range open to plans";
@@ -228,7 +228,7 @@ impl Trip {
                 format!("joint `{name}` is {value:.4} {q} from its reference, limit {limit:.4} {q}")
             }
             TripCause::BalanceLost => {
-                format!("the rod is {value:.4} rad from the end of the plan, limit {limit:.4} rad")
+                format!("the pendulum is {value:.4} {q} from the end of the plan, limit {limit:.4} {q}")
             }
             TripCause::FrozenMeasurement => format!(
                 "no position and no measured torque has changed for {value:.4} s, although the commanded torque did"
@@ -277,7 +277,7 @@ mod tests {
         (TripCause::PeriodMismatch, "the plant has a period of 2 ns, the daemon one of 4 ns"),
         (TripCause::UnknownClock, "the plant names clock 2, the last known is 4"),
         (TripCause::TrackingError, "joint `joint_3` is 1.5000 rad from its reference, limit 4.0000 rad"),
-        (TripCause::BalanceLost, "the rod is 1.5000 rad from the end of the plan, limit 4.0000 rad"),
+        (TripCause::BalanceLost, "the pendulum is 1.5000 rad from the end of the plan, limit 4.0000 rad"),
         (TripCause::LateCycles, "2 late cycles in a row, limit 4"),
         (TripCause::PlanAge, "the loaded plan is old"),
         (

@@ -302,12 +302,16 @@ fn positions() {
 }
 
 #[test]
-fn the_tilt_of_the_rod() {
+fn the_distance_of_the_pendulum() {
     let config = config();
     let Level { warn, trip } = config.daemon.limits.balance_tilt;
-    let at = |tilt: f64| {
+    let x_d = State::from_fn(sizes(), |i| 0.1 * i as f64);
+    let at = |distance: f64| {
         let mut checks = CHECKS.clone();
-        let lost = checks.balance(tilt);
+        // Wherever the arm is, and however fast.
+        let mut x = State::repeat(sizes(), 9.0);
+        x.q_u_mut().copy_from_slice(&[x_d.q_u()[0] + 0.6 * distance, x_d.q_u()[1] - 0.8 * distance]);
+        let lost = checks.balance(&x, &x_d);
         assert!(lost.is_none_or(|t| t.cause == TripCause::BalanceLost && t.limit == trip));
         (lost.is_some(), checks.warnings.bits() == TripCause::BalanceLost.bit())
     };

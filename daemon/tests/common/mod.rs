@@ -6,7 +6,7 @@ pub mod live;
 use std::sync::LazyLock;
 use upswing_config::Config;
 use upswing_ipc::{Clock, Command, Measurement, PlanMessage};
-use upswing_model::{ActuatedVector, JointVector, Sizes, State, UnactuatedVector, Workspace};
+use upswing_model::{ActuatedVector, JointVector, Model, Sizes, State, UnactuatedVector, Workspace};
 use upswing_ocp::lqr;
 use upswing_planner::offline::lqr_weights;
 use upswing_planner::replan::Planner;
@@ -58,13 +58,18 @@ pub fn at_rest(q: &JointVector) -> State {
 
 /// A measurement of a healthy robot on the lockstep clock.
 pub fn measurement(seq: u64, q: &JointVector) -> Measurement {
+    measurement_of(&CONFIG.model, seq, q)
+}
+
+/// A measurement of a healthy robot of the chain of `model` on the lockstep clock.
+pub fn measurement_of(model: &Model, seq: u64, q: &JointVector) -> Measurement {
     Measurement {
         seq,
         t_ns: seq.wrapping_mul(PERIOD_NS),
         status: Measurement::DRIVES_READY,
         clock: Clock::Lockstep.code(),
         period_ns: PERIOD_NS,
-        ..Measurement::new(CONFIG.model.order(), q, &ActuatedVector::zeros(q.sizes()))
+        ..Measurement::new(model.order(), q, &ActuatedVector::zeros(q.sizes()))
     }
 }
 
@@ -84,7 +89,7 @@ impl Arm {
 
     pub fn measure(&mut self) -> Measurement {
         self.seq += 1;
-        measurement(self.seq, &self.x.q())
+        measurement_of(&self.config.model, self.seq, &self.x.q())
     }
 
     /// One period under a constant torque, by one Runge-Kutta step of fourth order; with closed brakes none.
