@@ -200,8 +200,9 @@ kernels! {
         }
     }
 
-    /// Cholesky factor L (rows of `n`) and the inverses of its diagonal, of the symmetric block of `n` rows that begins at (`at`, `at`)
-    /// of `p`, of which the lower triangle is read. `false` unless the block is positive definite.
+    /// The factors of P = L D L' (Cholesky's decomposition without square roots): rows of `n` of L below its diagonal of ones, and the
+    /// inverses of the diagonal D. P is the symmetric block of `n` rows that begins at (`at`, `at`) of `p`; its lower triangle is read.
+    /// `false` unless P is positive definite.
     pub(crate) fn cholesky(
         d: D,
         p: &[f64],
@@ -216,79 +217,81 @@ kernels! {
             let row = &p[(at + i) * stride + at..][..n];
             let (done, rest) = lower.split_at_mut(i * n);
             let rest = &mut rest[..n];
+            // L D of this row.
+            let mut scaled = [0.0; MOST_JOINTS];
+            let mut pivot = row[i];
             for j in 0..i {
                 let known = &done[j * n..][..n];
                 let mut sum = row[j];
                 for l in 0..j {
-                    sum -= rest[l] * known[l];
+                    sum -= scaled[l] * known[l];
                 }
+                scaled[j] = sum;
                 rest[j] = sum * inverse[j];
-            }
-            let mut sum = row[i];
-            for l in 0..i {
-                sum -= rest[l] * rest[l];
+                pivot -= sum * rest[j];
             }
             // A NaN is refused, too.
-            if !(sum > 0.0 && sum.is_finite()) {
+            if !(pivot > 0.0 && pivot.is_finite()) {
                 return false;
             }
-            let root = sum.sqrt();
-            (rest[i], inverse[i]) = (root, 1.0 / root);
+            inverse[i] = 1.0 / pivot;
         }
         true
     }
 }
 
-/// b = L^-1 b for a factor of [`cholesky`] and `n` rows of `stride`.
+/// b = L^-1 b for the factors of [`cholesky`] and `n` rows of `stride`.
 #[inline(always)]
-pub(crate) fn forward(lower: &[f64], inverse: &[f64], n: usize, b: &mut [f64], stride: usize) {
+pub(crate) fn forward(lower: &[f64], n: usize, b: &mut [f64], stride: usize) {
     for i in 0..n {
         let (done, rest) = b.split_at_mut(i * stride);
-        let row = &mut rest[..stride];
         let mut s = [0.0; MOST_JOINTS];
         for l in 0..i {
             s[l] = -lower[i * n + l];
         }
-        combine(row, i, &s, 1, done, stride);
+        combine(&mut rest[..stride], i, &s, 1, done, stride);
+    }
+}
+
+/// out = -D^-1 b for the factors of [`cholesky`] and `n` rows of `stride`.
+#[inline(always)]
+pub(crate) fn divide_negative(inverse: &[f64], n: usize, b: &[f64], out: &mut [f64], stride: usize) {
+    for i in 0..n {
+        let (b, out) = (&b[i * stride..][..stride], &mut out[i * stride..][..stride]);
         for j in 0..stride {
-            row[j] *= inverse[i];
+            out[j] = -inverse[i] * b[j];
         }
     }
 }
 
-/// b = L'^-1 b for a factor of [`cholesky`] and `n` rows of `stride`.
+/// b = L'^-1 b for the factors of [`cholesky`] and `n` rows of `stride`.
 #[inline(always)]
-pub(crate) fn backward(lower: &[f64], inverse: &[f64], n: usize, b: &mut [f64], stride: usize) {
+pub(crate) fn backward(lower: &[f64], n: usize, b: &mut [f64], stride: usize) {
     for i in (0..n).rev() {
         let (rest, done) = b.split_at_mut((i + 1) * stride);
-        let row = &mut rest[i * stride..];
         let mut s = [0.0; MOST_JOINTS];
         for l in i + 1..n {
             s[l - i - 1] = -lower[l * n + i];
         }
-        combine(row, n - 1 - i, &s, 1, done, stride);
-        for j in 0..stride {
-            row[j] *= inverse[i];
-        }
+        combine(&mut rest[i * stride..], n - 1 - i, &s, 1, done, stride);
     }
 }
 
-/// x = -(L L')^-1 b for a factor of [`cholesky`] and one column of `n` entries.
+/// x = -P^-1 b for the factors of [`cholesky`] and one column of `n` entries.
 #[inline(always)]
 pub(crate) fn solve_negative(lower: &[f64], inverse: &[f64], n: usize, b: &[f64], x: &mut [f64]) {
     let (lower, inverse, b, x) = (&lower[..n * n], &inverse[..n], &b[..n], &mut x[..n]);
     for i in 0..n {
         x[i] = -b[i];
         for l in 0..i {
-            x[i] += -lower[i * n + l] * x[l];
+            x[i] -= lower[i * n + l] * x[l];
         }
-        x[i] *= inverse[i];
     }
     for i in (0..n).rev() {
-        for l in i + 1..n {
-            x[i] += -lower[l * n + i] * x[l];
-        }
         x[i] *= inverse[i];
+        for l in i + 1..n {
+            x[i] -= lower[l * n + i] * x[l];
+        }
     }
 }
 

@@ -1,7 +1,7 @@
 //! Discrete time-variant LQR (18)-(23) along a trajectory.
 
 use crate::dims::{Registers, dispatch, kernels};
-use crate::kernels::{backward, cholesky, combine, forward, mirror, rank_update, shift_add};
+use crate::kernels::{backward, cholesky, combine, divide_negative, forward, mirror, rank_update, shift_add};
 use crate::slab::{Knots, Slab};
 use nalgebra::DMatrix;
 use upswing_model::{
@@ -106,12 +106,12 @@ struct Recursion {
     /// d qdd_U / dx, one panel of n_U rows, and d qdd_U / du, n_U rows of n_A entries, at the time of the step.
     a: Slab<States>,
     b: Vec<f64>,
-    /// L of L L' = R + Gamma' P Gamma, n_A rows of n_A entries, and the inverses of its diagonal.
+    /// L and the inverse of D of L D L' = R + Gamma' P Gamma, n_A rows of n_A entries and n_A entries.
     lower: Vec<f64>,
     inverse: Vec<f64>,
     pivot: Vec<f64>,
-    /// The factors of the update of P, of n_U + n_A rows each: [Ts a; -G]' and [V; G] with G = L^-1 Gamma' P Phi and the rows V of
-    /// P Phi of the unactuated velocities.
+    /// The factors of the update of P, of n_U + n_A rows each: [Ts a; -D^-1 G]' and [V; G] with G = L^-1 Gamma' P Phi and the rows V
+    /// of P Phi of the unactuated velocities.
     left: Slab<States>,
     right: Slab<States>,
 }
@@ -154,12 +154,10 @@ impl Recursion {
         let (actuated, unactuated, state, row) = (d.actuated(), d.unactuated(), d.state(), d.state_row());
         let mut k = [0.0; MOST_JOINTS * LARGEST_STATE];
         let k = &mut k[..actuated * row];
-        k.copy_from_slice(&self.right.panel(0)[unactuated * row..]);
-        backward(&self.lower, &self.inverse, actuated, k, row);
+        k.copy_from_slice(&self.left.panel(0)[unactuated * row..]);
+        backward(&self.lower, actuated, k, row);
         for (out, k) in out.chunks_exact_mut(state).zip(k.chunks_exact(row)) {
-            for j in 0..state {
-                out[j] = -k[j];
-            }
+            out.copy_from_slice(&k[..state]);
         }
     }
 }
@@ -236,16 +234,14 @@ kernels! {
                 g[j] *= ts;
             }
         }
-        forward(&work.lower, &work.inverse, actuated, g, row);
+        forward(&work.lower, actuated, g, row);
         // Q + Phi' (P Phi) - K' (R + Gamma' P Gamma) K: its lower half, and the same above the diagonal. Without exact
         // symmetry rounding grows over 17 000 steps.
         let (on_v, on_g) = work.left.as_mut_slice().split_at_mut(unactuated * row);
         for j in 0..on_v.len() {
             on_v[j] = ts * a[j];
         }
-        for j in 0..on_g.len() {
-            on_g[j] = -g[j];
-        }
+        divide_negative(&work.inverse, actuated, g, on_g, row);
         for i in n..state {
             let (low, high) = p.split_at_mut(i * row);
             shift_add(&mut high[..row], ts, &low[(i - n) * row..]);

@@ -9,7 +9,8 @@ use super::variables::{
 use super::{Kkt, NewtonStep, Rhs};
 use crate::dims::kernels;
 use crate::kernels::{
-    backward, cholesky, combine, dot, forward, mirror, rank_update, shift_add, solve_negative,
+    backward, cholesky, combine, divide_negative, dot, forward, mirror, rank_update, shift_add,
+    solve_negative,
 };
 use crate::slab::{Knots, LARGEST_KNOT, Slab};
 use upswing_model::{Dims, Sizes};
@@ -31,7 +32,7 @@ pub struct Factor {
     /// Value function of stages k+1..N as one of s_k: its matrix S, and the product with dt.
     value: Slab<States>,
     value_t: Slab<States>,
-    /// L of each pivot block L L', n_A rows of n_A entries, and the inverses of its diagonal; the last one is that of u_0.
+    /// L and the inverse of D of each pivot block L D L', n_A rows of n_A entries and n_A entries; the last ones are those of u_0.
     lower: Vec<f64>,
     inverse: Vec<f64>,
     /// du_{k+1} = K s_k + k_t dt + ...: panels of n_A rows, and n_A entries each; the last k_t is that of u_0.
@@ -153,19 +154,15 @@ kernels! {
             }
             let gain = &mut factor.gain.as_mut_slice()[k * actuated * state_row..][..actuated * state_row];
             copy_states(d, &p[u * row..], gain);
-            forward(lower, inverse, actuated, gain, state_row);
+            forward(lower, actuated, gain, state_row);
             let value = &mut factor.value.as_mut_slice()[k * state * state_row..][..state * state_row];
             copy_states(d, p, value);
             let negative = &mut update[..actuated * state_row];
-            for l in 0..negative.len() {
-                negative[l] = -gain[l];
-            }
+            divide_negative(inverse, actuated, gain, negative, state_row);
             rank_update(d, value, state_row, state, actuated, negative, state_row, gain, state_row);
             mirror(d, value, state_row, state);
-            backward(lower, inverse, actuated, gain, state_row);
-            for l in 0..gain.len() {
-                gain[l] = -gain[l];
-            }
+            gain.copy_from_slice(negative);
+            backward(lower, actuated, gain, state_row);
             let gain_t = &mut factor.gain_t[k * actuated..][..actuated];
             solve_negative(lower, inverse, actuated, &p_t[u..], gain_t);
             let value_t = &mut factor.value_t.as_mut_slice()[k * state_row..][..state_row];
