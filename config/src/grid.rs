@@ -90,9 +90,14 @@ impl GridAxis {
 }
 
 /// Largest number of start poses, so that a typing error does not exhaust the memory.
-const MOST_POSES: usize = 1_000_000;
+pub(crate) const MOST_POSES: usize = 1_000_000;
 
 impl GridSettings {
+    /// The grid of the axes.
+    pub(crate) fn of(model: &Model, axes: Vec<GridAxis>, max_rest_angle: f64) -> Self {
+        Self { sizes: model.sizes(), axes, start: PendulumStart::Rest, max_rest_angle }
+    }
+
     /// Number of poses, including skipped ones.
     pub fn poses(&self) -> usize {
         self.axes.iter().map(|axis| axis.points).product()
@@ -123,7 +128,7 @@ impl GridSettings {
     }
 
     /// Checks the rules between the settings of the grid, and between them and the limits of the robot.
-    fn validate(&self, robot: &RobotSettings, model: &Model) -> Result<(), SettingsConflict> {
+    pub(crate) fn validate(&self, robot: &RobotSettings, model: &Model) -> Result<(), SettingsConflict> {
         for (i, axis) in self.axes.iter().enumerate() {
             if self.axes[..i].iter().any(|known| known.joint == axis.joint) {
                 let got = format!("joint `{}` twice", model.joint_name(axis.joint));

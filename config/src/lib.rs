@@ -14,6 +14,7 @@ mod fault;
 mod file;
 mod grid;
 mod joints;
+mod manoeuvre;
 mod planner;
 mod plant;
 mod robot;
@@ -29,6 +30,7 @@ pub use error::ConfigError;
 pub use fault::{EventError, Fault, FaultError, FaultJointError, FaultKind, Push};
 pub use file::{check_regular, open_file, read_file};
 pub use grid::{GridAxis, GridSettings};
+pub use manoeuvre::{GivenError, Manoeuvre, TargetRow, TargetValue};
 pub use planner::{
     BalanceSettings, LqrSettings, OfflineSettings, PlannerSettings, QpBackend, ReplanSettings, SUB_HORIZONS,
     TorqueForm,
@@ -65,6 +67,8 @@ pub struct Config {
     pub plant_model: Model,
     /// Grid of the start poses of the trajectory database.
     pub grid: GridSettings,
+    /// Manoeuvres, in the order of their file; the first one is that of the demo.
+    pub manoeuvres: Vec<Manoeuvre>,
     /// Folder of the files; `None`: embedded.
     dir: Option<PathBuf>,
 }
@@ -80,6 +84,7 @@ const ROBOT: EmbeddedFile = embedded!("robot.toml");
 const PLANNER: EmbeddedFile = embedded!("planner.toml");
 const DAEMON: EmbeddedFile = embedded!("daemon.toml");
 const PLANT: EmbeddedFile = embedded!("plant.toml");
+const MANOEUVRES: EmbeddedFile = embedded!("manoeuvres.toml");
 const GRID: EmbeddedFile = embedded!("grid.toml");
 /// The paper's grid of start poses, read only by [`Config::use_paper_grid`].
 const PAPER_GRID: EmbeddedFile = embedded!("grid-paper.toml");
@@ -87,7 +92,8 @@ const PAPER_GRID: EmbeddedFile = embedded!("grid-paper.toml");
 pub const DATABASE: &str = "database.bin";
 /// The second model of the arm, read only if `model.urdf` of the plant's settings names it.
 const SECOND_URDF: EmbeddedFile = embedded!("robot-acin.urdf");
-const FILES: [EmbeddedFile; 8] = [URDF, ROBOT, PLANNER, DAEMON, PLANT, GRID, PAPER_GRID, SECOND_URDF];
+const FILES: [EmbeddedFile; 9] =
+    [URDF, ROBOT, MANOEUVRES, PLANNER, DAEMON, PLANT, GRID, PAPER_GRID, SECOND_URDF];
 /// The scenarios of the set, read only by [`Config::use_scenario`].
 const SCENARIOS: [EmbeddedFile; 16] = [
     embedded!("scenarios/arm-friction.toml"),
@@ -191,6 +197,7 @@ impl Config {
         let robot: RobotSettings =
             ROBOT.text(dir)?.settings(&model, |robot: &RobotSettings| robot.validate(&model))?;
         let model = model.with_rotors(&robot.rotor_inertia);
+        let manoeuvres = manoeuvre::read(&MANOEUVRES.text(dir)?, &robot, &model)?;
         let planner = PLANNER.text(dir)?.settings(&model, PlannerSettings::validate)?;
         let daemon = DAEMON.text(dir)?.settings(&model, |daemon: &DaemonSettings| daemon.validate(&robot))?;
         let file = PLANT.text(dir)?;
@@ -198,7 +205,7 @@ impl Config {
         let plant_model = read_plant_model(dir, &file, &plant.model.urdf, &model)?;
         let grid = GridSettings::read(&GRID.text(dir)?, &robot, &model)?;
         let dir = dir.map(Path::to_owned);
-        Ok(Self { urdf: urdf.text, model, robot, planner, daemon, plant, plant_model, grid, dir })
+        Ok(Self { urdf: urdf.text, model, robot, planner, daemon, plant, plant_model, grid, manoeuvres, dir })
     }
 
     /// Replaces the plant's settings by those of `plant.toml` under a scenario, given by its name in the set or by the path of a file
@@ -225,7 +232,7 @@ impl Config {
     /// # Errors
     /// [`ConfigError`] if a file has become unreadable since the settings were loaded.
     pub fn texts(&self) -> Result<Vec<(&'static str, String)>, ConfigError> {
-        let files = [&URDF, &ROBOT, &PLANNER, &DAEMON, &PLANT, &GRID];
+        let files = [&URDF, &ROBOT, &MANOEUVRES, &PLANNER, &DAEMON, &PLANT, &GRID];
         files.iter().map(|file| Ok((file.name, file.text(self.dir.as_deref())?.text))).collect()
     }
 

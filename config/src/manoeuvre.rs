@@ -1,0 +1,375 @@
+//! Manoeuvres of a system, `manoeuvres.toml`: where they start, and the rows of their target (8).
+
+use crate::conflict::unit;
+use crate::file::TextFile;
+use crate::grid::MOST_POSES;
+use crate::rule::{Finite, Positive, Rule, Whole};
+use crate::{ConfigError, GridAxis, GridSettings, RobotSettings};
+use serde::{Deserialize, Deserializer};
+use std::collections::BTreeMap;
+use toml::Spanned;
+use upswing_model::{JointKind, JointVector, Model, Posture, RestError, Workspace};
+
+/// A motion from rest to rest: planned when an operator requests it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Manoeuvre {
+    /// Name in requests and of the database.
+    pub name: String,
+    /// Posture in which it starts.
+    pub start: Posture,
+    /// Posture in which it ends.
+    pub end: Posture,
+    /// Rows of the end state x_N, (8), at rest; none if it `reverses` another manoeuvre: it ends where the entry of the database began.
+    pub target: Vec<TargetRow>,
+    /// Start poses of the database; those of the other manoeuvre if it `reverses` one.
+    pub grid: GridSettings,
+    /// Index in [`crate::Config::manoeuvres`] of the manoeuvre that this one is run backwards.
+    pub reverses: Option<usize>,
+}
+
+/// One row of a target: `coefficients` . q_N = `value`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TargetRow {
+    /// Of q_N; 1 for the joint of a row of one joint.
+    pub coefficients: JointVector,
+    /// What the product shall be.
+    pub value: TargetValue,
+}
+
+/// Value of a row of a target, rad or m.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum TargetValue {
+    /// A number.
+    Fixed(f64),
+    /// The request gives the position of an actuated joint; the axis has those of the database.
+    Given(GridAxis),
+    /// The position at which an unactuated joint hangs.
+    Rest,
+}
+
+/// Why values that a request gives are no target.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum GivenError {
+    /// The wrong number of values.
+    #[error("expected {}, got {got}", match .expected { 0 => "no value".into(), 1 => "1 value".into(), n => format!("{n} values") })]
+    Number {
+        /// Number of rows whose value the request gives.
+        expected: usize,
+        /// Number of values.
+        got: usize,
+    },
+    /// The unactuated joints have no rest position in the pose.
+    #[error(transparent)]
+    NoRest(#[from] RestError),
+}
+
+impl Manoeuvre {
+    /// The joints whose positions a request gives, in the order of their rows, and their positions in the database.
+    pub fn given(&self) -> impl Iterator<Item = &GridAxis> {
+        self.target.iter().filter_map(|row| match &row.value {
+            TargetValue::Given(axis) => Some(axis),
+            _ => None,
+        })
+    }
+
+    /// The rows of the target with the values that a request gives, rad or m, in the order of [`Manoeuvre::given`]: coefficients of q_N,
+    /// and value.
+    ///
+    /// # Errors
+    /// [`GivenError`] if the number of values is another one, or if there is no rest position.
+    pub fn rows(&self, model: &Model, given: &[f64]) -> Result<Vec<(JointVector, f64)>, GivenError> {
+        let expected = self.given().count();
+        if given.len() != expected {
+            return Err(GivenError::Number { expected, got: given.len() });
+        }
+        let mut given = given.iter();
+        let mut value = |row: &TargetRow| match row.value {
+            TargetValue::Fixed(value) => Some(value),
+            TargetValue::Given(_) => given.next().copied(),
+            TargetValue::Rest => None,
+        };
+        let rows: Vec<_> = self.target.iter().map(|row| (row.coefficients, value(row))).collect();
+        let known: Vec<_> = rows.iter().filter_map(|(row, value)| value.map(|value| (*row, value))).collect();
+        if known.len() == rows.len() {
+            return Ok(known);
+        }
+        let pose = nearest(&known, &JointVector::zeros(model.sizes()));
+        let rest = model.rest_position(&pose, &mut Workspace::default())?;
+        Ok(rows.into_iter().map(|(row, value)| (row, value.unwrap_or_else(|| row.dot(&rest)))).collect())
+    }
+}
+
+/// The q closest to `q` that meets `rows`, which do not depend on each other: one row after the other, made orthogonal to those before it.
+fn nearest(rows: &[(JointVector, f64)], q: &JointVector) -> JointVector {
+    let (mut q, mut basis) = (*q, Vec::<(JointVector, f64)>::new());
+    for (row, value) in rows {
+        let (mut row, mut value) = (*row, *value);
+        for (known, its_value) in &basis {
+            let share = row.dot(known);
+            (row, value) = (row - *known * share, value - its_value * share);
+        }
+        let norm = row.norm();
+        let (row, value) = (row / norm, value / norm);
+        q += row * (value - row.dot(&q));
+        basis.push((row, value));
+    }
+    q
+}
+
+/// Contents of `manoeuvres.toml`.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ManoeuvresInFile {
+    manoeuvre: Vec<Spanned<ManoeuvreInFile>>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ManoeuvreInFile {
+    name: String,
+    reverses: Option<String>,
+    start: Option<PostureInFile>,
+    end: Option<PostureInFile>,
+    target: Option<Vec<Spanned<RowInFile>>>,
+    grid: Option<Vec<Spanned<RowInFile>>>,
+    #[serde(default, deserialize_with = "Positive::degrees")]
+    max_rest_angle_deg: Option<f64>,
+}
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum PostureInFile {
+    Hanging,
+    Standing,
+}
+
+impl From<PostureInFile> for Posture {
+    fn from(posture: PostureInFile) -> Self {
+        match posture {
+            PostureInFile::Hanging => Self::Hanging,
+            PostureInFile::Standing => Self::Standing,
+        }
+    }
+}
+
+/// A row of a target, or an axis of a grid, as a file states it; numbers with the keys of one of both units.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RowInFile {
+    joint: Option<String>,
+    coefficients: Option<BTreeMap<String, f64>>,
+    #[serde(default)]
+    given: bool,
+    #[serde(default)]
+    rest: bool,
+    #[serde(default, deserialize_with = "Finite::degrees")]
+    value_deg: Option<f64>,
+    #[serde(default, deserialize_with = "Finite::read")]
+    value_m: Option<f64>,
+    #[serde(default, deserialize_with = "Finite::degrees")]
+    from_deg: Option<f64>,
+    #[serde(default, deserialize_with = "Finite::degrees")]
+    to_deg: Option<f64>,
+    #[serde(default, deserialize_with = "Finite::read")]
+    from_m: Option<f64>,
+    #[serde(default, deserialize_with = "Finite::read")]
+    to_m: Option<f64>,
+    #[serde(default, deserialize_with = "points")]
+    points: Option<usize>,
+}
+
+fn points<'de, D: Deserializer<'de>>(from: D) -> Result<Option<usize>, D::Error> {
+    Whole::<2, { MOST_POSES as i64 }>::read(from).map(Some)
+}
+
+impl RowInFile {
+    /// The number of the key that ends in the unit of a joint of this kind; the other one of both keys has to be absent.
+    fn number(key: &str, kind: JointKind, deg: Option<f64>, m: Option<f64>) -> Result<Option<f64>, String> {
+        let (own, other, other_unit) = if unit(kind) == "m" { (m, deg, "deg") } else { (deg, m, "m") };
+        match other {
+            Some(_) => Err(format!(".{key}_{other_unit}: expected {key}_{} for such a joint", unit(kind))),
+            None => Ok(own),
+        }
+    }
+
+    /// The one value of a joint of this kind.
+    fn value(&self, kind: JointKind) -> Result<Option<f64>, String> {
+        Self::number("value", kind, self.value_deg, self.value_m)
+    }
+
+    /// The positions of the actuated joint of the row, or what is wrong: a `reason` for [`TextFile::error`].
+    fn axis(&self, model: &Model) -> Result<GridAxis, String> {
+        let joint = self.joint(model, 0..model.sizes().actuated())?;
+        let kind = model.joint_kind(joint);
+        let from = Self::number("from", kind, self.from_deg, self.from_m)?;
+        let to = Self::number("to", kind, self.to_deg, self.to_m)?;
+        let unit = unit(kind);
+        match (self.value(kind)?, from, to, self.points) {
+            (Some(value), None, None, None) => Ok(GridAxis { joint, from: value, to: value, points: 1 }),
+            (None, Some(from), Some(to), Some(points)) => Ok(GridAxis { joint, from, to, points }),
+            _ => {
+                Err(format!("expected value_{unit}, or from_{unit}, to_{unit} and points: state one of both"))
+            }
+        }
+    }
+
+    /// Index in q of the joint of the row, one of those with the indices `among`.
+    fn joint(&self, model: &Model, among: std::ops::Range<usize>) -> Result<usize, String> {
+        let names = || among.clone().map(|joint| model.joint_name(joint)).collect::<Vec<_>>().join(", ");
+        let Some(name) = &self.joint else {
+            return Err(format!("expected `joint`, one of {}, got none", names()));
+        };
+        among
+            .clone()
+            .find(|joint| model.joint_name(*joint) == name)
+            .ok_or_else(|| format!(".joint: expected one of {}, got `{name}`", names()))
+    }
+
+    /// The row of a target, or what is wrong: a `reason` for [`TextFile::error`].
+    fn target(&self, model: &Model) -> Result<TargetRow, String> {
+        let sizes = model.sizes();
+        let unit_row = |joint: usize| JointVector::from_fn(sizes, |i| f64::from(u8::from(i == joint)));
+        let numbers = [self.value_deg, self.value_m, self.from_deg, self.to_deg, self.from_m, self.to_m];
+        match (&self.coefficients, self.given, self.rest) {
+            (None, true, false) => {
+                let axis = self.axis(model)?;
+                Ok(TargetRow { coefficients: unit_row(axis.joint), value: TargetValue::Given(axis) })
+            }
+            (None, false, true) => {
+                let joint = self.joint(model, sizes.actuated()..sizes.joints())?;
+                if numbers.iter().any(Option::is_some) || self.points.is_some() {
+                    return Err("expected no value with `rest = true`, got one: remove one of both".into());
+                }
+                Ok(TargetRow { coefficients: unit_row(joint), value: TargetValue::Rest })
+            }
+            (coefficients, false, false) => {
+                let (coefficients, kind) = match coefficients {
+                    None => {
+                        let joint = self.joint(model, 0..sizes.joints())?;
+                        (unit_row(joint), model.joint_kind(joint))
+                    }
+                    Some(_) if self.joint.is_some() => {
+                        return Err("expected `joint` or `coefficients`, got both: remove one of both".into());
+                    }
+                    Some(by_name) => sum_of_joints(by_name, model)?,
+                };
+                let range = numbers[2..].iter().any(Option::is_some) || self.points.is_some();
+                match self.value(kind)? {
+                    Some(value) if !range => Ok(TargetRow { coefficients, value: TargetValue::Fixed(value) }),
+                    _ => Err(format!("expected value_{}, `given = true` or `rest = true`", unit(kind))),
+                }
+            }
+            _ => {
+                Err("expected one of `coefficients`, `given = true` and `rest = true`, got two of them"
+                    .into())
+            }
+        }
+    }
+}
+
+/// The coefficients of q of a sum over joints, and the kind of these joints.
+fn sum_of_joints(by_name: &BTreeMap<String, f64>, model: &Model) -> Result<(JointVector, JointKind), String> {
+    let mut coefficients = JointVector::zeros(model.sizes());
+    let mut first = None;
+    for (name, coefficient) in by_name {
+        let Some(joint) = model.coordinate(name) else {
+            let names = model.joint_names().collect::<Vec<_>>().join(", ");
+            return Err(format!(".coefficients: expected names of joints, {names}, got `{name}`"));
+        };
+        if !coefficient.is_finite() || *coefficient == 0.0 {
+            let expected = format!(".coefficients: expected a finite number other than 0 for joint `{name}`");
+            return Err(format!("{expected}, got {coefficient}"));
+        }
+        let kind = model.joint_kind(joint);
+        match first {
+            Some(first) if unit(first) != unit(kind) => {
+                return Err(".coefficients: expected joints of one unit, deg or m, got both".into());
+            }
+            _ => first = Some(kind),
+        }
+        coefficients[joint] = *coefficient;
+    }
+    let kind = first.ok_or(".coefficients: expected at least one joint, got none")?;
+    Ok((coefficients, kind))
+}
+
+/// Reads the manoeuvres in `file`.
+pub(crate) fn read(
+    file: &TextFile,
+    robot: &RobotSettings,
+    model: &Model,
+) -> Result<Vec<Manoeuvre>, ConfigError> {
+    let ManoeuvresInFile { manoeuvre } = file.parse(model)?;
+    let mut manoeuvres = Vec::<Manoeuvre>::new();
+    let mut reversed = Vec::new();
+    for manoeuvre in manoeuvre {
+        let at = manoeuvre.span().start;
+        let refuse =
+            |at: usize, key: &str, reason: String| file.error(at, Some(format!("manoeuvre.{key}")), reason);
+        let ManoeuvreInFile { name, reverses, start, end, target, grid, max_rest_angle_deg } =
+            manoeuvre.into_inner();
+        if manoeuvres.iter().any(|known| known.name == name) {
+            return Err(refuse(
+                at,
+                "name",
+                format!("expected another name for each manoeuvre, got `{name}` twice"),
+            ));
+        }
+        if let Some(original) = reverses {
+            if start.is_some()
+                || end.is_some()
+                || target.is_some()
+                || grid.is_some()
+                || max_rest_angle_deg.is_some()
+            {
+                let reason =
+                    "expected no other key than `name`: the others are those of the reversed manoeuvre";
+                return Err(refuse(at, "reverses", reason.into()));
+            }
+            reversed.push((manoeuvres.len(), at, original));
+            manoeuvres.push(Manoeuvre {
+                name,
+                start: Posture::Standing,
+                end: Posture::Hanging,
+                target: Vec::new(),
+                grid: GridSettings::of(model, Vec::new(), f64::INFINITY),
+                reverses: None,
+            });
+            continue;
+        }
+        let missing =
+            |key: &str| refuse(at, key, format!("expected a value for manoeuvre `{name}`, got none"));
+        let (start, end) = (start.ok_or_else(|| missing("start"))?, end.ok_or_else(|| missing("end"))?);
+        let target = target.ok_or_else(|| missing("target"))?.into_iter().map(|row| {
+            row.get_ref().target(model).map_err(|reason| refuse(row.span().start, "target", reason))
+        });
+        let axes = grid.ok_or_else(|| missing("grid"))?.into_iter().map(|axis| {
+            axis.get_ref().axis(model).map_err(|reason| refuse(axis.span().start, "grid", reason))
+        });
+        let (target, axes) = (target.collect::<Result<_, _>>()?, axes.collect::<Result<_, _>>()?);
+        let grid = GridSettings::of(model, axes, max_rest_angle_deg.unwrap_or(f64::INFINITY));
+        grid.validate(robot, model).map_err(|conflict| file.refuse(conflict))?;
+        manoeuvres.push(Manoeuvre {
+            name,
+            start: start.into(),
+            end: end.into(),
+            target,
+            grid,
+            reverses: None,
+        });
+    }
+    for (number, at, name) in &reversed {
+        let of_target = |index: &usize| !reversed.iter().any(|(number, ..)| number == index);
+        let original = (0..manoeuvres.len()).filter(of_target).find(|i| manoeuvres[*i].name == *name);
+        let Some(original) = original else {
+            let names = (0..manoeuvres.len()).filter(of_target).map(|i| manoeuvres[i].name.as_str());
+            let names = names.collect::<Vec<_>>().join(", ");
+            let reason = format!("expected the name of a manoeuvre with a target, {names}, got `{name}`");
+            return Err(file.error(*at, Some("manoeuvre.reverses".into()), reason));
+        };
+        let Manoeuvre { start, end, grid, .. } = manoeuvres[original].clone();
+        let reverse = &mut manoeuvres[*number];
+        (reverse.start, reverse.end, reverse.grid, reverse.reverses) = (end, start, grid, Some(original));
+    }
+    Ok(manoeuvres)
+}
