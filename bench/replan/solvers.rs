@@ -93,7 +93,7 @@ fn first_qp(planner: &Planner, start: &State) -> Qp {
     let nearest = planner.nearest(Manoeuvre::SwingUp, start)[0];
     let reference = &planner.entries()[nearest.index].trajectory;
     let weights = qp_weights(&planner.config().planner.replan);
-    Qp::new(&planner.problem(start), reference, reference, &weights, &mut Workspace::default())
+    Qp::new(&planner.problem(start), reference, reference, &weights)
 }
 
 fn replans(planner: &Planner, starts: &[State]) {

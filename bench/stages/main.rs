@@ -96,7 +96,7 @@ impl Chain {
             target: (0..sizes.state()).map(|i| TargetRow::unit(sizes, i, 0.0)).collect(),
         };
         let weights = QpWeights { t_f: 100.0, z: KnotVector::repeat(sizes, 1.0) };
-        let qp = Qp::new(&problem, &hanging, &hanging, &weights, &mut Workspace::default());
+        let qp = Qp::new(&problem, &hanging, &hanging, &weights);
         let mut kkt = Kkt::zeros(sizes, N, &qp.target);
         (kkt.h, kkt.t_t, kkt.dynamics) = (qp.h, 1.0, qp.dynamics.clone());
         for k in 0..=N {

@@ -44,8 +44,8 @@ impl Torque {
 pub struct JointSpaceInertia {
     /// Reduced inertia M~ (10).
     pub reduced: ActuatedMatrix,
-    /// Columns [M_AU; M_UU] of M (2) for the unactuated joints.
-    pub unactuated: Matrix<Joints, Unactuated>,
+    /// Rows [M_UA, M_UU] of M (2) of the unactuated joints.
+    pub unactuated: Matrix<Unactuated, Joints>,
 }
 
 impl JointSpaceInertia {
@@ -72,8 +72,8 @@ pub fn torque(
         return None;
     }
     let within = tau.inf(tau_max).sup(&-tau_max);
-    inertia.reduced = model.reduced_inertia(work);
-    inertia.unactuated = model.unactuated_columns(work);
+    model.write_reduced_inertia(work, &mut inertia.reduced);
+    model.write_unactuated_rows(work, &mut inertia.unactuated);
     Some(Torque {
         tau: within,
         cut: tau - within,

@@ -199,11 +199,12 @@ impl Standstill {
             ActuatedVector::from_fn(sizes, |i| if self.joints[i].time > STANDS { u[i] } else { 0.0 });
         let (carried, full) = (reduced * &standing, reduced * u);
         let single = ActuatedVector::from_fn(sizes, |i| reduced[(i, i)]);
-        // A column of M consists of one of M_AU and one of M_UU, which is symmetric.
-        let column = |c: usize| unactuated.column(c);
-        let single_u = UnactuatedVector::from_fn(sizes, |c| column(c).unactuated()[c]);
-        let moving = UnactuatedVector::from_fn(sizes, |c| column(c).unactuated().dot(&qdd_u));
-        let reaction = UnactuatedVector::from_fn(sizes, |c| column(c).actuated().dot(&standing));
+        // A row of M consists of one of M_UA and one of M_UU.
+        let row = |c: usize| unactuated.row(c).split_at(sizes.actuated());
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let single_u = UnactuatedVector::from_fn(sizes, |c| row(c).1[c]);
+        let moving = UnactuatedVector::from_fn(sizes, |c| dot(row(c).1, &qdd_u));
+        let reaction = UnactuatedVector::from_fn(sizes, |c| dot(row(c).0, &standing));
         let change = estimate - self.estimate;
         // Errors of the model for fast joints change the estimates of all joints.
         if qd.amax() >= REST_SPEED_ESTIMATE {

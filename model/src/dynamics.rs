@@ -177,8 +177,14 @@ impl Model {
     /// [`Self::hybrid_dynamics`] evaluated last with `work`.
     pub fn reduced_inertia(&self, work: &mut Workspace) -> ActuatedMatrix {
         let mut reduced = ActuatedMatrix::zeros(self.sizes());
-        with_dims!(self.sizes(), |d| self.reduced_inertia_here(d, work, &mut reduced));
+        self.write_reduced_inertia(work, &mut reduced);
         reduced
+    }
+
+    /// [`Self::reduced_inertia`] into a matrix of this chain: the memory of a matrix is 2 KB, which the control cycle does not copy.
+    pub fn write_reduced_inertia(&self, work: &mut Workspace, out: &mut ActuatedMatrix) {
+        debug_assert_eq!(out.sizes(), self.sizes());
+        with_dims!(self.sizes(), |d| self.reduced_inertia_here(d, work, out));
     }
 
     #[inline(never)]
@@ -222,10 +228,13 @@ impl Model {
         &self.reduced_inertia(work) * a
     }
 
-    /// The columns [M_AU; M_UU] of M(q) (2) that belong to the unactuated joints, at the state that [`Self::hybrid_dynamics`] evaluated
-    /// last with `work`.
-    pub fn unactuated_columns(&self, work: &Workspace) -> Matrix<Joints, Unactuated> {
-        Matrix::from_fn(self.sizes(), |i, c| work.columns[c][i])
+    /// Writes the rows [M_UA, M_UU] of M(q) (2) that belong to the unactuated joints into `out`, at the state that
+    /// [`Self::hybrid_dynamics`] evaluated last with `work`.
+    pub fn write_unactuated_rows(&self, work: &Workspace, out: &mut Matrix<Unactuated, Joints>) {
+        debug_assert_eq!(out.sizes(), self.sizes());
+        for c in 0..self.sizes().unactuated() {
+            out.row_mut(c).copy_from_slice(&work.columns[c][..self.sizes().joints()]);
+        }
     }
 
     /// Motor torque without its Coriolis part M~ u + g~ (11), N m or N: [`Self::torque`] at qd = 0.

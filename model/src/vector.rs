@@ -384,8 +384,10 @@ impl State {
     pub fn new(q: &JointVector, qd: &JointVector) -> Self {
         debug_assert_eq!(q.sizes, qd.sizes);
         let mut x = Self::zeros(q.sizes);
-        x.q_mut().copy_from_slice(q);
-        x.qd_mut().copy_from_slice(qd);
+        // Whole memories: a copy of a length known at run time would be a call. The zeros of `q` give way to `qd`.
+        x.values[..MOST_JOINTS].copy_from_slice(&q.values);
+        let joints = q.sizes.joints().min(MOST_JOINTS);
+        x.values[joints..joints + MOST_JOINTS].copy_from_slice(&qd.values);
         x
     }
 
@@ -472,9 +474,12 @@ impl JointVector {
     /// The vector [a, u].
     pub fn joined(a: &ActuatedVector, u: &UnactuatedVector) -> Self {
         debug_assert_eq!(a.sizes, u.sizes);
+        let actuated = a.sizes.actuated();
         let mut v = Self::zeros(a.sizes);
-        v.actuated_mut().copy_from_slice(a);
-        v.unactuated_mut().copy_from_slice(u);
+        for i in 0..MOST_JOINTS {
+            // Both are 0 beyond their lengths.
+            v.values[i] = if i < actuated { a.values[i] } else { u.values[i - actuated] };
+        }
         v
     }
 
@@ -511,9 +516,13 @@ fn part<S: Space, const CAPACITY: usize, T: Space, const FROM: usize>(
     vector: &Vector<T, FROM>,
     first: usize,
 ) -> Vector<S, CAPACITY> {
-    let mut out = Vector::zeros(vector.sizes);
+    let mut out: Vector<S, CAPACITY> = Vector::zeros(vector.sizes);
     let length = out.len();
-    out.copy_from_slice(&vector.values[first..first + length]);
+    // Over the whole memory, with a selection instead of a branch: a copy of a length known at run time would be a call.
+    for i in 0..CAPACITY {
+        let value = vector.values[(first + i) % FROM];
+        out.values[i] = if i < length { value } else { 0.0 };
+    }
     out
 }
 
@@ -565,6 +574,12 @@ impl<R: Space, C: Space> Matrix<R, C> {
     #[inline]
     pub fn row(&self, i: usize) -> &[f64] {
         &self.rows[i][..C::length(self.sizes).min(MOST_JOINTS)]
+    }
+
+    /// Row `i`, to be written.
+    #[inline]
+    pub fn row_mut(&mut self, i: usize) -> &mut [f64] {
+        &mut self.rows[i][..C::length(self.sizes).min(MOST_JOINTS)]
     }
 
     /// Column `j`.

@@ -10,7 +10,8 @@ mod conditions;
 mod filter;
 mod newton;
 
-use crate::problem::{KnotDerivatives, Problem};
+use crate::derivatives::KnotDerivatives;
+use crate::problem::Problem;
 use crate::slab::{Slab, entries};
 use bounded::BoundedVector;
 use filter::Filter;
@@ -210,7 +211,7 @@ struct TrialPoint {
 struct NlpSolver<'a> {
     problem: &'a Problem<'a>,
     work: Workspace,
-    /// Derivatives at one knot.
+    /// Derivatives at some knots.
     derivatives: KnotDerivatives,
     /// Centre and half range of the constrained torque.
     torque_centre: ActuatedVector,

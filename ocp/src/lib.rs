@@ -7,6 +7,7 @@
 //!
 //! Nothing here reads files or settings, starts threads or sends anything.
 
+mod derivatives;
 mod dims;
 pub mod interior_point;
 mod kernels;

@@ -1,9 +1,7 @@
 //! The swing-up as an optimisation problem: (6), (8) with the torque constraint (9) or (11).
 
 use crate::kkt::{TargetRow, nearest_state};
-use upswing_model::{
-    ActuatedVector, Dims, Limits, Linearization, Model, Sizes, State, UnactuatedVector, Workspace,
-};
+use upswing_model::{ActuatedVector, Limits, Model, Sizes, State, Workspace};
 use upswing_trajectory::Trajectory;
 
 /// The form of the motor torque that is kept within its limits, with what its bounds need.
@@ -74,35 +72,6 @@ pub fn upright_target(sizes: Sizes, pitch: f64, q8: f64) -> Vec<TargetRow> {
     }
     rows.extend((joints..sizes.state()).map(|i| TargetRow::unit(sizes, i, 0.0)));
     rows
-}
-
-/// First derivatives at one knot, with the constrained torque, and memory for them.
-pub(crate) struct KnotDerivatives {
-    /// Of the dynamics.
-    pub dynamics: Linearization,
-    /// Of (11) where that is the constraint.
-    constraint: Option<Linearization>,
-    /// Second derivatives of (11).
-    hessian: Vec<f64>,
-}
-
-impl KnotDerivatives {
-    /// Memory for the derivatives of a problem.
-    pub(crate) fn new(problem: &Problem<'_>) -> Self {
-        let sizes = problem.sizes();
-        let (constraint, hessian) = match problem.torque {
-            TorqueConstraint::Exact => (None, Vec::new()),
-            TorqueConstraint::WithoutCoriolis { .. } => {
-                (Some(Linearization::new(sizes)), vec![0.0; sizes.knot() * sizes.knot_row()])
-            }
-        };
-        Self { dynamics: Linearization::new(sizes), constraint, hessian }
-    }
-
-    /// Derivatives of the torque that the constraint bounds.
-    pub(crate) fn torque(&self) -> &Linearization {
-        self.constraint.as_ref().unwrap_or(&self.dynamics)
-    }
 }
 
 impl Problem<'_> {
@@ -176,42 +145,6 @@ impl Problem<'_> {
                 (exact.0, self.model.torque_without_coriolis(x, u, work))
             }
         }
-    }
-
-    /// First derivatives at a knot.
-    pub(crate) fn linearise_knot(
-        &self,
-        x: &State,
-        u: &ActuatedVector,
-        work: &mut Workspace,
-        derivatives: &mut KnotDerivatives,
-    ) {
-        self.model.linearize(x, u, work, &mut derivatives.dynamics);
-        if let Some(constraint) = &mut derivatives.constraint {
-            self.model.linearize_without_coriolis(x, u, work, constraint);
-        }
-    }
-
-    /// First derivatives at a knot, and second derivatives of `w` . qdd_U + `mu` . tau into `h`, as of [`Model::hessian`].
-    pub(crate) fn knot_derivatives(
-        &self,
-        x: &State,
-        u: &ActuatedVector,
-        w: &UnactuatedVector,
-        mu: &ActuatedVector,
-        work: &mut Workspace,
-        derivatives: &mut KnotDerivatives,
-        h: &mut [f64],
-    ) {
-        let KnotDerivatives { dynamics, constraint, hessian } = derivatives;
-        self.model.linearize(x, u, work, dynamics);
-        let Some(constraint) = constraint else {
-            return self.model.hessian(w, mu, dynamics, work, h);
-        };
-        self.model.hessian(w, &ActuatedVector::zeros(self.sizes()), dynamics, work, h);
-        self.model.linearize_without_coriolis(x, u, work, constraint);
-        self.model.hessian_without_coriolis(mu, constraint, work, hessian);
-        h.iter_mut().zip(hessian).for_each(|(h, of_torque)| *h += *of_torque);
     }
 
     /// A straight line from the start to the nearest point of the target, with zero velocities and inputs.

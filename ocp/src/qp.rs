@@ -12,12 +12,13 @@
 mod clarabel;
 pub mod structured;
 
+use crate::derivatives::{KnotDerivatives, LANES};
 use crate::kkt::{Dynamics, TargetRow};
-use crate::problem::{KnotDerivatives, Problem};
+use crate::problem::Problem;
 use crate::slab::{KnotParts, KnotVector, Knots, Slab};
 use std::time::Instant;
 use structured::Structured;
-use upswing_model::{ActuatedVector, LimitKind, Sizes, State, States, Workspace};
+use upswing_model::{ActuatedVector, LimitKind, Sizes, State, States};
 use upswing_trajectory::Trajectory;
 
 /// Linearised torques of all knots within their bounds: lower <= J_k dz_k <= upper.
@@ -72,13 +73,7 @@ pub struct Qp {
 
 impl Qp {
     /// (16) linearised around `at`, for the deviation from `reference`, which has as many knots.
-    pub fn new(
-        problem: &Problem<'_>,
-        reference: &Trajectory,
-        at: &Trajectory,
-        weights: &QpWeights,
-        work: &mut Workspace,
-    ) -> Self {
+    pub fn new(problem: &Problem<'_>, reference: &Trajectory, at: &Trajectory, weights: &QpWeights) -> Self {
         let (sizes, n) = (problem.sizes(), at.intervals());
         let (tau_min, tau_max) = problem.torque.bounds(&problem.limits.tau_max);
         let mut dynamics = Dynamics::zeros(sizes, n);
@@ -87,15 +82,23 @@ impl Qp {
         let mut weight = Slab::<Knots>::zeros(sizes, n + 1, 1);
         let mut gradient = weight.clone();
         let mut derivatives = KnotDerivatives::new(problem);
-        for (k, (x, u)) in at.knots().enumerate() {
-            problem.linearise_knot(x, u, work, &mut derivatives);
-            dynamics.set(k, &derivatives.dynamics, x, u);
-            let torque = derivatives.torque();
-            for a in 0..sizes.actuated() {
-                jacobian.row_mut(k, a).copy_from_slice(torque.tau(a));
+        for first in (0..=n).step_by(LANES) {
+            for lane in 0..LANES {
+                // Lanes that are left over repeat the last knot.
+                let k = (first + lane).min(n);
+                derivatives.set_point(lane, &at.x[k], &at.u[k]);
             }
-            let tau = torque.value().tau;
-            bounds.push((tau_min - tau, tau_max - tau));
+            derivatives.linearise(problem);
+            for (lane, k) in (first..=n).take(LANES).enumerate() {
+                derivatives.write_dynamics(lane, k, &mut dynamics);
+                for a in 0..sizes.actuated() {
+                    derivatives.write_torque_row(lane, a, jacobian.row_mut(k, a));
+                }
+                let tau = derivatives.tau(lane);
+                bounds.push((tau_min - tau, tau_max - tau));
+            }
+        }
+        for (k, (x, u)) in at.knots().enumerate() {
             let mut dz = KnotVector::zeros(sizes);
             dz.x_mut().copy_from_slice(&(x - reference.x[k]));
             dz.u_mut().copy_from_slice(&(u - reference.u[k]));

@@ -112,7 +112,7 @@ impl Motion {
         let mut problem = self.problem();
         problem.start.q_a_mut().iter_mut().for_each(|q| *q += 0.02);
         let weights = QpWeights { t_f: 1.0, z: KnotVector::repeat(sizes, 0.1) };
-        let qp = Qp::new(&problem, trajectory, trajectory, &weights, &mut Workspace::default());
+        let qp = Qp::new(&problem, trajectory, trajectory, &weights);
         let options = QpOptions { complementarity: 1e-16, ..QpOptions::new(1e-9) };
         let [structured, clarabel] = [Backend::Structured, Backend::Clarabel].map(|backend| {
             let mut solver = QpSolver::new(backend, sizes, self.intervals);

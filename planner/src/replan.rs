@@ -317,7 +317,7 @@ impl Planner {
         let (mut done, mut defect) = (0, f64::INFINITY);
         while done < iterations && !(defect <= self.config.planner.replan.defect) {
             done += 1;
-            let qp = Qp::new(&problem, &reference, &trajectory, &weights, &mut work);
+            let qp = Qp::new(&problem, &reference, &trajectory, &weights);
             self.move_by_qp(
                 &qp,
                 solver,

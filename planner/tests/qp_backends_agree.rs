@@ -2,7 +2,7 @@
 //! infeasible.
 
 use upswing_config::{Config, PendulumStart};
-use upswing_model::{ActuatedVector, LimitKind, State, Workspace};
+use upswing_model::{ActuatedVector, LimitKind, State};
 use upswing_ocp::qp::{Backend, Bound, Qp, QpOptions, QpSolver, QpStatus};
 use upswing_ocp::slab::{KnotParts as _, KnotVector};
 use upswing_planner::offline::{problem, qp_weights};
@@ -59,7 +59,7 @@ fn qp_at(planner: &Planner, entry: usize, offset: &[f64; 7]) -> Option<Qp> {
 fn qp_from(planner: &Planner, reference: &Trajectory, at: &Trajectory, start: State) -> Qp {
     let problem = problem(planner.config(), start);
     let weights = qp_weights(&planner.config().planner.replan);
-    Qp::new(&problem, reference, at, &weights, &mut Workspace::default())
+    Qp::new(&problem, reference, at, &weights)
 }
 
 fn largest(values: &[f64]) -> f64 {

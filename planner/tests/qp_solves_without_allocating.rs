@@ -2,7 +2,6 @@
 
 use allocation_counter::measure;
 use upswing_config::Config;
-use upswing_model::Workspace;
 use upswing_ocp::qp::{Backend, Qp, QpOptions, QpSolver, QpStatus};
 use upswing_planner::offline::{problem, qp_weights};
 use upswing_planner::replan::Planner;
@@ -15,7 +14,7 @@ fn after_the_first_one() {
             (&planner.entries()[entry].trajectory, planner.entries()[entry + 1].trajectory.x[0]);
         let config = planner.config();
         let (problem, weights) = (problem(config, start), qp_weights(&config.planner.replan));
-        Qp::new(&problem, reference, reference, &weights, &mut Workspace::default())
+        Qp::new(&problem, reference, reference, &weights)
     };
     let (first, second) = (qp(40), qp(41));
     let reference = &planner.entries()[0].trajectory;

@@ -81,7 +81,7 @@ fn a_changed_input_is_found(recording: &RecordedRun) {
     }
     let result = replay(&changed).unwrap_or_else(|e| panic!("{e}"));
     let difference = result.difference.expect("a difference");
-    assert_eq!((difference.cycle, difference.field.as_str()), (cycle, "q7"));
+    assert_eq!((difference.cycle, difference.field.as_str()), (cycle, "q of joint_7"));
 }
 
 fn a_missing_step_is_told(recording: &RecordedRun) {

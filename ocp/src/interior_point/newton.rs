@@ -2,9 +2,10 @@
 
 use super::bounded::DualStep;
 use super::{BoundedVector, NlpSolver, Residuals, part};
+use crate::derivatives::LANES;
 use crate::kkt::{Factor, Kkt, NewtonStep, Rhs, SolveWorkspace, TargetRow};
 use crate::slab::{Knots, Slab};
-use upswing_model::{ActuatedVector, Sizes, State, States, UnactuatedVector};
+use upswing_model::{ActuatedVector, Sizes, State, States};
 
 /// Of the linear solves: each refinement gains several digits; more than this many means there is nothing left to
 /// gain, and so does a residual this small against the right-hand side.
@@ -86,24 +87,39 @@ impl NlpSolver<'_> {
         let (state, actuated) = (sizes.state(), sizes.actuated());
         let r = self.problem.input_weight;
         let Kkt { hessian, with_t, dynamics, .. } = &mut linear.kkt;
+        for first in (0..=n).step_by(LANES) {
+            for lane in 0..LANES {
+                // Lanes that are left over repeat the last knot.
+                let k = (first + lane).min(n);
+                let w_u = self.defect_multiplier(k).qd_u() * (-0.5 * h);
+                let lambda = part(&self.lambda_torque, k, actuated);
+                let mu = ActuatedVector::from_fn(sizes, |i| lambda[i] / self.torque_half[i]);
+                self.derivatives.set_point(
+                    lane,
+                    part(&self.primal.x, k, state),
+                    part(&self.primal.u, k, actuated),
+                );
+                self.derivatives.set_multipliers(lane, &w_u, &mu);
+            }
+            self.derivatives.linearise_twice(self.problem);
+            for (lane, k) in (first..=n).take(LANES).enumerate() {
+                self.derivatives.write_hessian(lane, hessian.panel_mut(k));
+                self.derivatives.write_dynamics(lane, k, dynamics);
+                for i in 0..actuated {
+                    let row = linear.torque.row_mut(k, i);
+                    self.derivatives.write_torque_row(lane, i, row);
+                    row.iter_mut().for_each(|v| *v /= self.torque_half[i]);
+                }
+            }
+        }
         for k in 0..=n {
-            let (x, u, w) = (self.primal.x(k), self.primal.u(k), self.defect_multiplier(k));
-            let w_u: UnactuatedVector = w.qd_u() * (-0.5 * h);
-            let lambda = part(&self.lambda_torque, k, actuated);
-            let mu = ActuatedVector::from_fn(sizes, |i| lambda[i] / self.torque_half[i]);
-            let (work, derivatives) = (&mut self.work, &mut self.derivatives);
-            self.problem.knot_derivatives(&x, &u, &w_u, &mu, work, derivatives, hessian.panel_mut(k));
-            dynamics.set(k, &derivatives.dynamics, &x, &u);
             let with_t = with_t.vector_mut(k);
-            dynamics.apply_transposed(k, &w, with_t);
+            dynamics.apply_transposed(k, &self.defect_multiplier(k), with_t);
             with_t.iter_mut().for_each(|v| *v *= -0.5 / n as f64);
+            let u = part(&self.primal.u, k, actuated);
             for i in 0..actuated {
                 hessian.row_mut(k, state + i)[state + i] += h * r;
                 with_t[state + i] += r * u[i] / n as f64;
-                let row = linear.torque.row_mut(k, i);
-                for (out, tau) in row.iter_mut().zip(derivatives.torque().tau(i)) {
-                    *out = tau / self.torque_half[i];
-                }
             }
         }
         linear.kkt.h = h;

@@ -3,7 +3,7 @@
 use crate::kernels::{combine, dot, shift_add};
 use crate::slab::{Knots, LARGEST_KNOT, Slab};
 use std::ops::Range;
-use upswing_model::{ActuatedVector, Dims, Linearization, Sizes, State, States};
+use upswing_model::{Dims, Sizes, State, States};
 
 /// A_k, B_k (19) and f_k of all knots.
 #[derive(Clone, Debug)]
@@ -28,14 +28,6 @@ impl Dynamics {
     /// The knots `range` alone.
     pub fn part(&self, range: Range<usize>) -> Self {
         Self { rows: self.rows.part(range.clone()), f: self.f.part(range) }
-    }
-
-    /// Sets knot `k` to the `derivatives` at (x, u).
-    pub fn set(&mut self, k: usize, derivatives: &Linearization, x: &State, u: &ActuatedVector) {
-        for c in 0..self.sizes().unactuated() {
-            self.rows.row_mut(k, c).copy_from_slice(derivatives.qdd_u(c));
-        }
-        self.f.set(k, &derivatives.f(x, u));
     }
 
     /// Overwrites this with `other`, which has the same size.
