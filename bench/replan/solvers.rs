@@ -4,11 +4,10 @@ use crate::qps::QpFile;
 use crate::{config, print, starts};
 use std::path::Path;
 use std::time::{Duration, Instant};
-use upswing_ipc::operator::Manoeuvre;
 use upswing_model::{State, Workspace};
 use upswing_ocp::lqr;
 use upswing_ocp::qp::{Backend, Qp, QpOptions, QpSolver, QpStatus};
-use upswing_planner::offline::{lqr_weights, qp_weights};
+use upswing_planner::offline::{lqr_weights, qp_weights, target};
 use upswing_planner::replan::{Effort, Planner, Replan};
 
 /// As in a replan (`planner/src/replan.rs`) but for a tenth of its complementarity, with which all solvers come equally
@@ -56,7 +55,7 @@ fn print_both(name: &str, times: &[MeasuredTime]) {
 pub fn run(folder: &Path, count: u64) {
     let planner = Planner::new(config()).unwrap_or_else(|e| panic!("{e}"));
     let starts = starts(planner.config(), count);
-    println!("{count} random starts, {} database entries", planner.entries().len());
+    println!("{count} random starts, {} database entries", planner.entries(0).len());
     one_qp(&planner, &starts, &folder.join("qps.bin"));
     replans(&planner, &starts);
 }
@@ -90,10 +89,11 @@ fn one_qp(planner: &Planner, starts: &[State], path: &Path) {
 
 /// (16), linearised around the nearest entry.
 fn first_qp(planner: &Planner, start: &State) -> Qp {
-    let nearest = planner.nearest(Manoeuvre::SwingUp, start)[0];
-    let reference = &planner.entries()[nearest.index].trajectory;
+    let nearest = planner.nearest(0, &[], start)[0];
+    let reference = &planner.entries(0)[nearest.index].trajectory;
     let weights = qp_weights(&planner.config().planner.replan);
-    Qp::new(&planner.problem(start), reference, reference, &weights)
+    let target = target(planner.config(), 0, &[]).expect("a target");
+    Qp::new(&planner.problem(target, start), reference, reference, &weights)
 }
 
 fn replans(planner: &Planner, starts: &[State]) {
@@ -104,8 +104,7 @@ fn replans(planner: &Planner, starts: &[State]) {
         .iter()
         .map(|start| {
             let effort = Effort::iterations(config.planner.replan.iterations);
-            let (replan, took) =
-                timed(|| planner.replan_with(&mut solver, Manoeuvre::SwingUp, start, &effort));
+            let (replan, took) = timed(|| planner.replan_with(&mut solver, 0, &[], start, &effort));
             times.push(took);
             replan.unwrap_or_else(|e| panic!("{e}"))
         })

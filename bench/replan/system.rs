@@ -3,10 +3,11 @@
 use crate::{config, print, starts};
 use std::time::{Duration, Instant};
 use upswing_config::Config;
-use upswing_ipc::operator::{Manoeuvre, OperatorRequest};
-use upswing_ipc::{Clock, PlannerKind, PlannerRequest, PlannerResponse};
+use upswing_ipc::operator::OperatorRequest;
+use upswing_ipc::{Clock, PlannerRequest, PlannerResponse};
 use upswing_model::State;
 use upswing_planner::database::DatabaseFile;
+use upswing_rig::course::first_manoeuvre;
 use upswing_rig::session::{Role, Session};
 use upswing_tests::System;
 use upswing_trajectory::{Database, PoseOutcome};
@@ -38,11 +39,11 @@ fn requests(starts: &[State]) {
     session.request(OperatorRequest::Enable).unwrap_or_else(|e| panic!("{e}"));
     // Time to settle, and for the planner to make its plan.
     session.advance((1.0 / period) as u64).expect("time passes");
-    let from_now = PlannerRequest::from_now(Manoeuvre::SwingUp);
+    let from_now = PlannerRequest::from_now(first_manoeuvre(&config()));
     let order = *system.config.model.order();
     let fresh = |start: &State| PlannerRequest {
         publish: 1,
-        ..PlannerRequest::from_state(PlannerKind::SwingUp, &order, start)
+        ..PlannerRequest::from_state(first_manoeuvre(&config()), &order, start)
     };
     let (mut computed, mut ready, mut planning, mut status) = (vec![], vec![], vec![], vec![]);
     // In turns, so that the id of the loaded plan changes with each request.
@@ -83,7 +84,7 @@ fn request(session: &mut Session, request: PlannerRequest) -> (PlannerResponse, 
 }
 
 fn entries(config: &Config) -> usize {
-    let database = DatabaseFile::of(config).unwrap_or_else(|e| panic!("{e}"));
+    let database = DatabaseFile::of(config, 0).unwrap_or_else(|e| panic!("{e}")).expect("a database");
     Database::decode(&database.bytes).map_or(0, |d| d.entries().count())
 }
 

@@ -37,6 +37,82 @@ impl std::fmt::Display for Degrees {
     }
 }
 
+/// A position of a joint, deg or m, as typed by a user: `joint_1=30`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct JointValue {
+    /// Name of the joint.
+    pub joint: String,
+    /// deg or m
+    pub value: f64,
+}
+
+impl std::str::FromStr for JointValue {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let number = |value: &str| value.trim().parse::<f64>().ok().filter(|v| v.is_finite());
+        text.split_once('=')
+            .and_then(|(joint, value)| Some(Self { joint: joint.trim().to_owned(), value: number(value)? }))
+            .ok_or_else(|| {
+                format!("expected a joint and its position in deg or m, as in joint_1=30; got `{text}`")
+            })
+    }
+}
+
+/// Returns the number of the manoeuvre `name` of the settings, and the values that the options `--to` give to its target, rad or m: NaN for
+/// a joint without option.
+///
+/// # Errors
+/// [`Failure::BadInput`] if there is no such manoeuvre, or if it does not ask for one of the joints.
+pub fn given_values(config: &Config, name: &str, to: &[JointValue]) -> Result<(usize, Vec<f64>), Failure> {
+    let Some(number) = config.manoeuvres.iter().position(|manoeuvre| manoeuvre.name == name) else {
+        let names: Vec<_> = config.manoeuvres.iter().map(|m| format!("`{}`", m.name)).collect();
+        let refusal = format!("unknown manoeuvre `{name}`: this system has {}", names.join(", "));
+        return Err(Failure::BadInput(refusal));
+    };
+    let joints: Vec<usize> = config.manoeuvres[number].given().map(|axis| axis.joint).collect();
+    let mut given = vec![f64::NAN; joints.len()];
+    for JointValue { joint, value } in to {
+        let Some(i) = joints.iter().position(|i| config.model.joint_name(*i) == joint) else {
+            let names: Vec<_> = joints.iter().map(|i| format!("`{}`", config.model.joint_name(*i))).collect();
+            let expected = if names.is_empty() { "none".to_owned() } else { names.join(", ") };
+            let refusal = format!("--to: `{name}` takes values of the joints {expected}; got `{joint}`");
+            return Err(Failure::BadInput(refusal));
+        };
+        given[i] = if config.model.joint_kind(joints[i]).unit() == "m" { *value } else { value.to_radians() };
+    }
+    Ok((number, given))
+}
+
+/// Options of the manoeuvre of a computation.
+#[derive(Clone, Debug, clap::Args)]
+pub struct ManoeuvreArgs {
+    /// Manoeuvre of the settings [default: the first one]
+    #[arg(long, value_name = "NAME")]
+    pub manoeuvre: Option<String>,
+    /// Where joints end in a manoeuvre whose target is given by the request, deg or m [default: where they start]
+    #[arg(long, value_name = "JOINT=VALUE", num_args = 1.., allow_hyphen_values = true)]
+    pub to: Vec<JointValue>,
+}
+
+impl ManoeuvreArgs {
+    /// Returns the number of the manoeuvre and its given values from `start`, rad or m.
+    ///
+    /// # Errors
+    /// [`Failure::BadInput`] as [`given_values`].
+    pub fn of(&self, config: &Config, start: &State) -> Result<(usize, Vec<f64>), Failure> {
+        let first = config.manoeuvres.first().map_or("", |manoeuvre| manoeuvre.name.as_str());
+        let name = self.manoeuvre.as_deref().unwrap_or(first);
+        let (number, mut given) = given_values(config, name, &self.to)?;
+        for (value, axis) in given.iter_mut().zip(config.manoeuvres[number].given()) {
+            if value.is_nan() {
+                *value = start[axis.joint];
+            }
+        }
+        Ok((number, given))
+    }
+}
+
 /// Options of a start at rest.
 #[derive(Clone, Debug, clap::Args)]
 pub struct StartArgs {

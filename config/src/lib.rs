@@ -45,7 +45,7 @@ use conflict::SettingsConflict;
 use file::{EmbeddedFile, TextFile};
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
-use upswing_model::{JointKind, Model, StartError, State, UnactuatedVector, Urdf};
+use upswing_model::{JointKind, Model, Posture, StartError, State, UnactuatedVector, Urdf};
 use upswing_trajectory::{LoopDelays, PlanCriteria};
 
 /// One complete, checked set of settings.
@@ -161,6 +161,12 @@ impl Config {
         }
     }
 
+    /// Name of the first manoeuvre that starts in a posture.
+    pub fn first_manoeuvre(&self, start: Posture) -> Option<&str> {
+        let first = self.manoeuvres.iter().find(|manoeuvre| manoeuvre.start == start);
+        first.map(|manoeuvre| manoeuvre.name.as_str())
+    }
+
     /// The embedded files with their comments: path relative to a folder of settings, and contents.
     pub fn files() -> impl Iterator<Item = (&'static str, &'static [u8])> {
         FILES.iter().chain(&SCENARIOS).map(|file| (file.name, file.bytes))
@@ -242,29 +248,41 @@ impl Config {
     }
 
     /// Reads a further file of the settings: its name in messages and its contents, from the folder of the settings, or `embedded` for
-    /// the embedded settings.
+    /// the embedded settings; `None` if there is no such file.
     ///
     /// # Errors
-    /// [`ConfigError::Unreadable`] if the folder has no such file.
-    pub fn file(&self, name: &'static str, embedded: &'static [u8]) -> Result<Contents, ConfigError> {
-        EmbeddedFile { name, bytes: embedded }.contents(self.dir.as_deref())
+    /// [`ConfigError::Unreadable`] if the folder has the file, but it cannot be read.
+    pub fn optional_file(
+        &self,
+        name: &str,
+        embedded: Option<&'static [u8]>,
+    ) -> Result<Option<Contents>, ConfigError> {
+        let Some(dir) = &self.dir else {
+            return Ok(embedded.map(|bytes| (format!("embedded {name}"), Cow::Borrowed(bytes))));
+        };
+        let path = dir.join(name);
+        match read_file(&path) {
+            Ok(bytes) => Ok(Some((path.display().to_string(), Cow::Owned(bytes)))),
+            Err(cause) if cause.kind() == std::io::ErrorKind::NotFound => Ok(None),
+            Err(cause) => Err(ConfigError::Unreadable { file: path.display().to_string(), cause }),
+        }
     }
 
-    /// Replaces the grid of start poses by the grid in the file at `path`.
+    /// Replaces the grid of start poses of manoeuvre number `manoeuvre` by the grid in the file at `path`.
     ///
     /// # Errors
     /// [`ConfigError`] if the file is unreadable or malformed, or contains an invalid value.
-    pub fn use_grid(&mut self, path: &Path) -> Result<(), ConfigError> {
-        self.grid = GridSettings::read(&TextFile::at(path)?, &self.robot, &self.model)?;
+    pub fn use_grid(&mut self, manoeuvre: usize, path: &Path) -> Result<(), ConfigError> {
+        self.manoeuvres[manoeuvre].grid = GridSettings::read(&TextFile::at(path)?, &self.robot, &self.model)?;
         Ok(())
     }
 
-    /// Replaces the grid of start poses by the paper's 4 x 4 x 4 x 4 poses.
+    /// Replaces the grid of start poses of the first manoeuvre by the paper's 4 x 4 x 4 x 4 poses.
     ///
     /// # Errors
     /// [`ConfigError`] if a pose of the paper's grid is outside the limits of the settings.
     pub fn use_paper_grid(&mut self) -> Result<(), ConfigError> {
-        self.grid = GridSettings::read(&PAPER_GRID.text(None)?, &self.robot, &self.model)?;
+        self.manoeuvres[0].grid = GridSettings::read(&PAPER_GRID.text(None)?, &self.robot, &self.model)?;
         Ok(())
     }
 }

@@ -20,9 +20,12 @@ fn the_same_settings() {
     assert_eq!(loaded.grid, embedded.grid);
     std::fs::write(dir.path().join("other"), b"in the folder").expect("write");
     let (of_folder, of_program) = (
-        loaded.file("other", b"embedded").expect("a file"),
-        embedded.file("other", b"embedded").expect("embedded"),
+        loaded.optional_file("other", Some(b"embedded")).expect("readable").expect("a file"),
+        embedded.optional_file("other", Some(b"embedded")).expect("readable").expect("embedded"),
     );
+    for config in [&loaded, &embedded] {
+        assert_eq!(config.optional_file("none", None).expect("no error"), None);
+    }
     assert!(of_folder.0.ends_with("other") && of_folder.1 == b"in the folder".as_slice());
     assert!(of_program.0 == "embedded other" && of_program.1 == b"embedded".as_slice());
 }

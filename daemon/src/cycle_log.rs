@@ -8,12 +8,11 @@ use crate::supervisor::RequestRefusal;
 use crate::trip::{TripCause, warning_texts};
 use std::time::{Duration, Instant};
 use tracing::{error, info, warn};
-use upswing_config::{Config, DaemonSettings};
+use upswing_config::Config;
 use upswing_ipc::{
     Clock, ControlResponse, IpcError, Mode, Node, Publisher, Readiness, StepBatch, Telemetry, TelemetryBatch,
     Text,
 };
-use upswing_model::Model;
 
 /// Longest time for which telemetry waits for its batch to fill.
 const FLUSH: Duration = Duration::from_millis(5);
@@ -24,8 +23,7 @@ const OVERRUN_LOG: Duration = Duration::from_secs(1);
 
 /// Log of the control cycles since the start of the daemon.
 pub struct CycleLog<'a> {
-    settings: &'a DaemonSettings,
-    model: &'a Model,
+    config: &'a Config,
     /// The newest record; `None` before the first.
     pub newest: Option<CycleRecord>,
     /// Time of the last record with a new measurement.
@@ -55,8 +53,7 @@ impl<'a> CycleLog<'a> {
     pub fn new(config: &'a Config, node: &Node) -> Result<Self, IpcError> {
         let settings = &config.daemon;
         Ok(Self {
-            settings,
-            model: &config.model,
+            config,
             newest: None,
             sign_of_life: Instant::now(),
             telemetry: node.publisher()?,
@@ -198,8 +195,8 @@ impl<'a> CycleLog<'a> {
         let seq = record.telemetry.seq;
         match record.trip {
             Some(trip) if mode == Mode::Fault => {
-                error!("cycle {seq}: {before} -> {mode}: {}", trip.text(self.model));
-                self.flight = match self.recorder.save(&self.settings.recorder) {
+                error!("cycle {seq}: {before} -> {mode}: {}", trip.text(&self.config.model));
+                self.flight = match self.recorder.save(&self.config.daemon.recorder) {
                     Ok(Some(path)) => format!("the cycles before it are in {}", path.display()),
                     Ok(None) => String::new(),
                     Err(e) => {
@@ -211,7 +208,7 @@ impl<'a> CycleLog<'a> {
                 }
             }
             Some(trip) if mode == Mode::Stop => {
-                warn!("cycle {seq}: {before} -> {mode}: {}", trip.text(self.model));
+                warn!("cycle {seq}: {before} -> {mode}: {}", trip.text(&self.config.model));
             }
             _ => info!("cycle {seq}: {before} -> {mode}"),
         }
@@ -220,7 +217,7 @@ impl<'a> CycleLog<'a> {
     /// Message about the last Fault or Stop: its trip, and the path of the flight record; empty if there is none.
     pub fn remark(&self) -> String {
         let trip = self.newest.and_then(|record| record.trip);
-        let told = trip.map(|trip| format!("tripped: {}", trip.text(self.model)));
+        let told = trip.map(|trip| format!("tripped: {}", trip.text(&self.config.model)));
         let flight = Some(&self.flight).filter(|text| self.mode() == Mode::Fault && !text.is_empty());
         told.into_iter().chain(flight.cloned()).collect::<Vec<_>>().join("; ")
     }
@@ -231,7 +228,8 @@ impl<'a> CycleLog<'a> {
             None => Some(TripCause::NoMeasurement.remedy()),
             Some(record) => record.unready.as_ref().and_then(RequestRefusal::remedy),
         };
-        remedy.map_or_else(|| self.mode().next_action().to_string(), str::to_owned)
+        let of_mode = || self.mode().next_action(|start| self.config.first_manoeuvre(start)).to_string();
+        remedy.map_or_else(of_mode, str::to_owned)
     }
 
     /// Whether the daemon can be enabled.

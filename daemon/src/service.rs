@@ -17,11 +17,12 @@ use std::thread::{Builder, JoinHandle, sleep};
 use std::time::{Duration, Instant};
 use tracing::{info, warn};
 use upswing_config::{Config, RealtimeMode};
-use upswing_ipc::operator::{Manoeuvre, OperatorError, PublishedPlan, request_plan};
+use upswing_ipc::operator::{OperatorError, PublishedPlan, request_plan};
 use upswing_ipc::{
     Command, ControlKind, ControlRequest, ControlResponse, Degradation, Domain, FinderThread, IpcError,
-    Measurement, Mode, Node, PlanHeader, PlanMessage, PlannerRequest, Reader, Text,
+    ManoeuvreRequest, Measurement, Mode, Node, PlanHeader, PlanMessage, PlannerRequest, Reader, Text,
 };
+use upswing_model::Posture;
 use upswing_process::Failure;
 use upswing_process::notify::Notifier;
 
@@ -490,10 +491,13 @@ impl<'a> ServiceThread<'a> {
         info!("recovery: the pendulum is at rest, requesting a plan");
         let (node, patience) = (self.node.clone(), self.config.daemon.recovery.patience);
         let closing = Arc::clone(&self.closing);
+        let name = self.config.first_manoeuvre(Posture::Hanging).unwrap_or_default();
+        let manoeuvre = ManoeuvreRequest::new(name, &[]);
         let ask = move || {
+            let manoeuvre = manoeuvre?;
             let planner = node.client::<PlannerRequest>()?;
             let wanted = || !closing.load(Ordering::Acquire);
-            Ok(PublishedPlan::from(&request_plan(&planner, Manoeuvre::SwingUp, patience, wanted)?))
+            Ok(PublishedPlan::from(&request_plan(&planner, manoeuvre, patience, wanted)?))
         };
         match Builder::new().name("recovery".into()).spawn(ask) {
             Ok(thread) => self.asker = Some(thread),

@@ -162,16 +162,19 @@ impl RequestRefusal {
     pub fn text(&self, model: &Model) -> String {
         match self {
             Self::Mode { mode, event } => {
-                format!("{event} is not possible in mode {mode}; next: {}", mode.next_action())
+                format!("{event} is not possible in mode {mode}; next: {}", mode.next_action(|_| None))
             }
             Self::Unfit(trip) => format!(
                 "the robot cannot be enabled: {}; next: {}, then {}",
                 trip.text(model),
                 trip.cause.remedy(),
-                Mode::Idle.next_action()
+                Mode::Idle.next_action(|_| None)
             ),
             Self::DrivesNotReady => {
-                format!("the drives are not ready; next: {DRIVES_ON}, then {}", Mode::Idle.next_action())
+                format!(
+                    "the drives are not ready; next: {DRIVES_ON}, then {}",
+                    Mode::Idle.next_action(|_| None)
+                )
             }
             Self::NoPlan => "no plan is loaded: request one from the planner".to_owned(),
             Self::OtherPlan { asked, loaded } => format!(

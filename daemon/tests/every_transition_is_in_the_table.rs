@@ -2,7 +2,7 @@
 
 use upswing_config::Config;
 use upswing_ipc::Mode::{self, Balance, Fault, Hold, Idle, Stop, Track};
-use upswing_ipc::operator::{Manoeuvre, NextAction, OperatorRequest};
+use upswing_ipc::operator::{NextAction, OperatorRequest};
 use upswingd::plan::Ending;
 use upswingd::supervisor::{ModeEvent, RequestRefusal, transition};
 
@@ -54,13 +54,13 @@ fn every_request_is_in_the_table() {
 
 #[test]
 fn a_refusal_names_a_step_that_is_accepted() {
-    let model = Config::embedded().unwrap().model;
+    let config = Config::embedded().unwrap();
     for mode in Mode::ALL.iter().copied() {
-        let accepted = match mode.next_action() {
+        let accepted = match mode.next_action(|start| config.first_manoeuvre(start)) {
             // The planner makes such plans in these modes; then one starts.
-            NextAction::Make(OperatorRequest::Manoeuvre(manoeuvre)) => {
-                let needed = if manoeuvre == Manoeuvre::SwingUp { Hold } else { Balance };
-                assert_eq!(mode, needed);
+            NextAction::Manoeuvre(name) => {
+                let manoeuvre = config.manoeuvres.iter().find(|m| Some(m.name.as_str()) == name).unwrap();
+                assert_eq!(mode, Mode::from_posture(manoeuvre.start));
                 transition(mode, ModeEvent::Start)
             }
             NextAction::Make(request) | NextAction::WaitOr(request) => {
@@ -73,15 +73,16 @@ fn a_refusal_names_a_step_that_is_accepted() {
         assert_ne!(next, mode, "it leads somewhere");
         let refused = ModeEvent::REQUESTS.into_iter().filter_map(|r| transition(mode, r).err());
         for refusal in refused {
-            let text = refusal.text(&model);
-            assert!(text.ends_with(&format!("next: {}", mode.next_action())), "{text}");
+            let text = refusal.text(&config.model);
+            assert!(text.ends_with(&format!("next: {}", mode.next_action(|_| None))), "{text}");
         }
     }
     // From a fault the steps lead to a balanced rod.
-    assert_eq!(Fault.next_action(), NextAction::Make(OperatorRequest::Reset));
-    assert_eq!(Idle.next_action(), NextAction::Make(OperatorRequest::Enable));
-    let swing_up = OperatorRequest::Manoeuvre(Manoeuvre::SwingUp);
-    assert_eq!(Hold.next_action(), NextAction::Make(swing_up));
+    let next = |mode: Mode| mode.next_action(|start| config.first_manoeuvre(start));
+    assert_eq!(next(Fault), NextAction::Make(OperatorRequest::Reset));
+    assert_eq!(next(Idle), NextAction::Make(OperatorRequest::Enable));
+    assert_eq!(next(Hold), NextAction::Manoeuvre(Some("swing-up")));
+    assert_eq!(next(Balance), NextAction::Manoeuvre(Some("swing-down")));
 }
 
 #[test]

@@ -5,7 +5,6 @@ mod common;
 use common::{at_rest, config, held, message, rest_plan, rest_pose, resting, sizes, unit, upright_pose};
 use nalgebra::{DMatrix, DVector};
 use upswing_config::{Config, PendulumStart, PlanWhileTracking, StartTolerance, VelocityEstimate};
-use upswing_ipc::operator::Manoeuvre;
 use upswing_ipc::{DamagedPlan, Measurement, OtherChain, PlanMessage};
 use upswing_model::{ActuatedVector, LimitKind, Linearization, Sizes, State, Workspace};
 use upswing_planner::replan::{Effort, Planner};
@@ -82,8 +81,8 @@ fn planned(r: f64, degrees: [f64; 7]) -> (Config, [Plan; 2]) {
     let start = config.start_state(&degrees.map(f64::to_radians), PendulumStart::Rest).unwrap();
     let effort = Effort::iterations(config.planner.replan.iterations);
     let mut solver = planner.solver();
-    let up = planner.replan_with(&mut solver, Manoeuvre::SwingUp, &start, &effort).unwrap();
-    let down = planner.replan_with(&mut solver, Manoeuvre::SwingDown, up.trajectory.end(), &effort).unwrap();
+    let up = planner.replan_with(&mut solver, 0, &[], &start, &effort).unwrap();
+    let down = planner.replan_with(&mut solver, 1, &[], up.trajectory.end(), &effort).unwrap();
     let plans = [up, down].map(|replan| replan.plan(&config));
     (config, plans)
 }

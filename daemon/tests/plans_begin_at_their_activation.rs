@@ -5,8 +5,7 @@ mod common;
 use common::{Arm, PERIOD, PERIOD_NS, at_rest, config, measurement, message, rest_pose, resting, swing};
 use std::time::Instant;
 use upswing_config::Config;
-use upswing_ipc::operator::Manoeuvre;
-use upswing_ipc::{Clock, Mode, PlannerRequest, Telemetry};
+use upswing_ipc::{Clock, ManoeuvreRequest, Mode, PlannerRequest, Telemetry};
 use upswing_model::JointVector;
 use upswing_planner::replan::Planner;
 use upswing_planner::service::RequestHandler;
@@ -146,7 +145,7 @@ fn a_predicted_start_is_met_and_ends_balanced() {
     // On a busy machine a plan may be late; the next one looks further ahead.
     let plan = (0..100).find_map(|_| {
         handler.observe(newest, Instant::now());
-        handler.answer(&PlannerRequest::from_now(Manoeuvre::SwingUp), &|| true).1
+        handler.answer(&PlannerRequest::from_now(ManoeuvreRequest::new("swing-up", &[]).unwrap()), &|| true).1
     });
     let plan = accept(&message(&plan.expect("a plan")), &config).unwrap();
     let (id, t_f, x_0) = (plan.id, plan.trajectory.t_f, plan.trajectory.x[0]);

@@ -62,9 +62,10 @@ pub use pacing::{
 };
 pub use payload::{
     Clock, Command, ControlKind, ControlRequest, ControlResponse, CycleVectors, DamagedPlan, Degradation,
-    Measurement, Mode, OtherChain, Percentiles, PlanHeader, PlanMessage, PlannerKind, PlannerRequest,
-    PlannerResponse, PlannerStatus, PlantKind, PlantRequest, PlantResponse, Readiness, RecordedStep,
-    StepBatch, Telemetry, TelemetryBatch, Text, TextError, UnknownClock, UnknownCode,
+    ManoeuvreRequest, Measurement, Mode, Name, NoName, OtherChain, Percentiles, PlanHeader, PlanMessage,
+    PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus, PlantKind, PlantRequest, PlantResponse,
+    Readiness, RecordedStep, StepBatch, Telemetry, TelemetryBatch, Text, TextError, UnknownClock,
+    UnknownCode,
 };
 pub use services::{
     BlackboardPayload, Client, Finder, FinderThread, MAX_READERS, Publisher, Reader, RequestPayload, Sample,

@@ -4,59 +4,26 @@
 //! ([`PublishedPlan::is_due`]), start that plan by its id.
 
 use crate::{
-    CallError, Client, ControlKind, ControlRequest, ControlResponse, IpcError, Mode, Node, PlannerKind,
-    PlannerRequest, PlannerResponse,
+    CallError, Client, ControlKind, ControlRequest, ControlResponse, IpcError, ManoeuvreRequest, Mode,
+    NoName, Node, PlannerRequest, PlannerResponse,
 };
 use serde::Serialize;
 use std::cell::OnceCell;
 use std::fmt;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
+use upswing_model::Posture;
 
 /// Longest wait for a response, and for the daemon to load a plan.
 const PATIENCE: Duration = Duration::from_secs(10);
 /// Pause between two looks at the loaded plan.
 const PAUSE: Duration = Duration::from_millis(1);
 
-/// A motion that is planned before it starts.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Manoeuvre {
-    /// From hanging, at rest or swinging, to upright.
-    SwingUp,
-    /// From upright to hanging at rest.
-    SwingDown,
-}
-
-impl Manoeuvre {
-    /// Name on the command line.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::SwingUp => "swing-up",
-            Self::SwingDown => "swing-down",
-        }
-    }
-}
-
-impl fmt::Display for Manoeuvre {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(self.name())
-    }
-}
-
-impl From<Manoeuvre> for PlannerKind {
-    fn from(manoeuvre: Manoeuvre) -> Self {
-        match manoeuvre {
-            Manoeuvre::SwingUp => Self::SwingUp,
-            Manoeuvre::SwingDown => Self::SwingDown,
-        }
-    }
-}
-
 /// A request that an operator can make.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum OperatorRequest {
     /// Plan the manoeuvre from the present state, then start the plan.
-    Manoeuvre(Manoeuvre),
+    Manoeuvre(ManoeuvreRequest),
     /// Hold the present pose of the arm.
     Hold,
     /// Decelerate the arm, then hold.
@@ -68,20 +35,13 @@ pub enum OperatorRequest {
 }
 
 impl OperatorRequest {
-    /// All requests.
-    pub const ALL: [Self; 6] = [
-        Self::Manoeuvre(Manoeuvre::SwingUp),
-        Self::Manoeuvre(Manoeuvre::SwingDown),
-        Self::Hold,
-        Self::Stop,
-        Self::Enable,
-        Self::Reset,
-    ];
+    /// The requests that every system takes; the others are the manoeuvres of its settings.
+    pub const COMMANDS: [Self; 4] = [Self::Hold, Self::Stop, Self::Enable, Self::Reset];
 
-    /// Name on the command line: `swing-up`, ...
-    pub const fn name(self) -> &'static str {
+    /// Name on the command line: `hold`, ..., or that of the manoeuvre.
+    pub fn name(&self) -> &str {
         match self {
-            Self::Manoeuvre(manoeuvre) => manoeuvre.name(),
+            Self::Manoeuvre(manoeuvre) => manoeuvre.name.as_str(),
             Self::Hold => "hold",
             Self::Stop => "stop",
             Self::Enable => "enable",
@@ -92,10 +52,7 @@ impl OperatorRequest {
     /// Purpose in one line.
     pub const fn purpose(self) -> &'static str {
         match self {
-            Self::Manoeuvre(Manoeuvre::SwingUp) => "Plan from the current state, then start the plan",
-            Self::Manoeuvre(Manoeuvre::SwingDown) => {
-                "Plan from upright to hanging at rest, then start the plan"
-            }
+            Self::Manoeuvre(_) => "Plan from the current state, then start the plan",
             Self::Hold => "Hold the current pose of the arm",
             Self::Stop => "Decelerate the arm, then hold",
             Self::Enable => "Open the brakes and hold",
@@ -103,16 +60,22 @@ impl OperatorRequest {
         }
     }
 
-    /// The request of this name.
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|request| request.name() == name)
+    /// The request of this name: one of [`Self::COMMANDS`], else a manoeuvre without given values.
+    ///
+    /// # Errors
+    /// [`NoName`] if a manoeuvre cannot have this name.
+    pub fn from_name(name: &str) -> Result<Self, NoName> {
+        match Self::COMMANDS.into_iter().find(|request| request.name() == name) {
+            Some(command) => Ok(command),
+            None => Ok(Self::Manoeuvre(ManoeuvreRequest::new(name, &[])?)),
+        }
     }
 
     /// The command to the daemon, or the manoeuvre that has to be planned first.
     ///
     /// # Errors
     /// The manoeuvre.
-    pub const fn command(self) -> Result<ControlKind, Manoeuvre> {
+    pub const fn command(self) -> Result<ControlKind, ManoeuvreRequest> {
         match self {
             Self::Manoeuvre(manoeuvre) => Err(manoeuvre),
             Self::Hold => Ok(ControlKind::Hold),
@@ -130,20 +93,24 @@ impl fmt::Display for OperatorRequest {
 }
 
 /// What an operator does next; its text fits into a narrow column.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum NextAction {
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum NextAction<'a> {
     /// Make this request.
     Make(OperatorRequest),
+    /// Request this manoeuvre; `None`: one that starts in this mode.
+    Manoeuvre(Option<&'a str>),
     /// Wait for the end of the motion, or make this request.
     WaitOr(OperatorRequest),
     /// Wait until the arm has decelerated and holds.
     WaitForRest,
 }
 
-impl fmt::Display for NextAction {
+impl fmt::Display for NextAction<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Make(request) => write!(f, "upswing request {request}"),
+            Self::Manoeuvre(Some(name)) => write!(f, "upswing request {name}"),
+            Self::Manoeuvre(None) => f.write_str("request a manoeuvre"),
             Self::WaitOr(request) => write!(f, "wait, or upswing request {request}"),
             Self::WaitForRest => f.write_str("wait until the arm rests"),
         }
@@ -151,13 +118,22 @@ impl fmt::Display for NextAction {
 }
 
 impl Mode {
-    /// What an operator does next in this mode; in Idle, if measurement and drives are fit.
-    pub const fn next_action(self) -> NextAction {
+    /// The mode in which manoeuvres from a posture start.
+    pub const fn from_posture(start: Posture) -> Self {
+        match start {
+            Posture::Hanging => Self::Hold,
+            Posture::Standing => Self::Balance,
+        }
+    }
+
+    /// What an operator does next in this mode; in Idle, if measurement and drives are fit. `first`: name of the system's first
+    /// manoeuvre from a posture, `None` if it has none or the settings are not at hand.
+    pub fn next_action<'a>(self, first: impl Fn(Posture) -> Option<&'a str>) -> NextAction<'a> {
         match self {
             Self::Idle => NextAction::Make(OperatorRequest::Enable),
-            Self::Hold => NextAction::Make(OperatorRequest::Manoeuvre(Manoeuvre::SwingUp)),
+            Self::Hold => NextAction::Manoeuvre(first(Posture::Hanging)),
             Self::Track => NextAction::WaitOr(OperatorRequest::Stop),
-            Self::Balance => NextAction::Make(OperatorRequest::Manoeuvre(Manoeuvre::SwingDown)),
+            Self::Balance => NextAction::Manoeuvre(first(Posture::Standing)),
             Self::Stop => NextAction::WaitForRest,
             Self::Fault => NextAction::Make(OperatorRequest::Reset),
         }
@@ -166,8 +142,8 @@ impl Mode {
 
 impl PlannerRequest {
     /// A request for a plan from the present state, to be published to the daemon.
-    pub fn from_now(manoeuvre: Manoeuvre) -> Self {
-        Self { kind: PlannerKind::from(manoeuvre).code(), from_now: 1, publish: 1, ..Self::default() }
+    pub fn from_now(manoeuvre: ManoeuvreRequest) -> Self {
+        Self { manoeuvre, from_now: 1, publish: 1, ..Self::default() }
     }
 }
 
@@ -200,7 +176,7 @@ impl From<&PlannerResponse> for PublishedPlan {
 /// [`OperatorError::Planner`] if the planner makes no plan, [`OperatorError::Call`] if it does not respond.
 pub fn request_plan(
     planner: &Client<PlannerRequest>,
-    manoeuvre: Manoeuvre,
+    manoeuvre: ManoeuvreRequest,
     patience: Duration,
     wanted: impl FnMut() -> bool,
 ) -> Result<PlannerResponse, OperatorError> {
@@ -236,6 +212,9 @@ pub enum OperatorError {
     /// Interrupted when the plan had just started.
     #[error("interrupted at the start of the plan; the arm stops")]
     Stopped,
+    /// The name is none of a manoeuvre.
+    #[error(transparent)]
+    Name(#[from] NoName),
     /// No response.
     #[error(transparent)]
     Call(#[from] CallError),
@@ -360,7 +339,7 @@ impl Operator {
     /// As [`request_plan`].
     pub fn plan(
         &self,
-        manoeuvre: Manoeuvre,
+        manoeuvre: ManoeuvreRequest,
         wanted: &mut dyn FnMut() -> bool,
     ) -> Result<PlannerResponse, OperatorError> {
         request_plan(self.planner()?, manoeuvre, self.patience, wanted)
@@ -376,7 +355,7 @@ impl Operator {
 
     fn execute(
         &self,
-        manoeuvre: Manoeuvre,
+        manoeuvre: ManoeuvreRequest,
         interrupted: &AtomicBool,
     ) -> Result<AcceptedRequest, OperatorError> {
         let is_interrupted = || interrupted.load(Ordering::Acquire);

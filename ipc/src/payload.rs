@@ -11,6 +11,7 @@ mod chain;
 mod codes;
 mod control;
 mod cycle;
+mod manoeuvre;
 mod plan;
 mod planner;
 mod plant;
@@ -25,6 +26,7 @@ pub use codes::{
 };
 pub use control::{ControlRequest, ControlResponse, Percentiles};
 pub use cycle::{Command, CycleVectors, Measurement, Telemetry, TelemetryBatch};
+pub use manoeuvre::{ManoeuvreRequest, Name, NoName};
 pub use plan::{DamagedPlan, PlanHeader, PlanMessage};
 pub use planner::{PlannerRequest, PlannerResponse};
 pub use plant::{PlantRequest, PlantResponse};

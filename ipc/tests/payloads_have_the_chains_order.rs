@@ -4,8 +4,8 @@ mod common;
 
 use common::{chain, chains};
 use upswing_ipc::{
-    Command, CycleVectors, Measurement, OtherChain, PlannerKind, PlannerRequest, PlantRequest, PlantResponse,
-    Telemetry,
+    Command, CycleVectors, ManoeuvreRequest, Measurement, OtherChain, PlannerKind, PlannerRequest,
+    PlantRequest, PlantResponse, Telemetry,
 };
 use upswing_model::{ActuatedVector, JointVector, MOST_JOINTS, State};
 
@@ -32,8 +32,10 @@ fn conversions_there_and_back_change_nothing() {
         assert_eq!(Measurement::new(order, &x.q(), &tau).vectors(order), Ok((x.q(), tau)));
         assert_eq!(Command::new(&tau).torque(sizes), Ok(tau));
         assert_eq!(Telemetry::new(order, &vectors).vectors(order), Ok(vectors));
-        let request = PlannerRequest::from_state(PlannerKind::SwingDown, order, &x);
-        assert_eq!((request.kind(), request.start(order)), (Ok(PlannerKind::SwingDown), Ok(x)));
+        let manoeuvre = ManoeuvreRequest::new("move", &[0.5, f64::INFINITY]).unwrap();
+        let request = PlannerRequest::from_state(manoeuvre, order, &x);
+        assert_eq!((request.kind(), request.start(order)), (Ok(PlannerKind::Plan), Ok(x)));
+        assert_eq!((request.manoeuvre, request.manoeuvre.given()), (manoeuvre, &[0.5, f64::INFINITY][..]));
         assert_eq!(PlantRequest::reset_state(order, &x).state(order), Ok(x));
         assert_eq!(PlantResponse::new(order, &x, &tau).vectors(order), Ok((x, tau)));
         let telemetry = Telemetry::new(order, &vectors);

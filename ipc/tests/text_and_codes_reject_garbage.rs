@@ -3,9 +3,10 @@
 use proptest::prelude::*;
 use std::str::FromStr;
 use upswing_ipc::{
-    Clock, ControlKind, ControlRequest, Degradation, Mode, PlannerKind, PlannerStatus, PlantKind, Readiness,
-    Text, TextError, UnknownClock, UnknownCode,
+    Clock, ControlKind, ControlRequest, Degradation, ManoeuvreRequest, Mode, Name, NoName, PlannerKind,
+    PlannerStatus, PlantKind, Readiness, Text, TextError, UnknownClock, UnknownCode,
 };
+use upswing_model::MOST_JOINTS;
 
 fn text_of(len: u64, bytes: &[u8]) -> Text {
     let mut text = Text { len, ..Text::default() };
@@ -68,6 +69,28 @@ macro_rules! codes_are_checked {
 }
 
 #[test]
+fn a_name_fits_or_is_refused() {
+    let longest = "n".repeat(Name::CAPACITY);
+    assert_eq!(Name::new(&longest).unwrap().as_str(), longest);
+    assert_eq!(Name::new("swing-up").unwrap().to_string(), "swing-up");
+    for name in [String::new(), format!("{longest}n")] {
+        assert_eq!(Name::new(&name), Err(NoName { got: name }));
+    }
+    for (bytes, name) in [([0xff; Name::CAPACITY], ""), ([0; Name::CAPACITY], "")] {
+        assert_eq!(Name { bytes }.as_str(), name);
+    }
+}
+
+#[test]
+fn given_values_end_with_the_array() {
+    let manoeuvre = ManoeuvreRequest::new("move", &[0.5; MOST_JOINTS + 1]).unwrap();
+    assert_eq!(manoeuvre.given(), [0.5; MOST_JOINTS]);
+    for number in [MOST_JOINTS as u64 + 1, u64::MAX] {
+        assert_eq!(ManoeuvreRequest { number, ..manoeuvre }.given(), [0.5; MOST_JOINTS]);
+    }
+}
+
+#[test]
 fn only_known_codes_become_variants() {
     codes_are_checked! {
         Clock: 3 "clock",
@@ -75,7 +98,7 @@ fn only_known_codes_become_variants() {
         Readiness: 4 "readiness",
         ControlKind: 6 "control request",
         Degradation: 5 "degradation",
-        PlannerKind: 3 "planner request",
+        PlannerKind: 2 "planner request",
         PlannerStatus: 7 "planner status",
         PlantKind: 6 "plant request",
     }
@@ -92,8 +115,7 @@ fn unknown_bits_of_a_degradation_say_nothing() {
 #[test]
 fn codes_that_others_rely_on_stay() {
     assert_eq!((Clock::Wall.code(), Clock::Paced.code(), Clock::Lockstep.code()), (0, 1, 2));
-    let kinds = (PlannerKind::SwingUp.code(), PlannerKind::Status.code(), PlannerKind::SwingDown.code());
-    assert_eq!(kinds, (0, 1, 2));
+    assert_eq!((PlannerKind::Plan.code(), PlannerKind::Status.code()), (0, 1));
     assert_eq!((Mode::Idle.code(), Mode::Fault.code()), (0, 5));
 }
 

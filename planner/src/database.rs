@@ -17,8 +17,9 @@ pub use verify::{Discrepancy, RecordFlaw, verify};
 
 use crate::offline::problem_fingerprint;
 use std::path::{Path, PathBuf};
-use upswing_config::{Config, GridSettings};
-use upswing_model::State;
+use upswing_config::{Config, Manoeuvre, TargetValue};
+use upswing_model::thresholds::EQUILIBRIUM_ACCELERATION;
+use upswing_model::{ActuatedVector, Posture, State, UnactuatedVector, Workspace};
 use upswing_process::output::OutputError;
 use upswing_trajectory::{Certificate, Database, DatabaseError, DatabaseHeading, PoseOutcome, Trajectory};
 use xxhash_rust::xxh3::Xxh3;
@@ -156,45 +157,67 @@ fn summary(database: &Database, poses: usize, resumed: usize) -> BuildSummary {
     s
 }
 
-/// The header of a database (or of one shard) for the robot, the optimisation problem and the grid of the settings.
-fn heading(config: &Config, shard: Shard) -> DatabaseHeading {
-    let sizes = config.model.sizes();
+/// Number of poses in the database of a manoeuvre: of its starts, times that of the values that requests give.
+pub fn poses(manoeuvre: &Manoeuvre) -> usize {
+    manoeuvre.grid.poses() * manoeuvre.given().map(|axis| axis.points).product::<usize>()
+}
+
+/// Start pose q_A and given values (rad or m) of pose `number` of a database, counted from 0; the starts vary faster than the given
+/// values, the last ones of both fastest.
+pub fn pose(manoeuvre: &Manoeuvre, number: usize) -> (ActuatedVector, Vec<f64>) {
+    let starts = manoeuvre.grid.poses();
+    let mut left = number / starts;
+    let axes: Vec<_> = manoeuvre.given().collect();
+    let mut given = vec![0.0; axes.len()];
+    for (value, axis) in given.iter_mut().zip(&axes).rev() {
+        *value = axis.position(left % axis.points);
+        left /= axis.points;
+    }
+    (manoeuvre.grid.pose(number % starts), given)
+}
+
+/// The header of the database of a manoeuvre (or of one shard) for the robot, the optimisation problem and the grid of the settings.
+fn heading(config: &Config, manoeuvre: usize, shard: Shard) -> DatabaseHeading {
+    let (sizes, settings) = (config.model.sizes(), &config.manoeuvres[manoeuvre]);
     DatabaseHeading {
         sizes,
         joints: DatabaseHeading::joints_of(&config.model),
         intervals: config.planner.offline.intervals,
-        key: sizes.actuated(),
+        key: sizes.actuated() + settings.given().count(),
         model: config.model.fingerprint(),
-        problem: problem_fingerprint(config),
-        grid: grid_fingerprint(&config.grid),
-        poses: config.grid.poses() as u64,
+        problem: problem_fingerprint(config, manoeuvre),
+        grid: grid_fingerprint(settings),
+        poses: poses(settings) as u64,
         shard: shard.number,
         shards: shard.of,
     }
 }
 
-/// XXH3 hash of a grid: poses, largest rest angle, and start of the pendulum.
-fn grid_fingerprint(grid: &GridSettings) -> u64 {
+/// XXH3 hash of the grid of a manoeuvre: poses with given values, largest rest angle, and start of the unactuated joints.
+fn grid_fingerprint(manoeuvre: &Manoeuvre) -> u64 {
     let mut hash = Xxh3::new();
-    for number in 0..grid.poses() {
-        grid.pose(number).iter().for_each(|q| hash.update(&q.to_le_bytes()));
+    for number in 0..poses(manoeuvre) {
+        let (q_a, given) = pose(manoeuvre, number);
+        q_a.iter().chain(&given).for_each(|q| hash.update(&q.to_le_bytes()));
     }
+    let grid = &manoeuvre.grid;
     hash.update(&grid.max_rest_angle.to_le_bytes());
     hash.update(format!("{:?}", grid.start).as_bytes());
     hash.digest()
 }
 
-/// Whether a database was built from the grid of the settings, so that [`verify()`] can compare poses.
-pub fn has_grid_of(config: &Config, database: &Database) -> bool {
-    database.heading.grid == grid_fingerprint(&config.grid)
+/// Whether a database was built from the grid of the manoeuvre in the settings, so that [`verify()`] can compare poses.
+pub fn has_grid_of(config: &Config, manoeuvre: usize, database: &Database) -> bool {
+    database.heading.grid == grid_fingerprint(&config.manoeuvres[manoeuvre])
 }
 
-/// Checks that a database was made for the robot model, the limits and the weights of the settings; its grid may be another.
+/// Checks that a database was made for the robot model, the limits, the weights and the manoeuvre of the settings; its grid may be
+/// another.
 ///
 /// # Errors
 /// Those of [`DatabaseHeading::check_origin`].
-pub fn check_origin(config: &Config, database: &Database) -> Result<(), DatabaseError> {
-    database.heading.check_origin(&config.model, problem_fingerprint(config))
+pub fn check_origin(config: &Config, manoeuvre: usize, database: &Database) -> Result<(), DatabaseError> {
+    database.heading.check_origin(&config.model, problem_fingerprint(config, manoeuvre))
 }
 
 /// Refuses a file that was made for another robot, other settings or another grid.
@@ -219,11 +242,35 @@ pub fn read(path: &Path) -> Result<Database, BuildError> {
     DatabaseFile::read(path)?.decode()
 }
 
-/// The start state of a pose of the grid, rad and rad/s; `None` if the rules of the grid leave the pose out.
-fn start_of(config: &Config, pose: usize) -> Option<State> {
-    let grid = &config.grid;
-    let start = config.start_state(&grid.pose(pose), grid.start).ok();
-    start.filter(|x| x.q_u().amax() <= grid.max_rest_angle)
+/// The start state of a pose of a manoeuvre, rad and rad/s; `None` if the rules of the grid leave the pose out.
+fn start_of(config: &Config, manoeuvre: &Manoeuvre, q_a: &ActuatedVector) -> Option<State> {
+    let grid = &manoeuvre.grid;
+    match manoeuvre.start {
+        Posture::Hanging => {
+            let start = config.start_state(q_a, grid.start).ok();
+            start.filter(|x| x.q_u().amax() <= grid.max_rest_angle)
+        }
+        Posture::Standing => standing(config, manoeuvre, q_a),
+    }
+}
+
+/// The state at rest with the actuated joints at `q_a` and the unactuated ones as they stand in the target; `None` if they are not in
+/// equilibrium there.
+fn standing(config: &Config, manoeuvre: &Manoeuvre, q_a: &ActuatedVector) -> Option<State> {
+    let model = &config.model;
+    let sizes = model.sizes();
+    let mut q_u = UnactuatedVector::zeros(sizes);
+    for row in &manoeuvre.target {
+        let mut joints = row.coefficients.iter().enumerate().filter(|(_, c)| **c != 0.0);
+        if let (Some((joint, c)), None, TargetValue::Fixed(value)) = (joints.next(), joints.next(), row.value)
+            && joint >= sizes.actuated()
+        {
+            q_u[joint - sizes.actuated()] = value / c;
+        }
+    }
+    let start = model.standstill(&config.robot.planning, q_a, Some(&q_u)).ok()?;
+    let qdd_u = model.f(&start, &ActuatedVector::zeros(sizes), &mut Workspace::default()).qd_u();
+    (qdd_u.amax() <= EQUILIBRIUM_ACCELERATION).then_some(start)
 }
 
 /// Computes the certificate of a trajectory under the limits and weights of the settings.

@@ -1,18 +1,38 @@
-//! Offline optimisation of a swing-up, (6), (8), (9)/(11), under the settings of a configuration.
+//! Offline optimisation of a manoeuvre, (6), (8), (9)/(11), under the settings of a configuration.
 
-use upswing_config::{Config, PlannerSettings, ReplanSettings, TorqueForm};
-use upswing_model::{Sizes, State};
+use upswing_config::{Config, GivenError, PlannerSettings, ReplanSettings, TargetValue, TorqueForm};
+use upswing_model::{JointVector, Sizes, State};
 use upswing_ocp::interior_point::{NlpOptions, NlpSolution, NlpStatus};
+use upswing_ocp::kkt::TargetRow;
 use upswing_ocp::lqr::LqrWeights;
 use upswing_ocp::multistart::{self, Search, limit_in_the_way};
-use upswing_ocp::problem::{Problem, TorqueConstraint, upright_target};
+use upswing_ocp::problem::{Problem, TorqueConstraint};
 use upswing_ocp::qp::QpWeights;
 use upswing_ocp::slab::{KnotParts as _, KnotVector};
 use upswing_trajectory::Trajectory;
 use xxhash_rust::xxh3::Xxh3;
 
-/// The optimisation problem (6), (8) of a start state (rad, rad/s) under the limits and weights of the settings.
-pub fn problem(config: &Config, start: State) -> Problem<'_> {
+/// The target (8) of manoeuvre number `manoeuvre` of the settings, at rest, with the values that a request gives, rad or m.
+///
+/// # Errors
+/// Those of [`upswing_config::Manoeuvre::rows`].
+pub fn target(config: &Config, manoeuvre: usize, given: &[f64]) -> Result<Vec<TargetRow>, GivenError> {
+    let sizes = config.model.sizes();
+    let rows = config.manoeuvres[manoeuvre].rows(&config.model, given)?;
+    let at_rest = JointVector::zeros(sizes);
+    let positions = rows
+        .into_iter()
+        .map(|(coefficients, value)| TargetRow { coefficients: State::new(&coefficients, &at_rest), value });
+    Ok(positions.chain(velocities_zero(sizes)).collect())
+}
+
+/// The rows of a target at rest.
+fn velocities_zero(sizes: Sizes) -> impl Iterator<Item = TargetRow> {
+    (sizes.joints()..sizes.state()).map(move |i| TargetRow::unit(sizes, i, 0.0))
+}
+
+/// The optimisation problem (6), (8) from a start state (rad, rad/s) to `target` under the limits and weights of the settings.
+pub fn problem(config: &Config, target: Vec<TargetRow>, start: State) -> Problem<'_> {
     let offline = &config.planner.offline;
     Problem {
         model: &config.model,
@@ -23,7 +43,7 @@ pub fn problem(config: &Config, start: State) -> Problem<'_> {
         t_f: (offline.t_f_min, offline.t_f_max),
         intervals: offline.intervals,
         start,
-        target: upright_target(config.model.sizes(), config.robot.target.pitch, config.robot.target.q8),
+        target,
     }
 }
 
@@ -36,10 +56,13 @@ pub fn torque_constraint(config: &Config, form: TorqueForm) -> TorqueConstraint 
     }
 }
 
-/// XXH3 hash of the inputs of a database other than the robot: limits, torque constraint, weights, target, dimensions.
-pub fn problem_fingerprint(config: &Config) -> u64 {
+/// XXH3 hash of the inputs of the database of a manoeuvre other than the robot: limits, torque constraint, weights, target,
+/// dimensions. Where a request gives a value, or it follows from the rest of the target, that fact counts instead of a value.
+pub fn problem_fingerprint(config: &Config, manoeuvre: usize) -> u64 {
     let sizes = config.model.sizes();
-    let p = problem(config, State::zeros(sizes));
+    let manoeuvre = &config.manoeuvres[manoeuvre];
+    let p = problem(config, Vec::new(), State::zeros(sizes));
+    let at_rest = JointVector::zeros(sizes);
     let mut hash = Xxh3::new();
     let mut put = |v: f64| hash.update(&v.to_le_bytes());
     let l = &p.limits;
@@ -52,7 +75,15 @@ pub fn problem_fingerprint(config: &Config) -> u64 {
     lower.iter().chain(upper.iter()).for_each(|v| put(*v));
     put(f64::from(u8::from(p.torque == TorqueConstraint::Exact)));
     [p.input_weight, p.t_f.0, p.t_f.1].into_iter().for_each(&mut put);
-    for row in &p.target {
+    for row in &manoeuvre.target {
+        State::new(&row.coefficients, &at_rest).iter().for_each(|v| put(*v));
+        put(match row.value {
+            TargetValue::Fixed(value) => value,
+            TargetValue::Given(_) => f64::INFINITY,
+            TargetValue::Rest => f64::NEG_INFINITY,
+        });
+    }
+    for row in velocities_zero(sizes) {
         row.coefficients.iter().for_each(|v| put(*v));
         put(row.value);
     }
@@ -60,16 +91,17 @@ pub fn problem_fingerprint(config: &Config) -> u64 {
     hash.digest()
 }
 
-/// Optimises the swing-up from a start state (rad, rad/s); the solution of a `neighbour`, if given, is a further initial guess.
+/// Optimises a manoeuvre from a start state (rad, rad/s) to `target`; the solution of a `neighbour`, if given, is a further initial guess.
 /// A time budget in `options` applies to each guess.
 pub fn optimize(
     config: &Config,
+    target: Vec<TargetRow>,
     start: State,
     search: Search,
     neighbour: Option<&Trajectory>,
     options: &NlpOptions<'_>,
 ) -> NlpSolution {
-    let problem = problem(config, start);
+    let problem = problem(config, target, start);
     let mut best = multistart::solve(&problem, search, neighbour, options);
     if matches!(best.status, NlpStatus::Infeasible(_))
         && let Some(limit) = limit_in_the_way(&problem, options)

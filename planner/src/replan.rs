@@ -3,8 +3,10 @@
 //! QPs converge only where the linearisation of an entry is accurate. Farther away, and where their plan takes needlessly
 //! long, the full optimisation (6) follows, with the same limits: it takes some tenths of a second.
 //!
-//! A swing-down adapts an entry run backwards: with the velocities reversed it meets the same dynamics (without
-//! friction), limits and torques, from upright to hanging at rest.
+//! A manoeuvre that reverses another one (a swing-down) adapts an entry of that one run backwards: with the velocities reversed it
+//! meets the same dynamics (without friction), limits and torques, and ends at rest where the entry began.
+//!
+//! Without entries every plan is a full optimisation.
 
 mod outcome;
 mod summary;
@@ -15,9 +17,9 @@ pub use summary::{MarginShares, PlanSummary};
 use crate::database::{DatabaseFile, NearestKey, Neighbour};
 use crate::offline::{self, lqr_weights, problem, problem_fingerprint, qp_weights, torque_constraint};
 use std::time::Instant;
-use upswing_config::{Config, ConfigError, QpBackend};
-use upswing_ipc::operator::Manoeuvre;
-use upswing_model::{LimitKind, State, Workspace};
+use tracing::warn;
+use upswing_config::{Config, ConfigError, Manoeuvre, QpBackend};
+use upswing_model::{JointVector, LimitKind, State, Workspace};
 use upswing_ocp::interior_point::{self, NlpOptions, NlpStatus};
 use upswing_ocp::kkt::TargetRow;
 use upswing_ocp::lqr;
@@ -54,6 +56,17 @@ struct AcceptableTrajectory {
     iterations: usize,
     defect: f64,
     margins: Margins,
+}
+
+/// What a plan is asked for.
+#[derive(Clone, Copy)]
+struct Wanted<'a> {
+    /// Number of the manoeuvre in the settings.
+    manoeuvre: usize,
+    /// Values for the rows of its target that ask for one, rad or m.
+    given: &'a [f64],
+    /// rad, rad/s
+    start: &'a State,
 }
 
 /// Limits on the computation of a plan.
@@ -103,48 +116,97 @@ pub enum PlannerError {
     },
 }
 
-/// Planner of swing-ups and swing-downs from a measured start: settings, database entries and their search trees.
+/// Planner of the manoeuvres of the settings from a measured start: settings, database entries and their search trees.
 #[derive(Clone, Debug)]
 pub struct Planner {
     config: Config,
+    /// One per manoeuvre; that of a reversal is empty, because it runs the entries of another manoeuvre backwards.
+    databases: Vec<ManoeuvreEntries>,
+    /// One per manoeuvre: of the keys of its entries, or of the poses in which those end that it runs backwards.
+    trees: Vec<NearestKey>,
+}
+
+/// Database entries of a manoeuvre.
+#[derive(Clone, Debug, Default)]
+struct ManoeuvreEntries {
     /// Source of the entries, for messages.
     origin: String,
     entries: Vec<Entry>,
-    /// Search trees of the keys of the entries, and of the poses in which they end.
-    starts: NearestKey,
-    ends: NearestKey,
 }
 
-impl Planner {
-    /// Creates a planner with the database of the settings.
-    ///
-    /// # Errors
-    /// [`PlannerError`] if the database is unreadable, damaged, or was made for another robot or other settings.
-    pub fn new(config: Config) -> Result<Self, PlannerError> {
-        let database = DatabaseFile::of(&config)?;
-        Self::with_database(config, database)
-    }
-
-    /// Creates a planner with another database than that of the settings.
-    ///
-    /// # Errors
-    /// As [`Self::new`].
-    pub fn with_database(config: Config, database: DatabaseFile) -> Result<Self, PlannerError> {
+impl ManoeuvreEntries {
+    fn decode(config: &Config, manoeuvre: usize, database: DatabaseFile) -> Result<Self, PlannerError> {
         let DatabaseFile { bytes, origin } = database;
-        let decoded = Database::decode(&bytes)
-            .and_then(|database| database.entries_for(&config.model, problem_fingerprint(&config)));
-        match decoded {
-            Ok(entries) => Ok(Self::with_entries(config, origin, entries)),
+        let entries = Database::decode(&bytes)
+            .and_then(|database| database.entries_for(&config.model, problem_fingerprint(config, manoeuvre)));
+        match entries {
+            Ok(entries) => Ok(Self { origin, entries }),
             Err(cause) => Err(PlannerError::Database { origin, cause }),
         }
     }
+}
 
-    /// Creates a planner with `entries` that were made for these settings; `origin` names their source in messages.
-    pub fn with_entries(config: Config, origin: String, entries: Vec<Entry>) -> Self {
-        let metric = &config.planner.replan.metric;
-        let starts = NearestKey::new(entries.iter().map(|e| e.key.clone()), metric);
-        let ends = NearestKey::new(entries.iter().map(|e| pose(e.trajectory.end())), metric);
-        Self { config, origin, entries, starts, ends }
+impl Planner {
+    /// Creates a planner with the databases of the settings. A missing one is a warning: its manoeuvre is solved by the full
+    /// optimisation.
+    ///
+    /// # Errors
+    /// [`PlannerError`] if a database is unreadable, damaged, or was made for another robot or other settings, or if the solvers
+    /// do not serve the robot.
+    pub fn new(config: Config) -> Result<Self, PlannerError> {
+        let mut databases = Vec::new();
+        for (number, manoeuvre) in config.manoeuvres.iter().enumerate() {
+            databases.push(match DatabaseFile::of(&config, number)? {
+                Some(database) => ManoeuvreEntries::decode(&config, number, database)?,
+                None => {
+                    if manoeuvre.reverses.is_none() {
+                        let name = &manoeuvre.name;
+                        warn!(
+                            "no database of `{name}`, every plan is optimised in full; build it with `upswing db build \
+                             --manoeuvre {name}`"
+                        );
+                    }
+                    ManoeuvreEntries::default()
+                }
+            });
+        }
+        Ok(Self::with_databases(config, databases))
+    }
+
+    /// Creates a planner with `database` for the manoeuvre number `manoeuvre`, and no other entries.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn with_database(
+        config: Config,
+        manoeuvre: usize,
+        database: DatabaseFile,
+    ) -> Result<Self, PlannerError> {
+        let ManoeuvreEntries { origin, entries } = ManoeuvreEntries::decode(&config, manoeuvre, database)?;
+        Ok(Self::with_entries(config, manoeuvre, origin, entries))
+    }
+
+    /// Creates a planner with `entries` that were made for the manoeuvre number `manoeuvre` of these settings, and no others; `origin`
+    /// names their source in messages.
+    pub fn with_entries(config: Config, manoeuvre: usize, origin: String, entries: Vec<Entry>) -> Self {
+        let mut databases = vec![ManoeuvreEntries::default(); config.manoeuvres.len()];
+        databases[manoeuvre] = ManoeuvreEntries { origin, entries };
+        Self::with_databases(config, databases)
+    }
+
+    fn with_databases(config: Config, databases: Vec<ManoeuvreEntries>) -> Self {
+        let tree = |(number, manoeuvre): (usize, &Manoeuvre)| match manoeuvre.reverses {
+            None => {
+                let keys = databases[number].entries.iter().map(|e| e.key.clone());
+                NearestKey::new(keys, &metric(&config, manoeuvre))
+            }
+            Some(reversed) => {
+                let keys = databases[reversed].entries.iter().map(|e| key(e.trajectory.end(), &[]));
+                NearestKey::new(keys, &config.planner.replan.metric)
+            }
+        };
+        let trees = config.manoeuvres.iter().enumerate().map(tree).collect();
+        Self { config, databases, trees }
     }
 
     /// The settings.
@@ -152,27 +214,29 @@ impl Planner {
         &self.config
     }
 
-    /// Source of the database, for messages.
-    pub fn origin(&self) -> &str {
-        &self.origin
+    /// Source of the database of a manoeuvre, for messages.
+    pub fn origin(&self, manoeuvre: usize) -> &str {
+        &self.databases[self.source(manoeuvre)].origin
     }
 
-    /// The entries of the database.
-    pub fn entries(&self) -> &[Entry] {
-        &self.entries
+    /// The database entries from which plans of a manoeuvre are adapted.
+    pub fn entries(&self, manoeuvre: usize) -> &[Entry] {
+        &self.databases[self.source(manoeuvre)].entries
     }
 
-    /// The `replan.neighbours` entries nearest to a start state (rad, rad/s), nearest first.
-    pub fn nearest(&self, manoeuvre: Manoeuvre, start: &State) -> Vec<Neighbour> {
-        self.tree(manoeuvre).nearest(&pose(start), self.config.planner.replan.neighbours)
+    /// Number of the entries of all manoeuvres.
+    pub fn entries_of_all(&self) -> usize {
+        self.databases.iter().map(|database| database.entries.len()).sum()
     }
 
-    /// Search tree of the poses in which trajectories of a manoeuvre begin.
-    fn tree(&self, manoeuvre: Manoeuvre) -> &NearestKey {
-        match manoeuvre {
-            Manoeuvre::SwingUp => &self.starts,
-            Manoeuvre::SwingDown => &self.ends,
-        }
+    /// The manoeuvre whose entries a manoeuvre adapts.
+    fn source(&self, manoeuvre: usize) -> usize {
+        self.config.manoeuvres[manoeuvre].reverses.unwrap_or(manoeuvre)
+    }
+
+    /// The `replan.neighbours` entries nearest to a start state (rad, rad/s) and `given` values (rad or m), nearest first.
+    pub fn nearest(&self, manoeuvre: usize, given: &[f64], start: &State) -> Vec<Neighbour> {
+        self.trees[manoeuvre].nearest(&key(start, given), self.config.planner.replan.neighbours)
     }
 
     /// A QP solver of the back end in the settings, with its memory.
@@ -189,7 +253,7 @@ impl Planner {
         )
     }
 
-    /// Plans a swing-up from `start` (rad, rad/s): [`Self::replan_with`] a new solver.
+    /// Plans the first manoeuvre, which has no given values, from `start` (rad, rad/s): [`Self::replan_with`] a new solver.
     ///
     /// # Errors
     /// [`NoPlan`] with the reason for each entry tried.
@@ -200,30 +264,35 @@ impl Planner {
         deadline: Option<Instant>,
     ) -> Result<Replan, NoPlan> {
         let effort = Effort { deadline, ..Effort::iterations(iterations) };
-        self.replan_with(&mut self.solver(), Manoeuvre::SwingUp, start, &effort)
+        self.replan_with(&mut self.solver(), 0, &[], start, &effort)
     }
 
-    /// Plans a manoeuvre from `start` (rad, rad/s). Earlier solves of `solver` have no influence.
+    /// Plans the manoeuvre number `manoeuvre` of the settings from `start` (rad, rad/s), with one `given` value (rad or m) for each row of
+    /// its target that asks for one. Earlier solves of `solver` have no influence.
     ///
     /// # Errors
     /// [`NoPlan`] with the reason for each entry tried.
     pub fn replan_with(
         &self,
         solver: &mut QpSolver,
-        manoeuvre: Manoeuvre,
+        manoeuvre: usize,
+        given: &[f64],
         start: &State,
         effort: &Effort<'_>,
     ) -> Result<Replan, NoPlan> {
         let begin = Instant::now();
-        let neighbours = self.nearest(manoeuvre, start);
+        let wanted = Wanted { manoeuvre, given, start };
+        let neighbours = self.nearest(manoeuvre, given, start);
         let mut statistics = ReplanStatistics { nearest: begin.elapsed(), ..ReplanStatistics::default() };
         let mut failed = Vec::new();
         let mut adapted = None;
+        // Without entries nothing but the full optimisation can give a plan.
+        let optimise = effort.optimise || neighbours.is_empty();
         for entry in &neighbours {
-            if effort.optimise && entry.distance > REACH {
+            if optimise && entry.distance > REACH {
                 break;
             }
-            match self.adapt(manoeuvre, start, entry.index, effort, solver, &mut statistics) {
+            match self.adapt(&wanted, entry.index, effort, solver, &mut statistics) {
                 Ok(accepted) => {
                     adapted = Some((*entry, accepted));
                     break;
@@ -245,26 +314,27 @@ impl Planner {
             }
         }
         let mut optimisation = None;
+        let entries = self.entries(manoeuvre);
         let shortest = |of: &[Neighbour]| {
-            let durations = of.iter().map(|n| self.entries[n.index].trajectory.t_f);
+            let durations = of.iter().map(|n| entries[n.index].trajectory.t_f);
             durations.fold(f64::INFINITY, f64::min)
         };
         // The nearest entries may all belong to another, longer local optimum.
-        let around = self.tree(manoeuvre).nearest(&pose(start), AROUND);
+        let around = self.trees[manoeuvre].nearest(&key(start, given), AROUND);
         let longest = (LONGER * shortest(&neighbours)).min(MUCH_LONGER * shortest(&around));
         let good = |(_, accepted): &(Neighbour, AcceptableTrajectory)| {
             accepted.defect <= self.config.planner.replan.defect && accepted.trajectory.t_f <= longest
         };
-        if effort.optimise
-            && !adapted.as_ref().is_some_and(good)
-            && let Some(nearest) = neighbours.first()
-        {
-            match self.optimise(manoeuvre, start, nearest.index, effort, &mut statistics) {
-                Ok(optimised) => adapted = Some((*nearest, optimised)),
+        let mut plan = None;
+        if optimise && !adapted.as_ref().is_some_and(good) {
+            let nearest = neighbours.first().copied();
+            match self.optimise(&wanted, nearest.map(|entry| entry.index), effort, &mut statistics) {
+                Ok(optimised) => plan = Some((nearest, optimised)),
                 Err(failure) => optimisation = Some(Box::new(failure)),
             }
         }
-        let Some((entry, accepted)) = adapted else {
+        let Some((entry, accepted)) = plan.or(adapted.map(|(entry, accepted)| (Some(entry), accepted)))
+        else {
             return Err(NoPlan { failed, optimisation, second_opinions: statistics.second_opinions });
         };
         statistics.total = begin.elapsed();
@@ -272,44 +342,50 @@ impl Planner {
         Ok(Replan { trajectory, gains, method, entry, failed, iterations, defect, margins, statistics })
     }
 
-    /// The trajectory of an entry, reversed in time for a swing-down.
-    fn reference(&self, manoeuvre: Manoeuvre, entry: usize) -> Trajectory {
-        match manoeuvre {
-            Manoeuvre::SwingUp => self.entries[entry].trajectory.clone(),
-            Manoeuvre::SwingDown => self.entries[entry].trajectory.reversed(),
+    /// The trajectory of an entry, run backwards for a reversal.
+    fn reference(&self, manoeuvre: usize, entry: usize) -> Trajectory {
+        let trajectory = &self.entries(manoeuvre)[entry].trajectory;
+        match self.config.manoeuvres[manoeuvre].reverses {
+            None => trajectory.clone(),
+            Some(_) => trajectory.reversed(),
         }
     }
 
-    /// The problem of a replan from `start`; a swing-down ends where `reference` ends.
+    /// The problem of a replan. A reversal ends where `reference` ends; without reference the arm ends in the pose in which it begins,
+    /// and the unactuated joints hang.
     fn problem_of(
         &self,
-        manoeuvre: Manoeuvre,
-        start: &State,
-        reference: &Trajectory,
+        wanted: &Wanted<'_>,
+        reference: Option<&Trajectory>,
         knot_margin: f64,
-    ) -> Problem<'_> {
-        let mut problem = self.problem_with_margin(start, knot_margin);
-        if manoeuvre == Manoeuvre::SwingDown {
-            let end = reference.end();
-            problem.target = (0..end.len()).map(|i| TargetRow::unit(end.sizes(), i, end[i])).collect();
-            keep_target_within(&mut problem);
-        }
-        problem
+    ) -> Result<Problem<'_>, PlanningFailure> {
+        let model = &self.config.model;
+        let state = |x: &State| (0..x.len()).map(|i| TargetRow::unit(x.sizes(), i, x[i])).collect();
+        let target = match (self.config.manoeuvres[wanted.manoeuvre].reverses, reference) {
+            (None, _) => offline::target(&self.config, wanted.manoeuvre, wanted.given)?,
+            (Some(_), Some(reference)) => state(reference.end()),
+            (Some(_), None) => {
+                let mut q = JointVector::zeros(model.sizes());
+                q.actuated_mut().copy_from_slice(&wanted.start.q_a());
+                let q = model.rest_position(&q, &mut Workspace::default())?;
+                state(&State::new(&q, &JointVector::zeros(model.sizes())))
+            }
+        };
+        Ok(self.problem_with_margin(target, wanted.start, knot_margin))
     }
 
     /// Adapts an entry by QPs, (14)-(17).
     fn adapt(
         &self,
-        manoeuvre: Manoeuvre,
-        start: &State,
+        wanted: &Wanted<'_>,
         entry: usize,
         effort: &Effort<'_>,
         solver: &mut QpSolver,
         statistics: &mut ReplanStatistics,
     ) -> Result<AcceptableTrajectory, PlanningFailure> {
         let iterations = effort.iterations.max(1);
-        let reference = self.reference(manoeuvre, entry);
-        let problem = self.problem_of(manoeuvre, start, &reference, self.config.planner.replan.knot_margin);
+        let reference = self.reference(wanted.manoeuvre, entry);
+        let problem = self.problem_of(wanted, Some(&reference), self.config.planner.replan.knot_margin)?;
         let mut work = Workspace::default();
         let mut trajectory = reference.clone();
         let weights = qp_weights(&self.config.planner.replan);
@@ -332,24 +408,25 @@ impl Planner {
         self.accept(trajectory, Method::Quadratic, done, statistics)
     }
 
-    /// Solves the full optimisation (6) as for a database entry, then from the nearest `entry` if that fails, and narrows the
-    /// bounds where the result exceeds a limit between knots: the intervals of a slow motion are long.
+    /// Solves the full optimisation (6) as for a database entry, then from the nearest `entry`, if there is one, if that fails, and
+    /// narrows the bounds where the result exceeds a limit between knots: the intervals of a slow motion are long.
     fn optimise(
         &self,
-        manoeuvre: Manoeuvre,
-        start: &State,
-        entry: usize,
+        wanted: &Wanted<'_>,
+        entry: Option<usize>,
         effort: &Effort<'_>,
         statistics: &mut ReplanStatistics,
     ) -> Result<AcceptableTrajectory, PlanningFailure> {
         let mut begin = Instant::now();
-        let reference = self.reference(manoeuvre, entry);
+        let reference = entry.map(|entry| self.reference(wanted.manoeuvre, entry));
         let halted = || effort.is_cancelled() || effort.out_of_time();
         let options = NlpOptions { cancelled: Some(&halted), ..offline::options(&self.config) };
-        let mut problem = self.problem_of(manoeuvre, start, &reference, 0.0);
+        let mut problem = self.problem_of(wanted, reference.as_ref(), 0.0)?;
         let mut solution = multistart::solve(&problem, Search::Best, None, &options);
-        if solution.status != NlpStatus::Solved {
-            solution = interior_point::solve(&problem, &problem.shifted(&reference), &options);
+        if solution.status != NlpStatus::Solved
+            && let Some(reference) = &reference
+        {
+            solution = interior_point::solve(&problem, &problem.shifted(reference), &options);
         }
         let mut iterations = 0;
         // A plan that exceeds limits between its knots by no more than the daemon tolerates.
@@ -385,7 +462,7 @@ impl Planner {
             solution = interior_point::solve(&problem, &found, &options);
             let solved = matches!(solution.status, NlpStatus::Solved | NlpStatus::Stalled);
             if !solved && tolerable.is_none() && !halted() {
-                solution = multistart::solve(&problem, Search::Best, Some(&reference), &options);
+                solution = multistart::solve(&problem, Search::Best, reference.as_ref(), &options);
             }
         }
         unreachable!("the last round returns")
@@ -425,15 +502,15 @@ impl Planner {
         Ok(AcceptableTrajectory { trajectory, gains, method, iterations, defect, margins })
     }
 
-    /// The optimisation problem of a replan from `start` (rad, rad/s): limits narrowed by the knot margin, which the trapezoidal
-    /// rule needs between the knots.
-    pub fn problem(&self, start: &State) -> Problem<'_> {
-        self.problem_with_margin(start, self.config.planner.replan.knot_margin)
+    /// The optimisation problem of a replan from `start` (rad, rad/s) to `target`: limits narrowed by the knot margin, which the
+    /// trapezoidal rule needs between the knots.
+    pub fn problem(&self, target: Vec<TargetRow>, start: &State) -> Problem<'_> {
+        self.problem_with_margin(target, start, self.config.planner.replan.knot_margin)
     }
 
-    fn problem_with_margin(&self, start: &State, knot_margin: f64) -> Problem<'_> {
+    fn problem_with_margin(&self, target: Vec<TargetRow>, start: &State, knot_margin: f64) -> Problem<'_> {
         let settings = &self.config.planner.replan;
-        let mut problem = problem(&self.config, *start);
+        let mut problem = problem(&self.config, target, *start);
         problem.torque = torque_constraint(&self.config, settings.torque);
         let l = &mut problem.limits;
         let (middle, half) = ((l.q_max + l.q_min) * 0.5, (l.q_max - l.q_min) * 0.5);
@@ -526,7 +603,14 @@ fn keep_target_within(problem: &mut Problem<'_>) {
     }
 }
 
-/// q_A of a state, rad or m: its key in the search trees.
-fn pose(x: &State) -> Vec<f64> {
-    x.q_a().to_vec()
+/// Key of a plan in the search trees: q_A of its start, then the given values, rad or m.
+pub fn key(start: &State, given: &[f64]) -> Vec<f64> {
+    start.q_a().iter().chain(given).copied().collect()
+}
+
+/// Weights of the coordinates of the keys of a manoeuvre: those of the actuated joints, then for each given value that of its joint.
+fn metric(config: &Config, manoeuvre: &Manoeuvre) -> Vec<f64> {
+    let metric = &config.planner.replan.metric;
+    let of_given = manoeuvre.given().map(|axis| metric[axis.joint]);
+    metric.iter().copied().chain(of_given).collect()
 }

@@ -2,7 +2,6 @@
 
 use crate::replan::NoPlan;
 use std::time::Duration;
-use upswing_ipc::operator::Manoeuvre;
 use upswing_ipc::{Mode, OtherChain, PlannerStatus, UnknownCode};
 use upswing_model::LimitKind;
 
@@ -12,6 +11,15 @@ pub(crate) enum PlannerRequestError {
     /// The kind of the request does not exist.
     #[error(transparent)]
     UnknownKind(UnknownCode),
+    /// The settings have no manoeuvre of the name in the request.
+    #[error("unknown manoeuvre `{got}`: this system has {known}")]
+    UnknownManoeuvre { got: String, known: String },
+    /// The request gives the wrong number of values.
+    #[error("`{manoeuvre}`: expected values of the joints {joints}, got {got}")]
+    GivenNumber { manoeuvre: String, joints: String, got: u64 },
+    /// A given value is outside the limits of its joint, in `unit`: deg or m.
+    #[error("target of joint `{joint}`: expected {min:.3} to {max:.3} {unit}, got {got:.3} {unit}")]
+    GivenOutsideLimits { joint: String, min: f64, max: f64, got: f64, unit: &'static str },
     /// The request asks for too many QP iterations.
     #[error("iterations: expected 0 (the setting) to {max}, got {got}")]
     Iterations { got: u64, max: u64 },
@@ -37,10 +45,8 @@ pub(crate) enum PlannerRequestError {
     #[error(transparent)]
     UnknownMode(UnknownCode),
     /// The daemon is not in the mode from which the manoeuvre starts.
-    #[error(
-        "a {manoeuvre} from now needs the daemon in mode {needed}, it is in {mode}; next: {}", .mode.next_action()
-    )]
-    Mode { manoeuvre: Manoeuvre, needed: Mode, mode: Mode },
+    #[error("a {manoeuvre} from now needs the daemon in mode {needed}, it is in {mode}; next: {next}")]
+    Mode { manoeuvre: String, needed: Mode, mode: Mode, next: String },
     /// The pendulum moves, and the newest telemetry is too old to predict its state.
     #[error(
         "the pendulum moves, and the newest telemetry is {:.0} ms old, expected at most {:.0} ms: is the machine overloaded?",
@@ -64,6 +70,9 @@ impl PlannerRequestError {
     pub(crate) fn status(&self) -> PlannerStatus {
         match self {
             Self::UnknownKind(_)
+            | Self::UnknownManoeuvre { .. }
+            | Self::GivenNumber { .. }
+            | Self::GivenOutsideLimits { .. }
             | Self::Iterations { .. }
             | Self::StartOfOtherChain(_)
             | Self::StartNotFinite { .. } => PlannerStatus::BadRequest,

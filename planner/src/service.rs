@@ -7,14 +7,13 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use tracing::{info, warn};
-use upswing_config::ReplanSettings;
-use upswing_ipc::operator::Manoeuvre;
+use upswing_config::{Config, Manoeuvre, ReplanSettings};
 use upswing_ipc::{
-    Clock, Domain, Mode, PlanMessage, PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus,
-    Subscriber, Telemetry, TelemetryBatch, Text, TopicPayload as _,
+    Clock, Domain, ManoeuvreRequest, Mode, PlanMessage, PlannerKind, PlannerRequest, PlannerResponse,
+    PlannerStatus, Subscriber, Telemetry, TelemetryBatch, Text, TopicPayload as _,
 };
 use upswing_model::thresholds::{HELD_ACCELERATION, REST_SPEED_START, SAME_START, START_SLACK};
-use upswing_model::{ActuatedVector, LimitKind, Model, State, Workspace};
+use upswing_model::{ActuatedVector, LimitKind, Model, Posture, State, Workspace};
 use upswing_ocp::qp::QpSolver;
 use upswing_process::notify::Notifier;
 use upswing_process::{Failure, ProcessArgs, shutdown_flag};
@@ -57,10 +56,10 @@ fn serve(planner: &Planner, domain: &Domain, stop: &Arc<AtomicBool>) -> Result<(
     let publisher = node.plan_publisher(model.sizes(), planner.config().planner.offline.intervals)?;
     let telemetry = node.subscriber()?;
     let mut handler = RequestHandler::new(planner);
-    info!(entries = planner.entries().len(), domain = domain.name(), "planner ready");
+    info!(entries = planner.entries_of_all(), domain = domain.name(), "planner ready");
     let mut manager = Notifier::new();
     manager.ready();
-    manager.status(&format!("{} database entries", planner.entries().len()));
+    manager.status(&format!("{} database entries", planner.entries_of_all()));
     while !stop.load(Ordering::Acquire) {
         if let Some(record) = drain(&telemetry)? {
             handler.observe(record, Instant::now());
@@ -127,7 +126,9 @@ pub struct RequestHandler<'a> {
     solver: QpSolver,
     /// The newest record of the daemon and the time of its arrival.
     newest: Option<(Telemetry, Instant)>,
-    /// A state at rest and the prepared swing-up from it; the swing-up is `None` if the replan failed.
+    /// Number of the manoeuvre that is prepared: the first one from hanging without given values.
+    first: Option<usize>,
+    /// A state at rest and the prepared plan of that manoeuvre from it; the plan is `None` if the replan failed.
     prepared: Option<(State, Option<Replan>)>,
     /// Time from a request to the start of its plan while the pendulum moves: at least `replan.lead`, more on a slow machine.
     lead: Duration,
@@ -151,7 +152,9 @@ impl<'a> RequestHandler<'a> {
     /// Creates a handler without telemetry and without a prepared plan.
     pub fn new(planner: &'a Planner) -> Self {
         let lead = planner.config().planner.replan.lead;
+        let hanging = |m: &Manoeuvre| m.start == Posture::Hanging && m.given().next().is_none();
         Self {
+            first: planner.config().manoeuvres.iter().position(hanging),
             planner,
             solver: planner.solver(),
             newest: None,
@@ -167,10 +170,10 @@ impl<'a> RequestHandler<'a> {
         self.newest = Some((record, seen));
     }
 
-    /// Prepares a swing-up from the present state while the daemon is in Hold and nothing moves, so that a request is answered at
-    /// once; stops as soon as `wanted` returns false.
+    /// Prepares the first manoeuvre from hanging without given values from the present state while the daemon is in Hold and nothing
+    /// moves, so that a request is answered at once; stops as soon as `wanted` returns false.
     pub fn prepare(&mut self, wanted: &dyn Fn() -> bool) {
-        let Some((record, seen)) = &self.newest else { return };
+        let (Some((record, seen)), Some(manoeuvre)) = (&self.newest, self.first) else { return };
         let Ok(vectors) = record.vectors(self.planner.config().model.order()) else { return };
         let start = vectors.x;
         // Not in lockstep: there equal runs have to give equal plans, however long planning takes.
@@ -188,13 +191,13 @@ impl<'a> RequestHandler<'a> {
         let iterations = self.planner.config().planner.replan.iterations;
         let cancelled = || !wanted();
         let effort = Effort { cancelled: Some(&cancelled), ..Effort::iterations(iterations) };
-        let replan = self.planner.replan_with(&mut self.solver, Manoeuvre::SwingUp, &start, &effort);
+        let replan = self.planner.replan_with(&mut self.solver, manoeuvre, &[], &start, &effort);
         self.second_opinions += log_second_opinions(&replan);
         if !wanted() {
             return;
         }
         if let Err(e) = &replan {
-            warn!("no swing-up from the present pose: {e}");
+            warn!("no {} from the present pose: {e}", self.planner.config().manoeuvres[manoeuvre].name);
         }
         self.prepared = Some((start, replan.ok()));
     }
@@ -210,7 +213,7 @@ impl<'a> RequestHandler<'a> {
         let mut answer = match request.kind() {
             Err(unknown) => Err(PlannerRequestError::UnknownKind(unknown)),
             Ok(PlannerKind::Status) => {
-                let mut reason = format!("ready with {} database entries", self.planner.entries().len());
+                let mut reason = format!("ready with {} database entries", self.planner.entries_of_all());
                 if self.second_opinions > 0 {
                     let count = self.second_opinions;
                     reason += &format!("; Clarabel was asked for a second opinion on {count} QPs");
@@ -219,8 +222,7 @@ impl<'a> RequestHandler<'a> {
                 let status = PlannerStatus::Solved.code();
                 Ok((PlannerResponse { status, reason, ..Default::default() }, None))
             }
-            Ok(PlannerKind::SwingUp) => self.plan(Manoeuvre::SwingUp, request, begin, wanted),
-            Ok(PlannerKind::SwingDown) => self.plan(Manoeuvre::SwingDown, request, begin, wanted),
+            Ok(PlannerKind::Plan) => self.plan(request, begin, wanted),
         }
         .unwrap_or_else(|e| {
             let reason = Text::new(&e.to_string());
@@ -232,38 +234,44 @@ impl<'a> RequestHandler<'a> {
 
     fn plan(
         &mut self,
-        manoeuvre: Manoeuvre,
         request: &PlannerRequest,
         begin: Instant,
         wanted: &dyn Fn() -> bool,
     ) -> Result<(PlannerResponse, Option<Plan>), PlannerRequestError> {
         /// Largest number of linearisations in a request; further ones change nothing.
         const MOST_ITERATIONS: u64 = 100;
-        let settings = &self.planner.config().planner.replan;
+        let config = self.planner.config();
+        let name = request.manoeuvre.name.as_str();
+        let manoeuvre = config.manoeuvres.iter().position(|m| m.name == name);
+        let manoeuvre = manoeuvre.ok_or_else(|| PlannerRequestError::UnknownManoeuvre {
+            got: name.to_owned(),
+            known: config.manoeuvres.iter().map(|m| format!("`{}`", m.name)).collect::<Vec<_>>().join(", "),
+        })?;
+        let settings = &config.planner.replan;
         let iterations = match request.iterations {
             0 => settings.iterations,
             n if n <= MOST_ITERATIONS => n as usize,
             got => return Err(PlannerRequestError::Iterations { got, max: MOST_ITERATIONS }),
         };
         let PlanStart { x: start, activation_ns, due } = if request.from_now == 1 {
-            self.start_from_now(manoeuvre, begin)?
+            self.start_from_now(&config.manoeuvres[manoeuvre], begin)?
         } else {
-            let order = self.planner.config().model.order();
-            let x = request.start(order).map_err(PlannerRequestError::StartOfOtherChain)?;
+            let x = request.start(config.model.order()).map_err(PlannerRequestError::StartOfOtherChain)?;
             PlanStart { x, activation_ns: None, due: None }
         };
         check_start(self.planner, &start)?;
+        let given = given_values(config, &config.manoeuvres[manoeuvre], &request.manoeuvre, &start)?;
         let deadline = (request.budget_ms > 0)
             .then(|| begin.checked_add(Duration::from_millis(request.budget_ms)))
             .flatten();
         let prepared = self.prepared.as_ref().filter(|(from, _)| {
-            manoeuvre == Manoeuvre::SwingUp
+            Some(manoeuvre) == self.first
                 && request.from_now == 1
                 && request.iterations == 0
                 && near(from, &start)
         });
         if let Some((_, Some(replan))) = prepared {
-            let plan = replan.plan(self.planner.config());
+            let plan = replan.plan(config);
             let reason = Text::new("ready before it was asked for");
             return Ok((
                 PlannerResponse { plan_id: plan.id, reason, ..describe(replan, settings) },
@@ -273,7 +281,7 @@ impl<'a> RequestHandler<'a> {
         let cancelled = || !wanted();
         let effort = Effort { deadline, cancelled: Some(&cancelled), ..Effort::iterations(iterations) };
         let mut replan = |effort| {
-            let replan = self.planner.replan_with(&mut self.solver, manoeuvre, &start, effort);
+            let replan = self.planner.replan_with(&mut self.solver, manoeuvre, &given, &start, effort);
             self.second_opinions += log_second_opinions(&replan);
             replan
         };
@@ -300,27 +308,32 @@ impl<'a> RequestHandler<'a> {
     /// The start of a plan "from now": the measured state if the daemon holds it (at rest in Hold, or balanced); while the
     /// pendulum moves, the state predicted for the activation of the plan. In lockstep always the measured state, because there
     /// the operator decides how much time passes during planning.
-    fn start_from_now(&self, manoeuvre: Manoeuvre, begin: Instant) -> Result<PlanStart, PlannerRequestError> {
+    fn start_from_now(
+        &self,
+        manoeuvre: &Manoeuvre,
+        begin: Instant,
+    ) -> Result<PlanStart, PlannerRequestError> {
         let Some((record, seen)) = &self.newest else {
             return Err(PlannerRequestError::NoTelemetry);
         };
         if stale(record, *seen) {
             return Err(PlannerRequestError::DaemonSilent);
         }
-        let needed = match manoeuvre {
-            Manoeuvre::SwingUp => Mode::Hold,
-            Manoeuvre::SwingDown => Mode::Balance,
-        };
+        let config = self.planner.config();
+        let needed = Mode::from_posture(manoeuvre.start);
         match record.mode() {
             Ok(mode) if mode == needed => {}
-            Ok(mode) => return Err(PlannerRequestError::Mode { manoeuvre, needed, mode }),
+            Ok(mode) => {
+                let next = mode.next_action(|start| config.first_manoeuvre(start)).to_string();
+                let manoeuvre = manoeuvre.name.clone();
+                return Err(PlannerRequestError::Mode { manoeuvre, needed, mode, next });
+            }
             Err(unknown) => return Err(PlannerRequestError::UnknownMode(unknown)),
         }
-        let config = self.planner.config();
         let vectors =
             record.vectors(config.model.order()).map_err(PlannerRequestError::TelemetryOfOtherChain)?;
         let x = vectors.x;
-        if manoeuvre == Manoeuvre::SwingDown || hangs(&config.model, &x) {
+        if manoeuvre.start == Posture::Standing || hangs(&config.model, &x) {
             return Ok(PlanStart { x, activation_ns: None, due: None });
         }
         if stands_still(record) || config.planner.replan.lead.is_zero() {
@@ -396,6 +409,44 @@ fn check_start(planner: &Planner, start: &State) -> Result<(), PlannerRequestErr
     Ok(())
 }
 
+/// The values that a request gives to the target of a manoeuvre, rad or m; a value that it leaves out is that of `start`.
+fn given_values(
+    config: &Config,
+    manoeuvre: &Manoeuvre,
+    request: &ManoeuvreRequest,
+    start: &State,
+) -> Result<Vec<f64>, PlannerRequestError> {
+    let (model, joints) = (&config.model, manoeuvre.given().map(|axis| axis.joint).collect::<Vec<_>>());
+    if request.number != 0 && request.number != joints.len() as u64 {
+        return Err(PlannerRequestError::GivenNumber {
+            manoeuvre: manoeuvre.name.clone(),
+            joints: match joints.len() {
+                0 => "none".to_owned(),
+                _ => joints
+                    .iter()
+                    .map(|i| format!("`{}`", model.joint_name(*i)))
+                    .collect::<Vec<_>>()
+                    .join(", "),
+            },
+            got: request.number,
+        });
+    }
+    let value = |(number, joint): (usize, &usize)| match request.given().get(number) {
+        Some(got) if !got.is_nan() => {
+            let (min, max) = config.robot.planning.range(LimitKind::Position, *joint);
+            if *got >= min && *got <= max {
+                return Ok(*got);
+            }
+            let [(min, unit), (max, _), (got, _)] =
+                [min, max, *got].map(|q| model.joint_kind(*joint).shown(q));
+            let joint = model.joint_name(*joint).to_owned();
+            Err(PlannerRequestError::GivenOutsideLimits { joint, min, max, got, unit })
+        }
+        _ => Ok(start[*joint]),
+    };
+    joints.iter().enumerate().map(value).collect()
+}
+
 /// Logs the QPs of a replan on which Clarabel was asked, and returns their number.
 fn log_second_opinions(replan: &Result<Replan, NoPlan>) -> usize {
     let second_opinions = match replan {
@@ -420,14 +471,17 @@ pub fn describe(replan: &Replan, settings: &ReplanSettings) -> PlannerResponse {
             0 => Text::default(),
             n => Text::new(&format!("{n} QPs solved by Clarabel: the structured solver made no progress")),
         },
+        Method::Optimisation if replan.entry.is_none() => {
+            Text::new("optimised in full: there is no database")
+        }
         Method::Optimisation => Text::new("optimised in full: no database entry is near enough"),
     };
     PlannerResponse {
         status: status.code(),
         reason,
         t_f: replan.trajectory.t_f,
-        nearest_entry: replan.entry.index as u64,
-        distance: replan.entry.distance,
+        nearest_entry: replan.entry.map_or(0, |entry| entry.index as u64),
+        distance: replan.entry.map_or(f64::NAN, |entry| entry.distance),
         iterations: replan.iterations as u64,
         defect: replan.defect,
         margin_q: replan.margins.q.share,

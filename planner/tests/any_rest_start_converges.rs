@@ -5,13 +5,13 @@ use upswing_config::{Config, PendulumStart};
 use upswing_model::{LimitKind, State, Workspace};
 use upswing_ocp::interior_point::{NlpSolution, NlpStatus};
 use upswing_ocp::multistart::Search;
-use upswing_planner::offline::{optimize, options};
+use upswing_planner::offline::{optimize, options, target};
 
 /// Number of random starts, a compromise between coverage and duration; 1000 were run when the test was written.
 const STARTS: usize = 60;
 
 fn solve(config: &Config, start: State) -> NlpSolution {
-    optimize(config, start, Search::First, None, &options(config))
+    optimize(config, target(config, 0, &[]).expect("a target"), start, Search::First, None, &options(config))
 }
 
 fn assert_solved(config: &Config, start: State) {
@@ -92,13 +92,22 @@ fn budgets_end_a_solve_with_what_it_has() {
     let start = zero_start(&config, 90.0);
     let mut limited = options(&config);
     limited.max_iterations = 3;
-    let solution = optimize(&config, start, Search::First, None, &limited);
+    let solution =
+        optimize(&config, target(&config, 0, &[]).expect("a target"), start, Search::First, None, &limited);
     assert_eq!(solution.status, NlpStatus::MaxIterations);
     assert!(solution.trajectory.x.iter().all(|x| x.iter().all(|v| v.is_finite())));
     let mut stopped = options(&config);
     stopped.cancelled = Some(&|| true);
-    assert_eq!(optimize(&config, start, Search::First, None, &stopped).status, NlpStatus::Interrupted);
+    assert_eq!(
+        optimize(&config, target(&config, 0, &[]).expect("a target"), start, Search::First, None, &stopped)
+            .status,
+        NlpStatus::Interrupted
+    );
     let mut brief = options(&config);
     brief.time_budget = Some(std::time::Duration::ZERO);
-    assert_eq!(optimize(&config, start, Search::First, None, &brief).status, NlpStatus::OutOfTime);
+    assert_eq!(
+        optimize(&config, target(&config, 0, &[]).expect("a target"), start, Search::First, None, &brief)
+            .status,
+        NlpStatus::OutOfTime
+    );
 }

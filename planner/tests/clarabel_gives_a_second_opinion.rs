@@ -2,8 +2,7 @@
 //! planner report it.
 
 use upswing_config::{Config, PendulumStart};
-use upswing_ipc::operator::Manoeuvre;
-use upswing_ipc::{PlannerKind, PlannerRequest, PlannerStatus};
+use upswing_ipc::{ManoeuvreRequest, PlannerKind, PlannerRequest, PlannerStatus};
 use upswing_model::State;
 use upswing_ocp::qp::QpStatus;
 use upswing_planner::replan::{Effort, Planner, Replan};
@@ -30,7 +29,7 @@ fn start(planner: &Planner) -> State {
 /// A plan from QPs, without the full optimisation.
 fn plan(planner: &Planner) -> Replan {
     let effort = Effort { optimise: false, ..Effort::iterations(planner.config().planner.replan.iterations) };
-    let replan = planner.replan_with(&mut planner.solver(), Manoeuvre::SwingUp, &start(planner), &effort);
+    let replan = planner.replan_with(&mut planner.solver(), 0, &[], &start(planner), &effort);
     replan.unwrap_or_else(|e| panic!("{e}"))
 }
 
@@ -40,7 +39,8 @@ fn a_plan_with_weights_that_the_structured_solver_cannot_handle_is_the_same() {
     assert_eq!(usual.statistics.second_opinions, []);
     let opinions = &scaled.statistics.second_opinions;
     assert!(!opinions.is_empty() && opinions.len() <= scaled.iterations, "{opinions:?}");
-    assert!(opinions.iter().all(|o| o.clarabel == QpStatus::Solved && o.entry == scaled.entry.index));
+    let entry = scaled.entry.map(|entry| entry.index);
+    assert!(opinions.iter().all(|o| o.clarabel == QpStatus::Solved && Some(o.entry) == entry));
     assert_eq!(usual.entry, scaled.entry);
     let states = usual.trajectory.x.iter().zip(scaled.trajectory.x.iter());
     let difference = states.map(|(a, b)| (a - b).amax()).fold(0.0, f64::max);
@@ -59,7 +59,11 @@ fn the_answer_names_it_and_the_status_counts_it() {
     };
     assert!(!ask(&status).contains("Clarabel"));
     let order = planner.config().model.order();
-    let answer = ask(&PlannerRequest::from_state(PlannerKind::SwingUp, order, &start(&planner)));
+    let answer = ask(&PlannerRequest::from_state(
+        ManoeuvreRequest::new("swing-up", &[]).expect("a name"),
+        order,
+        &start(&planner),
+    ));
     assert!(answer.contains("QPs solved by Clarabel"), "{answer}");
     let status = ask(&status);
     assert!(status.contains("Clarabel was asked for a second opinion on"), "{status}");

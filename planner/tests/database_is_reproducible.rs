@@ -17,7 +17,7 @@ use upswing_trajectory::{Database, DatabaseError, Entry, PoseOutcome, PoseRecord
 fn small_grid() -> Config {
     let mut config = Config::embedded().expect("embedded settings");
     let deg = |d: f64| d.to_radians();
-    config.grid.axes = vec![
+    config.manoeuvres[0].grid.axes = vec![
         GridAxis { joint: 1, from: deg(-10.0), to: deg(10.0), points: 3 },
         GridAxis { joint: 3, from: deg(-10.0), to: deg(-100.0), points: 2 },
     ];
@@ -32,7 +32,7 @@ fn build(
     stop: &AtomicBool,
     progress: impl Fn(usize) + Sync,
 ) -> Result<BuildSummary, BuildError> {
-    database::build(config, shard, &Overwrite { force: true }.output(path), stop, progress)
+    database::build(config, 0, shard, &Overwrite { force: true }.output(path), stop, progress)
 }
 
 /// [`database::merge`] that may replace an existing output file.
@@ -101,7 +101,7 @@ fn interrupted_between_two_guesses_for_a_pose() {
     const MOMENTS: u32 = 16;
     let dir = tempfile::tempdir().expect("a folder");
     let mut config = small_grid();
-    for axis in &mut config.grid.axes {
+    for axis in &mut config.manoeuvres[0].grid.axes {
         (axis.from, axis.points) = (axis.to, 1);
     }
     let whole = dir.path().join("whole.bin");
@@ -188,7 +188,7 @@ fn a_file_of_another_build_is_left_as_it_is_unless_it_may_be_replaced() {
     let carefully = Overwrite::default().output(&path);
     let shards = [whole(dir.path())];
     let refusals = [
-        database::build(&small_grid(), Shard::WHOLE, &carefully, &go(), |_| panic!("it began")),
+        database::build(&small_grid(), 0, Shard::WHOLE, &carefully, &go(), |_| panic!("it began")),
         database::merge(&shards, &carefully),
     ];
     for refusal in refusals {
@@ -201,7 +201,7 @@ fn a_file_of_another_build_is_left_as_it_is_unless_it_may_be_replaced() {
     database::merge(&shards, &carefully).expect("it is the same");
     // The file is the result of this build now: it is not changed.
     let summary =
-        database::build(&small_grid(), Shard::WHOLE, &carefully, &go(), |_| ()).expect("nothing to do");
+        database::build(&small_grid(), 0, Shard::WHOLE, &carefully, &go(), |_| ()).expect("nothing to do");
     assert_eq!(summary.resumed, 6);
 }
 
@@ -214,7 +214,7 @@ fn a_journal_of_other_settings_is_refused() {
     let mut other = small_grid();
     other.robot.planning.qd_max[0] *= 0.9;
     let refusal = build(&other, Shard::WHOLE, &path, &go(), |_| ()).expect_err("refused");
-    let expected = problem_fingerprint(&other);
+    let expected = problem_fingerprint(&other, 0);
     assert!(matches!(refusal, BuildError::Foreign { expected: e, .. } if e == expected), "{refusal}");
 }
 
@@ -234,10 +234,10 @@ fn disagreeing_duplicates_are_refused() {
 fn certificates_are_recomputed() {
     let dir = tempfile::tempdir().expect("a folder");
     let mut database = read(&whole(dir.path())).expect("it reads");
-    assert!(verify(&small_grid(), &database, || ()).is_empty());
+    assert!(verify(&small_grid(), 0, &database, || ()).is_empty());
     let PoseOutcome::Solved(entry) = &mut database.records[3].outcome else { panic!("solved") };
     entry.trajectory.u[50][0] += 1e-3;
-    let found = verify(&small_grid(), &database, || ());
+    let found = verify(&small_grid(), 0, &database, || ());
     assert_eq!(found.iter().map(|d| d.pose).collect::<Vec<_>>(), [3]);
     assert!(matches!(found[0].flaw, RecordFlaw::Certificate { .. }), "{found:?}");
 }
@@ -252,7 +252,7 @@ fn consistent_records_of_something_else_are_found() {
         let mut database = whole.clone();
         let record = solved(&database).expect("an entry");
         change(&mut database.records[record]);
-        let found = verify(&config, &database, || ());
+        let found = verify(&config, 0, &database, || ());
         assert_eq!(found.len(), 1, "{found:?}");
         found[0].flaw
     };
@@ -291,7 +291,7 @@ fn consistent_records_of_something_else_are_found() {
                 PoseOutcome::Solved(Box::new(Entry::new(&entry.trajectory, |t| certify(&narrower, t))));
         }
     }
-    let found = verify(&narrower, &database, || ());
+    let found = verify(&narrower, 0, &database, || ());
     assert_eq!(found.len(), 3, "{found:?}");
     assert!(found.iter().all(|d| matches!(d.flaw, RecordFlaw::Limit { what: "torque", .. })), "{found:?}");
 }
@@ -300,7 +300,7 @@ fn consistent_records_of_something_else_are_found() {
 fn the_shipped_database_holds() {
     let config = Config::embedded().expect("embedded settings");
     let database = Database::decode(SHIPPED).expect("it decodes");
-    let found = verify(&config, &database, || ());
+    let found = verify(&config, 0, &database, || ());
     assert!(found.is_empty(), "{}: {}", found[0].pose, found[0].flaw);
 }
 
@@ -314,9 +314,9 @@ fn a_read_only_folder_gives_one_clear_error() {
 #[test]
 fn other_limits_are_refused_with_both_fingerprints() {
     let mut config = Config::embedded().expect("embedded settings");
-    let got = problem_fingerprint(&config);
+    let got = problem_fingerprint(&config, 0);
     config.robot.planning.qd_max[0] *= 0.9;
-    let expected = problem_fingerprint(&config);
+    let expected = problem_fingerprint(&config, 0);
     let refusal = Planner::new(config).expect_err("made for other limits");
     let what = "set of limits and weights";
     let cause = DatabaseError::Fingerprint { what, expected, got };

@@ -3,11 +3,10 @@
 
 use rayon::prelude::*;
 use upswing_config::{Config, PendulumStart};
-use upswing_ipc::operator::Manoeuvre;
 use upswing_model::{ActuatedVector, State};
 use upswing_ocp::interior_point::NlpStatus;
 use upswing_ocp::multistart::Search;
-use upswing_planner::offline::{optimize, options};
+use upswing_planner::offline::{optimize, options, target};
 use upswing_planner::replan::{Effort, Method, Planner};
 use upswing_trajectory::{Certificate, Entry};
 
@@ -27,7 +26,14 @@ fn rest(config: &Config, degrees: [f64; 7]) -> State {
 /// Returns whether there is an optimum from `start` (rad, rad/s); asserts that there is a plan then.
 fn plans_where_there_is_an_optimum(planner: &Planner, start: &State) -> bool {
     let config = planner.config();
-    let optimum = optimize(config, *start, Search::Best, None, &options(config));
+    let optimum = optimize(
+        config,
+        target(config, 0, &[]).expect("a target"),
+        *start,
+        Search::Best,
+        None,
+        &options(config),
+    );
     if optimum.status != NlpStatus::Solved {
         return false;
     }
@@ -88,7 +94,11 @@ fn over_the_whole_range_of_every_joint() {
         // Two of three poses anywhere, the third in the range of the database.
         let mut q = ActuatedVector::zeros(config.model.sizes());
         if starts.len() % 3 == 0 {
-            config.grid.axes.iter().for_each(|axis| q[axis.joint] = between(axis.from, axis.to));
+            config.manoeuvres[0]
+                .grid
+                .axes
+                .iter()
+                .for_each(|axis| q[axis.joint] = between(axis.from, axis.to));
         } else {
             q = limits.q_min.actuated().zip_map(&limits.q_max.actuated(), &mut between);
         }
@@ -129,7 +139,9 @@ fn with_a_target_on_its_limit() {
     let entries: Vec<Entry> = origins
         .iter()
         .map(|degrees| {
-            let optimum = optimize(&config, rest(&config, *degrees), Search::Best, None, &options(&config));
+            let target = target(&config, 0, &[]).expect("a target");
+            let optimum =
+                optimize(&config, target, rest(&config, *degrees), Search::Best, None, &options(&config));
             assert_eq!(optimum.status, NlpStatus::Solved, "from {degrees:?}");
             let input_weight = config.planner.offline.input_weight;
             Entry::new(&optimum.trajectory, |t| {
@@ -137,20 +149,20 @@ fn with_a_target_on_its_limit() {
             })
         })
         .collect();
-    let planner = Planner::with_entries(config, "computed".into(), entries);
+    let planner = Planner::with_entries(config, 0, "computed".into(), entries);
     let mut solver = planner.solver();
     let quadratic = Effort { optimise: false, ..Effort::iterations(10) };
     for (degrees, shift) in origins.iter().flat_map(|d| [(d, 0.0), (d, 5.0), (d, -5.0)]) {
         let mut moved = *degrees;
         moved.iter_mut().step_by(2).for_each(|q| *q += shift);
         let start = rest(planner.config(), moved);
-        let up = planner.replan_with(&mut solver, Manoeuvre::SwingUp, &start, &quadratic);
+        let up = planner.replan_with(&mut solver, 0, &[], &start, &quadratic);
         let up = up.unwrap_or_else(|e| panic!("from {moved:?}: {e}"));
         assert!(up.defect <= planner.config().planner.replan.defect, "{:e}", up.defect);
         let far = Effort::iterations(10);
-        planner.replan_with(&mut solver, Manoeuvre::SwingUp, &start, &far).expect("a plan");
+        planner.replan_with(&mut solver, 0, &[], &start, &far).expect("a plan");
         let end = *up.trajectory.end();
-        let down = planner.replan_with(&mut solver, Manoeuvre::SwingDown, &end, &quadratic);
+        let down = planner.replan_with(&mut solver, 1, &[], &end, &quadratic);
         down.unwrap_or_else(|e| panic!("down from the end of {moved:?}: {e}"));
     }
 }

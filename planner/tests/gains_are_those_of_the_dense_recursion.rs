@@ -53,7 +53,7 @@ fn balance_is_stable_with_a_free_rod_and_with_one_that_its_bearings_hold() {
     let planner = Planner::new(config.clone()).expect("the database fits");
     let ts = config.daemon.cycle.period.seconds();
     let (sizes, work) = (config.model.sizes(), &mut Workspace::default());
-    for entry in planner.entries().iter().step_by(40) {
+    for entry in planner.entries(0).iter().step_by(40) {
         let x = entry.trajectory.end();
         let weights = lqr_weights(&config.planner, sizes);
         let gains = synthesize(&config.model, &entry.trajectory, &weights, ts, work).expect("stabilisable");
@@ -75,7 +75,7 @@ fn balance_is_stable_with_a_free_rod_and_with_one_that_its_bearings_hold() {
 fn the_gains_of_a_swing_are_those_of_the_dense_recursion() {
     let config = Config::embedded().expect("settings");
     let planner = Planner::new(config.clone()).expect("the database fits");
-    let trajectory = &planner.entries()[7].trajectory;
+    let trajectory = &planner.entries(0)[7].trajectory;
     let (weights, ts) = (&config.planner.lqr, config.daemon.cycle.period.seconds());
     let (sizes, work) = (config.model.sizes(), &mut Workspace::default());
     let n = trajectory.intervals();

@@ -6,7 +6,7 @@ use upswing_config::{Config, PendulumStart, TorqueForm};
 use upswing_model::Workspace;
 use upswing_ocp::interior_point::NlpStatus;
 use upswing_ocp::multistart::Search;
-use upswing_planner::offline::{optimize, options, problem};
+use upswing_planner::offline::{optimize, options, problem, target};
 use upswing_trajectory::Trajectory;
 
 #[derive(Deserialize)]
@@ -25,7 +25,7 @@ fn assert_limits(config: &Config, trajectory: &Trajectory) {
     // The interior-point method satisfies bounds strictly, and torque limits to its tolerance, through slacks.
     const SLACK: f64 = 1e-6;
     let limits = &config.robot.planning;
-    let problem = problem(config, trajectory.x[0]);
+    let problem = problem(config, target(config, 0, &[]).expect("a target"), trajectory.x[0]);
     let (low, high) = problem.torque.bounds(&limits.tau_max);
     let mut work = Workspace::default();
     for (k, (x, u)) in trajectory.knots().enumerate() {
@@ -54,13 +54,20 @@ fn check(torque: TorqueForm) {
         let q: Vec<f64> = known.start_deg.iter().map(|d| d.to_radians()).collect();
         let start = config.start_state(&q, PendulumStart::Rest).expect("a start at rest");
         assert!((start.q_u()[1].to_degrees() - known.start_q9_deg).abs() < 1e-9);
-        let solution = optimize(&config, start, Search::First, None, &options(&config));
+        let solution = optimize(
+            &config,
+            target(&config, 0, &[]).expect("a target"),
+            start,
+            Search::First,
+            None,
+            &options(&config),
+        );
         let name = format!("{:?} ({torque:?})", known.start_deg);
         assert_eq!(solution.status, NlpStatus::Solved, "{name}");
         let defect = solution.trajectory.defect(&config.model, &mut Workspace::default());
         assert!(defect <= 1e-8, "{name}: defect {defect:e}");
         assert!((solution.trajectory.x[0] - start).amax() == 0.0, "{name}: another start");
-        for row in problem(&config, start).target {
+        for row in target(&config, 0, &[]).expect("a target") {
             let miss = row.coefficients.dot(solution.trajectory.end()) - row.value;
             assert!(miss.abs() <= 1e-8, "{name}: target missed by {miss:e}");
         }

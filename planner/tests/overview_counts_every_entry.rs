@@ -6,7 +6,7 @@ use upswing_planner::database::{DatabaseFile, DatabaseOverview};
 #[test]
 fn of_the_shipped_database() {
     let config = Config::embedded().expect("embedded settings");
-    let file = DatabaseFile::of(&config).expect("the shipped database");
+    let file = DatabaseFile::of(&config, 0).expect("a file").expect("the shipped database");
     let database = file.decode().expect("a database");
     let overview = DatabaseOverview::of(&database);
     assert_eq!(overview.entries, database.entries().count());

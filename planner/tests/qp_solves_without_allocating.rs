@@ -3,7 +3,7 @@
 use allocation_counter::measure;
 use upswing_config::Config;
 use upswing_ocp::qp::{Backend, Qp, QpOptions, QpSolver, QpStatus};
-use upswing_planner::offline::{problem, qp_weights};
+use upswing_planner::offline::{problem, qp_weights, target};
 use upswing_planner::replan::Planner;
 
 #[test]
@@ -11,13 +11,14 @@ fn after_the_first_one() {
     let planner = Planner::new(Config::embedded().expect("embedded settings")).expect("a database");
     let qp = |entry: usize| {
         let (reference, start) =
-            (&planner.entries()[entry].trajectory, planner.entries()[entry + 1].trajectory.x[0]);
+            (&planner.entries(0)[entry].trajectory, planner.entries(0)[entry + 1].trajectory.x[0]);
         let config = planner.config();
-        let (problem, weights) = (problem(config, start), qp_weights(&config.planner.replan));
+        let target = target(config, 0, &[]).expect("a target");
+        let (problem, weights) = (problem(config, target, start), qp_weights(&config.planner.replan));
         Qp::new(&problem, reference, reference, &weights)
     };
     let (first, second) = (qp(40), qp(41));
-    let reference = &planner.entries()[0].trajectory;
+    let reference = &planner.entries(0)[0].trajectory;
     let mut solver = QpSolver::new(Backend::Structured, reference.sizes(), reference.intervals());
     let options = QpOptions::new(1e-9);
     let heap = measure(|| assert_eq!(solver.solve(&first, &options), QpStatus::Solved));

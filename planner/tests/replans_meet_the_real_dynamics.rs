@@ -3,12 +3,11 @@
 
 use std::time::Instant;
 use upswing_config::{Config, PendulumStart, SUB_HORIZONS, TorqueForm};
-use upswing_ipc::operator::Manoeuvre;
 use upswing_model::State;
 use upswing_ocp::interior_point::NlpStatus;
 use upswing_ocp::multistart::Search;
 use upswing_planner::database::certify;
-use upswing_planner::offline::{optimize, options};
+use upswing_planner::offline::{optimize, options, target};
 use upswing_planner::replan::{Effort, Planner, PlanningFailure};
 use upswing_trajectory::Entry;
 
@@ -84,22 +83,29 @@ fn with_other_numbers_of_intervals() {
             config.start_state(&degrees.map(f64::to_radians), PendulumStart::Rest).expect("a start at rest")
         };
         let (x, near) = (start(STARTS[0]), start(STARTS[1]));
-        let optimum = optimize(&config, near, Search::First, None, &options(&config));
+        let optimum = optimize(
+            &config,
+            target(&config, 0, &[]).expect("a target"),
+            near,
+            Search::First,
+            None,
+            &options(&config),
+        );
         assert_eq!(optimum.status, NlpStatus::Solved, "{intervals} intervals");
         let entry = Entry::new(&optimum.trajectory, |t| certify(&config, t));
-        let planner = Planner::with_entries(config.clone(), "computed".into(), vec![entry]);
+        let planner = Planner::with_entries(config.clone(), 0, "computed".into(), vec![entry]);
         let effort = Effort { optimise: false, ..Effort::iterations(config.planner.replan.iterations) };
-        let replan = |manoeuvre, start: &State| {
-            let replan = planner.replan_with(&mut planner.solver(), manoeuvre, start, &effort);
+        let replan = |manoeuvre: usize, start: &State| {
+            let replan = planner.replan_with(&mut planner.solver(), manoeuvre, &[], start, &effort);
             let replan = replan.unwrap_or_else(|e| panic!("{manoeuvre}, {intervals} intervals: {e}"));
             assert_eq!(replan.trajectory.intervals(), intervals);
             assert_eq!(replan.gains.intervals(), intervals);
             assert!(replan.defect <= 1e-6, "{intervals} intervals: defect {:e}", replan.defect);
             replan
         };
-        let up = replan(Manoeuvre::SwingUp, &x);
+        let up = replan(0, &x);
         assert!(upright(up.trajectory.end(), 1e-7));
-        replan(Manoeuvre::SwingDown, up.trajectory.end());
+        replan(1, up.trajectory.end());
     }
 }
 
@@ -152,10 +158,10 @@ fn a_pendulum_that_swings_at_the_start_is_caught() {
 fn an_entry_of_the_database_is_found_and_kept() {
     let planner = planner_of_one_qp();
     let entry = 40;
-    let x = planner.entries()[entry].trajectory.x[0];
+    let x = planner.entries(0)[entry].trajectory.x[0];
     let replan = planner.replan(&x, 1, None).expect("a plan");
-    assert_eq!((replan.entry.index, replan.entry.distance), (entry, 0.0));
-    let want = &planner.entries()[entry].trajectory;
+    assert_eq!(replan.entry.map(|found| (found.index, found.distance)), Some((entry, 0.0)));
+    let want = &planner.entries(0)[entry].trajectory;
     // The entry uses its full limits; the replan keeps the knot margin of 1.5 %.
     assert!((replan.trajectory.t_f / want.t_f - 1.0).abs() <= 0.04, "t_F {}", replan.trajectory.t_f);
 }
@@ -165,14 +171,14 @@ fn a_swing_down_ends_where_an_entry_began_on_a_limit_too() {
     let planner = planner();
     let (mut solver, q_min) = (planner.solver(), planner.config().robot.planning.q_min);
     let on_a_limit = |entry: &&Entry| (entry.trajectory.x[0][3] - q_min[3]).abs() < 1e-9;
-    let entries: Vec<_> = planner.entries().iter().filter(on_a_limit).step_by(8).collect();
+    let entries: Vec<_> = planner.entries(0).iter().filter(on_a_limit).step_by(8).collect();
     assert!(entries.len() > 5, "only {} entries with joint 4 on its limit", entries.len());
     for entry in entries {
         let effort = Effort::iterations(planner.config().planner.replan.iterations);
         let mut start = *entry.trajectory.end();
         // Off the end of the swing-up, as after a push.
         start[0] += 0.01;
-        let replan = planner.replan_with(&mut solver, Manoeuvre::SwingDown, &start, &effort);
+        let replan = planner.replan_with(&mut solver, 1, &[], &start, &effort);
         let replan = replan.unwrap_or_else(|e| panic!("{e}"));
         assert!(replan.defect <= planner.config().planner.replan.defect, "{:e}", replan.defect);
     }
@@ -186,7 +192,7 @@ fn an_impossible_start_is_refused_with_the_reason_of_each_entry() {
     x[1] = planner.config().robot.planning.q_max[1];
     x.qd_mut()[1] = planner.config().robot.planning.qd_max[1];
     let quadratic = Effort { optimise: false, ..Effort::iterations(2) };
-    let refusal = planner.replan_with(&mut planner.solver(), Manoeuvre::SwingUp, &x, &quadratic);
+    let refusal = planner.replan_with(&mut planner.solver(), 0, &[], &x, &quadratic);
     let refusal = refusal.expect_err("no plan");
     assert_eq!(refusal.failed.len(), planner.config().planner.replan.neighbours);
     assert!(

@@ -3,9 +3,9 @@
 use std::cell::Cell;
 use std::time::{Duration, Instant};
 use upswing_config::{Config, PendulumStart};
-use upswing_ipc::operator::{Manoeuvre, NextAction, OperatorRequest};
+use upswing_ipc::operator::NextAction;
 use upswing_ipc::{
-    Clock, CycleVectors, Mode, PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus, Telemetry,
+    Clock, CycleVectors, ManoeuvreRequest, Mode, PlannerRequest, PlannerResponse, PlannerStatus, Telemetry,
 };
 use upswing_model::{ActuatedVector, JointVector, State};
 use upswing_planner::replan::Planner;
@@ -23,7 +23,7 @@ fn rest(planner: &Planner) -> State {
 
 /// The end of a swing-up: upright, at rest.
 fn end(planner: &Planner) -> State {
-    *planner.entries()[17].trajectory.end()
+    *planner.entries(0)[17].trajectory.end()
 }
 
 /// A telemetry record of the shipped arm at state `x` (rad, rad/s), with clock `lockstep` or a clock that runs.
@@ -35,9 +35,18 @@ fn record(planner: &Planner, x: &State, mode: Mode, lockstep: bool) -> Telemetry
     Telemetry { mode: mode.code(), clock, ..Telemetry::new(planner.config().model.order(), &vectors) }
 }
 
+/// A manoeuvre without given values.
+fn named(name: &str) -> ManoeuvreRequest {
+    ManoeuvreRequest::new(name, &[]).expect("a name")
+}
+
+fn from_now(manoeuvre: &str) -> PlannerRequest {
+    PlannerRequest::from_now(named(manoeuvre))
+}
+
 /// A request for a swing-up from rest.
 fn from_rest(planner: &Planner) -> PlannerRequest {
-    PlannerRequest::from_state(PlannerKind::SwingUp, planner.config().model.order(), &rest(planner))
+    PlannerRequest::from_state(named("swing-up"), planner.config().model.order(), &rest(planner))
 }
 
 fn ask(handler: &mut RequestHandler<'_>, request: &PlannerRequest) -> (PlannerResponse, Option<Plan>) {
@@ -59,7 +68,7 @@ fn a_plan_is_ready_while_the_arm_holds() {
     let x = rest(&planner);
     handler.observe(record(&planner, &x, Mode::Hold, false), Instant::now());
     handler.prepare(&|| true);
-    let (answer, plan) = ask(&mut handler, &PlannerRequest::from_now(Manoeuvre::SwingUp));
+    let (answer, plan) = ask(&mut handler, &from_now("swing-up"));
     assert_eq!(answer.reason.as_str(), Ok("ready before it was asked for"));
     let plan = plan.expect("a plan");
     assert_eq!(answer.plan_id, plan.id);
@@ -70,7 +79,7 @@ fn a_plan_is_ready_while_the_arm_holds() {
         let mut moved = x;
         moved[1] += shift;
         handler.observe(record(&planner, &moved, Mode::Hold, false), Instant::now());
-        let (answer, plan) = ask(&mut handler, &PlannerRequest::from_now(Manoeuvre::SwingUp));
+        let (answer, plan) = ask(&mut handler, &from_now("swing-up"));
         assert_eq!(answer.reason.as_str().expect("text").starts_with("ready"), ready, "moved by {shift}");
         assert!((plan.expect("a plan").trajectory.x[0] - moved).amax() < 2e-4);
     }
@@ -88,7 +97,7 @@ fn in_lockstep_a_plan_begins_with_the_state_of_the_record() {
         }
         handler.observe(record(&planner, &x, Mode::Hold, true), Instant::now());
         handler.prepare(&|| true);
-        let (answer, plan) = ask(&mut handler, &PlannerRequest::from_now(Manoeuvre::SwingUp));
+        let (answer, plan) = ask(&mut handler, &from_now("swing-up"));
         assert_eq!(answer.reason.as_str(), Ok(""), "nothing is prepared in lockstep");
         assert!((plan.expect("a plan").trajectory.x[0] - x).amax() < 1e-6);
     }
@@ -105,7 +114,7 @@ fn a_moving_start_is_predicted_for_the_activation_of_its_plan() {
     let (answer, plan) = (0..100)
         .find_map(|_| {
             handler.observe(now, Instant::now());
-            let (answer, plan) = ask(&mut handler, &PlannerRequest::from_now(Manoeuvre::SwingUp));
+            let (answer, plan) = ask(&mut handler, &from_now("swing-up"));
             plan.map(|plan| (answer, plan))
         })
         .expect("a plan");
@@ -133,7 +142,7 @@ fn a_pendulum_that_turns_round_is_not_at_rest() {
     let mut reason = String::new();
     let plan = (0..100).find_map(|_| {
         handler.observe(record(&planner, &x, Mode::Hold, false), Instant::now());
-        let (answer, plan) = ask(&mut handler, &PlannerRequest::from_now(Manoeuvre::SwingUp));
+        let (answer, plan) = ask(&mut handler, &from_now("swing-up"));
         reason = answer.reason.to_string();
         plan
     });
@@ -152,7 +161,7 @@ fn a_swing_down_begins_upright_and_ends_hanging_at_rest() {
     upright[1] += 0.02;
     upright[5] -= 0.01;
     handler.observe(record(&planner, &upright, Mode::Balance, false), Instant::now());
-    let (answer, plan) = ask(&mut handler, &PlannerRequest::from_now(Manoeuvre::SwingDown));
+    let (answer, plan) = ask(&mut handler, &from_now("swing-down"));
     assert_eq!(answer.status(), Ok(PlannerStatus::Solved), "{:?}", answer.reason.as_str());
     let trajectory = plan.expect("a plan").trajectory;
     assert!((trajectory.x[0] - upright).amax() < 1e-6);
@@ -169,21 +178,18 @@ fn a_swing_down_begins_upright_and_ends_hanging_at_rest() {
 fn from_another_mode_or_without_a_daemon() {
     let planner = planner();
     let mut handler = RequestHandler::new(&planner);
-    refused(
-        ask(&mut handler, &PlannerRequest::from_now(Manoeuvre::SwingUp)),
-        PlannerStatus::NotReady,
-        "is upswingd running",
-    );
+    refused(ask(&mut handler, &from_now("swing-up")), PlannerStatus::NotReady, "is upswingd running");
     for mode in Mode::ALL.iter().copied() {
-        for (manoeuvre, needed) in [(Manoeuvre::SwingUp, Mode::Hold), (Manoeuvre::SwingDown, Mode::Balance)] {
+        for (manoeuvre, needed) in [("swing-up", Mode::Hold), ("swing-down", Mode::Balance)] {
             let x = if mode == Mode::Balance { end(&planner) } else { rest(&planner) };
             handler.observe(record(&planner, &x, mode, false), Instant::now());
-            let answer = ask(&mut handler, &PlannerRequest::from_now(manoeuvre));
+            let answer = ask(&mut handler, &from_now(manoeuvre));
+            let next = mode.next_action(|start| planner.config().first_manoeuvre(start));
             if mode == needed {
                 assert!(answer.1.is_some(), "{manoeuvre} in {mode}: {:?}", answer.0.reason);
-                assert_eq!(mode.next_action(), NextAction::Make(OperatorRequest::Manoeuvre(manoeuvre)));
+                assert_eq!(next, NextAction::Manoeuvre(Some(manoeuvre)));
             } else {
-                refused(answer, PlannerStatus::NotReady, &format!("next: {}", mode.next_action()));
+                refused(answer, PlannerStatus::NotReady, &format!("next: {next}"));
             }
         }
     }
@@ -198,20 +204,20 @@ fn from_a_daemon_that_has_fallen_silent() {
     let long_ago = Instant::now().checked_sub(Duration::from_secs(6)).expect("the clock runs for longer");
     let reason = "no telemetry from the daemon for some seconds";
     for (x, mode, manoeuvre) in
-        [(moving, Mode::Hold, Manoeuvre::SwingUp), (end(&planner), Mode::Balance, Manoeuvre::SwingDown)]
+        [(moving, Mode::Hold, "swing-up"), (end(&planner), Mode::Balance, "swing-down")]
     {
         handler.observe(record(&planner, &x, mode, false), long_ago);
-        refused(ask(&mut handler, &PlannerRequest::from_now(manoeuvre)), PlannerStatus::NotReady, reason);
+        refused(ask(&mut handler, &from_now(manoeuvre)), PlannerStatus::NotReady, reason);
     }
     // No plan is prepared from old telemetry either.
     handler.observe(record(&planner, &rest(&planner), Mode::Hold, false), long_ago);
     handler.prepare(&|| true);
     handler.observe(record(&planner, &rest(&planner), Mode::Hold, false), Instant::now());
-    let (answer, _) = ask(&mut handler, &PlannerRequest::from_now(Manoeuvre::SwingUp));
+    let (answer, _) = ask(&mut handler, &from_now("swing-up"));
     assert_eq!(answer.reason.as_str(), Ok(""));
     // In lockstep the clock stands still while a plan is made.
     handler.observe(record(&planner, &moving, Mode::Hold, true), long_ago);
-    assert!(ask(&mut handler, &PlannerRequest::from_now(Manoeuvre::SwingUp)).1.is_some());
+    assert!(ask(&mut handler, &from_now("swing-up")).1.is_some());
 }
 
 #[test]
@@ -247,13 +253,38 @@ fn nonsense() {
 }
 
 #[test]
+fn manoeuvres_and_values_that_the_system_does_not_know() {
+    let planner = planner();
+    let mut handler = RequestHandler::new(&planner);
+    let mut refuse = |name: &str, given: &[f64], part: &str| {
+        let manoeuvre = ManoeuvreRequest::new(name, given).expect("a name");
+        let request = PlannerRequest { manoeuvre, ..from_rest(&planner) };
+        refused(ask(&mut handler, &request), PlannerStatus::BadRequest, part);
+    };
+    refuse("fly", &[], "unknown manoeuvre `fly`: this system has `swing-up`, `swing-down`, `move`");
+    refuse("swing-up", &[0.5], "expected values of the joints none, got 1");
+    refuse("move", &[0.5], "expected values of the joints `joint_1`, `joint_2`, `joint_4`, got 1");
+    refuse(
+        "move",
+        &[0.5, 9.0, 0.5],
+        "target of joint `joint_2`: expected -120.000 to 120.000 deg, got 515.662 deg",
+    );
+    refuse("move", &[f64::INFINITY, 0.0, 0.5], "target of joint `joint_1`");
+    let nameless = PlannerRequest { manoeuvre: ManoeuvreRequest::default(), ..from_rest(&planner) };
+    refused(ask(&mut handler, &nameless), PlannerStatus::BadRequest, "unknown manoeuvre ``");
+    let manoeuvre = ManoeuvreRequest { number: u64::MAX, ..named("move") };
+    let boundless = PlannerRequest { manoeuvre, ..from_rest(&planner) };
+    refused(ask(&mut handler, &boundless), PlannerStatus::BadRequest, "got 18446744073709551615");
+}
+
+#[test]
 fn telemetry_of_another_chain() {
     let planner = planner();
     let mut handler = RequestHandler::new(&planner);
     let foreign = Telemetry { joints: 3, ..record(&planner, &rest(&planner), Mode::Hold, false) };
     handler.observe(foreign, Instant::now());
     handler.prepare(&|| true);
-    let answer = ask(&mut handler, &PlannerRequest::from_now(Manoeuvre::SwingUp));
+    let answer = ask(&mut handler, &from_now("swing-up"));
     refused(answer, PlannerStatus::NotReady, "telemetry of 3 joints");
 }
 

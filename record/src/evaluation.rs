@@ -75,10 +75,10 @@ pub struct SwingUpEvaluation {
     pub t_f: f64,
     /// Time from the request to the plan, s.
     pub planning_s: f64,
-    /// Index of the database entry that the plan was adapted from.
-    pub nearest_entry: u64,
+    /// Index of the database entry that the plan was adapted from; none without a database.
+    pub nearest_entry: Option<u64>,
     /// Weighted distance of the start to that entry, rad.
-    pub distance: f64,
+    pub distance: Option<f64>,
     /// Largest defect of the plan under the nonlinear dynamics, rad or rad/s per interval.
     pub defect: f64,
     /// Motion statistics of the records.
@@ -300,8 +300,8 @@ impl SwingUpEvaluation {
             failures,
             t_f: plan.t_f,
             planning_s: plan.time_total_us * 1e-6,
-            nearest_entry: plan.nearest_entry,
-            distance: plan.distance,
+            nearest_entry: plan.distance.is_finite().then_some(plan.nearest_entry),
+            distance: Some(plan.distance).filter(|distance| distance.is_finite()),
             defect: plan.defect,
             statistics,
         }
@@ -315,15 +315,11 @@ impl std::fmt::Display for SwingUpEvaluation {
         for reason in &self.failures {
             writeln!(f, "  {reason}")?;
         }
-        writeln!(
-            f,
-            "  plan      {:.3} s long, {} from database entry {} ({:.2} rad away), defect {:.1e}",
-            self.t_f,
-            planning_text(self.planning_s),
-            self.nearest_entry,
-            self.distance,
-            self.defect
-        )?;
+        write!(f, "  plan      {:.3} s long, {}", self.t_f, planning_text(self.planning_s))?;
+        if let Some((entry, distance)) = self.nearest_entry.zip(self.distance) {
+            write!(f, " from database entry {entry} ({distance:.2} rad away)")?;
+        }
+        writeln!(f, ", defect {:.1e}", self.defect)?;
         writeln!(
             f,
             "  tracking  within {:.3} rad (joints 1-7), {:.3} rad (pendulum)",

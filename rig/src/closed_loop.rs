@@ -1,9 +1,8 @@
 //! Controller and simulated plant in one process, stepped alternately cycle by cycle, without shared memory.
 
-use crate::course::{self, Course};
+use crate::course::{self, Course, first_manoeuvre};
 use upswing_config::{Config, Push};
-use upswing_ipc::operator::Manoeuvre;
-use upswing_ipc::{Mode, PlanMessage, PlannerResponse, Telemetry};
+use upswing_ipc::{ManoeuvreRequest, Mode, PlanMessage, PlannerResponse, Telemetry};
 use upswing_model::JointVector;
 use upswing_ocp::qp::QpSolver;
 use upswing_planner::replan::{Effort, NoPlan, Planner};
@@ -208,11 +207,17 @@ impl<D: FnOnce(f64) -> Disturbances> Course for SwingUpRun<'_, D> {
     }
 
     /// Plans, loads and starts; the plant does not step while the plan is computed.
-    fn start(&mut self, manoeuvre: Manoeuvre) -> Result<PlannerResponse, Aborted> {
+    fn start(&mut self, manoeuvre: &ManoeuvreRequest) -> Result<PlannerResponse, Aborted> {
         let start = *self.system.controller.state();
         let settings = &self.config.planner.replan;
         let effort = Effort::iterations(settings.iterations);
-        let replan = self.planner.replan_with(self.solver, manoeuvre, &start, &effort)?;
+        let name = manoeuvre.name.as_str();
+        let number = self.config.manoeuvres.iter().position(|m| m.name == name);
+        let number = number.ok_or_else(|| Aborted::Refused {
+            request: "plan",
+            refusal: format!("unknown manoeuvre `{name}`"),
+        })?;
+        let replan = self.planner.replan_with(self.solver, number, manoeuvre.given(), &start, &effort)?;
         let plan =
             accept(&PlanMessage::new(&replan.plan(self.config), self.config.model.order()), self.config)?;
         let id = plan.id;
@@ -235,7 +240,7 @@ impl<D: FnOnce(f64) -> Disturbances> Course for SwingUpRun<'_, D> {
     }
 }
 
-/// Runs a swing-up ([`course::swing_up`]), balances for `seconds` (s) and evaluates the run. `config` are the settings of the
+/// Runs the first manoeuvre of the settings, a swing-up, balances for `seconds` (s) and evaluates the run. `config` are the settings of the
 /// controller; the plant may have others. `disturbances` maps the duration t_F (s) of the plan to the disturbances. `records` is cleared
 /// and then filled with one record per control cycle.
 ///
@@ -262,6 +267,6 @@ pub fn swing_up(
         fastest: JointVector::zeros(config.model.sizes()),
     };
     let period = config.daemon.cycle.period.seconds();
-    let response = course::swing_up(&mut run, period, seconds)?;
+    let response = course::execute_from_idle(&mut run, &first_manoeuvre(config), period, seconds)?;
     Ok(SwingUpEvaluation::new(config, &response, run.records, 0, seconds, Some(&run.fastest)))
 }

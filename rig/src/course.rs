@@ -3,8 +3,8 @@
 
 use crate::session::{NEVER, Session, SessionError};
 use std::sync::atomic::{AtomicBool, Ordering};
-use upswing_ipc::operator::Manoeuvre;
-use upswing_ipc::{Mode, PlannerResponse};
+use upswing_config::{Config, GridAxis};
+use upswing_ipc::{ManoeuvreRequest, Mode, PlannerResponse};
 
 /// Time in which the arm settles in Hold before the plan is made, s.
 pub const SETTLE: f64 = 0.25;
@@ -32,7 +32,7 @@ pub trait Course {
     ///
     /// # Errors
     /// [`Self::Error`] if planner or daemon refuse.
-    fn start(&mut self, manoeuvre: Manoeuvre) -> Result<PlannerResponse, Self::Error>;
+    fn start(&mut self, manoeuvre: &ManoeuvreRequest) -> Result<PlannerResponse, Self::Error>;
 
     /// Lets `cycles` control cycles pass after the start of the plan and monitors the mode.
     ///
@@ -41,15 +41,31 @@ pub trait Course {
     fn watch(&mut self, cycles: u64) -> Result<(), Self::Error>;
 }
 
-/// Enables the daemon, lets the arm settle in Hold, swings up and balances for `seconds` (s). `period`: control period, s.
+/// The manoeuvre of a demonstration: the first one of the settings, to the last values of its database if the request has to give some.
+pub fn first_manoeuvre(config: &Config) -> ManoeuvreRequest {
+    let request = config.manoeuvres.first().map(|first| {
+        let given: Vec<f64> = first.given().map(|axis: &GridAxis| axis.to).collect();
+        ManoeuvreRequest::new(&first.name, &given)
+    });
+    // The planner refuses what has no name, and names what there is.
+    request.and_then(Result::ok).unwrap_or_default()
+}
+
+/// Enables the daemon, lets the arm settle in Hold, executes a manoeuvre and stays at its end for `seconds` (s). `period`: control
+/// period, s.
 ///
 /// # Errors
 /// [`Course::Error`]
-pub fn swing_up<C: Course>(course: &mut C, period: f64, seconds: f64) -> Result<PlannerResponse, C::Error> {
+pub fn execute_from_idle<C: Course>(
+    course: &mut C,
+    manoeuvre: &ManoeuvreRequest,
+    period: f64,
+    seconds: f64,
+) -> Result<PlannerResponse, C::Error> {
     // A daemon without a measurement refuses to be enabled.
     course.advance(1)?;
     course.hold(cycles(SETTLE, period))?;
-    execute(course, Manoeuvre::SwingUp, period, seconds)
+    execute(course, manoeuvre, period, seconds)
 }
 
 /// Plans a manoeuvre from the present state, starts the plan, and lets its duration t_F plus `seconds` (s) pass. `period`: control
@@ -59,7 +75,7 @@ pub fn swing_up<C: Course>(course: &mut C, period: f64, seconds: f64) -> Result<
 /// [`Course::Error`]
 pub fn execute<C: Course>(
     course: &mut C,
-    manoeuvre: Manoeuvre,
+    manoeuvre: &ManoeuvreRequest,
     period: f64,
     seconds: f64,
 ) -> Result<PlannerResponse, C::Error> {
@@ -112,7 +128,7 @@ impl Course for SessionCourse<'_> {
         self.expect_mode(&[Mode::Hold])
     }
 
-    fn start(&mut self, manoeuvre: Manoeuvre) -> Result<PlannerResponse, SessionError> {
+    fn start(&mut self, manoeuvre: &ManoeuvreRequest) -> Result<PlannerResponse, SessionError> {
         self.session.start_manoeuvre(manoeuvre)
     }
 

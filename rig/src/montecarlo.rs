@@ -57,7 +57,7 @@ impl RandomStarts<'_> {
         let mut rng = self.generator(index);
         for _ in 0..DRAWS {
             let mut q_a = ActuatedVector::zeros(self.config.model.sizes());
-            for axis in &self.config.grid.axes {
+            for axis in self.config.manoeuvres.iter().take(1).flat_map(|first| &first.grid.axes) {
                 q_a[axis.joint] = axis.from + (axis.to - axis.from) * unit(&mut rng);
             }
             if let Ok(x) = self.config.start_state(&q_a, PendulumStart::Rest)

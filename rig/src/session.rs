@@ -7,10 +7,10 @@ pub use process::{Programs, Role, SessionOptions};
 use process::SystemProcess;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-use upswing_ipc::operator::{Manoeuvre, Operator, OperatorError, OperatorRequest, PublishedPlan};
+use upswing_ipc::operator::{Operator, OperatorError, OperatorRequest, PublishedPlan};
 use upswing_ipc::{
-    CallError, Client, ControlKind, ControlRequest, ControlResponse, Domain, DomainError, IpcError, Node,
-    PlannerResponse, PlantKind, PlantRequest, PlantResponse, Readiness, Telemetry,
+    CallError, Client, ControlKind, ControlRequest, ControlResponse, Domain, DomainError, IpcError,
+    ManoeuvreRequest, Node, PlannerResponse, PlantKind, PlantRequest, PlantResponse, Readiness, Telemetry,
 };
 use upswing_record::{Recorder, RecordingError, Tally, Tap};
 
@@ -257,7 +257,7 @@ impl Session {
         match request.command() {
             Ok(command) => self.control(&ControlRequest::new(command)),
             Err(manoeuvre) => {
-                self.start_manoeuvre(manoeuvre)?;
+                self.start_manoeuvre(&manoeuvre)?;
                 self.status()
             }
         }
@@ -291,7 +291,7 @@ impl Session {
     ///
     /// # Errors
     /// [`SessionError::Operator`] with the reason of a refusal, [`SessionError::Timeout`] if the plan is not loaded.
-    pub fn start_manoeuvre(&mut self, manoeuvre: Manoeuvre) -> Result<PlannerResponse, SessionError> {
+    pub fn start_manoeuvre(&mut self, manoeuvre: &ManoeuvreRequest) -> Result<PlannerResponse, SessionError> {
         let response = self.plan(manoeuvre)?;
         let plan = PublishedPlan::from(&response);
         self.wait_for("the daemon to load the plan and its time to come", RESPONSE_PATIENCE, |s| {
@@ -306,10 +306,10 @@ impl Session {
     ///
     /// # Errors
     /// [`SessionError::Operator`] with the reason of a refusal.
-    pub fn plan(&mut self, manoeuvre: Manoeuvre) -> Result<PlannerResponse, SessionError> {
+    pub fn plan(&mut self, manoeuvre: &ManoeuvreRequest) -> Result<PlannerResponse, SessionError> {
         let Self { operator, tap, recorder, records, tally, .. } = self;
         let collect = || collect(tap, recorder.as_mut(), records, tally);
-        while_collecting(collect, |wanted| Ok(operator.plan(manoeuvre, wanted)?))
+        while_collecting(collect, |wanted| Ok(operator.plan(*manoeuvre, wanted)?))
     }
 
     fn control(&mut self, request: &ControlRequest) -> Result<ControlResponse, SessionError> {

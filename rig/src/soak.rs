@@ -13,9 +13,11 @@ use crate::session::{Role, Session, SessionError};
 use serde::Serialize;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-use upswing_ipc::operator::{Manoeuvre, OperatorError, OperatorRequest};
-use upswing_ipc::{Clock, ControlResponse, Mode, OtherChain, PlantKind, PlantRequest, Telemetry};
-use upswing_model::State;
+use upswing_ipc::operator::{OperatorError, OperatorRequest};
+use upswing_ipc::{
+    Clock, ControlResponse, ManoeuvreRequest, Mode, OtherChain, PlantKind, PlantRequest, Telemetry,
+};
+use upswing_model::{Posture, State};
 use upswing_record::evaluation::tilt;
 
 /// Time in Balance before and after the push, and time in Hold after the swing-down, s.
@@ -212,6 +214,12 @@ impl<'a> Soak<'a> {
         Ok(())
     }
 
+    /// The first manoeuvre of the settings from a posture; the planner refuses what has no name.
+    fn from(&self, start: Posture) -> ManoeuvreRequest {
+        let name = self.starts.config.first_manoeuvre(start).unwrap_or_default();
+        ManoeuvreRequest::new(name, &[]).unwrap_or_default()
+    }
+
     fn round(&mut self, round: u64, start: &State, overruns: u64) -> Result<(), RoundEnd> {
         let mut shares = self.starts.shares(round);
         let mut share = || shares.next().unwrap_or_default();
@@ -229,7 +237,7 @@ impl<'a> Soak<'a> {
         self.expect(Mode::Hold)?;
 
         self.phase = "swing-up";
-        let plan = self.session.start_manoeuvre(Manoeuvre::SwingUp)?;
+        let plan = self.session.start_manoeuvre(&self.from(Posture::Hanging))?;
         self.pass(plan.t_f + BALANCE.0)?;
         self.expect(Mode::Balance)?;
 
@@ -248,7 +256,7 @@ impl<'a> Soak<'a> {
         }
 
         self.phase = "swing-down";
-        let plan = self.session.start_manoeuvre(Manoeuvre::SwingDown)?;
+        let plan = self.session.start_manoeuvre(&self.from(Posture::Standing))?;
         self.pass(plan.t_f)?;
         self.phase = "hold";
         self.pass(HOLD)?;

@@ -5,11 +5,11 @@ use crate::programs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use upswing_config::Config;
-use upswing_ipc::operator::{Manoeuvre, OperatorRequest};
+use upswing_ipc::operator::OperatorRequest;
 use upswing_ipc::{Clock, ControlResponse, Mode, Telemetry, TempDomain};
 use upswing_record::Recorder;
 use upswing_record::evaluation::SwingUpEvaluation;
-use upswing_rig::course::{SessionCourse, swing_up};
+use upswing_rig::course::{SessionCourse, execute_from_idle, first_manoeuvre};
 use upswing_rig::session::{Programs, Role, Session, SessionError, SessionOptions};
 
 /// Start pose in the paper's experiment: angles of the actuated joints, deg.
@@ -108,7 +108,9 @@ impl System {
     /// If the system refuses or leaves the modes of a swing-up.
     pub fn swing_up(&mut self, seconds: f64) -> SwingUpEvaluation {
         let period = self.period();
-        let plan = swing_up(&mut SessionCourse::new(&mut self.session, period), period, seconds);
+        let manoeuvre = first_manoeuvre(&self.config);
+        let course = &mut SessionCourse::new(&mut self.session, period);
+        let plan = execute_from_idle(course, &manoeuvre, period, seconds);
         let plan = self.must(plan);
         SwingUpEvaluation::new(
             &self.config,
@@ -169,7 +171,7 @@ impl System {
         // The arm settles, and a plant that waits for the daemon receives its first command.
         self.advance(SETTLE);
         if matches!(goal, Mode::Track | Mode::Balance | Mode::Stop) {
-            let plan = self.session.start_manoeuvre(Manoeuvre::SwingUp);
+            let plan = self.session.start_manoeuvre(&first_manoeuvre(&self.config));
             let plan = self.must(plan);
             self.wait_until("track", |record| record.mode() == Ok(Mode::Track));
             if goal != Mode::Balance {

@@ -5,9 +5,10 @@ use std::sync::{LazyLock, mpsc};
 use std::time::{Duration, Instant};
 use upswing_config::Config;
 use upswing_ipc::operator::{OperatorError, OperatorRequest};
-use upswing_ipc::{Clock, Mode, PlanMessage, PlannerKind, PlannerRequest};
+use upswing_ipc::{Clock, Mode, PlanMessage, PlannerRequest};
 use upswing_model::{ActuatedVector, State};
 use upswing_planner::replan::Planner;
+use upswing_rig::course::first_manoeuvre;
 use upswing_rig::session::{Role, SessionError};
 use upswing_tests::matrix::{PAGE, mode, table};
 use upswing_tests::running::{LONG, wait_for};
@@ -163,7 +164,7 @@ fn kill_planner_at_work(system: &mut System) {
             publish: 1,
             // Many QPs, so that it is still at work when it dies.
             iterations: 50,
-            ..PlannerRequest::from_state(PlannerKind::SwingUp, config.model.order(), &start(&config))
+            ..PlannerRequest::from_state(first_manoeuvre(&config), config.model.order(), &start(&config))
         };
         let client = node.client::<PlannerRequest>().expect("a client");
         wait_for("the planner", || client.has_server().then_some(()));

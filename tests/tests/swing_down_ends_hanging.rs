@@ -1,8 +1,7 @@
 //! After a swing-up and balance, a swing-down brings the pendulum to rest hanging, without exceeding a limit; the arm then
 //! holds, and a swing-up can follow.
 
-use upswing_ipc::operator::Manoeuvre;
-use upswing_ipc::{Clock, Mode};
+use upswing_ipc::{Clock, ManoeuvreRequest, Mode};
 use upswing_rig::course::{SessionCourse, execute};
 use upswing_tests::{START, System};
 
@@ -22,11 +21,12 @@ fn up_down_and_up(start_deg: &[f64]) {
     assert!(report.success, "{report}");
     let period = system.period();
     let before = system.session.records.len();
+    let [up, down] = ["swing-up", "swing-down"].map(|name| ManoeuvreRequest::new(name, &[]).unwrap());
     let go = |system: &mut System, manoeuvre| {
         execute(&mut SessionCourse::new(&mut system.session, period), manoeuvre, period, 1.0)
             .unwrap_or_else(|e| panic!("{e}"))
     };
-    let plan = go(&mut system, Manoeuvre::SwingDown);
+    let plan = go(&mut system, &down);
     assert!(plan.margin_q >= 0.0 && plan.margin_qd >= 0.0 && plan.margin_tau >= 0.0, "{plan:?}");
 
     let down = &system.session.records[before..];
@@ -54,7 +54,7 @@ fn up_down_and_up(start_deg: &[f64]) {
     assert!(x.qd_a().amax() < 0.01 && x.qd_u().amax() < 0.3, "{:?}", x.qd());
 
     let before = system.session.records.len();
-    go(&mut system, Manoeuvre::SwingUp);
+    go(&mut system, &up);
     let last = system.session.records[before..].last().expect("records");
     assert_eq!(last.mode(), Ok(Mode::Balance));
     system.session.end().unwrap_or_else(|e| panic!("{e}"));
@@ -67,7 +67,7 @@ fn only_from_balance() {
     let refusal = (0..100)
         .find_map(|_| {
             system.session.advance(100).unwrap_or_else(|e| panic!("{e}"));
-            let answer = system.session.plan(Manoeuvre::SwingDown);
+            let answer = system.session.plan(&ManoeuvreRequest::new("swing-down", &[]).unwrap());
             let refusal = answer.expect_err("nothing to swing down from");
             (!refusal.to_string().contains("no telemetry")).then_some(refusal)
         })

@@ -2,9 +2,10 @@
 //! processes, the robot is in this state at the activation, and the swing-up ends balanced.
 
 use std::time::{Duration, Instant};
-use upswing_ipc::operator::{Manoeuvre, OperatorError, OperatorRequest};
+use upswing_ipc::operator::{OperatorError, OperatorRequest};
 use upswing_ipc::{Clock, Mode, PlanMessage, PlantRequest, Telemetry};
 use upswing_model::State;
+use upswing_rig::course::first_manoeuvre;
 use upswing_rig::session::SessionError;
 use upswing_tests::{START, System};
 
@@ -50,7 +51,7 @@ fn on_a_clock_that_runs() {
 
     let begin = Instant::now();
     let response = loop {
-        match system.session.start_manoeuvre(Manoeuvre::SwingUp) {
+        match system.session.start_manoeuvre(&first_manoeuvre(&system.config)) {
             Ok(response) => break response,
             Err(e) => assert!(begin.elapsed() < PATIENCE, "{e}"),
         }

@@ -7,4 +7,5 @@ pub mod metrics;
 pub mod monitor;
 pub mod page;
 pub mod picture;
+mod requests;
 pub mod web;

@@ -34,7 +34,12 @@ pub enum MonitorError {
 ///
 /// # Errors
 /// [`MonitorError`]
-pub fn run(live: &mut Live, theme: Theme, stop: &Arc<AtomicBool>) -> Result<(), MonitorError> {
+pub fn run(
+    live: &mut Live,
+    keys: KeyState,
+    theme: Theme,
+    stop: &Arc<AtomicBool>,
+) -> Result<(), MonitorError> {
     let mut terminal = ratatui::try_init()?;
     let stopped = Arc::clone(stop);
     std::thread::spawn(move || {
@@ -44,7 +49,7 @@ pub fn run(live: &mut Live, theme: Theme, stop: &Arc<AtomicBool>) -> Result<(), 
         std::thread::sleep(GRACE);
         std::process::exit(1);
     });
-    let result = watch(live, theme, stop, &mut terminal);
+    let result = watch(live, keys, theme, stop, &mut terminal);
     let restored = ratatui::try_restore();
     if is_hung_up() {
         return Ok(());
@@ -62,12 +67,12 @@ fn is_hung_up() -> bool {
 
 fn watch(
     live: &mut Live,
+    mut keys: KeyState,
     theme: Theme,
     stop: &AtomicBool,
     terminal: &mut ratatui::DefaultTerminal,
 ) -> Result<(), MonitorError> {
     let requests = live.request_sender();
-    let mut keys = KeyState::default();
     // Checked before each poll for keys: crossterm spins on a terminal that is gone.
     while !stop.load(Ordering::Acquire) && !is_hung_up() {
         live.poll(|_| ())?;

@@ -10,8 +10,9 @@ pub use data::{ModeSpan, PageData};
 pub use digest::RecordingDigest;
 pub(crate) use motion::MotionColumns;
 
+use crate::requests::offered;
 use data::RobotDrawing;
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 use std::io::{self, Write};
 use upswing_config::Config;
 use upswing_ipc::operator::OperatorRequest;
@@ -43,7 +44,8 @@ pub struct LivePageSetup {
     domain: String,
     /// Whether the page can make requests.
     control: bool,
-    requests: [&'static str; OperatorRequest::ALL.len()],
+    #[serde(serialize_with = "names")]
+    requests: Vec<OperatorRequest>,
     period_us: f64,
     #[serde(skip)]
     sizes: Sizes,
@@ -57,6 +59,11 @@ impl LivePageSetup {
         self.sizes
     }
 
+    /// The requests that the page offers.
+    pub(crate) fn requests(&self) -> &[OperatorRequest] {
+        &self.requests
+    }
+
     /// Describes the page of the system `domain` with the robot of the settings.
     ///
     /// # Errors
@@ -65,7 +72,7 @@ impl LivePageSetup {
         Ok(Self {
             domain: domain.to_owned(),
             control,
-            requests: OperatorRequest::ALL.map(OperatorRequest::name),
+            requests: offered(config),
             period_us: config.daemon.cycle.period.seconds() * 1e6,
             sizes: config.model.sizes(),
             body: RobotDrawing::new(
@@ -75,6 +82,10 @@ impl LivePageSetup {
             ),
         })
     }
+}
+
+fn names<S: Serializer>(requests: &[OperatorRequest], to: S) -> Result<S::Ok, S::Error> {
+    to.collect_seq(requests.iter().map(OperatorRequest::name))
 }
 
 /// Returns the page of a running system as HTML.

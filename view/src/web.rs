@@ -34,6 +34,8 @@ struct LivePage {
     page: String,
     frames: Arc<FrameBuffer>,
     token: Option<Token>,
+    /// The requests that the page offers; no other is sent.
+    offered: Vec<OperatorRequest>,
     requests: RequestSender,
     open: AtomicUsize,
 }
@@ -76,6 +78,7 @@ pub fn run(
         page: page::live(setup),
         frames: FrameBuffer::new(),
         token,
+        offered: setup.requests().to_vec(),
         requests: live.request_sender(),
         open: AtomicUsize::new(0),
     });
@@ -127,10 +130,16 @@ impl LivePage {
                 http::respond(200, http::EVENTS, String::new())
             }
             (true, "/events") => self.stream(),
-            (false, path) => match path.strip_prefix("/request/").and_then(OperatorRequest::from_name) {
-                Some(request) => self.ask(request).await,
-                None => refuse(404, format!("expected /request/ and one of {}", names())),
-            },
+            (false, path) => {
+                let name = path.strip_prefix("/request/");
+                match self.offered.iter().find(|request| Some(request.name()) == name) {
+                    Some(request) => self.ask(*request).await,
+                    None => {
+                        let names: Vec<_> = self.offered.iter().map(OperatorRequest::name).collect();
+                        refuse(404, format!("expected /request/ and one of {}", names.join(", ")))
+                    }
+                }
+            }
             _ => refuse(404, "expected / or /events".into()),
         }
     }
@@ -174,10 +183,6 @@ impl Drop for OpenPage {
     fn drop(&mut self) {
         self.0.open.fetch_sub(1, Ordering::AcqRel);
     }
-}
-
-fn names() -> String {
-    OperatorRequest::ALL.map(OperatorRequest::name).join(", ")
 }
 
 fn refuse(status: u16, error: String) -> HttpResponse {

@@ -2,15 +2,18 @@
 
 use proptest::prelude::*;
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyEventKind};
-use upswing_ipc::operator::{Manoeuvre, OperatorRequest};
+use upswing_config::Config;
+use upswing_ipc::ManoeuvreRequest;
+use upswing_ipc::operator::OperatorRequest;
 use upswing_view::monitor::{KeyAction, KeyState};
 
 fn action_of(key: char) -> Option<OperatorRequest> {
     let keys = "eudhr".chars();
+    let manoeuvre = |name| OperatorRequest::Manoeuvre(ManoeuvreRequest::new(name, &[]).unwrap());
     let actions = [
         OperatorRequest::Enable,
-        OperatorRequest::Manoeuvre(Manoeuvre::SwingUp),
-        OperatorRequest::Manoeuvre(Manoeuvre::SwingDown),
+        manoeuvre("swing-up"),
+        manoeuvre("swing-down"),
         OperatorRequest::Hold,
         OperatorRequest::Reset,
     ];
@@ -22,7 +25,7 @@ proptest! {
 
     #[test]
     fn any_keys(typed in prop::collection::vec(prop::sample::select("eudhrsyqnxYS ".chars().collect::<Vec<_>>()), 1..60)) {
-        let mut keys = KeyState::default();
+        let mut keys = KeyState::new(&Config::embedded().unwrap());
         // What our own reading of the rule says waits for `y`.
         let mut waiting = None;
         for key in typed {
@@ -45,7 +48,7 @@ proptest! {
 
 #[test]
 fn a_key_that_is_let_go_does_nothing() {
-    let mut keys = KeyState::default();
+    let mut keys = KeyState::new(&Config::embedded().unwrap());
     let mut key = KeyEvent::from(KeyCode::Char('s'));
     key.kind = KeyEventKind::Release;
     assert_eq!(keys.press(&key), KeyAction::Nothing);

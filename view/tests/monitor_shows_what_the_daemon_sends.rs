@@ -49,7 +49,7 @@ fn upto(mode: Mode) -> &'static [Telemetry] {
 fn in_each_mode() {
     for (mode, name) in [(Mode::Hold, "HOLD"), (Mode::Track, "TRACK"), (Mode::Balance, "BALANCE")] {
         let records = upto(mode);
-        let text = picture(&view(records), &KeyState::default(), 120, 34);
+        let text = picture(&view(records), &KeyState::new(&CONFIG), 120, 34);
         assert!(text.contains(name), "{text}");
         let newest = records.last().expect("a record");
         for (i, q) in newest.q.iter().enumerate() {
@@ -58,7 +58,7 @@ fn in_each_mode() {
         }
         assert!(text.contains("mode hold") && text.contains("enable"), "{text}");
     }
-    let text = picture(&view(upto(Mode::Balance)), &KeyState::default(), 120, 34);
+    let text = picture(&view(upto(Mode::Balance)), &KeyState::new(&CONFIG), 120, 34);
     assert!(text.contains("Rod: 0.0 deg from upright"), "{text}");
 }
 
@@ -68,9 +68,9 @@ fn a_fault_with_its_cause_and_nothing_without_a_daemon() {
     let cause = upswingd::trip::TripCause::EncoderJump;
     let last = records.last_mut().expect("a record");
     (last.mode, last.fault) = (Mode::Fault.code(), cause.code());
-    let text = picture(&view(&records), &KeyState::default(), 120, 34);
+    let text = picture(&view(&records), &KeyState::new(&CONFIG), 120, 34);
     assert!(text.contains("FAULT") && text.contains("fault: an angle jumped"), "{text}");
-    let text = picture(&view(&[]), &KeyState::default(), 120, 34);
+    let text = picture(&view(&[]), &KeyState::new(&CONFIG), 120, 34);
     assert!(text.contains("NO DAEMON") && text.contains("no cycles arrive"), "{text}");
 }
 
@@ -94,13 +94,13 @@ fn on_80x24_nothing_is_cut() {
     };
     let balanced = view(upto(Mode::Balance));
     let view = View { status: Some(status.clone()), ..balanced.clone() };
-    let text = picture(&view, &KeyState::default(), 80, 24);
+    let text = picture(&view, &KeyState::new(&CONFIG), 80, 24);
     for shown in
         ["54321.9", "98765.4", "max", "p99.9", "123456789 cycles, none late, 0 lost", "q quit", "? help"]
     {
         assert!(text.contains(shown), "no {shown} in\n{text}");
     }
-    assert!(picture(&view, &KeyState::default(), 120, 34).contains("p99.99"));
+    assert!(picture(&view, &KeyState::new(&CONFIG), 120, 34).contains("p99.99"));
 
     // With late cycles: how many and the last one, with its cause among the events.
     let cause = "cycle 123456789 late in compute: wake 12.3 read 1.2 compute 312.3 write 0.4 us; 2 preemptions, \
@@ -111,7 +111,7 @@ fn on_80x24_nothing_is_cut() {
     assert!(status.to_string().ends_with("\nnext       upswing request swing-down"), "{status}");
     let view = View { status: Some(status), lost: 12_345, events, ..balanced };
     // Events go on in the next line.
-    let text = picture(&view, &KeyState::default(), 80, 24).replace("\"\n\"", "");
+    let text = picture(&view, &KeyState::new(&CONFIG), 80, 24).replace("\"\n\"", "");
     for shown in [
         "98765 of 123456789 late, 12345 lost",
         "last: cycle 123456789 late in compute",
@@ -127,21 +127,21 @@ fn what_to_do_next_in_every_mode() {
     for mode in Mode::ALL {
         let record = Telemetry { mode: mode.code(), ..*last };
         for view in [view(&[record]), View { status: None, ..view(&[record]) }] {
-            let text = picture(&view, &KeyState::default(), 80, 24);
-            let next = mode.next_action().to_string();
+            let text = picture(&view, &KeyState::new(&CONFIG), 80, 24);
+            let next = mode.next_action(|start| CONFIG.first_manoeuvre(start)).to_string();
             assert_eq!(view.next.as_ref(), Some(&next));
             assert!(text.contains(&next), "{mode}: no `{next}` in\n{text}");
         }
     }
     let nobody = view(&[]);
     assert_eq!(nobody.next, None);
-    assert!(picture(&nobody, &KeyState::default(), 80, 24).contains("start a daemon"));
+    assert!(picture(&nobody, &KeyState::new(&CONFIG), 80, 24).contains("start a daemon"));
 }
 
 #[test]
 fn a_question_mark_explains_the_keys() {
     let view = view(upto(Mode::Balance));
-    let mut keys = KeyState::default();
+    let mut keys = KeyState::new(&CONFIG);
     let mut press = |key| keys.press(&KeyEvent::from(KeyCode::Char(key)));
     assert_eq!(press('?'), KeyAction::Nothing);
     // Nothing but a stop is asked for while it is shown.
@@ -158,7 +158,7 @@ fn a_question_mark_explains_the_keys() {
 
 #[test]
 fn what_waits_to_be_confirmed() {
-    let mut keys = KeyState::default();
+    let mut keys = KeyState::new(&CONFIG);
     keys.press(&KeyEvent::from(KeyCode::Char('u')));
     let text = picture(&view(&CYCLES[..1]), &keys, 80, 24);
     assert!(text.contains("swing-up?") && text.contains("y: yes"), "{text}");
@@ -174,7 +174,7 @@ proptest! {
     ) {
         let record = Telemetry::from_words(&words).expect("as many words as a record has");
         let view = view(&[record]);
-        picture(&view, &KeyState::default(), width, height);
+        picture(&view, &KeyState::new(&CONFIG), width, height);
         prop_assert!(serde_json::to_string(&view).is_ok());
     }
 }

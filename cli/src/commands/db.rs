@@ -1,7 +1,9 @@
 //! `upswing db`: builds, joins, checks, describes or exports trajectory databases.
 
 use super::{CommonArgs, TrajectoryJson, print_json, progress_bar};
+use crate::parse::given_values;
 use serde::Serialize;
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 use upswing_config::Config;
@@ -33,15 +35,19 @@ pub enum DbCommand {
         /// Options of every command.
         #[command(flatten)]
         common: CommonArgs,
+        /// Manoeuvre of the database [default: the first one of the settings]
+        #[arg(long, value_name = "NAME")]
+        manoeuvre: Option<String>,
         /// Grid file, or `paper` for the paper's 4 x 4 x 4 x 4 poses [default: grid.toml of the settings]
         #[arg(long, value_name = "FILE")]
         grid: Option<PathBuf>,
         /// Build only part i of n; `upswing db merge` joins the parts
         #[arg(long, value_name = "i/n", default_value = "1/1")]
         shard: Shard,
-        /// Output file; during the build, FILE.journal holds the finished poses
-        #[arg(long, value_name = "FILE", default_value = "database.bin")]
-        output: Destination,
+        /// Output file; during the build, FILE.journal holds the finished poses [default: the name of the database in a folder of
+        /// settings, `database.bin` for the first manoeuvre]
+        #[arg(long, value_name = "FILE")]
+        output: Option<Destination>,
         /// Overwriting of existing files.
         #[command(flatten)]
         overwrite: Overwrite,
@@ -70,6 +76,9 @@ pub enum DbCommand {
         /// Options of every command.
         #[command(flatten)]
         common: CommonArgs,
+        /// Manoeuvre of the database [default: the first one of the settings]
+        #[arg(long, value_name = "NAME")]
+        manoeuvre: Option<String>,
         /// Grid of the database: a file, or `paper` [default: grid.toml of the settings]
         #[arg(long, value_name = "FILE")]
         grid: Option<PathBuf>,
@@ -83,6 +92,9 @@ pub enum DbCommand {
         /// Options of every command.
         #[command(flatten)]
         common: CommonArgs,
+        /// Manoeuvre of the database [default: the first one of the settings]
+        #[arg(long, value_name = "NAME")]
+        manoeuvre: Option<String>,
         /// Database file [default: the database of the settings]
         file: Option<PathBuf>,
     },
@@ -93,6 +105,9 @@ pub enum DbCommand {
         /// Options of every command.
         #[command(flatten)]
         common: CommonArgs,
+        /// Manoeuvre of the database [default: the first one of the settings]
+        #[arg(long, value_name = "NAME")]
+        manoeuvre: Option<String>,
         /// Database file [default: the database of the settings]
         file: Option<PathBuf>,
         /// Export only this entry, counted from 0
@@ -108,15 +123,19 @@ pub enum DbCommand {
 /// not hold.
 pub fn run(args: &DbArgs) -> Result<(), Failure> {
     match &args.command {
-        DbCommand::Build { common, grid, shard, output, overwrite } => {
-            build(common, grid.as_deref(), *shard, &overwrite.output(output))
+        DbCommand::Build { common, manoeuvre, grid, shard, output, overwrite } => {
+            build(common, (manoeuvre.as_deref(), grid.as_deref()), *shard, (output.as_ref(), *overwrite))
         }
         DbCommand::Merge { common, output, overwrite, shards } => {
             merge(common, &overwrite.output(output), shards)
         }
-        DbCommand::Verify { common, grid, file } => verify(common, grid.as_deref(), file.as_deref()),
-        DbCommand::Info { common, file } => info(common, file.as_deref()),
-        DbCommand::Export { common, file, entry } => export(common, file.as_deref(), *entry),
+        DbCommand::Verify { common, manoeuvre, grid, file } => {
+            verify(common, (manoeuvre.as_deref(), grid.as_deref()), file.as_deref())
+        }
+        DbCommand::Info { common, manoeuvre, file } => info(common, manoeuvre.as_deref(), file.as_deref()),
+        DbCommand::Export { common, manoeuvre, file, entry } => {
+            export(common, manoeuvre.as_deref(), file.as_deref(), *entry)
+        }
     }
 }
 
@@ -164,29 +183,42 @@ impl std::fmt::Display for DbBuildResult {
     }
 }
 
-fn build(common: &CommonArgs, grid: Option<&Path>, shard: Shard, output: &OutputFile) -> Result<(), Failure> {
+fn build(
+    common: &CommonArgs,
+    (name, grid): (Option<&str>, Option<&Path>),
+    shard: Shard,
+    (output, overwrite): (Option<&Destination>, Overwrite),
+) -> Result<(), Failure> {
     let mut config = common.process.load()?;
-    use_grid(&mut config, grid)?;
+    let manoeuvre = use_manoeuvre(&mut config, name, grid)?;
+    let default = || Destination::from(OsString::from(DatabaseFile::name(&config, manoeuvre)));
+    let output = &overwrite.output(&output.cloned().unwrap_or_else(default));
     let stop = shutdown_flag()?;
-    let bar = progress_bar((config.grid.poses() as u64).div_ceil(shard.of), "poses");
+    let poses = database::poses(&config.manoeuvres[manoeuvre]);
+    let bar = progress_bar((poses as u64).div_ceil(shard.of), "poses");
     let begin = Instant::now();
-    let summary =
-        database::build(&config, shard, output, &stop, |n| bar.inc(n as u64)).map_err(|e| match e {
+    let summary = database::build(&config, manoeuvre, shard, output, &stop, |n| bar.inc(n as u64)).map_err(
+        |e| match e {
             BuildError::File { action: "read", .. } => failure(e),
             BuildError::File { .. } | BuildError::Output(OutputError::Io { .. }) => {
                 Failure::failed(format!("{e}; what was finished is kept in the journal"))
             }
             e => failure(e),
-        })?;
+        },
+    )?;
     bar.finish_and_clear();
     for pose in &summary.failed {
-        let q_a = config.grid.pose(*pose as usize);
+        let settings = &config.manoeuvres[manoeuvre];
+        let (q_a, given) = database::pose(settings, *pose as usize);
         let shown = |(i, q): (usize, &f64)| {
             let (q, unit) = config.model.joint_kind(i).shown(*q);
             format!("{q:.3} {unit}")
         };
-        let shown: Vec<String> = q_a.iter().enumerate().map(shown).collect();
-        tracing::warn!("no solution from pose {pose}, [{}]", shown.join(", "));
+        let start: Vec<String> = q_a.iter().enumerate().map(shown).collect();
+        let given = settings.given().map(|axis| axis.joint).zip(&given);
+        let to: Vec<String> = given.map(shown).collect();
+        let to = if to.is_empty() { String::new() } else { format!(" to [{}]", to.join(", ")) };
+        tracing::warn!("no solution from pose {pose}, [{}]{to}", start.join(", "));
     }
     conclude(common, output.path(), summary, begin)
 }
@@ -197,13 +229,26 @@ fn merge(common: &CommonArgs, output: &OutputFile, shards: &[PathBuf]) -> Result
     conclude(common, output.path(), summary, begin)
 }
 
-fn use_grid(config: &mut Config, grid: Option<&Path>) -> Result<(), Failure> {
+/// Number of the manoeuvre `name`, the first one without a name, whose grid is replaced by `grid` if given.
+fn use_manoeuvre(config: &mut Config, name: Option<&str>, grid: Option<&Path>) -> Result<usize, Failure> {
+    let number = number_of(config, name)?;
+    if let Some(other) = config.manoeuvres[number].reverses {
+        let [name, other] = [number, other].map(|i| &config.manoeuvres[i].name);
+        let refusal =
+            format!("--manoeuvre: `{name}` runs the database of `{other}` backwards: name that one");
+        return Err(Failure::BadInput(refusal));
+    }
     match grid {
-        Some(name) if name == Path::new("paper") => config.use_paper_grid()?,
-        Some(path) => config.use_grid(path)?,
+        Some(name) if name == Path::new("paper") && number == 0 => config.use_paper_grid()?,
+        Some(path) => config.use_grid(number, path)?,
         None => {}
     }
-    Ok(())
+    Ok(number)
+}
+
+/// Number of the manoeuvre `name`; of the first one without a name.
+fn number_of(config: &Config, name: Option<&str>) -> Result<usize, Failure> {
+    name.map_or(Ok(0), |name| Ok(given_values(config, name, &[])?.0))
 }
 
 /// Prints the result of a build or merge that started at `begin`.
@@ -235,11 +280,16 @@ fn conclude(
     }
 }
 
-/// Reads the database of a file or of the settings; returns it with its origin for messages.
-fn read(config: &Config, file: Option<&Path>) -> Result<(Database, String), Failure> {
+/// Reads the database of a file, or that of a manoeuvre of the settings; returns it with its origin for messages.
+fn read(config: &Config, manoeuvre: usize, file: Option<&Path>) -> Result<(Database, String), Failure> {
     let file = match file {
         Some(path) => DatabaseFile::read(path).map_err(failure)?,
-        None => DatabaseFile::of(config)?,
+        None => DatabaseFile::of(config, manoeuvre)?.ok_or_else(|| {
+            let name = &config.manoeuvres[manoeuvre].name;
+            Failure::BadInput(format!(
+                "the settings have no database of `{name}`; build it with `upswing db build --manoeuvre {name}`"
+            ))
+        })?,
     };
     Ok((file.decode().map_err(failure)?, file.origin))
 }
@@ -300,19 +350,24 @@ impl std::fmt::Display for DbVerifyResult {
     }
 }
 
-fn verify(common: &CommonArgs, grid: Option<&Path>, file: Option<&Path>) -> Result<(), Failure> {
+fn verify(
+    common: &CommonArgs,
+    (name, grid): (Option<&str>, Option<&Path>),
+    file: Option<&Path>,
+) -> Result<(), Failure> {
     let mut config = common.process.load()?;
-    use_grid(&mut config, grid)?;
-    let (database, origin) = read(&config, file)?;
-    database::check_origin(&config, &database).map_err(|e| Failure::BadInput(format!("{origin}: {e}")))?;
-    let starts_compared = database::has_grid_of(&config, &database);
+    let manoeuvre = use_manoeuvre(&mut config, name, grid)?;
+    let (database, origin) = read(&config, manoeuvre, file)?;
+    database::check_origin(&config, manoeuvre, &database)
+        .map_err(|e| Failure::BadInput(format!("{origin}: {e}")))?;
+    let starts_compared = database::has_grid_of(&config, manoeuvre, &database);
     if !starts_compared {
         tracing::warn!("{origin}: built from another grid, starts are not compared; name it by --grid");
     }
     let entries = database.entries().count();
     let bar = progress_bar(entries as u64, "entries");
     let begin = Instant::now();
-    let discrepancies = database::verify(&config, &database, || bar.inc(1));
+    let discrepancies = database::verify(&config, manoeuvre, &database, || bar.inc(1));
     bar.finish_and_clear();
     for d in &discrepancies {
         tracing::warn!("pose {}: {}", d.pose, d.flaw);
@@ -400,9 +455,10 @@ fn coverage_map(overview: &DatabaseOverview) -> String {
     map
 }
 
-fn info(common: &CommonArgs, file: Option<&Path>) -> Result<(), Failure> {
+fn info(common: &CommonArgs, name: Option<&str>, file: Option<&Path>) -> Result<(), Failure> {
     let config = common.process.load()?;
-    let (database, origin) = read(&config, file)?;
+    let manoeuvre = number_of(&config, name)?;
+    let (database, origin) = read(&config, manoeuvre, file)?;
     let (h, overview) = (&database.heading, DatabaseOverview::of(&database));
     common.print(&DbInfoResult {
         origin,
@@ -415,7 +471,7 @@ fn info(common: &CommonArgs, file: Option<&Path>) -> Result<(), Failure> {
         model: format!("{:016x}", h.model),
         problem: format!("{:016x}", h.problem),
         grid: format!("{:016x}", h.grid),
-        fits_settings: database::check_origin(&config, &database).is_ok(),
+        fits_settings: database::check_origin(&config, manoeuvre, &database).is_ok(),
         t_f_min: overview.t_f.0,
         t_f_max: overview.t_f.1,
         cost_min: overview.cost.0,
@@ -437,9 +493,14 @@ struct DbExportResult {
     certificate: CertificateJson,
 }
 
-fn export(common: &CommonArgs, file: Option<&Path>, only: Option<usize>) -> Result<(), Failure> {
+fn export(
+    common: &CommonArgs,
+    name: Option<&str>,
+    file: Option<&Path>,
+    only: Option<usize>,
+) -> Result<(), Failure> {
     let config = common.process.load()?;
-    let (database, origin) = read(&config, file)?;
+    let (database, origin) = read(&config, number_of(&config, name)?, file)?;
     let entries = database.entries().count();
     if let Some(entry) = only.filter(|e| *e >= entries) {
         let last = entries.saturating_sub(1);

@@ -13,7 +13,7 @@ use upswing_process::output::{Destination, Overwrite};
 use upswing_process::{Failure, note, shutdown_flag};
 use upswing_record::Recorder;
 use upswing_record::evaluation::SwingUpEvaluation;
-use upswing_rig::course::{SessionCourse, swing_up};
+use upswing_rig::course::{SessionCourse, execute_from_idle, first_manoeuvre};
 use upswing_rig::session::{Programs, Session, SessionError};
 use upswing_view::picture;
 
@@ -110,9 +110,8 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
     let period = config.daemon.cycle.period.seconds();
     let recorder = recording.map(|file| {
         file.clear().map_err(|e| Failure::BadInput(format!("--record: {e}")))?;
-        let database = DatabaseFile::of(&config)?.fingerprint();
         let mut details = vec![("clock", args.clock.to_string()), ("start_deg", start.to_string())];
-        details.push(("database_fingerprint", database));
+        details.extend(DatabaseFile::of(&config, 0)?.map(|d| ("database_fingerprint", d.fingerprint())));
         details.extend(args.scenario.clone().map(|scenario| ("scenario", scenario)));
         Recorder::create(file.path(), &config, details).map_err(Failure::from)
     });
@@ -129,7 +128,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
         };
         let mut course =
             SessionCourse { session: &mut session, period, interrupted: &stop, progress: &progress };
-        let plan = swing_up(&mut course, period, args.seconds);
+        let plan = execute_from_idle(&mut course, &first_manoeuvre(&config), period, args.seconds);
         bar.finish_and_clear();
         let plan = plan?;
         let dropped = session.dropped();

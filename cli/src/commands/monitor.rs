@@ -8,7 +8,7 @@ use upswing_config::Config;
 use upswing_process::{Failure, colours, shutdown_flag};
 use upswing_view::http::Listener;
 use upswing_view::live::Live;
-use upswing_view::monitor::{self, Theme};
+use upswing_view::monitor::{self, KeyState, Theme};
 use upswing_view::page::LivePageSetup;
 use upswing_view::web::{self, Token};
 
@@ -75,7 +75,8 @@ pub fn run(args: &MonitorArgs) -> Result<(), Failure> {
     }
     let stop = shutdown_flag()?;
     let mut live = Live::open(&args.common.join()?, &config).map_err(Failure::failed)?;
-    monitor::run(&mut live, Theme { colours: colours(&std::io::stdout()) }, &stop).map_err(Failure::failed)
+    let theme = Theme { colours: colours(&std::io::stdout()) };
+    monitor::run(&mut live, KeyState::new(&config), theme, &stop).map_err(Failure::failed)
 }
 
 fn serve(args: &MonitorArgs, config: &Config, address: SocketAddr) -> Result<(), Failure> {

@@ -136,7 +136,7 @@ impl SamplingArgs {
         }
         let stored = |path: &Path| DatabaseFile::read(path).map_err(Failure::bad_input);
         match (&self.database, self.grid) {
-            (Some(path), _) => Planner::with_database(config, stored(path)?),
+            (Some(path), _) => Planner::with_database(config, 0, stored(path)?),
             (None, Grid::Paper) => {
                 config.use_paper_grid()?;
                 let dir = tempfile::tempdir()
@@ -144,7 +144,7 @@ impl SamplingArgs {
                 let path = dir.path().join("paper.bin");
                 build_database(&config, &path, stop)?;
                 let database = DatabaseFile { origin: "the paper's grid".into(), ..stored(&path)? };
-                Planner::with_database(config, database)
+                Planner::with_database(config, 0, database)
             }
             (None, Grid::Default) => Planner::new(config),
         }
@@ -232,9 +232,10 @@ fn list_failures<'a>(
 
 /// Builds the database of the settings' grid in the file `path`.
 fn build_database(config: &Config, path: &Path, stop: &AtomicBool) -> Result<(), Failure> {
-    let bar = progress_bar(config.grid.poses() as u64, "poses of the database");
-    let summary = database::build(config, Shard::WHOLE, &OutputFile::new(path), stop, |n| bar.inc(n as u64))
-        .map_err(Failure::failed)?;
+    let bar = progress_bar(database::poses(&config.manoeuvres[0]) as u64, "poses of the database");
+    let summary =
+        database::build(config, 0, Shard::WHOLE, &OutputFile::new(path), stop, |n| bar.inc(n as u64))
+            .map_err(Failure::failed)?;
     bar.finish_and_clear();
     match (summary.left, summary.failed.len()) {
         (0, 0) => Ok(()),

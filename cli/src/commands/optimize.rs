@@ -1,19 +1,19 @@
 //! `upswing optimize`: runs one offline optimisation.
 
 use super::{CommonArgs, TrajectoryJson, print_json, print_line, spinner};
-use crate::parse::{StartArgs, WEEK};
+use crate::parse::{ManoeuvreArgs, StartArgs, WEEK};
 use serde::Serialize;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 use upswing_ocp::interior_point::{NlpOptions, NlpStatus};
 use upswing_ocp::multistart::Search;
-use upswing_planner::offline::{optimize, options};
+use upswing_planner::offline::{optimize, options, target};
 use upswing_planner::replan::MarginShares;
 use upswing_process::number::within;
 use upswing_process::{Failure, shutdown_flag};
 use upswing_trajectory::Margins;
 
-/// Optimises the swing-up (6), (8) from a start at rest; Ctrl-C prints the result so far.
+/// Optimises a manoeuvre (6), (8) from a start at rest; Ctrl-C prints the result so far.
 ///
 /// Example: upswing optimize --start 0,0,0,-90,0,0,0 --json > trajectory.json
 #[derive(Clone, Debug, clap::Args)]
@@ -24,6 +24,9 @@ pub struct OptimizeArgs {
     /// Start at rest.
     #[command(flatten)]
     pub start: StartArgs,
+    /// The manoeuvre.
+    #[command(flatten)]
+    pub manoeuvre: ManoeuvreArgs,
     /// Search for the best of several local optima
     #[arg(long)]
     pub best: bool,
@@ -53,6 +56,14 @@ struct OptimizeResult {
 pub fn run(args: &OptimizeArgs) -> Result<(), Failure> {
     let config = args.common.process.load()?;
     let start = args.start.state(&config)?;
+    let (manoeuvre, given) = args.manoeuvre.of(&config, &start)?;
+    if config.manoeuvres[manoeuvre].reverses.is_some() {
+        let name = &config.manoeuvres[manoeuvre].name;
+        return Err(Failure::BadInput(format!(
+            "--manoeuvre: `{name}` runs another one backwards: optimise that one"
+        )));
+    }
+    let target = target(&config, manoeuvre, &given).map_err(Failure::bad_input)?;
     let begin = Instant::now();
     let time_budget = args.budget.map(std::time::Duration::from_secs_f64);
     // Ctrl-C ends the optimisation, and the result so far is printed.
@@ -61,7 +72,7 @@ pub fn run(args: &OptimizeArgs) -> Result<(), Failure> {
     let stopped = || stop.load(Ordering::Acquire);
     let options = NlpOptions { time_budget, cancelled: Some(&stopped), ..options(&config) };
     let waiting = spinner("optimising; Ctrl-C prints what there is");
-    let solution = optimize(&config, start, search, None, &options);
+    let solution = optimize(&config, target, start, search, None, &options);
     waiting.finish_and_clear();
     let time_s = begin.elapsed().as_secs_f64();
     let status = solution.status.to_string();

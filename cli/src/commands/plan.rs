@@ -1,24 +1,23 @@
 //! `upswing plan`: computes one replan without a running system.
 
 use super::{CommonArgs, TrajectoryJson, print_json, print_line, writable};
-use crate::parse::{Degrees, StartArgs, start_state};
+use crate::parse::{Degrees, ManoeuvreArgs, StartArgs, start_state};
 use serde::Serialize;
 use upswing_config::Config;
 use upswing_ipc::PlannerStatus;
-use upswing_ipc::operator::Manoeuvre;
 use upswing_model::State;
 use upswing_ocp::interior_point::NlpStatus;
 use upswing_ocp::multistart::Search;
 use upswing_planner::database::certify;
-use upswing_planner::offline::{optimize, options};
-use upswing_planner::replan::{Effort, Method, PlanSummary, Planner};
+use upswing_planner::offline::{optimize, options, target};
+use upswing_planner::replan::{Effort, Method, PlanSummary, Planner, key};
 use upswing_process::Failure;
 use upswing_process::number::whole;
 use upswing_process::output::{Destination, Overwrite};
 use upswing_trajectory::Entry;
 use upswing_view::picture;
 
-/// Plans a swing-up from a start at rest as the planner process does: adapts the nearest database entry, or runs the full
+/// Plans a manoeuvre from a start at rest as the planner process does: adapts the nearest database entry, or runs the full
 /// optimisation if no entry is near enough.
 ///
 /// Prints t_F in s, distances in rad, margins as shares of half the range; --json adds the trajectory in s, rad, rad/s, rad/s^2.
@@ -32,6 +31,9 @@ pub struct PlanArgs {
     /// Start at rest.
     #[command(flatten)]
     pub start: StartArgs,
+    /// The manoeuvre.
+    #[command(flatten)]
+    pub manoeuvre: ManoeuvreArgs,
     /// Largest number of QPs, each linearised around the previous result; 1 is the paper's mode [default: the setting]
     #[arg(long, value_parser = whole(1_u32, 100))]
     pub iterations: Option<u32>,
@@ -72,11 +74,12 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
         config.planner.replan.iterations = iterations as usize;
     }
     let start = args.start.state(&config)?;
+    let (manoeuvre, given) = args.manoeuvre.of(&config, &start)?;
     let planner = match &args.reference {
         Some(reference) => {
             let x = start_state(&config, "--reference", reference, args.start.pendulum())?;
-            let entry = optimal_entry(&config, x)?;
-            Planner::with_entries(config, "--reference".into(), vec![entry])
+            let entry = optimal_entry(&config, (manoeuvre, &given), x)?;
+            Planner::with_entries(config, manoeuvre, "--reference".into(), vec![entry])
         }
         None => Planner::new(config).map_err(Failure::bad_input)?,
     };
@@ -85,12 +88,14 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
     // With --reference, only this trajectory is adapted: there is no full optimisation instead.
     let effort = Effort { optimise: effort.optimise && args.reference.is_none(), ..effort };
     let replan = planner
-        .replan_with(&mut planner.solver(), Manoeuvre::SwingUp, &start, &effort)
+        .replan_with(&mut planner.solver(), manoeuvre, &given, &start, &effort)
         .map_err(Failure::failed)?;
     let open = replan.defect > settings.replan.defect;
     let status = if open { PlannerStatus::OpenDefect } else { PlannerStatus::Solved };
     if let Some(output) = &svg {
-        let reference = &planner.entries()[replan.entry.index].trajectory;
+        let nearest = replan.entry.and_then(|entry| planner.entries(manoeuvre).get(entry.index));
+        // Without a database, the plan is its own reference.
+        let reference = nearest.map_or(&replan.trajectory, |entry| &entry.trajectory);
         let config = planner.config();
         picture::plan::draw(output, &config.model, &config.robot.limits, &replan.trajectory, reference)
             .map_err(Failure::failed)?;
@@ -110,17 +115,18 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
         return print_json(&result);
     }
     let f = &result.figures;
-    let way = match replan.method {
-        Method::Quadratic if args.reference.is_some() => {
-            format!("from the reference ({:.3} rad away), {} QPs", f.distance, f.iterations)
+    let way = match (replan.method, f.nearest_entry.zip(f.distance)) {
+        (Method::Quadratic, Some((_, away))) if args.reference.is_some() => {
+            format!("from the reference ({away:.3} rad away), {} QPs", f.iterations)
         }
-        Method::Quadratic => {
-            format!("from entry {} ({:.3} rad away), {} QPs", f.nearest_entry, f.distance, f.iterations)
+        (Method::Quadratic, Some((entry, away))) => {
+            format!("from entry {entry} ({away:.3} rad away), {} QPs", f.iterations)
         }
-        Method::Optimisation => format!(
-            "optimised in full in {} iterations (nearest entry: {}, {:.3} rad away)",
-            f.iterations, f.nearest_entry, f.distance
+        (_, Some((entry, away))) => format!(
+            "optimised in full in {} iterations (nearest entry: {entry}, {away:.3} rad away)",
+            f.iterations
         ),
+        (_, None) => format!("optimised in full in {} iterations (no database)", f.iterations),
     };
     print_line(&format!(
         "{}: t_F {:.4} s, cost {:.5}, {way}\n\
@@ -138,11 +144,17 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
     ))
 }
 
-/// Optimises the trajectory from `start` as a database entry.
-fn optimal_entry(config: &Config, start: State) -> Result<Entry, Failure> {
-    let solution = optimize(config, start, Search::Best, None, &options(config));
+/// Optimises the trajectory of a manoeuvre, with its given values, from `start` as a database entry.
+fn optimal_entry(
+    config: &Config,
+    (manoeuvre, given): (usize, &[f64]),
+    start: State,
+) -> Result<Entry, Failure> {
+    let target = target(config, manoeuvre, given).map_err(Failure::failed)?;
+    let solution = optimize(config, target, start, Search::Best, None, &options(config));
     if solution.status != NlpStatus::Solved {
         return Err(Failure::failed(format!("--reference: no trajectory: {}", solution.status)));
     }
-    Ok(Entry::new(&solution.trajectory, |t| certify(config, t)))
+    let entry = Entry::new(&solution.trajectory, |t| certify(config, t));
+    Ok(Entry { key: key(entry.trajectory.start(), given), ..entry })
 }

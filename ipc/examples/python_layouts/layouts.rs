@@ -5,9 +5,9 @@ use std::fmt::{Debug, Write};
 use std::mem::offset_of;
 use upswing_ipc::{
     BlackboardPayload, Clock, Command, ControlKind, ControlRequest, ControlResponse, Degradation, Domain,
-    MAX_NODES, MAX_READERS, Measurement, Mode, Percentiles, PlanHeader, PlanMessage, PlannerKind,
-    PlannerRequest, PlannerResponse, PlannerStatus, PlantKind, PlantRequest, PlantResponse, Readiness,
-    RequestPayload, Telemetry, TelemetryBatch, Text, TopicPayload,
+    MAX_NODES, MAX_READERS, ManoeuvreRequest, Measurement, Mode, Name, Percentiles, PlanHeader, PlanMessage,
+    PlannerKind, PlannerRequest, PlannerResponse, PlannerStatus, PlantKind, PlantRequest, PlantResponse,
+    Readiness, RequestPayload, Telemetry, TelemetryBatch, Text, TopicPayload,
 };
 use upswing_model::MOST_JOINTS;
 
@@ -39,6 +39,7 @@ macro_rules! plain {
 
 plain!(u64 => "c_uint64", f64 => "c_double", u8 => "c_uint8");
 plain!(Text => "Text", Percentiles => "Percentiles", Telemetry => "Telemetry");
+plain!(Name => "Name", ManoeuvreRequest => "ManoeuvreRequest");
 
 impl<T: Ctype, const N: usize> Ctype for [T; N] {
     fn ctype() -> String {
@@ -154,7 +155,12 @@ pub fn module() -> String {
             next
         }
     );
-    class!(out, PlannerRequest { kind, from_now, joints, actuated, q, qd, iterations, budget_ms, publish });
+    class!(out, Name { bytes });
+    class!(out, ManoeuvreRequest { name, number, given });
+    class!(
+        out,
+        PlannerRequest { kind, from_now, joints, actuated, q, qd, manoeuvre, iterations, budget_ms, publish }
+    );
     class!(
         out,
         PlannerResponse {

@@ -155,12 +155,10 @@ impl Degradation {
 codes! {
     /// A request to the planner.
     PlannerKind is a "planner request" {
-        /// A trajectory from rest to the upright equilibrium.
-        SwingUp = "swing-up",
+        /// A plan of a manoeuvre.
+        Plan = "plan",
         /// Change nothing, only answer.
         Status = "status",
-        /// A trajectory from the upright equilibrium to rest.
-        SwingDown = "swing-down",
     }
 }
 

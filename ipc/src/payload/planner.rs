@@ -2,6 +2,7 @@
 
 use super::chain::{self, OtherChain, PerJoint};
 use super::codes::{PlannerKind, PlannerStatus, UnknownCode};
+use super::manoeuvre::ManoeuvreRequest;
 use super::text::Text;
 use super::words::WORD;
 use iceoryx2::prelude::ZeroCopySend;
@@ -10,7 +11,7 @@ use upswing_model::{Order, State};
 /// A request to the planner.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
-#[type_name("upswing.PlannerRequest.v2")]
+#[type_name("upswing.PlannerRequest.v3")]
 pub struct PlannerRequest {
     /// Code of the [`PlannerKind`].
     pub kind: u64,
@@ -24,6 +25,8 @@ pub struct PlannerRequest {
     pub q: PerJoint,
     /// qd of the start state.
     pub qd: PerJoint,
+    /// The manoeuvre to be planned.
+    pub manoeuvre: ManoeuvreRequest,
     /// Iterations of the replanning QP, 0: as the planner's settings say.
     pub iterations: u64,
     /// Time budget, ms, 0: none.
@@ -32,14 +35,16 @@ pub struct PlannerRequest {
     pub publish: u64,
 }
 
-const _: () = assert!(size_of::<PlannerRequest>() == WORD * 7 + 2 * size_of::<PerJoint>());
+const _: () = assert!(
+    size_of::<PlannerRequest>() == WORD * 7 + 2 * size_of::<PerJoint>() + size_of::<ManoeuvreRequest>()
+);
 
 impl PlannerRequest {
-    /// A request of `kind` for a plan from the state `x`; all else is 0.
-    pub fn from_state(kind: PlannerKind, order: &Order, x: &State) -> Self {
+    /// A request for a plan from the state `x`, without publication.
+    pub fn from_state(manoeuvre: ManoeuvreRequest, order: &Order, x: &State) -> Self {
         let (joints, actuated) = chain::numbers(order.sizes());
         let (q, qd) = (order.in_chain(&x.q()), order.in_chain(&x.qd()));
-        Self { kind: kind.code(), joints, actuated, q, qd, ..Self::default() }
+        Self { manoeuvre, joints, actuated, q, qd, ..Self::default() }
     }
 
     /// x_0 = [q, qd], the start state; without meaning if `from_now` is 1.
@@ -73,9 +78,9 @@ pub struct PlannerResponse {
     pub activation_ns: u64,
     /// t_F, duration of the plan, s.
     pub t_f: f64,
-    /// Index of the nearest entry of the trajectory database.
+    /// Index of the nearest entry of the manoeuvre's trajectory database.
     pub nearest_entry: u64,
-    /// Distance from the start to that entry in the metric of the settings, rad.
+    /// Distance from the start to that entry in the metric of the settings, rad; NaN: there is no database.
     pub distance: f64,
     /// QPs of the replan, each linearised around the result before; of a full optimisation its iterations.
     pub iterations: u64,

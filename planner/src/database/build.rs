@@ -6,8 +6,9 @@
 //!
 //! Every finished line is appended to a journal beside the output; a build that finds a journal continues after its last line.
 
-use super::{BuildError, BuildSummary, Shard, certify, heading, same_origin, start_of, summary};
-use crate::offline::{optimize, options};
+use super::{BuildError, BuildSummary, Shard, certify, heading, pose, poses, same_origin, start_of, summary};
+use crate::offline::{optimize, options, target};
+use crate::replan::key;
 use rayon::prelude::*;
 use std::collections::HashSet;
 use std::fs::{File, OpenOptions, TryLockError};
@@ -15,7 +16,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
-use upswing_config::{Config, GridSettings};
+use upswing_config::{Config, Manoeuvre};
 use upswing_ocp::interior_point::{NlpOptions, NlpStatus};
 use upswing_ocp::multistart::Search;
 use upswing_process::output::OutputFile;
@@ -26,9 +27,9 @@ use upswing_trajectory::{
 /// Numbers of the poses of one line of the grid, in order.
 type GridLine = Vec<usize>;
 
-fn lines(grid: &GridSettings, shard: Shard) -> Vec<GridLine> {
-    let length = grid.axes.last().map_or(1, |axis| axis.points);
-    (0..grid.poses() / length)
+fn lines(manoeuvre: &Manoeuvre, shard: Shard) -> Vec<GridLine> {
+    let length = manoeuvre.grid.axes.last().map_or(1, |axis| axis.points);
+    (0..poses(manoeuvre) / length)
         .filter(|line| *line as u64 % shard.of == shard.number - 1)
         .map(|line| (line * length..(line + 1) * length).collect())
         .collect()
@@ -41,7 +42,7 @@ fn journal_path(output: &Path) -> PathBuf {
     path.into()
 }
 
-/// Builds the database (or one shard of it) of the settings' grid into `output`. `progress` gets the number of
+/// Builds the database (or one shard of it) of manoeuvre number `manoeuvre` of the settings into `output`. `progress` gets the number of
 /// poses finished since its last call. Raising `stop` stops the build; the journal keeps the finished lines. A finished file of
 /// the same build is not changed.
 ///
@@ -49,13 +50,14 @@ fn journal_path(output: &Path) -> PathBuf {
 /// [`BuildError`] if a file cannot be used or belongs to other settings; no finished line is lost.
 pub fn build(
     config: &Config,
+    manoeuvre: usize,
     shard: Shard,
     output: &OutputFile,
     stop: &AtomicBool,
     progress: impl Fn(usize) + Sync,
 ) -> Result<BuildSummary, BuildError> {
-    let heading = heading(config, shard);
-    let lines = lines(&config.grid, shard);
+    let heading = heading(config, manoeuvre, shard);
+    let lines = lines(&config.manoeuvres[manoeuvre], shard);
     let poses = lines.iter().map(Vec::len).sum();
     if let Some(finished) = finished(output.path(), &heading)? {
         progress(poses);
@@ -79,7 +81,7 @@ pub fn build(
     lines.par_iter().filter(|line| !whole(line)).for_each(|line| {
         // Stop, too, if the write of another line failed.
         let halted = || stop.load(Ordering::Acquire) || results.lock().map_or(true, |r| r.is_err());
-        let Some(solved) = solve_line(config, line, &halted, stop) else { return };
+        let Some(solved) = solve_line(config, manoeuvre, line, &halted, stop) else { return };
         let bytes: Vec<u8> = solved.iter().flat_map(PoseRecord::encode).collect();
         let written = journal.lock().map(|mut file| file.write_all(&bytes));
         if let Ok(mut results) = results.lock() {
@@ -110,6 +112,7 @@ pub fn build(
 /// Solves the poses of a line; `None` if the build was stopped or failed meanwhile.
 fn solve_line(
     config: &Config,
+    manoeuvre: usize,
     line: &GridLine,
     halted: &impl Fn() -> bool,
     stop: &AtomicBool,
@@ -118,14 +121,16 @@ fn solve_line(
     let options = NlpOptions { cancelled: Some(&stopped), ..options(config) };
     let mut neighbour: Option<Trajectory> = None;
     let mut records = Vec::with_capacity(line.len());
-    for pose in line {
+    for number in line {
         if halted() {
             return None;
         }
-        let outcome = match start_of(config, *pose) {
+        let settings = &config.manoeuvres[manoeuvre];
+        let (q_a, given) = pose(settings, *number);
+        let outcome = match start_of(config, settings, &q_a).zip(target(config, manoeuvre, &given).ok()) {
             None => PoseOutcome::Rejected,
-            Some(start) => {
-                let solution = optimize(config, start, Search::Best, neighbour.as_ref(), &options);
+            Some((start, target)) => {
+                let solution = optimize(config, target, start, Search::Best, neighbour.as_ref(), &options);
                 // An interrupted search has tried some guesses only: its best solution need not be the best of all.
                 if stopped() {
                     return None;
@@ -133,6 +138,7 @@ fn solve_line(
                 match solution.status {
                     NlpStatus::Solved => {
                         let entry = Entry::new(&solution.trajectory, |t| certify(config, t));
+                        let entry = Entry { key: key(entry.trajectory.start(), &given), ..entry };
                         neighbour = Some(entry.trajectory.clone());
                         PoseOutcome::Solved(Box::new(entry))
                     }
@@ -140,7 +146,7 @@ fn solve_line(
                 }
             }
         };
-        records.push(PoseRecord { pose: *pose as u64, outcome });
+        records.push(PoseRecord { pose: *number as u64, outcome });
     }
     Some(records)
 }

@@ -7,7 +7,7 @@ use upswing_config::{Config, ConfigError, DATABASE};
 use upswing_trajectory::Database;
 use xxhash_rust::xxh3::xxh3_64;
 
-/// Encoded database that is shipped with the embedded settings.
+/// Encoded database of the first manoeuvre, shipped with the embedded settings.
 pub const SHIPPED: &[u8] = include_bytes!("../../../config/database.bin");
 
 /// Encoded trajectory database and its origin.
@@ -20,13 +20,26 @@ pub struct DatabaseFile {
 }
 
 impl DatabaseFile {
-    /// Reads the database in the folder of the settings; the shipped database for the embedded settings.
+    /// Name of the database of manoeuvre number `manoeuvre` in a folder of settings.
+    pub fn name(config: &Config, manoeuvre: usize) -> String {
+        match manoeuvre {
+            0 => DATABASE.to_owned(),
+            _ => format!("{}.bin", config.manoeuvres[manoeuvre].name),
+        }
+    }
+
+    /// Reads the database of manoeuvre number `manoeuvre` in the folder of the settings; the shipped database for the embedded
+    /// settings. `None` if there is none, as for a manoeuvre that reverses another one.
     ///
     /// # Errors
-    /// [`ConfigError::Unreadable`] if the folder has no readable database.
-    pub fn of(config: &Config) -> Result<Self, ConfigError> {
-        let (origin, bytes) = config.file(DATABASE, SHIPPED)?;
-        Ok(Self { bytes, origin })
+    /// [`ConfigError::Unreadable`] if there is one that cannot be read.
+    pub fn of(config: &Config, manoeuvre: usize) -> Result<Option<Self>, ConfigError> {
+        if config.manoeuvres[manoeuvre].reverses.is_some() {
+            return Ok(None);
+        }
+        let shipped = (manoeuvre == 0).then_some(SHIPPED);
+        let file = config.optional_file(&Self::name(config, manoeuvre), shipped)?;
+        Ok(file.map(|(origin, bytes)| Self { bytes, origin }))
     }
 
     /// Reads the database in the file at `path`.

@@ -1,11 +1,12 @@
 //! Verification of a database: recomputes the figures and outcomes that its records state.
 
-use super::{certify, has_grid_of, start_of};
-use crate::offline::{optimize, options, problem};
+use super::{certify, has_grid_of, pose, start_of};
+use crate::offline::{optimize, options, target};
 use rayon::prelude::*;
 use upswing_config::Config;
 use upswing_model::State;
 use upswing_ocp::interior_point::NlpStatus;
+use upswing_ocp::kkt::TargetRow;
 use upswing_ocp::multistart::Search;
 use upswing_trajectory::{Certificate, Database, Entry, Margins, PoseOutcome, PoseRecord};
 
@@ -43,6 +44,9 @@ pub enum RecordFlaw {
         /// Distance from the start state, rad or rad/s.
         by: f64,
     },
+    /// The given values in the key of the entry leave no rest position of the unactuated joints.
+    #[error("has a target without a rest position")]
+    NoTarget,
     /// The trajectory does not end in the target (8).
     #[error("misses row {row} of the target (8) by {by:.2e} rad or rad/s")]
     End {
@@ -98,22 +102,29 @@ const FARTHEST_END: f64 = 2.0;
 /// Recomputes all statements of the records, in parallel: figures, start, target, limits, and that poses without a trajectory
 /// have no solution. Starts are compared where the database [has the settings' grid](has_grid_of). Between knots a limit may
 /// be exceeded by `replan.knot_margin`, the margin that a replan keeps at the knots for this excess.
-pub fn verify(config: &Config, database: &Database, progress: impl Fn() + Sync) -> Vec<Discrepancy> {
-    let compare_poses = has_grid_of(config, database);
+pub fn verify(
+    config: &Config,
+    manoeuvre: usize,
+    database: &Database,
+    progress: impl Fn() + Sync,
+) -> Vec<Discrepancy> {
+    let compare_poses = has_grid_of(config, manoeuvre, database);
+    let settings = &config.manoeuvres[manoeuvre];
     let judge = |record: &PoseRecord| {
         if compare_poses {
-            let start = start_of(config, record.pose as usize);
+            let (q_a, given) = pose(settings, record.pose as usize);
+            let start = start_of(config, settings, &q_a).zip(target(config, manoeuvre, &given).ok());
             let leaves_out = start.is_none();
             if leaves_out != matches!(record.outcome, PoseOutcome::Rejected) {
                 return Err(RecordFlaw::Rule { leaves_out });
             }
-            if let Some(start) = start {
-                has_start(config, record, &start)?;
+            if let Some((start, target)) = start {
+                has_start(config, record, &start, target)?;
             }
         }
         match &record.outcome {
             PoseOutcome::Solved(entry) => {
-                let verdict = verify_entry(config, entry);
+                let verdict = verify_entry(config, manoeuvre, entry);
                 progress();
                 verdict
             }
@@ -124,8 +135,14 @@ pub fn verify(config: &Config, database: &Database, progress: impl Fn() + Sync) 
     judged.filter_map(|(pose, verdict)| verdict.err().map(|flaw| Discrepancy { pose, flaw })).collect()
 }
 
-/// Checks that the trajectory of a record starts in `start` (rad, rad/s); without a trajectory, that none is found from there.
-fn has_start(config: &Config, record: &PoseRecord, start: &State) -> Result<(), RecordFlaw> {
+/// Checks that the trajectory of a record starts in `start` (rad, rad/s); without a trajectory, that none to `target` is found from
+/// there.
+fn has_start(
+    config: &Config,
+    record: &PoseRecord,
+    start: &State,
+    target: Vec<TargetRow>,
+) -> Result<(), RecordFlaw> {
     match &record.outcome {
         PoseOutcome::Solved(entry) => {
             let away = (entry.trajectory.x[0] - start).abs();
@@ -134,7 +151,7 @@ fn has_start(config: &Config, record: &PoseRecord, start: &State) -> Result<(), 
             if by <= ROUNDING { Ok(()) } else { Err(RecordFlaw::Start { row, by }) }
         }
         _ => {
-            let solution = optimize(config, *start, Search::Best, None, &options(config));
+            let solution = optimize(config, target, *start, Search::Best, None, &options(config));
             match solution.status {
                 NlpStatus::Solved => Err(RecordFlaw::Solvable { cost: solution.cost }),
                 _ => Ok(()),
@@ -143,14 +160,16 @@ fn has_start(config: &Config, record: &PoseRecord, start: &State) -> Result<(), 
     }
 }
 
-fn verify_entry(config: &Config, entry: &Entry) -> Result<(), RecordFlaw> {
+fn verify_entry(config: &Config, manoeuvre: usize, entry: &Entry) -> Result<(), RecordFlaw> {
     let (trajectory, recorded) = (&entry.trajectory, entry.certificate);
     let computed = certify(config, trajectory);
     if recorded.difference(&computed) > ROUNDING {
         return Err(RecordFlaw::Certificate { recorded, computed });
     }
-    for (row, target) in problem(config, trajectory.x[0]).target.iter().enumerate() {
-        let by = (target.coefficients.dot(trajectory.end()) - target.value).abs();
+    let given = entry.key.get(config.model.sizes().actuated()..).unwrap_or_default();
+    let target = target(config, manoeuvre, given).map_err(|_| RecordFlaw::NoTarget)?;
+    for (row, target) in target.iter().enumerate() {
+        let by = target.residual(trajectory.end()).abs();
         // Written so that NaN fails, here and below.
         if !(by <= ROUNDING) {
             return Err(RecordFlaw::End { row, by });

@@ -2,8 +2,8 @@
 
 use crate::database::Neighbour;
 use std::time::Duration;
-use upswing_config::Config;
-use upswing_model::Workspace;
+use upswing_config::{Config, GivenError};
+use upswing_model::{RestError, Workspace};
 use upswing_ocp::interior_point::NlpStatus;
 use upswing_ocp::lqr;
 use upswing_ocp::qp::{ConflictingBound, QpStatus, Stall};
@@ -62,6 +62,12 @@ pub enum PlanningFailure {
     /// The full optimisation found no trajectory.
     #[error("{0}")]
     Optimisation(NlpStatus),
+    /// The given values make no target.
+    #[error("the target: {0}")]
+    Target(#[from] GivenError),
+    /// The unactuated joints have no rest position in which a reversal could end.
+    #[error(transparent)]
+    NoRest(#[from] RestError),
     /// There is no stabilising gain at the end of the trajectory.
     #[error(transparent)]
     Gain(#[from] lqr::NotStabilisable),
@@ -124,8 +130,8 @@ pub struct Replan {
     pub gains: Gains,
     /// Method that found the trajectory.
     pub method: Method,
-    /// The database entry that was adapted; for the full optimisation the nearest entry.
-    pub entry: Neighbour,
+    /// The database entry that was adapted; for the full optimisation the nearest entry, if there is one.
+    pub entry: Option<Neighbour>,
     /// The entries tried before it, which gave no plan, in order.
     pub failed: Vec<FailedAttempt>,
     /// Number of QPs for the entry used, each linearised around the result before, or of iterations of the full optimisation.
@@ -141,7 +147,8 @@ pub struct Replan {
 impl Replan {
     /// Number of the QPs for the entry used that Clarabel solved in place of the structured solver.
     pub fn solved_by_clarabel(&self) -> usize {
-        let of_entry = |o: &&SecondOpinion| o.entry == self.entry.index && o.clarabel == QpStatus::Solved;
+        let entry = self.entry.map(|entry| entry.index);
+        let of_entry = |o: &&SecondOpinion| Some(o.entry) == entry && o.clarabel == QpStatus::Solved;
         self.statistics.second_opinions.iter().filter(of_entry).count()
     }
 }

@@ -7,10 +7,10 @@ use upswing_trajectory::Margins;
 /// Summary of a replan, without its t_F.
 #[derive(Clone, Debug, Serialize)]
 pub struct PlanSummary {
-    /// Index of the database entry from which the plan was adapted.
-    pub nearest_entry: usize,
+    /// Index of the nearest database entry, from which the plan was adapted; none without a database.
+    pub nearest_entry: Option<usize>,
     /// Distance of the start from that entry, rad.
-    pub distance: f64,
+    pub distance: Option<f64>,
     /// Number of entries tried.
     pub attempts: usize,
     /// Number of QPs, each linearised around the previous result.
@@ -25,8 +25,8 @@ pub struct PlanSummary {
 impl From<&Replan> for PlanSummary {
     fn from(replan: &Replan) -> Self {
         Self {
-            nearest_entry: replan.entry.index,
-            distance: replan.entry.distance,
+            nearest_entry: replan.entry.map(|entry| entry.index),
+            distance: replan.entry.map(|entry| entry.distance),
             attempts: replan.failed.len() + 1,
             iterations: replan.iterations,
             defect: replan.defect,

@@ -1,10 +1,10 @@
 //! Monte Carlo study of plans: replans from many random starts, checked as the daemon checks them.
 
 use super::{NoStart, Spread, Study, StudyError, shown_pose};
+use crate::course::first_manoeuvre;
 use serde::Serialize;
 use std::time::Instant;
 use upswing_ipc::PlanMessage;
-use upswing_ipc::operator::Manoeuvre;
 use upswing_model::State;
 use upswing_ocp::qp::QpSolver;
 use upswing_planner::replan::{Effort, PlanSummary, Planner};
@@ -122,7 +122,7 @@ pub fn run(study: &Study<'_>) -> Result<PlanStudyResult, StudyError> {
         margin_qd: spread(|p| p.plan.margins.margin_qd),
         margin_tau: spread(|p| p.plan.margins.margin_tau),
         t_f: spread(|p| p.t_f),
-        distance: spread(|p| p.plan.distance),
+        distance: Spread::of(plans().filter_map(|p| p.plan.distance)),
         times: ReplanTimes {
             replan: time(|t| t.total),
             qp: part(|t| t.qp),
@@ -137,7 +137,7 @@ fn sample(planner: &Planner, solver: &mut QpSolver, index: u64, start: &State) -
     let config = planner.config();
     let effort = Effort::iterations(config.planner.replan.iterations);
     let begin = Instant::now();
-    let result = planner.replan_with(solver, Manoeuvre::SwingUp, start, &effort);
+    let result = planner.replan_with(solver, 0, first_manoeuvre(config).given(), start, &effort);
     let total = begin.elapsed().as_secs_f64();
     let (plan, failure, times) = match &result {
         Ok(replan) => {

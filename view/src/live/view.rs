@@ -33,7 +33,7 @@ pub struct View {
     /// Number of plans since `t` = 0.
     pub plans: u64,
     /// Name of the request that is in progress.
-    pub asking: Option<&'static str>,
+    pub asking: Option<String>,
     /// Events, oldest first.
     pub events: Vec<EventView>,
 }

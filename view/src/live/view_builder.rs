@@ -5,7 +5,7 @@ use super::{CycleView, DaemonStatus, EventView, JointView, PlanView, Severity, V
 use std::collections::VecDeque;
 use upswing_config::Config;
 use upswing_ipc::{CycleVectors, DamagedPlan, Mode, PlanMessage, Telemetry};
-use upswing_model::{JointVector, Limits, Model};
+use upswing_model::{JointVector, Limits, Model, Posture, Workspace};
 use upswing_record::Tally;
 use upswing_record::evaluation::tilt;
 
@@ -26,6 +26,8 @@ pub struct ViewBuilder {
     domain: String,
     model: Model,
     limits: Limits,
+    /// Names of the first manoeuvres from hanging and from standing.
+    first: [Option<String>; 2],
     t: f64,
     tally: Tally,
     newest: Option<Telemetry>,
@@ -36,7 +38,7 @@ pub struct ViewBuilder {
     status: Option<DaemonStatus>,
     plan: Option<PlanView>,
     present: Option<[bool; 3]>,
-    asking: Option<&'static str>,
+    asking: Option<String>,
     faults: u64,
     plans: u64,
     events: VecDeque<EventView>,
@@ -49,6 +51,8 @@ impl ViewBuilder {
             domain: domain.to_owned(),
             model: config.model.clone(),
             limits: widest(&config.robot.limits, &config.robot.planning),
+            first: [Posture::Hanging, Posture::Standing]
+                .map(|start| config.first_manoeuvre(start).map(str::to_owned)),
             t: 0.0,
             tally: Tally::default(),
             newest: None,
@@ -113,10 +117,10 @@ impl ViewBuilder {
             }
         };
         let t_f = plan.trajectory.t_f;
-        let stands = tilt(&self.model, &plan.trajectory.end().q()) < std::f64::consts::FRAC_PI_2;
+        let posture = self.model.posture(&plan.trajectory.end().q(), &mut Workspace::default());
+        let stands = posture == Posture::Standing;
         let view = PlanView { id: format!("{:016x}", plan.id), t_f, stands };
-        let end = if stands { "standing" } else { "hanging" };
-        self.tell(Severity::Note, format!("plan of {:.3} s that ends {end}", t_f));
+        self.tell(Severity::Note, format!("plan of {t_f:.3} s that ends {posture}"));
         self.plan = Some(view);
         self.plans += 1;
     }
@@ -144,11 +148,11 @@ impl ViewBuilder {
                 self.status = status;
             }
             LiveUpdate::Sent(request) => {
-                self.asking = Some(request.name());
+                self.asking = Some(request.name().to_owned());
                 self.tell(Severity::Note, format!("asked: {}", request.name()));
             }
             LiveUpdate::Answered(request, answer) => {
-                if self.asking == Some(request.name()) {
+                if self.asking.as_deref() == Some(request.name()) {
                     self.asking = None;
                 }
                 match answer {
@@ -173,7 +177,11 @@ impl ViewBuilder {
         let mode = cycle.map(Telemetry::mode_text);
         // The status contains more than the mode, but may be older than the newest cycle.
         let status = self.status.as_ref().filter(|s| mode.as_ref().is_none_or(|mode| *mode == s.mode));
-        let of_mode = || cycle.and_then(|record| Some(record.mode().ok()?.next_action().to_string()));
+        let first = |start| match start {
+            Posture::Hanging => self.first[0].as_deref(),
+            Posture::Standing => self.first[1].as_deref(),
+        };
+        let of_mode = || cycle.and_then(|record| Some(record.mode().ok()?.next_action(first).to_string()));
         let next = status.map(|s| s.next.clone()).or_else(of_mode);
         View {
             next,
@@ -189,7 +197,7 @@ impl ViewBuilder {
             lost: self.tally.lost,
             faults: self.faults,
             plans: self.plans,
-            asking: self.asking,
+            asking: self.asking.clone(),
             events: self.events.iter().cloned().collect(),
         }
     }

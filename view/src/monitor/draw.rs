@@ -1,6 +1,5 @@
 //! Draws a [`View`] in the terminal.
 
-use super::keys::REQUESTS;
 use super::{KeyState, rows};
 use crate::live::{CycleView, JointView, LatencyPercentiles, Severity, View};
 use ratatui::Frame;
@@ -84,11 +83,11 @@ pub fn draw(frame: &mut Frame, view: &View, keys: &KeyState, theme: Theme) {
     draw_times(frame, times, view, theme);
     draw_plan(frame, plan, view, theme);
     draw_events(frame, events, view, theme);
-    frame.render_widget(footer(theme), foot);
+    frame.render_widget(footer(keys, theme), foot);
     if let Some(request) = keys.waiting() {
         confirm(frame, request, theme);
     } else if keys.help() {
-        help(frame, theme);
+        help(frame, keys, theme);
     }
 }
 
@@ -106,7 +105,7 @@ fn heading(view: &View, theme: Theme) -> Line<'_> {
         spans.push(Span::styled(format!("{sign} "), style));
         spans.push(Span::raw(format!("{name}  ")));
     }
-    if let Some(asking) = view.asking {
+    if let Some(asking) = &view.asking {
         spans.push(Span::styled(format!("{asking} ..."), theme.ink(Color::Yellow)));
     }
     Line::from(spans)
@@ -270,11 +269,12 @@ fn draw_events(frame: &mut Frame, area: Rect, view: &View, theme: Theme) {
     frame.render_widget(Paragraph::new(Vec::from(lines)), inner);
 }
 
-fn footer(theme: Theme) -> Line<'static> {
-    // The line takes 77 of 80 columns.
-    let keys = REQUESTS
-        .into_iter()
-        .map(|(key, request)| (key, request.name()))
+fn footer(keys: &KeyState, theme: Theme) -> Line<'_> {
+    // The line takes 77 of 80 columns for the arm.
+    let keys = keys
+        .requests()
+        .iter()
+        .map(|(key, request)| (*key, request.name()))
         .chain([('q', "quit"), ('?', "help")]);
     let key = Style::new().add_modifier(Modifier::REVERSED);
     Line::from_iter(keys.flat_map(|(c, name)| {
@@ -282,10 +282,11 @@ fn footer(theme: Theme) -> Line<'static> {
     }))
 }
 
-fn help(frame: &mut Frame, theme: Theme) {
-    let lines: Vec<_> = REQUESTS
-        .into_iter()
-        .map(|(key, request)| format!(" {key}  {:<11}{}", request.name(), effect(request)))
+fn help(frame: &mut Frame, keys: &KeyState, theme: Theme) {
+    let lines: Vec<_> = keys
+        .requests()
+        .iter()
+        .map(|(key, request)| format!(" {key}  {:<11}{}", request.name(), effect(*request)))
         .chain([
             " q  quit       The monitor ends, the system goes on.".into(),
             String::new(),

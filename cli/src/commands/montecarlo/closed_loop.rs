@@ -105,7 +105,7 @@ pub fn run(args: &ClosedLoopArgs) -> Result<(), Failure> {
     args.sampling.common.print(&ClosedLoopResult {
         success: complete && succeeded == samples,
         complete,
-        database: planner.origin().to_owned(),
+        database: planner.origin(0).to_owned(),
         seed: args.sampling.seed,
         conditions: answers,
     })?;

@@ -93,13 +93,13 @@ pub fn run(args: &ReplanArgs) -> Result<(), Failure> {
             .iter()
             .map(|s| map::MapPoint { q_deg: s.start_deg.clone(), margins: s.plan.as_ref().map(margins) })
             .collect();
-        map::draw(output, &planner.config().grid.axes, &points).map_err(Failure::failed)?;
+        map::draw(output, &planner.config().manoeuvres[0].grid.axes, &points).map_err(Failure::failed)?;
     }
     args.sampling.common.print(&ReplanResult {
         success: complete && succeeded == samples,
         complete,
-        database: planner.origin().to_owned(),
-        entries: planner.entries().len(),
+        database: planner.origin(0).to_owned(),
+        entries: planner.entries(0).len(),
         seed: args.sampling.seed,
         statistics,
         threads: args.sampling.threads(),

@@ -128,7 +128,7 @@ pub fn run(args: &RobustnessArgs) -> Result<(), Failure> {
     args.sampling.common.print(&RobustnessResult {
         success,
         complete,
-        database: planner.origin().to_owned(),
+        database: planner.origin(0).to_owned(),
         seed: args.sampling.seed,
         curves,
         times: RobustnessTimes { total: begin.elapsed().as_secs_f64() },
