@@ -70,7 +70,7 @@ fn pictures_with_the_same_titles_have_the_same_scale() {
 /// Numbers of the thick lines and of the thin coloured ones.
 fn curves(path: &Path) -> (usize, usize) {
     let svg = std::fs::read_to_string(path).expect("the picture");
-    assert!(svg.starts_with("<svg") && svg.contains("joint 9"));
+    assert!(svg.starts_with("<svg") && svg.contains("pendulum_2"));
     let lines = || svg.split('<').filter(|l| l.starts_with("polyline") && !l.contains("#000000"));
     let of_width = |width: &str| lines().filter(|l| l.contains(width)).count();
     (of_width("stroke-width=\"2\""), of_width("stroke-width=\"1\""))

@@ -20,7 +20,9 @@ fn report_and_export() {
     let mut recorder = FlightRecorder::new(CYCLES as usize);
     for seq in 1..=CYCLES {
         let mode = if seq < CYCLES { Mode::Hold } else { Mode::Fault };
-        recorder.push(&Telemetry { seq, t_ns: seq * 125_000, mode: mode.code(), ..Telemetry::default() });
+        let (joints, actuated) = (9, 7);
+        let record = Telemetry { seq, t_ns: seq * 125_000, mode: mode.code(), ..Telemetry::default() };
+        recorder.push(&Telemetry { joints, actuated, ..record });
     }
     let settings = RecorderSettings { directory: Some(dir.path().to_owned()), keep: 1 };
     let file = recorder.save(&settings).expect("written").expect("a folder is set");

@@ -70,5 +70,5 @@ fn a_demo() {
     assert_eq!(d["success"], true, "{d}");
     assert!(d["final_tilt_deg"].as_f64().is_some_and(|t| t < 2.0));
     let svg = std::fs::read_to_string(picture).expect("the picture");
-    assert!(svg.starts_with("<svg") && svg.contains("joint 9"));
+    assert!(svg.starts_with("<svg") && svg.contains("pendulum_2"));
 }

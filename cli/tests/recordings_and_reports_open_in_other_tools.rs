@@ -25,7 +25,9 @@ fn demo(dir: &Path) -> (String, usize) {
     let csv = std::fs::read_to_string(table).expect("the table");
     let columns: Vec<usize> = csv.lines().map(|line| line.split(',').count()).collect();
     assert_eq!(columns, vec![79; cycles as usize + 1]);
-    assert!(csv.starts_with("seq,t_ns,") && csv.contains("q9_rad") && csv.contains("tau7_Nm"));
+    assert!(
+        csv.starts_with("seq,t_ns,") && csv.contains("q_pendulum_2_rad") && csv.contains("tau_joint_7_Nm")
+    );
     (file, cycles as usize)
 }
 

@@ -12,7 +12,10 @@ const MOST_KB: i64 = 64_000;
 fn record(seq: u64) -> Telemetry {
     let mut t = Telemetry { seq, t_ns: seq * 125_000, compute_ns: seq % 5000, ..Telemetry::default() };
     t.mode = if seq % 20_000 < 10_000 { Mode::Track.code() } else { Mode::Balance.code() };
-    t.q = std::array::from_fn(|i| 0.2 * (seq as f64 * 1e-4 + i as f64).sin());
+    (t.joints, t.actuated) = (9, 7);
+    for (i, q) in t.q.iter_mut().enumerate().take(9) {
+        *q = 0.2 * (seq as f64 * 1e-4 + i as f64).sin();
+    }
     t
 }
 
