@@ -9,8 +9,8 @@ import time
 
 import numpy as np
 import upswing_layouts as layouts
-from upswing_ipc import Node, Refused, text
-from upswing_layouts import ControlKind, Mode, PlannerKind
+from upswing_ipc import Node, Refused, manoeuvre, text
+from upswing_layouts import ControlKind, Mode
 
 # For the daemon to load a plan, or to settle on its hold.
 PATIENCE_S = 30.0
@@ -76,7 +76,7 @@ def swing_up(node, seconds):
     if ask(ControlKind.Status).mode == Mode.Idle:
         ask(ControlKind.Enable)
     wait(SETTLE_S)
-    plan = planner.call(layouts.PlannerRequest(kind=PlannerKind.SwingUp, from_now=1, publish=1))
+    plan = planner.call(layouts.PlannerRequest(manoeuvre=manoeuvre("swing-up"), from_now=1, publish=1))
     if plan.plan_id == 0:
         raise Refused(f"the planner refused: {text(plan.reason)}")
     end = time.monotonic() + PATIENCE_S

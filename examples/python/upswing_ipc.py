@@ -34,6 +34,15 @@ def text(field):
     return bytes(field.bytes[: min(field.len, len(field.bytes))]).decode(errors="replace")
 
 
+def manoeuvre(name, given=()):
+    """A manoeuvre of the system's settings with the values that its target asks for, rad or m; NaN: where the joint is."""
+    request = layouts.ManoeuvreRequest(number=len(given))
+    request.given[: len(given)] = given
+    encoded = name.encode()
+    request.name.bytes[: len(encoded)] = encoded
+    return request
+
+
 class Node:
     """A seat in a domain (`--domain NAME`), under a role for logs."""
 

@@ -273,8 +273,40 @@ class ControlResponse(Structure):
         return "upswing.ControlResponse.v5"
 
 
+class Name(Structure):
+    SIZE = 32
+    OFFSETS = {
+        "bytes": 0,
+    }
+    _fields_ = [
+        ("bytes", (c_uint8 * 32)),
+    ]
+
+    @staticmethod
+    def type_name():
+        return "upswing.Name.v1"
+
+
+class ManoeuvreRequest(Structure):
+    SIZE = 168
+    OFFSETS = {
+        "name": 0,
+        "number": 32,
+        "given": 40,
+    }
+    _fields_ = [
+        ("name", Name),
+        ("number", c_uint64),
+        ("given", (c_double * 16)),
+    ]
+
+    @staticmethod
+    def type_name():
+        return "upswing.ManoeuvreRequest.v1"
+
+
 class PlannerRequest(Structure):
-    SIZE = 312
+    SIZE = 480
     OFFSETS = {
         "kind": 0,
         "from_now": 8,
@@ -282,9 +314,10 @@ class PlannerRequest(Structure):
         "actuated": 24,
         "q": 32,
         "qd": 160,
-        "iterations": 288,
-        "budget_ms": 296,
-        "publish": 304,
+        "manoeuvre": 288,
+        "iterations": 456,
+        "budget_ms": 464,
+        "publish": 472,
     }
     _fields_ = [
         ("kind", c_uint64),
@@ -293,6 +326,7 @@ class PlannerRequest(Structure):
         ("actuated", c_uint64),
         ("q", (c_double * 16)),
         ("qd", (c_double * 16)),
+        ("manoeuvre", ManoeuvreRequest),
         ("iterations", c_uint64),
         ("budget_ms", c_uint64),
         ("publish", c_uint64),
@@ -300,7 +334,7 @@ class PlannerRequest(Structure):
 
     @staticmethod
     def type_name():
-        return "upswing.PlannerRequest.v2"
+        return "upswing.PlannerRequest.v3"
 
 
 class PlannerResponse(Structure):
@@ -451,9 +485,8 @@ class Degradation(IntEnum):
 
 
 class PlannerKind(IntEnum):
-    SwingUp = 0
+    Plan = 0
     Status = 1
-    SwingDown = 2
 
 
 class PlannerStatus(IntEnum):
