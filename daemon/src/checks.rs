@@ -153,11 +153,12 @@ impl Checks {
         beyond(TripCause::EncoderJump, &(q - last), level, &mut self.warnings)
     }
 
-    /// Checks positions and velocities of the arm. The pendulum is not checked: it may fall.
-    pub fn arm(&mut self, x: &State) -> Option<Trip> {
+    /// Checks positions `q` and velocities `qd` of the arm. The pendulum is not checked: it may fall.
+    pub fn arm(&mut self, q: &JointVector, qd: &JointVector) -> Option<Trip> {
+        let actuated = q.sizes().actuated();
         let level = scaled(self.levels.velocity_fraction, |i| self.qd_max[i]);
-        let fast = beyond(TripCause::VelocityLimit, &x.qd_a(), level, &mut self.warnings);
-        self.range(TripCause::PositionLimit, 0, &x.q_a()).or(fast)
+        let fast = beyond(TripCause::VelocityLimit, &qd[..actuated], level, &mut self.warnings);
+        self.range(TripCause::PositionLimit, 0, &q[..actuated]).or(fast)
     }
 
     /// Checks the positions of the pendulum; to be called while the pendulum is controlled.

@@ -22,7 +22,7 @@ use crate::step::{CycleRecord, StepInput, StepOutput};
 use crate::supervisor::ModeEvent;
 use crate::trip::{Trip, TripCause};
 use upswing_config::{Config, HoldGains, PlanWhileTracking};
-use upswing_ipc::{Clock, Command, CycleVectors, Measurement, Mode, RecordedStep, Telemetry};
+use upswing_ipc::{Clock, Command, CycleVectors, Measurement, Mode, Telemetry};
 use upswing_model::{ActuatedVector, JointFriction, JointVector, Model, Sizes, State, Workspace};
 use upswing_trajectory::Plan;
 
@@ -137,7 +137,7 @@ impl Controller {
     #[cfg_attr(rtsan, sanitize(realtime = "nonblocking"))]
     pub fn step(&mut self, input: StepInput) -> StepOutput {
         self.step += 1;
-        let recorded = input.to_payload(self.step, 0);
+        let mut recorded = input.to_payload(self.step, 0);
         let StepInput { measurement, now_ns, late_cycles, lost_cycles, restarted, request } = input;
         self.checks.begin_cycle();
         self.lose_plant(restarted, lost_cycles);
@@ -150,27 +150,28 @@ impl Controller {
         let is_new = self.observe(&measurement, now_ns, elapsed);
         // A step without a new measurement is a cycle on the wall clock only; on other clocks it answers a request between cycles.
         self.cycle += u64::from(is_new || wall);
+        recorded.cycle = self.cycle;
         if let Some(trip) = self.checks.late(late_cycles) {
             self.trip_to_stop(trip);
         }
         self.warn_of_plan_age();
         let answer = request.map(|request| self.obey(request));
 
-        let setpoint =
-            self.follow_plan().or_else(|| self.keep_arm(elapsed)).unwrap_or_else(|| self.no_motion());
-        let (setpoint, torque) = match self.torque(&setpoint) {
-            Ok(torque) => (setpoint, torque),
-            Err(trip) => {
-                self.trip_to_fault(trip);
-                (self.no_motion(), Torque::none(self.model.sizes()))
-            }
-        };
+        // Written in place: a setpoint is half a kilobyte.
+        let mut setpoint = self.no_motion();
+        if !self.follow_plan(&mut setpoint) {
+            self.keep_arm(elapsed, &mut setpoint);
+        }
+        let torque = self.torque(&setpoint).unwrap_or_else(|trip| {
+            self.trip_to_fault(trip);
+            setpoint = self.no_motion();
+            Torque::none(self.model.sizes())
+        });
         if self.mode.is_braked() {
             self.last = LastCommand::none(self.model.sizes());
         }
 
         let t_ns = if wall { now_ns } else { measurement.t_ns };
-        let telemetry = self.telemetry(&measurement, t_ns, is_new, &setpoint, &torque);
         StepOutput {
             command: Command {
                 seq: self.cycle,
@@ -180,8 +181,8 @@ impl Controller {
                 ..Command::new(&torque.tau)
             },
             record: CycleRecord {
-                telemetry,
-                step: RecordedStep { cycle: self.cycle, ..recorded },
+                telemetry: self.telemetry(&measurement, t_ns, is_new, &setpoint, &torque),
+                step: recorded,
                 trip: self.trip,
                 unready: self.unready(),
                 overruns: 0,
@@ -294,15 +295,17 @@ impl Controller {
 
     // Setpoint of the mode.
 
-    /// Track and Balance: u = u_d + K (x - x_d). `None` in other modes, and if the plan ends in Hold or trips to Stop.
-    fn follow_plan(&mut self) -> Option<Setpoint> {
+    /// Track and Balance: u = u_d + K (x - x_d). Returns whether there is a setpoint: none in other modes, and if the plan ends in Hold
+    /// or trips to Stop.
+    fn follow_plan(&mut self, setpoint: &mut Setpoint) -> bool {
         self.finish_plan();
-        let setpoint = match &self.mode {
-            ActiveMode::Track(plan) => plan.track(self.now_ns, &self.observer.x, &mut self.checks),
-            ActiveMode::Balance(plan) => plan.balance(self.now_ns, &self.observer, &mut self.checks),
-            _ => return None,
+        let (observer, checks) = (&self.observer, &mut self.checks);
+        let followed = match &self.mode {
+            ActiveMode::Track(plan) => plan.track(self.now_ns, &observer.x, checks, setpoint),
+            ActiveMode::Balance(plan) => plan.balance(self.now_ns, observer, checks, setpoint),
+            _ => return false,
         };
-        setpoint.map_err(|trip| self.trip_to_stop(trip)).ok()
+        followed.map_err(|trip| self.trip_to_stop(trip)).is_ok()
     }
 
     /// Track, once t >= t_F: a plan that ends upright leads to Balance, one that ends hanging to Hold.
@@ -321,9 +324,9 @@ impl Controller {
         }
     }
 
-    /// Hold and Stop: the arm follows its reference, `elapsed` s after the last step. `None` in other modes, and when the arm is at
+    /// Hold and Stop: the arm follows its reference, `elapsed` s after the last step. No setpoint in other modes, and when the arm is at
     /// rest for a shutdown or trips to Fault.
-    fn keep_arm(&mut self, elapsed: f64) -> Option<Setpoint> {
+    fn keep_arm(&mut self, elapsed: f64, setpoint: &mut Setpoint) {
         let x = self.observer.x;
         let mut u_d = ActuatedVector::zeros(x.sizes());
         if let ActiveMode::Stop(reference) = &mut self.mode {
@@ -337,15 +340,12 @@ impl Controller {
                 self.enter(event, next);
             }
         }
-        let (ActiveMode::Hold(reference) | ActiveMode::Stop(reference)) = &self.mode else { return None };
+        let (ActiveMode::Hold(reference) | ActiveMode::Stop(reference)) = &self.mode else { return };
         let x_d = reference.state(&x);
         let u = reference.input(&self.hold, &x, &u_d);
         match self.checks.hold(&x, &x_d) {
-            Some(trip) => {
-                self.trip_to_fault(trip);
-                None
-            }
-            None => Some(Setpoint { x_d, u_d, u, t_plan: 0.0 }),
+            Some(trip) => self.trip_to_fault(trip),
+            None => *setpoint = Setpoint { x_d, u_d, u, t_plan: 0.0 },
         }
     }
 
@@ -369,8 +369,8 @@ impl Controller {
         let besides = self.disturbance.estimate() - friction;
         let (x, u) = (&self.observer.x, &setpoint.u);
         let law = law::torque(&self.model, x, u, &besides, &self.tau_max, &mut self.work, &mut self.inertia);
-        let torque = law.ok_or(Trip::plain(TripCause::LawNotFinite))?;
-        let torque = self.blend(torque)?;
+        let mut torque = law.ok_or(Trip::plain(TripCause::LawNotFinite))?;
+        self.blend(&mut torque)?;
         self.last = LastCommand { tau: torque.tau, qdd: (!torque.limited).then_some(torque.qdd) };
         if self.blend_cycles > 0 {
             // The torque does not belong to u yet, and the brakes may still be opening.
@@ -384,13 +384,14 @@ impl Controller {
 
     /// Blends the torque at the begin of a mode, from the last torque (none after closed brakes) to that of the mode without a
     /// step; from then on a step is a trip.
-    fn blend(&mut self, torque: Torque) -> Result<Torque, Trip> {
+    fn blend(&mut self, torque: &mut Torque) -> Result<(), Trip> {
         if self.blend_cycles > 0 {
             let near = torque.near(&self.last.tau, &self.checks.torque_step());
             self.blend_cycles = if near.tau == torque.tau { 0 } else { self.blend_cycles - 1 };
-            return Ok(near);
+            *torque = near;
+            return Ok(());
         }
-        self.checks.torque_rate(&self.last.tau, &torque.tau).map_or(Ok(torque), Err)
+        self.checks.torque_rate(&self.last.tau, &torque.tau).map_or(Ok(()), Err)
     }
 
     /// Assembles the telemetry of this cycle.
@@ -412,20 +413,19 @@ impl Controller {
             tau: torque.tau,
             tau_measured: self.observer.tau,
         };
-        Telemetry {
-            seq: self.cycle,
-            t_ns,
-            measurement_seq: measurement.seq,
-            mode: self.mode().code(),
-            fault,
-            warnings: self.checks.warnings().bits(),
-            plan_id: self.mode.plan_id(),
-            flags: flag(!is_new, Telemetry::STALE)
-                | flag(torque.limited, Telemetry::LIMITED)
-                | flag(self.mode.is_braked(), Telemetry::BRAKE),
-            t_plan: setpoint.t_plan,
-            clock: measurement.clock,
-            ..Telemetry::new(self.model.order(), &vectors)
-        }
+        let mut telemetry = Telemetry::new(self.model.order(), &vectors);
+        telemetry.seq = self.cycle;
+        telemetry.t_ns = t_ns;
+        telemetry.measurement_seq = measurement.seq;
+        telemetry.mode = self.mode().code();
+        telemetry.fault = fault;
+        telemetry.warnings = self.checks.warnings().bits();
+        telemetry.plan_id = self.mode.plan_id();
+        telemetry.flags = flag(!is_new, Telemetry::STALE)
+            | flag(torque.limited, Telemetry::LIMITED)
+            | flag(self.mode.is_braked(), Telemetry::BRAKE);
+        telemetry.t_plan = setpoint.t_plan;
+        telemetry.clock = measurement.clock;
+        telemetry
     }
 }

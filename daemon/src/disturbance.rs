@@ -25,6 +25,30 @@ pub struct CommandedMotion<'a> {
     pub reduced_inertia: &'a ActuatedMatrix,
 }
 
+/// Shares of a change that the filters take in a cycle; cycles are as long as each other, so that they are rarely computed.
+#[derive(Clone, Copy, Debug)]
+struct Shares {
+    /// Length of the cycle, s.
+    elapsed: f64,
+    /// Of the velocity filter.
+    lag: f64,
+    /// With the bandwidths L_heavy and L_light.
+    heavy: f64,
+    light: f64,
+}
+
+impl Shares {
+    fn new(settings: &DisturbanceSettings, time_constant: f64, elapsed: f64) -> Self {
+        let share = |rate: f64| -(-elapsed * rate).exp_m1();
+        Self {
+            elapsed,
+            lag: -(-elapsed / time_constant).exp_m1(),
+            heavy: share(settings.bandwidth),
+            light: share(settings.light_bandwidth),
+        }
+    }
+}
+
 /// Disturbance estimate with its filter states.
 #[derive(Clone, Debug)]
 pub struct DisturbanceEstimate {
@@ -34,6 +58,7 @@ pub struct DisturbanceEstimate {
     most: ActuatedVector,
     /// Time constant T_1 of the velocity filter, s.
     time_constant: f64,
+    shares: Shares,
     /// tau^
     estimate: ActuatedVector,
     /// tau^ without its limit, with the bandwidth L_heavy.
@@ -55,6 +80,7 @@ impl DisturbanceEstimate {
             settings: *settings,
             most,
             time_constant,
+            shares: Shares { elapsed: 0.0, lag: 0.0, heavy: 0.0, light: 0.0 },
             estimate: none,
             unlimited: none,
             lagging_estimate: none,
@@ -107,29 +133,32 @@ impl DisturbanceEstimate {
         let last = self.last.replace(*v);
         let (Some(last), Some(CommandedMotion { qdd, reduced_inertia })) = (last, motion) else { return };
         let u = qdd.actuated();
-        let lag = -(-elapsed / self.time_constant).exp_m1();
+        if elapsed != self.shares.elapsed {
+            self.shares = Shares::new(&self.settings, self.time_constant, elapsed);
+        }
+        let Shares { lag, heavy, .. } = self.shares;
         self.lagging_input += (u - self.lagging_input) * lag;
         self.lagging_estimate += (self.estimate - self.lagging_estimate) * lag;
         let unexplained = (v - last) / elapsed - self.lagging_input;
         let torque = reduced_inertia * &unexplained + self.lagging_estimate;
-        self.unlimited += (torque - self.unlimited) * -(-elapsed * self.settings.bandwidth).exp_m1();
-        let estimate = self.estimate + self.share(reduced_inertia, &(torque - self.estimate), elapsed);
+        self.unlimited += (torque - self.unlimited) * heavy;
+        let estimate = self.estimate + self.share(reduced_inertia, &(torque - self.estimate), &self.shares);
         self.estimate = estimate.inf(&self.most).sup(&-self.most);
     }
 
-    /// Part of `change` by which the estimate changes in `elapsed` s, for the inertia M~.
-    fn share(&self, inertia: &ActuatedMatrix, change: &ActuatedVector, elapsed: f64) -> ActuatedVector {
-        let DisturbanceSettings { bandwidth, light_bandwidth, light_inertia, .. } = self.settings;
-        let [heavy, light] = [bandwidth, light_bandwidth].map(|l| -(-elapsed * l).exp_m1());
+    /// Part of `change` by which the estimate changes in a cycle, for the inertia M~.
+    fn share(
+        &self,
+        inertia: &ActuatedMatrix,
+        change: &ActuatedVector,
+        &Shares { heavy, light, .. }: &Shares,
+    ) -> ActuatedVector {
+        let light_inertia = self.settings.light_inertia;
         let taken = change * heavy;
         if light <= heavy {
             return taken;
         }
-        let mut sum = *inertia;
-        for i in 0..change.len() {
-            sum[(i, i)] += light_inertia;
-        }
-        match sum.solve_positive(change) {
+        match inertia.solve_shifted(light_inertia, change) {
             Some(solved) => taken + solved * ((light - heavy) * light_inertia),
             None => taken,
         }
@@ -138,7 +167,7 @@ impl DisturbanceEstimate {
 
 #[cfg(test)]
 mod tests {
-    use super::{CommandedMotion, DisturbanceEstimate};
+    use super::{CommandedMotion, DisturbanceEstimate, Shares};
     use nalgebra::{DMatrix, DVector};
     use upswing_config::{Config, DisturbanceSettings, PendulumStart};
     use upswing_model::{
@@ -243,7 +272,8 @@ mod tests {
         let estimate = DisturbanceEstimate::new(&faster, all(30.0), T_1);
         for (inertia, bandwidth) in [(1e-6, 10.0 * L), (faster.light_inertia, 5.5 * L), (1e6, L)] {
             let inertia = ActuatedMatrix::from_diagonal_element(sizes(), inertia);
-            let taken = estimate.share(&inertia, &all(1.0), 1e-6).amax() * 1e6;
+            let shares = Shares::new(&faster, T_1, 1e-6);
+            let taken = estimate.share(&inertia, &all(1.0), &shares).amax() * 1e6;
             assert!((taken - bandwidth).abs() < 1e-3 * bandwidth, "{taken} instead of {bandwidth} rad/s");
         }
     }

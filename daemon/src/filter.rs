@@ -3,16 +3,39 @@
 
 use upswing_model::{JointVector, Sizes};
 
+/// The share 1 - exp(-t / T_1) of a change that a lag T_1 follows in a number of cycles.
+#[derive(Clone, Copy, Debug)]
+struct Lag {
+    /// Cycle time T_s, s.
+    period: f64,
+    /// T_1, s.
+    time_constant: f64,
+    /// That of one cycle.
+    of_one: f64,
+}
+
+impl Lag {
+    fn new(period: f64, time_constant: f64) -> Self {
+        let of_one = -(-period / time_constant).exp_m1();
+        Self { period, time_constant, of_one }
+    }
+
+    fn share(&self, cycles: u64) -> f64 {
+        if cycles == 1 {
+            self.of_one
+        } else {
+            -(-(cycles as f64) * self.period / self.time_constant).exp_m1()
+        }
+    }
+}
+
 /// s / (T_1 s + 1) for every joint, discretised exactly for positions that are constant over a cycle.
 ///
 /// With the state z: v = (q - z) / T_1 and, one cycle T_s later, z + (1 - exp(-T_s / T_1)) (q - z). The first
 /// sample sets z = q, so that v = 0.
 #[derive(Clone, Debug)]
 pub struct DifferentialFilter {
-    /// Cycle time T_s, s.
-    period: f64,
-    /// Time constant T_1, s.
-    time_constant: f64,
+    lag: Lag,
     /// z and the last q; `None` before the first sample.
     state: Option<(JointVector, JointVector)>,
 }
@@ -20,7 +43,7 @@ pub struct DifferentialFilter {
 impl DifferentialFilter {
     /// Creates a filter with the cycle time T_s = `period` and the time constant T_1, both in s and above 0.
     pub fn new(period: f64, time_constant: f64) -> Self {
-        Self { period, time_constant, state: None }
+        Self { lag: Lag::new(period, time_constant), state: None }
     }
 
     /// Resets the filter: the next sample is its first.
@@ -45,12 +68,10 @@ impl DifferentialFilter {
     pub fn update(&mut self, q: &JointVector, cycles: u64) -> JointVector {
         let z = match &self.state {
             None => *q,
-            Some((z, last)) => {
-                z + (last - z) * -(-(cycles as f64) * self.period / self.time_constant).exp_m1()
-            }
+            Some((z, last)) => z + (last - z) * self.lag.share(cycles),
         };
         self.state = Some((z, *q));
-        (q - z) / self.time_constant
+        (q - z) / self.lag.time_constant
     }
 }
 
@@ -60,10 +81,7 @@ impl DifferentialFilter {
 /// velocity, while the filter alone has an error of T_1 times the whole acceleration.
 #[derive(Clone, Debug)]
 pub struct LagCompensation {
-    /// Cycle time T_s, s.
-    period: f64,
-    /// Time constant T_1, s.
-    time_constant: f64,
+    lag: Lag,
     /// The filtered acceleration a.
     acceleration: JointVector,
 }
@@ -72,7 +90,7 @@ impl LagCompensation {
     /// Creates the compensation for a filter of a chain of `sizes` with the cycle time T_s = `period` and the time constant T_1, both in s
     /// and above 0.
     pub fn new(sizes: Sizes, period: f64, time_constant: f64) -> Self {
-        Self { period, time_constant, acceleration: JointVector::zeros(sizes) }
+        Self { lag: Lag::new(period, time_constant), acceleration: JointVector::zeros(sizes) }
     }
 
     /// Resets the filtered acceleration to 0.
@@ -82,8 +100,7 @@ impl LagCompensation {
 
     /// Takes the acceleration `qdd` of the last `cycles` cycles; returns T_1 a.
     pub fn update(&mut self, qdd: &JointVector, cycles: u64) -> JointVector {
-        let share = -(-(cycles as f64) * self.period / self.time_constant).exp_m1();
-        self.acceleration += (qdd - self.acceleration) * share;
-        self.acceleration * self.time_constant
+        self.acceleration += (qdd - self.acceleration) * self.lag.share(cycles);
+        self.acceleration * self.lag.time_constant
     }
 }

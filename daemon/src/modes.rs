@@ -124,27 +124,42 @@ impl RunningPlan {
         (self.time(now_ns) >= self.loaded.plan.trajectory.t_f).then_some(self.ending)
     }
 
-    /// Track: returns the setpoint at the time `now_ns`.
+    /// Track: writes the setpoint at the time `now_ns`.
     ///
     /// # Errors
     /// The [`Trip`] if the robot is too far from the reference, or the pendulum beyond its range.
-    pub fn track(&self, now_ns: u64, x: &State, checks: &mut Checks) -> Result<Setpoint, Trip> {
+    pub fn track(
+        &self,
+        now_ns: u64,
+        x: &State,
+        checks: &mut Checks,
+        setpoint: &mut Setpoint,
+    ) -> Result<(), Trip> {
         let t_plan = self.time(now_ns);
         let reference = self.loaded.plan.reference(t_plan);
         let lost = checks.tracking(x, &reference.x);
         let u = reference.input(x);
         match checks.pendulum(x).or(lost) {
             Some(trip) => Err(trip),
-            None => Ok(Setpoint { x_d: reference.x, u_d: reference.u, u, t_plan }),
+            None => {
+                *setpoint = Setpoint { x_d: reference.x, u_d: reference.u, u, t_plan };
+                Ok(())
+            }
         }
     }
 
-    /// Balance: returns the setpoint at the end of the plan, with its final gain.
+    /// Balance: writes the setpoint at the end of the plan, with its final gain.
     ///
     /// # Errors
     /// The [`Trip`] if the pendulum or the arm is too far from x_N, the arm would have to move too fast, or the pendulum is beyond its
     /// range.
-    pub fn balance(&self, now_ns: u64, observer: &Observer, checks: &mut Checks) -> Result<Setpoint, Trip> {
+    pub fn balance(
+        &self,
+        now_ns: u64,
+        observer: &Observer,
+        checks: &mut Checks,
+        setpoint: &mut Setpoint,
+    ) -> Result<(), Trip> {
         let (x, end) = (&observer.x, self.end());
         let lost = checks.balance(x, &end.x);
         let u = end.input(x);
@@ -152,7 +167,10 @@ impl RunningPlan {
         let fast = checks.balance_speed(&observer.filtered.actuated(), &u);
         match checks.pendulum(x).or(lost).or(astray).or(fast) {
             Some(trip) => Err(trip),
-            None => Ok(Setpoint { x_d: end.x, u_d: end.u, u, t_plan: self.time(now_ns) }),
+            None => {
+                *setpoint = Setpoint { x_d: end.x, u_d: end.u, u, t_plan: self.time(now_ns) };
+                Ok(())
+            }
         }
     }
 }

@@ -167,7 +167,7 @@ impl Observer {
         self.x = State::new(&q, &(self.filtered + lag));
         (self.filtered_seq, self.cycles) = (self.seq, cycles);
         // The limits apply to the measured motion of the arm, without the accelerations of the model.
-        let arm = checks.arm(&State::new(&q, &self.filtered));
+        let arm = checks.arm(&q, &self.filtered);
         self.unfit = self.unfit.or(arm);
         Observation { is_new: true, restarted }
     }

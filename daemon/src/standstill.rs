@@ -73,16 +73,20 @@ struct PredictedMotion {
 }
 
 impl JointTest {
-    /// Begins with the first measurement of `angle`, with d in a band about `middle`.
-    fn new(angle: f64, middle: f64, band: f64) -> Self {
-        let case = PredictedMotion { y: [0.0; 2], unknown: [middle - band, middle + band] };
-        Self {
-            angle,
-            time: 0.0,
-            estimate: [middle; VIEWS],
-            per_torque: [0.0; 2],
-            cases: [[case; CASES]; VIEWS],
-        }
+    /// Before the first measurement.
+    const NONE: Self = Self {
+        angle: f64::NAN,
+        time: 0.0,
+        estimate: [0.0; VIEWS],
+        per_torque: [0.0; 2],
+        cases: [[PredictedMotion { y: [0.0; 2], unknown: [0.0; 2] }; CASES]; VIEWS],
+    };
+
+    /// Begins at the measured angle with the `speed`, and with d in a band about `middle`.
+    fn begin(&mut self, middle: f64, band: f64, speed: f64) {
+        (self.estimate, self.per_torque) = ([middle; VIEWS], [0.0; 2]);
+        let case = PredictedMotion { y: [0.0, speed], unknown: [middle - band, middle + band] };
+        self.cases = [[case; CASES]; VIEWS];
     }
 }
 
@@ -156,7 +160,7 @@ impl Standstill {
                 &ActuatedVector::repeat(sizes, f64::INFINITY),
                 &(q_max.unactuated() - UnactuatedVector::repeat(sizes, NEAR_STOP)),
             ),
-            joints: vec![JointTest::new(f64::NAN, 0.0, 0.0); sizes.joints()],
+            joints: vec![JointTest::NONE; sizes.joints()],
             pause: 0.0,
             quiet: 0.0,
             estimate: ActuatedVector::zeros(sizes),
@@ -211,12 +215,17 @@ impl Standstill {
             self.quiet = 0.0;
         }
         let slow = self.quiet > QUIET;
-        for (i, joint) in self.joints.iter_mut().enumerate().take(u.len()) {
+        for (i, joint) in self.joints.iter_mut().enumerate() {
+            let is_actuated = i < u.len();
             if joint.time == 0.0 {
-                *joint = JointTest::new(joint.angle, estimate[i], self.settings.unknown[i]);
-                let speed = (qd[i].abs() - NOISE - LAG * u[i].abs()).max(0.0).copysign(qd[i]);
-                joint.cases.as_flattened_mut().iter_mut().for_each(|case| case.y[1] = speed);
-            } else {
+                let (middle, speed) = if is_actuated {
+                    let speed = (qd[i].abs() - NOISE - LAG * u[i].abs()).max(0.0).copysign(qd[i]);
+                    (estimate[i], speed)
+                } else {
+                    (0.0, 0.0)
+                };
+                joint.begin(middle, self.settings.unknown[i], speed);
+            } else if is_actuated {
                 joint.estimate[0] += if slow { change[i] } else { 0.0 };
                 joint.estimate[1] += if i < BEFORE_WRIST { 0.0 } else { change[i] };
             }
@@ -265,7 +274,8 @@ impl Standstill {
         for (i, joint) in self.joints.iter_mut().enumerate() {
             let angle = self.settings.angle[i];
             if q[i] != joint.angle || q[i].abs() > self.reach[i] {
-                *joint = JointTest::new(q[i], 0.0, self.settings.unknown[i]);
+                // The test begins with the next command.
+                (joint.angle, joint.time) = (q[i], 0.0);
                 continue;
             }
             joint.time += elapsed;

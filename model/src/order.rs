@@ -18,7 +18,9 @@ impl Order {
     /// The order of a chain in which joint i is actuated if `actuated[i]`; `None` if there is no [`Sizes`] of it.
     pub(crate) fn new(actuated: &[bool]) -> Option<Self> {
         let sizes = Sizes::new(actuated.len(), actuated.iter().filter(|a| **a).count())?;
-        let (mut coordinate, mut joint) = ([0; MOST_JOINTS], [0; MOST_JOINTS]);
+        // Beyond the joints, each stands where it is: whole memories are sorted without a branch.
+        let each = std::array::from_fn(|i| i as u8);
+        let (mut coordinate, mut joint): ([u8; MOST_JOINTS], [u8; MOST_JOINTS]) = (each, each);
         let (mut next_a, mut next_u) = (0, sizes.actuated());
         for (i, actuated) in actuated.iter().enumerate() {
             let next = if *actuated { &mut next_a } else { &mut next_u };
@@ -64,12 +66,10 @@ impl Order {
     }
 
     /// The values of `sorted` in the chain's order, followed by zeros.
+    #[inline]
     pub fn in_chain(&self, sorted: &JointVector) -> [f64; MOST_JOINTS] {
-        let mut out = [0.0; MOST_JOINTS];
-        for (c, value) in sorted.iter().enumerate() {
-            out[self.joint(c)] = *value;
-        }
-        out
+        debug_assert_eq!(sorted.sizes(), self.sizes);
+        self.coordinate.map(|c| sorted.padded()[usize::from(c) % MOST_JOINTS])
     }
 }
 

@@ -4,6 +4,7 @@
 //! A vector belongs to a [`Space`]: all joints, the actuated ones, the unactuated ones, or the state. Vectors of different spaces are
 //! different types. Entries beyond the length are 0, so that sums and multiples run over the whole memory without a branch.
 
+use crate::{Dims, with_dims};
 use std::fmt;
 use std::marker::PhantomData;
 use std::ops::{
@@ -67,7 +68,7 @@ impl Sizes {
 /// What the entries of a vector belong to.
 pub trait Space: Copy + fmt::Debug + PartialEq + Send + Sync + 'static {
     /// Length of a vector of this space.
-    fn length(sizes: Sizes) -> usize;
+    fn length(sizes: impl Dims) -> usize;
 }
 
 macro_rules! spaces {
@@ -77,8 +78,8 @@ macro_rules! spaces {
         pub struct $name;
 
         impl Space for $name {
-            #[inline]
-            fn length(sizes: Sizes) -> usize {
+            #[inline(always)]
+            fn length(sizes: impl Dims) -> usize {
                 sizes.$length()
             }
         }
@@ -180,7 +181,7 @@ impl<S: Space, const CAPACITY: usize> Vector<S, CAPACITY> {
     /// Products of the entries.
     #[inline]
     pub fn component_mul(&self, other: &Self) -> Self {
-        self.zip_map(other, |a, b| a * b)
+        self.zip_whole(other, |a, b| a * b)
     }
 
     /// Quotients of the entries.
@@ -190,13 +191,26 @@ impl<S: Space, const CAPACITY: usize> Vector<S, CAPACITY> {
     }
 
     /// The smaller ones of the entries.
+    #[inline]
     pub fn inf(&self, other: &Self) -> Self {
-        self.zip_map(other, f64::min)
+        self.zip_whole(other, f64::min)
     }
 
     /// The larger ones of the entries.
+    #[inline]
     pub fn sup(&self, other: &Self) -> Self {
-        self.zip_map(other, f64::max)
+        self.zip_whole(other, f64::max)
+    }
+
+    /// `f` of the entries of both over the whole memory, for an `f` that is 0 of zeros.
+    #[inline]
+    fn zip_whole(&self, other: &Self, f: impl Fn(f64, f64) -> f64) -> Self {
+        debug_assert_eq!(self.sizes, other.sizes);
+        let mut out = Self::zeros(self.sizes);
+        for i in 0..CAPACITY {
+            out.values[i] = f(self.values[i], other.values[i]);
+        }
+        out
     }
 
     /// Absolute values of the entries.
@@ -275,9 +289,8 @@ macro_rules! entrywise {
             type Output = Self;
 
             #[inline]
-            fn $operator(mut self, other: Self) -> Self {
-                self.$assign(&other);
-                self
+            fn $operator(self, other: Self) -> Self {
+                (&self).$operator(&other)
             }
         }
 
@@ -285,9 +298,8 @@ macro_rules! entrywise {
             type Output = Self;
 
             #[inline]
-            fn $operator(mut self, other: &Self) -> Self {
-                self.$assign(other);
-                self
+            fn $operator(self, other: &Self) -> Self {
+                (&self).$operator(other)
             }
         }
 
@@ -296,7 +308,7 @@ macro_rules! entrywise {
 
             #[inline]
             fn $operator(self, other: Vector<S, CAPACITY>) -> Vector<S, CAPACITY> {
-                (*self).$operator(&other)
+                self.$operator(&other)
             }
         }
 
@@ -305,7 +317,13 @@ macro_rules! entrywise {
 
             #[inline]
             fn $operator(self, other: Self) -> Vector<S, CAPACITY> {
-                (*self).$operator(other)
+                debug_assert_eq!(self.sizes, other.sizes);
+                // Not a changed copy: copies of whole vectors are calls.
+                let mut out = Vector::zeros(self.sizes);
+                for i in 0..CAPACITY {
+                    out.values[i] = self.values[i].$operator(other.values[i]);
+                }
+                out
             }
         }
     )*};
@@ -319,8 +337,7 @@ entrywise! {
 impl<S: Space, const CAPACITY: usize> MulAssign<f64> for Vector<S, CAPACITY> {
     #[inline]
     fn mul_assign(&mut self, factor: f64) {
-        // Only the entries: a factor that is not finite would make the zeros beyond them NaN.
-        self.iter_mut().for_each(|v| *v *= factor);
+        *self = &*self * factor;
     }
 }
 
@@ -328,9 +345,8 @@ impl<S: Space, const CAPACITY: usize> Mul<f64> for Vector<S, CAPACITY> {
     type Output = Self;
 
     #[inline]
-    fn mul(mut self, factor: f64) -> Self {
-        self *= factor;
-        self
+    fn mul(self, factor: f64) -> Self {
+        &self * factor
     }
 }
 
@@ -339,7 +355,18 @@ impl<S: Space, const CAPACITY: usize> Mul<f64> for &Vector<S, CAPACITY> {
 
     #[inline]
     fn mul(self, factor: f64) -> Vector<S, CAPACITY> {
-        *self * factor
+        let mut out = Vector::zeros(self.sizes);
+        if factor.is_finite() {
+            for i in 0..CAPACITY {
+                out.values[i] = self.values[i] * factor;
+            }
+        } else {
+            // The zeros beyond the entries would become NaN.
+            for (out, v) in out.iter_mut().zip(self.iter()) {
+                *out = v * factor;
+            }
+        }
+        out
     }
 }
 
@@ -365,7 +392,7 @@ impl<S: Space, const CAPACITY: usize> Neg for Vector<S, CAPACITY> {
 
     #[inline]
     fn neg(self) -> Self {
-        self.map(|v| -v)
+        -&self
     }
 }
 
@@ -374,7 +401,11 @@ impl<S: Space, const CAPACITY: usize> Neg for &Vector<S, CAPACITY> {
 
     #[inline]
     fn neg(self) -> Vector<S, CAPACITY> {
-        -*self
+        let mut out = Vector::zeros(self.sizes);
+        for i in 0..CAPACITY {
+            out.values[i] = -self.values[i];
+        }
+        out
     }
 }
 
@@ -604,6 +635,30 @@ impl<R: Space, C: Space> Matrix<R, C> {
     }
 }
 
+impl<R: Space, C: Space> Matrix<R, C> {
+    /// A row has four sums, of the columns j with the same j mod 4: they run side by side, on registers of any width.
+    #[inline]
+    fn times_here(&self, d: impl Dims, v: &Vector<C, MOST_JOINTS>) -> Vector<R, MOST_JOINTS> {
+        const SUMS: usize = 4;
+        let columns = C::length(d).min(MOST_JOINTS);
+        let whole = columns / SUMS * SUMS;
+        let mut out = Vector::zeros(self.sizes);
+        for (out, row) in out.values.iter_mut().zip(&self.rows).take(R::length(d)) {
+            let mut sums = [0.0; SUMS];
+            for first in (0..whole).step_by(SUMS) {
+                for (l, sum) in sums.iter_mut().enumerate() {
+                    *sum += row[first + l] * v.values[first + l];
+                }
+            }
+            for j in whole..columns {
+                sums[j - whole] += row[j] * v.values[j];
+            }
+            *out = (sums[0] + sums[1]) + (sums[2] + sums[3]);
+        }
+        out
+    }
+}
+
 impl JointMatrix {
     /// The block of the unactuated joints, as M_UU of M.
     pub fn unactuated(&self) -> UnactuatedMatrix {
@@ -629,44 +684,59 @@ impl<S: Space> Matrix<S, S> {
 
     /// x of M x = `b` for this matrix M, symmetric, of which the lower triangle is read, by the Cholesky decomposition; `None` if M is not
     /// positive definite.
-    #[inline]
     pub fn solve_positive(&self, b: &Vector<S, MOST_JOINTS>) -> Option<Vector<S, MOST_JOINTS>> {
-        let n = S::length(self.sizes);
-        let mut l = self.rows;
-        for j in 0..n {
-            for i in j..n {
-                let mut sum = l[i][j];
+        self.solve_shifted(0.0, b)
+    }
+
+    /// x of (M + `shift` I) x = `b`, as [`Self::solve_positive`].
+    pub fn solve_shifted(&self, shift: f64, b: &Vector<S, MOST_JOINTS>) -> Option<Vector<S, MOST_JOINTS>> {
+        let mut x = *b;
+        with_dims!(self.sizes, |d| self.solve_here(d, shift, &mut x)).then_some(x)
+    }
+
+    /// Solves in place; returns whether the matrix is positive definite.
+    #[inline(never)]
+    fn solve_here(&self, d: impl Dims, shift: f64, x: &mut Vector<S, MOST_JOINTS>) -> bool {
+        let n = S::length(d).min(MOST_JOINTS);
+        let x = &mut x.values;
+        // L by rows, without what is above the diagonal.
+        let mut l = [0.0; MOST_JOINTS * (MOST_JOINTS + 1) / 2];
+        let row = |i: usize| i * (i + 1) / 2;
+        for i in 0..n {
+            let (above, from_here) = l.split_at_mut(row(i));
+            let current = &mut from_here[..=i];
+            current.copy_from_slice(&self.rows[i][..=i]);
+            current[i] += shift;
+            for j in 0..i {
+                let other = &above[row(j)..][..=j];
+                let mut sum = current[j];
                 for k in 0..j {
-                    sum -= l[i][k] * l[j][k];
+                    sum -= current[k] * other[k];
                 }
-                l[i][j] = sum;
+                current[j] = sum / other[j];
+            }
+            let mut sum = current[i];
+            for k in 0..i {
+                sum -= current[k] * current[k];
             }
             // Written so that NaN is refused.
-            if !(l[j][j] > 0.0) {
-                return None;
+            if !(sum > 0.0) {
+                return false;
             }
-            let root = l[j][j].sqrt();
-            l[j][j] = root;
-            for row in l.iter_mut().take(n).skip(j + 1) {
-                row[j] /= root;
-            }
-        }
-        let mut x = *b;
-        for i in 0..n {
+            current[i] = sum.sqrt();
             let mut sum = x[i];
             for k in 0..i {
-                sum -= l[i][k] * x[k];
+                sum -= current[k] * x[k];
             }
-            x[i] = sum / l[i][i];
+            x[i] = sum / current[i];
         }
         for i in (0..n).rev() {
-            let mut sum = x[i];
-            for k in i + 1..n {
-                sum -= l[k][i] * x[k];
+            x[i] /= l[row(i) + i];
+            for k in 0..i {
+                x[k] -= l[row(i) + k] * x[i];
             }
-            x[i] = sum / l[i][i];
         }
-        Some(x)
+        true
     }
 }
 
@@ -691,7 +761,7 @@ impl<R: Space, C: Space> Mul<&Vector<C, MOST_JOINTS>> for &Matrix<R, C> {
 
     #[inline]
     fn mul(self, v: &Vector<C, MOST_JOINTS>) -> Vector<R, MOST_JOINTS> {
-        Vector::from_fn(self.sizes, |i| self.row(i).iter().zip(v.iter()).map(|(m, v)| m * v).sum())
+        with_dims!(self.sizes, |d| self.times_here(d, v))
     }
 }
 

@@ -3,7 +3,7 @@
 use crate::kernels::{dot, shift_add};
 use std::marker::PhantomData;
 use std::ops::Range;
-use upswing_model::{ActuatedVector, LARGEST_STATE, MOST_JOINTS, Sizes, Space, State, States, Vector};
+use upswing_model::{ActuatedVector, Dims, LARGEST_STATE, MOST_JOINTS, Sizes, Space, State, States, Vector};
 
 /// Largest dimension of z = (x, u), rounded up to full vector registers.
 pub const LARGEST_KNOT: usize = LARGEST_STATE + MOST_JOINTS;
@@ -13,8 +13,8 @@ pub const LARGEST_KNOT: usize = LARGEST_STATE + MOST_JOINTS;
 pub struct Knots;
 
 impl Space for Knots {
-    #[inline]
-    fn length(sizes: Sizes) -> usize {
+    #[inline(always)]
+    fn length(sizes: impl Dims) -> usize {
         sizes.knot()
     }
 }

@@ -1,6 +1,6 @@
 //! Feedback gains of a trajectory, in one slab of memory.
 
-use upswing_model::{ActuatedVector, Sizes, State};
+use upswing_model::{ActuatedVector, Dims, Sizes, State, with_dims};
 
 /// Feedback gains K (22) of a trajectory: K_0..K_N at its knots, and the gain that holds x_N.
 ///
@@ -160,11 +160,32 @@ impl InterpolatedGain<'_> {
     /// du = K `dx`. Does not allocate.
     #[inline]
     pub fn times(&self, dx: &State) -> ActuatedVector {
+        with_dims!(self.from.sizes, |d| self.times_here(d, dx))
+    }
+
+    /// A row has four sums, of the columns j with the same j mod 4: they run side by side, on registers of any width.
+    #[inline]
+    fn times_here(&self, d: impl Dims, dx: &State) -> ActuatedVector {
+        const SUMS: usize = 4;
+        let columns = d.state();
+        let whole = columns / SUMS * SUMS;
+        let dx = &dx[..columns];
+        let (from, to) =
+            (&self.from.entries[..d.actuated() * columns], &self.to.entries[..d.actuated() * columns]);
         let mut du = ActuatedVector::zeros(self.from.sizes);
-        for ((du, from), to) in du.iter_mut().zip(self.from.rows()).zip(self.to.rows()) {
-            for ((from, to), dx) in from.iter().zip(to).zip(dx.iter()) {
-                *du += (from + (to - from) * self.share) * dx;
+        let rows = from.chunks_exact(columns).zip(to.chunks_exact(columns));
+        for (du, (from, to)) in du.iter_mut().zip(rows) {
+            let product = |j: usize| (from[j] + (to[j] - from[j]) * self.share) * dx[j];
+            let mut sums = [0.0; SUMS];
+            for first in (0..whole).step_by(SUMS) {
+                for (l, sum) in sums.iter_mut().enumerate() {
+                    *sum += product(first + l);
+                }
             }
+            for j in whole..columns {
+                sums[j - whole] += product(j);
+            }
+            *du = (sums[0] + sums[1]) + (sums[2] + sums[3]);
         }
         du
     }

@@ -53,7 +53,7 @@ impl Plan {
         let spline = self.spline();
         let (k, dt) = spline.locate(t);
         let gain = self.gains.between(k, dt / self.trajectory.h());
-        Reference { x: spline.state(t), u: spline.input(t), gain }
+        Reference { x: spline.state_in(k, dt), u: spline.input_in(k, dt), gain }
     }
 
     /// The reference after t_F: x_N, u = 0 and the gain that holds x_N.

@@ -1,7 +1,7 @@
 //! A trajectory: its knots, and the spline between them.
 
 use crate::largest;
-use upswing_model::{ActuatedVector, Model, Sizes, State, Workspace};
+use upswing_model::{ActuatedVector, Dims, Model, Sizes, State, Workspace, with_dims};
 
 /// The trajectory xi = (t_F, x_0..x_N, u_0..u_N) (7), with knots uniform over [0, t_F].
 ///
@@ -126,13 +126,34 @@ impl Spline<'_> {
     #[inline]
     pub fn state(&self, t: f64) -> State {
         let (k, dt) = self.locate(t);
-        self.x[k] + self.f[k] * dt + (self.f[k + 1] - self.f[k]) * (dt * dt / (2.0 * self.h()))
+        self.state_in(k, dt)
+    }
+
+    /// x(t) (12) in the interval `k`, `dt` s after its knot.
+    #[inline]
+    pub(crate) fn state_in(&self, k: usize, dt: f64) -> State {
+        let (x, f, next) = (&self.x[k], &self.f[k], &self.f[k + 1]);
+        let half = dt * dt / (2.0 * self.h());
+        with_dims!(x.sizes(), |d| {
+            let mut out = State::zeros(x.sizes());
+            let n = d.state();
+            for (out, ((x, f), next)) in out[..n].iter_mut().zip(x[..n].iter().zip(&f[..n]).zip(&next[..n])) {
+                *out = x + f * dt + (next - f) * half;
+            }
+            out
+        })
     }
 
     /// u(t) (12).
     #[inline]
     pub fn input(&self, t: f64) -> ActuatedVector {
         let (k, dt) = self.locate(t);
+        self.input_in(k, dt)
+    }
+
+    /// u(t) (12) in the interval `k`, `dt` s after its knot.
+    #[inline]
+    pub(crate) fn input_in(&self, k: usize, dt: f64) -> ActuatedVector {
         self.u[k] + (self.u[k + 1] - self.u[k]) * (dt / self.h())
     }
 

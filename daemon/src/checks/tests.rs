@@ -228,7 +228,7 @@ fn levels_of_the_joints() {
         TripCause::VelocityLimit,
         arm(),
         |i| share(levels.velocity_fraction, qd_max[i]),
-        |checks, qd| checks.arm(&State::new(&JointVector::zeros(sizes()), qd)),
+        |checks, qd| checks.arm(&JointVector::zeros(sizes()), qd),
     );
     is_a_level(
         TripCause::TorqueLimit,
@@ -293,11 +293,11 @@ fn differences_are_taken_the_right_way_round() {
 fn positions() {
     let config = config();
     let mut checks = CHECKS.clone();
-    is_a_range(TripCause::PositionLimit, arm(), &config, |checks, x| checks.arm(x));
+    is_a_range(TripCause::PositionLimit, arm(), &config, |checks, x| checks.arm(&x.q(), &x.qd()));
     is_a_range(TripCause::PendulumRange, pendulum(), &config, |checks, x| checks.pendulum(x));
     // A position limit takes precedence over a velocity limit.
     let x = State::repeat(sizes(), 1e9);
-    assert_eq!(checks.arm(&x).map(|trip| trip.cause), Some(TripCause::PositionLimit));
+    assert_eq!(checks.arm(&x.q(), &x.qd()).map(|trip| trip.cause), Some(TripCause::PositionLimit));
     assert_eq!(checks.warnings.bits(), TripCause::PositionLimit.bit() | TripCause::VelocityLimit.bit());
 }
 

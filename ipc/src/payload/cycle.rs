@@ -199,6 +199,7 @@ impl Telemetry {
     pub const BRAKE: u64 = 1 << 3;
 
     /// A record with these vectors; all else is 0.
+    #[inline]
     pub fn new(order: &Order, vectors: &CycleVectors) -> Self {
         let (joints, actuated) = chain::numbers(order.sizes());
         Self {
