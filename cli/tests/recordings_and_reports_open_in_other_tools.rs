@@ -38,7 +38,7 @@ fn blind(dir: &Path) -> String {
     let config = Config::embedded().expect("the settings load");
     let mut recorder = Recorder::create(file.as_ref(), &config, []).expect("the file is made");
     let cycle = |seq: u64| {
-        let mut t = Telemetry { seq, t_ns: seq * 10_000_000, ..Telemetry::default() };
+        let mut t = Telemetry { seq, t_ns: seq * 10_000_000, joints: 9, actuated: 7, ..Telemetry::default() };
         t.q[8] = if seq < 50 { 0.1 } else { f64::NAN };
         t
     };

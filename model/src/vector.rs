@@ -334,28 +334,10 @@ entrywise! {
     Sub sub, SubAssign sub_assign;
 }
 
-impl<S: Space, const CAPACITY: usize> MulAssign<f64> for Vector<S, CAPACITY> {
+impl<S: Space, const CAPACITY: usize> Vector<S, CAPACITY> {
     #[inline]
-    fn mul_assign(&mut self, factor: f64) {
-        *self = &*self * factor;
-    }
-}
-
-impl<S: Space, const CAPACITY: usize> Mul<f64> for Vector<S, CAPACITY> {
-    type Output = Self;
-
-    #[inline]
-    fn mul(self, factor: f64) -> Self {
-        &self * factor
-    }
-}
-
-impl<S: Space, const CAPACITY: usize> Mul<f64> for &Vector<S, CAPACITY> {
-    type Output = Vector<S, CAPACITY>;
-
-    #[inline]
-    fn mul(self, factor: f64) -> Vector<S, CAPACITY> {
-        let mut out = Vector::zeros(self.sizes);
+    fn scaled(&self, factor: f64) -> Self {
+        let mut out = Self::zeros(self.sizes);
         if factor.is_finite() {
             for i in 0..CAPACITY {
                 out.values[i] = self.values[i] * factor;
@@ -367,6 +349,31 @@ impl<S: Space, const CAPACITY: usize> Mul<f64> for &Vector<S, CAPACITY> {
             }
         }
         out
+    }
+}
+
+impl<S: Space, const CAPACITY: usize> MulAssign<f64> for Vector<S, CAPACITY> {
+    #[inline]
+    fn mul_assign(&mut self, factor: f64) {
+        *self = self.scaled(factor);
+    }
+}
+
+impl<S: Space, const CAPACITY: usize> Mul<f64> for Vector<S, CAPACITY> {
+    type Output = Self;
+
+    #[inline]
+    fn mul(self, factor: f64) -> Self {
+        self.scaled(factor)
+    }
+}
+
+impl<S: Space, const CAPACITY: usize> Mul<f64> for &Vector<S, CAPACITY> {
+    type Output = Vector<S, CAPACITY>;
+
+    #[inline]
+    fn mul(self, factor: f64) -> Vector<S, CAPACITY> {
+        self.scaled(factor)
     }
 }
 

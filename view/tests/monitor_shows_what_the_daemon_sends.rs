@@ -52,8 +52,8 @@ fn in_each_mode() {
         let text = picture(&view(records), &KeyState::new(&CONFIG), 120, 34);
         assert!(text.contains(name), "{text}");
         let newest = records.last().expect("a record");
-        for (i, q) in newest.q.iter().enumerate() {
-            let angle = format!(" q{}{:>10.2} ", i + 1, q.to_degrees());
+        for (name, q) in CONFIG.model.joint_names().zip(&newest.q) {
+            let angle = format!(" {name:10}{:>8.2} deg ", q.to_degrees());
             assert!(text.contains(&angle), "expected `{angle}` in\n{text}");
         }
         assert!(text.contains("mode hold") && text.contains("enable"), "{text}");

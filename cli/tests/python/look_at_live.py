@@ -81,7 +81,7 @@ def look(browser, url, token, folder, blind):
     watch(page, "modefault")
     watch(page, "rodunknown")
     # The newest sample of the motion may be a frame older than the state.
-    page.wait_for_function("() => document.getElementById('readout').textContent.includes('q9     NaN deg')")
+    page.wait_for_function("() => document.getElementById('readout').textContent.includes('pendulum_2     NaN deg')")
     page.screenshot(path=folder / "blind.png", full_page=True)
 
 

@@ -116,8 +116,7 @@ addEventListener("DOMContentLoaded", () => {
     }
     const q = newest("q");
     scene.draw(q, follows(last.name) ? newest("q_d") : null, trail);
-    const deg = i => (q[i] * 180 / Math.PI).toFixed(1).padStart(7);
-    $("readout").textContent = `mode ${last.name}\nq8 ${deg(7)} deg\nq9 ${deg(8)} deg`;
+    $("readout").textContent = [`mode ${last.name}`, ...freeJoints(data.joints, i => q[i])].join("\n");
     panels.forEach(panel => { panel.render(); panel.draw(end, column => column[column.length - 1]); });
     drawTimeline($("timeline"), spans, late, t[0], end, end);
   }

@@ -69,9 +69,7 @@ addEventListener("DOMContentLoaded", () => {
     for (let s = Math.max(begin, now - 1); s < now; s += 0.02) trail.push(scene.tip(q.map(c => at(c, place(s)))));
     trail.push(scene.tip(angles(q)));
     scene.draw(angles(q), isMoving(mode) ? angles(desired) : null, trail);
-    const free = data.joints.map((joint, i) => ({ ...joint, i })).filter(joint => joint.motor === null);
-    const shown = joint => joint.unit === "deg" ? (at(q[joint.i], where) * 180 / Math.PI).toFixed(1) : at(q[joint.i], where).toFixed(3);
-    $("readout").textContent = [`mode ${mode}`, ...free.map(joint => `${joint.name} ${shown(joint).padStart(7)} ${joint.unit}`)].join("\n");
+    $("readout").textContent = [`mode ${mode}`, ...freeJoints(data.joints, i => at(q[i], where))].join("\n");
     $("clock").textContent = `${now.toFixed(3)} s`;
     scrub.value = now;
     panels.forEach(panel => panel.draw(now, column => at(column, where)));

@@ -31,6 +31,14 @@ function ticks(from, to, count) {
   return result;
 }
 
+// One line of text for each joint without a motor. `position(i)`: position of joint i, rad or m.
+function freeJoints(joints, position) {
+  return joints.map((joint, i) => ({ ...joint, q: position(i) })).filter(joint => joint.motor === null).map(joint => {
+    const shown = joint.unit === "deg" ? (joint.q * 180 / Math.PI).toFixed(1) : joint.q.toFixed(3);
+    return `${joint.name} ${shown.padStart(7)} ${joint.unit}`;
+  });
+}
+
 // Panel with curves of joints over time. `curves`: { label, colour, values, desired, parts }.
 class Panel {
   constructor(parent, title, t, curves, seek) {
