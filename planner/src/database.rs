@@ -17,7 +17,7 @@ pub use verify::{Discrepancy, RecordFlaw, verify};
 
 use crate::offline::problem_fingerprint;
 use std::path::{Path, PathBuf};
-use upswing_config::{Config, Manoeuvre, TargetValue};
+use upswing_config::{Config, Manoeuvre, TargetRow, TargetValue};
 use upswing_model::thresholds::EQUILIBRIUM_ACCELERATION;
 use upswing_model::{ActuatedVector, Posture, State, UnactuatedVector, Workspace};
 use upswing_process::output::OutputError;
@@ -250,17 +250,22 @@ fn start_of(config: &Config, manoeuvre: &Manoeuvre, q_a: &ActuatedVector) -> Opt
             let start = config.start_state(q_a, grid.start).ok();
             start.filter(|x| x.q_u().amax() <= grid.max_rest_angle)
         }
-        Posture::Standing => standing(config, manoeuvre, q_a),
+        Posture::Standing => standing_in(config, &manoeuvre.target, q_a),
     }
 }
 
-/// The state at rest with the actuated joints at `q_a` and the unactuated ones as they stand in the target; `None` if they are not in
-/// equilibrium there.
-fn standing(config: &Config, manoeuvre: &Manoeuvre, q_a: &ActuatedVector) -> Option<State> {
+/// The state at rest with the actuated joints at `q_a` (rad or m) from which manoeuvre number `manoeuvre` starts standing: the unactuated
+/// joints are as they stand in its target, or in that of the manoeuvre that it reverses. `None` if they are not in equilibrium there.
+pub fn standing(config: &Config, manoeuvre: usize, q_a: &ActuatedVector) -> Option<State> {
+    let source = config.manoeuvres[manoeuvre].reverses.unwrap_or(manoeuvre);
+    standing_in(config, &config.manoeuvres[source].target, q_a)
+}
+
+fn standing_in(config: &Config, target: &[TargetRow], q_a: &ActuatedVector) -> Option<State> {
     let model = &config.model;
     let sizes = model.sizes();
     let mut q_u = UnactuatedVector::zeros(sizes);
-    for row in &manoeuvre.target {
+    for row in target {
         let mut joints = row.coefficients.iter().enumerate().filter(|(_, c)| **c != 0.0);
         if let (Some((joint, c)), None, TargetValue::Fixed(value)) = (joints.next(), joints.next(), row.value)
             && joint >= sizes.actuated()
