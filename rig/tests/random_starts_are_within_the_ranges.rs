@@ -15,8 +15,8 @@ fn starts_are_at_rest_within_40_degrees() {
     let mut work = Workspace::default();
     for index in 0..500 {
         let x = starts.start(index).expect("a start");
-        let varied: Vec<usize> = config.grid.axes.iter().map(|a| a.joint).collect();
-        for a in &config.grid.axes {
+        let varied: Vec<usize> = config.manoeuvres[0].grid.axes.iter().map(|a| a.joint).collect();
+        for a in &config.manoeuvres[0].grid.axes {
             assert!((a.from..=a.to).contains(&x[a.joint]), "start {index}, joint {}", a.joint + 1);
         }
         assert!((0..7).all(|i| varied.contains(&i) || x[i] == 0.0));
@@ -31,7 +31,7 @@ fn starts_are_at_rest_within_40_degrees() {
 fn joint_1_which_no_rule_restricts_is_uniform() {
     let config = config();
     let starts = RandomStarts { config: &config, seed: 0 };
-    let GridAxis { from, to, .. } = config.grid.axes[0];
+    let GridAxis { from, to, .. } = config.manoeuvres[0].grid.axes[0];
     let mut tenths = [0; 10];
     for index in 0..5000 {
         let x = starts.start(index).expect("a start");
@@ -58,7 +58,7 @@ fn seed_and_number_are_all_that_matters() {
 fn ranges_without_a_rest_position_are_refused() {
     let mut config = config();
     // At a pitch of 0 the pendulum would rest at -90 deg.
-    for a in &mut config.grid.axes {
+    for a in &mut config.manoeuvres[0].grid.axes {
         (a.from, a.to) = (0.0, 0.0);
     }
     assert_eq!(RandomStarts { config: &config, seed: 0 }.start(0), Err(NoStart));
