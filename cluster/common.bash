@@ -29,7 +29,7 @@ read_options() {
     settings=() inputs=("$upswing")
     if [[ -n $config ]]; then
         [[ -d $config ]] || refuse "-c: expected a folder of settings, got $config"
-        settings+=(--config "$(realpath "$config")")
+        settings+=(--system "$(realpath "$config")")
         inputs+=("$config"/*.toml "$config"/*.urdf)
     fi
     # A file, or a name that upswing knows.

@@ -31,7 +31,7 @@ class Daemon:
             manager.settimeout(20)
             begin = time.monotonic()
             self.process = subprocess.Popen(
-                [programs / "upswingd", "--config", settings, "--domain", domain],
+                [programs / "upswingd", "--system", settings, "--domain", domain],
                 env=os.environ | {"NOTIFY_SOCKET": f"{folder}/notify"},
                 stderr=subprocess.DEVNULL,
             )

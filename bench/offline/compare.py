@@ -11,7 +11,6 @@ import os
 import platform
 import re
 import resource
-import shutil
 import statistics
 import subprocess
 import sys
@@ -45,16 +44,14 @@ def arguments():
     return options
 
 
-def settings_folder(torque: str, folder: Path) -> Path:
-    """A copy of the repository's settings with the torque constraint asked for; both sides read it."""
-    for file in (ROOT / "config").glob("*.*"):
-        if file.suffix in (".toml", ".urdf", ".bin") and file.name != "Cargo.toml":
-            shutil.copy(file, folder)
+def settings_folder(upswing: Path, torque: str, folder: Path) -> Path:
+    """The settings in full with the torque constraint asked for; both sides read them."""
+    subprocess.run([upswing, "config", "export", folder], check=True, stdout=subprocess.DEVNULL)
     planner = folder / "planner.toml"
     # The first one, of the section [offline]; a replan has its own.
     text, count = re.subn(r'(?m)^torque = ".*"$', f'torque = "{torque}"', planner.read_text(), count=1)
     if count != 1:
-        sys.exit("error: config/planner.toml: expected a line `torque = ...`, got none")
+        sys.exit("error: planner.toml: expected a line `torque = ...`, got none")
     planner.write_text(text)
     return folder
 
@@ -68,7 +65,7 @@ def check_model(upswing: Path, folder: Path, model: ca.Function):
     ]
     lines = "\n".join(json.dumps({k: list(v) for k, v in state.items()}) for state in states)
     answer = subprocess.run(
-        [upswing, "model", "eval", "--config", folder], input=lines, capture_output=True, text=True
+        [upswing, "model", "eval", "--system", folder], input=lines, capture_output=True, text=True
     )
     if answer.returncode:
         sys.exit(f"error: `upswing model eval` failed: {answer.stderr.strip()}")
@@ -105,7 +102,7 @@ def grid_starts(peer: Peer, points: int) -> list[list[float]]:
 
 
 def solve_with_upswing(upswing: Path, folder: Path, pose: list[float]) -> dict:
-    command = [upswing, "optimize", "--json", "--config", folder, "--start", ",".join(f"{v:.12g}" for v in pose)]
+    command = [upswing, "optimize", "--json", "--system", folder, "--start", ",".join(f"{v:.12g}" for v in pose)]
     before = cpu_seconds(resource.RUSAGE_CHILDREN)
     answer = subprocess.run(command, capture_output=True, text=True)
     cpu = cpu_seconds(resource.RUSAGE_CHILDREN) - before
@@ -253,7 +250,7 @@ def main():
         "core": core,
     }
     with tempfile.TemporaryDirectory() as temporary:
-        folder = settings_folder(options.torque, Path(temporary))
+        folder = settings_folder(options.upswing, options.torque, Path(temporary))
         peer = Peer(folder, options.torque, ROOT / "bench" / ".cache")
         check_model(upswing, folder, peer.model)
         print(f"CasADi {ca.__version__}, {report['versions']['ipopt']}")

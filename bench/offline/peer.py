@@ -65,7 +65,11 @@ class Settings:
         bound = {
             key: per_joint(v, names[:NU]) if torque == "paper" else 0.0 for key, v in robot["coriolis_bound"].items()
         }
-        grid = tomllib.loads((folder / "grid-paper.toml").read_text())["joints"]
+        grid = tomllib.loads((folder / "grid-paper.toml").read_text())["grid"]
+        # The target (8): the pitch of the flange is the only sum of joints.
+        target = tomllib.loads((folder / "manoeuvres.toml").read_text())["manoeuvre"][0]["target"]
+        pitch = next(row["value_deg"] for row in target if "coefficients" in row)
+        q8 = next(row["value_deg"] for row in target if row.get("joint") == names[NU])
         return cls(
             q_max=np.radians(q_deg),
             qd_max=np.radians(per_joint(limits["qd_deg_s"], names)) * share,
@@ -74,8 +78,8 @@ class Settings:
             input_weight=offline["input_weight"],
             t_f=(offline["t_f_min_s"], offline["t_f_max_s"]),
             max_iterations=offline["max_iterations"],
-            pitch=np.radians(robot["target"]["pitch_deg"]),
-            q8=np.radians(robot["target"]["q8_deg"]),
+            pitch=np.radians(pitch),
+            q8=np.radians(q8),
             grid=[{**axis, "joint": names.index(axis["joint"])} for axis in grid],
         )
 

@@ -179,7 +179,7 @@ def torques_of(case: Case, peer: Pinocchio, x, seconds: float):
 
 
 def compare(urdf: str, motion: Path, seconds: float, folder: Path) -> list[dict]:
-    path = ROOT / "config" / urdf
+    path = ROOT / "config" / "systems" / "iiwa-pendulum" / urdf
     scenario = folder / f"{path.stem}.toml"
     scenario.write_text(SCENARIO.format(urdf=path))
     plant, peers = Upswing(motion, scenario), [Pinocchio(path), MuJoCo(path)]

@@ -24,10 +24,11 @@ pub fn run(count: u64) {
     requests(&starts(&config(), count));
     let folder = tempfile::tempdir().expect("a folder");
     let settings = folder.path().join("config");
-    upswing_planner::export(&settings, Default::default()).unwrap_or_else(|e| panic!("{e}"));
+    upswing_planner::export(&Config::embedded().expect("embedded settings"), &settings, Default::default())
+        .unwrap_or_else(|e| panic!("{e}"));
     memory(&System::start_with(Clock::Paced, POSE_DEG, Some(&settings)), entries(&config()));
     shorten(&settings);
-    let shortened = Config::load(Some(&settings)).unwrap_or_else(|e| panic!("{e}"));
+    let shortened = Config::from_dir(&settings).unwrap_or_else(|e| panic!("{e}"));
     memory(&System::start_with(Clock::Paced, POSE_DEG, Some(&settings)), entries(&shortened));
 }
 
@@ -90,7 +91,7 @@ fn entries(config: &Config) -> usize {
 
 /// Keeps as many entries of the database in a settings folder as the paper's has.
 fn shorten(settings: &std::path::Path) {
-    let path = settings.join("database.bin");
+    let path = settings.join("swing-up.bin");
     let bytes = std::fs::read(&path).expect("the exported database");
     let mut database = Database::decode(&bytes).unwrap_or_else(|e| panic!("{e}"));
     database.records.retain(|r| matches!(r.outcome, PoseOutcome::Solved(_)));

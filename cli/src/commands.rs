@@ -99,8 +99,8 @@ fn own_system(
     let logs = std::env::temp_dir().join(&name);
     std::fs::create_dir_all(&logs)
         .map_err(|e| Failure::failed(format!("cannot create {}: {e}", logs.display())))?;
-    let config = common.process.config.clone();
-    Ok((domain, SessionOptions { config, domain: name, clock, start: Some(start), scenario, logs }))
+    let system = common.process.system.clone();
+    Ok((domain, SessionOptions { system, domain: name, clock, start: Some(start), scenario, logs }))
 }
 
 /// Converts the error of a session: invalid inputs to [`Failure::BadInput`]; other messages name the folder `logs`.

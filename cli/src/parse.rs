@@ -2,8 +2,7 @@
 
 use upswing_config::Config;
 use upswing_config::PendulumStart;
-use upswing_model::{Posture, StartError, State};
-use upswing_planner::database::standing;
+use upswing_model::{StartError, State};
 use upswing_process::Failure;
 use upswing_record::Window;
 
@@ -80,7 +79,7 @@ pub fn given_values(config: &Config, name: &str, to: &[JointValue]) -> Result<(u
             let refusal = format!("--to: `{name}` takes values of the joints {expected}; got `{joint}`");
             return Err(Failure::BadInput(refusal));
         };
-        given[i] = config.model.joint_kind(joints[i]).position(*value);
+        given[i] = if config.model.joint_kind(joints[i]).unit() == "m" { *value } else { value.to_radians() };
     }
     Ok((number, given))
 }
@@ -97,28 +96,20 @@ pub struct ManoeuvreArgs {
 }
 
 impl ManoeuvreArgs {
-    /// Returns the number of the manoeuvre, its given values (rad or m), and the state in which it starts.
+    /// Returns the number of the manoeuvre and its given values from `start`, rad or m.
     ///
     /// # Errors
-    /// [`Failure::BadInput`] as [`given_values`] and [`StartArgs::state`], or if the unactuated joints do not stand in the start pose of a
-    /// manoeuvre from standing.
-    pub fn of(&self, config: &Config, start: &StartArgs) -> Result<(usize, Vec<f64>, State), Failure> {
+    /// [`Failure::BadInput`] as [`given_values`].
+    pub fn of(&self, config: &Config, start: &State) -> Result<(usize, Vec<f64>), Failure> {
         let first = config.manoeuvres.first().map_or("", |manoeuvre| manoeuvre.name.as_str());
         let name = self.manoeuvre.as_deref().unwrap_or(first);
         let (number, mut given) = given_values(config, name, &self.to)?;
-        let hanging = start.state(config)?;
-        let x = match config.manoeuvres[number].start {
-            Posture::Hanging => hanging,
-            Posture::Standing => standing(config, number, &hanging.q_a()).ok_or_else(|| {
-                Failure::BadInput("--start: the unactuated joints cannot stand in this pose".into())
-            })?,
-        };
         for (value, axis) in given.iter_mut().zip(config.manoeuvres[number].given()) {
             if value.is_nan() {
-                *value = x[axis.joint];
+                *value = start[axis.joint];
             }
         }
-        Ok((number, given, x))
+        Ok((number, given))
     }
 }
 
@@ -158,9 +149,10 @@ pub fn start_state(
     start: &Degrees,
     pendulum: PendulumStart,
 ) -> Result<State, Failure> {
-    let refuse = |e: StartError| Failure::BadInput(format!("{option}: {e}"));
-    let q_a = config.model.actuated_from_shown(&start.0).map_err(refuse)?;
-    config.start_state(&q_a, pendulum).map_err(refuse)
+    let radians: Vec<f64> = start.0.iter().map(|d| d.to_radians()).collect();
+    config
+        .start_state(&radians, pendulum)
+        .map_err(|e: StartError| Failure::BadInput(format!("{option}: {e}")))
 }
 
 /// Returns the time window of a recording from the options `--from` and `--to`, s.

@@ -23,7 +23,12 @@ fn refused(args: &[&str], parts: &[&str]) {
 fn settings(change: impl FnOnce(&Path)) -> tempfile::TempDir {
     let dir = tempfile::tempdir().expect("a folder");
     let copy = dir.path().join("config");
-    upswing_planner::export(&copy, Default::default()).expect("settings are exported");
+    upswing_planner::export(
+        &upswing_config::Config::embedded().expect("embedded settings"),
+        &copy,
+        Default::default(),
+    )
+    .expect("settings are exported");
     change(&copy);
     dir
 }
@@ -32,30 +37,8 @@ fn with_settings(change: impl FnOnce(&Path), command: &[&str], parts: &[&str]) {
     let dir = settings(change);
     let path = dir.path().join("config");
     let mut args = command.to_vec();
-    args.extend(["--config", path.to_str().expect("a plain path")]);
+    args.extend(["--system", path.to_str().expect("a plain path")]);
     refused(&args, parts);
-}
-
-#[test]
-fn targets() {
-    refused(
-        &["request", "move", "--to", "joint_3=1"],
-        &["--to", "`joint_1`, `joint_2`, `joint_4`", "`joint_3`"],
-    );
-    refused(&["request", "fly", "--to", "joint_1=1"], &["unknown manoeuvre `fly`", "`swing-up`"]);
-    refused(&["request", "stop", "--to", "joint_1=1"], &["--to", "`stop` has no target"]);
-    refused(&["request", "move", "--to", "joint_1"], &["joint_1=30", "`joint_1`"]);
-    refused(&["request", &"n".repeat(33)], &["no name of a manoeuvre", "32 bytes"]);
-    let start = ["--start", "0,-15,0,-95,0,10,0", "--manoeuvre"];
-    for command in ["plan", "optimize"] {
-        let with = |more: &[&str], parts: &[&str]| refused(&[&[command], &start[..], more].concat(), parts);
-        with(&["fly"], &["unknown manoeuvre `fly`"]);
-        with(&["swing-up", "--to", "joint_1=1"], &["joints none", "`joint_1`"]);
-    }
-    let leaning = ["plan", "--start", "0,-15,0,-95,0,20,0", "--manoeuvre", "carry"];
-    refused(&leaning, &["--start", "cannot stand"]);
-    refused(&["db", "info", "--manoeuvre", "move"], &["no database of `move`", "db build --manoeuvre move"]);
-    refused(&["db", "build", "--manoeuvre", "swing-down"], &["`swing-up`", "backwards"]);
 }
 
 #[test]
@@ -126,20 +109,20 @@ fn scenarios_and_disturbances() {
 #[test]
 fn databases() {
     let start = ["plan", "--start", "0,-15,0,-95,0,10,0"];
-    let database = |dir: &Path| dir.join("database.bin");
-    with_settings(|d| std::fs::remove_file(database(d)).expect("removed"), &start, &["database.bin"]);
+    let database = |dir: &Path| dir.join("swing-up.bin");
+    with_settings(|d| std::fs::remove_file(database(d)).expect("removed"), &start, &["swing-up"]);
     with_settings(
         |d| {
             let bytes = std::fs::read(database(d)).expect("read");
             std::fs::write(database(d), &bytes[..bytes.len() / 2]).expect("written");
         },
         &start,
-        &["database.bin", "truncated"],
+        &["swing-up.bin", "truncated"],
     );
     with_settings(
         |d| std::fs::write(database(d), b"not a database").expect("written"),
         &["db", "info"],
-        &["database.bin", "not an upswing database"],
+        &["swing-up.bin", "not an upswing database"],
     );
 }
 
@@ -154,7 +137,7 @@ fn settings_files() {
         &["config", "check"],
         &["daemon.toml", "perod_us"],
     );
-    refused(&["demo", "--config", "/nonexistent"], &["/nonexistent"]);
+    refused(&["demo", "--system", "/nonexistent"], &["/nonexistent"]);
 }
 
 #[test]

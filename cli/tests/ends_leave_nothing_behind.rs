@@ -89,6 +89,6 @@ fn a_full_or_closed_stderr_is_no_panic() {
     assert_eq!(status.code(), Some(0));
     assert_eq!(traces(&domain), [""; 0].map(PathBuf::from));
     // A log that cannot be written: the daemon warns before it ends.
-    let daemon = ["daemon", "--domain", &domain, "--config", "/nowhere"];
+    let daemon = ["daemon", "--domain", &domain, "--system", "/nowhere"];
     assert_eq!(upswing(&daemon).stderr(full()).status().unwrap().code(), Some(2));
 }

@@ -15,7 +15,7 @@ use upswing_process::output::Destination;
 const START: &str = "0,-15,0,-95,0,10,0";
 
 /// A file that can be read, and a database.
-const SOME_FILE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../config/database.bin");
+const SOME_FILE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../config/systems/iiwa-pendulum/swing-up.bin");
 
 /// What commands need besides the file under test: command, argument, words.
 const NEEDED: &[(&str, &str, &[&str])] = &[
@@ -159,18 +159,23 @@ fn of_a_folder_of_settings_too() {
         "planner.toml",
         "daemon.toml",
         "plant.toml",
-        "grid.toml",
+        "manoeuvres.toml",
         "robot.urdf",
-        "database.bin",
+        "swing-up.bin",
     ];
     for name in names {
         let config = folder.path().join(name.replace('.', "-"));
-        upswing_planner::export(&config, Default::default()).expect("settings are exported");
+        upswing_planner::export(
+            &upswing_config::Config::embedded().expect("embedded settings"),
+            &config,
+            Default::default(),
+        )
+        .expect("settings are exported");
         let file = config.join(name);
         assert!(file.exists(), "{name}");
         std::fs::remove_file(&file).expect("removed");
         assert!(std::process::Command::new("mkfifo").arg(&file).status().expect("mkfifo").success());
-        let words = ["db", "info", "--config", &config.to_string_lossy()].map(str::to_owned);
+        let words = ["db", "info", "--system", &config.to_string_lossy()].map(str::to_owned);
         let (code, stderr) = run(&words, folder.path());
         assert!(code == Some(2) && stderr.contains(name), "{name}: {code:?}: {stderr}");
     }
@@ -195,7 +200,7 @@ fn that_exist_are_not_overwritten_and_that_is_told_before_the_work() {
             let file = folder.path().join(format!("mine.{}", extension(&path, arg)));
             let (value, file) = match path.as_str() {
                 "man" => (folder.path().to_owned(), folder.path().join("upswing-demo.1")),
-                "config export" => (folder.path().to_owned(), folder.path().join("grid.toml")),
+                "config export" => (folder.path().to_owned(), folder.path().join("plant.toml")),
                 _ => (file.clone(), file),
             };
             std::fs::write(&file, "mine").expect("written");
@@ -226,7 +231,7 @@ fn that_exist_may_be_replaced() {
         ("replay run.mcap --keep kept.mcap", &["kept.mcap"]),
         ("plan --start 0,-15,0,-95,0,10,0 --svg plan.svg", &["plan.svg"]),
         ("man .", &["upswing.1", "upswing-demo.1"]),
-        ("config export .", &["robot.toml", "database.bin"]),
+        ("config export .", &["robot.toml", "swing-up.bin"]),
     ] {
         let (code, stderr) = run(&words(line), folder.path());
         assert_eq!(code, Some(0), "{line}: {stderr}");

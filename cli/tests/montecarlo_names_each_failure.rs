@@ -9,7 +9,12 @@ use serde_json::Value;
 fn a_loop_that_is_given_up() {
     let dir = tempfile::tempdir().expect("a folder");
     let config = dir.path().join("config");
-    upswing_planner::export(&config, Default::default()).expect("settings are exported");
+    upswing_planner::export(
+        &upswing_config::Config::embedded().expect("embedded settings"),
+        &config,
+        Default::default(),
+    )
+    .expect("settings are exported");
     let file = config.join("daemon.toml");
     let (from, to) = (
         "tracking_error_rad = { warn = 0.25, trip = 0.5 }",
@@ -20,7 +25,7 @@ fn a_loop_that_is_given_up() {
     std::fs::write(&file, text.replace(from, to)).expect("written");
 
     let config = config.to_str().expect("a plain path");
-    let run = ["montecarlo", "closed-loop", "--samples", "2", "--seed", "3", "--config", config];
+    let run = ["montecarlo", "closed-loop", "--samples", "2", "--seed", "3", "--system", config];
     let (code, answer) = json(&run);
     assert_eq!(code, Some(1));
     let runs = &answer["conditions"][0];
@@ -59,8 +64,8 @@ fn a_start_without_a_plan() {
     let path = |name: &str| dir.path().join(name).to_str().expect("a plain path").to_owned();
     let (grid, database) = (path("grid.toml"), path("database.bin"));
     // One linearisation of one entry in the middle of the ranges does not serve all of them.
-    let pose = "joints = [{ joint = \"joint_4\", from_deg = -90, to_deg = -90, points = 1 }]";
-    std::fs::write(&grid, format!("{pose}\nstart = \"rest\"\nmax_rest_angle_deg = 45\n")).expect("written");
+    std::fs::write(&grid, "grid = [{ joint = \"joint_4\", value_deg = -90 }]\nmax_rest_angle_deg = 45\n")
+        .expect("written");
     let build = ["db", "build", "--grid", &grid, "--output", &database];
     let built = upswing(&build);
     assert!(built.status.success(), "{built:?}");

@@ -87,7 +87,7 @@ mod tests {
     fn ranges_hold_up_to_their_ends() {
         let above = |v| SettingsConflict::unless_above("k", v, 1.0, "l").is_ok();
         assert!(above(1.1) && !above(1.0) && !above(f64::NAN));
-        let model = Model::from_urdf(include_str!("../robot.urdf")).expect("the robot");
+        let model = Model::from_urdf(include_str!("../systems/iiwa-pendulum/robot.urdf")).expect("the robot");
         let mut limits = *model.rated_limits();
         (limits.q_min[8], limits.q_max[8]) = (-0.5, 0.25);
         let within = |rad: f64| SettingsConflict::unless_within("k", rad, 8, &limits, &model).is_ok();

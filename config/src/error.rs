@@ -5,11 +5,10 @@ use upswing_model::UrdfError;
 /// Error of reading or checking settings. Each message states the file, the expected and the actual value, and a remedy.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
-    /// A file in a folder of settings is missing or cannot be read.
+    /// A file of a system is missing or cannot be read.
     #[error(
-        "{file}: cannot be read ({cause}); expected all of {}: `upswing config export DIR` writes a full copy to \
-         start from",
-        crate::file_names()
+        "{file}: cannot be read ({cause}); a system is a folder with at least robot.urdf, robot.toml and manoeuvres.toml: \
+         `upswing config export DIR` writes a complete one to start from"
     )]
     Unreadable {
         /// Path of the file.
@@ -53,9 +52,11 @@ pub enum ConfigError {
     /// A scenario does not exist.
     #[error(
         "expected the path of a scenario that ends in .toml or one of {}, got `{got}`",
-        crate::Config::scenario_names().collect::<Vec<_>>().join(", ")
+        names.join(", ")
     )]
     NoScenario {
+        /// Names of the scenarios of the system.
+        names: Vec<String>,
         /// Name given for the scenario.
         got: String,
     },

@@ -1,41 +1,13 @@
-//! Settings files, embedded or in a folder: their text, and the line of an error.
+//! Settings files: their text, and the line of an error.
 
 use crate::ConfigError;
 use crate::conflict::SettingsConflict;
 use crate::joints::JointList;
 use serde::de::DeserializeOwned;
-use std::borrow::Cow;
 use std::fmt::Display;
 use std::path::Path;
 use toml::de::{DeTable, DeValue};
 use upswing_model::Model;
-
-/// A settings file embedded in the program.
-pub(crate) struct EmbeddedFile {
-    pub name: &'static str,
-    pub bytes: &'static [u8],
-}
-
-impl EmbeddedFile {
-    /// The name of the file in messages, and its contents: from the folder `dir`, or embedded without a folder.
-    pub fn contents(&self, dir: Option<&Path>) -> Result<crate::Contents, ConfigError> {
-        let Some(dir) = dir else {
-            return Ok((format!("embedded {}", self.name), Cow::Borrowed(self.bytes)));
-        };
-        let path = dir.join(self.name);
-        let file = path.display().to_string();
-        match read_file(&path) {
-            Ok(bytes) => Ok((file, Cow::Owned(bytes))),
-            Err(cause) => Err(ConfigError::Unreadable { file, cause }),
-        }
-    }
-
-    /// The text of the file: from the folder `dir`, or embedded without a folder.
-    pub fn text(&self, dir: Option<&Path>) -> Result<TextFile, ConfigError> {
-        let (name, bytes) = self.contents(dir)?;
-        TextFile::new(name, bytes.into_owned())
-    }
-}
 
 /// A text file: its name in messages, and its text.
 pub(crate) struct TextFile {
@@ -44,7 +16,7 @@ pub(crate) struct TextFile {
 }
 
 impl TextFile {
-    fn new(name: String, bytes: Vec<u8>) -> Result<Self, ConfigError> {
+    pub fn new(name: String, bytes: Vec<u8>) -> Result<Self, ConfigError> {
         match String::from_utf8(bytes) {
             Ok(text) => Ok(Self { name, text }),
             Err(e) => Err(ConfigError::NotText { file: name, offset: e.utf8_error().valid_up_to() }),
@@ -88,8 +60,13 @@ impl TextFile {
     pub fn malformed(&self, error: &toml::de::Error) -> ConfigError {
         let at = error.span().map_or(0, |span| span.start).min(self.text.len());
         let key = DeTable::parse(&self.text).ok().and_then(|table| key_at(table.get_ref(), at));
+        self.error(at, key, Self::fix(error))
+    }
+
+    /// The text of a key or value that does not fit, with the remedy.
+    pub fn fix(error: &toml::de::Error) -> String {
         let fix = "compare with the commented original, `upswing config export DIR` writes it";
-        self.error(at, key, format_args!("{}: {fix}", error.message()))
+        format!("{}: {fix}", error.message())
     }
 
     /// The error of a setting at byte offset `at` of the text. A `reason` that begins with `.name: ` concerns the key `name` of the
@@ -109,7 +86,7 @@ impl TextFile {
 }
 
 /// Dotted name of the key whose name or value is at byte offset `at` of the text.
-fn key_at(table: &DeTable<'_>, at: usize) -> Option<String> {
+pub(crate) fn key_at(table: &DeTable<'_>, at: usize) -> Option<String> {
     table.iter().find_map(|(key, value)| {
         let inner = match value.get_ref() {
             DeValue::Table(inner) => key_at(inner, at),
@@ -128,7 +105,7 @@ fn key_at(table: &DeTable<'_>, at: usize) -> Option<String> {
 }
 
 /// Byte offset of a dotted key in the text, or of its longest part that exists; of the list for a key in a list of tables.
-fn position(table: &DeTable<'_>, key: &str) -> usize {
+pub(crate) fn position(table: &DeTable<'_>, key: &str) -> usize {
     let (part, rest) = key.split_once('.').unwrap_or((key, ""));
     let Some((name, value)) = table.get_key_value(part) else { return 0 };
     let inner = value.get_ref().as_table().map_or(0, |inner| position(inner, rest));

@@ -39,7 +39,8 @@ impl JointList {
         InRobot { inner, joints: self }
     }
 
-    /// The value of each of the joints with the indices `among`, or what is wrong: a `reason` for [`crate::file::TextFile::error`].
+    /// The value of each of the joints with the indices `among`, which may be none, or what is wrong: a `reason` for
+    /// [`crate::file::TextFile::error`].
     fn values<T: Copy>(&self, among: &[usize], per_joint: &PerJoint<T>) -> Result<Vec<T>, String> {
         let by_name = match per_joint {
             PerJoint::Same(value) => return Ok(vec![*value; among.len()]),
@@ -50,7 +51,9 @@ impl JointList {
             by_name.iter().find(|(name, _)| name != DEFAULT && !names.contains(&name.as_str()))
         {
             let names = names.join(", ");
-            return Err(format!(".{name}: expected `{DEFAULT}` or one of {names}, got `{name}`"));
+            let of_names =
+                if names.is_empty() { "no joint of this kind".into() } else { format!("one of {names}") };
+            return Err(format!(".{name}: expected `{DEFAULT}` or {of_names}, got `{name}`"));
         }
         let of = |wanted: &str| by_name.iter().find(|(name, _)| name == wanted).map(|(_, value)| *value);
         let missing = |name| format!("expected a value for joint `{name}` or a `{DEFAULT}`, got neither");
@@ -120,6 +123,10 @@ impl<'de, D: Deserializer<'de>> Deserializer<'de> for InRobot<'_, D> {
         self.inner.deserialize_seq(self.joints.around(visitor))
     }
 
+    fn deserialize_option<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, D::Error> {
+        self.inner.deserialize_option(self.joints.around(visitor))
+    }
+
     forward! {
         deserialize_any(); deserialize_bool();
         deserialize_i8(); deserialize_i16(); deserialize_i32(); deserialize_i64();
@@ -127,7 +134,7 @@ impl<'de, D: Deserializer<'de>> Deserializer<'de> for InRobot<'_, D> {
         deserialize_f32(); deserialize_f64();
         deserialize_char(); deserialize_str(); deserialize_string();
         deserialize_bytes(); deserialize_byte_buf();
-        deserialize_option(); deserialize_unit(); deserialize_map();
+        deserialize_unit(); deserialize_map();
         deserialize_identifier(); deserialize_ignored_any();
         deserialize_unit_struct(name: &'static str); deserialize_newtype_struct(name: &'static str);
         deserialize_tuple(len: usize);
@@ -140,6 +147,14 @@ impl<'de, V: Visitor<'de>> Visitor<'de> for InRobot<'_, V> {
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.inner.expecting(f)
+    }
+
+    fn visit_none<E: Error>(self) -> Result<V::Value, E> {
+        self.inner.visit_none()
+    }
+
+    fn visit_some<D: Deserializer<'de>>(self, from: D) -> Result<V::Value, D::Error> {
+        self.inner.visit_some(self.joints.around(from))
     }
 
     fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<V::Value, A::Error> {
@@ -414,10 +429,6 @@ impl<S: JointSpace, T: JointValue, const PRISMATIC: bool> Quantity for OfKind<S,
         let (joints, per_joint) = PerJoint::read::<R, D>(from, unit)?;
         let is_of_kind = |joint: &usize| joints.prismatic[*joint] == PRISMATIC;
         let among: Vec<_> = S::joints(joints.sizes).filter(is_of_kind).collect();
-        if among.is_empty() {
-            let kind = if PRISMATIC { "prismatic" } else { "revolute" };
-            return Err(refused("no such key", format!("one: these joints of the robot are not {kind}")));
-        }
         let mut of_kind = joints.values(&among, &per_joint).map_err(D::Error::custom)?.into_iter();
         let values =
             S::joints(joints.sizes).map(|joint| is_of_kind(&joint).then(|| of_kind.next()).flatten());

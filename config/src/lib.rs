@@ -1,12 +1,14 @@
 //! Settings and robot description of upswing: read from files, checked once, converted to SI units.
 //!
-//! A full set of files is embedded in the program ([`Config::files`]) and can be exported to a folder for editing: the robot
-//! (`robot.urdf`), its limits and the target (`robot.toml`), the planner, the daemon, the simulated plant, the grid of the trajectory
-//! database, and scenarios for the plant ([`Config::use_scenario`]). Keys of settings in other than SI units name the unit (`_deg`,
-//! `_ms`); outside this crate all settings are in rad, s, N m, kg, m, and need no further check.
+//! A [`System`] is a folder of files, embedded in the program or of the user: the robot (`robot.urdf`), its limits (`robot.toml`), its
+//! manoeuvres (`manoeuvres.toml`), the planner, the daemon, the simulated plant, and scenarios for the plant ([`Config::use_scenario`]).
+//! Settings have defaults, commented files in the folder `defaults`; the files of a system contain the keys that differ, and
+//! [`Config::files`] gives them in full. Keys of settings in other than SI units name the unit (`_deg`, `_ms`); outside this crate all
+//! settings are in rad, s, N m, kg, m, and need no further check.
 //! Values per joint are stated by the names of the joints in the URDF, and become vectors of the model. Keys name the units of joints that
 //! turn; for prismatic joints a key in degrees has a counterpart in m (`q_deg`, `q_m`), and in other keys rad is m, and N m is N.
 
+mod combinations;
 mod conflict;
 mod daemon;
 mod error;
@@ -15,11 +17,13 @@ mod file;
 mod grid;
 mod joints;
 mod manoeuvre;
+mod overlay;
 mod planner;
 mod plant;
 mod robot;
 mod rule;
 mod scenario;
+mod system;
 
 pub use daemon::{
     CycleSettings, DaemonSettings, DisturbanceSettings, HoldGains, Level, Levels, PlanSettings,
@@ -39,12 +43,14 @@ pub use plant::{
     DriveSettings, EncoderSettings, FrictionSettings, IntegratorSettings, JointStopSettings, MAX_DELAY,
     ModelSettings, PendulumStart, PlantSettings, PlantStart,
 };
-pub use robot::{CoriolisBound, RobotSettings, Target};
+pub use robot::{CoriolisBound, RobotSettings};
+pub use system::{ShippedSystem, System, UnknownSystem};
 
 use conflict::SettingsConflict;
-use file::{EmbeddedFile, TextFile};
+use file::TextFile;
+use overlay::{Defaults, Settings};
 use std::borrow::Cow;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use upswing_model::{JointKind, Model, Posture, StartError, State, UnactuatedVector, Urdf};
 use upswing_trajectory::{LoopDelays, PlanCriteria};
 
@@ -55,7 +61,7 @@ pub struct Config {
     pub urdf: String,
     /// The robot read from it, with the rotors of `robot`; its rated limits agree with `robot.limits`.
     pub model: Model,
-    /// Limits and drives of the robot, and the target of the swing-up.
+    /// Limits and drives of the robot.
     pub robot: RobotSettings,
     /// Settings of the planner.
     pub planner: PlannerSettings,
@@ -65,81 +71,86 @@ pub struct Config {
     pub plant: PlantSettings,
     /// The bodies of the simulated plant as their URDF describes them, without the differences of `plant.model`.
     pub plant_model: Model,
-    /// Grid of the start poses of the trajectory database.
-    pub grid: GridSettings,
     /// Manoeuvres, in the order of their file; the first one is that of the demo.
     pub manoeuvres: Vec<Manoeuvre>,
-    /// Folder of the files; `None`: embedded.
-    dir: Option<PathBuf>,
+    /// Where the files are.
+    system: System,
 }
 
-macro_rules! embedded {
+/// Name of the robot description of a system.
+const URDF: &str = "robot.urdf";
+const MANOEUVRES: &str = "manoeuvres.toml";
+/// The paper's grid of start poses, read only by [`Config::use_paper_grid`].
+const PAPER_GRID: &str = "grid-paper.toml";
+
+macro_rules! defaults {
     ($name:literal) => {
-        EmbeddedFile { name: $name, bytes: include_bytes!(concat!("../", $name)) }
+        Defaults { name: $name, text: include_str!(concat!("../defaults/", $name)) }
     };
 }
 
-const URDF: EmbeddedFile = embedded!("robot.urdf");
-const ROBOT: EmbeddedFile = embedded!("robot.toml");
-const PLANNER: EmbeddedFile = embedded!("planner.toml");
-const DAEMON: EmbeddedFile = embedded!("daemon.toml");
-const PLANT: EmbeddedFile = embedded!("plant.toml");
-const MANOEUVRES: EmbeddedFile = embedded!("manoeuvres.toml");
-const GRID: EmbeddedFile = embedded!("grid.toml");
-/// The paper's grid of start poses, read only by [`Config::use_paper_grid`].
-const PAPER_GRID: EmbeddedFile = embedded!("grid-paper.toml");
-/// File name of the trajectory database in a folder of settings; read by the planner.
-pub const DATABASE: &str = "database.bin";
-/// The second model of the arm, read only if `model.urdf` of the plant's settings names it.
-const SECOND_URDF: EmbeddedFile = embedded!("robot-acin.urdf");
-const FILES: [EmbeddedFile; 9] =
-    [URDF, ROBOT, MANOEUVRES, PLANNER, DAEMON, PLANT, GRID, PAPER_GRID, SECOND_URDF];
-/// The scenarios of the set, read only by [`Config::use_scenario`].
-const SCENARIOS: [EmbeddedFile; 16] = [
-    embedded!("scenarios/arm-friction.toml"),
-    embedded!("scenarios/coarse-encoders.toml"),
-    embedded!("scenarios/dead-encoder.toml"),
-    embedded!("scenarios/everyday.toml"),
-    embedded!("scenarios/heavy-arm.toml"),
-    embedded!("scenarios/joint-stops.toml"),
-    embedded!("scenarios/late-brakes.toml"),
-    embedded!("scenarios/long-rod.toml"),
-    embedded!("scenarios/lost-packets.toml"),
-    embedded!("scenarios/payload.toml"),
-    embedded!("scenarios/push.toml"),
-    embedded!("scenarios/rotor-inertia.toml"),
-    embedded!("scenarios/second-arm.toml"),
-    embedded!("scenarios/slow-drives.toml"),
-    embedded!("scenarios/torque-offset.toml"),
-    embedded!("scenarios/worn-bearings.toml"),
-];
+const ROBOT: Defaults = defaults!("robot.toml");
+const PLANNER: Defaults = defaults!("planner.toml");
+const DAEMON: Defaults = defaults!("daemon.toml");
+const PLANT: Defaults = defaults!("plant.toml");
+/// The settings files that have defaults.
+const DEFAULTS: [Defaults; 4] = [ROBOT, PLANNER, DAEMON, PLANT];
 
 /// A file: its name in messages, and its contents.
 pub type Contents = (String, Cow<'static, [u8]>);
 
 impl Config {
-    /// The settings embedded in the program.
+    /// Names of the files of [`Config::texts`] that every system has.
+    pub const FILES: [&'static str; 6] =
+        [URDF, MANOEUVRES, ROBOT.name, PLANNER.name, DAEMON.name, PLANT.name];
+
+    /// The settings of the default system.
     ///
     /// # Errors
     /// None in a released program: its tests load the embedded settings.
     pub fn embedded() -> Result<Self, ConfigError> {
-        Self::assemble(None)
+        Self::load(&System::default())
     }
 
-    /// The settings in a folder, which must contain all files of a full set.
+    /// The settings of the system in a folder.
+    ///
+    /// # Errors
+    /// As [`Config::load`].
+    pub fn from_dir(dir: &Path) -> Result<Self, ConfigError> {
+        Self::load(&System::Folder(dir.to_owned()))
+    }
+
+    /// The settings of a system.
     ///
     /// # Errors
     /// [`ConfigError`] if a file is missing, unreadable or malformed, or contains an invalid value.
-    pub fn from_dir(dir: &Path) -> Result<Self, ConfigError> {
-        Self::assemble(Some(dir))
+    pub fn load(system: &System) -> Result<Self, ConfigError> {
+        let urdf = system.text(URDF)?;
+        let model = read_model(&urdf)?;
+        let robot: RobotSettings = Settings::new(system.text(ROBOT.name)?, &ROBOT)
+            .read(&model, |robot: &mut RobotSettings| robot.validate(&model))?;
+        let model = model.with_rotors(&robot.rotor_inertia);
+        let manoeuvres = manoeuvre::read(&system.text(MANOEUVRES)?, &robot, &model)?;
+        let planner = Settings::new(system.text_or_empty(PLANNER.name)?, &PLANNER)
+            .read(&model, |planner: &mut PlannerSettings| planner.validate(&robot))?;
+        let daemon = Settings::new(system.text_or_empty(DAEMON.name)?, &DAEMON)
+            .read(&model, |daemon: &mut DaemonSettings| daemon.validate(&robot))?;
+        let file = Settings::new(system.text_or_empty(PLANT.name)?, &PLANT);
+        let plant = file.read(&model, |plant: &mut PlantSettings| plant.finish(&robot, &model))?;
+        let plant_model = read_plant_model(system, &file.file, &plant.model.urdf, &model)?;
+        let system = system.clone();
+        Ok(Self { urdf: urdf.text, model, robot, planner, daemon, plant, plant_model, manoeuvres, system })
     }
 
-    /// The settings in the folder `dir`, or the embedded settings without a folder.
-    ///
-    /// # Errors
-    /// As [`Config::from_dir`].
-    pub fn load(dir: Option<&Path>) -> Result<Self, ConfigError> {
-        dir.map_or_else(Self::embedded, Self::from_dir)
+    /// The system of the settings.
+    pub fn system(&self) -> &System {
+        &self.system
+    }
+
+    /// Name of the first manoeuvre that starts in a posture.
+    pub fn first_manoeuvre(&self, start: Posture) -> Option<&str> {
+        let first = self.manoeuvres.iter().find(|manoeuvre| manoeuvre.start == start);
+        first.map(|manoeuvre| manoeuvre.name.as_str())
     }
 
     /// The criteria that a plan has to meet under these settings.
@@ -161,15 +172,28 @@ impl Config {
         }
     }
 
-    /// Name of the first manoeuvre that starts in a posture.
-    pub fn first_manoeuvre(&self, start: Posture) -> Option<&str> {
-        let first = self.manoeuvres.iter().find(|manoeuvre| manoeuvre.start == start);
-        first.map(|manoeuvre| manoeuvre.name.as_str())
+    /// The files of the system, settings in full and with their comments: path relative to a folder, and contents. Without databases.
+    ///
+    /// # Errors
+    /// [`ConfigError`] if a file has become unreadable since the settings were loaded.
+    pub fn files(&self) -> Result<Vec<(String, Cow<'static, [u8]>)>, ConfigError> {
+        let mut files = Vec::new();
+        for defaults in &DEFAULTS {
+            files.push((defaults.name.to_owned(), Cow::Owned(self.complete(defaults)?.into_bytes())));
+        }
+        for name in self.system.other_files() {
+            if let Some((_, bytes)) = self.system.file(&name)? {
+                files.push((name, bytes));
+            }
+        }
+        Ok(files)
     }
 
-    /// The embedded files with their comments: path relative to a folder of settings, and contents.
-    pub fn files() -> impl Iterator<Item = (&'static str, &'static [u8])> {
-        FILES.iter().chain(&SCENARIOS).map(|file| (file.name, file.bytes))
+    /// The text of a settings file in full.
+    fn complete(&self, defaults: &Defaults) -> Result<String, ConfigError> {
+        let file = self.system.text_or_empty(defaults.name)?;
+        overlay::complete(defaults.text, &file.text)
+            .map_err(|e| file.error(e.span().map_or(0, |span| span.start), None, e.message()))
     }
 
     /// The state x at standstill with the actuated joints at `q_a` (rad or m) and the unactuated ones as given by `pendulum`.
@@ -197,74 +221,56 @@ impl Config {
         model.standstill(&self.robot.planning, q_a, q_u.as_ref())
     }
 
-    fn assemble(dir: Option<&Path>) -> Result<Self, ConfigError> {
-        let urdf = URDF.text(dir)?;
-        let model = read_model(&urdf)?;
-        let robot: RobotSettings =
-            ROBOT.text(dir)?.settings(&model, |robot: &RobotSettings| robot.validate(&model))?;
-        let model = model.with_rotors(&robot.rotor_inertia);
-        let manoeuvres = manoeuvre::read(&MANOEUVRES.text(dir)?, &robot, &model)?;
-        let planner = PLANNER.text(dir)?.settings(&model, PlannerSettings::validate)?;
-        let daemon = DAEMON.text(dir)?.settings(&model, |daemon: &DaemonSettings| daemon.validate(&robot))?;
-        let file = PLANT.text(dir)?;
-        let plant = file.settings(&model, |plant: &PlantSettings| plant.validate(&robot, &model))?;
-        let plant_model = read_plant_model(dir, &file, &plant.model.urdf, &model)?;
-        let grid = GridSettings::read(&GRID.text(dir)?, &robot, &model)?;
-        let dir = dir.map(Path::to_owned);
-        Ok(Self { urdf: urdf.text, model, robot, planner, daemon, plant, plant_model, grid, manoeuvres, dir })
-    }
-
-    /// Replaces the plant's settings by those of `plant.toml` under a scenario, given by its name in the set or by the path of a file
+    /// Replaces the plant's settings by those of `plant.toml` under a scenario, given by its name in the system or by the path of a file
     /// that ends in `.toml`. Returns the purpose of the scenario, a sentence.
     ///
     /// # Errors
     /// [`ConfigError`] if the scenario does not exist, is unreadable or malformed, or contains an invalid value.
     pub fn use_scenario(&mut self, scenario: &str) -> Result<String, ConfigError> {
-        let dir = self.dir.as_deref();
         let file = if scenario.ends_with(".toml") {
             TextFile::at(Path::new(scenario))?
         } else {
-            let of_set = SCENARIOS.iter().find(|file| scenario_name(file) == scenario);
-            of_set.ok_or_else(|| ConfigError::NoScenario { got: scenario.into() })?.text(dir)?
+            self.system.scenario(scenario)?
         };
-        let (plant, purpose) = scenario::read(&file, &PLANT.text(dir)?, &self.robot, &self.model)?;
-        self.plant_model = read_plant_model(dir, &file, &plant.model.urdf, &self.model)?;
+        let base = Settings::new(self.system.text_or_empty(PLANT.name)?, &PLANT);
+        let (plant, purpose) = scenario::read(&file, &base, &self.robot, &self.model)?;
+        self.plant_model = read_plant_model(&self.system, &file, &plant.model.urdf, &self.model)?;
         self.plant = plant;
         Ok(purpose)
     }
 
-    /// Names and texts of the settings files, to be stored with results: all but scenarios and database.
+    /// Names and texts of the settings in full, to be stored with results: all files but grids, scenarios and databases.
     ///
     /// # Errors
     /// [`ConfigError`] if a file has become unreadable since the settings were loaded.
-    pub fn texts(&self) -> Result<Vec<(&'static str, String)>, ConfigError> {
-        let files = [&URDF, &ROBOT, &MANOEUVRES, &PLANNER, &DAEMON, &PLANT, &GRID];
-        files.iter().map(|file| Ok((file.name, file.text(self.dir.as_deref())?.text))).collect()
+    pub fn texts(&self) -> Result<Vec<(String, String)>, ConfigError> {
+        let mut texts = vec![(URDF.to_owned(), self.urdf.clone())];
+        for name in [MANOEUVRES, &self.plant.model.urdf].into_iter().filter(|name| *name != URDF) {
+            if name == MANOEUVRES || self.system.urdfs().iter().any(|urdf| urdf == name) {
+                texts.push((name.to_owned(), self.system.text(name)?.text));
+            }
+        }
+        for defaults in &DEFAULTS {
+            texts.push((defaults.name.to_owned(), self.complete(defaults)?));
+        }
+        Ok(texts)
     }
 
-    /// Names of the scenarios of the set.
-    pub fn scenario_names() -> impl Iterator<Item = &'static str> {
-        SCENARIOS.iter().map(scenario_name)
-    }
-
-    /// Reads a further file of the settings: its name in messages and its contents, from the folder of the settings, or `embedded` for
-    /// the embedded settings; `None` if there is no such file.
+    /// Reads a further file of the system: its name in messages and its contents, from the folder of the system; for a shipped system
+    /// that is `shipped`. `None` if there is no such file.
     ///
     /// # Errors
-    /// [`ConfigError::Unreadable`] if the folder has the file, but it cannot be read.
+    /// [`ConfigError::Unreadable`] if the file exists but cannot be read.
     pub fn optional_file(
         &self,
         name: &str,
-        embedded: Option<&'static [u8]>,
+        shipped: Option<&'static [u8]>,
     ) -> Result<Option<Contents>, ConfigError> {
-        let Some(dir) = &self.dir else {
-            return Ok(embedded.map(|bytes| (format!("embedded {name}"), Cow::Borrowed(bytes))));
-        };
-        let path = dir.join(name);
-        match read_file(&path) {
-            Ok(bytes) => Ok(Some((path.display().to_string(), Cow::Owned(bytes)))),
-            Err(cause) if cause.kind() == std::io::ErrorKind::NotFound => Ok(None),
-            Err(cause) => Err(ConfigError::Unreadable { file: path.display().to_string(), cause }),
+        match &self.system {
+            System::Shipped(system) => {
+                Ok(shipped.map(|bytes| (format!("embedded {}/{name}", system.name()), Cow::Borrowed(bytes))))
+            }
+            System::Folder(_) => self.system.file(name),
         }
     }
 
@@ -273,24 +279,20 @@ impl Config {
     /// # Errors
     /// [`ConfigError`] if the file is unreadable or malformed, or contains an invalid value.
     pub fn use_grid(&mut self, manoeuvre: usize, path: &Path) -> Result<(), ConfigError> {
-        self.manoeuvres[manoeuvre].grid = GridSettings::read(&TextFile::at(path)?, &self.robot, &self.model)?;
+        self.manoeuvres[manoeuvre].grid =
+            manoeuvre::read_grid(&TextFile::at(path)?, &self.robot, &self.model)?;
         Ok(())
     }
 
     /// Replaces the grid of start poses of the first manoeuvre by the paper's 4 x 4 x 4 x 4 poses.
     ///
     /// # Errors
-    /// [`ConfigError`] if a pose of the paper's grid is outside the limits of the settings.
+    /// [`ConfigError`] if the robot has other joints than the paper's, or a pose is outside the limits of the settings.
     pub fn use_paper_grid(&mut self) -> Result<(), ConfigError> {
-        self.manoeuvres[0].grid = GridSettings::read(&PAPER_GRID.text(None)?, &self.robot, &self.model)?;
+        let file = System::default().text(PAPER_GRID)?;
+        self.manoeuvres[0].grid = manoeuvre::read_grid(&file, &self.robot, &self.model)?;
         Ok(())
     }
-}
-
-const SCENARIO_FOLDER: &str = "scenarios";
-
-fn scenario_name(file: &EmbeddedFile) -> &'static str {
-    file.name.trim_start_matches(SCENARIO_FOLDER).trim_start_matches('/').trim_end_matches(".toml")
 }
 
 /// Reads the robot model of a URDF; parts of the URDF that the model ignores are logged as warnings.
@@ -305,15 +307,15 @@ fn read_model(urdf: &TextFile) -> Result<Model, ConfigError> {
 
 /// Reads the model of the simulated bodies from the URDF that the settings in `file` name; `robot` is the model of planner and daemon.
 fn read_plant_model(
-    dir: Option<&Path>,
+    system: &System,
     file: &TextFile,
     urdf: &str,
     robot: &Model,
 ) -> Result<Model, ConfigError> {
-    let of_set = FILES.iter().find(|file| file.name == urdf && urdf.ends_with(".urdf"));
-    let urdf_file = match of_set {
-        Some(of_set) => of_set.text(dir)?,
-        None if urdf.contains('/') => TextFile::at(Path::new(urdf)).map_err(|e| match e {
+    let urdf_file = if system.urdfs().iter().any(|of_system| of_system == urdf) {
+        system.text(urdf)?
+    } else if urdf.contains('/') {
+        TextFile::at(Path::new(urdf)).map_err(|e| match e {
             ConfigError::NoFile { cause, .. } => {
                 let got = format!("{urdf} ({cause})");
                 file.refuse(SettingsConflict::new(
@@ -324,14 +326,13 @@ fn read_plant_model(
                 ))
             }
             e => e,
-        })?,
-        None => {
-            let expected = format!("{}, {}, or a path with a `/`", URDF.name, SECOND_URDF.name);
-            let fix = "name a file of the set or a path";
-            return Err(file.refuse(SettingsConflict::new("model.urdf", expected, urdf, fix)));
-        }
+        })?
+    } else {
+        let expected = format!("{}, or a path with a `/`", system.urdfs().join(", "));
+        let fix = "name a file of the system or a path";
+        return Err(file.refuse(SettingsConflict::new("model.urdf", expected, urdf, fix)));
     };
-    if urdf == URDF.name {
+    if urdf == URDF {
         // The warnings of the robot's own URDF are logged already.
         let refuse = |cause| ConfigError::Urdf { file: urdf_file.name.clone(), cause };
         return Model::from_urdf(&urdf_file.text).map_err(refuse);
@@ -339,7 +340,7 @@ fn read_plant_model(
     let model = read_model(&urdf_file)?;
     let [expected, got] = [robot, &model].map(kinds_of_joints);
     if expected != got {
-        let expected = format!("the kinds of joints of {}, {expected}", URDF.name);
+        let expected = format!("the kinds of joints of {URDF}, {expected}");
         let fix = "name a URDF whose joints can take the place of the robot's";
         return Err(file.refuse(SettingsConflict::new("model.urdf", expected, got, fix)));
     }
@@ -357,11 +358,4 @@ fn kinds_of_joints(model: &Model) -> String {
         format!("{motor} {kind}")
     };
     (0..model.sizes().joints()).map(kind).collect::<Vec<_>>().join(", ")
-}
-
-/// Names of all files of a full set, for messages.
-fn file_names() -> String {
-    let mut names = FILES.map(|file| file.name).to_vec();
-    names.push(DATABASE);
-    names.join(", ")
 }

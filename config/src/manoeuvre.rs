@@ -1,14 +1,24 @@
 //! Manoeuvres of a system, `manoeuvres.toml`: where they start, and the rows of their target (8).
 
-use crate::conflict::unit;
+mod check;
+
+use crate::conflict::{SettingsConflict, in_file, unit};
 use crate::file::TextFile;
-use crate::grid::MOST_POSES;
 use crate::rule::{Finite, Positive, Rule, Whole};
 use crate::{ConfigError, GridAxis, GridSettings, RobotSettings};
+use check::Mistake;
 use serde::{Deserialize, Deserializer};
 use std::collections::BTreeMap;
+use std::fmt::Display;
 use toml::Spanned;
-use upswing_model::{JointKind, JointVector, Model, Posture, RestError, Workspace};
+use upswing_model::{
+    JointKind, JointVector, Limits, Model, Posture, RestError, State, UnactuatedVector, Workspace,
+};
+
+/// Largest number of start poses, so that a typing error does not exhaust the memory.
+const MOST_POSES: usize = 1_000_000;
+/// Longest name of a manoeuvre, bytes: those of a request.
+const LONGEST_NAME: usize = 32;
 
 /// A motion from rest to rest: planned when an operator requests it.
 #[derive(Clone, Debug, PartialEq)]
@@ -99,6 +109,36 @@ impl Manoeuvre {
     }
 }
 
+impl Manoeuvre {
+    /// The state at rest in the posture of the start with the actuated joints at `q_a` (rad or m); `None` if the rules of the grid leave
+    /// this pose out: the unactuated joints are not in equilibrium, or not within `limits` or the largest rest angle. In a manoeuvre that
+    /// starts standing they are where the target has them.
+    pub fn start_state(&self, model: &Model, limits: &Limits, q_a: &[f64]) -> Option<State> {
+        let work = &mut Workspace::default();
+        let sizes = model.sizes();
+        let q_u = UnactuatedVector::from_fn(sizes, |i| self.fixed(sizes.actuated() + i).unwrap_or_default());
+        let standing = (self.start == Posture::Standing).then_some(&q_u);
+        let start = model.standstill(limits, q_a, standing).ok()?;
+        let near = self.start == Posture::Standing || start.q_u().amax() <= self.grid.max_rest_angle;
+        let is_start = near
+            && model.check_equilibrium(&start, work).is_ok()
+            && model.posture(&start.q(), work) == self.start;
+        is_start.then_some(start)
+    }
+
+    /// The position of a joint (index in q) in the target, if a row of this joint alone states it.
+    fn fixed(&self, joint: usize) -> Option<f64> {
+        self.target.iter().find_map(|row| match row.value {
+            TargetValue::Fixed(value)
+                if row.coefficients.iter().enumerate().all(|(i, c)| (i == joint) == (*c != 0.0)) =>
+            {
+                Some(value / row.coefficients[joint])
+            }
+            _ => None,
+        })
+    }
+}
+
 /// The q closest to `q` that meets `rows`, which do not depend on each other: one row after the other, made orthogonal to those before it.
 fn nearest(rows: &[(JointVector, f64)], q: &JointVector) -> JointVector {
     let (mut q, mut basis) = (*q, Vec::<(JointVector, f64)>::new());
@@ -130,8 +170,8 @@ struct ManoeuvreInFile {
     reverses: Option<String>,
     start: Option<PostureInFile>,
     end: Option<PostureInFile>,
-    target: Option<Vec<Spanned<RowInFile>>>,
-    grid: Option<Vec<Spanned<RowInFile>>>,
+    target: Option<Spanned<Vec<Spanned<RowInFile>>>>,
+    grid: Option<Spanned<Vec<Spanned<RowInFile>>>>,
     #[serde(default, deserialize_with = "Positive::degrees")]
     max_rest_angle_deg: Option<f64>,
 }
@@ -184,33 +224,55 @@ fn points<'de, D: Deserializer<'de>>(from: D) -> Result<Option<usize>, D::Error>
 
 impl RowInFile {
     /// The number of the key that ends in the unit of a joint of this kind; the other one of both keys has to be absent.
-    fn number(key: &str, kind: JointKind, deg: Option<f64>, m: Option<f64>) -> Result<Option<f64>, String> {
+    fn number(
+        &self,
+        key: &str,
+        kind: JointKind,
+        deg: Option<f64>,
+        m: Option<f64>,
+    ) -> Result<Option<f64>, String> {
         let (own, other, other_unit) = if unit(kind) == "m" { (m, deg, "deg") } else { (deg, m, "m") };
         match other {
-            Some(_) => Err(format!(".{key}_{other_unit}: expected {key}_{} for such a joint", unit(kind))),
+            Some(_) => {
+                let of = self.joint.as_ref().map_or("these joints".into(), |name| format!("joint `{name}`"));
+                Err(format!(".{key}_{other_unit}: expected {key}_{} for {of}", unit(kind)))
+            }
             None => Ok(own),
         }
     }
 
     /// The one value of a joint of this kind.
     fn value(&self, kind: JointKind) -> Result<Option<f64>, String> {
-        Self::number("value", kind, self.value_deg, self.value_m)
+        self.number("value", kind, self.value_deg, self.value_m)
     }
 
-    /// The positions of the actuated joint of the row, or what is wrong: a `reason` for [`TextFile::error`].
-    fn axis(&self, model: &Model) -> Result<GridAxis, String> {
+    /// The positions of the actuated joint of the row, within `limits`, or what is wrong: a `reason` for [`TextFile::error`].
+    fn axis(&self, model: &Model, limits: &Limits) -> Result<GridAxis, String> {
         let joint = self.joint(model, 0..model.sizes().actuated())?;
         let kind = model.joint_kind(joint);
-        let from = Self::number("from", kind, self.from_deg, self.from_m)?;
-        let to = Self::number("to", kind, self.to_deg, self.to_m)?;
+        let from = self.number("from", kind, self.from_deg, self.from_m)?;
+        let to = self.number("to", kind, self.to_deg, self.to_m)?;
         let unit = unit(kind);
-        match (self.value(kind)?, from, to, self.points) {
-            (Some(value), None, None, None) => Ok(GridAxis { joint, from: value, to: value, points: 1 }),
-            (None, Some(from), Some(to), Some(points)) => Ok(GridAxis { joint, from, to, points }),
+        let (from, to, points) = match (self.value(kind)?, from, to, self.points) {
+            (Some(value), None, None, None) => (("value", value), ("value", value), 1),
+            (None, Some(from), Some(to), Some(points)) => (("from", from), ("to", to), points),
             _ => {
-                Err(format!("expected value_{unit}, or from_{unit}, to_{unit} and points: state one of both"))
+                let name = model.joint_name(joint);
+                return Err(format!(
+                    "expected value_{unit}, or from_{unit}, to_{unit} and points, for joint `{name}`, got other keys"
+                ));
             }
+        };
+        for (key, position) in [from, to] {
+            SettingsConflict::unless_within(&format!(".{key}"), position, joint, limits, model)
+                .map_err(|conflict| conflict.to_string())?;
         }
+        let [low, high] = [from.1, to.1].map(|q| in_file(kind, q));
+        if points > 1 {
+            SettingsConflict::unless_above(format!(".to_{unit}"), high, low, &format!("from_{unit}"))
+                .map_err(|conflict| conflict.to_string())?;
+        }
+        Ok(GridAxis { joint, from: from.1, to: to.1, points })
     }
 
     /// Index in q of the joint of the row, one of those with the indices `among`.
@@ -226,13 +288,13 @@ impl RowInFile {
     }
 
     /// The row of a target, or what is wrong: a `reason` for [`TextFile::error`].
-    fn target(&self, model: &Model) -> Result<TargetRow, String> {
+    fn target(&self, model: &Model, limits: &Limits) -> Result<TargetRow, String> {
         let sizes = model.sizes();
         let unit_row = |joint: usize| JointVector::from_fn(sizes, |i| f64::from(u8::from(i == joint)));
         let numbers = [self.value_deg, self.value_m, self.from_deg, self.to_deg, self.from_m, self.to_m];
         match (&self.coefficients, self.given, self.rest) {
             (None, true, false) => {
-                let axis = self.axis(model)?;
+                let axis = self.axis(model, limits)?;
                 Ok(TargetRow { coefficients: unit_row(axis.joint), value: TargetValue::Given(axis) })
             }
             (None, false, true) => {
@@ -293,27 +355,89 @@ fn sum_of_joints(by_name: &BTreeMap<String, f64>, model: &Model) -> Result<(Join
     Ok((coefficients, kind))
 }
 
+/// A file with manoeuvres or a grid, and the robot for which it is.
+struct Reader<'a> {
+    file: &'a TextFile,
+    robot: &'a RobotSettings,
+    model: &'a Model,
+}
+
+impl Reader<'_> {
+    fn refuse(&self, at: usize, key: &str, reason: impl Display) -> ConfigError {
+        self.file.error(at, Some(key.into()), reason)
+    }
+
+    /// The grid of the `axes` of a `key` at byte offset `at`.
+    fn grid(
+        &self,
+        key: &str,
+        at: usize,
+        axes: &[Spanned<RowInFile>],
+        max_rest_angle: Option<f64>,
+    ) -> Result<GridSettings, ConfigError> {
+        let mut grid = GridSettings {
+            sizes: self.model.sizes(),
+            axes: Vec::new(),
+            max_rest_angle: max_rest_angle.unwrap_or(f64::INFINITY),
+        };
+        for row in axes {
+            let refuse = |reason: String| self.refuse(row.span().start, key, reason);
+            let axis = row.get_ref().axis(self.model, &self.robot.planning).map_err(refuse)?;
+            if grid.axes.iter().any(|known| known.joint == axis.joint) {
+                let name = self.model.joint_name(axis.joint);
+                return Err(refuse(format!(
+                    "expected each joint at most once, got joint `{name}` twice: remove one row"
+                )));
+            }
+            grid.axes.push(axis);
+        }
+        let poses = grid.axes.iter().fold(1, |poses: usize, axis| poses.saturating_mul(axis.points));
+        if grid.axes.is_empty() || poses > MOST_POSES {
+            let expected = format!("expected at least one joint and at most {MOST_POSES} start poses");
+            let got = format!("got {} joints, {poses} start poses", grid.axes.len());
+            return Err(self.refuse(
+                at,
+                key,
+                format!("{expected}, {got}: change the list or its numbers of points"),
+            ));
+        }
+        Ok(grid)
+    }
+}
+
+/// Reads the grid of start poses in `file`.
+pub(crate) fn read_grid(
+    file: &TextFile,
+    robot: &RobotSettings,
+    model: &Model,
+) -> Result<GridSettings, ConfigError> {
+    #[derive(Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct GridInFile {
+        grid: Spanned<Vec<Spanned<RowInFile>>>,
+        #[serde(default, deserialize_with = "Positive::degrees")]
+        max_rest_angle_deg: Option<f64>,
+    }
+    let GridInFile { grid, max_rest_angle_deg } = file.parse(model)?;
+    Reader { file, robot, model }.grid("grid", grid.span().start, grid.get_ref(), max_rest_angle_deg)
+}
+
 /// Reads the manoeuvres in `file`.
 pub(crate) fn read(
     file: &TextFile,
     robot: &RobotSettings,
     model: &Model,
 ) -> Result<Vec<Manoeuvre>, ConfigError> {
+    let reader = Reader { file, robot, model };
     let ManoeuvresInFile { manoeuvre } = file.parse(model)?;
     let mut manoeuvres = Vec::<Manoeuvre>::new();
     let mut reversed = Vec::new();
     for manoeuvre in manoeuvre {
         let at = manoeuvre.span().start;
-        let refuse =
-            |at: usize, key: &str, reason: String| file.error(at, Some(format!("manoeuvre.{key}")), reason);
         let ManoeuvreInFile { name, reverses, start, end, target, grid, max_rest_angle_deg } =
             manoeuvre.into_inner();
-        if manoeuvres.iter().any(|known| known.name == name) {
-            return Err(refuse(
-                at,
-                "name",
-                format!("expected another name for each manoeuvre, got `{name}` twice"),
-            ));
+        if let Some(reason) = bad_name(&name, &manoeuvres) {
+            return Err(reader.refuse(at, "manoeuvre.name", reason));
         }
         if let Some(original) = reverses {
             if start.is_some()
@@ -322,41 +446,49 @@ pub(crate) fn read(
                 || grid.is_some()
                 || max_rest_angle_deg.is_some()
             {
-                let reason =
-                    "expected no other key than `name`: the others are those of the reversed manoeuvre";
-                return Err(refuse(at, "reverses", reason.into()));
+                let reason = format!(
+                    "expected no other keys than `name` and `reverses` for manoeuvre `{name}`, got others: remove them, or \
+                     `reverses`; a reversal has start, end and grid of `{original}`"
+                );
+                return Err(reader.refuse(at, "manoeuvre", reason));
             }
             reversed.push((manoeuvres.len(), at, original));
-            manoeuvres.push(Manoeuvre {
-                name,
-                start: Posture::Standing,
-                end: Posture::Hanging,
-                target: Vec::new(),
-                grid: GridSettings::of(model, Vec::new(), f64::INFINITY),
-                reverses: None,
-            });
+            // Completed below, when all names are known.
+            let (start, end) = (Posture::Standing, Posture::Hanging);
+            let grid = GridSettings { sizes: model.sizes(), axes: Vec::new(), max_rest_angle: f64::INFINITY };
+            manoeuvres.push(Manoeuvre { name, start, end, target: Vec::new(), grid, reverses: None });
             continue;
         }
-        let missing =
-            |key: &str| refuse(at, key, format!("expected a value for manoeuvre `{name}`, got none"));
+        let missing = |key: &str| {
+            reader.refuse(
+                at,
+                "manoeuvre",
+                format!("missing `{key}` of manoeuvre `{name}`, which has no `reverses`"),
+            )
+        };
         let (start, end) = (start.ok_or_else(|| missing("start"))?, end.ok_or_else(|| missing("end"))?);
-        let target = target.ok_or_else(|| missing("target"))?.into_iter().map(|row| {
-            row.get_ref().target(model).map_err(|reason| refuse(row.span().start, "target", reason))
+        let (target, grid) = (target.ok_or_else(|| missing("target"))?, grid.ok_or_else(|| missing("grid"))?);
+        let (target_at, grid_at) = (target.span().start, grid.span().start);
+        let (target, grid) = (target.into_inner(), grid.into_inner());
+        let rows_at: Vec<_> = target.iter().map(|row| row.span().start).collect();
+        let rows = target.iter().map(|row| {
+            let row_at = row.span().start;
+            let row = row.get_ref().target(model, &robot.planning);
+            row.map_err(|reason| reader.refuse(row_at, "manoeuvre.target", reason))
         });
-        let axes = grid.ok_or_else(|| missing("grid"))?.into_iter().map(|axis| {
-            axis.get_ref().axis(model).map_err(|reason| refuse(axis.span().start, "grid", reason))
-        });
-        let (target, axes) = (target.collect::<Result<_, _>>()?, axes.collect::<Result<_, _>>()?);
-        let grid = GridSettings::of(model, axes, max_rest_angle_deg.unwrap_or(f64::INFINITY));
-        grid.validate(robot, model).map_err(|conflict| file.refuse(conflict))?;
-        manoeuvres.push(Manoeuvre {
-            name,
-            start: start.into(),
-            end: end.into(),
-            target,
-            grid,
-            reverses: None,
-        });
+        let target = rows.collect::<Result<Vec<_>, _>>()?;
+        let grid = reader.grid("manoeuvre.grid", grid_at, &grid, max_rest_angle_deg)?;
+        let (start, end) = (start.into(), end.into());
+        let manoeuvre = Manoeuvre { name, start, end, target, grid, reverses: None };
+        check::check(&manoeuvre, model, &robot.planning).map_err(|mistake| match mistake {
+            Mistake::Row(row, _) => reader.refuse(rows_at[row], "manoeuvre.target", mistake),
+            Mistake::Target(_) => reader.refuse(target_at, "manoeuvre.target", mistake),
+            Mistake::Grid(_) => reader.refuse(grid_at, "manoeuvre.grid", mistake),
+        })?;
+        manoeuvres.push(manoeuvre);
+    }
+    if manoeuvres.is_empty() {
+        return Err(reader.refuse(0, "manoeuvre", "expected at least one manoeuvre, got none"));
     }
     for (number, at, name) in &reversed {
         let of_target = |index: &usize| !reversed.iter().any(|(number, ..)| number == index);
@@ -364,12 +496,29 @@ pub(crate) fn read(
         let Some(original) = original else {
             let names = (0..manoeuvres.len()).filter(of_target).map(|i| manoeuvres[i].name.as_str());
             let names = names.collect::<Vec<_>>().join(", ");
-            let reason = format!("expected the name of a manoeuvre with a target, {names}, got `{name}`");
-            return Err(file.error(*at, Some("manoeuvre.reverses".into()), reason));
+            let reason =
+                format!("expected the name of a manoeuvre with a target, one of {names}, got `{name}`");
+            return Err(reader.refuse(*at, "manoeuvre.reverses", reason));
         };
         let Manoeuvre { start, end, grid, .. } = manoeuvres[original].clone();
         let reverse = &mut manoeuvres[*number];
         (reverse.start, reverse.end, reverse.grid, reverse.reverses) = (end, start, grid, Some(original));
     }
     Ok(manoeuvres)
+}
+
+/// Why a manoeuvre cannot have the name `name` besides the `known` ones.
+fn bad_name(name: &str, known: &[Manoeuvre]) -> Option<String> {
+    /// Requests of all systems, from which a manoeuvre has to differ on the command line.
+    const REQUESTS: [&str; 4] = ["hold", "stop", "enable", "reset"];
+    let is_plain = |byte: u8| byte.is_ascii_lowercase() || byte.is_ascii_digit() || byte == b'-';
+    if name.is_empty() || name.len() > LONGEST_NAME || !name.bytes().all(is_plain) || REQUESTS.contains(&name)
+    {
+        return Some(format!(
+            "expected 1 to {LONGEST_NAME} of the characters a-z, 0-9 and -, and none of the requests {}, got `{name}`",
+            REQUESTS.join(", ")
+        ));
+    }
+    let twice = known.iter().any(|manoeuvre| manoeuvre.name == name);
+    twice.then(|| format!("expected another name for each manoeuvre, got `{name}` twice"))
 }

@@ -1,5 +1,6 @@
 //! Settings of the planner, `planner.toml`.
 
+use crate::RobotSettings;
 use crate::conflict::SettingsConflict;
 use crate::rule::{BetweenZeroAndOne, MotionTime, Positive, Rule, ShareBelowOne, Whole, refused};
 use serde::{Deserialize, Deserializer};
@@ -152,8 +153,19 @@ pub struct BalanceSettings {
 }
 
 impl PlannerSettings {
-    /// Checks the rules between the settings of the planner.
-    pub(crate) fn validate(&self) -> Result<(), SettingsConflict> {
+    /// Checks the rules between the settings of the planner, and between them and those of the robot.
+    pub(crate) fn validate(&self, robot: &RobotSettings) -> Result<(), SettingsConflict> {
+        for (key, torque) in [("offline.torque", self.offline.torque), ("replan.torque", self.replan.torque)]
+        {
+            if torque == TorqueForm::Paper && robot.coriolis_bound.is_none() {
+                return Err(SettingsConflict::new(
+                    key,
+                    "\"exact\", because robot.toml has no [coriolis_bound]",
+                    "\"paper\"",
+                    "change it, or state the bound that `upswing model bound` determines",
+                ));
+            }
+        }
         let OfflineSettings { intervals, t_f_min, t_f_max, .. } = self.offline;
         let sub_horizons = self.replan.sub_horizons;
         if !intervals.is_multiple_of(sub_horizons) {

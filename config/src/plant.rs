@@ -1,7 +1,7 @@
 //! Settings of the simulated plant, `plant.toml`.
 
 use crate::conflict::SettingsConflict;
-use crate::joints::{Prismatic, Range, Revolute, both_kinds};
+use crate::joints::{Prismatic, Revolute, both_kinds};
 use crate::rule::{Angle, Finite, NonNegative, Positive, Rule, Share, Whole};
 use crate::{Fault, Push, RobotSettings};
 use serde::{Deserialize, Deserializer};
@@ -166,10 +166,10 @@ pub struct JointStopSettings {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct JointStopsInFile {
-    #[serde(default, deserialize_with = "Finite::degrees")]
-    q_deg: Option<Revolute<Joints, Range>>,
-    #[serde(default, deserialize_with = "Finite::read")]
-    q_m: Option<Prismatic<Joints, Range>>,
+    #[serde(default, deserialize_with = "NonNegative::degrees")]
+    margin_deg: Option<Revolute<Joints>>,
+    #[serde(default, deserialize_with = "NonNegative::read")]
+    margin_m: Option<Prismatic<Joints>>,
     #[serde(deserialize_with = "NonNegative::read")]
     stiffness: JointVector,
     #[serde(deserialize_with = "NonNegative::read")]
@@ -180,13 +180,10 @@ impl TryFrom<JointStopsInFile> for JointStopSettings {
     type Error = String;
 
     fn try_from(file: JointStopsInFile) -> Result<Self, String> {
-        let (sizes, q) = both_kinds(("q_deg", file.q_deg), ("q_m", file.q_m))?;
-        Ok(Self {
-            q_min: JointVector::from_fn(sizes, |i| q[i][0]),
-            q_max: JointVector::from_fn(sizes, |i| q[i][1]),
-            stiffness: file.stiffness,
-            damping: file.damping,
-        })
+        let (sizes, margin) = both_kinds(("margin_deg", file.margin_deg), ("margin_m", file.margin_m))?;
+        // Relative to the limits of the robot, which `PlantSettings::finish` adds.
+        let margin = JointVector::from_fn(sizes, |i| margin[i]);
+        Ok(Self { q_min: -margin, q_max: margin, stiffness: file.stiffness, damping: file.damping })
     }
 }
 
@@ -255,8 +252,10 @@ pub enum PendulumStart {
 }
 
 impl PlantSettings {
-    /// Checks that the start pose is within the rated limits of the robot.
-    pub(crate) fn validate(&self, robot: &RobotSettings, model: &Model) -> Result<(), SettingsConflict> {
+    /// Places the stops beyond the rated limits of the robot, and checks that the start pose is within these.
+    pub(crate) fn finish(&mut self, robot: &RobotSettings, model: &Model) -> Result<(), SettingsConflict> {
+        self.stops.q_min += robot.limits.q_min;
+        self.stops.q_max += robot.limits.q_max;
         let mut positions = self.start.q.iter().enumerate();
         positions.try_for_each(|(joint, q)| {
             SettingsConflict::unless_within("start.q", *q, joint, &robot.limits, model)

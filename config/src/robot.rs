@@ -1,15 +1,16 @@
-//! Limits of the robot and target of the swing-up, `robot.toml`.
+//! Limits and drives of the robot, `robot.toml`.
 
+use crate::combinations::combinations;
 use crate::conflict::{SettingsConflict, in_file, unit};
 use crate::joints::{Prismatic, Range, Revolute, both_kinds};
-use crate::rule::{Angle, Finite, Negative, NonNegative, Positive, PositiveShare, Rule};
+use crate::rule::{Finite, Negative, NonNegative, Positive, PositiveShare, Rule};
 use serde::de::{Deserialize, Deserializer, Error};
 use upswing_model::{
-    ActuatedVector, JointFriction, JointVector, Joints, Limits, Model, TargetError, Unactuated,
+    ActuatedVector, JointFriction, JointVector, Joints, Limits, Model, Unactuated, UnactuatedMatrix,
     UnactuatedVector, Workspace,
 };
 
-/// Limits and drives of the robot, and the target of the swing-up.
+/// Limits and drives of the robot.
 #[derive(Clone, Debug, PartialEq, serde::Deserialize)]
 #[serde(from = "RobotFile")]
 pub struct RobotSettings {
@@ -17,10 +18,8 @@ pub struct RobotSettings {
     pub limits: Limits,
     /// Limits of plans: shares of the rated velocities and torques, positions of the unactuated joints with a margin.
     pub planning: Limits,
-    /// Bound c of the Coriolis torques in (11).
-    pub coriolis_bound: CoriolisBound,
-    /// The target x_T, (8).
-    pub target: Target,
+    /// Bound c of the Coriolis torques in (11), if it is known.
+    pub coriolis_bound: Option<CoriolisBound>,
     /// Inertia of the rotors, reflected to the actuated joints, kg m^2 or kg; part of [`crate::Config::model`].
     pub rotor_inertia: ActuatedVector,
     /// Joint friction that the drives do not compensate; the daemon adds it to its torque.
@@ -39,18 +38,6 @@ pub struct CoriolisBound {
     pub upper: ActuatedVector,
 }
 
-/// The target state x_T, (8): at rest, all other angles zero.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Target {
-    /// Pitch of the flange, q2 - q4 + q6, rad.
-    #[serde(rename = "pitch_deg", deserialize_with = "Angle::degrees")]
-    pub pitch: f64,
-    /// First angle of the pendulum, rad; not wrapped, counts turns.
-    #[serde(rename = "q8_deg", deserialize_with = "Finite::degrees")]
-    pub q8: f64,
-}
-
 /// Contents of `robot.toml`, in SI units.
 #[derive(serde::Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -58,8 +45,7 @@ struct RobotFile {
     #[serde(deserialize_with = "rated_limits")]
     limits: Limits,
     usage: LimitUsage,
-    coriolis_bound: CoriolisBound,
-    target: Target,
+    coriolis_bound: Option<CoriolisBound>,
     drives: DriveProperties,
 }
 
@@ -144,7 +130,7 @@ struct DriveProperties {
 }
 
 impl From<RobotFile> for RobotSettings {
-    fn from(RobotFile { limits, usage, coriolis_bound, target, drives }: RobotFile) -> Self {
+    fn from(RobotFile { limits, usage, coriolis_bound, drives }: RobotFile) -> Self {
         let mut planning = limits;
         planning.tau_max *= usage.torque_fraction;
         planning.qd_max.actuated_mut().iter_mut().for_each(|qd| *qd *= usage.velocity_fraction_actuated);
@@ -157,7 +143,6 @@ impl From<RobotFile> for RobotSettings {
             limits,
             planning,
             coriolis_bound,
-            target,
             rotor_inertia: drives.rotor_inertia,
             friction: JointFriction {
                 viscous: drives.friction_viscous,
@@ -171,8 +156,8 @@ impl From<RobotFile> for RobotSettings {
 impl RobotSettings {
     /// Checks the rules between the settings of the robot, and between them and the `model` of the URDF.
     pub(crate) fn validate(&self, model: &Model) -> Result<(), SettingsConflict> {
-        let CoriolisBound { lower, upper } = &self.coriolis_bound;
         for (joint, most) in self.planning.tau_max.iter().enumerate() {
+            let Some(CoriolisBound { lower, upper }) = &self.coriolis_bound else { break };
             for (key, c) in
                 [("coriolis_bound.upper_nm", upper[joint]), ("coriolis_bound.lower_nm", lower[joint])]
             {
@@ -187,7 +172,55 @@ impl RobotSettings {
             }
         }
         self.agree_with(model)?;
-        self.target.validate(&self.planning, model)
+        self.check_inertia(model)
+    }
+
+    /// Checks that M_UU is well conditioned over the ranges of plans: (3) divides by it. It depends on the joints behind the first
+    /// unactuated one only.
+    fn check_inertia(&self, model: &Model) -> Result<(), SettingsConflict> {
+        /// Smallest inertia of a joint relative to its largest one in the ranges, and smallest pivot of M_UU, scaled to a diagonal of 1.
+        const SMALLEST: f64 = 1e-4;
+        /// Largest number of poses, and numbers of positions of each joint, of which the largest one fits.
+        const MOST_POSES: usize = 4096;
+        const POSITIONS: [usize; 3] = [5, 3, 2];
+        let (sizes, order) = (model.sizes(), model.order());
+        let first = (0..sizes.joints()).find(|joint| !order.is_actuated(*joint)).unwrap_or_default();
+        let behind: Vec<_> = (first + 1..sizes.joints()).map(|joint| order.coordinate(joint)).collect();
+        let poses = |points: usize| points.checked_pow(behind.len() as u32).unwrap_or(usize::MAX);
+        let points = POSITIONS.into_iter().find(|points| poses(*points) <= MOST_POSES).unwrap_or(2);
+        let positions = |joint: &usize| -> Vec<f64> {
+            let (low, high) = (self.planning.q_min[*joint], self.planning.q_max[*joint]);
+            (0..points).map(|i| low + (high - low) * i as f64 / (points - 1) as f64).collect()
+        };
+        let positions: Vec<_> = behind.iter().map(positions).collect();
+        let work = &mut Workspace::default();
+        let mut inertias = Vec::new();
+        for pose in combinations(&positions).take(MOST_POSES) {
+            let mut q = JointVector::zeros(sizes);
+            behind.iter().zip(&pose).for_each(|(joint, position)| q[*joint] = *position);
+            inertias.push((q, model.mass_matrix(&q, work).unactuated()));
+        }
+        let largest =
+            UnactuatedVector::from_fn(sizes, |i| inertias.iter().map(|(_, m)| m[(i, i)]).fold(0.0, f64::max));
+        for (q, m) in &inertias {
+            let Some(i) = weak(m, &largest, SMALLEST) else { continue };
+            let shown = |joint: &usize| {
+                let (q, unit) = model.joint_kind(*joint).shown(q[*joint]);
+                format!("{} {q:.4} {unit}", model.joint_name(*joint))
+            };
+            let place = behind.iter().map(shown).collect::<Vec<_>>().join(", ");
+            let place = if place.is_empty() { "everywhere".to_owned() } else { format!("at {place}") };
+            let joint = model.joint_name(sizes.actuated() + i);
+            return Err(SettingsConflict::new(
+                "limits",
+                format!(
+                    "ranges in which the unactuated joint `{joint}` moves a mass: M_UU is well conditioned"
+                ),
+                format!("a singular M_UU, or nearly so, {place}"),
+                format!("narrow the ranges, or add the mass or inertia that is missing in {}", crate::URDF),
+            ));
+        }
+        Ok(())
     }
 
     /// Checks that the rated limits (Table II) agree in `robot.toml` and, for other programs, in the URDF. A joint that is continuous in
@@ -200,8 +233,7 @@ impl RobotSettings {
             if (toml - urdf).abs() <= ROUNDING || urdf.is_infinite() {
                 return Ok(());
             }
-            let expected =
-                format!("the {urdf} of joint `{}` in {}", model.joint_name(joint), crate::URDF.name);
+            let expected = format!("the {urdf} of joint `{}` in {}", model.joint_name(joint), crate::URDF);
             Err(SettingsConflict::new(key, expected, toml, "change both files alike"))
         };
         let (toml, urdf) = (&self.limits, model.rated_limits());
@@ -218,36 +250,26 @@ impl RobotSettings {
     }
 }
 
-impl Target {
-    /// Refuses a target (8) that is outside the limits, or no equilibrium of the pendulum: no trajectory can end at rest in such a
-    /// target.
-    fn validate(self, limits: &Limits, model: &Model) -> Result<(), SettingsConflict> {
-        /// Numbers of actuated and unactuated joints for which (8) has a meaning.
-        const OF_PAPER: (usize, usize) = (7, 2);
-        let Self { pitch, q8 } = self;
-        let (actuated, unactuated) = (model.sizes().actuated(), model.sizes().unactuated());
-        if (actuated, unactuated) != OF_PAPER {
-            return Err(SettingsConflict::new(
-                "target",
-                format!("{} actuated and {} unactuated joints, as (8) has", OF_PAPER.0, OF_PAPER.1),
-                format!("{actuated} and {unactuated} in {}", crate::URDF.name),
-                "targets of other robots are not supported yet",
-            ));
+/// Index of the first unactuated joint whose inertia is below the share `smallest` of its `largest` one, or that moves with those before it
+/// so that M_UU = `m`, scaled to a diagonal of 1, has a pivot below `smallest`.
+fn weak(m: &UnactuatedMatrix, largest: &UnactuatedVector, smallest: f64) -> Option<usize> {
+    let n = largest.len();
+    // L of M_UU = L L'.
+    let mut l = *m;
+    for j in 0..n {
+        // Written so that NaN is refused.
+        if !(m[(j, j)] > smallest * largest[j]) {
+            return Some(j);
         }
-        SettingsConflict::unless_within("target.q8", q8, actuated, limits, model)?;
-        let refuse = |TargetError { joint, acceleration, unit }| {
-            SettingsConflict::new(
-                "target.pitch_deg",
-                "with target.q8_deg an equilibrium of the pendulum",
-                format!(
-                    "{:.2} with q8_deg {:.2}, where joint `{joint}` of {} at rest accelerates with {acceleration:.3} {unit}/s^2",
-                    pitch.to_degrees(),
-                    q8.to_degrees(),
-                    crate::URDF.name
-                ),
-                "make axis 8 horizontal and the rod vertical; the shipped robot has 90 and 180",
-            )
-        };
-        model.check_target(pitch, q8, &mut Workspace::default()).map_err(refuse)
+        let pivot = m[(j, j)] - (0..j).map(|k| l[(j, k)] * l[(j, k)]).sum::<f64>();
+        if !(pivot > smallest * m[(j, j)]) {
+            return Some(j);
+        }
+        l[(j, j)] = pivot.sqrt();
+        for i in j + 1..n {
+            let sum = m[(i, j)] - (0..j).map(|k| l[(i, k)] * l[(j, k)]).sum::<f64>();
+            l[(i, j)] = sum / l[(j, j)];
+        }
     }
+    None
 }

@@ -3,7 +3,8 @@
 use crate::conflict::SettingsConflict;
 use crate::fault::FaultInFile;
 use crate::file::TextFile;
-use crate::joints::{DEFAULT, JointList};
+use crate::joints::JointList;
+use crate::overlay::{Settings, can_be_per_joint, completed, kind};
 use crate::{ConfigError, PlantSettings, Push, RobotSettings};
 use serde::Deserialize;
 use toml::Spanned;
@@ -23,7 +24,7 @@ struct Scenario {
 /// Applies the scenario in `file` to `plant.toml` (`base`); returns the settings and the purpose of the scenario.
 pub(crate) fn read(
     file: &TextFile,
-    base: &TextFile,
+    base: &Settings,
     robot: &RobotSettings,
     model: &Model,
 ) -> Result<(PlantSettings, String), ConfigError> {
@@ -44,13 +45,13 @@ pub(crate) fn read(
     for key in ["purpose", "fault", "push"] {
         changes.remove(key);
     }
-    let mut tables = DeTable::parse(&base.text).map_err(|e| base.malformed(&e))?;
+    let mut tables = base.tables()?;
     overlay(file, "", tables.get_mut(), changes)?;
     // A value that violates its rule is from the scenario: the values of `base` have been checked before.
     let tables = toml::Deserializer::from(tables);
     let mut settings =
         PlantSettings::deserialize(JointList::of(model).around(tables)).map_err(|e| file.malformed(&e))?;
-    settings.validate(robot, model).map_err(|conflict| file.refuse(conflict))?;
+    settings.finish(robot, model).map_err(|conflict| file.refuse(conflict))?;
     (settings.faults, settings.pushes) = (faults, push);
     Ok((settings, purpose))
 }
@@ -89,37 +90,4 @@ fn overlay<'a>(
         *old = Spanned::new(span, new);
     }
     Ok(())
-}
-
-/// A value per joint of a scenario; a table without a default has the values of `old` for the joints that it does not name.
-fn completed<'a>(new: DeValue<'a>, old: &DeValue<'a>) -> DeValue<'a> {
-    let DeValue::Table(mut table) = new else { return new };
-    if !table.contains_key(DEFAULT) {
-        let default =
-            || [(Spanned::new(0..0, DEFAULT.into()), Spanned::new(0..0, old.clone()))].into_iter().collect();
-        let old: DeTable<'_> = old.as_table().cloned().unwrap_or_else(default);
-        for (joint, value) in old {
-            table.entry(joint).or_insert(value);
-        }
-    }
-    DeValue::Table(table)
-}
-
-/// Whether a value of a section can be one value per joint: a number, a list of numbers, or a table.
-fn can_be_per_joint(value: &DeValue<'_>) -> bool {
-    matches!(value, DeValue::Table(_)) || ["a number", "a list of numbers"].contains(&kind(value).as_str())
-}
-
-/// Name of a value's type in messages; integers and floats are both "a number".
-fn kind(value: &DeValue<'_>) -> String {
-    match value {
-        DeValue::Integer(_) | DeValue::Float(_) => "a number".into(),
-        DeValue::Array(items) => {
-            match items.iter().map(Spanned::get_ref).map(kind).find(|item| item != "a number") {
-                Some(other) => format!("a list with {other}"),
-                None => "a list of numbers".into(),
-            }
-        }
-        other => format!("a {}", other.type_str()),
-    }
 }

@@ -12,7 +12,7 @@ const ACTUATED: &str = "joint_1, joint_2, joint_3, joint_4, joint_5, joint_6, jo
 const UNACTUATED: &str = "pendulum_1, pendulum_2";
 
 /// Keys with one value per joint: file, section, key, and the joints that they concern.
-const KEYS: [(&str, &str, &str, &str); 26] = [
+const KEYS: [(&str, &str, &str, &str); 27] = [
     ("robot.toml", "limits", "qd_deg_s", ALL),
     ("robot.toml", "limits", "tau_nm", ACTUATED),
     ("robot.toml", "usage", "position_margin_deg", UNACTUATED),
@@ -34,6 +34,7 @@ const KEYS: [(&str, &str, &str, &str); 26] = [
     ("plant.toml", "model", "rotor_inertia_kg_m2", ACTUATED),
     ("plant.toml", "encoder", "noise_rad", ALL),
     ("plant.toml", "encoder", "bias_deg", ALL),
+    ("plant.toml", "stops", "margin_deg", ALL),
     ("plant.toml", "drive", "torque_offset_nm", ACTUATED),
     ("plant.toml", "friction", "pendulum_viscous", UNACTUATED),
     ("plant.toml", "friction", "pendulum_coulomb", UNACTUATED),
@@ -80,16 +81,22 @@ fn unknown_and_missing_joints_and_lists() {
         let value = if key == "lower_nm" { "-0.01" } else { "0.01" };
         let all_but_last = joints.split(", ").filter(|joint| *joint != last);
         let all_but_last: Vec<_> = all_but_last.map(|joint| format!("{joint} = {value}")).collect();
+        // The values of other keys have defaults.
+        let without_last = if ["limits", "coriolis_bound"].contains(&section) {
+            (format!("{{ {} }}", all_but_last.join(", ")), missing)
+        } else {
+            ("{ default = -inf }".to_owned(), format!("{section}.{key}.default: expected"))
+        };
         for (bad, expected) in [
             (format!("{{ default = {value}, {other} = {value} }}"), unknown),
-            (format!("{{ {} }}", all_but_last.join(", ")), missing),
+            without_last,
             (format!("[{value}, {value}]"), list),
             (
                 format!("{{ default = {value}, {first} = \"a\" }}"),
                 format!("{section}.{key}.{first}: invalid type: string"),
             ),
         ] {
-            let message = load_with(dir.path(), key_of_file, &bad).expect_err(&bad).to_string();
+            let message = load_with(dir.path(), key_of_file, &bad).map(drop).expect_err(&bad).to_string();
             assert!(message.contains(&expected) && message.contains(&name), "no `{expected}` in: {message}");
         }
     }
@@ -104,36 +111,38 @@ fn ranges() {
         &["limits.q_deg: expected a value for joint `pendulum_2` or a `default`, got neither"],
     );
     refused(
-        "plant.toml",
-        "pendulum_2 = [-47, 47]",
-        "pendulum_3 = [-47, 47]",
-        &["stops.q_deg.pendulum_3: expected `default` or one of joint_1", "got `pendulum_3`"],
+        "robot.toml",
+        "pendulum_2 = [-45, 45]",
+        "pendulum_3 = [-45, 45]",
+        &["limits.q_deg.pendulum_3: expected `default` or one of joint_1", "got `pendulum_3`"],
     );
     let dir = exported();
-    let original = std::fs::read_to_string(dir.path().join("plant.toml")).expect("exported");
-    let (before, after) = original.split_once("[stops.q_deg]").expect("the stops");
+    let original = std::fs::read_to_string(dir.path().join("robot.toml")).expect("exported");
+    let (before, after) = original.split_once("[limits.q_deg]").expect("the ranges");
     let after = &after[after.find("\n\n").expect("their end")..];
-    let load = |stops: &str| {
-        std::fs::write(dir.path().join("plant.toml"), format!("{before}{stops}{after}")).expect("write");
-        Config::from_dir(dir.path()).map(|config| config.plant.stops).map_err(|e| e.to_string())
+    let load = |ranges: &str| {
+        std::fs::write(dir.path().join("robot.toml"), format!("{before}{ranges}{after}")).expect("write");
+        Config::from_dir(dir.path()).expect_err(ranges).to_string()
     };
-    let stops = load("q_deg = [-90, 180]").expect("one range for all joints");
-    assert!(stops.q_min.iter().all(|q| *q == -90_f64.to_radians()));
-    assert!(stops.q_max.iter().all(|q| *q == 180_f64.to_radians()));
+    let message = load("q_deg = [-90, 180]");
+    assert!(
+        message.contains("limits.q_deg: expected the -170 of joint `joint_1` in robot.urdf, got -90"),
+        "{message}"
+    );
     for list in ["[1]", "[1, 2, 3]", "[]"] {
-        let message = load(&format!("q_deg = {list}")).expect_err(list);
+        let message = load(&format!("q_deg = {list}"));
         assert!(
-            message.contains("stops.q_deg: expected a range [lowest, highest] for all joints, or a table"),
+            message.contains("limits.q_deg: expected a range [lowest, highest] for all joints, or a table"),
             "{message}"
         );
     }
-    let message = load("q_deg = 90").expect_err("a number");
+    let message = load("q_deg = 90");
     assert!(
-        message.contains("stops.q_deg: invalid type") && message.contains("[lowest, highest]"),
+        message.contains("limits.q_deg: invalid type") && message.contains("[lowest, highest]"),
         "{message}"
     );
-    let message = load("").expect_err("no stops");
-    assert!(message.contains("stops: missing field `q_deg`"), "{message}");
+    let message = load("");
+    assert!(message.contains("limits: missing field `q_deg`"), "{message}");
 }
 
 #[test]
@@ -194,56 +203,55 @@ fn prismatic_joints_have_keys_in_metres() {
     edit("robot.toml", "joint_7 = 135, ", "");
     refused("limits: missing field `q_m`, for joint `joint_7`");
     edit("robot.toml", "[limits]", "[limits]\nq_m = [-0.1, 0.2]\nqd_m_s = { joint_7 = 0.5 }");
-    refused("plant.toml");
-    edit("plant.toml", "bias_deg = 0", "bias_deg = 0\nbias_m = 0.01");
-    edit("plant.toml", "joint_7 = [-178, 178]", "");
-    edit("plant.toml", "[stops]", "[stops]\nq_m = { joint_7 = [-0.11, 0.21] }");
-    edit("plant.toml", "q_deg = { default = 0, ", "q_m = { joint_7 = 0.15 }\nq_deg = { default = 0, ");
+    refused("manoeuvre.target.value_deg: expected value_m for joint `joint_7`");
+    edit(
+        "manoeuvres.toml",
+        "{ joint = \"joint_7\", value_deg = 0 },\n    { joint = \"pendulum_1\", value_deg = 180 },\n    { joint = \"pendulum_2\", value_deg = 0 },\n    { coefficients",
+        "{ joint = \"joint_7\", value_m = 0 },\n    { joint = \"pendulum_1\", value_deg = 180 },\n    { joint = \"pendulum_2\", value_deg = 0 },\n    { coefficients",
+    );
+    let path = dir.path().join("manoeuvres.toml");
+    let manoeuvres = std::fs::read_to_string(&path).expect("exported");
+    let swing_up = &manoeuvres[..manoeuvres.find("# A swing-up run backwards").expect("the next one")];
+    std::fs::write(&path, swing_up).expect("written");
+    edit("plant.toml", "bias_m = 0", "bias_m = 0.01");
+    edit("plant.toml", "margin_m = 0.02", "margin_m = { joint_7 = 0.01 }");
+    edit("plant.toml", "q_m = 0", "q_m = { joint_7 = 0.15 }");
     let config = Config::from_dir(dir.path()).unwrap_or_else(|e| panic!("{e}"));
     assert_eq!(config.model.joint_kind(6), JointKind::Prismatic);
     let (limits, stops) = (&config.robot.limits, &config.plant.stops);
     assert_eq!((limits.q_min[6], limits.q_max[6], limits.qd_max[6]), (-0.1, 0.2, 0.5));
     assert_eq!((limits.q_min[5], limits.qd_max[7]), (-120_f64.to_radians(), 180_f64.to_radians()));
-    assert_eq!((stops.q_min[6], stops.q_max[6], config.plant.encoder.bias[6]), (-0.11, 0.21, 0.01));
+    assert_eq!((stops.q_min[6], stops.q_max[6], config.plant.encoder.bias[6]), (-0.11, 0.2 + 0.01, 0.01));
     assert_eq!((config.plant.start.q[6], config.plant.start.q[3]), (0.15, -95_f64.to_radians()));
     edit("plant.toml", "joint_7 = 0.15", "joint_7 = 0.25");
     refused("start.q_m: expected a position from -0.1 to 0.2 m, got 0.25 for joint `joint_7`");
     edit("plant.toml", "joint_7 = 0.25", "joint_7 = 0.15");
-    let grid = dir.path().join("grid.toml");
-    let axis = |ends: &str| {
-        let axis = format!("joints = [{{ joint = 'joint_7', {ends}, points = 3 }}]");
-        std::fs::write(&grid, format!("{axis}\nstart = 'rest'\nmax_rest_angle_deg = 45\n")).expect("write");
+    let grid = |axis: &str| {
+        let path = dir.path().join("mine.toml");
+        std::fs::write(&path, format!("grid = [{{ joint = 'joint_7', {axis} }}]\n")).expect("write");
+        let mut config = Config::from_dir(dir.path()).unwrap_or_else(|e| panic!("{e}"));
+        config.use_grid(0, &path).map(|()| config.manoeuvres[0].grid.clone()).map_err(|e| e.to_string())
     };
-    axis("from_m = 0, to_m = 0.2");
-    assert_eq!(Config::from_dir(dir.path()).unwrap_or_else(|e| panic!("{e}")).grid.pose(1)[6], 0.1);
-    axis("from_deg = 0, to_deg = 1");
-    refused("joints.from_m: expected a position of joint `joint_7` in this unit only");
-    axis("from_m = 0, to_m = 0.3");
-    refused("joints.to_m: expected a position from -0.1 to 0.2 m, got 0.3 for joint `joint_7`");
+    assert_eq!(grid("from_m = 0, to_m = 0.2, points = 3").expect("a grid").pose(1)[6], 0.1);
+    assert_eq!(grid("value_m = 0.1").expect("a grid").pose(0)[6], 0.1);
+    for (axis, expected) in [
+        ("from_deg = 0, to_deg = 1, points = 3", "grid.from_deg: expected from_m for joint `joint_7`"),
+        (
+            "from_m = 0, to_m = 0.3, points = 3",
+            "grid.to_m: expected a position from -0.1 to 0.2 m, got 0.3 for joint `joint_7`",
+        ),
+    ] {
+        let message = grid(axis).expect_err(axis);
+        assert!(message.contains(expected), "no `{expected}` in: {message}");
+    }
 }
 
 #[test]
 fn keys_in_metres_without_a_prismatic_joint() {
     refused(
         "plant.toml",
-        "bias_deg = 0",
-        "bias_deg = 0\nbias_m = 0",
-        &["encoder.bias_m: expected no such key, got one: these joints of the robot are not prismatic"],
+        "bias_m = 0",
+        "bias_m = { joint_1 = 0 }",
+        &["encoder.bias_m.joint_1: expected `default` or no joint of this kind, got `joint_1`"],
     );
-}
-
-#[test]
-fn a_robot_with_other_joints_than_those_of_the_target() {
-    let dir = exported();
-    let edit = |file: &str, from: &str, to: &str| edit(dir.path(), file, from, to);
-    let pendulum_1 = "<limit lower=\"-3.141592653589793\" upper=\"3.141592653589793\" velocity=\"3.141592653589793\" effort=";
-    edit("robot.urdf", &format!("{pendulum_1}\"0\""), &format!("{pendulum_1}\"9\""));
-    edit("robot.toml", "joint_7 = 40 }", "joint_7 = 40, pendulum_1 = 9 }");
-    edit("robot.toml", "joint_7 = 0.1 }", "joint_7 = 0.1, pendulum_1 = 0.1 }");
-    edit("robot.toml", "joint_7 = -0.1 }", "joint_7 = -0.1, pendulum_1 = -0.1 }");
-    edit("robot.toml", "{ pendulum_1 = 20, pendulum_2 = 0 }", "0");
-    let message = Config::from_dir(dir.path()).expect_err("no target (8)").to_string();
-    let expected =
-        "target: expected 7 actuated and 2 unactuated joints, as (8) has, got 8 and 1 in robot.urdf";
-    assert!(message.contains(expected), "{message}");
 }

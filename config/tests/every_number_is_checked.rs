@@ -56,7 +56,7 @@ fn replace(
 fn by_its_rule() {
     let dir = exported();
     let (mut accepted, mut numbers) = (Vec::new(), 0);
-    for file in ["robot.toml", "planner.toml", "daemon.toml", "plant.toml", "grid.toml"] {
+    for file in ["robot.toml", "planner.toml", "daemon.toml", "plant.toml", "manoeuvres.toml"] {
         let path = dir.path().join(file);
         let original = std::fs::read_to_string(&path).expect("exported");
         let table: Table = original.parse().expect("TOML");
@@ -70,9 +70,9 @@ fn by_its_rule() {
         std::fs::write(&path, original).expect("written");
     }
     assert!(numbers > 100, "only {numbers} numbers");
-    // Any finite number will do for these: biases, offsets and stops of a simulated plant, a place on its flange.
+    // Any finite number will do for these: biases and offsets of a simulated plant, coefficients of a target, a place on its flange.
     accepted.retain(|name| {
-        !["bias", "offset", "stops.q_deg", "position_m"].iter().any(|free| name.contains(free))
+        !["bias", "offset", "position_m", "start.q_m", "coefficients"].iter().any(|free| name.contains(free))
             || name.contains("nan")
     });
     assert_eq!(accepted, Vec::<String>::new());

@@ -6,18 +6,10 @@ use upswing_config::{Config, PendulumStart, TorqueForm, VelocityEstimate};
 use upswing_model::{ActuatedVector, Period};
 
 #[test]
-fn the_same_settings() {
+fn files_of_the_folder_or_the_program() {
     let embedded = Config::embedded().expect("embedded settings");
     let dir = exported();
-    let loaded = Config::load(Some(dir.path())).expect("exported settings");
-    assert_eq!(loaded.urdf, embedded.urdf);
-    assert_eq!(loaded.model.fingerprint(), embedded.model.fingerprint());
-    assert_eq!(loaded.robot, embedded.robot);
-    assert_eq!(loaded.planner, embedded.planner);
-    assert_eq!(loaded.daemon, embedded.daemon);
-    assert_eq!(loaded.plant, embedded.plant);
-    assert_eq!(loaded.plant_model.fingerprint(), embedded.plant_model.fingerprint());
-    assert_eq!(loaded.grid, embedded.grid);
+    let loaded = Config::from_dir(dir.path()).expect("exported settings");
     std::fs::write(dir.path().join("other"), b"in the folder").expect("write");
     let (of_folder, of_program) = (
         loaded.optional_file("other", Some(b"embedded")).expect("readable").expect("a file"),
@@ -27,7 +19,35 @@ fn the_same_settings() {
         assert_eq!(config.optional_file("none", None).expect("no error"), None);
     }
     assert!(of_folder.0.ends_with("other") && of_folder.1 == b"in the folder".as_slice());
-    assert!(of_program.0 == "embedded other" && of_program.1 == b"embedded".as_slice());
+    assert!(of_program.0 == "embedded iiwa-pendulum/other" && of_program.1 == b"embedded".as_slice());
+}
+
+#[test]
+fn a_file_contains_only_the_keys_that_differ() {
+    let dir = exported();
+    std::fs::write(
+        dir.path().join("daemon.toml"),
+        "[hold]\nstiffness = { joint_3 = 50 }\n[limits]\nplan_age_s = { trip = 700 }\n",
+    )
+    .expect("write");
+    std::fs::remove_file(dir.path().join("planner.toml")).expect("removed");
+    let config = Config::from_dir(dir.path()).unwrap_or_else(|e| panic!("{e}"));
+    let embedded = Config::embedded().expect("embedded settings");
+    assert_eq!(config.planner, embedded.planner);
+    assert_eq!(config.daemon.hold.stiffness.to_vec(), [100.0, 100.0, 50.0, 100.0, 100.0, 100.0, 100.0]);
+    assert_eq!(config.daemon.hold.damping, embedded.daemon.hold.damping);
+    assert_eq!((config.daemon.limits.plan_age.warn, config.daemon.limits.plan_age.trip), (60.0, 700.0));
+    // In full, with the values of the file and the comments of the defaults.
+    let texts = config.texts().expect("texts");
+    let (_, daemon) = texts.iter().find(|(name, _)| name == "daemon.toml").expect("the daemon");
+    for line in [
+        "stiffness = { joint_3 = 50, default = 100 }",
+        "plan_age_s = { trip = 700, warn = 60 }",
+        "# Age of a loaded plan above which its start is refused, s.",
+        "damping = 20",
+    ] {
+        assert!(daemon.lines().any(|l| l == line), "no `{line}` in:\n{daemon}");
+    }
 }
 
 #[test]
@@ -47,7 +67,7 @@ fn an_edit_takes_effect_in_si_units() {
 
 #[test]
 fn the_papers_values() {
-    let config = Config::load(None).expect("embedded settings");
+    let config = Config::embedded().expect("embedded settings");
     let deg = f64::to_radians;
     let robot = &config.robot;
     assert_eq!(robot.limits.q_max[8], deg(45.0));
@@ -56,8 +76,8 @@ fn the_papers_values() {
     assert!((robot.planning.q_max[7] - deg(200.0)).abs() < 1e-12);
     assert!((robot.planning.q_min[7] + deg(200.0)).abs() < 1e-12);
     assert_eq!(robot.planning.q_max[6], robot.limits.q_max[6]);
-    assert_eq!((robot.target.pitch, robot.target.q8), (deg(90.0), deg(180.0)));
-    assert_eq!((robot.coriolis_bound.lower[1], robot.coriolis_bound.upper[1]), (-7.0, 8.0));
+    let bound = robot.coriolis_bound.expect("the paper's");
+    assert_eq!((bound.lower[1], bound.upper[1]), (-7.0, 8.0));
     assert_eq!(config.daemon.cycle.period, Period::from_micros(125));
     assert_eq!(config.daemon.cycle.velocity_filter, 0.012);
     assert_eq!(config.daemon.cycle.velocity, VelocityEstimate::Filter);
@@ -70,10 +90,11 @@ fn the_papers_values() {
 
     let mut config = config;
     config.use_paper_grid().expect("the paper's grid is within the limits");
-    let axes = &config.grid.axes;
+    let grid = &config.manoeuvres[0].grid;
+    let axes = &grid.axes;
     assert_eq!(axes.iter().map(|axis| axis.joint).collect::<Vec<_>>(), [0, 1, 3, 5]);
-    assert_eq!(config.grid.poses(), 256);
-    let last = config.grid.pose(255);
+    assert_eq!(grid.poses(), 256);
+    let last = grid.pose(255);
     assert!((last[0] - deg(45.0)).abs() < 1e-12 && (last[5] - deg(60.0)).abs() < 1e-12);
     for (point, angle) in [-60.0, -25.0, 10.0, 45.0].into_iter().enumerate() {
         assert!((axes[0].position(point) - deg(angle)).abs() < 1e-12);

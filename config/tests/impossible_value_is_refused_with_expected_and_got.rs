@@ -40,8 +40,8 @@ fn robot() {
         ),
         ("torque_fraction = 0.5", "torque_fraction = -0.5", &["usage.torque_fraction", SHARE, "got -0.5"]),
         (
-            "pendulum_2 = 0 }",
-            "pendulum_2 = -1 }",
+            "pendulum_2 = 0,",
+            "pendulum_2 = -1,",
             &["usage.position_margin_deg.pendulum_2", NOT_NEGATIVE, "got -1"],
         ),
         (
@@ -76,24 +76,7 @@ fn robot() {
             "joint_1 = 160,",
             &["coriolis_bound.upper_nm", "less than the 160", "got 160 for joint `joint_1`"],
         ),
-        ("pitch_deg = 90", "pitch_deg = inf", &["target.pitch_deg", "from -360 to 360 deg", "got inf"]),
-        ("q8_deg = 180", "q8_deg = 201", &["target.q8_deg", "from -200 to 200 deg", "got 201"]),
-        (
-            "pitch_deg = 90",
-            "pitch_deg = 60",
-            &[
-                "target.pitch_deg",
-                "an equilibrium",
-                "got 60.00 with q8_deg 180.00",
-                "joint `pendulum_2` of robot.urdf at rest",
-            ],
-        ),
-        (
-            "q8_deg = 180",
-            "q8_deg = 170",
-            &["an equilibrium", "q8_deg 170.00", "joint `pendulum_1` of robot.urdf at rest"],
-        ),
-    ] as [(&str, &str, &[&str]); 21]
+    ] as [(&str, &str, &[&str]); 17]
     {
         refused("robot.toml", from, to, parts);
     }
@@ -154,32 +137,60 @@ fn planner() {
 
 #[test]
 fn grid() {
+    let three = "joint = \"joint_4\", from_deg = -120, to_deg = -60, points = 5";
+    let first =
+        "joint = \"joint_1\", from_deg = -60, to_deg = 45, points = 4 },\n    { joint = \"joint_2\", from";
     for (from, to, parts) in [
-        ("\"joint_4\"", "\"pendulum_1\"", &["joints.joint", "joint_1, joint_2", "joint_7, got `pendulum_1`"]),
-        ("\"joint_4\"", "4", &["joints.joint", "invalid type: integer `4`, expected a string"]),
-        ("\"joint_4\"", "\"joint_2\"", &["joints.joint", "at most once", "got joint `joint_2` twice"]),
+        (three, "value_deg = 1", &["manoeuvre.grid: expected `joint`, one of joint_1, joint_2"]),
         (
-            "from_deg = -120",
-            "from_m = -120",
-            &["joints.from_deg", "a position of joint `joint_4` in this unit"],
+            three,
+            "joint = \"pendulum_1\", value_deg = 0",
+            &["manoeuvre.grid.joint", "joint_1, joint_2", "joint_7, got `pendulum_1`"],
         ),
-        ("to_deg = 45", "to_deg = 45, to_m = 1", &["joints.to_deg", "joint `joint_1` in this unit only"]),
+        (three, "joint = 4", &["manoeuvre.grid.joint", "invalid type: integer `4`, expected a string"]),
         (
-            "from_deg = -120",
-            "from_deg = -121",
-            &["joints.from_deg", "from -120 to 120 deg", "got -121 for joint `joint_4`"],
+            three,
+            "joint = \"joint_2\", value_deg = 0",
+            &["manoeuvre.grid", "at most once", "got joint `joint_2` twice"],
         ),
-        ("to_deg = 45", "to_deg = -60", &["joints.to_deg", "more than the -60", "got -60"]),
-        ("to_deg = 45, points = 4", "to_deg = 45, points = 1", &["joints.points", "from 2 to", "got 1"]),
         (
-            "to_deg = 45, points = 4",
-            "to_deg = 45, points = 15626",
-            &["joints", "at most 1000000", "start poses"],
+            three,
+            "joint = \"joint_4\", from_m = -1, to_deg = 0, points = 2",
+            &["manoeuvre.grid.from_m: expected from_deg for joint `joint_4`"],
         ),
-        ("max_rest_angle_deg = 45", "max_rest_angle_deg = 0", &["max_rest_angle_deg", POSITIVE, "got 0"]),
-    ] as [(&str, &str, &[&str]); 10]
+        (
+            three,
+            "joint = \"joint_4\", value_deg = 0, points = 2",
+            &["manoeuvre.grid: expected value_deg, or from_deg, to_deg and points, for joint `joint_4`"],
+        ),
+        (
+            three,
+            "joint = \"joint_4\", from_deg = -121, to_deg = 0, points = 2",
+            &["manoeuvre.grid.from_deg", "from -120 to 120 deg", "got -121 for joint `joint_4`"],
+        ),
+        (
+            first,
+            "joint = \"joint_1\", from_deg = 45, to_deg = 45, points = 4 },\n    { joint = \"joint_2\", from",
+            &["manoeuvre.grid.to_deg", "more than the 45 of from_deg, got 45"],
+        ),
+        (
+            first,
+            "joint = \"joint_1\", from_deg = -60, to_deg = 45, points = 1 },\n    { joint = \"joint_2\", from",
+            &["manoeuvre.grid.points", "from 2 to 1000000, got 1"],
+        ),
+        (
+            first,
+            "joint = \"joint_1\", from_deg = -60, to_deg = 45, points = 15626 },\n    { joint = \"joint_2\", from",
+            &["manoeuvre.grid", "at most 1000000", "start poses"],
+        ),
+        (
+            "max_rest_angle_deg = 45\n\n# A swing",
+            "max_rest_angle_deg = 0\n\n# A swing",
+            &["manoeuvre.max_rest_angle_deg", POSITIVE, "got 0"],
+        ),
+    ] as [(&str, &str, &[&str]); 11]
     {
-        refused("grid.toml", from, to, parts);
+        refused("manoeuvres.toml", from, to, parts);
     }
 }
 

@@ -14,8 +14,8 @@ fn those_of_the_arm() {
     assert_eq!((&down.grid, down.target.len()), (&up.grid, 0));
     assert_eq!((up.target.len(), up.given().count()), (7, 0));
     let rows = up.rows(&config.model, &[]).expect("rows");
-    assert_eq!(rows[0].0.to_vec(), [0.0, 1.0, 0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0]);
-    assert_eq!((rows[0].1, rows[5].1), (90_f64.to_radians(), 180_f64.to_radians()));
+    assert_eq!(rows[6].0.to_vec(), [0.0, 1.0, 0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0]);
+    assert_eq!((rows[6].1, rows[4].1), (90_f64.to_radians(), 180_f64.to_radians()));
     assert_eq!(carry.given().map(|axis| axis.joint).collect::<Vec<_>>(), [0]);
     assert_eq!(
         to_pose.given().map(|axis| (axis.joint, axis.points)).collect::<Vec<_>>(),

@@ -1,21 +1,26 @@
-//! A folder without one of the files is refused with the file's name and the way to get a full copy; a file
+//! A folder without one of the files that every system has is refused with the file's name and the way to get a full copy; a file
 //! that is no text is refused with the place of the first bad byte.
 
 mod common;
 use common::exported;
 use upswing_config::{Config, ConfigError};
 
-const FILES: [&str; 7] =
-    ["robot.urdf", "robot.toml", "planner.toml", "daemon.toml", "plant.toml", "grid.toml", "database.bin"];
+/// Files that every folder has.
+const NEEDED: [&str; 3] = ["robot.urdf", "robot.toml", "manoeuvres.toml"];
+/// Files that are read if they are there.
+const OTHERS: [&str; 4] = ["planner.toml", "daemon.toml", "plant.toml", "swing-up.bin"];
+
+fn files() -> impl Iterator<Item = &'static str> {
+    NEEDED.into_iter().chain(OTHERS)
+}
 
 #[test]
 fn each_file() {
-    // A database may be missing.
-    for file in FILES.into_iter().filter(|file| *file != "database.bin") {
+    for file in NEEDED {
         let dir = exported();
         let path = dir.path().join(file);
         let _ = std::fs::remove_file(&path);
-        let error = Config::load(Some(dir.path())).expect_err("incomplete folder");
+        let error = Config::from_dir(dir.path()).expect_err("incomplete folder");
         assert!(matches!(error, ConfigError::Unreadable { .. }), "{error}");
         let message = error.to_string();
         for part in [path.display().to_string().as_str(), "upswing config export DIR"] {
@@ -26,7 +31,7 @@ fn each_file() {
 
 #[test]
 fn pipes_and_devices_in_place_of_files() {
-    for file in FILES {
+    for file in files() {
         let dir = exported();
         let path = dir.path().join(file);
         for replace in [["mkfifo"].as_slice(), &["ln", "-s", "/dev/zero"]] {
@@ -38,8 +43,8 @@ fn pipes_and_devices_in_place_of_files() {
             let folder = dir.path().to_owned();
             std::thread::spawn(move || {
                 tell.send(
-                    Config::load(Some(&folder))
-                        .and_then(|config| config.optional_file("database.bin", None).map(drop)),
+                    Config::from_dir(&folder)
+                        .and_then(|config| config.optional_file("swing-up.bin", None).map(drop)),
                 )
             });
             let outcome = told.recv_timeout(std::time::Duration::from_secs(60)).expect("no hang");
@@ -60,7 +65,7 @@ fn a_folder_that_does_not_exist() {
 
 #[test]
 fn bytes_that_are_no_text() {
-    for file in FILES.into_iter().filter(|file| *file != "database.bin") {
+    for file in files().filter(|file| *file != "swing-up.bin") {
         let dir = exported();
         std::fs::write(dir.path().join(file), b"# caf\xe9\n").expect("write");
         let message = Config::from_dir(dir.path()).expect_err("Latin-1").to_string();

@@ -16,7 +16,12 @@ fn unknown_keys() {
             "neighbors =",
             &["replan.neighbors", "unknown field", "`neighbours`"],
         ),
-        ("grid.toml", "\"joint_4\", from_deg", "\"joint_4\", from", &["joints.from", "`from_deg`"]),
+        (
+            "manoeuvres.toml",
+            "\"joint_4\", from_deg = -120",
+            "\"joint_4\", from = -120",
+            &["manoeuvre.grid.from", "`from_deg`"],
+        ),
         (
             "daemon.toml",
             "balance_tilt_deg =",
@@ -31,18 +36,12 @@ fn unknown_keys() {
 }
 
 #[test]
-fn missing_keys_and_sections() {
+fn missing_keys() {
     for (file, from, to, parts) in [
-        ("robot.toml", "pitch_deg = 90", "", &["target", "missing field `pitch_deg`"]),
-        ("planner.toml", "r = 0.01", "", &["lqr", "missing field `r`"]),
-        ("daemon.toml", "priority = 80", "", &["realtime", "missing field `priority`"]),
-        (
-            "plant.toml",
-            "[integrator]\n# Runge-Kutta steps per control period. 20 steps change the end of a swing-up by at most 2e-5 rad, the \
-             encoder rounding.\nsubsteps = 1",
-            "",
-            &["missing field `integrator`"],
-        ),
+        ("robot.toml", "tau_nm = {", "# {", &["line 6, `[limits]`: limits: missing field `tau_nm`"]),
+        ("robot.toml", "[limits.q_deg]", "[[limits.q_deg]]", &["limits.q_deg"]),
+        ("robot.toml", "lower_nm = {", "# {", &["[coriolis_bound]", "missing field `lower_nm`"]),
+        ("manoeuvres.toml", "name = \"swing-up\"", "", &["[[manoeuvre]]", "missing field `name`"]),
     ] as [(&str, &str, &str, &[&str]); 4]
     {
         refused(file, from, to, parts);
@@ -53,10 +52,10 @@ fn missing_keys_and_sections() {
 fn values_of_the_wrong_type() {
     for (file, from, to, parts) in [
         (
-            "robot.toml",
-            "pitch_deg = 90",
-            "pitch_deg = \"90\"",
-            &["target.pitch_deg", "string \"90\"", "expected f64"],
+            "manoeuvres.toml",
+            "{ joint = \"joint_7\", value_deg = 0 },\n    { joint = \"pendulum_1\", value_deg = 180 },\n    { joint = \"pendulum_2\", value_deg = 0 },\n    { coefficients",
+            "{ joint = \"joint_7\", value_deg = \"0\" },\n    { coefficients",
+            &["manoeuvre.target.value_deg", "string \"0\"", "expected f64"],
         ),
         (
             "robot.toml",
@@ -89,10 +88,10 @@ fn values_of_the_wrong_type() {
             &["offline.torque", "`fast`", "`exact` or `paper`"],
         ),
         (
-            "grid.toml",
-            "points = 4 },\n    { joint = \"joint_2\"",
-            "points = 4.5 },\n    { joint = \"joint_2\"",
-            &["joints.points", "floating point `4.5`"],
+            "manoeuvres.toml",
+            "points = 4 },\n    { joint = \"joint_2\", from",
+            "points = 4.5 },\n    { joint = \"joint_2\", from",
+            &["manoeuvre.grid.points", "floating point `4.5`"],
         ),
         (
             "daemon.toml",
@@ -114,7 +113,7 @@ fn values_of_the_wrong_type() {
 
 #[test]
 fn broken_toml() {
-    refused("robot.toml", "pitch_deg = 90", "pitch_deg = ", &["line", "`pitch_deg =`"]);
+    refused("robot.toml", "torque_fraction = 0.5", "torque_fraction = ", &["line", "`torque_fraction =`"]);
     refused("daemon.toml", "[plans]", "[plans", &["line", "`[plans`"]);
     refused(
         "plant.toml",

@@ -6,7 +6,7 @@ use upswing_process::{ProcessArgs, finish, start_logging};
 
 /// Runs the control daemon of upswing until SIGINT or SIGTERM.
 #[derive(Parser)]
-#[command(version, after_help = "Example:\n  upswingd --config /etc/upswing --domain upswing")]
+#[command(version, after_help = "Example:\n  upswingd --system /etc/upswing --domain upswing")]
 struct Cli {
     #[command(flatten)]
     process: ProcessArgs,

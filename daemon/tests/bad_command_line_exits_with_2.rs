@@ -20,7 +20,7 @@ fn unknown_option() {
 
 #[test]
 fn missing_settings() {
-    refused(&["--config", "/nonexistent/settings"], "/nonexistent/settings");
+    refused(&["--system", "/nonexistent/settings"], "/nonexistent/settings");
 }
 
 #[test]

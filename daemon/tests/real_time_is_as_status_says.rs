@@ -30,7 +30,12 @@ struct System {
 /// A full set of settings in which each `from` of daemon.toml is a `to`.
 fn settings(edits: &[(&str, &str)]) -> tempfile::TempDir {
     let dir = tempfile::tempdir().unwrap();
-    upswing_planner::export(dir.path(), Default::default()).unwrap();
+    upswing_planner::export(
+        &upswing_config::Config::embedded().expect("embedded settings"),
+        dir.path(),
+        Default::default(),
+    )
+    .unwrap();
     let file = dir.path().join("daemon.toml");
     let mut text = std::fs::read_to_string(&file).unwrap();
     for (from, to) in edits {
@@ -43,7 +48,7 @@ fn settings(edits: &[(&str, &str)]) -> tempfile::TempDir {
 
 fn daemon(settings: &Path, domain: &Domain) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_upswingd"));
-    command.arg("--config").arg(settings).args(["--domain", domain.name()]);
+    command.arg("--system").arg(settings).args(["--domain", domain.name()]);
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
     command
 }

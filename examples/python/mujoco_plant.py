@@ -1,6 +1,6 @@
 """Takes the place of upswing-plant: the robot of a URDF in MuJoCo, behind the same channels.
 
-    python mujoco_plant.py --config my-config --domain upswing
+    python mujoco_plant.py --system my-config --domain upswing
 
 The settings are those of `upswing config export my-config`. Clock `paced`: one period per command, not faster than real
 time; MuJoCo with Python takes about as long as real time, so that a run may take longer than its simulated time. Drives
@@ -220,13 +220,13 @@ def run(plant, node, going):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--config", type=Path, required=True, metavar="DIR", help="settings of upswing config export")
+    parser.add_argument("--system", type=Path, required=True, metavar="DIR", help="folder of upswing config export")
     parser.add_argument("--domain", default="upswing")
     args = parser.parse_args()
     stop = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.append(True))
-    plant = Plant(args.config)
+    plant = Plant(args.system)
     print(f"MuJoCo {mujoco.__version__}, q = {np.degrees(plant.data.qpos).round(2).tolist()} deg", file=sys.stderr)
     run(plant, Node(args.domain, "mujoco plant"), lambda: not stop)
 

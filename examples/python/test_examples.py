@@ -107,7 +107,7 @@ class SwingUps(unittest.TestCase):
         with System("mujoco") as system:
             settings = Path(system.folder.name) / "settings"
             subprocess.run([UPSWING, "config", "export", settings], check=True, capture_output=True)
-            system.start(sys.executable, HERE / "mujoco_plant.py", "--config", settings)
+            system.start(sys.executable, HERE / "mujoco_plant.py", "--system", settings)
             tracking, tilt = self.swing_up(system)
             self.assertLess(tracking, 0.1)
             self.assertLess(tilt, 2)

@@ -47,5 +47,5 @@ pub use start::StartError;
 pub use urdf_error::{UrdfElement, UrdfElementError, UrdfError, UrdfSyntaxError};
 pub use vector::{
     Actuated, ActuatedMatrix, ActuatedVector, JointMatrix, JointVector, Joints, LARGEST_STATE, MOST_JOINTS,
-    Matrix, Sizes, Space, State, States, Unactuated, UnactuatedVector, Vector,
+    Matrix, Sizes, Space, State, States, Unactuated, UnactuatedMatrix, UnactuatedVector, Vector,
 };

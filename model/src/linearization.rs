@@ -561,7 +561,7 @@ mod tests {
 
     #[test]
     fn sizes_known_to_the_compiler_and_wide_registers_change_no_bit() {
-        for text in [CART, include_str!("../../config/robot.urdf")] {
+        for text in [CART, include_str!("../../config/systems/iiwa-pendulum/robot.urdf")] {
             let model = Model::from_urdf(text).expect("a chain");
             let sizes = model.sizes();
             let z: Vec<f64> = (0..sizes.knot()).map(|i| 0.7 - 0.3 * i as f64).collect();

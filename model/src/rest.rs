@@ -90,22 +90,4 @@ impl Model {
             }),
         }
     }
-
-    /// Checks that the unactuated joints stay at rest in the target (8): qd = 0, u = 0, q2 - q4 + q6 = `pitch` (rad), first
-    /// unactuated joint at `q8` (rad), all other angles 0. (8) fixes the sum only, so that the target has to be an equilibrium
-    /// whichever of the three joints pitches the flange.
-    ///
-    /// # Errors
-    /// [`TargetError`] with the acceleration above [`EQUILIBRIUM_ACCELERATION`].
-    pub fn check_target(&self, pitch: f64, q8: f64, work: &mut Workspace) -> Result<(), TargetError> {
-        for (joint, sign) in [(1, 1.0), (3, -1.0), (5, 1.0)] {
-            let mut x = State::zeros(self.sizes());
-            if let Some(q) = x.q_a_mut().get_mut(joint) {
-                *q = sign * pitch;
-            }
-            x.q_u_mut()[0] = q8;
-            self.check_equilibrium(&x, work)?;
-        }
-        Ok(())
-    }
 }

@@ -3,7 +3,7 @@
 
 use upswing_model::{JointVector, Model, Urdf, UrdfError};
 
-const ROBOT: &str = include_str!("../../config/robot.urdf");
+const ROBOT: &str = include_str!("../../config/systems/iiwa-pendulum/robot.urdf");
 
 fn with(more: &str) -> String {
     ROBOT.replace("</robot>", &format!("{more}</robot>"))

@@ -2,7 +2,7 @@
 
 use upswing_model::{Model, UrdfError};
 
-const ROBOT: &str = include_str!("../../config/robot.urdf");
+const ROBOT: &str = include_str!("../../config/systems/iiwa-pendulum/robot.urdf");
 
 fn refusal(from: &str, to: &str) -> UrdfError {
     assert!(ROBOT.contains(from), "`{from}` is not in the robot description");

@@ -17,9 +17,8 @@ pub use verify::{Discrepancy, RecordFlaw, verify};
 
 use crate::offline::problem_fingerprint;
 use std::path::{Path, PathBuf};
-use upswing_config::{Config, Manoeuvre, TargetRow, TargetValue};
-use upswing_model::thresholds::EQUILIBRIUM_ACCELERATION;
-use upswing_model::{ActuatedVector, Posture, State, UnactuatedVector, Workspace};
+use upswing_config::{Config, Manoeuvre};
+use upswing_model::{ActuatedVector, Posture, State};
 use upswing_process::output::OutputError;
 use upswing_trajectory::{Certificate, Database, DatabaseError, DatabaseHeading, PoseOutcome, Trajectory};
 use xxhash_rust::xxh3::Xxh3;
@@ -193,7 +192,7 @@ fn heading(config: &Config, manoeuvre: usize, shard: Shard) -> DatabaseHeading {
     }
 }
 
-/// XXH3 hash of the grid of a manoeuvre: poses with given values, largest rest angle, and start of the unactuated joints.
+/// XXH3 hash of the grid of a manoeuvre: poses with given values, largest rest angle, and posture at the start.
 fn grid_fingerprint(manoeuvre: &Manoeuvre) -> u64 {
     let mut hash = Xxh3::new();
     for number in 0..poses(manoeuvre) {
@@ -202,7 +201,11 @@ fn grid_fingerprint(manoeuvre: &Manoeuvre) -> u64 {
     }
     let grid = &manoeuvre.grid;
     hash.update(&grid.max_rest_angle.to_le_bytes());
-    hash.update(format!("{:?}", grid.start).as_bytes());
+    // The names that the format of the file has for the postures.
+    hash.update(match manoeuvre.start {
+        Posture::Hanging => b"Rest".as_slice(),
+        Posture::Standing => b"Standing",
+    });
     hash.digest()
 }
 
@@ -244,38 +247,7 @@ pub fn read(path: &Path) -> Result<Database, BuildError> {
 
 /// The start state of a pose of a manoeuvre, rad and rad/s; `None` if the rules of the grid leave the pose out.
 fn start_of(config: &Config, manoeuvre: &Manoeuvre, q_a: &ActuatedVector) -> Option<State> {
-    let grid = &manoeuvre.grid;
-    match manoeuvre.start {
-        Posture::Hanging => {
-            let start = config.start_state(q_a, grid.start).ok();
-            start.filter(|x| x.q_u().amax() <= grid.max_rest_angle)
-        }
-        Posture::Standing => standing_in(config, &manoeuvre.target, q_a),
-    }
-}
-
-/// The state at rest with the actuated joints at `q_a` (rad or m) from which manoeuvre number `manoeuvre` starts standing: the unactuated
-/// joints are as they stand in its target, or in that of the manoeuvre that it reverses. `None` if they are not in equilibrium there.
-pub fn standing(config: &Config, manoeuvre: usize, q_a: &ActuatedVector) -> Option<State> {
-    let source = config.manoeuvres[manoeuvre].reverses.unwrap_or(manoeuvre);
-    standing_in(config, &config.manoeuvres[source].target, q_a)
-}
-
-fn standing_in(config: &Config, target: &[TargetRow], q_a: &ActuatedVector) -> Option<State> {
-    let model = &config.model;
-    let sizes = model.sizes();
-    let mut q_u = UnactuatedVector::zeros(sizes);
-    for row in target {
-        let mut joints = row.coefficients.iter().enumerate().filter(|(_, c)| **c != 0.0);
-        if let (Some((joint, c)), None, TargetValue::Fixed(value)) = (joints.next(), joints.next(), row.value)
-            && joint >= sizes.actuated()
-        {
-            q_u[joint - sizes.actuated()] = value / c;
-        }
-    }
-    let start = model.standstill(&config.robot.planning, q_a, Some(&q_u)).ok()?;
-    let qdd_u = model.f(&start, &ActuatedVector::zeros(sizes), &mut Workspace::default()).qd_u();
-    (qdd_u.amax() <= EQUILIBRIUM_ACCELERATION).then_some(start)
+    manoeuvre.start_state(&config.model, &config.robot.planning, q_a)
 }
 
 /// Computes the certificate of a trajectory under the limits and weights of the settings.

@@ -1,21 +1,38 @@
-//! Export of the embedded settings and the shipped database to a folder, for editing.
+//! Export of a system to a folder, for editing.
 
-use crate::database::SHIPPED;
+use crate::database::DatabaseFile;
 use std::path::Path;
-use upswing_config::{Config, DATABASE};
+use upswing_config::{Config, ConfigError};
 use upswing_process::output::{OutputError, Overwrite};
 
-/// Writes the embedded settings, with their comments, and the shipped database to the folder `dir`, which is created if it
+/// The files of a system could not be exported.
+#[derive(Debug, thiserror::Error)]
+pub enum ExportError {
+    /// A file of the system cannot be read.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// A file exists and may not be replaced, or the folder is not writable.
+    #[error(transparent)]
+    Output(#[from] OutputError),
+}
+
+/// Writes the files of a system, settings in full and with their comments, and its databases to the folder `dir`, which is created if it
 /// does not exist.
 ///
 /// # Errors
-/// [`OutputError`] if one of the files exists and may not be replaced (no file is written then), or the folder is not writable.
-pub fn export(dir: &Path, overwrite: Overwrite) -> Result<(), OutputError> {
-    let files = || Config::files().chain([(DATABASE, SHIPPED)]).map(|(name, bytes)| (dir.join(name), bytes));
-    for (path, _) in files().filter(|(path, _)| path.exists()) {
-        overwrite.output(&path).check()?;
+/// [`ExportError`]; if one of the files exists and may not be replaced, no file is written.
+pub fn export(config: &Config, dir: &Path, overwrite: Overwrite) -> Result<(), ExportError> {
+    let mut files = config.files()?;
+    for manoeuvre in 0..config.manoeuvres.len() {
+        if let Some(database) = DatabaseFile::of(config, manoeuvre)? {
+            files.push((DatabaseFile::name(config, manoeuvre), database.bytes));
+        }
     }
-    for (path, bytes) in files() {
+    let files: Vec<_> = files.iter().map(|(name, bytes)| (dir.join(name), bytes)).collect();
+    for (path, _) in files.iter().filter(|(path, _)| path.exists()) {
+        overwrite.output(path).check()?;
+    }
+    for (path, bytes) in files {
         let folder = path.parent().unwrap_or(dir);
         std::fs::create_dir_all(folder)
             .map_err(|cause| OutputError::Io { path: folder.to_owned(), cause })?;

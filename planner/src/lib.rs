@@ -13,4 +13,4 @@ pub mod replan;
 mod request_error;
 pub mod service;
 
-pub use export::export;
+pub use export::{ExportError, export};

@@ -7,7 +7,7 @@ use upswing_process::{ProcessArgs, finish, start_logging};
 
 /// Plans swing-ups on request: selects the nearest database entry, adapts it by constrained QPs, computes gains.
 ///
-/// Example: upswing-planner --config /etc/upswing --domain robot
+/// Example: upswing-planner --system /etc/upswing --domain robot
 #[derive(Parser)]
 #[command(version)]
 struct Cli {

@@ -49,10 +49,12 @@ pub fn problem(config: &Config, target: Vec<TargetRow>, start: State) -> Problem
 
 /// The torque constraint (9), or (11) with the bound c of the settings.
 pub fn torque_constraint(config: &Config, form: TorqueForm) -> TorqueConstraint {
-    let bound = &config.robot.coriolis_bound;
-    match form {
-        TorqueForm::Exact => TorqueConstraint::Exact,
-        TorqueForm::Paper => TorqueConstraint::WithoutCoriolis { lower: bound.lower, upper: bound.upper },
+    match (form, config.robot.coriolis_bound) {
+        (TorqueForm::Paper, Some(bound)) => {
+            TorqueConstraint::WithoutCoriolis { lower: bound.lower, upper: bound.upper }
+        }
+        // Settings with (11) and without a bound are refused when they are read.
+        _ => TorqueConstraint::Exact,
     }
 }
 

@@ -5,7 +5,7 @@ use std::process::Command;
 #[test]
 fn settings_and_options() {
     for (options, part) in [
-        (&["--config", "/nonexistent"][..], "/nonexistent"),
+        (&["--system", "/nonexistent"][..], "/nonexistent"),
         (&["--domain", "no spaces"], "domain"),
         (&["--warp"], "--warp"),
     ] {

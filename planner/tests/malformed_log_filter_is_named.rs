@@ -5,7 +5,7 @@ use std::process::Command;
 #[test]
 fn beside_a_good_one() {
     let output = Command::new(env!("CARGO_BIN_EXE_upswing-planner"))
-        .args(["--config", "/nonexistent"])
+        .args(["--system", "/nonexistent"])
         .env("RUST_LOG", "warn,upswing=loud")
         .output()
         .expect("it runs");

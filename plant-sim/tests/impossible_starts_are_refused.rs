@@ -66,7 +66,7 @@ fn the_process_says_what_is_wrong_and_exits_with_2() {
             "rest position of joint `pendulum_2` is -90.0 deg, outside its range of -45.0 to 45.0 deg",
         ),
         (&["--domain", "No Domain"], "domain name `No Domain`"),
-        (&["--config", "/does/not/exist"], "/does/not/exist"),
+        (&["--system", "/does/not/exist"], "/does/not/exist"),
     ] {
         let output = run(options);
         let message = String::from_utf8(output.stderr).unwrap();

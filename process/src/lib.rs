@@ -5,8 +5,8 @@ pub mod notify;
 pub mod number;
 pub mod output;
 
+use clap::builder::{OsStringValueParser, TypedValueParser as _};
 use std::fmt::Display;
-use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -14,26 +14,26 @@ use tracing::{Event, Level, Subscriber};
 use tracing_subscriber::fmt::FmtContext;
 use tracing_subscriber::fmt::format::{Format, FormatEvent, FormatFields, Full, Writer};
 use tracing_subscriber::registry::LookupSpan;
-use upswing_config::{Config, ConfigError};
+use upswing_config::{Config, ConfigError, System};
 
 /// Options of every process.
 #[derive(Clone, Debug, clap::Args)]
 pub struct ProcessArgs {
-    /// Folder with a complete set of settings [default: the embedded settings; `upswing config export DIR` writes a copy]
-    #[arg(long, value_name = "DIR")]
-    pub config: Option<PathBuf>,
+    /// Robot with its settings and manoeuvres: name of a shipped system, or folder of another one (`upswing config export DIR` writes one)
+    #[arg(long, value_name = "NAME|DIR", default_value_t, value_parser = OsStringValueParser::new().try_map(System::try_from))]
+    pub system: System,
     /// Domain: daemon, planner, plant and clients with the same name share memory
     #[arg(long, value_name = "NAME", default_value = "upswing")]
     pub domain: String,
 }
 
 impl ProcessArgs {
-    /// Reads the settings in the folder `config`, or the embedded settings.
+    /// Reads the settings of the system.
     ///
     /// # Errors
     /// [`Failure::BadInput`] with the message of the [`ConfigError`].
     pub fn load(&self) -> Result<Config, Failure> {
-        Ok(Config::load(self.config.as_deref())?)
+        Ok(Config::load(&self.system)?)
     }
 }
 

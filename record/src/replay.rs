@@ -239,14 +239,16 @@ fn compare(numbers: &[CycleNumber], recorded: &Telemetry, replayed: &Telemetry, 
 /// [`ReplayError`] if a settings file is missing, or cannot be used by this version.
 pub fn settings(recording: &Recording) -> Result<Config, ReplayError> {
     let folder = tempfile::tempdir()?;
-    let write = |name: &str, bytes: &[u8]| {
-        let path = folder.path().join(name);
-        path.parent().map_or(Ok(()), std::fs::create_dir_all).and_then(|()| std::fs::write(&path, bytes))
-    };
-    Config::files().try_for_each(|(name, bytes)| write(name, bytes))?;
-    for (name, _) in Config::embedded()?.texts()? {
+    let write = |name: &str, text: &str| std::fs::write(folder.path().join(name), text);
+    for name in Config::FILES {
         let text = recording.file_text(name).ok_or(ReplayError::NoSettings(name))?;
-        write(name, text.as_bytes())?;
+        write(name, text)?;
+    }
+    // A second robot description, of the plant.
+    for (name, text) in
+        recording.files.iter().filter(|(name, _)| name.ends_with(".urdf") && !name.contains('/'))
+    {
+        write(name, text)?;
     }
     Ok(Config::from_dir(folder.path())?)
 }

@@ -161,7 +161,7 @@ impl Recorder {
 /// Writes the part of a recording before the first cycle: details, settings, schemas and channels.
 fn begin(
     file: File,
-    texts: Vec<(&'static str, String)>,
+    texts: Vec<(String, String)>,
     details: BTreeMap<String, String>,
 ) -> mcap::McapResult<(Writer<BufWriter<File>>, Channels)> {
     let mut writer = WriteOptions::new()

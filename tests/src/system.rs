@@ -80,12 +80,15 @@ impl System {
         let domain = own.name().to_owned();
         let folder = std::env::temp_dir().join(format!("upswing-{domain}"));
         std::fs::create_dir_all(&folder).expect("folder for logs");
-        let config = Config::load(settings).unwrap_or_else(|e| panic!("{e}"));
+        let robot = settings.map_or_else(upswing_config::System::default, |folder| {
+            upswing_config::System::Folder(folder.to_owned())
+        });
+        let config = Config::load(&robot).unwrap_or_else(|e| panic!("{e}"));
         let details = [("clock", clock.to_string())];
         let recorder =
             file.map(|file| Recorder::create(file, &config, details).unwrap_or_else(|e| panic!("{e}")));
         let options = SessionOptions {
-            config: settings.map(Path::to_owned),
+            system: robot,
             domain,
             clock,
             start: Some(start_deg.iter().map(f64::to_string).collect::<Vec<_>>().join(",")),

@@ -14,7 +14,12 @@ const PATIENCE: Duration = Duration::from_secs(180);
 /// Settings with one attempt, and with bearings in which the pendulum comes to rest within seconds.
 fn settings() -> tempfile::TempDir {
     let dir = tempfile::tempdir().expect("temporary folder");
-    upswing_planner::export(dir.path(), Default::default()).expect("export");
+    upswing_planner::export(
+        &upswing_config::Config::embedded().expect("embedded settings"),
+        dir.path(),
+        Default::default(),
+    )
+    .expect("export");
     let edit = |file: &str, from: &str, to: &str| {
         let path = dir.path().join(file);
         let text = std::fs::read_to_string(&path).expect("exported file");

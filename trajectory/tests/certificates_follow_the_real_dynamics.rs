@@ -7,7 +7,8 @@ use upswing_trajectory::{Certificate, Trajectory, open_loop_end};
 const N: usize = 100;
 
 fn robot() -> Model {
-    Model::from_urdf(include_str!("../../config/robot.urdf")).expect("the shipped robot")
+    Model::from_urdf(include_str!("../../config/systems/iiwa-pendulum/robot.urdf"))
+        .expect("the shipped robot")
 }
 
 /// Joint 1 swings about the vertical, with the pendulum hanging in the plane of its axis.

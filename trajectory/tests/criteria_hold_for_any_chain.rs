@@ -170,7 +170,8 @@ fn parts_that_do_not_belong_together_are_refused() {
         refused(&|p| *p = at_rest(&model, 0.0, got, &gain), UnmetCriterion::Intervals { got });
     }
     // The plan of another machine as a whole.
-    let arm = Model::from_urdf(include_str!("../../config/robot.urdf")).expect("the shipped robot");
+    let arm = Model::from_urdf(include_str!("../../config/systems/iiwa-pendulum/robot.urdf"))
+        .expect("the shipped robot");
     let unmet = criteria_of(&arm).check(&arm, &at_rest(&model, 0.0, n, &gain)).expect_err("another machine");
     assert_eq!(unmet, UnmetCriterion::Sizes { what: "x", expected: arm.sizes(), got: expected });
 }

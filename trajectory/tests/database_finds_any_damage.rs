@@ -11,7 +11,8 @@ use xxhash_rust::xxh3::xxh3_64;
 const N: usize = 20;
 
 fn robot() -> Model {
-    Model::from_urdf(include_str!("../../config/robot.urdf")).expect("the shipped robot")
+    Model::from_urdf(include_str!("../../config/systems/iiwa-pendulum/robot.urdf"))
+        .expect("the shipped robot")
 }
 
 fn example() -> Database {

@@ -1,4 +1,4 @@
-//! `upswing config`: writes the embedded settings to files, or checks settings.
+//! `upswing config`: writes the files of a system to a folder, or checks settings.
 
 use super::{CommonArgs, print};
 use serde::Serialize;
@@ -9,7 +9,7 @@ use upswing_process::output::{Destination, Overwrite};
 
 /// Writes or checks settings.
 ///
-/// Example: upswing config export my-config && upswing config check --config my-config
+/// Example: upswing config export my-config && upswing config check --system ./my-config
 #[derive(Clone, Debug, clap::Args)]
 pub struct ConfigArgs {
     /// The action.
@@ -20,22 +20,22 @@ pub struct ConfigArgs {
 /// Actions on settings.
 #[derive(Clone, Debug, clap::Subcommand)]
 pub enum ConfigCommand {
-    /// Write the embedded settings, robot and database to a folder
+    /// Write all files of a system to a folder: robot, settings in full and with comments, manoeuvres, databases
     ///
-    /// Example: upswing config export my-config
+    /// Example: upswing config export my-config --system cart-pole
     Export {
         /// Output folder
         dir: Destination,
         /// Overwriting of existing files.
         #[command(flatten)]
         overwrite: Overwrite,
-        /// Print one JSON document on stdout instead of text
-        #[arg(long)]
-        json: bool,
+        /// Options of every command.
+        #[command(flatten)]
+        common: CommonArgs,
     },
     /// Read the settings and check whether they are valid
     ///
-    /// Example: upswing config check --config my-config
+    /// Example: upswing config check --system ./my-config
     Check(CommonArgs),
 }
 
@@ -45,9 +45,9 @@ pub enum ConfigCommand {
 /// [`Failure::BadInput`] with file, key and reason.
 pub fn run(args: &ConfigArgs) -> Result<(), Failure> {
     match &args.command {
-        ConfigCommand::Export { dir, overwrite, json } => {
-            export(dir, *overwrite).map_err(Failure::bad_input)?;
-            print(*json, &ConfigResult { success: true, dir: Some(dir.to_path_buf()) })
+        ConfigCommand::Export { dir, overwrite, common } => {
+            export(&common.process.load()?, dir, *overwrite).map_err(Failure::bad_input)?;
+            print(common.json, &ConfigResult { success: true, dir: Some(dir.to_path_buf()) })
         }
         ConfigCommand::Check(common) => {
             common.process.load()?;

@@ -30,7 +30,7 @@ pub struct DbArgs {
 pub enum DbCommand {
     /// Optimise every pose of a grid on all cores and write the database; resumes an interrupted build
     ///
-    /// Example: upswing db build --grid my-grid.toml --output database.bin
+    /// Example: upswing db build --grid my-grid.toml --output swing-up.bin
     Build {
         /// Options of every command.
         #[command(flatten)]
@@ -38,14 +38,14 @@ pub enum DbCommand {
         /// Manoeuvre of the database [default: the first one of the settings]
         #[arg(long, value_name = "NAME")]
         manoeuvre: Option<String>,
-        /// Grid file, or `paper` for the paper's 4 x 4 x 4 x 4 poses [default: grid.toml of the settings]
+        /// Grid file, or `paper` for the paper's 4 x 4 x 4 x 4 poses [default: that of the manoeuvre in the settings]
         #[arg(long, value_name = "FILE")]
         grid: Option<PathBuf>,
         /// Build only part i of n; `upswing db merge` joins the parts
         #[arg(long, value_name = "i/n", default_value = "1/1")]
         shard: Shard,
-        /// Output file; during the build, FILE.journal holds the finished poses [default: the name of the database in a folder of
-        /// settings, `database.bin` for the first manoeuvre]
+        /// Output file; during the build, FILE.journal holds the finished poses [default: the name of the database in the folder of a
+        /// system, like `swing-up.bin`]
         #[arg(long, value_name = "FILE")]
         output: Option<Destination>,
         /// Overwriting of existing files.
@@ -54,7 +54,7 @@ pub enum DbCommand {
     },
     /// Join the shards of one build; the result has the same bytes as a build without shards
     ///
-    /// Example: upswing db merge --output database.bin shard-1.bin shard-2.bin
+    /// Example: upswing db merge --output swing-up.bin shard-1.bin shard-2.bin
     Merge {
         /// Options of every command.
         #[command(flatten)]
@@ -71,7 +71,7 @@ pub enum DbCommand {
     },
     /// Recompute the certificate of every entry (start, target, limits, figures), and optimise the poses without a trajectory again
     ///
-    /// Example: upswing db verify database.bin
+    /// Example: upswing db verify swing-up.bin
     Verify {
         /// Options of every command.
         #[command(flatten)]
@@ -79,7 +79,7 @@ pub enum DbCommand {
         /// Manoeuvre of the database [default: the first one of the settings]
         #[arg(long, value_name = "NAME")]
         manoeuvre: Option<String>,
-        /// Grid of the database: a file, or `paper` [default: grid.toml of the settings]
+        /// Grid of the database: a file, or `paper` [default: that of the manoeuvre in the settings]
         #[arg(long, value_name = "FILE")]
         grid: Option<PathBuf>,
         /// Database file [default: the database of the settings]
@@ -87,7 +87,7 @@ pub enum DbCommand {
     },
     /// Describe the database of the settings, or a file; angles in deg, t_F in s
     ///
-    /// Example: upswing db info database.bin
+    /// Example: upswing db info swing-up.bin
     Info {
         /// Options of every command.
         #[command(flatten)]

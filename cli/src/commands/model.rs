@@ -125,8 +125,9 @@ struct ModelBoundResult {
     joints: Vec<String>,
     lower: Vec<f64>,
     upper: Vec<f64>,
-    paper_lower: Vec<f64>,
-    paper_upper: Vec<f64>,
+    /// Bounds of the settings; absent if they have none.
+    paper_lower: Option<Vec<f64>>,
+    paper_upper: Option<Vec<f64>>,
     time_s: f64,
 }
 
@@ -140,11 +141,10 @@ impl std::fmt::Display for ModelBoundResult {
         )?;
         write!(f, "  {:<16} lower     upper   lower, (11)   upper, (11)", "joint")?;
         for (i, joint) in self.joints.iter().enumerate() {
-            write!(
-                f,
-                "\n  {joint:<12} {:>9.4} {:>9.4} {:>13} {:>13}",
-                self.lower[i], self.upper[i], self.paper_lower[i], self.paper_upper[i]
-            )?;
+            write!(f, "\n  {joint:<12} {:>9.4} {:>9.4}", self.lower[i], self.upper[i])?;
+            if let (Some(lower), Some(upper)) = (&self.paper_lower, &self.paper_upper) {
+                write!(f, " {:>13} {:>13}", lower[i], upper[i])?;
+            }
         }
         Ok(())
     }
@@ -176,8 +176,8 @@ fn sample_bound(args: &BoundArgs) -> Result<(), Failure> {
                 .collect(),
             lower: range.lower.to_vec(),
             upper: range.upper.to_vec(),
-            paper_lower: robot.coriolis_bound.lower.to_vec(),
-            paper_upper: robot.coriolis_bound.upper.to_vec(),
+            paper_lower: robot.coriolis_bound.map(|bound| bound.lower.to_vec()),
+            paper_upper: robot.coriolis_bound.map(|bound| bound.upper.to_vec()),
             time_s: begin.elapsed().as_secs_f64(),
         })?;
     }

@@ -13,7 +13,7 @@ use upswing_record::{Message, Recorder, RecordingError};
 ///
 /// The controller gets the recorded measurements, orders and plans, with the recorded settings. Exit code 1: a number
 /// differs. --keep writes a small recording of the inputs and of the modes and faults that the present controller computes with the
-/// settings of --config; in tests/recordings it is a regression test.
+/// settings of --system; in tests/recordings it is a regression test.
 ///
 /// Example: upswing replay run.mcap --keep tests/recordings/lost-encoder.mcap
 #[derive(Clone, Debug, clap::Args)]

@@ -20,7 +20,7 @@ pub struct ReportArgs {
     /// Options of every command.
     #[command(flatten)]
     pub common: CommonArgs,
-    /// Recording, or flight record of the daemon, which is shown with the settings of --config
+    /// Recording, or flight record of the daemon, which is shown with the settings of --system
     #[arg(value_name = "FILE")]
     pub file: PathBuf,
     /// Page to write [default: the recording's name with .html]

@@ -3,10 +3,16 @@
 use std::path::Path;
 use upswing_config::Config;
 
-/// Exports the default settings to a folder that vanishes with the returned guard.
+/// Exports the files of the default system to a folder that vanishes with the returned guard.
+#[allow(dead_code, reason = "not every test file edits the default system")]
 pub fn exported() -> tempfile::TempDir {
+    export(&Config::embedded().expect("embedded settings"))
+}
+
+/// Exports the files of a system to a folder that vanishes with the returned guard.
+pub fn export(config: &Config) -> tempfile::TempDir {
     let dir = tempfile::tempdir().expect("temporary folder");
-    for (name, bytes) in Config::files() {
+    for (name, bytes) in config.files().expect("files") {
         let path = dir.path().join(name);
         std::fs::create_dir_all(path.parent().expect("a folder")).expect("folder");
         std::fs::write(path, bytes).expect("file");
@@ -14,6 +20,7 @@ pub fn exported() -> tempfile::TempDir {
     dir
 }
 
+#[allow(dead_code, reason = "not every test file edits a file")]
 /// Replaces text, which must occur exactly once, in a file of the folder.
 pub fn edit(dir: &Path, file: &str, from: &str, to: &str) {
     let path = dir.join(file);

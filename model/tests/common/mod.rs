@@ -8,7 +8,8 @@ pub const SIZES: Sizes = Sizes::new(9, 7).expect("seven actuated and two unactua
 
 #[allow(dead_code)]
 pub fn robot() -> Model {
-    Model::from_urdf(include_str!("../../../config/robot.urdf")).expect("the shipped robot loads")
+    Model::from_urdf(include_str!("../../../config/systems/iiwa-pendulum/robot.urdf"))
+        .expect("the shipped robot loads")
 }
 
 /// A state and input of the golden data, and what two independent implementations computed there.

@@ -3,12 +3,32 @@
 use super::BuildError;
 use std::borrow::Cow;
 use std::path::Path;
-use upswing_config::{Config, ConfigError, DATABASE};
+use upswing_config::{Config, ConfigError, System};
 use upswing_trajectory::Database;
 use xxhash_rust::xxh3::xxh3_64;
 
-/// Encoded database of the first manoeuvre, shipped with the embedded settings.
-pub const SHIPPED: &[u8] = include_bytes!("../../../config/database.bin");
+/// Embeds databases: those of a system by the names of their manoeuvres.
+macro_rules! shipped {
+    ($($system:literal: $($manoeuvre:literal)+;)+) => {
+        &[$($((
+            $system,
+            $manoeuvre,
+            include_bytes!(concat!("../../../config/systems/", $system, "/", $manoeuvre, ".bin")),
+        )),+),+]
+    };
+}
+
+/// Encoded databases of the shipped systems: system, manoeuvre, contents.
+pub static SHIPPED: &[(&str, &str, &[u8])] = shipped! {
+    "iiwa-pendulum": "swing-up";
+};
+
+/// Encoded database that is shipped with a system for the manoeuvre `name`.
+fn shipped(system: &System, name: &str) -> Option<&'static [u8]> {
+    let System::Shipped(system) = system else { return None };
+    let database = SHIPPED.iter().find(|(of, manoeuvre, _)| *of == system.name() && *manoeuvre == name);
+    database.map(|(.., bytes)| *bytes)
+}
 
 /// Encoded trajectory database and its origin.
 #[derive(Clone, Debug)]
@@ -22,10 +42,7 @@ pub struct DatabaseFile {
 impl DatabaseFile {
     /// Name of the database of manoeuvre number `manoeuvre` in a folder of settings.
     pub fn name(config: &Config, manoeuvre: usize) -> String {
-        match manoeuvre {
-            0 => DATABASE.to_owned(),
-            _ => format!("{}.bin", config.manoeuvres[manoeuvre].name),
-        }
+        format!("{}.bin", config.manoeuvres[manoeuvre].name)
     }
 
     /// Reads the database of manoeuvre number `manoeuvre` in the folder of the settings; the shipped database for the embedded
@@ -37,7 +54,7 @@ impl DatabaseFile {
         if config.manoeuvres[manoeuvre].reverses.is_some() {
             return Ok(None);
         }
-        let shipped = (manoeuvre == 0).then_some(SHIPPED);
+        let shipped = shipped(config.system(), &config.manoeuvres[manoeuvre].name);
         let file = config.optional_file(&Self::name(config, manoeuvre), shipped)?;
         Ok(file.map(|(origin, bytes)| Self { bytes, origin }))
     }

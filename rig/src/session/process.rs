@@ -4,6 +4,7 @@ use super::SessionError;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use upswing_config::System;
 use upswing_ipc::Clock;
 
 /// Role of a process in the system.
@@ -66,8 +67,8 @@ impl Programs {
 /// Options of a session: settings, domain, clock, start, scenario and logs.
 #[derive(Clone, Debug)]
 pub struct SessionOptions {
-    /// Folder with settings; `None`: the embedded settings.
-    pub config: Option<PathBuf>,
+    /// Robot with its settings.
+    pub system: System,
     /// Name of the shared-memory domain.
     pub domain: String,
     /// Clock of the plant.
@@ -99,14 +100,11 @@ impl SystemProcess {
         let log = options.logs.join(format!("{}.log", role.name()));
         // A restarted process appends to the log of its predecessor.
         let file = std::fs::OpenOptions::new().create(true).append(true).open(&log).map_err(spawn)?;
-        command.args(["--domain", &options.domain]);
+        command.args(["--domain", &options.domain]).arg("--system").arg(options.system.option());
         if role == Role::Plant {
             command.args(["--clock", &options.clock.to_string()]);
             command.args(options.start.iter().map(|start| format!("--start={start}")));
             command.args(options.scenario.iter().map(|scenario| format!("--scenario={scenario}")));
-        }
-        if let Some(config) = &options.config {
-            command.arg("--config").arg(config);
         }
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(file);
         die_with_parent(&mut command);
