@@ -2,7 +2,8 @@
 
 use upswing_config::Config;
 use upswing_config::PendulumStart;
-use upswing_model::{StartError, State};
+use upswing_model::{Posture, StartError, State};
+use upswing_planner::database::standing;
 use upswing_process::Failure;
 use upswing_record::Window;
 
@@ -79,7 +80,7 @@ pub fn given_values(config: &Config, name: &str, to: &[JointValue]) -> Result<(u
             let refusal = format!("--to: `{name}` takes values of the joints {expected}; got `{joint}`");
             return Err(Failure::BadInput(refusal));
         };
-        given[i] = if config.model.joint_kind(joints[i]).unit() == "m" { *value } else { value.to_radians() };
+        given[i] = config.model.joint_kind(joints[i]).position(*value);
     }
     Ok((number, given))
 }
@@ -96,20 +97,28 @@ pub struct ManoeuvreArgs {
 }
 
 impl ManoeuvreArgs {
-    /// Returns the number of the manoeuvre and its given values from `start`, rad or m.
+    /// Returns the number of the manoeuvre, its given values (rad or m), and the state in which it starts.
     ///
     /// # Errors
-    /// [`Failure::BadInput`] as [`given_values`].
-    pub fn of(&self, config: &Config, start: &State) -> Result<(usize, Vec<f64>), Failure> {
+    /// [`Failure::BadInput`] as [`given_values`] and [`StartArgs::state`], or if the unactuated joints do not stand in the start pose of a
+    /// manoeuvre from standing.
+    pub fn of(&self, config: &Config, start: &StartArgs) -> Result<(usize, Vec<f64>, State), Failure> {
         let first = config.manoeuvres.first().map_or("", |manoeuvre| manoeuvre.name.as_str());
         let name = self.manoeuvre.as_deref().unwrap_or(first);
         let (number, mut given) = given_values(config, name, &self.to)?;
+        let hanging = start.state(config)?;
+        let x = match config.manoeuvres[number].start {
+            Posture::Hanging => hanging,
+            Posture::Standing => standing(config, number, &hanging.q_a()).ok_or_else(|| {
+                Failure::BadInput("--start: the unactuated joints cannot stand in this pose".into())
+            })?,
+        };
         for (value, axis) in given.iter_mut().zip(config.manoeuvres[number].given()) {
             if value.is_nan() {
-                *value = start[axis.joint];
+                *value = x[axis.joint];
             }
         }
-        Ok((number, given))
+        Ok((number, given, x))
     }
 }
 
@@ -149,10 +158,9 @@ pub fn start_state(
     start: &Degrees,
     pendulum: PendulumStart,
 ) -> Result<State, Failure> {
-    let radians: Vec<f64> = start.0.iter().map(|d| d.to_radians()).collect();
-    config
-        .start_state(&radians, pendulum)
-        .map_err(|e: StartError| Failure::BadInput(format!("{option}: {e}")))
+    let refuse = |e: StartError| Failure::BadInput(format!("{option}: {e}"));
+    let q_a = config.model.actuated_from_shown(&start.0).map_err(refuse)?;
+    config.start_state(&q_a, pendulum).map_err(refuse)
 }
 
 /// Returns the time window of a recording from the options `--from` and `--to`, s.

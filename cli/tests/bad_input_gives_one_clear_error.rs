@@ -42,6 +42,28 @@ fn with_settings(change: impl FnOnce(&Path), command: &[&str], parts: &[&str]) {
 }
 
 #[test]
+fn targets() {
+    refused(
+        &["request", "move", "--to", "joint_3=1"],
+        &["--to", "`joint_1`, `joint_2`, `joint_4`", "`joint_3`"],
+    );
+    refused(&["request", "fly", "--to", "joint_1=1"], &["unknown manoeuvre `fly`", "`swing-up`"]);
+    refused(&["request", "stop", "--to", "joint_1=1"], &["--to", "`stop` has no target"]);
+    refused(&["request", "move", "--to", "joint_1"], &["joint_1=30", "`joint_1`"]);
+    refused(&["request", &"n".repeat(33)], &["no name of a manoeuvre", "32 bytes"]);
+    let start = ["--start", "0,-15,0,-95,0,10,0", "--manoeuvre"];
+    for command in ["plan", "optimize"] {
+        let with = |more: &[&str], parts: &[&str]| refused(&[&[command], &start[..], more].concat(), parts);
+        with(&["fly"], &["unknown manoeuvre `fly`"]);
+        with(&["swing-up", "--to", "joint_1=1"], &["joints none", "`joint_1`"]);
+    }
+    let leaning = ["plan", "--start", "0,-15,0,-95,0,20,0", "--manoeuvre", "carry"];
+    refused(&leaning, &["--start", "cannot stand"]);
+    refused(&["db", "info", "--manoeuvre", "move"], &["no database of `move`", "db build --manoeuvre move"]);
+    refused(&["db", "build", "--manoeuvre", "swing-down"], &["`swing-up`", "backwards"]);
+}
+
+#[test]
 fn starts() {
     for command in ["demo", "plan", "optimize"] {
         refused(

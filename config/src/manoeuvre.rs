@@ -114,16 +114,23 @@ impl Manoeuvre {
     /// this pose out: the unactuated joints are not in equilibrium, or not within `limits` or the largest rest angle. In a manoeuvre that
     /// starts standing they are where the target has them.
     pub fn start_state(&self, model: &Model, limits: &Limits, q_a: &[f64]) -> Option<State> {
-        let work = &mut Workspace::default();
+        let start = match self.start {
+            Posture::Hanging => {
+                let start = model.standstill(limits, q_a, None).ok();
+                start.filter(|x| x.q_u().amax() <= self.grid.max_rest_angle)?
+            }
+            Posture::Standing => self.state_as_in_target(model, limits, q_a)?,
+        };
+        (model.posture(&start.q(), &mut Workspace::default()) == self.start).then_some(start)
+    }
+
+    /// The state at rest with the actuated joints at `q_a` (rad or m) and the unactuated ones where rows of the target have them; `None` if
+    /// they are not in equilibrium there, or not within `limits`.
+    pub fn state_as_in_target(&self, model: &Model, limits: &Limits, q_a: &[f64]) -> Option<State> {
         let sizes = model.sizes();
         let q_u = UnactuatedVector::from_fn(sizes, |i| self.fixed(sizes.actuated() + i).unwrap_or_default());
-        let standing = (self.start == Posture::Standing).then_some(&q_u);
-        let start = model.standstill(limits, q_a, standing).ok()?;
-        let near = self.start == Posture::Standing || start.q_u().amax() <= self.grid.max_rest_angle;
-        let is_start = near
-            && model.check_equilibrium(&start, work).is_ok()
-            && model.posture(&start.q(), work) == self.start;
-        is_start.then_some(start)
+        let state = model.standstill(limits, q_a, Some(&q_u)).ok()?;
+        model.check_equilibrium(&state, &mut Workspace::default()).is_ok().then_some(state)
     }
 
     /// The position of a joint (index in q) in the target, if a row of this joint alone states it.

@@ -250,6 +250,13 @@ fn start_of(config: &Config, manoeuvre: &Manoeuvre, q_a: &ActuatedVector) -> Opt
     manoeuvre.start_state(&config.model, &config.robot.planning, q_a)
 }
 
+/// The state at rest with the actuated joints at `q_a` (rad or m) from which manoeuvre number `manoeuvre` starts standing: the unactuated
+/// joints are as they stand in its target, or in that of the manoeuvre that it reverses. `None` if they are not in equilibrium there.
+pub fn standing(config: &Config, manoeuvre: usize, q_a: &ActuatedVector) -> Option<State> {
+    let source = config.manoeuvres[manoeuvre].reverses.unwrap_or(manoeuvre);
+    config.manoeuvres[source].state_as_in_target(&config.model, &config.robot.planning, q_a)
+}
+
 /// Computes the certificate of a trajectory under the limits and weights of the settings.
 pub fn certify(config: &Config, trajectory: &Trajectory) -> Certificate {
     let input_weight = config.planner.offline.input_weight;

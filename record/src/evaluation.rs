@@ -1,4 +1,4 @@
-//! Evaluation of a swing-up from its telemetry: motion statistics and success.
+//! Evaluation of the first manoeuvre of the settings, such as a swing-up, from its telemetry: motion statistics and success.
 
 use serde::Serialize;
 use std::collections::VecDeque;
@@ -6,7 +6,7 @@ use upswing_config::Config;
 use upswing_ipc::operator::planning_text;
 use upswing_ipc::{Mode, PlannerResponse, Telemetry};
 use upswing_model::thresholds::{REPORT_POSITION_SLACK, REST_SPEED_REPORT};
-use upswing_model::{JointVector, Limits, Model};
+use upswing_model::{JointVector, Limits, Model, Posture, UnactuatedVector};
 
 /// Figures of a motion: `T` is a number, or a statistic of the numbers of many motions.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
@@ -25,7 +25,8 @@ pub struct MotionFigures<T = f64> {
     pub peak_torque: T,
     /// Share of the cycles of tracking and balancing in which the limiter cut a torque.
     pub limited_share: T,
-    /// Largest angle of the rod from upright in the last second of balance, deg.
+    /// Largest difference between an unactuated joint and the end x_N of the plan in the last second of balance, deg; of a prismatic
+    /// joint, 1 m counts as 1 rad.
     pub final_tilt_deg: T,
     /// Largest velocity of the actuated joints in the last second of balance, rad/s or m/s.
     pub final_speed: T,
@@ -54,7 +55,7 @@ pub struct MotionStatistics {
     /// Figures of the motion.
     #[serde(flatten)]
     pub motion: MotionFigures,
-    /// Time in balance, s.
+    /// Time in balance, s; for a manoeuvre that ends hanging, in Hold after its plan.
     pub balance_s: f64,
     /// Number of recorded cycles.
     pub cycles: u64,
@@ -64,14 +65,19 @@ pub struct MotionStatistics {
     pub overruns: u64,
 }
 
-/// Evaluation of a swing-up: success, failures, plan and motion statistics.
+/// Evaluation of a swing-up, or of what else the first manoeuvre of the settings is: success, failures, plan and motion statistics.
 #[derive(Clone, Debug, Serialize)]
 pub struct SwingUpEvaluation {
-    /// Whether the pendulum balanced to the end within all limits.
+    /// Name of the manoeuvre.
+    pub manoeuvre: String,
+    /// Posture in which it ends: standing, in Balance, or hanging, in Hold.
+    #[serde(skip)]
+    pub end: Posture,
+    /// Whether the system stayed at the end of the plan within all limits.
     pub success: bool,
     /// Failed criteria as sentences; empty after a success.
     pub failures: Vec<String>,
-    /// Duration of the planned swing-up t_F, s.
+    /// Duration of the plan t_F, s.
     pub t_f: f64,
     /// Time from the request to the plan, s.
     pub planning_s: f64,
@@ -86,7 +92,7 @@ pub struct SwingUpEvaluation {
     pub statistics: MotionStatistics,
 }
 
-/// Largest tilt of a balanced pendulum, deg.
+/// Largest distance of a balanced or hanging pendulum from the end of the plan, deg.
 const BALANCED_DEG: f64 = 2.0;
 
 /// Largest share of the cycles in which the limiter may cut a torque. Assumed: while the limiter cuts, the loop is not the loop
@@ -99,18 +105,18 @@ pub fn tilt(model: &Model, q: &JointVector) -> f64 {
     (rod.z / rod.norm()).clamp(-1.0, 1.0).acos()
 }
 
-/// Excess of a joint position over its limit, with the joint (its number in the chain, from 0) and the record.
+/// Excess of a joint position over its limit, with the name of the joint and the record.
 struct LimitExcess<'a> {
     /// rad or m
     by: f64,
     unit: &'static str,
-    joint: usize,
+    joint: &'a str,
     record: Option<&'a Telemetry>,
 }
 
 impl std::fmt::Display for LimitExcess<'_> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "joint {} went {:.5} {} past its position limit", self.joint + 1, self.by, self.unit)?;
+        write!(f, "joint `{}` went {:.5} {} past its position limit", self.joint, self.by, self.unit)?;
         if let Some((record, mode)) = self.record.and_then(|r| Some((r, r.mode().ok()?))) {
             write!(f, " in mode {mode}, {:.3} s after the plan's start", record.t_plan)?;
         }
@@ -119,8 +125,12 @@ impl std::fmt::Display for LimitExcess<'_> {
 }
 
 /// Accumulator of [`MotionStatistics`], one record after the other.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct MotionStatisticsCounter {
+    /// Mode after the plan: Balance, or Hold for a manoeuvre that ends hanging.
+    end_mode: Mode,
+    /// q_U of the newest reference of a plan, rad or m.
+    end_q_u: Option<UnactuatedVector>,
     /// Tracking errors and peaks; the other figures follow at the end.
     motion: MotionFigures,
     cycles: u64,
@@ -138,11 +148,29 @@ pub struct MotionStatisticsCounter {
     balances: u64,
     /// Time of the preceding cycle if it was balanced, ns.
     balanced_ns: Option<u64>,
-    /// Cycles of the last second of balance: time (ns), tilt of the rod (rad), speed of the fastest actuated joint (rad/s or m/s).
+    /// Cycles of the last second of balance: time (ns), distance of the unactuated joints from x_N (rad or m), speed of the fastest actuated joint (rad/s or m/s).
     end: VecDeque<(u64, f64, f64)>,
 }
 
 impl MotionStatisticsCounter {
+    /// Counts nothing yet; the manoeuvre ends in the posture `end`.
+    pub fn new(end: Posture) -> Self {
+        Self {
+            end_mode: Mode::from_posture(end),
+            end_q_u: None,
+            motion: MotionFigures::default(),
+            cycles: 0,
+            foreign: 0,
+            overruns: 0,
+            controlled: 0,
+            limited: 0,
+            balance_ns: 0,
+            balances: 0,
+            balanced_ns: None,
+            end: VecDeque::new(),
+        }
+    }
+
     /// Adds the next record.
     pub fn count(&mut self, model: &Model, limits: &Limits, t: &Telemetry) {
         /// One second, ns.
@@ -173,8 +201,11 @@ impl MotionStatisticsCounter {
             motion.tracking_error_arm = most(&error.actuated(), motion.tracking_error_arm);
             motion.tracking_error_pendulum = most(&error.unactuated(), motion.tracking_error_pendulum);
         }
+        if matches!(t.mode(), Ok(Mode::Track | Mode::Balance)) {
+            self.end_q_u = Some(vectors.x_d.q_u());
+        }
         let before = self.balanced_ns.take();
-        if t.mode() == Ok(Mode::Balance) {
+        if let Some(end_q_u) = self.end_q_u.filter(|_| t.mode() == Ok(self.end_mode)) {
             match before {
                 Some(before) => self.balance_ns += t.t_ns.saturating_sub(before),
                 None => self.balances += 1,
@@ -184,7 +215,7 @@ impl MotionStatisticsCounter {
             if self.end.back().is_some_and(|(last, ..)| t.t_ns < *last) {
                 self.end.clear();
             }
-            self.end.push_back((t.t_ns, tilt(model, &q), qd.actuated().amax()));
+            self.end.push_back((t.t_ns, (q.unactuated() - end_q_u).amax(), qd.actuated().amax()));
             while self.end.front().is_some_and(|(begin, ..)| t.t_ns.saturating_sub(*begin) >= SECOND) {
                 self.end.pop_front();
             }
@@ -213,14 +244,14 @@ impl MotionStatisticsCounter {
 }
 
 impl<'a> LimitExcess<'a> {
-    fn most(model: &Model, limits: &Limits, records: &'a [Telemetry]) -> Self {
-        let mut most = Self { by: f64::NEG_INFINITY, unit: "", joint: 0, record: None };
+    fn most(model: &'a Model, limits: &Limits, records: &'a [Telemetry]) -> Self {
+        let mut most = Self { by: f64::NEG_INFINITY, unit: "", joint: "", record: None };
         for t in records {
             let Ok(vectors) = t.vectors(model.order()) else { continue };
             for (i, q) in vectors.x.q_a().iter().enumerate() {
                 let by = (q - limits.q_max[i]).max(limits.q_min[i] - q);
                 if by > most.by {
-                    let (unit, joint) = (model.joint_kind(i).unit(), model.order().joint(i));
+                    let (unit, joint) = (model.joint_kind(i).unit(), model.joint_name(i));
                     most = Self { by, unit, joint, record: Some(t) };
                 }
             }
@@ -242,7 +273,9 @@ impl SwingUpEvaluation {
     ) -> Self {
         let limits = &config.robot.limits;
         let period = config.daemon.cycle.period.seconds();
-        let mut counter = MotionStatisticsCounter::default();
+        let first = config.manoeuvres.first();
+        let (manoeuvre, end) = first.map_or((String::new(), Posture::Standing), |m| (m.name.clone(), m.end));
+        let mut counter = MotionStatisticsCounter::new(end);
         records.iter().for_each(|record| counter.count(&config.model, limits, record));
         let mut statistics = counter.statistics(period, dropped);
         if let Some(fastest) = fastest {
@@ -262,18 +295,18 @@ impl SwingUpEvaluation {
         fail(
             !(m.final_tilt_deg <= BALANCED_DEG),
             format!(
-                "rod {:.2} deg from upright in the last second, expected at most {BALANCED_DEG}",
+                "the pendulum is {:.2} deg from the end of the plan in the last second, expected at most {BALANCED_DEG}",
                 m.final_tilt_deg
             ),
         );
         fail(
             s.balance_s + 2.0 * period < seconds,
-            format!("balanced {:.3} s, expected {seconds} s", s.balance_s),
+            format!("{} {:.3} s, expected {seconds} s", stayed(end).0, s.balance_s),
         );
         fail(
             !(m.final_speed <= REST_SPEED_REPORT),
             format!(
-                "the arm moves at {:.3} rad/s in the last second, expected at most {REST_SPEED_REPORT}",
+                "the actuated joints move at {:.3} rad/s or m/s in the last second, expected at most {REST_SPEED_REPORT}",
                 m.final_speed
             ),
         );
@@ -296,6 +329,8 @@ impl SwingUpEvaluation {
         fail(beyond.by > REPORT_POSITION_SLACK, beyond.to_string());
         fail(s.dropped > 0, format!("{} telemetry records were lost", s.dropped));
         Self {
+            manoeuvre,
+            end,
             success: failures.is_empty(),
             failures,
             t_f: plan.t_f,
@@ -308,10 +343,19 @@ impl SwingUpEvaluation {
     }
 }
 
+/// What the system did at the end of a plan that ends in a posture, and a word for its time there.
+fn stayed(end: Posture) -> (&'static str, &'static str) {
+    match end {
+        Posture::Standing => ("balanced", "balance"),
+        Posture::Hanging => ("held", "hold"),
+    }
+}
+
 impl std::fmt::Display for SwingUpEvaluation {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let MotionStatistics { motion, balance_s, cycles, dropped, overruns } = &self.statistics;
-        writeln!(f, "{}", if self.success { "Swing-up: balanced" } else { "Swing-up: FAILED" })?;
+        let (stayed, stay) = stayed(self.end);
+        writeln!(f, "{}: {}", self.manoeuvre, if self.success { stayed } else { "FAILED" })?;
         for reason in &self.failures {
             writeln!(f, "  {reason}")?;
         }
@@ -322,17 +366,23 @@ impl std::fmt::Display for SwingUpEvaluation {
         writeln!(f, ", defect {:.1e}", self.defect)?;
         writeln!(
             f,
-            "  tracking  within {:.3} rad (joints 1-7), {:.3} rad (pendulum)",
+            "  tracking  within {:.3} (actuated joints), {:.3} (free joints), rad or m",
             motion.tracking_error_arm, motion.tracking_error_pendulum
         )?;
         writeln!(
             f,
-            "  balance   {:.2} s, rod within {:.2} deg of upright and arm below {:.3} rad/s in the last second",
-            balance_s, motion.final_tilt_deg, motion.final_speed
+            "  {stay:<9} {:.2} s, pendulum within {:.2} deg of {} and actuated joints below {:.3} rad/s or m/s in the last second",
+            balance_s,
+            motion.final_tilt_deg,
+            match self.end {
+                Posture::Standing => "upright",
+                Posture::Hanging => "its rest",
+            },
+            motion.final_speed
         )?;
         writeln!(
             f,
-            "  peaks     position {:.0} %, velocity {:.0} %, torque {:.0} % of the 100 % limits of joints 1-7",
+            "  peaks     position {:.0} %, velocity {:.0} %, torque {:.0} % of the 100 % limits of the actuated joints",
             100.0 * motion.peak_position,
             100.0 * motion.peak_velocity,
             100.0 * motion.peak_torque

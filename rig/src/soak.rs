@@ -18,7 +18,6 @@ use upswing_ipc::{
     Clock, ControlResponse, ManoeuvreRequest, Mode, OtherChain, PlantKind, PlantRequest, Telemetry,
 };
 use upswing_model::{Posture, State};
-use upswing_record::evaluation::tilt;
 
 /// Time in Balance before and after the push, and time in Hold after the swing-down, s.
 const BALANCE: (f64, f64) = (0.5, 2.0);
@@ -105,8 +104,8 @@ enum RoundFailure {
     /// A process refused a request.
     #[error(transparent)]
     Refused(SessionError),
-    /// The rod is not upright.
-    #[error("the rod is {deg:.2} deg from upright after the push")]
+    /// The pendulum does not stand.
+    #[error("the pendulum is {deg:.2} deg from the end of the plan after the push")]
     Tilted { deg: f64 },
     /// The telemetry has another number of joints than the model.
     #[error(transparent)]
@@ -249,7 +248,8 @@ impl<'a> Soak<'a> {
         self.expect(Mode::Balance)?;
         if let Some(record) = &self.newest {
             let vectors = record.vectors(order).map_err(RoundFailure::Chain)?;
-            let deg = tilt(&self.starts.config.model, &vectors.x.q()).to_degrees();
+            // In Balance the reference is the end of the plan.
+            let deg = (vectors.x.q_u() - vectors.x_d.q_u()).amax().to_degrees();
             if !(deg <= UPRIGHT_DEG) {
                 return Err(RoundFailure::Tilted { deg }.into());
             }

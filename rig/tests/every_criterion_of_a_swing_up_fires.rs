@@ -63,20 +63,20 @@ fn each_alone() {
             let record = in_mode(records, Mode::Balance).nth(count - 4000).expect("half a second");
             record.q[8] += 3.0_f64.to_radians();
         }),
-        "deg from upright in the last second",
+        "deg from the end of the plan in the last second",
     );
     only(
         failures(&config, &good, |records| {
             in_mode(records, Mode::Balance).last().expect("a balance").qd[3] = 0.051;
         }),
-        "the arm moves at 0.051 rad/s",
+        "the actuated joints move at 0.051 rad/s",
     );
     only(failures(&config, &good, |records| records.truncate(records.len() - 100)), "balanced 1.98");
     only(
         failures(&config, &good, |records| {
             in_mode(records, Mode::Track).last().expect("a swing").q[1] = limits.q_max[1] + 2e-4;
         }),
-        "joint 2 went 0.00020 rad past its position limit",
+        "joint `joint_2` went 0.00020 rad past its position limit",
     );
 
     // What the simulated plant knows counts, whatever the filter shows.

@@ -1,4 +1,4 @@
-//! `upswing demo`: runs the whole system on this machine for one swing-up.
+//! `upswing demo`: runs the whole system on this machine for its first manoeuvre, such as a swing-up.
 
 use super::{CommonArgs, own_system, session_failure, time_bar, writable};
 use crate::parse::{Degrees, start_state};
@@ -17,7 +17,8 @@ use upswing_rig::course::{SessionCourse, execute_from_idle, first_manoeuvre};
 use upswing_rig::session::{Programs, Session, SessionError};
 use upswing_view::picture;
 
-/// Starts daemon, planner and plant as three processes, swings the pendulum up and balances it.
+/// Starts daemon, planner and plant as three processes, and executes the first manoeuvre of the settings: swings the pendulum up and
+/// balances it.
 ///
 /// Example: upswing demo --start 10,10,0,-100,0,-20,0 --clock lockstep --seconds 3
 #[derive(Clone, Debug, clap::Args)]
@@ -97,7 +98,11 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
     }
     let start = match &args.start {
         Some(start) => start.clone(),
-        None => Degrees(config.plant.start.q.iter().map(|q| (q.to_degrees() * 1e9).round() / 1e9).collect()),
+        None => {
+            let shown = |(i, q): (usize, &f64)| config.model.joint_kind(i).shown(*q).0;
+            let q = config.plant.start.q.iter().enumerate().map(shown);
+            Degrees(q.map(|q| (q * 1e9).round() / 1e9).collect())
+        }
     };
     start_state(&config, "--start", &start, PendulumStart::Rest)?;
     let named = args.picture.clone().unwrap_or_else(|| default_picture(args.overwrite));
@@ -121,7 +126,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
     }
     let swing = || -> Result<_, SessionError> {
         let mut session = Session::start(Programs::own()?, &options, recorder)?;
-        let bar = time_bar(args.seconds, "swinging up and balancing");
+        let bar = time_bar(args.seconds, "executing the manoeuvre");
         let progress = |passed: f64, total: f64| {
             bar.set_length((total * 1e3) as u64);
             bar.set_position((passed * 1e3) as u64);
@@ -152,7 +157,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
     args.common.print(&result)?;
     if !success {
         let logs = options.logs.display();
-        return Err(Failure::failed(format!("the pendulum was not swung up and balanced; logs in {logs}")));
+        return Err(Failure::failed(format!("the manoeuvre did not end as planned; logs in {logs}")));
     }
     // The logs are kept only if the demo fails.
     let _ = std::fs::remove_dir_all(&options.logs);

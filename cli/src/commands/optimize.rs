@@ -55,8 +55,7 @@ struct OptimizeResult {
 /// [`Failure::BadInput`] for an impossible start, [`Failure::Failed`] if no solution is found.
 pub fn run(args: &OptimizeArgs) -> Result<(), Failure> {
     let config = args.common.process.load()?;
-    let start = args.start.state(&config)?;
-    let (manoeuvre, given) = args.manoeuvre.of(&config, &start)?;
+    let (manoeuvre, given, start) = args.manoeuvre.of(&config, &args.start)?;
     if config.manoeuvres[manoeuvre].reverses.is_some() {
         let name = &config.manoeuvres[manoeuvre].name;
         return Err(Failure::BadInput(format!(

@@ -73,8 +73,7 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
     if let Some(iterations) = args.iterations {
         config.planner.replan.iterations = iterations as usize;
     }
-    let start = args.start.state(&config)?;
-    let (manoeuvre, given) = args.manoeuvre.of(&config, &start)?;
+    let (manoeuvre, given, start) = args.manoeuvre.of(&config, &args.start)?;
     let planner = match &args.reference {
         Some(reference) => {
             let x = start_state(&config, "--reference", reference, args.start.pendulum())?;

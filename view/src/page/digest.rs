@@ -4,7 +4,7 @@ use super::ModeSpan;
 use super::times::LatencyHistograms;
 use std::path::Path;
 use upswing_ipc::{Mode, Telemetry};
-use upswing_model::Model;
+use upswing_model::{Model, Posture};
 use upswing_record::evaluation::{MotionStatistics, MotionStatisticsCounter};
 use upswing_record::{Elapsed, Recording, RecordingError, Tally};
 
@@ -54,7 +54,7 @@ impl RecordingDigest {
             degraded: 0,
             period: period(recording),
             step_ns: STEP_NS,
-            statistics: MotionStatisticsCounter::default(),
+            statistics: MotionStatisticsCounter::new(Posture::Standing),
             spans: Vec::new(),
             state: None,
             late_ns: Vec::new(),
