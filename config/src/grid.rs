@@ -68,7 +68,8 @@ impl AxisInFile {
         let actuated = 0..model.sizes().actuated();
         let Some(joint) = actuated.clone().find(|joint| model.joint_name(*joint) == name) else {
             let names: Vec<_> = actuated.map(|joint| model.joint_name(joint)).collect();
-            return Err(format!(".joint: expected one of {}, got `{name}`", names.join(", ")));
+            let (names, urdf) = (names.join(", "), crate::URDF.name);
+            return Err(format!(".joint: expected one of {names}, got `{name}` (joints of {urdf})"));
         };
         let ends = match unit(model.joint_kind(joint)) {
             "m" => [("from_m", from_m, from_deg), ("to_m", to_m, to_deg)],

@@ -50,10 +50,16 @@ impl JointList {
             by_name.iter().find(|(name, _)| name != DEFAULT && !names.contains(&name.as_str()))
         {
             let names = names.join(", ");
-            return Err(format!(".{name}: expected `{DEFAULT}` or one of {names}, got `{name}`"));
+            let urdf = crate::URDF.name;
+            return Err(format!(
+                ".{name}: expected `{DEFAULT}` or one of {names}, got `{name}` (joints of {urdf})"
+            ));
         }
         let of = |wanted: &str| by_name.iter().find(|(name, _)| name == wanted).map(|(_, value)| *value);
-        let missing = |name| format!("expected a value for joint `{name}` or a `{DEFAULT}`, got neither");
+        let urdf = crate::URDF.name;
+        let missing = |name| {
+            format!("expected a value for joint `{name}` or a `{DEFAULT}`, got neither (joint of {urdf})")
+        };
         names.iter().map(|name| of(name).or_else(|| of(DEFAULT)).ok_or_else(|| missing(name))).collect()
     }
 }
