@@ -2,8 +2,8 @@
 //!
 //! - `cycle`: a swing-up in closed loop with the plant's equations; timed from reading the measurement out of shared
 //!   memory to the command in shared memory, each cycle by itself.
-//! - `law`: the torque law at random states, in blocks; with `--states FILE` the states, inputs and torques go to a file of
-//!   doubles for a peer.
+//! - `law`: the torque law at random states, in blocks; with `--states FILE` the numbers of joints, then states, inputs and
+//!   torques go to a file of doubles for a peer.
 
 #[path = "../../daemon/tests/common/mod.rs"]
 mod common;
@@ -96,7 +96,8 @@ fn law(config: &Config, file: Option<&str>) -> Vec<f64> {
         .collect();
     let mut work = Workspace::default();
     if let Some(file) = file {
-        let mut bytes = Vec::new();
+        let sizes = config.model.sizes();
+        let mut bytes = [sizes.joints(), sizes.actuated()].map(|n| (n as f64).to_le_bytes()).concat();
         for (x, u) in &samples {
             let tau = config.model.torque(x, u, &mut work);
             bytes.extend(x.iter().chain(u.iter()).chain(tau.iter()).flat_map(|v| v.to_le_bytes()));

@@ -1,4 +1,4 @@
-// The torque law (24) with Pinocchio: crba + nonLinearEffects + a 2x2 solve, at the states of the Rust program.
+// The torque law (24) with Pinocchio: crba + nonLinearEffects + a solve with M_UU, at the states of the Rust program.
 // Prints the largest difference of the torques and the percentiles of the time per call.
 
 #include <pinocchio/algorithm/crba.hpp>
@@ -15,24 +15,28 @@
 namespace pin = pinocchio;
 using Clock = std::chrono::steady_clock;
 
-constexpr int NQ = 9, NU = 7, N_U = 2, ROW = 2 * NQ + 2 * NU;
+constexpr int MOST_JOINTS = 16;
 constexpr int ROUNDS = 4, BLOCKS = 2000;
+
+// Sizes at run time, memory inline.
+using Vector = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, MOST_JOINTS, 1>;
+using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, MOST_JOINTS, MOST_JOINTS>;
 
 struct Sample {
     Eigen::VectorXd q, qd;
-    Eigen::Matrix<double, NU, 1> u, tau;
+    Vector u, tau;
 };
 
-Eigen::Matrix<double, NU, 1> torque(const pin::Model &model, pin::Data &data, const Sample &s) {
+Vector torque(const pin::Model &model, pin::Data &data, const Sample &s) {
+    const auto n_a = s.u.size(), n_u = model.nv - n_a;
     pin::crba(model, data, s.q, pin::Convention::WORLD);
     pin::nonLinearEffects(model, data, s.q, s.qd);
     const auto &M = data.M; // the upper triangle is filled
-    const auto M_AU = M.topRightCorner<NU, N_U>();
-    Eigen::Matrix2d M_U = M.bottomRightCorner<N_U, N_U>();
-    M_U(1, 0) = M_U(0, 1);
-    const Eigen::Vector2d qdd_U = -M_U.inverse() * (M_AU.transpose() * s.u + data.nle.tail<N_U>());
-    Eigen::Matrix<double, NU, 1> tau = data.nle.head<NU>() + M_AU * qdd_U;
-    tau.noalias() += M.topLeftCorner<NU, NU>().selfadjointView<Eigen::Upper>() * s.u;
+    const auto M_AU = M.topRightCorner(n_a, n_u);
+    const Matrix M_U = M.bottomRightCorner(n_u, n_u);
+    const Vector qdd_U = M_U.selfadjointView<Eigen::Upper>().llt().solve(-(M_AU.transpose() * s.u + data.nle.tail(n_u)));
+    Vector tau = data.nle.head(n_a) + M_AU * qdd_U;
+    tau.noalias() += M.topLeftCorner(n_a, n_a).selfadjointView<Eigen::Upper>() * s.u;
     return tau;
 }
 
@@ -72,18 +76,26 @@ int main(int argc, char **argv) {
     pin::Data data(model);
     std::vector<Sample> samples;
     std::ifstream file(argv[2], std::ios::binary);
-    double row[ROW];
-    while (file.read(reinterpret_cast<char *>(row), sizeof row)) {
+    // Numbers of joints and of actuated joints, then the samples.
+    double sizes[2] = {};
+    file.read(reinterpret_cast<char *>(sizes), sizeof sizes);
+    const int n = int(sizes[0]), n_a = int(sizes[1]);
+    if (n != model.nv || n > MOST_JOINTS || n_a < 1 || n_a >= n) {
+        std::fprintf(stderr, "error: expected states of the chain's %d joints, got %d joints, %d of them actuated\n", model.nv, n,
+                     n_a);
+        return 2;
+    }
+    std::vector<double> row(2 * n + 2 * n_a);
+    while (file.read(reinterpret_cast<char *>(row.data()), row.size() * sizeof(double))) {
         Sample s;
-        s.q = Eigen::Map<Eigen::VectorXd>(row, NQ);
-        s.qd = Eigen::Map<Eigen::VectorXd>(row + NQ, NQ);
-        s.u = Eigen::Map<Eigen::Matrix<double, NU, 1>>(row + 2 * NQ);
-        s.tau = Eigen::Map<Eigen::Matrix<double, NU, 1>>(row + 2 * NQ + NU);
+        s.q = Eigen::Map<Eigen::VectorXd>(row.data(), n);
+        s.qd = Eigen::Map<Eigen::VectorXd>(row.data() + n, n);
+        s.u = Eigen::Map<Eigen::VectorXd>(row.data() + 2 * n, n_a);
+        s.tau = Eigen::Map<Eigen::VectorXd>(row.data() + 2 * n + n_a, n_a);
         samples.push_back(s);
     }
-    if (samples.empty() || model.nv != NQ) {
-        std::fprintf(stderr, "error: expected states and a chain of %d joints, got %zu states and %d joints\n", NQ,
-                     samples.size(), model.nv);
+    if (samples.empty()) {
+        std::fprintf(stderr, "error: expected states, got none\n");
         return 2;
     }
     double difference = 0, sum = 0;

@@ -21,7 +21,6 @@ import casadi as ca
 import numpy as np
 
 import peer as ipopt
-from model import NQ, NU
 from peer import Peer, cpu_seconds
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -60,7 +59,7 @@ def check_model(upswing: Path, folder: Path, model: ca.Function):
     """Stops unless `upswing model eval` agrees with the peer's model at random states."""
     random = np.random.default_rng(1)
     states = [
-        {"q": random.uniform(-2, 2, NQ), "qd": random.uniform(-1.5, 1.5, NQ), "u": random.uniform(-10, 10, NU)}
+        {name: random.uniform(-most, most, model.size1_in(name)) for name, most in (("q", 2), ("qd", 1.5), ("u", 10))}
         for _ in range(8)
     ]
     lines = "\n".join(json.dumps({k: list(v) for k, v in state.items()}) for state in states)
@@ -90,9 +89,10 @@ def grid_starts(peer: Peer, points: int) -> list[list[float]]:
     values = [np.linspace(a["from_deg"], a["to_deg"], a["points"]) for a in axes]
     poses = []
     for product in itertools.product(*values):
-        pose = np.zeros(NU)
+        pose = np.zeros(peer.chain.n_a)
         pose[[a["joint"] for a in axes]] = product
-        if np.all(np.abs(peer.rest(np.radians(pose))[NU:NQ]) <= peer.settings.q_max[NU:]):
+        unactuated = slice(peer.chain.n_a, peer.chain.n)
+        if np.all(np.abs(peer.rest(np.radians(pose))[unactuated]) <= peer.settings.q_max[unactuated]):
             poses.append(pose.tolist())
     if points > len(poses):
         sys.exit(f"error: --points: expected at most the grid's {len(poses)} starts, got {points}")
@@ -129,7 +129,7 @@ def compare(upswing: Path, folder: Path, peer: Peer, pose: list[float]) -> dict:
 
 
 HEADER = (
-    f"{'start: q1..q7, deg':>31} | {'cost':^25} | {'iterations':^10} | {'time, s':^24} | {'ratio':>6}\n"
+    f"{'start: q_A, deg':>31} | {'cost':^25} | {'iterations':^10} | {'time, s':^24} | {'ratio':>6}\n"
     f"{'':>31} | {'ours':>8} {'IPOPT':>8} {'diff %':>7} | {'ours':>4} {'IPOPT':>5} |"
     f" {'ours':>7} {'CPU':>7} {'IPOPT':>8} |"
 )

@@ -10,9 +10,6 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-NQ, NU = 9, 7
-NX, NZ = 2 * NQ, 2 * NQ + NU
-N_UNACTUATED = NQ - NU
 GRAVITY = (0.0, 0.0, -9.81)
 """m/s^2, in the world frame of the URDF."""
 
@@ -34,6 +31,30 @@ class Joint:
     """Mass times centre of mass, in the joint's frame, kg m."""
     inertia: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
     """About the joint's origin, in the joint's frame, kg m^2."""
+
+
+@dataclass
+class Chain:
+    """The revolute joints from the root to the tip, the actuated ones first."""
+
+    joints: list[Joint]
+    n_a: int
+    """n_A, number of actuated joints."""
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.joints)
+
+    @property
+    def nx(self) -> int:
+        """Dimension of the state x = [q, qd]."""
+        return 2 * self.n
+
+    @property
+    def nz(self) -> int:
+        """Dimension of a knot [x, u]."""
+        return self.nx + self.n_a
 
 
 def skew(v):
@@ -62,8 +83,8 @@ def origin(element):
     )
 
 
-def read_chain(path: Path) -> list[Joint]:
-    """The revolute joints from the root to the tip; fixed joints merge their link into the body before."""
+def read_chain(path: Path) -> Chain:
+    """The chain of a URDF; fixed joints merge their link into the body before, joints with effort 0 are not actuated."""
     robot = ElementTree.parse(path).getroot()
     links = {link.get("name"): link for link in robot.findall("link")}
     children = {}
@@ -71,7 +92,7 @@ def read_chain(path: Path) -> list[Joint]:
         if children.setdefault(joint.find("parent").get("link"), joint) is not joint:
             raise ValueError(f"{path.name}: expected a chain, but {joint.find('parent').get('link')} has two children")
     (link,) = set(children) - {joint.find("child").get("link") for joint in children.values()}
-    chain = []
+    chain, actuated = [], []
     # Pose of the current link in the frame of the last revolute joint (or of the world).
     rotation, translation = np.eye(3), np.zeros(3)
     while link in children:
@@ -81,15 +102,17 @@ def read_chain(path: Path) -> list[Joint]:
         if joint.get("type") == "revolute":
             axis = np.array(numbers(joint.find("axis").get("xyz")))
             chain.append(Joint(joint.get("name"), rotation, translation, axis))
+            actuated.append(float(joint.find("limit").get("effort")) > 0)
             rotation, translation = np.eye(3), np.zeros(3)
         elif joint.get("type") != "fixed":
             raise ValueError(f"{path.name}: joint {joint.get('name')}: expected revolute or fixed")
         link = joint.find("child").get("link")
         if chain:
             add_body(chain[-1], links[link].find("inertial"), rotation, translation)
-    if len(chain) != NQ:
-        raise ValueError(f"{path.name}: expected {NQ} revolute joints, got {len(chain)}")
-    return chain
+    n_a = sum(actuated)
+    if not 0 < n_a < len(chain) or not all(actuated[:n_a]):
+        raise ValueError(f"{path.name}: expected actuated joints, then unactuated ones; by joint: {actuated}")
+    return Chain(chain, n_a)
 
 
 def add_body(joint: Joint, inertial, rotation, translation):
@@ -106,13 +129,13 @@ def add_body(joint: Joint, inertial, rotation, translation):
     joint.inertia += axes @ about_centre @ axes.T - mass * skew(centre) @ skew(centre)
 
 
-def inverse_dynamics(chain: list[Joint], q, qd, qdd):
+def inverse_dynamics(chain: Chain, q, qd, qdd):
     """Torques of all joints, M qdd + C qd + g: recursive Newton-Euler in body frames."""
     omega, alpha = ca.SX.zeros(3), ca.SX.zeros(3)
     # Gravity as an acceleration of the base.
     acceleration = -ca.SX(ca.DM(GRAVITY))
     to_parent, forces, moments = [], [], []
-    for i, joint in enumerate(chain):
+    for i, joint in enumerate(chain.joints):
         k = ca.DM(skew(joint.axis))
         r = ca.DM(joint.rotation) @ (ca.DM.eye(3) + ca.sin(q[i]) * k + (1 - ca.cos(q[i])) * (k @ k))
         p, axis = ca.DM(joint.translation), ca.DM(joint.axis)
@@ -124,33 +147,32 @@ def inverse_dynamics(chain: list[Joint], q, qd, qdd):
         forces.append(joint.mass * acceleration + ca.cross(alpha, c) + ca.cross(omega, ca.cross(omega, c)))
         moments.append(inertia @ alpha + ca.cross(omega, inertia @ omega) + ca.cross(c, acceleration))
         to_parent.append((r, p))
-    tau = [None] * NQ
+    tau = [None] * chain.n
     force, moment = ca.SX.zeros(3), ca.SX.zeros(3)
-    for i in reversed(range(NQ)):
+    for i in reversed(range(chain.n)):
         force, moment = forces[i] + force, moments[i] + moment
-        tau[i] = ca.dot(ca.DM(chain[i].axis), moment)
+        tau[i] = ca.dot(ca.DM(chain.joints[i].axis), moment)
         r, p = to_parent[i]
         force = r @ force
         moment = r @ moment + ca.cross(p, force)
     return ca.vertcat(*tau)
 
 
-def pendulum_acceleration(chain: list[Joint], q, qd, u):
+def pendulum_acceleration(chain: Chain, q, qd, u):
     """qdd_U of (3a): the accelerations for which the unactuated joints need no torque."""
-    qdd_u = ca.SX.sym("qdd_u", N_UNACTUATED)
-    residual = inverse_dynamics(chain, q, qd, ca.vertcat(u, qdd_u))[NU:]
-    m, rest = ca.jacobian(residual, qdd_u), ca.substitute(residual, qdd_u, ca.SX.zeros(N_UNACTUATED))
-    determinant = m[0, 0] * m[1, 1] - m[0, 1] * m[1, 0]
-    adjugate = ca.vertcat(ca.horzcat(m[1, 1], -m[0, 1]), ca.horzcat(-m[1, 0], m[0, 0]))
-    return -(adjugate @ rest) / determinant
+    n_u = chain.n - chain.n_a
+    qdd_u = ca.SX.sym("qdd_u", n_u)
+    residual = inverse_dynamics(chain, q, qd, ca.vertcat(u, qdd_u))[chain.n_a :]
+    m, rest = ca.jacobian(residual, qdd_u), ca.substitute(residual, qdd_u, ca.SX.zeros(n_u))
+    return -(ca.adj(m) @ rest) / ca.det(m)
 
 
-def motor_torque(chain: list[Joint], q, qd, u):
+def motor_torque(chain: Chain, q, qd, u):
     """tau_A of (3b), (9)."""
     qdd_u = pendulum_acceleration(chain, q, qd, u)
-    return inverse_dynamics(chain, q, qd, ca.vertcat(u, qdd_u))[:NU]
+    return inverse_dynamics(chain, q, qd, ca.vertcat(u, qdd_u))[: chain.n_a]
 
 
-def motor_torque_without_coriolis(chain: list[Joint], q, u):
+def motor_torque_without_coriolis(chain: Chain, q, u):
     """M~ u + g~ of (11): the torque at standstill."""
-    return motor_torque(chain, q, ca.SX.zeros(NQ), u)
+    return motor_torque(chain, q, ca.SX.zeros(chain.n), u)

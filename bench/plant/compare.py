@@ -18,7 +18,6 @@ import pinocchio as pin
 from scipy.integrate import DOP853
 
 ROOT = Path(__file__).resolve().parents[2]
-NQ, NU = 9, 7
 PERIOD = 125e-6
 """Control period, s: torques are constant over it."""
 SUBSTEPS = 4
@@ -44,16 +43,17 @@ free fall at twenty times the velocity limits."""
 class Case:
     name: str
     q_deg: list[float]
-    qd: list[float]
+    qd: list[float] | None
+    """None: at rest."""
     wave: float | None
-    """How far joints 1 to 7 move to and fro, rad; None: without torque."""
+    """How far the actuated joints move to and fro, rad; None: without torque."""
 
 
 CASES = [
-    Case("held arm, swinging rod", [0, -15, 0, -95, 0, 10, 0, 120, 20], [0] * NQ, 0.0),
-    Case("waves on all joints", [10, 10, 20, -100, 30, -20, 0, 5, -5], [0] * NQ, 0.4),
+    Case("held arm, swinging rod", [0, -15, 0, -95, 0, 10, 0, 120, 20], None, 0.0),
+    Case("waves on all joints", [10, 10, 20, -100, 30, -20, 0, 5, -5], None, 0.4),
     Case("moving start, waves", [-40, 30, -60, -60, 50, 40, 90, 100, 10], [0.3, -0.2, 0.4, 0.1, -0.5, 0.6, 0.2, 1.5, -1], 0.2),
-    Case("free fall", [0, -15, 0, -95, 0, 10, 0, 0, 0], [0] * NQ, None),
+    Case("free fall", [0, -15, 0, -95, 0, 10, 0, 0, 0], None, None),
 ]
 
 
@@ -65,15 +65,20 @@ class Pinocchio:
     def __init__(self, urdf: Path):
         self.model = pin.buildModelFromUrdf(str(urdf))
         self.data = self.model.createData()
+        actuated = self.model.effortLimit > 0
+        self.n, self.n_a = self.model.nv, int(actuated.sum())
+        """Numbers of joints and of actuated joints."""
+        if not actuated[: self.n_a].all():
+            sys.exit(f"error: {urdf.name}: expected actuated joints, then unactuated ones")
 
     def move(self, x, torques):
         """States at the end of the periods; `torques`: of each period, or a function of time and state."""
-        states = []
+        n, states = self.n, []
         for k, tau in enumerate(torques):
-            full = np.concatenate([tau(k * PERIOD, x) if callable(tau) else tau, np.zeros(NQ - NU)])
+            full = np.concatenate([tau(k * PERIOD, x) if callable(tau) else tau, np.zeros(n - self.n_a)])
 
             def f(_, x):
-                return np.concatenate([x[NQ:], pin.aba(self.model, self.data, x[:NQ], x[NQ:], full)])
+                return np.concatenate([x[n:], pin.aba(self.model, self.data, x[:n], x[n:], full)])
 
             solver = DOP853(f, 0.0, x, PERIOD, rtol=TOLERANCE, atol=TOLERANCE, first_step=PERIOD)
             while solver.status == "running":
@@ -85,13 +90,13 @@ class Pinocchio:
         return np.array(states)
 
     def torque_for(self, u, x):
-        """Torques of joints 1 to 7 that accelerate them with u: (3a), (3b)."""
-        q, qd = x[:NQ], x[NQ:]
+        """Torques of the actuated joints that accelerate them with u: (3a), (3b)."""
+        n_a, q, qd = self.n_a, x[: self.n], x[self.n :]
         nle = pin.nonLinearEffects(self.model, self.data, q, qd)
         mass = pin.crba(self.model, self.data, q)
         mass = np.triu(mass) + np.triu(mass, 1).T
-        free = -np.linalg.solve(mass[NU:, NU:], mass[NU:, :NU] @ u + nle[NU:])
-        return mass[:NU] @ np.concatenate([u, free]) + nle[:NU]
+        free = -np.linalg.solve(mass[n_a:, n_a:], mass[n_a:, :n_a] @ u + nle[n_a:])
+        return mass[:n_a] @ np.concatenate([u, free]) + nle[:n_a]
 
 
 class MuJoCo:
@@ -118,7 +123,7 @@ class MuJoCo:
     def restore_inertias(self, urdf: Path):
         """Masses, centres of mass and inertias of the moving bodies as Pinocchio reads them from the same file."""
         reference = pin.buildModelFromUrdf(str(urdf))
-        for joint in range(NQ):
+        for joint in range(self.model.nv):
             body = self.model.jnt_bodyid[joint]
             expected = reference.inertias[joint + 1]
             if not np.isclose(self.model.body_mass[body], expected.mass, rtol=1e-12):
@@ -133,11 +138,11 @@ class MuJoCo:
         mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
 
     def move(self, x, torques):
-        data, states = self.data, []
+        data, n, states = self.data, self.model.nv, []
         mujoco.mj_resetData(self.model, data)
-        data.qpos[:], data.qvel[:] = x[:NQ], x[NQ:]
+        data.qpos[:], data.qvel[:] = x[:n], x[n:]
         for tau in torques:
-            data.qfrc_applied[:NU] = tau
+            data.qfrc_applied[: tau.size] = tau
             for _ in range(SUBSTEPS):
                 mujoco.mj_step(self.model, data)
             states.append(np.concatenate([data.qpos, data.qvel]))
@@ -162,16 +167,17 @@ def torques_of(case: Case, peer: Pinocchio, x, seconds: float):
     """Torques of each period, N m: recorded once with a controller that follows the waves, so that all simulators can be
     given the same numbers."""
     periods = round(seconds / PERIOD)
-    recorded = np.zeros((periods, NU))
+    n, n_a = peer.n, peer.n_a
+    recorded = np.zeros((periods, n_a))
     if case.wave is None:
         return recorded
-    omega = 2 * np.pi * (0.4 + 0.1 * np.arange(NU))
+    omega = 2 * np.pi * (0.4 + 0.1 * np.arange(n_a))
 
     def follow(t, state):
         k = round(t / PERIOD)
-        q = x[:NU] + x[NQ : NQ + NU] * np.sin(omega * t) / omega + case.wave * (1 - np.cos(omega * t)) / 2
-        qd = x[NQ : NQ + NU] * np.cos(omega * t) + case.wave * omega * np.sin(omega * t) / 2
-        recorded[k] = peer.torque_for(100 * (q - state[:NU]) + 20 * (qd - state[NQ : NQ + NU]), state)
+        q = x[:n_a] + x[n : n + n_a] * np.sin(omega * t) / omega + case.wave * (1 - np.cos(omega * t)) / 2
+        qd = x[n : n + n_a] * np.cos(omega * t) + case.wave * omega * np.sin(omega * t) / 2
+        recorded[k] = peer.torque_for(100 * (q - state[:n_a]) + 20 * (qd - state[n : n + n_a]), state)
         return recorded[k]
 
     peer.move(x, [follow] * periods)
@@ -183,18 +189,20 @@ def compare(urdf: str, motion: Path, seconds: float, folder: Path) -> list[dict]
     scenario = folder / f"{path.stem}.toml"
     scenario.write_text(SCENARIO.format(urdf=path))
     plant, peers = Upswing(motion, scenario), [Pinocchio(path), MuJoCo(path)]
-    rows = []
+    n, rows = peers[0].n, []
     for case in CASES:
-        x = np.concatenate([np.radians(case.q_deg), case.qd])
+        if len(case.q_deg) != n:
+            sys.exit(f"error: {urdf}: expected {len(case.q_deg)} joints, got {n}")
+        x = np.concatenate([np.radians(case.q_deg), case.qd or [0] * n])
         torques = torques_of(case, peers[0], x, seconds)
         ours = plant.move(x, torques)
-        row = {"urdf": urdf, "case": case.name, "fastest_rad_s": float(np.abs(ours[:, NQ:]).max())}
+        row = {"urdf": urdf, "case": case.name, "fastest_rad_s": float(np.abs(ours[:, n:]).max())}
         for peer in peers:
             theirs = peer.move(x, torques)
             if theirs.shape != ours.shape:
                 sys.exit(f"error: expected {theirs.shape[0]} states of the plant simulator, got {ours.shape[0]}")
             difference = np.abs(ours - theirs)
-            row[peer.name] = {"rad": float(difference[:, :NQ].max()), "rad_s": float(difference[:, NQ:].max())}
+            row[peer.name] = {"rad": float(difference[:, :n].max()), "rad_s": float(difference[:, n:].max())}
         rows.append(row)
         figures = "  ".join(f"{peer.name}: {row[peer.name]['rad']:.1e} rad, {row[peer.name]['rad_s']:.1e} rad/s" for peer in peers)
         print(f"{urdf:16} {case.name:24} up to {row['fastest_rad_s']:5.2f} rad/s  {figures}", flush=True)

@@ -53,10 +53,16 @@ impl JointList {
             let names = names.join(", ");
             let of_names =
                 if names.is_empty() { "no joint of this kind".into() } else { format!("one of {names}") };
-            return Err(format!(".{name}: expected `{DEFAULT}` or {of_names}, got `{name}`"));
+            let urdf = crate::URDF;
+            return Err(format!(
+                ".{name}: expected `{DEFAULT}` or {of_names}, got `{name}` (joints of {urdf})"
+            ));
         }
         let of = |wanted: &str| by_name.iter().find(|(name, _)| name == wanted).map(|(_, value)| *value);
-        let missing = |name| format!("expected a value for joint `{name}` or a `{DEFAULT}`, got neither");
+        let urdf = crate::URDF;
+        let missing = |name| {
+            format!("expected a value for joint `{name}` or a `{DEFAULT}`, got neither (joint of {urdf})")
+        };
         names.iter().map(|name| of(name).or_else(|| of(DEFAULT)).ok_or_else(|| missing(name))).collect()
     }
 }

@@ -148,6 +148,9 @@ fn draw_panels(
 ) -> Result<String, PictureError> {
     let names: Vec<&str> = model.joint_names().collect();
     let rows = names.len().div_ceil(JOINTS_PER_ROW);
+    // The space to the right of the curves, in units of the time range, is for the legend with its names.
+    let longest = names.iter().map(|name| name.chars().count()).max().unwrap_or(0);
+    let legend = 0.25 + 0.028 * longest as f64;
     svg((SIZE.0, SIZE.1 * rows as u32), |root| {
         let panels = root.split_evenly((rows, COLUMNS.len()));
         for (row, names) in names.chunks(JOINTS_PER_ROW).enumerate() {
@@ -160,7 +163,7 @@ fn draw_panels(
             for (column, curves) in columns.iter().enumerate() {
                 let title = if row == 0 { COLUMNS[column] } else { "" };
                 let bottom = row + 1 == rows;
-                draw_panel(&panels[row * COLUMNS.len() + column], title, bottom, look, curves)?;
+                draw_panel(&panels[row * COLUMNS.len() + column], title, (bottom, legend), look, curves)?;
             }
         }
         Ok(())
@@ -175,7 +178,7 @@ fn shown((t, value): &(f64, f64)) -> (f64, f64) {
 fn draw_panel(
     area: &Area<'_>,
     title: &str,
-    bottom: bool,
+    (bottom, legend): (bool, f64),
     look: &PanelStyle,
     curves: &[(&str, CurvePair)],
 ) -> DrawResult {
@@ -184,8 +187,7 @@ fn draw_panel(
         .caption(title, ("sans-serif", 18))
         .x_label_area_size(if bottom { 38 } else { 22 })
         .y_label_area_size(38)
-        // The space to the right of the curves is for the legend.
-        .build_cartesian_2d(look.begin..look.end * 1.42, -SHOWN..SHOWN)?;
+        .build_cartesian_2d(look.begin..look.end * (1.0 + legend), -SHOWN..SHOWN)?;
     chart
         .configure_mesh()
         .light_line_style(TRANSPARENT)
