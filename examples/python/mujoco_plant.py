@@ -1,97 +1,98 @@
-"""Takes the place of upswing-plant: the robot of a URDF in MuJoCo, behind the same channels.
+"""Takes the place of upswing-plant: the robot of a system's URDF in MuJoCo, behind the same channels.
 
-    python mujoco_plant.py --system my-config --domain upswing
+    python mujoco_plant.py --system cart-pole --domain upswing
 
-The settings are those of `upswing config export my-config`. Clock `paced`: one period per command, not faster than real
-time; MuJoCo with Python takes about as long as real time, so that a run may take longer than its simulated time. Drives
-are ideal; of the friction only that of the pendulum's bearings is there. The `plant` service (faults, pushes) is not.
+Clock `paced`: one period per command, not faster than real time; where a step takes longer than a period, a run takes
+longer than its simulated time. The bodies are MuJoCo's; friction, stops, brakes and encoders obey the equations and settings of
+upswing-plant. Drives are ideal, and there is no noise; the `plant` service (faults, pushes) is not there.
 """
 
 import argparse
 import signal
 import sys
 import time
-import tomllib
-import xml.etree.ElementTree as ElementTree
-from pathlib import Path
 
 import mujoco
 import numpy as np
 import upswing_layouts as layouts
 from upswing_ipc import Node, Refused
 from upswing_layouts import Clock, Command, Measurement
+from upswing_settings import Settings, add_system_options
 
-# Silence after which a daemon counts as lost, and how often one is looked for.
-LOST_AFTER_S = 1.0
+# Silence after which a daemon counts as lost if its process has ended, and if it lives: as in upswing-plant.
+LOST_AFTER_S = 1.0, 20.0
+# How often a daemon is looked for.
 SEARCH_PERIOD_S = 0.1
+# A wait of this time spins, a longer one naps.
+SPIN_S, NAP_S = 100e-6, 20e-6
 
 
 def load(urdf):
-    """The URDF as a MuJoCo model without contacts and joint stops: whether limits are kept is what the daemon watches."""
-    spec = mujoco.MjSpec.from_file(str(urdf))
+    """The chain of a URDF as a MuJoCo model, with the inertias of the URDF; without contacts, joint limits and friction."""
+    spec = mujoco.MjSpec.from_string(urdf)
+    # Links on fixed joints stay bodies of their own, so that each body has the inertia of its link.
+    spec.compiler.fusestatic = False
+    largest = {}
     for body in spec.bodies:
-        # Identified inertias are rounded and may miss the triangle inequality by that, which MuJoCo refuses: the
-        # largest principal moment becomes the sum of the others then.
-        xx, yy, zz, xy, xz, yz = body.fullinertia
+        # Rounded inertias may miss the triangle inequality, which MuJoCo's compiler refuses. It gets a smaller largest
+        # moment, and the model the true one afterwards: the equations of motion need no triangle inequality.
         if not np.isfinite(body.fullinertia).all():
             continue
+        xx, yy, zz, xy, xz, yz = body.fullinertia
         moments, axes = np.linalg.eigh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        moments[2] = min(moments[2], (1 - 1e-9) * (moments[0] + moments[1]))
-        xx, xy, xz, _, yy, yz, _, _, zz = (axes @ np.diag(moments) @ axes.T).ravel()
-        body.fullinertia = [xx, yy, zz, xy, xz, yz]
+        if moments[2] > moments[0] + moments[1]:
+            largest[body.name] = moments[2]
+            moments[2] = (1 - 1e-9) * (moments[0] + moments[1])
+            xx, xy, xz, _, yy, yz, _, _, zz = (axes @ np.diag(moments) @ axes.T).ravel()
+            body.fullinertia = [xx, yy, zz, xy, xz, yz]
     model = spec.compile()
+    for name, moment in largest.items():
+        inertia = model.body(name).inertia
+        inertia[inertia.argmax()] = moment
+    mujoco.mj_setConst(model, mujoco.MjData(model))
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
+    model.opt.gravity = 0, 0, -9.81
+    model.dof_damping[:], model.dof_frictionloss[:], model.dof_armature[:] = 0, 0, 0
+    # Fourth order: in periods of 125 us its error is far below the encoders' resolution, as that of upswing-plant.
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
     return model
 
 
-def unactuated_joints(urdf):
-    """Names of the joints without a motor: those with effort="0", or without an effort."""
-    joints = ElementTree.parse(urdf).getroot().findall("joint")
-    limits = {joint.get("name"): joint.find("limit") for joint in joints}
-    return {name for name, limit in limits.items() if limit is None or float(limit.get("effort", 0)) == 0}
-
-
-def per_joint(value, names):
-    """A setting that is one number for all joints, or a table of joint names with a default."""
-    if isinstance(value, dict):
-        return np.array([value[name] if name in value else value["default"] for name in names], dtype=float)
-    return np.full(len(names), float(value))
-
-
 class Plant:
-    """Robot and pendulum; brakes as in upswing-plant."""
+    """Robot and pendulum at rest in the start pose of the settings; brakes as in upswing-plant."""
 
-    def __init__(self, config):
-        settings = tomllib.loads((config / "plant.toml").read_text(encoding="utf-8"))
-        daemon = tomllib.loads((config / "daemon.toml").read_text(encoding="utf-8"))
-        robot = tomllib.loads((config / "robot.toml").read_text(encoding="utf-8"))
-        urdf = config / settings["model"]["urdf"]
-        self.model = load(urdf)
-        if (self.model.jnt_type != mujoco.mjtJoint.mjJNT_HINGE).any():
-            raise ValueError(f"{urdf}: expected revolute joints only")
-        names = [self.model.joint(i).name for i in range(self.model.njnt)]
-        without_motor = unactuated_joints(urdf)
+    def __init__(self, settings):
+        plant, names = settings.plant, [joint.name for joint in settings.joints]
+        self.model = model = load(settings.urdf)
+        if (got := [model.joint(i).name for i in range(model.njnt)]) != names or model.nv != len(names):
+            raise ValueError(f"expected the joints {', '.join(names)}, got {', '.join(got)}")
+        actuated = np.array([joint.actuated for joint in settings.joints])
         # The index sets A and U; payloads have the order of the chain, as MuJoCo.
-        self.actuated = np.array([i for i, name in enumerate(names) if name not in without_motor])
-        self.unactuated = np.array([i for i, name in enumerate(names) if name in without_motor])
-        actuated, unactuated = ([names[i] for i in indices] for indices in (self.actuated, self.unactuated))
-        if not 0 < len(unactuated) < len(names) <= layouts.MOST_JOINTS:
-            raise ValueError(f"{urdf}: expected 2 to {layouts.MOST_JOINTS} joints, some of them with a motor and some without")
-        self.period_ns = daemon["cycle"]["period_us"] * 1000
-        self.model.opt.timestep = self.period_ns * 1e-9
-        self.model.dof_damping[self.unactuated] = per_joint(settings["friction"]["pendulum_viscous"], unactuated)
-        self.model.dof_frictionloss[self.unactuated] = per_joint(settings["friction"]["pendulum_coulomb"], unactuated)
-        self.brake_time_constant = settings["drive"]["brake_time_constant_ms"] * 1e-3
-        self.tau_max = per_joint(robot["limits"]["tau_nm"], actuated)
-        encoder = settings["encoder"]
-        self.grid = np.empty(len(names))
-        self.grid[self.actuated] = per_joint(encoder["arm_resolution_rad"], actuated)
-        self.grid[self.unactuated] = 2 * np.pi / 2 ** per_joint(encoder["pendulum_bits"], unactuated)
-        self.data = mujoco.MjData(self.model)
-        self.data.qpos[self.actuated] = np.radians(per_joint(settings["start"]["q_deg"], actuated))
-        self._hang()
-        self.tau = np.zeros(len(actuated))
+        self.actuated, self.unactuated = np.flatnonzero(actuated), np.flatnonzero(~actuated)
+        if not 0 < actuated.sum() < len(names) <= layouts.MOST_JOINTS:
+            raise ValueError(f"expected 2 to {layouts.MOST_JOINTS} joints, some with a motor and some without: {', '.join(names)}")
+        by_kind = lambda arm, pendulum: np.where(actuated, settings.numbers(arm), settings.numbers(pendulum))
+        self.period_ns = settings.period_ns
+        model.opt.timestep = self.period_ns * 1e-9
+        friction, stops = plant["friction"], plant["stops"]
+        left = np.where(actuated, 1 - friction["arm_compensation"], 1)
+        model.dof_damping[:] = left * by_kind(friction["arm_viscous"], friction["pendulum_viscous"])
+        self.coulomb = left * by_kind(friction["arm_coulomb"], friction["pendulum_coulomb"])
+        self.smoothing = friction["coulomb_smoothing_rad_s"]
+        model.dof_armature[:] = by_kind(plant["model"]["rotor_inertia_kg_m2"], 0)
+        self.stiffness, self.damping = settings.numbers(stops["stiffness"]), settings.numbers(stops["damping"])
+        self.stop_range = settings.positions(settings.robot["limits"], "q").T + np.outer([-1, 1], settings.positions(stops, "margin"))
+        self.brake_time_constant = plant["drive"]["brake_time_constant_ms"] * 1e-3
+        self.tau_max = settings.numbers(settings.robot["limits"]["tau_nm"])[self.actuated]
+        encoder = plant["encoder"]
+        self.grid = np.where(actuated, settings.numbers(encoder["arm_resolution_rad"]), 2 * np.pi / 2 ** settings.numbers(encoder["pendulum_bits"]))
+        self.data = mujoco.MjData(model)
+        self.data.qpos[:] = np.where(actuated, settings.positions(plant["start"], "q"), 0)
+        if plant["start"]["pendulum"] == "rest":
+            self._rest()
+        if self.coulomb.any() or self.stiffness.any():
+            mujoco.set_mjcb_passive(self._add_passive)
+        self.tau = np.zeros(len(self.actuated))
         self.braking, self.fault, self.saturated = True, False, False
         self.seq = 1
 
@@ -100,29 +101,45 @@ class Plant:
         """Numbers of joints and of actuated joints."""
         return len(self.grid), len(self.tau)
 
-    def _hang(self):
-        """Newton's method: the pendulum at rest under the arm."""
+    def _rest(self):
+        """Newton's method for the minimum of the potential over the unactuated joints."""
         data, free = self.data, self.unactuated
-        for _ in range(50):
+        step = 1e-6
+
+        def gravity():
             mujoco.mj_forward(self.model, data)
-            gravity, step = data.qfrc_bias[free].copy(), 1e-6
-            slope = np.empty((len(free), len(free)))
+            return data.qfrc_bias[free].copy()
+
+        for _ in range(100):
+            g = gravity()
+            curvature = np.empty((len(free), len(free)))
             for column, i in enumerate(free):
                 data.qpos[i] += step
-                mujoco.mj_forward(self.model, data)
-                slope[:, column] = (data.qfrc_bias[free] - gravity) / step
+                curvature[:, column] = (gravity() - g) / step
                 data.qpos[i] -= step
-            data.qpos[free] -= np.linalg.solve(slope, gravity)
-        if np.abs(gravity).max() > 1e-6:
-            raise ValueError("start.q_deg of plant.toml: the pendulum has no rest there")
+            # Downhill also where the curvature is negative, and not far at once.
+            values, vectors = np.linalg.eigh((curvature + curvature.T) / 2)
+            change = vectors @ (vectors.T @ g / np.maximum(np.abs(values), 1e-9))
+            data.qpos[free] -= change * min(1, 0.5 / max(np.linalg.norm(change), 1e-300))
+        if np.abs(gravity()).max() > 1e-9 or values.min() <= 0:
+            raise ValueError("start of plant.toml: the unactuated joints have no rest there")
+
+    def _add_passive(self, _, data):
+        """Coulomb friction and stops, in every stage of an integration step."""
+        q, qd = data.qpos, data.qvel
+        data.qfrc_passive -= self.coulomb * np.tanh(qd / self.smoothing)
+        below, above = self.stop_range[0] - q, q - self.stop_range[1]
+        direction, depth = np.where(above > below, 1, -1), np.maximum(above, below)
+        back = np.maximum(self.stiffness * depth + self.damping * qd * direction, 0)
+        data.qfrc_passive -= np.where((self.stiffness > 0) & (depth > 0), direction * back, 0)
 
     def _brake_torque(self):
-        """Of u = -qd_A / time constant: the rows of the arm of (1), with qdd_U from those of the pendulum."""
+        """Of u = -qd_A / time constant: the rows A of (1), with qdd_U from the rows U."""
         model, data = self.model, self.data
         mujoco.mj_forward(model, data)
         mass = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, mass)
-        h = data.qfrc_bias - data.qfrc_passive - data.qfrc_constraint
+        h = data.qfrc_bias - data.qfrc_passive
         A, U = self.actuated, self.unactuated
         u = -data.qvel[A] / self.brake_time_constant
         qdd_u = -np.linalg.solve(mass[np.ix_(U, U)], mass[np.ix_(U, A)] @ u + h[U])
@@ -187,6 +204,22 @@ class Daemon:
         self.seq = command.seq
         return command
 
+    def answer(self, seq, going):
+        """The command that answers measurement `seq`; None if the daemon is lost, or not `going` any more."""
+        begin, patience = time.monotonic(), LOST_AFTER_S[0]
+        while going():
+            command = self.take(seq)
+            if command is not None and command.measurement_seq == seq:
+                return command
+            waited = time.monotonic() - begin
+            if waited > patience:
+                if patience == LOST_AFTER_S[1] or not self.node.lives(self.reader):
+                    return None
+                patience = LOST_AFTER_S[1]
+            elif waited > SPIN_S:
+                time.sleep(NAP_S)
+        return None
+
 
 def run(plant, node, going):
     """Publishes measurement n, waits for the command that answers it, advances one period."""
@@ -199,11 +232,7 @@ def run(plant, node, going):
         writer.write(plant.measure())
         command = None
         if present:
-            lost = time.monotonic() + LOST_AFTER_S
-            while going() and command is None and time.monotonic() < lost:
-                command = daemon.take(plant.seq)
-                if command is not None and command.measurement_seq != plant.seq:
-                    command = None
+            command = daemon.answer(plant.seq, going)
             present = command is not None
             if not present and going():
                 print(f"daemon lost in cycle {plant.seq}", file=sys.stderr)
@@ -220,14 +249,16 @@ def run(plant, node, going):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--system", type=Path, required=True, metavar="DIR", help="folder of upswing config export")
+    add_system_options(parser)
     parser.add_argument("--domain", default="upswing")
     args = parser.parse_args()
     stop = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.append(True))
-    plant = Plant(args.system)
-    print(f"MuJoCo {mujoco.__version__}, q = {np.degrees(plant.data.qpos).round(2).tolist()} deg", file=sys.stderr)
+    settings = Settings(args.system, args.program)
+    plant = Plant(settings)
+    pose = ", ".join(joint.text(q) for joint, q in zip(settings.joints, plant.data.qpos))
+    print(f"MuJoCo {mujoco.__version__}: {pose}", file=sys.stderr)
     run(plant, Node(args.domain, "mujoco plant"), lambda: not stop)
 
 

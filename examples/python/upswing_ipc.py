@@ -173,6 +173,12 @@ class Node:
                     return Reader(name, service, service.reader_builder().create(), payload)
         return None
 
+    def lives(self, reader):
+        """Whether the process that writes a blackboard has not ended."""
+        with self.creation_lock():
+            self.clean_up()
+            return reader.written()
+
 
 class Plans:
     """A subscriber of plans."""
@@ -243,6 +249,10 @@ class Reader:
         self._service, self._port, self._payload = service, port, payload
         self._entry = port.entry(KEY, payload)
         self._seen = None
+
+    def written(self):
+        """Whether there is a writer; one that died counts until somebody cleans up."""
+        return self._service.dynamic_config.number_of_writers > 0
 
     def take(self):
         """The value, if it was written since the last call; else None."""
