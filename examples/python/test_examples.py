@@ -157,8 +157,8 @@ class Flights(unittest.TestCase):
                 with self.subTest(name):
                     (own, own_mode), (other, other_mode) = (flight.result() for flight in both)
                     common = min(len(own), len(other))
-                    course = np.abs(own[:common] - other[:common]).max()
-                    end = np.abs(own[-4000:].mean(axis=0) - other[-4000:].mean(axis=0)).max()
+                    difference = own[:common] - other[:common]
+                    course, end = np.abs(difference).max(), np.abs(difference[-4000:].mean(axis=0)).max()
                     print(f"{name:<16} MuJoCo and the own plant: within {course:.1e} at any time, {end:.1e} at the end, rad or m")
                     self.assertEqual(other_mode, own_mode)
                     self.assertLess(course, COURSE)
