@@ -132,7 +132,6 @@ fn scenarios_and_disturbances() {
 fn databases() {
     let start = ["plan", "--start", "0,-15,0,-95,0,10,0"];
     let database = |dir: &Path| dir.join("swing-up.bin");
-    with_settings(|d| std::fs::remove_file(database(d)).expect("removed"), &start, &["swing-up"]);
     with_settings(
         |d| {
             let bytes = std::fs::read(database(d)).expect("read");

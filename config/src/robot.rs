@@ -3,7 +3,7 @@
 use crate::combinations::combinations;
 use crate::conflict::{SettingsConflict, in_file, unit};
 use crate::joints::{Prismatic, Range, Revolute, both_kinds};
-use crate::rule::{Finite, Negative, NonNegative, Positive, PositiveShare, Rule};
+use crate::rule::{Margin, Negative, NonNegative, Position, Positive, PositiveShare, Rule};
 use serde::de::{Deserialize, Deserializer, Error};
 use upswing_model::{
     ActuatedVector, JointFriction, JointVector, Joints, Limits, Model, Unactuated, UnactuatedMatrix,
@@ -53,9 +53,9 @@ fn rated_limits<'de, D: Deserializer<'de>>(from: D) -> Result<Limits, D::Error> 
     #[derive(serde::Deserialize)]
     #[serde(deny_unknown_fields)]
     struct RatedLimits {
-        #[serde(default, deserialize_with = "Finite::degrees")]
+        #[serde(default, deserialize_with = "Position::degrees")]
         q_deg: Option<Revolute<Joints, Range>>,
-        #[serde(default, deserialize_with = "Finite::read")]
+        #[serde(default, deserialize_with = "Position::read")]
         q_m: Option<Prismatic<Joints, Range>>,
         #[serde(default, deserialize_with = "Positive::degrees")]
         qd_deg_s: Option<Revolute<Joints>>,
@@ -95,9 +95,9 @@ struct LimitUsageInFile {
     velocity_fraction_unactuated: f64,
     #[serde(deserialize_with = "PositiveShare::read")]
     torque_fraction: f64,
-    #[serde(default, deserialize_with = "NonNegative::degrees")]
+    #[serde(default, deserialize_with = "Margin::degrees")]
     position_margin_deg: Option<Revolute<Unactuated>>,
-    #[serde(default, deserialize_with = "NonNegative::read")]
+    #[serde(default, deserialize_with = "Margin::read")]
     position_margin_m: Option<Prismatic<Unactuated>>,
 }
 

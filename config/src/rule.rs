@@ -64,6 +64,9 @@ rules! {
     MotionTime: "a duration above 0 and at most 60 s", |v| v > 0.0 && v <= 60.0;
     WaitingTime: "a time above 0 and at most 86400 s", |v| v > 0.0 && v <= 86_400.0;
     Angle: "an angle from -360 to 360 deg", |v| (-360.0..=360.0).contains(&v);
+    // Beyond, sums of positions would lose digits that the checks of equilibria need.
+    Position: "a position from -100000 to 100000", |v| v.abs() <= 1e5;
+    Margin: "a margin from 0 to 100000", |v| (0.0..=1e5).contains(&v);
     AcuteAngle: "an angle between 0 and 90 deg, both excluded", |v| v > 0.0 && v < 90.0;
 }
 
