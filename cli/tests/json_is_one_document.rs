@@ -62,6 +62,18 @@ fn settings_and_database() {
 }
 
 #[test]
+fn the_shipped_systems() {
+    let list = json(&["demo", "--list", "--json"], "");
+    let systems = list["systems"].as_array().expect("systems");
+    assert_eq!(systems[0]["name"], "iiwa-pendulum");
+    let crane = systems.iter().find(|system| system["name"] == "gantry-crane").expect("the crane");
+    assert_eq!(crane["actuated"], serde_json::json!(["bridge", "trolley", "hoist"]));
+    assert_eq!(crane["unactuated"], serde_json::json!(["sway_x", "sway_y"]));
+    assert_eq!(crane["manoeuvres"], serde_json::json!(["move"]));
+    assert!(systems.iter().all(|system| system["description"].as_str().is_some_and(|d| !d.is_empty())));
+}
+
+#[test]
 fn a_demo() {
     let dir = tempfile::tempdir().expect("a folder");
     let picture = dir.path().join("demo.svg");

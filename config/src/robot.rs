@@ -14,6 +14,8 @@ use upswing_model::{
 #[derive(Clone, Debug, PartialEq, serde::Deserialize)]
 #[serde(from = "RobotFile")]
 pub struct RobotSettings {
+    /// What the robot is, in a few words.
+    pub description: String,
     /// Rated limits, 100 % (Table II).
     pub limits: Limits,
     /// Limits of plans: shares of the rated velocities and torques, positions of the unactuated joints with a margin.
@@ -42,6 +44,7 @@ pub struct CoriolisBound {
 #[derive(serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RobotFile {
+    description: String,
     #[serde(deserialize_with = "rated_limits")]
     limits: Limits,
     usage: LimitUsage,
@@ -130,7 +133,7 @@ struct DriveProperties {
 }
 
 impl From<RobotFile> for RobotSettings {
-    fn from(RobotFile { limits, usage, coriolis_bound, drives }: RobotFile) -> Self {
+    fn from(RobotFile { description, limits, usage, coriolis_bound, drives }: RobotFile) -> Self {
         let mut planning = limits;
         planning.tau_max *= usage.torque_fraction;
         planning.qd_max.actuated_mut().iter_mut().for_each(|qd| *qd *= usage.velocity_fraction_actuated);
@@ -140,6 +143,7 @@ impl From<RobotFile> for RobotSettings {
             planning.q_max.unactuated_mut()[i] += margin;
         }
         Self {
+            description,
             limits,
             planning,
             coriolis_bound,

@@ -1,5 +1,6 @@
 //! `upswing demo`: runs the whole system on this machine for its first manoeuvre, such as a swing-up.
 
+use super::systems::SystemList;
 use super::{CommonArgs, own_system, session_failure, time_bar, writable};
 use crate::parse::{Degrees, start_state};
 use serde::Serialize;
@@ -26,9 +27,11 @@ pub struct DemoArgs {
     /// Options of every command.
     #[command(flatten)]
     pub common: CommonArgs,
-    /// Start positions of the actuated joints, deg or m; the others hang at rest [default: the paper's experiment,
-    /// 0,-15,0,-95,0,10,0]
-    #[arg(long, value_name = "Q1,..,Q7", allow_hyphen_values = true)]
+    /// Print the shipped systems with their joints and manoeuvres instead
+    #[arg(long)]
+    pub list: bool,
+    /// Start positions of the actuated joints, deg or m; the others hang at rest [default: start.q_deg and start.q_m of plant.toml]
+    #[arg(long, value_name = "Q1,..", allow_hyphen_values = true)]
     pub start: Option<Degrees>,
     /// Clock: `paced` (real-time pace), `lockstep` (as fast as possible, deterministic) or `wall`
     #[arg(long, default_value = "paced", value_parser = upswing_plant::clock_parser())]
@@ -89,6 +92,9 @@ fn default_picture(overwrite: Overwrite) -> Destination {
 /// [`Failure::BadInput`] for an impossible start or duration, [`Failure::Failed`] if the pendulum does not end
 /// balanced.
 pub fn run(args: &DemoArgs) -> Result<(), Failure> {
+    if args.list {
+        return args.common.print(&SystemList::shipped()?);
+    }
     let mut config = args.common.process.load()?;
     if let Some(scenario) = &args.scenario {
         let purpose = config.use_scenario(scenario)?;
