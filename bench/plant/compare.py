@@ -28,9 +28,9 @@ SCENARIO = """purpose = "The plant without friction, as the other simulators hav
 [model]
 urdf = "{urdf}"
 [friction]
-pendulum_viscous = 0
-pendulum_coulomb = 0
-arm_compensation = 1.0
+viscous = 0
+coulomb = 0
+compensation = 1.0
 [integrator]
 substeps = 2
 """

@@ -2,14 +2,15 @@
 
 use crate::RobotSettings;
 use crate::conflict::{SettingsConflict, milliseconds};
+use crate::joints::{Prismatic, Revolute, both_kinds};
 use crate::rule::{
-    AcuteAngle, BetweenZeroAndOne, Count, NonNegative, Positive, Quantity, Rule, Share, WaitingTime, Whole,
+    BetweenZeroAndOne, Count, NonNegative, Positive, Quantity, Rule, Share, WaitingTime, Whole,
 };
 use serde::de::{Deserialize, Deserializer, Error};
 use std::marker::PhantomData;
 use std::path::PathBuf;
 use std::time::Duration;
-use upswing_model::{ActuatedVector, JointVector, Period};
+use upswing_model::{ActuatedVector, JointVector, Joints, Period};
 
 /// Settings of the control daemon.
 #[derive(Clone, Debug, PartialEq, serde::Deserialize)]
@@ -163,9 +164,15 @@ pub struct Levels {
     /// Change of an angle between two measurements beyond the change at the joint's largest speed, rad.
     #[serde(rename = "encoder_jump_rad", deserialize_with = "Positive::read")]
     pub encoder_jump: Level,
+    /// The same for prismatic joints, m.
+    #[serde(deserialize_with = "Positive::read")]
+    pub encoder_jump_m: Level,
     /// Distance of an angle beyond the position limits of plans, rad.
     #[serde(rename = "position_margin_deg", deserialize_with = "NonNegative::degrees")]
     pub position_margin: Level,
+    /// The same for prismatic joints, m.
+    #[serde(deserialize_with = "NonNegative::read")]
+    pub position_margin_m: Level,
     /// Speed of the actuated joints, as a share of the 100 % limits.
     #[serde(deserialize_with = "Positive::read")]
     pub velocity_fraction: Level,
@@ -178,22 +185,31 @@ pub struct Levels {
     /// Difference between an angle and its reference, rad.
     #[serde(rename = "tracking_error_rad", deserialize_with = "Positive::read")]
     pub tracking_error: Level,
+    /// The same for prismatic joints, m.
+    #[serde(deserialize_with = "Positive::read")]
+    pub tracking_error_m: Level,
     /// Disturbance torque on the arm that the model does not explain, as a share of the 100 % limits.
     #[serde(rename = "collision_torque_fraction", deserialize_with = "Positive::read")]
     pub collision_torque: Level,
     /// Shortest duration of the unexplained torque that counts as a collision, s.
     #[serde(rename = "collision_ms", deserialize_with = "Positive::milli")]
     pub collision_time: f64,
-    /// Distance of the arm from the pose held in Hold, rad.
+    /// Distance of an actuated joint from the pose held in Hold, rad.
     #[serde(rename = "hold_error_rad", deserialize_with = "Positive::read")]
     pub hold_error: Level,
-    /// Distance of the arm from the end of the plan in Balance, rad.
+    /// The same for prismatic joints, m.
+    #[serde(deserialize_with = "Positive::read")]
+    pub hold_error_m: Level,
+    /// Distance of an actuated joint from the end of the plan in Balance, rad.
     #[serde(rename = "balance_error_rad", deserialize_with = "Positive::read")]
     pub balance_error: Level,
-    /// Distance of the unactuated joints from the end of the plan in Balance, norm, rad.
-    #[serde(rename = "balance_tilt_deg", deserialize_with = "AcuteAngle::degrees")]
-    pub balance_tilt: Level,
-    /// Predicted speed of the arm in Balance, as a share of the 100 % limits.
+    /// The same for prismatic joints, m.
+    #[serde(deserialize_with = "Positive::read")]
+    pub balance_error_m: Level,
+    /// Distance |q_U - q_U,N| of the unactuated joints from the end of the plan in Balance, rad; 1 m of a prismatic joint counts as 1 rad.
+    #[serde(rename = "balance_distance_rad", deserialize_with = "Positive::read")]
+    pub balance_distance: Level,
+    /// Predicted speed of the actuated joints in Balance, as a share of the 100 % limits.
     #[serde(rename = "balance_speed_fraction", deserialize_with = "Positive::read")]
     pub balance_speed: Level,
     /// Number of consecutive late cycles.
@@ -267,14 +283,38 @@ fn folder<'de, D: Deserializer<'de>>(from: D) -> Result<Option<PathBuf>, D::Erro
 
 /// Largest difference between the measured state and the start of a plan.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(try_from = "StartToleranceInFile")]
 pub struct StartTolerance {
-    /// Tolerance of each angle, rad.
-    #[serde(rename = "tolerance_rad", deserialize_with = "Positive::read")]
-    pub position: f64,
-    /// Tolerance of each velocity, rad/s.
-    #[serde(rename = "tolerance_rad_s", deserialize_with = "Positive::read")]
-    pub velocity: f64,
+    /// Tolerance of each position, rad or m.
+    pub position: JointVector,
+    /// Tolerance of each velocity, rad/s or m/s.
+    pub velocity: JointVector,
+}
+
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct StartToleranceInFile {
+    #[serde(default, deserialize_with = "Positive::read")]
+    tolerance_rad: Option<Revolute<Joints>>,
+    #[serde(default, deserialize_with = "Positive::read")]
+    tolerance_m: Option<Prismatic<Joints>>,
+    #[serde(default, deserialize_with = "Positive::read")]
+    tolerance_rad_s: Option<Revolute<Joints>>,
+    #[serde(default, deserialize_with = "Positive::read")]
+    tolerance_m_s: Option<Prismatic<Joints>>,
+}
+
+impl TryFrom<StartToleranceInFile> for StartTolerance {
+    type Error = String;
+
+    fn try_from(file: StartToleranceInFile) -> Result<Self, String> {
+        let (rad, m) = (("tolerance_rad", file.tolerance_rad), ("tolerance_m", file.tolerance_m));
+        let (sizes, position) = both_kinds(rad, m)?;
+        let (rad, m) = (("tolerance_rad_s", file.tolerance_rad_s), ("tolerance_m_s", file.tolerance_m_s));
+        let (_, velocity) = both_kinds(rad, m)?;
+        let vector = |values: Vec<f64>| JointVector::from_fn(sizes, |i| values[i]);
+        Ok(Self { position: vector(position), velocity: vector(velocity) })
+    }
 }
 
 /// Settings of the real-time thread.

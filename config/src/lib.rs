@@ -160,7 +160,7 @@ impl Config {
             limits: self.robot.planning,
             tau_max: self.robot.limits.tau_max,
             defect: if self.planner.replan.iterations == 1 { plans.defect_of_one_qp } else { plans.defect },
-            tolerance: (start.position, start.velocity),
+            tolerance: State::new(&start.position, &start.velocity),
             delays: LoopDelays {
                 period: cycle.period.seconds(),
                 velocity_filter: match cycle.velocity {

@@ -4,8 +4,8 @@ use crate::conflict::SettingsConflict;
 use crate::joints::{Prismatic, Revolute, both_kinds};
 use crate::rule::{Angle, Finite, NonNegative, Positive, Rule, Share, Whole};
 use crate::{Fault, Push, RobotSettings};
-use serde::{Deserialize, Deserializer};
-use upswing_model::{Actuated, ActuatedVector, JointVector, Joints, Model, UnactuatedVector};
+use serde::Deserialize;
+use upswing_model::{Actuated, ActuatedVector, JointVector, Joints, Model};
 
 /// Largest delay of a command, and of a measurement under the fault `DelayMeasurement`, cycles.
 pub const MAX_DELAY: u32 = 63;
@@ -44,13 +44,13 @@ pub struct ModelSettings {
     pub urdf: String,
     /// Factor of the masses and inertias of the actuated bodies.
     #[serde(deserialize_with = "Positive::read")]
-    pub arm_mass_scale: f64,
+    pub actuated_mass_scale: f64,
     /// Factor of the masses and inertias of the unactuated bodies.
     #[serde(deserialize_with = "Positive::read")]
-    pub pendulum_mass_scale: f64,
+    pub unactuated_mass_scale: f64,
     /// Factor of the length of the rod, at the same mass.
     #[serde(deserialize_with = "Positive::read")]
-    pub pendulum_length_scale: f64,
+    pub unactuated_length_scale: f64,
     /// Point mass on the last actuated body, kg.
     #[serde(rename = "payload_kg", deserialize_with = "NonNegative::read")]
     pub payload: f64,
@@ -75,10 +75,8 @@ pub struct IntegratorSettings {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(try_from = "EncoderInFile")]
 pub struct EncoderSettings {
-    /// Resolution of the actuated joints' positions, rad or m.
-    pub arm_resolution: f64,
-    /// Resolution of the unactuated joints' angles, rad: one turn over 2 to the number of bits in the file.
-    pub pendulum_resolution: f64,
+    /// Resolution of each position, rad or m.
+    pub resolution: JointVector,
     /// Standard deviation of the white Gaussian noise of each position, rad or m.
     pub noise: JointVector,
     /// Error of the zero position of each joint, rad or m.
@@ -91,12 +89,14 @@ pub struct EncoderSettings {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct EncoderInFile {
-    #[serde(deserialize_with = "Positive::read")]
-    arm_resolution_rad: f64,
-    #[serde(deserialize_with = "resolution")]
-    pendulum_bits: f64,
-    #[serde(deserialize_with = "NonNegative::read")]
-    noise_rad: JointVector,
+    #[serde(default, deserialize_with = "Positive::read")]
+    resolution_rad: Option<Revolute<Joints>>,
+    #[serde(default, deserialize_with = "Positive::read")]
+    resolution_m: Option<Prismatic<Joints>>,
+    #[serde(default, deserialize_with = "NonNegative::read")]
+    noise_rad: Option<Revolute<Joints>>,
+    #[serde(default, deserialize_with = "NonNegative::read")]
+    noise_m: Option<Prismatic<Joints>>,
     #[serde(default, deserialize_with = "Angle::degrees")]
     bias_deg: Option<Revolute<Joints>>,
     #[serde(default, deserialize_with = "Finite::read")]
@@ -109,19 +109,13 @@ impl TryFrom<EncoderInFile> for EncoderSettings {
     type Error = String;
 
     fn try_from(file: EncoderInFile) -> Result<Self, String> {
-        let (sizes, bias) = both_kinds(("bias_deg", file.bias_deg), ("bias_m", file.bias_m))?;
-        Ok(Self {
-            arm_resolution: file.arm_resolution_rad,
-            pendulum_resolution: file.pendulum_bits,
-            noise: file.noise_rad,
-            bias: JointVector::from_fn(sizes, |i| bias[i]),
-            seed: file.seed,
-        })
+        let (rad, m) = (("resolution_rad", file.resolution_rad), ("resolution_m", file.resolution_m));
+        let (sizes, resolution) = both_kinds(rad, m)?;
+        let (_, noise) = both_kinds(("noise_rad", file.noise_rad), ("noise_m", file.noise_m))?;
+        let (_, bias) = both_kinds(("bias_deg", file.bias_deg), ("bias_m", file.bias_m))?;
+        let vector = |values: Vec<f64>| JointVector::from_fn(sizes, |i| values[i]);
+        Ok(Self { resolution: vector(resolution), noise: vector(noise), bias: vector(bias), seed: file.seed })
     }
-}
-
-fn resolution<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
-    Whole::<1, 32>::read(from).map(|bits| std::f64::consts::TAU / 2_f64.powi(bits))
 }
 
 /// Settings of the drives and brakes.
@@ -191,21 +185,15 @@ impl TryFrom<JointStopsInFile> for JointStopSettings {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FrictionSettings {
-    /// Viscous friction of the unactuated joints, N m s/rad or N s/m; assumed.
+    /// Viscous friction of each joint, N m s/rad or N s/m.
     #[serde(deserialize_with = "NonNegative::read")]
-    pub pendulum_viscous: UnactuatedVector,
-    /// Coulomb friction of the unactuated joints, N m or N; assumed.
+    pub viscous: JointVector,
+    /// Coulomb friction of each joint, N m or N.
     #[serde(deserialize_with = "NonNegative::read")]
-    pub pendulum_coulomb: UnactuatedVector,
-    /// Viscous friction of the actuated joints, N m s/rad or N s/m (Stuerz et al. 2017).
-    #[serde(deserialize_with = "NonNegative::read")]
-    pub arm_viscous: ActuatedVector,
-    /// Coulomb friction of the actuated joints, N m or N (Stuerz et al. 2017).
-    #[serde(deserialize_with = "NonNegative::read")]
-    pub arm_coulomb: ActuatedVector,
+    pub coulomb: JointVector,
     /// Share of the actuated joints' friction that the drives compensate, in [0, 1].
     #[serde(deserialize_with = "Share::read")]
-    pub arm_compensation: f64,
+    pub compensation: f64,
     /// Speed at which Coulomb friction reaches 76 % of its value, rad/s or m/s.
     #[serde(rename = "coulomb_smoothing_rad_s", deserialize_with = "Positive::read")]
     pub coulomb_smoothing: f64,
@@ -229,13 +217,13 @@ struct StartInFile {
     q_deg: Option<Revolute<Actuated>>,
     #[serde(default, deserialize_with = "Finite::read")]
     q_m: Option<Prismatic<Actuated>>,
-    pendulum: PendulumStart,
+    unactuated: PendulumStart,
 }
 
 impl TryFrom<StartInFile> for PlantStart {
     type Error = String;
 
-    fn try_from(StartInFile { q_deg, q_m, pendulum }: StartInFile) -> Result<Self, String> {
+    fn try_from(StartInFile { q_deg, q_m, unactuated: pendulum }: StartInFile) -> Result<Self, String> {
         let (sizes, q) = both_kinds(("q_deg", q_deg), ("q_m", q_m))?;
         Ok(Self { q: ActuatedVector::from_fn(sizes, |i| q[i]), pendulum })
     }

@@ -67,7 +67,6 @@ rules! {
     // Beyond, sums of positions would lose digits that the checks of equilibria need.
     Position: "a position from -100000 to 100000", |v| v.abs() <= 1e5;
     Margin: "a margin from 0 to 100000", |v| (0.0..=1e5).contains(&v);
-    AcuteAngle: "an angle between 0 and 90 deg, both excluded", |v| v > 0.0 && v < 90.0;
 }
 
 /// Type of a field whose numbers all meet one [`Rule`]: a number, a vector over joints, a point, a time, a level.
@@ -165,7 +164,6 @@ mod tests {
         holds_up_to_its_ends::<MotionTime>(&[above_0, 60.0], &[0.0, 60.0_f64.next_up(), nan]);
         holds_up_to_its_ends::<WaitingTime>(&[1e-9, 86_400.0], &[0.0, 86_400.1, nan]);
         holds_up_to_its_ends::<Angle>(&[-360.0, 360.0], &[-360.1, 360.1, nan]);
-        holds_up_to_its_ends::<AcuteAngle>(&[above_0, 90.0_f64.next_down()], &[0.0, 90.0, nan]);
     }
 
     #[test]

@@ -12,7 +12,7 @@ const ACTUATED: &str = "joint_1, joint_2, joint_3, joint_4, joint_5, joint_6, jo
 const UNACTUATED: &str = "pendulum_1, pendulum_2";
 
 /// Keys with one value per joint: file, section, key, and the joints that they concern.
-const KEYS: [(&str, &str, &str, &str); 27] = [
+const KEYS: [(&str, &str, &str, &str); 28] = [
     ("robot.toml", "limits", "qd_deg_s", ALL),
     ("robot.toml", "limits", "tau_nm", ACTUATED),
     ("robot.toml", "usage", "position_margin_deg", UNACTUATED),
@@ -31,15 +31,16 @@ const KEYS: [(&str, &str, &str, &str); 27] = [
     ("daemon.toml", "standstill", "angle_rad", ALL),
     ("daemon.toml", "standstill", "friction_nms_rad", ALL),
     ("daemon.toml", "standstill", "unknown_torque_nm", ALL),
+    ("daemon.toml", "start", "tolerance_rad", ALL),
+    ("daemon.toml", "start", "tolerance_rad_s", ALL),
     ("plant.toml", "model", "rotor_inertia_kg_m2", ACTUATED),
+    ("plant.toml", "encoder", "resolution_rad", ALL),
     ("plant.toml", "encoder", "noise_rad", ALL),
     ("plant.toml", "encoder", "bias_deg", ALL),
     ("plant.toml", "stops", "margin_deg", ALL),
     ("plant.toml", "drive", "torque_offset_nm", ACTUATED),
-    ("plant.toml", "friction", "pendulum_viscous", UNACTUATED),
-    ("plant.toml", "friction", "pendulum_coulomb", UNACTUATED),
-    ("plant.toml", "friction", "arm_viscous", ACTUATED),
-    ("plant.toml", "friction", "arm_coulomb", ACTUATED),
+    ("plant.toml", "friction", "viscous", ALL),
+    ("plant.toml", "friction", "coulomb", ALL),
 ];
 
 /// Loads the folder with another `value` of a key, then restores it.

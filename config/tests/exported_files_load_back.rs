@@ -56,7 +56,7 @@ fn an_edit_takes_effect_in_si_units() {
     edit(dir.path(), "planner.toml", "torque = \"exact\"\n# Largest residual", "torque = \"paper\"\n#");
     edit(dir.path(), "robot.toml", "velocity_fraction_unactuated = 0.5", "velocity_fraction_unactuated = 1");
     edit(dir.path(), "daemon.toml", "cpu = -1", "cpu = 3");
-    edit(dir.path(), "plant.toml", "pendulum = \"rest\"", "pendulum = \"zero\"");
+    edit(dir.path(), "plant.toml", "unactuated = \"rest\"", "unactuated = \"zero\"");
     let config = Config::from_dir(dir.path()).expect("edited settings");
     assert_eq!(config.planner.offline.torque, TorqueForm::Paper);
     assert_eq!(config.robot.planning.qd_max[7], 180_f64.to_radians());
@@ -85,7 +85,7 @@ fn the_papers_values() {
     assert_eq!(config.robot.rotor_inertia, zero);
     assert_eq!((config.robot.friction.viscous, config.robot.friction.coulomb), (zero, zero));
     assert_eq!(config.daemon.realtime.cpu, None);
-    assert!((config.plant.encoder.pendulum_resolution - 4.79e-5).abs() < 1e-7);
+    assert!((config.plant.encoder.resolution[7] - 4.79e-5).abs() < 1e-7);
     assert_eq!(config.plant.start.q[3], deg(-95.0));
 
     let mut config = config;

@@ -235,9 +235,9 @@ fn daemon() {
             &["limits.tracking_error_rad.warn", POSITIVE],
         ),
         (
-            "tilt_deg = { warn = 10, trip = 25",
-            "tilt_deg = { warn = 10, trip = 90",
-            &["limits.balance_tilt_deg.trip", "between 0 and 90 deg", "got 90"],
+            "balance_distance_rad = { warn = 0.1745",
+            "balance_distance_rad = { warn = 0",
+            &["limits.balance_distance_rad.warn", POSITIVE, "got 0"],
         ),
         ("late_cycles = { warn = 1", "late_cycles = { warn = 0", &["limits.late_cycles.warn", "got 0"]),
         ("trip = 600", "trip = 6", &["limits.plan_age_s.trip", "more than the 60 of warn", "got 6"]),
@@ -247,10 +247,11 @@ fn daemon() {
         ("patience_s = 300", "patience_s = 1e6", &["recovery.patience_s", "at most 86400 s", "got 1000000"]),
         ("keep = 10", "keep = 0", &["recorder.keep", "from 1 to", "got 0"]),
         ("tolerance_rad = 0.05", "tolerance_rad = 0", &["start.tolerance_rad", POSITIVE, "got 0"]),
+        ("tolerance_m = 0.05", "tolerance_m = nan", &["start.tolerance_m", POSITIVE, "got NaN"]),
         ("tolerance_rad_s = 0.2", "tolerance_rad_s = -1", &["start.tolerance_rad_s", POSITIVE, "got -1"]),
         ("priority = 80", "priority = 100", &["realtime.priority", "from 1 to 99", "got 100"]),
         ("cpu = -1", "cpu = -2", &["realtime.cpu", "from -1 to", "got -2"]),
-    ] as [(&str, &str, &[&str]); 25]
+    ] as [(&str, &str, &[&str]); 26]
     {
         refused("daemon.toml", from, to, parts);
     }
@@ -260,13 +261,17 @@ fn daemon() {
 fn plant() {
     for (from, to, parts) in [
         ("substeps = 1", "substeps = 0", &["integrator.substeps", "from 1 to", "got 0"]),
-        ("resolution_rad = 2e-5", "resolution_rad = 0", &["encoder.arm_resolution_rad", POSITIVE, "got 0"]),
-        ("bits = 17", "bits = 33", &["encoder.pendulum_bits", "from 1 to 32", "got 33"]),
+        (
+            "{ pendulum_1 = 4.79",
+            "{ default = 0, pendulum_1 = 4.79",
+            &["encoder.resolution_rad", POSITIVE, "got 0"],
+        ),
+        ("resolution_m = 2e-5", "resolution_m = inf", &["encoder.resolution_m", POSITIVE, "got inf"]),
         ("watchdog_cycles = 20", "watchdog_cycles = 0", &["drive.watchdog_cycles", "from 1 to", "got 0"]),
         ("constant_ms = 10", "constant_ms = 0", &["drive.brake_time_constant_ms", POSITIVE, "got 0"]),
-        ("viscous = 0.0005", "viscous = -1", &["friction.pendulum_viscous: ", NOT_NEGATIVE, "got -1"]),
-        ("joint_1 = 0.31909", "joint_1 = nan", &["friction.arm_coulomb.joint_1", NOT_NEGATIVE, "got NaN"]),
-        ("compensation = 1.0", "compensation = 1.1", &["friction.arm_compensation", "[0, 1]", "got 1.1"]),
+        ("joint_1 = 0.2415", "joint_1 = -1", &["friction.viscous.joint_1", NOT_NEGATIVE, "got -1"]),
+        ("joint_1 = 0.31909", "joint_1 = nan", &["friction.coulomb.joint_1", NOT_NEGATIVE, "got NaN"]),
+        ("compensation = 1.0", "compensation = 1.1", &["friction.compensation", "[0, 1]", "got 1.1"]),
         ("rad_s = 0.01", "rad_s = 0", &["friction.coulomb_smoothing_rad_s", POSITIVE, "got 0"]),
         (
             "joint_4 = -95",

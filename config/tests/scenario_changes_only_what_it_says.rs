@@ -3,7 +3,7 @@
 mod common;
 use common::exported;
 use upswing_config::{Config, EventError, Fault, FaultKind, MAX_DELAY, Push};
-use upswing_model::ActuatedVector;
+use upswing_model::JointVector;
 
 fn embedded() -> Config {
     Config::embedded().expect("embedded settings")
@@ -57,17 +57,17 @@ fn what_it_does_not_state_stays() {
 #[test]
 fn a_table_of_joints_changes_those_that_it_names() {
     let base = embedded().plant;
-    let arm_viscous = |value: &str| {
-        let text = format!("purpose = 'a'\n[friction]\narm_viscous = {value}\n");
-        under(&text).expect("scenario").plant.friction.arm_viscous
+    let viscous = |value: &str| {
+        let text = format!("purpose = 'a'\n[friction]\nviscous = {value}\n");
+        under(&text).expect("scenario").plant.friction.viscous
     };
-    let mut expected = base.friction.arm_viscous;
+    let mut expected = base.friction.viscous;
     expected[2] = 5.0;
-    assert_eq!(arm_viscous("{ joint_3 = 5 }"), expected);
-    assert_eq!(arm_viscous("5").to_vec(), [5.0; 7]);
-    let mut expected = ActuatedVector::zeros(expected.sizes());
+    assert_eq!(viscous("{ joint_3 = 5 }"), expected);
+    assert_eq!(viscous("5").to_vec(), [5.0; 9]);
+    let mut expected = JointVector::zeros(expected.sizes());
     expected[2] = 5.0;
-    assert_eq!(arm_viscous("{ default = 0, joint_3 = 5 }"), expected);
+    assert_eq!(viscous("{ default = 0, joint_3 = 5 }"), expected);
     // The base is one number.
     let encoder =
         under("purpose = 'a'\n[encoder]\nnoise_rad = { joint_2 = 1e-4 }\n").expect("scenario").plant.encoder;
@@ -111,9 +111,7 @@ fn the_second_arm_has_the_geometry_of_the_first() {
     assert_ne!(config.plant_model.fingerprint(), config.model.fingerprint());
     assert_eq!(config.plant_model.rated_limits(), config.model.rated_limits());
     for k in 0..20 {
-        let q = upswing_model::JointVector::from_fn(config.model.sizes(), |i| {
-            (1.7 * k as f64 + 0.9 * i as f64).sin() * 2.0
-        });
+        let q = JointVector::from_fn(config.model.sizes(), |i| (1.7 * k as f64 + 0.9 * i as f64).sin() * 2.0);
         assert_eq!(config.plant_model.poses(&q), config.model.poses(&q));
         assert_eq!(config.plant_model.tip(&q), config.model.tip(&q));
     }
@@ -173,7 +171,7 @@ fn what_cannot_be_is_refused() {
             "purpose = 'a'\n[drive]\ntorque_lag_ms = { joint_1 = 1 }",
             &["drive.torque_lag_ms", "invalid type: map"],
         ),
-        ("purpose = 'a'\n[start]\npendulum = 'up'", &["`up`", "`rest` or `zero`"]),
+        ("purpose = 'a'\n[start]\nunactuated = 'up'", &["`up`", "`rest` or `zero`"]),
         ("purpose = 'a'\n[model]\nurdf = 'robot.toml'", &["model.urdf", "robot-acin.urdf", "a path"]),
         (
             "purpose = 'a'\n[model]\npayload_position_m = [1, 2]",

@@ -24,9 +24,9 @@ fn unknown_keys() {
         ),
         (
             "daemon.toml",
-            "balance_tilt_deg =",
-            "balance_tilt =",
-            &["limits.balance_tilt", "unknown field", "`balance_tilt_deg`"],
+            "balance_distance_rad =",
+            "balance_distance =",
+            &["limits.balance_distance", "unknown field", "`balance_distance_rad`"],
         ),
         ("plant.toml", "substeps = 1", "substeps = 1\nstep = 1", &["integrator.step", "`substeps`"]),
     ] as [(&str, &str, &str, &[&str]); 6]
@@ -101,9 +101,9 @@ fn values_of_the_wrong_type() {
         ),
         (
             "plant.toml",
-            "pendulum = \"rest\"",
-            "pendulum = 0",
-            &["start.pendulum", "string", "`pendulum = 0`"],
+            "unactuated = \"rest\"",
+            "unactuated = 0",
+            &["start.unactuated", "string", "`unactuated = 0`"],
         ),
     ] as [(&str, &str, &str, &[&str]); 9]
     {

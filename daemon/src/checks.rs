@@ -5,7 +5,7 @@ use crate::supervisor::RequestRefusal;
 use crate::trip::{Trip, TripCause, Warnings};
 use upswing_config::{Config, Level, Levels, StartTolerance};
 use upswing_ipc::{Measurement, OtherChain};
-use upswing_model::{ActuatedVector, JointVector, Period, State, UnactuatedVector};
+use upswing_model::{ActuatedVector, JointKind, JointVector, MOST_JOINTS, Period, State, UnactuatedVector};
 
 /// Largest speed that an encoder of the pendulum may report, rad/s or m/s; no pendulum reaches it.
 const PENDULUM_SPEED: f64 = 30.0;
@@ -28,6 +28,8 @@ pub struct Checks {
     tau_max: ActuatedVector,
     /// Largest speeds that the encoders may report.
     encoder_speed: JointVector,
+    /// Whether each joint is prismatic.
+    prismatic: [bool; MOST_JOINTS],
     start: StartTolerance,
     period: Period,
     /// Time constant T_1 of the velocity filter, s: the lag of the filtered velocities.
@@ -49,6 +51,9 @@ impl Checks {
                 &(limits.qd_max.actuated() * SPEED_FACTOR),
                 &UnactuatedVector::repeat(limits.qd_max.sizes(), PENDULUM_SPEED),
             ),
+            prismatic: std::array::from_fn(|i| {
+                i < limits.qd_max.len() && config.model.joint_kind(i) == JointKind::Prismatic
+            }),
             start: config.daemon.start,
             period: config.daemon.cycle.period,
             velocity_filter: config.daemon.cycle.velocity_filter,
@@ -145,9 +150,10 @@ impl Checks {
     /// Checks that the positions can have changed from `last` to `q` in `cycles` cycles.
     pub fn jump(&mut self, last: &JointVector, q: &JointVector, cycles: u64) -> Option<Trip> {
         let elapsed = self.period.seconds_of(cycles);
+        let allowed = by_kind(&self.prismatic, self.levels.encoder_jump, self.levels.encoder_jump_m);
         let level = |i: usize| {
             let moved = self.encoder_speed[i] * elapsed;
-            let Level { warn, trip } = self.levels.encoder_jump;
+            let Level { warn, trip } = allowed(i);
             Level { warn: moved + warn, trip: moved + trip }
         };
         beyond(TripCause::EncoderJump, &(q - last), level, &mut self.warnings)
@@ -168,22 +174,23 @@ impl Checks {
 
     /// Checks the distance of every position from the reference `x_d`.
     pub fn tracking(&mut self, x: &State, x_d: &State) -> Option<Trip> {
-        let level = |_| self.levels.tracking_error;
+        let level = by_kind(&self.prismatic, self.levels.tracking_error, self.levels.tracking_error_m);
         beyond(TripCause::TrackingError, &(x.q() - x_d.q()), level, &mut self.warnings)
     }
 
     /// Checks the distance of the arm from the pose of `x_d`, which it holds or moves to.
     pub fn hold(&mut self, x: &State, x_d: &State) -> Option<Trip> {
-        self.error_of_arm(self.levels.hold_error, x, x_d)
+        self.error_of_arm((self.levels.hold_error, self.levels.hold_error_m), x, x_d)
     }
 
     /// Checks the distance of the arm from `x_d`, the end of a plan at which it balances.
     pub fn balance_error(&mut self, x: &State, x_d: &State) -> Option<Trip> {
-        self.error_of_arm(self.levels.balance_error, x, x_d)
+        self.error_of_arm((self.levels.balance_error, self.levels.balance_error_m), x, x_d)
     }
 
-    fn error_of_arm(&mut self, level: Level, x: &State, x_d: &State) -> Option<Trip> {
-        beyond(TripCause::TrackingError, &(x.q_a() - x_d.q_a()), |_| level, &mut self.warnings)
+    fn error_of_arm(&mut self, (rad, m): (Level, Level), x: &State, x_d: &State) -> Option<Trip> {
+        let level = by_kind(&self.prismatic, rad, m);
+        beyond(TripCause::TrackingError, &(x.q_a() - x_d.q_a()), level, &mut self.warnings)
     }
 
     /// Checks the unexplained `torque` on the arm.
@@ -200,7 +207,7 @@ impl Checks {
     /// Checks the distance |q_U - q_U,N| of the pendulum from `x_d`, the end of a plan at which it balances.
     pub fn balance(&mut self, x: &State, x_d: &State) -> Option<Trip> {
         let distance = (x.q_u() - x_d.q_u()).norm();
-        let lost = count(TripCause::BalanceLost, distance, self.levels.balance_tilt, &mut self.warnings);
+        let lost = count(TripCause::BalanceLost, distance, self.levels.balance_distance, &mut self.warnings);
         // The first unactuated joint names the unit.
         lost.map(|trip| Trip { joint: x.sizes().actuated(), ..trip })
     }
@@ -255,8 +262,8 @@ impl Checks {
         for (velocity, x, x_d, tolerance) in
             [(false, x.q(), x_d.q(), position), (true, x.qd(), x_d.qd(), velocity)]
         {
-            if let Some(joint) = (0..x.len()).find(|i| exceeds(x[*i] - x_d[*i], tolerance)) {
-                let (measured, expected) = (x[joint], x_d[joint]);
+            if let Some(joint) = (0..x.len()).find(|i| exceeds(x[*i] - x_d[*i], tolerance[*i])) {
+                let (measured, expected, tolerance) = (x[joint], x_d[joint], tolerance[joint]);
                 return Err(RequestRefusal::StartMismatch {
                     joint,
                     velocity,
@@ -272,9 +279,10 @@ impl Checks {
 
     /// Checks the positions `q` of the joints with the indices from `begin` on in sorted vectors against the range open to plans.
     fn range(&mut self, cause: TripCause, begin: usize, q: &[f64]) -> Option<Trip> {
-        let Level { warn, trip } = self.levels.position_margin;
+        let level = by_kind(&self.prismatic, self.levels.position_margin, self.levels.position_margin_m);
         let mut first = None;
         for (joint, value) in (begin..).zip(q.iter().copied()) {
+            let Level { warn, trip } = level(joint);
             let (lowest, highest) = (self.q_min[joint], self.q_max[joint]);
             // The comparison is false for a NaN, which thus exceeds its limit.
             if !(lowest - warn..=highest + warn).contains(&value) {
@@ -292,6 +300,11 @@ impl Checks {
 /// Scales a level, a share, by the `full` value of each joint.
 fn scaled(level: Level, full: impl Fn(usize) -> f64) -> impl Fn(usize) -> Level {
     move |i| Level { warn: level.warn * full(i), trip: level.trip * full(i) }
+}
+
+/// The level in rad of joints that turn, and the one in m of those that are `prismatic`.
+fn by_kind(prismatic: &[bool; MOST_JOINTS], rad: Level, m: Level) -> impl Fn(usize) -> Level + use<'_> {
+    move |i| if prismatic[i] { m } else { rad }
 }
 
 /// Checks the magnitude of each of `values`, one per joint; returns a trip for the first beyond its trip level.

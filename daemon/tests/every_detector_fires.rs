@@ -629,7 +629,7 @@ fn balance_speed() {
 fn pendulum_range() {
     // A balance that is never lost, so that joint 8 comes to 180 + 20 + 5 deg.
     let mut config = config();
-    config.daemon.limits.balance_tilt.trip = 4.0;
+    config.daemon.limits.balance_distance.trip = 4.0;
     config.daemon.limits.balance_speed.trip = 1e4;
     let mut q = upright_pose();
     let mut controller = Controller::new(&config);

@@ -133,8 +133,8 @@ fn fly(config: &Config, plan: &Plan, number: usize) -> Mode {
     let mut random = Random(number as u64);
     let plan = accept(&message(plan), config).expect("accepted before");
     let mut x = *plan.trajectory.start();
-    for q in x.q_mut() {
-        *q += random.between(-1.0, 1.0) * 0.1 * config.daemon.start.position;
+    for (q, tolerance) in x.q_mut().iter_mut().zip(config.daemon.start.position.iter()) {
+        *q += random.between(-1.0, 1.0) * 0.1 * tolerance;
     }
     let cycles = ((plan.trajectory.t_f + 0.5) / common::PERIOD) as usize;
     let (mut controller, mut arm) = (Controller::new(config), Arm::new(config, x));

@@ -463,7 +463,7 @@ fn amplification(config: &Config, plan: &Plan, knot: usize, stands: bool) -> f64
 /// Start tolerance of each row of the state.
 fn tolerances(config: &Config) -> State {
     let StartTolerance { position, velocity } = config.daemon.start;
-    State::new(&common::all(position), &common::all(velocity))
+    State::new(&position, &velocity)
 }
 
 #[test]
@@ -472,7 +472,8 @@ fn the_amplification_is_that_of_a_simulation() {
     let n = n(&config);
     let check = |plan: &Plan, stands: bool, position: f64, velocity: f64, spoil: &dyn Fn(&mut Plan)| {
         let mut config = config.clone();
-        (config.daemon.start.position, config.daemon.start.velocity) = (position, velocity);
+        config.daemon.start =
+            StartTolerance { position: common::all(position), velocity: common::all(velocity) };
         let mut plan = plan.clone();
         spoil(&mut plan);
         let refusal = sent(&plan, &config).unwrap_err();
@@ -752,7 +753,7 @@ fn start_elsewhere() {
         measured: x[2],
         expected: elsewhere[2],
         t_plan: 0.0,
-        tolerance: config.daemon.start.position,
+        tolerance: config.daemon.start.position[2],
     };
     assert_eq!(refusal, expected);
     assert!(

@@ -171,7 +171,7 @@ fn a_predicted_start_is_met_and_ends_balanced() {
         // The velocity filter lags behind an accelerating pendulum.
         let tolerance = &config.daemon.start;
         assert!(
-            off.0.abs() < 0.1 * tolerance.position && off.1.abs() < 0.25 * tolerance.velocity,
+            off.0.abs() < 0.1 * tolerance.position[i] && off.1.abs() < 0.25 * tolerance.velocity[i],
             "joint {}: {off:?} rad, rad/s",
             i + 1
         );

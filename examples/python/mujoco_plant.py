@@ -75,9 +75,9 @@ class Plant:
         self.period_ns = settings.period_ns
         model.opt.timestep = self.period_ns * 1e-9
         friction, stops = plant["friction"], plant["stops"]
-        left = np.where(actuated, 1 - friction["arm_compensation"], 1)
-        model.dof_damping[:] = left * by_kind(friction["arm_viscous"], friction["pendulum_viscous"])
-        self.coulomb = left * by_kind(friction["arm_coulomb"], friction["pendulum_coulomb"])
+        left = np.where(actuated, 1 - friction["compensation"], 1)
+        model.dof_damping[:] = left * settings.numbers(friction["viscous"])
+        self.coulomb = left * settings.numbers(friction["coulomb"])
         self.smoothing = friction["coulomb_smoothing_rad_s"]
         model.dof_armature[:] = by_kind(plant["model"]["rotor_inertia_kg_m2"], 0)
         self.stiffness, self.damping = settings.numbers(stops["stiffness"]), settings.numbers(stops["damping"])
@@ -85,10 +85,10 @@ class Plant:
         self.brake_time_constant = plant["drive"]["brake_time_constant_ms"] * 1e-3
         self.tau_max = settings.numbers(settings.robot["limits"]["tau_nm"])[self.actuated]
         encoder = plant["encoder"]
-        self.grid = np.where(actuated, settings.numbers(encoder["arm_resolution_rad"]), 2 * np.pi / 2 ** settings.numbers(encoder["pendulum_bits"]))
+        self.grid = settings.by_kind(encoder, "resolution_rad", "resolution_m")
         self.data = mujoco.MjData(model)
         self.data.qpos[:] = np.where(actuated, settings.positions(plant["start"], "q"), 0)
-        if plant["start"]["pendulum"] == "rest":
+        if plant["start"]["unactuated"] == "rest":
             self._rest()
         if self.coulomb.any() or self.stiffness.any():
             mujoco.set_mjcb_passive(self._add_passive)

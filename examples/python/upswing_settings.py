@@ -68,8 +68,13 @@ class Settings:
 
     def positions(self, table, key):
         """An array over the joints, rad or m, from the entries KEY_deg and KEY_m of a table; a range has two columns."""
-        both = zip(self.joints, *(self.per_joint(table.get(f"{key}_{unit}", {})) for unit in ("deg", "m")))
-        return np.array([metres if joint.prismatic else np.radians(degrees) for joint, degrees, metres in both], dtype=float)
+        values, slides = self.by_kind(table, f"{key}_deg", f"{key}_m"), [joint.prismatic for joint in self.joints]
+        return np.where(slides, values.T, np.radians(values.T)).T
+
+    def by_kind(self, table, revolute, prismatic):
+        """An array over the joints from the entries of a table for revolute and for prismatic joints."""
+        both = zip(self.joints, *(self.per_joint(table.get(key, {})) for key in (revolute, prismatic)))
+        return np.array([slide if joint.prismatic else turn for joint, turn, slide in both], dtype=float)
 
     def given(self, name):
         """The joints whose ends a request for this manoeuvre gives, in its order, with the last position in its database, rad or m."""

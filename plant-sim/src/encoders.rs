@@ -10,24 +10,18 @@ use upswing_model::JointVector;
 #[derive(Clone, Debug)]
 pub(crate) struct Encoders {
     settings: EncoderSettings,
-    /// Resolution of each joint, rad or m.
-    resolution: JointVector,
     random: Pcg64,
 }
 
 impl Encoders {
     pub(crate) fn new(settings: &EncoderSettings) -> Self {
-        let EncoderSettings { arm_resolution, pendulum_resolution, noise, seed, .. } = *settings;
-        let mut resolution = JointVector::repeat(noise.sizes(), pendulum_resolution);
-        resolution.actuated_mut().fill(arm_resolution);
-        Self { settings: *settings, resolution, random: Pcg64::seed_from_u64(seed) }
+        Self { settings: *settings, random: Pcg64::seed_from_u64(settings.seed) }
     }
 
     /// Readings of the true positions `q` (rad or m): q + bias + noise, rounded to the resolution, rad or m. Each call draws new
     /// noise.
     pub(crate) fn read(&mut self, q: &JointVector) -> JointVector {
-        let EncoderSettings { noise, bias, .. } = self.settings;
-        let resolution = self.resolution;
+        let EncoderSettings { resolution, noise, bias, .. } = self.settings;
         JointVector::from_fn(q.sizes(), |i| {
             let mut position = q[i] + bias[i];
             if noise[i] > 0.0 {

@@ -161,11 +161,13 @@ struct Friction {
 
 impl Friction {
     fn new(settings: &FrictionSettings) -> Self {
-        let residual = 1.0 - settings.arm_compensation;
-        let join = |arm: &ActuatedVector, pendulum| JointVector::joined(&(arm * residual), pendulum);
+        let residual = |friction: &JointVector| {
+            let actuated = friction.actuated() * (1.0 - settings.compensation);
+            JointVector::joined(&actuated, &friction.unactuated())
+        };
         Self {
-            viscous: join(&settings.arm_viscous, &settings.pendulum_viscous),
-            coulomb: join(&settings.arm_coulomb, &settings.pendulum_coulomb),
+            viscous: residual(&settings.viscous),
+            coulomb: residual(&settings.coulomb),
             smoothing: settings.coulomb_smoothing,
         }
     }

@@ -36,8 +36,8 @@ impl Plant {
     pub fn model(config: &Config) -> Model {
         let differences = &config.plant.model;
         let urdf = &config.plant_model;
-        urdf.with_scaled_masses(differences.arm_mass_scale, differences.pendulum_mass_scale)
-            .with_scaled_rod_length(differences.pendulum_length_scale)
+        urdf.with_scaled_masses(differences.actuated_mass_scale, differences.unactuated_mass_scale)
+            .with_scaled_rod_length(differences.unactuated_length_scale)
             .with_payload(differences.payload, differences.payload_position.into())
             .with_rotors(&differences.rotor_inertia)
     }

@@ -53,7 +53,7 @@ fn friction_is_the_torque_that_the_settings_state() {
     // One period of two plants that differ in friction only: M (qdd' - qdd) = -friction.
     for compensation in [0.0, 0.75] {
         let mut with = settings();
-        with.plant.friction.arm_compensation = compensation;
+        with.plant.friction.compensation = compensation;
         let mut without = frictionless();
         // So short that the change of velocity affects neither friction nor Coriolis torques.
         let period = Period::from_micros(2);
@@ -61,10 +61,10 @@ fn friction_is_the_torque_that_the_settings_state() {
         without.daemon.cycle.period = period;
         let qd = JointVector::from_fn(sizes(), |i| if i % 2 == 0 { 0.3 } else { -0.2 });
         let f = &with.plant.friction;
-        let felt =
-            |arm: &ActuatedVector, pendulum| JointVector::joined(&(arm * (1.0 - compensation)), pendulum);
-        let viscous = felt(&f.arm_viscous, &f.pendulum_viscous);
-        let coulomb = felt(&f.arm_coulomb, &f.pendulum_coulomb);
+        let felt = |friction: &JointVector| {
+            JointVector::joined(&(friction.actuated() * (1.0 - compensation)), &friction.unactuated())
+        };
+        let (viscous, coulomb) = (felt(&f.viscous), felt(&f.coulomb));
         let expected = JointVector::from_fn(sizes(), |i| {
             -(viscous[i] * qd[i] + coulomb[i] * (qd[i] / f.coulomb_smoothing).tanh())
         });

@@ -13,7 +13,7 @@ fn noisy(seed: u64) -> Config {
     let mut config = settings();
     let encoder = &mut config.plant.encoder;
     // So fine that rounding is negligible.
-    (encoder.arm_resolution, encoder.pendulum_resolution) = (1e-9, 1e-9);
+    encoder.resolution.fill(1e-9);
     encoder.noise = JointVector::from_fn(sizes(), |i| 1e-4 * (i as f64 + 1.0));
     encoder.bias = JointVector::from_fn(sizes(), |i| 0.01 * (i as f64 - 4.0));
     encoder.seed = seed;

@@ -10,14 +10,16 @@ use upswing_plant::Plant;
 fn every_angle_is_on_the_grid_and_nearest() {
     let config = settings();
     let encoder = &config.plant.encoder;
-    assert_eq!(encoder.pendulum_resolution, std::f64::consts::TAU / 131_072.0);
+    assert_eq!(
+        encoder.resolution.to_vec(),
+        [&[2e-5; 7][..], &[std::f64::consts::TAU / 131_072.0; 2]].concat()
+    );
     let mut plant = Plant::at(&config, &level_pose(), &at_rest()).unwrap();
     for _ in 0..500 {
         plant.step(Some(&equal_torques(1.0)));
         let measured = plant.measure();
         for i in 0..sizes().joints() {
-            let step =
-                if i < sizes().actuated() { encoder.arm_resolution } else { encoder.pendulum_resolution };
+            let step = encoder.resolution[i];
             let steps = (measured.q[i] / step).round();
             assert_eq!(measured.q[i], steps * step, "joint {} is on the grid", i + 1);
             let error = (measured.q[i] - plant.position()[i]).abs();

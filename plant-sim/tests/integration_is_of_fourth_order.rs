@@ -41,7 +41,7 @@ fn halving_the_step_divides_the_error_by_sixteen() {
     let mut config = settings();
     // Long enough that rounding is negligible. No Coulomb friction: it is too steep for the order of the method.
     config.daemon.cycle.period = Period::from_micros(4000);
-    config.plant.friction.pendulum_coulomb.fill(0.0);
+    config.plant.friction.coulomb.unactuated_mut().fill(0.0);
     config.plant.drive.brake_time_constant = 0.1;
     for brakes in [false, true] {
         let exact = after(&config, brakes, 32, 20);

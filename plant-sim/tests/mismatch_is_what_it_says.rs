@@ -41,7 +41,7 @@ fn the_defaults_change_nothing_about_the_bodies() {
 fn a_longer_rod_has_its_tip_and_its_gravity_farther_out() {
     let mut config = frictionless();
     let short = Plant::model(&config);
-    config.plant.model.pendulum_length_scale = 1.2;
+    config.plant.model.unactuated_length_scale = 1.2;
     let long = Plant::model(&config);
     let (q, work) = (pose(), &mut Workspace::default());
     let joint = short.poses(&q)[8].translation.vector;
@@ -56,8 +56,8 @@ fn a_longer_rod_has_its_tip_and_its_gravity_farther_out() {
 #[test]
 fn masses_scale_energies() {
     let mut config = frictionless();
-    config.plant.model.arm_mass_scale = 1.1;
-    config.plant.model.pendulum_mass_scale = 1.1;
+    config.plant.model.actuated_mass_scale = 1.1;
+    config.plant.model.unactuated_mass_scale = 1.1;
     let heavy = Plant::model(&config);
     assert!((mass_matrix(&heavy) - mass_matrix(&config.model) * 1.1).amax() < 1e-12);
 }
@@ -138,8 +138,8 @@ fn a_push_changes_the_momentum_by_its_impulse() {
 fn stops_turn_the_rod_back_and_add_no_energy() {
     let mut config = frictionless();
     config.use_scenario("joint-stops").unwrap();
-    config.plant.friction.pendulum_viscous.fill(0.0);
-    config.plant.friction.pendulum_coulomb.fill(0.0);
+    config.plant.friction.viscous.unactuated_mut().fill(0.0);
+    config.plant.friction.coulomb.unactuated_mut().fill(0.0);
     let stop = config.plant.stops.q_max[8];
     let mut q = level_pose();
     q[8] = 0.7;

@@ -27,7 +27,7 @@ fn settings() -> tempfile::TempDir {
         std::fs::write(path, text.replace(from, to)).expect("edited file");
     };
     edit("daemon.toml", "attempts = 0", "attempts = 1");
-    edit("plant.toml", "pendulum_viscous = 0.0005", "pendulum_viscous = 0.008");
+    edit("plant.toml", "pendulum_1 = 0.0005, pendulum_2 = 0.0005", "pendulum_1 = 0.008, pendulum_2 = 0.008");
     dir
 }
 

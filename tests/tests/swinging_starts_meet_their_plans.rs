@@ -4,7 +4,7 @@
 use std::time::{Duration, Instant};
 use upswing_ipc::operator::{OperatorError, OperatorRequest};
 use upswing_ipc::{Clock, Mode, PlanMessage, PlantRequest, Telemetry};
-use upswing_model::State;
+use upswing_model::{JointVector, State};
 use upswing_rig::course::first_manoeuvre;
 use upswing_rig::session::SessionError;
 use upswing_tests::{START, System};
@@ -18,9 +18,9 @@ const SHARES: [f64; 2] = [0.6, 0.75];
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Largest distances of a state from the expected one, in units of the tolerances: angles, velocities.
-fn distances(x: &State, expected: &State, (position, velocity): (f64, f64)) -> [f64; 2] {
+fn distances(x: &State, expected: &State, (position, velocity): (JointVector, JointVector)) -> [f64; 2] {
     let dx = x - expected;
-    [dx.q().amax() / position, dx.qd().amax() / velocity]
+    [dx.q().component_div(&position).amax(), dx.qd().component_div(&velocity).amax()]
 }
 
 #[test]

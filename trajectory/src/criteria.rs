@@ -9,7 +9,7 @@ pub use feedback::LoopDelays;
 use crate::{INTERVALS, Plan, Trajectory};
 use nalgebra::Vector3;
 use upswing_model::thresholds::REST_SPEED_PLAN_END;
-use upswing_model::{ActuatedVector, LimitKind, Limits, Model, Sizes};
+use upswing_model::{ActuatedVector, LimitKind, Limits, Model, Sizes, State};
 
 /// Largest excess of a plan over its velocity limits, rad/s, and its torque limits, as a share. A solver meets its limits up to a
 /// tolerance, a start may be measured just outside, and one QP around a database trajectory (14)-(17) meets the
@@ -39,8 +39,8 @@ pub struct PlanCriteria {
     pub tau_max: ActuatedVector,
     /// Largest defect (6b) of an interval, rad and rad/s.
     pub defect: f64,
-    /// Start tolerance: largest deviation of each position (rad) and each velocity (rad/s) from the plan at its start.
-    pub tolerance: (f64, f64),
+    /// Start tolerance: largest deviation of each position (rad or m) and each velocity (rad/s or m/s) from the plan at its start.
+    pub tolerance: State,
     /// Delays of the feedback loop.
     pub delays: LoopDelays,
 }

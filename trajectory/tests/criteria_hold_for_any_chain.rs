@@ -34,7 +34,7 @@ fn criteria_of(model: &Model) -> PlanCriteria {
         limits: *model.rated_limits(),
         tau_max: model.rated_limits().tau_max,
         defect: 1e-3,
-        tolerance: (0.02, 0.2),
+        tolerance: State::from_slice(model.sizes(), &[0.02, 0.02, 0.2, 0.2]).expect("four numbers"),
         delays: LoopDelays { period: 1.25e-4, velocity_filter: Some(5e-3), cycles: 2 },
     }
 }

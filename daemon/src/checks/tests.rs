@@ -304,7 +304,7 @@ fn positions() {
 #[test]
 fn the_distance_of_the_pendulum() {
     let config = config();
-    let Level { warn, trip } = config.daemon.limits.balance_tilt;
+    let Level { warn, trip } = config.daemon.limits.balance_distance;
     let x_d = State::from_fn(sizes(), |i| 0.1 * i as f64);
     let at = |distance: f64| {
         let mut checks = CHECKS.clone();
@@ -407,9 +407,9 @@ fn the_start_of_a_plan() {
     let x_0 = State::from_fn(sizes(), |i| 0.01 * i as f64);
     assert_eq!(checks.start(&x_0, &x_0, 0.25), Ok(()));
     let joints = sizes().joints();
+    let tolerances = State::new(&config.daemon.start.position, &config.daemon.start.velocity);
     for row in 0..x_0.len() {
-        let tolerance =
-            if row < joints { config.daemon.start.position } else { config.daemon.start.velocity };
+        let tolerance = tolerances[row];
         for sign in [-1.0, 1.0] {
             let at = |by: f64| {
                 let mut x = x_0;

@@ -26,9 +26,9 @@ pub fn sizes() -> Sizes {
 pub fn frictionless() -> Config {
     let mut config = settings();
     let friction = &mut config.plant.friction;
-    friction.pendulum_viscous.fill(0.0);
-    friction.pendulum_coulomb.fill(0.0);
-    friction.arm_compensation = 1.0;
+    friction.viscous.unactuated_mut().fill(0.0);
+    friction.coulomb.unactuated_mut().fill(0.0);
+    friction.compensation = 1.0;
     config.plant.stops.stiffness.fill(0.0);
     config
 }

@@ -57,9 +57,9 @@ impl PlantCondition {
         let model = &mut config.plant.model;
         match self.parameter {
             RandomParameter::Nothing => {}
-            RandomParameter::ArmMass => model.arm_mass_scale *= scale,
-            RandomParameter::PendulumMass => model.pendulum_mass_scale *= scale,
-            RandomParameter::PendulumLength => model.pendulum_length_scale *= scale,
+            RandomParameter::ArmMass => model.actuated_mass_scale *= scale,
+            RandomParameter::PendulumMass => model.unactuated_mass_scale *= scale,
+            RandomParameter::PendulumLength => model.unactuated_length_scale *= scale,
         }
         config
     }

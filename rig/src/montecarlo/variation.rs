@@ -155,13 +155,15 @@ impl Variation {
         let scale = 1.0 + 0.01 * value;
         let plant = &mut config.plant;
         match self {
-            Self::ArmMass => plant.model.arm_mass_scale *= scale,
-            Self::PendulumMass => plant.model.pendulum_mass_scale *= scale,
-            Self::PendulumLength => plant.model.pendulum_length_scale *= scale,
-            Self::EncoderBits => plant.encoder.pendulum_resolution = std::f64::consts::TAU * (-value).exp2(),
+            Self::ArmMass => plant.model.actuated_mass_scale *= scale,
+            Self::PendulumMass => plant.model.unactuated_mass_scale *= scale,
+            Self::PendulumLength => plant.model.unactuated_length_scale *= scale,
+            Self::EncoderBits => {
+                plant.encoder.resolution.unactuated_mut().fill(std::f64::consts::TAU * (-value).exp2());
+            }
             Self::TorqueDelay => plant.drive.command_delay = value as u32,
             Self::VelocityFilter => config.daemon.cycle.velocity_filter = 1e-3 * value,
-            Self::Friction => plant.friction.arm_compensation = 1.0 - 0.01 * value,
+            Self::Friction => plant.friction.compensation = 1.0 - 0.01 * value,
             Self::Push | Self::MissedSwingUp | Self::MissedBalance | Self::Jitter => {}
         }
     }

@@ -139,7 +139,7 @@ impl PlanCriteria {
     ) -> Result<(), UnmetCriterion> {
         model.hybrid_dynamics(x, u, work);
         for row in 0..x.len() {
-            let tau = model.reduced_inertia_times(&gain.column(row), work) * self.tolerance(row, x.sizes());
+            let tau = model.reduced_inertia_times(&gain.column(row), work) * self.tolerance[row];
             for joint in 0..tau.len() {
                 let (got, most) = (tau[joint].abs(), MOST_STEP * self.tau_max[joint]);
                 if !(got <= most) {
@@ -155,7 +155,7 @@ impl PlanCriteria {
     fn check_amplification(&self, p: &DMatrix<f64>, knot: usize, sizes: Sizes) -> Result<(), UnmetCriterion> {
         let (n, n_x) = (sizes.joints(), sizes.state());
         let from = |row: usize| {
-            let tolerance = self.tolerance(row, sizes);
+            let tolerance = self.tolerance[row];
             // The deviation of one row by its tolerance, where the filter has settled on it.
             let mut s = DVector::zeros(p.nrows());
             s[row] = tolerance;
@@ -172,16 +172,11 @@ impl PlanCriteria {
         if got <= MOST_AMPLIFIED { Ok(()) } else { Err(UnmetCriterion::Amplification { knot, got }) }
     }
 
-    /// Start tolerance of a row of the state, rad or rad/s.
-    fn tolerance(&self, row: usize, sizes: Sizes) -> f64 {
-        if row < sizes.joints() { self.tolerance.0 } else { self.tolerance.1 }
-    }
-
     /// Quadratic form |x|^2, in units of the start tolerance, of a state of the closed loop.
     fn square_of_state(&self, sizes: Sizes) -> DMatrix<f64> {
         let mut unit = DMatrix::zeros(self.delays.dimension(sizes), self.delays.dimension(sizes));
         for row in 0..sizes.state() {
-            unit[(row, row)] = self.tolerance(row, sizes).powi(-2);
+            unit[(row, row)] = self.tolerance[row].powi(-2);
         }
         unit
     }
