@@ -138,9 +138,7 @@ pub(crate) fn complete(defaults: &str, system: &str) -> Result<String, toml_edit
                 }
                 complete_section(old, new);
             }
-            _ => {
-                document.insert(name, in_place(item.clone()));
-            }
+            _ => complete_value(document.as_table_mut(), system.as_table(), name, item),
         }
     }
     let header = if system_header.is_empty() { header } else { system_header };
@@ -150,29 +148,34 @@ pub(crate) fn complete(defaults: &str, system: &str) -> Result<String, toml_edit
 /// Replaces values of a section by those of the `system`, with their comments.
 fn complete_section(section: &mut Table, system: &Table) {
     for (name, item) in system.iter() {
-        let mut item = item.clone();
-        if let (Some(old), Some(new)) = (section.get(name), item.as_table_like_mut())
-            && !new.contains_key(DEFAULT)
-        {
-            let missing: Vec<_> = match old.as_table_like() {
-                Some(old) => old.iter().map(|(joint, value)| (joint.to_owned(), value.clone())).collect(),
-                None => vec![(DEFAULT.to_owned(), old.clone())],
-            };
-            for (joint, value) in missing {
-                if !new.contains_key(&joint) {
-                    new.insert(&joint, value);
-                }
+        complete_value(section, system, name, item);
+    }
+}
+
+/// Replaces the value `name` of a section by the `item` of the `system`, with its comment.
+fn complete_value(section: &mut Table, system: &Table, name: &str, item: &Item) {
+    let mut item = item.clone();
+    if let (Some(old), Some(new)) = (section.get(name), item.as_table_like_mut())
+        && !new.contains_key(DEFAULT)
+    {
+        let missing: Vec<_> = match old.as_table_like() {
+            Some(old) => old.iter().map(|(joint, value)| (joint.to_owned(), value.clone())).collect(),
+            None => vec![(DEFAULT.to_owned(), old.clone())],
+        };
+        for (joint, value) in missing {
+            if !new.contains_key(&joint) {
+                new.insert(&joint, value);
             }
         }
-        if let Item::Value(Value::InlineTable(table)) = &mut item {
-            table.fmt();
-        }
-        let comment = |table: &Table| table.key(name).map(|key| key.leaf_decor().clone());
-        let comment = comment(system).filter(has_comment).or_else(|| comment(section));
-        section.insert(name, in_place(item));
-        if let (Some(comment), Some(mut key)) = (comment, section.key_mut(name)) {
-            *key.leaf_decor_mut() = comment;
-        }
+    }
+    if let Item::Value(Value::InlineTable(table)) = &mut item {
+        table.fmt();
+    }
+    let comment = |table: &Table| table.key(name).map(|key| key.leaf_decor().clone());
+    let comment = comment(system).filter(has_comment).or_else(|| comment(section));
+    section.insert(name, in_place(item));
+    if let (Some(comment), Some(mut key)) = (comment, section.key_mut(name)) {
+        *key.leaf_decor_mut() = comment;
     }
 }
 

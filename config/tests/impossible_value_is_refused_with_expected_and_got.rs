@@ -116,7 +116,7 @@ fn planner() {
         ("knot_margin = 0.015", "knot_margin = 1", &["replan.knot_margin", "[0, 1)", "got 1"]),
         ("tolerance = 1e-9", "tolerance = 1", &["offline.tolerance", "between 0 and 1", "got 1"]),
         ("max_iterations = 3000", "max_iterations = 0", &["offline.max_iterations", "from 1 to", "got 0"]),
-        ("\niterations = 10", "\niterations = -4", &["replan.iterations", "from 1 to", "got -4"]),
+        ("\niterations = 10", "\niterations = -4", &["replan.iterations", "from 1 to", "got -0.00004"]),
         ("intervals = 100", "intervals = 19", &["offline.intervals", "from 20 to 1000", "got 19"]),
         ("sub_horizons = 1", "sub_horizons = 3", &["replan.sub_horizons", "one of", "got 3"]),
         ("weight_t_f = 300", "weight_t_f = -1.0", &["replan.weight_t_f", POSITIVE, "got -1"]),
@@ -216,7 +216,11 @@ fn daemon() {
             "measurement_gap = { warn = 20, trip = 20 }",
             &["limits.measurement_gap.trip", "more than the 20 of warn", "got 20"],
         ),
-        ("warn = 0.0005", "warn = 0", &["limits.encoder_jump_rad.warn", POSITIVE, "got 0"]),
+        (
+            "jump_rad = { warn = 0.0005",
+            "jump_rad = { warn = 0",
+            &["limits.encoder_jump_rad.warn", POSITIVE, "got 0"],
+        ),
         (
             "margin_deg = { warn = 1, trip = 5",
             "margin_deg = { warn = 1, trip = -5",
@@ -263,8 +267,8 @@ fn plant() {
         ("substeps = 1", "substeps = 0", &["integrator.substeps", "from 1 to", "got 0"]),
         (
             "{ pendulum_1 = 4.79",
-            "{ default = 0, pendulum_1 = 4.79",
-            &["encoder.resolution_rad", POSITIVE, "got 0"],
+            "{ pendulum_1 = -4.79",
+            &["encoder.resolution_rad.pendulum_1", POSITIVE, "got -0.00004"],
         ),
         ("resolution_m = 2e-5", "resolution_m = inf", &["encoder.resolution_m", POSITIVE, "got inf"]),
         ("watchdog_cycles = 20", "watchdog_cycles = 0", &["drive.watchdog_cycles", "from 1 to", "got 0"]),

@@ -38,7 +38,7 @@ fn unknown_keys() {
 #[test]
 fn missing_keys() {
     for (file, from, to, parts) in [
-        ("robot.toml", "tau_nm = {", "# {", &["line 6, `[limits]`: limits: missing field `tau_nm`"]),
+        ("robot.toml", "tau_nm = {", "# {", &["line 9, `[limits]`: limits: missing field `tau_nm`"]),
         ("robot.toml", "[limits.q_deg]", "[[limits.q_deg]]", &["limits.q_deg"]),
         ("robot.toml", "lower_nm = {", "# {", &["[coriolis_bound]", "missing field `lower_nm`"]),
         ("manoeuvres.toml", "name = \"swing-up\"", "", &["[[manoeuvre]]", "missing field `name`"]),
