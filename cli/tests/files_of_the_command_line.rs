@@ -25,6 +25,7 @@ const NEEDED: &[(&str, &str, &[&str])] = &[
     ("completions", "shell", &["bash"]),
     ("disturb fault", "kind", &["encoder-nan"]),
     ("disturb push", "impulse", &["--impulse", "1,0,0"]),
+    ("config export", "dir", &["exported"]),
     ("record", "file", &["run.mcap"]),
     ("replay", "file", &["run.mcap"]),
     ("report", "file", &[SOME_FILE]),
@@ -62,7 +63,7 @@ fn is_written(arg: &Arg) -> bool {
 fn takes_a_file(arg: &Arg) -> bool {
     let names = arg.get_value_names().unwrap_or_default();
     let of_path = arg.get_value_parser().type_id() == TypeId::of::<PathBuf>();
-    of_path || is_written(arg) || names.iter().any(|n| n.contains("FILE") || n.contains("DIR"))
+    of_path || is_written(arg) || names.iter().any(|n| n.contains("FILE")) || arg.get_id() == "system"
 }
 
 /// What the name of a file has to end in.
