@@ -16,14 +16,15 @@ use crate::disturbance::{CommandedMotion, DisturbanceEstimate};
 use crate::law::{self, JointSpaceInertia, Torque};
 use crate::modes::{ActiveMode, LoadedPlan, Setpoint};
 use crate::observer::{Observation, Observer};
-use crate::plan::Ending;
 use crate::standstill::Standstill;
 use crate::step::{CycleRecord, StepInput, StepOutput};
 use crate::supervisor::ModeEvent;
 use crate::trip::{Trip, TripCause};
 use upswing_config::{Config, HoldGains, PlanWhileTracking};
 use upswing_ipc::{Clock, Command, CycleVectors, Measurement, Mode, Telemetry};
-use upswing_model::{ActuatedVector, JointFriction, JointVector, Model, Sizes, State, Workspace};
+use upswing_model::{
+    ActuatedVector, JointFriction, JointVector, Linearization, Model, Posture, Sizes, State, Workspace,
+};
 use upswing_trajectory::Plan;
 
 /// Command of the last cycle; zero while the brakes were closed.
@@ -46,6 +47,7 @@ impl LastCommand {
 pub struct Controller {
     model: Model,
     work: Workspace,
+    derivatives: Linearization,
     tau_max: ActuatedVector,
     friction: JointFriction,
     hold: HoldGains,
@@ -89,6 +91,7 @@ impl Controller {
         Self {
             model: config.model.clone(),
             work: Workspace::default(),
+            derivatives: Linearization::new(sizes),
             tau_max,
             friction: robot.friction,
             hold: daemon.hold,
@@ -312,11 +315,11 @@ impl Controller {
     fn finish_plan(&mut self) {
         let ActiveMode::Track(plan) = &self.mode else { return };
         match plan.ending(self.now_ns) {
-            Some(Ending::Hanging) => {
+            Some(Posture::Hanging) => {
                 let hold = ActiveMode::Hold(ArmReference::at_rest(&plan.end().x));
-                self.enter(ModeEvent::PlanEnded(Ending::Hanging), hold);
+                self.enter(ModeEvent::PlanEnded(Posture::Hanging), hold);
             }
-            Some(Ending::Upright) => {
+            Some(Posture::Standing) => {
                 self.mode.balance();
                 self.blend_cycles = self.checks.torque_steps();
             }

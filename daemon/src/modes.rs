@@ -4,11 +4,10 @@
 use crate::arm::ArmReference;
 use crate::checks::Checks;
 use crate::observer::Observer;
-use crate::plan::Ending;
 use crate::supervisor::is_braked;
 use crate::trip::Trip;
 use upswing_ipc::Mode;
-use upswing_model::{ActuatedVector, Model, State};
+use upswing_model::{ActuatedVector, Posture, State};
 use upswing_trajectory::{Plan, Reference};
 
 /// Setpoint of one cycle: the reference of the torque law (24), and the input after feedback.
@@ -98,14 +97,13 @@ pub struct RunningPlan {
     pub loaded: LoadedPlan,
     /// Time of the plan's t = 0, ns on the plant's clock.
     start_ns: u64,
-    /// Whether the rod stands or hangs at x_N.
-    ending: Ending,
+    /// Posture of the unactuated joints at x_N.
+    ending: Posture,
 }
 
 impl RunningPlan {
-    /// Starts a plan with t = 0 at the time `start_ns`.
-    pub fn new(loaded: LoadedPlan, start_ns: u64, model: &Model) -> Self {
-        let ending = Ending::of(&model.rod(&loaded.plan.end().x.q()));
+    /// Starts a plan with t = 0 at the time `start_ns`, that ends in the posture `ending`.
+    pub fn new(loaded: LoadedPlan, start_ns: u64, ending: Posture) -> Self {
         Self { loaded, start_ns, ending }
     }
 
@@ -119,8 +117,8 @@ impl RunningPlan {
         self.loaded.plan.end()
     }
 
-    /// Returns how the plan ends if t >= t_F at the time `now_ns`; otherwise `None`.
-    pub fn ending(&self, now_ns: u64) -> Option<Ending> {
+    /// Returns the posture in which the plan ends if t >= t_F at the time `now_ns`; otherwise `None`.
+    pub fn ending(&self, now_ns: u64) -> Option<Posture> {
         (self.time(now_ns) >= self.loaded.plan.trajectory.t_f).then_some(self.ending)
     }
 

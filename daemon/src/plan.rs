@@ -3,7 +3,6 @@
 use thiserror::Error;
 use upswing_config::Config;
 use upswing_ipc::{DamagedPlan, PlanMessage};
-pub use upswing_trajectory::Ending;
 use upswing_trajectory::{Plan, UnmetCriterion};
 
 /// Refusal of a plan: the first check that failed.

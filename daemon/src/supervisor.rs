@@ -3,11 +3,10 @@
 //! Only [`transition`] decides which mode follows which; [`crate::controller`] adds the guards
 //! (fresh measurement, plan that fits) and performs the actions of a mode.
 
-use crate::plan::Ending;
 use crate::trip::{Trip, TripCause};
 use std::fmt;
 use upswing_ipc::{Mode, Readiness};
-use upswing_model::{LimitKind, Model};
+use upswing_model::{LimitKind, Model, Posture};
 
 /// An event that can change the mode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -24,8 +23,8 @@ pub enum ModeEvent {
     Reset,
     /// Request: come to rest, close the brakes, and refuse all later requests.
     Shutdown,
-    /// The plan has reached t_F, with the rod standing or hanging.
-    PlanEnded(Ending),
+    /// The plan has reached t_F, with the unactuated joints standing or hanging.
+    PlanEnded(Posture),
     /// A limit of the class "stop" is beyond its trip level: tracking error, distance of the pendulum, speed to keep it upright, range
     /// of the pendulum, late cycles.
     TripToStop,
@@ -80,8 +79,8 @@ pub fn transition(mode: Mode, event: ModeEvent) -> Result<Mode, RequestRefusal> 
         (Fault, ModeEvent::Reset) => Ok(Idle),
         (Hold | Track | Balance | Stop, ModeEvent::Shutdown) => Ok(Stop),
         (Idle | Fault, ModeEvent::Shutdown) => Ok(mode),
-        (Track, ModeEvent::PlanEnded(Ending::Upright)) => Ok(Balance),
-        (Track, ModeEvent::PlanEnded(Ending::Hanging)) => Ok(Hold),
+        (Track, ModeEvent::PlanEnded(Posture::Standing)) => Ok(Balance),
+        (Track, ModeEvent::PlanEnded(Posture::Hanging)) => Ok(Hold),
         (Track | Balance, ModeEvent::TripToStop) => Ok(Stop),
         (Stop, ModeEvent::AtRest) => Ok(Hold),
         (Stop, ModeEvent::AtRestAtShutdown) => Ok(Idle),

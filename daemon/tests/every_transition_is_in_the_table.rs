@@ -3,7 +3,7 @@
 use upswing_config::Config;
 use upswing_ipc::Mode::{self, Balance, Fault, Hold, Idle, Stop, Track};
 use upswing_ipc::operator::{NextAction, OperatorRequest};
-use upswingd::plan::Ending;
+use upswing_model::Posture;
 use upswingd::supervisor::{ModeEvent, RequestRefusal, transition};
 
 /// Rows: modes in the order of [`Mode::ALL`]; columns: [`EVENTS`]. `None`: refused.
@@ -14,8 +14,8 @@ const EVENTS: [ModeEvent; 12] = [
     ModeEvent::Stop,
     ModeEvent::Reset,
     ModeEvent::Shutdown,
-    ModeEvent::PlanEnded(Ending::Upright),
-    ModeEvent::PlanEnded(Ending::Hanging),
+    ModeEvent::PlanEnded(Posture::Standing),
+    ModeEvent::PlanEnded(Posture::Hanging),
     ModeEvent::TripToStop,
     ModeEvent::AtRest,
     ModeEvent::AtRestAtShutdown,

@@ -32,7 +32,17 @@ impl fmt::Display for Posture {
 impl Model {
     /// Posture at `q`, which is taken for an equilibrium: whether the curvature of the potential energy in q_U is positive definite.
     pub fn posture(&self, q: &JointVector, work: &mut Workspace) -> Posture {
-        let (_, curvature) = self.unactuated_gravity(q, work, &mut Linearization::new(self.sizes()));
+        self.posture_with(q, work, &mut Linearization::new(self.sizes()))
+    }
+
+    /// As [`Self::posture`], with the memory of the caller: it allocates nothing.
+    pub fn posture_with(
+        &self,
+        q: &JointVector,
+        work: &mut Workspace,
+        derivatives: &mut Linearization,
+    ) -> Posture {
+        let (_, curvature) = self.unactuated_gravity(q, work, derivatives);
         match curvature.solve_positive(&Vector::zeros(self.sizes())) {
             Some(_) => Posture::Hanging,
             None => Posture::Standing,

@@ -11,6 +11,7 @@
 //! | [`REST_SPEED_START`] | measured state before a plan is made | noise of the velocity filter | the tolerance of a plan's start, 0.2 rad/s |
 //! | [`REST_SPEED_PLAN_END`] | computed end of a plan | the tolerance of a solver | [`REST_SPEED_START`]: the plan adds nothing that is measured |
 //! | [`REST_SPEED_BRAKED`] | simulated joint behind closed brakes | rounding; the speed decays without end | everything that an encoder shows |
+//! | [`PLAN_END_ACCELERATION`] | pendulum in the computed end of a plan | the tolerance of a solver | [`HELD_ACCELERATION`] |
 //! | [`HELD_ACCELERATION`] | pendulum of an arm at rest | bearings hold a rod 2 deg off its hanging position | the turning point of a swing |
 //! | [`EQUILIBRIUM_ACCELERATION`] | pendulum in the target x_T | rounding | what bearings hold |
 //! | [`SAME_START`] | starts of two plans | encoder steps | a hundredth of the tolerance of a plan's start |
@@ -36,6 +37,9 @@ pub const REST_SPEED_START: f64 = 0.02;
 
 /// Largest speed of each joint, rad/s, at the end of a plan.
 pub const REST_SPEED_PLAN_END: f64 = 1e-2;
+
+/// Largest acceleration of the unactuated joints, rad/s^2, at the end of a plan, with the actuated joints at rest.
+pub const PLAN_END_ACCELERATION: f64 = 0.5;
 
 /// Speed of a simulated joint, rad/s, below which closed brakes hold it.
 pub const REST_SPEED_BRAKED: f64 = 1e-6;

@@ -7,8 +7,7 @@ mod motion;
 pub use feedback::LoopDelays;
 
 use crate::{INTERVALS, Plan, Trajectory};
-use nalgebra::Vector3;
-use upswing_model::thresholds::REST_SPEED_PLAN_END;
+use upswing_model::thresholds::{PLAN_END_ACCELERATION, REST_SPEED_PLAN_END};
 use upswing_model::{ActuatedVector, LimitKind, Limits, Model, Sizes, State};
 
 /// Largest excess of a plan over its velocity limits, rad/s, and its torque limits, as a share. A solver meets its limits up to a
@@ -18,8 +17,6 @@ const VELOCITY_SLACK: f64 = 1e-2;
 const TORQUE_SLACK: f64 = 0.05;
 /// Largest difference between f_k and f(x_k, u_k) of the model, relative to 1 + |f|.
 const DERIVATIVE_TOLERANCE: f64 = 1e-6;
-/// Largest angle of the rod from the vertical at the end of a plan, rad.
-const END_TILT: f64 = 2e-2;
 /// Largest torque with which a gain may answer a deviation of one row of the state by the start tolerance, as a multiple of
 /// the 100 % limit. With r of (20) at a hundredth of its setting it is 4; a larger one is a blow, not feedback.
 const MOST_STEP: f64 = 5.0;
@@ -43,22 +40,6 @@ pub struct PlanCriteria {
     pub tolerance: State,
     /// Delays of the feedback loop.
     pub delays: LoopDelays,
-}
-
-/// The state in which a plan ends, on which the next mode of the daemon depends.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Ending {
-    /// The rod stands: the daemon balances it.
-    Upright,
-    /// The rod hangs: the daemon holds the arm.
-    Hanging,
-}
-
-impl Ending {
-    /// The ending of a plan whose rod points along `rod` (world frame, z up) at x_N.
-    pub fn of(rod: &Vector3<f64>) -> Self {
-        if rod.z > 0.0 { Self::Upright } else { Self::Hanging }
-    }
 }
 
 /// The first criterion that a plan does not meet.
@@ -161,20 +142,18 @@ pub enum UnmetCriterion {
         /// Largest accepted magnitude.
         most: f64,
     },
-    /// The plan does not end at rest with the rod standing or hanging.
+    /// The plan does not end at rest in an equilibrium of the unactuated joints.
     #[error(
-        "the plan ends at {speed:.4} rad/s with the rod {upright:.4} rad from upright and {hanging:.4} rad from hanging, \
-         expected at most {REST_SPEED_PLAN_END} rad/s and {END_TILT} rad from one of both"
+        "the plan ends at {speed:.4} rad/s, and the unactuated joints accelerate with {acceleration:.4} rad/s^2 there, \
+         expected at most {REST_SPEED_PLAN_END} rad/s and {PLAN_END_ACCELERATION} rad/s^2"
     )]
     End {
-        /// Largest joint velocity at x_N, rad/s.
+        /// Largest joint velocity at x_N, rad/s or m/s.
         speed: f64,
-        /// Angle of the rod from upright, rad.
-        upright: f64,
-        /// Angle of the rod from hanging, rad.
-        hanging: f64,
+        /// Largest acceleration of an unactuated joint in the pose of x_N at rest, rad/s^2 or m/s^2.
+        acceleration: f64,
     },
-    /// The final gain does not keep the rod upright.
+    /// The final gain does not keep the unactuated joints where they stand.
     #[error(
         "the closed loop at the end of the plan is unstable: spectral radius {radius:.6}, expected below 1"
     )]
@@ -213,7 +192,7 @@ pub enum UnmetCriterion {
 impl PlanCriteria {
     /// Checks that a robot may follow the plan, in this order: numbers of knots and joints; all numbers finite; t_F; positions and velocities (at the
     /// knots and at the extrema of the spline between them) and torques (9) (at the knots and at points between them); f_k
-    /// against the model; defects (6b); rest at the end, with the rod standing or hanging; the gains. Id and fingerprint of
+    /// against the model; defects (6b); rest at the end, in an equilibrium; the gains. Id and fingerprint of
     /// the plan are not checked here.
     ///
     /// # Errors

@@ -10,7 +10,7 @@ mod plan;
 mod trajectory;
 
 pub use certificate::{Certificate, open_loop_end};
-pub use criteria::{Ending, LoopDelays, PlanCriteria, UnmetCriterion};
+pub use criteria::{LoopDelays, PlanCriteria, UnmetCriterion};
 pub use database::{Database, DatabaseError, DatabaseHeading, Entry, PoseOutcome, PoseRecord};
 pub use gains::{Gain, Gains, InterpolatedGain};
 pub use margins::{Margin, Margins};

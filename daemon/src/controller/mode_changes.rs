@@ -71,7 +71,9 @@ impl Controller {
         match self.check_start(&loaded, id) {
             Ok(start_ns) => {
                 self.trip = None;
-                let running = RunningPlan::new(loaded, start_ns, &self.model);
+                let end = loaded.plan.end().x.q();
+                let posture = self.model.posture_with(&end, &mut self.work, &mut self.derivatives);
+                let running = RunningPlan::new(loaded, start_ns, posture);
                 self.enter(ModeEvent::Start, ActiveMode::Track(running));
                 Ok(())
             }

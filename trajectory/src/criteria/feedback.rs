@@ -1,11 +1,11 @@
 //! Criteria for the gains of a plan: their torques, and the stability of the closed loop with its delays.
 
 use super::{
-    AMPLIFIED_INTERVALS, Ending, MOST_AMPLIFIED, MOST_STEP, PlanCriteria, UnmetCriterion, finite, same_sizes,
+    AMPLIFIED_INTERVALS, MOST_AMPLIFIED, MOST_STEP, PlanCriteria, UnmetCriterion, finite, same_sizes,
 };
 use crate::{Gain, Gains, Trajectory};
 use nalgebra::{DMatrix, DVector};
-use upswing_model::{ActuatedVector, Linearization, Model, Sizes, State, Workspace};
+use upswing_model::{ActuatedVector, Linearization, Model, Posture, Sizes, State, Workspace};
 
 /// Delays of the feedback loop of the daemon.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -71,7 +71,7 @@ impl PlanCriteria {
     /// The part of [`Self::check`] about the gains, for a trajectory that meets [`Self::check_motion`].
     ///
     /// For each gain: the torque with which it answers a deviation of one row of the state by the start tolerance. For all
-    /// of them, with the gain that holds x_N where the rod stands: the [amplification](UnmetCriterion::Amplification) of the closed
+    /// of them, with the gain that holds x_N where the unactuated joints stand: the [amplification](UnmetCriterion::Amplification) of the closed
     /// loop from every knot on.
     ///
     /// # Errors
@@ -92,7 +92,7 @@ impl PlanCriteria {
         finite("the final K", std::iter::once(gains.end().as_slice()))?;
         let mut work = Workspace::default();
         let x_n = trajectory.end();
-        let stands = Ending::of(&model.rod(&x_n.q())) == Ending::Upright;
+        let stands = model.posture(&x_n.q(), &mut work) == Posture::Standing;
         let none = ActuatedVector::zeros(model.sizes());
         let last = stands.then_some((x_n, &none, gains.end()));
         let knots = trajectory.knots().zip(gains.knots()).map(|((x, u), gain)| (x, u, gain));

@@ -1,13 +1,12 @@
 //! Criteria for the trajectory of a plan: limits, dynamics and end.
 
 use super::{
-    DERIVATIVE_TOLERANCE, END_TILT, PlanCriteria, TORQUE_SLACK, UnmetCriterion, VELOCITY_SLACK, finite,
-    same_sizes,
+    DERIVATIVE_TOLERANCE, PlanCriteria, TORQUE_SLACK, UnmetCriterion, VELOCITY_SLACK, finite, same_sizes,
 };
 use crate::margins::SplinePoint;
 use crate::{Certificate, INTERVALS, Margins, Spline, Trajectory};
-use upswing_model::thresholds::{PLAN_POSITION_SLACK, REST_SPEED_PLAN_END};
-use upswing_model::{LimitKind, Model, State, Workspace};
+use upswing_model::thresholds::{PLAN_END_ACCELERATION, PLAN_POSITION_SLACK, REST_SPEED_PLAN_END};
+use upswing_model::{ActuatedVector, JointVector, LimitKind, Model, State, Workspace};
 
 /// Parts into which the points at which torques are checked divide each interval.
 const PARTS: usize = Certificate::BETWEEN + 1;
@@ -48,7 +47,7 @@ impl PlanCriteria {
         }
         check_derivatives(model, spline, &mut work)?;
         self.check_defects(model, spline)?;
-        check_end(model, &spline.x[n])?;
+        check_end(model, &spline.x[n], &mut work)?;
         Ok(margins)
     }
 
@@ -131,15 +130,14 @@ fn check_derivatives(model: &Model, spline: &Spline<'_>, work: &mut Workspace) -
     Ok(())
 }
 
-/// Rest at the state `x`, with the rod standing or hanging.
-fn check_end(model: &Model, x: &State) -> Result<(), UnmetCriterion> {
-    let rod = model.rod(&x.q());
-    let upright = rod.xy().norm().atan2(rod.z);
-    let hanging = std::f64::consts::PI - upright;
+/// Rest at the state `x`, in an equilibrium of the unactuated joints.
+fn check_end(model: &Model, x: &State, work: &mut Workspace) -> Result<(), UnmetCriterion> {
+    let at_rest = State::new(&x.q(), &JointVector::zeros(model.sizes()));
+    let acceleration = model.f(&at_rest, &ActuatedVector::zeros(model.sizes()), work).qd_u().amax();
     let speed = x.qd().amax();
-    if speed <= REST_SPEED_PLAN_END && upright.min(hanging) <= END_TILT {
+    if speed <= REST_SPEED_PLAN_END && acceleration <= PLAN_END_ACCELERATION {
         Ok(())
     } else {
-        Err(UnmetCriterion::End { speed, upright, hanging })
+        Err(UnmetCriterion::End { speed, acceleration })
     }
 }
