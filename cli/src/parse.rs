@@ -92,7 +92,7 @@ pub struct ManoeuvreArgs {
     #[arg(long, value_name = "NAME")]
     pub manoeuvre: Option<String>,
     /// Where joints end in a manoeuvre whose target is given by the request, deg or m [default: where they start]
-    #[arg(long, value_name = "JOINT=VALUE", num_args = 1.., allow_hyphen_values = true)]
+    #[arg(long, value_name = "JOINT=VALUE", num_args = 1..)]
     pub to: Vec<JointValue>,
 }
 

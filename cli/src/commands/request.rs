@@ -21,7 +21,7 @@ pub struct RequestArgs {
     #[arg(value_name = "REQUEST", value_parser = request)]
     pub what: OperatorRequest,
     /// Where joints end in a manoeuvre whose target is given by the request, deg or m [default: where they are]
-    #[arg(long, value_name = "JOINT=VALUE", num_args = 1.., allow_hyphen_values = true)]
+    #[arg(long, value_name = "JOINT=VALUE", num_args = 1..)]
     pub to: Vec<JointValue>,
 }
 
