@@ -15,10 +15,12 @@ pub use overview::{DatabaseOverview, JointCoverage};
 pub use stored::{DatabaseFile, SHIPPED};
 pub use verify::{Discrepancy, RecordFlaw, verify};
 
-use crate::offline::problem_fingerprint;
+use crate::offline::{problem_fingerprint, target};
 use std::path::{Path, PathBuf};
 use upswing_config::{Config, Manoeuvre};
+use upswing_model::thresholds::SAME_START;
 use upswing_model::{ActuatedVector, Posture, State};
+use upswing_ocp::kkt::TargetRow;
 use upswing_process::output::OutputError;
 use upswing_trajectory::{Certificate, Database, DatabaseError, DatabaseHeading, PoseOutcome, Trajectory};
 use xxhash_rust::xxh3::Xxh3;
@@ -245,9 +247,26 @@ pub fn read(path: &Path) -> Result<Database, BuildError> {
     DatabaseFile::read(path)?.decode()
 }
 
-/// The start state of a pose of a manoeuvre, rad and rad/s; `None` if the rules of the grid leave the pose out.
-fn start_of(config: &Config, manoeuvre: &Manoeuvre, q_a: &ActuatedVector) -> Option<State> {
-    manoeuvre.start_state(&config.model, &config.robot.planning, q_a)
+/// What a pose of a database is to be solved for.
+struct Task {
+    /// rad, rad/s
+    start: State,
+    /// Values that a request would give, rad or m.
+    given: Vec<f64>,
+    target: Vec<TargetRow>,
+}
+
+impl Task {
+    /// The task of pose `number` of manoeuvre number `manoeuvre`; `None` if the pose is left out: by the rules of the grid, or because the
+    /// manoeuvre would end where it begins.
+    fn of(config: &Config, manoeuvre: usize, number: usize) -> Option<Self> {
+        let settings = &config.manoeuvres[manoeuvre];
+        let (q_a, given) = pose(settings, number);
+        let start = settings.start_state(&config.model, &config.robot.planning, &q_a)?;
+        let target = target(config, manoeuvre, &given).ok()?;
+        let moves = target.iter().any(|row| row.residual(&start).abs() > SAME_START);
+        moves.then_some(Self { start, given, target })
+    }
 }
 
 /// The state at rest with the actuated joints at `q_a` (rad or m) from which manoeuvre number `manoeuvre` starts standing: the unactuated

@@ -6,8 +6,8 @@
 //!
 //! Every finished line is appended to a journal beside the output; a build that finds a journal continues after its last line.
 
-use super::{BuildError, BuildSummary, Shard, certify, heading, pose, poses, same_origin, start_of, summary};
-use crate::offline::{optimize, options, target};
+use super::{BuildError, BuildSummary, Shard, Task, certify, heading, poses, same_origin, summary};
+use crate::offline::{optimize, options};
 use crate::replan::key;
 use rayon::prelude::*;
 use std::collections::HashSet;
@@ -125,11 +125,9 @@ fn solve_line(
         if halted() {
             return None;
         }
-        let settings = &config.manoeuvres[manoeuvre];
-        let (q_a, given) = pose(settings, *number);
-        let outcome = match start_of(config, settings, &q_a).zip(target(config, manoeuvre, &given).ok()) {
+        let outcome = match Task::of(config, manoeuvre, *number) {
             None => PoseOutcome::Rejected,
-            Some((start, target)) => {
+            Some(Task { start, given, target }) => {
                 let solution = optimize(config, target, start, Search::Best, neighbour.as_ref(), &options);
                 // An interrupted search has tried some guesses only: its best solution need not be the best of all.
                 if stopped() {

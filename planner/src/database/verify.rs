@@ -1,6 +1,6 @@
 //! Verification of a database: recomputes the figures and outcomes that its records state.
 
-use super::{certify, has_grid_of, pose, start_of};
+use super::{Task, certify, has_grid_of};
 use crate::offline::{optimize, options, target};
 use rayon::prelude::*;
 use upswing_config::Config;
@@ -109,16 +109,14 @@ pub fn verify(
     progress: impl Fn() + Sync,
 ) -> Vec<Discrepancy> {
     let compare_poses = has_grid_of(config, manoeuvre, database);
-    let settings = &config.manoeuvres[manoeuvre];
     let judge = |record: &PoseRecord| {
         if compare_poses {
-            let (q_a, given) = pose(settings, record.pose as usize);
-            let start = start_of(config, settings, &q_a).zip(target(config, manoeuvre, &given).ok());
-            let leaves_out = start.is_none();
+            let task = Task::of(config, manoeuvre, record.pose as usize);
+            let leaves_out = task.is_none();
             if leaves_out != matches!(record.outcome, PoseOutcome::Rejected) {
                 return Err(RecordFlaw::Rule { leaves_out });
             }
-            if let Some((start, target)) = start {
+            if let Some(Task { start, target, .. }) = task {
                 has_start(config, record, &start, target)?;
             }
         }
