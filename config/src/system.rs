@@ -42,10 +42,10 @@ static SHIPPED: &[ShippedSystem] = shipped! {
         "scenarios/heavy-arm.toml" "scenarios/joint-stops.toml" "scenarios/late-brakes.toml" "scenarios/long-rod.toml"
         "scenarios/lost-packets.toml" "scenarios/payload.toml" "scenarios/push.toml" "scenarios/rotor-inertia.toml"
         "scenarios/second-arm.toml" "scenarios/slow-drives.toml" "scenarios/torque-offset.toml" "scenarios/worn-bearings.toml";
-    "franka-pendulum": "robot.urdf" "robot.toml" "manoeuvres.toml" "plant.toml";
-    "ur5e-pendulum": "robot.urdf" "robot.toml" "manoeuvres.toml" "plant.toml";
-    "kr3-single": "robot.urdf" "robot.toml" "manoeuvres.toml" "plant.toml";
-    "gantry-crane": "robot.urdf" "robot.toml" "manoeuvres.toml" "plant.toml";
+    "franka-pendulum": "robot.urdf" "robot.toml" "manoeuvres.toml" "plant.toml" "scenarios/everyday.toml";
+    "ur5e-pendulum": "robot.urdf" "robot.toml" "manoeuvres.toml" "plant.toml" "scenarios/everyday.toml";
+    "kr3-single": "robot.urdf" "robot.toml" "manoeuvres.toml" "plant.toml" "scenarios/everyday.toml";
+    "gantry-crane": "robot.urdf" "robot.toml" "manoeuvres.toml" "planner.toml" "daemon.toml" "plant.toml" "scenarios/everyday.toml";
     "cart-pole": "robot.urdf" "robot.toml" "manoeuvres.toml" "plant.toml";
     "cart-double": "robot.urdf" "robot.toml" "manoeuvres.toml" "plant.toml";
     "cart-triple": "robot.urdf" "robot.toml" "manoeuvres.toml" "plant.toml";

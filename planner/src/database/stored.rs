@@ -20,7 +20,11 @@ macro_rules! shipped {
 
 /// Encoded databases of the shipped systems: system, manoeuvre, contents.
 pub static SHIPPED: &[(&str, &str, &[u8])] = shipped! {
-    "iiwa-pendulum": "swing-up";
+    "iiwa-pendulum": "swing-up" "move" "carry";
+    "franka-pendulum": "swing-up" "move" "carry";
+    "ur5e-pendulum": "swing-up" "move" "carry";
+    "kr3-single": "swing-up" "move" "carry";
+    "gantry-crane": "move";
 };
 
 /// Encoded database that is shipped with a system for the manoeuvre `name`.
