@@ -80,7 +80,7 @@ fn a_demo() {
     let picture = picture.to_str().expect("a plain path");
     let d = json(&["demo", "--clock", "lockstep", "--seconds", "2", "--picture", picture, "--json"], "");
     assert_eq!(d["success"], true, "{d}");
-    assert!(d["final_tilt_deg"].as_f64().is_some_and(|t| t < 2.0));
+    assert!(d["final_error_deg"].as_f64().is_some_and(|t| t < 2.0));
     let svg = std::fs::read_to_string(picture).expect("the picture");
     assert!(svg.starts_with("<svg") && svg.contains("pendulum_2"));
 }

@@ -38,10 +38,10 @@ causes! {
     NotFinite = 5, "an angle is not finite";
     /// An angle changed faster than the joint can move.
     EncoderJump = 6, "an angle jumped";
-    /// An angle of the arm is too far past the range open to plans.
-    PositionLimit = 7, "the arm is beyond a position limit";
-    /// A joint of the arm is too fast.
-    VelocityLimit = 8, "the arm is beyond a velocity limit";
+    /// The position of an actuated joint is too far past the range open to plans.
+    PositionLimit = 7, "an actuated joint is beyond its range";
+    /// An actuated joint is too fast.
+    VelocityLimit = 8, "an actuated joint is too fast";
     /// A measured torque is too high, or not finite.
     TorqueLimit = 9, "a measured torque is too high";
     /// The commanded torque changes too fast.
@@ -58,20 +58,20 @@ causes! {
     LawNotFinite = 15, "the control law gave no finite torque";
     /// An angle is too far from its reference.
     TrackingError = 16, "too far from the reference";
-    /// The pendulum is too far from its position at the end of the plan.
-    BalanceLost = 17, "the rod fell";
-    /// An angle of the pendulum is too far past the range open to plans.
-    PendulumRange = 18, "the pendulum is beyond the range open to plans";
+    /// The unactuated joints are too far from their positions at the end of the plan.
+    BalanceLost = 17, "the balance is lost";
+    /// The position of an unactuated joint is too far past the range open to plans.
+    PendulumRange = 18, "an unactuated joint is beyond the range open to plans";
     /// Too many consecutive cycles were overruns.
     LateCycles = 19, "cycles end late";
     /// The loaded plan is too old to be started.
     PlanAge = 20, "the loaded plan is old";
     /// An angle does not change although the torque must have moved its joint.
     StuckEncoder = 21, "an encoder is stuck";
-    /// To keep the rod upright the arm would have to move too fast.
-    BalanceSpeed = 22, "the rod is faster than the arm can follow";
+    /// To keep the balance an actuated joint would have to move too fast.
+    BalanceSpeed = 22, "the balance is lost: an actuated joint would have to move too fast";
     /// An unexplained torque acts on the arm: a person or an object is in its way.
-    Collision = 23, "something is in the arm's way";
+    Collision = 23, "something is in the robot's way";
     /// No angle and no measured torque changes, although the commanded torque does.
     FrozenMeasurement = 24, "the measurements are frozen";
     /// The measurements are those of another chain.
@@ -228,7 +228,9 @@ impl Trip {
                 format!("joint `{name}` is {value:.4} {q} from its reference, limit {limit:.4} {q}")
             }
             TripCause::BalanceLost => {
-                format!("the pendulum is {value:.4} {q} from the end of the plan, limit {limit:.4} {q}")
+                format!(
+                    "the unactuated joints are {value:.4} {q} from the end of the plan, limit {limit:.4} {q}"
+                )
             }
             TripCause::FrozenMeasurement => format!(
                 "no position and no measured torque has changed for {value:.4} s, although the commanded torque did"
@@ -238,7 +240,7 @@ impl Trip {
                  its way?"
             ),
             TripCause::BalanceSpeed => format!(
-                "joint `{name}` would have to move at {value:.4} {qd} to keep the rod upright, limit {limit:.4} {qd}"
+                "joint `{name}` would have to move at {value:.4} {qd} to keep the balance, limit {limit:.4} {qd}"
             ),
             TripCause::StuckEncoder => format!(
                 "the position of joint `{name}` has not changed for {value:.4} s, although the torque must have moved it by \
@@ -277,12 +279,15 @@ mod tests {
         (TripCause::PeriodMismatch, "the plant has a period of 2 ns, the daemon one of 4 ns"),
         (TripCause::UnknownClock, "the plant names clock 2, the last known is 4"),
         (TripCause::TrackingError, "joint `joint_3` is 1.5000 rad from its reference, limit 4.0000 rad"),
-        (TripCause::BalanceLost, "the pendulum is 1.5000 rad from the end of the plan, limit 4.0000 rad"),
+        (
+            TripCause::BalanceLost,
+            "the unactuated joints are 1.5000 rad from the end of the plan, limit 4.0000 rad",
+        ),
         (TripCause::LateCycles, "2 late cycles in a row, limit 4"),
         (TripCause::PlanAge, "the loaded plan is old"),
         (
             TripCause::BalanceSpeed,
-            "joint `joint_3` would have to move at 1.5000 rad/s to keep the rod upright, limit 4.0000 rad/s",
+            "joint `joint_3` would have to move at 1.5000 rad/s to keep the balance, limit 4.0000 rad/s",
         ),
         (
             TripCause::Collision,

@@ -53,8 +53,8 @@ impl OperatorRequest {
     pub const fn purpose(self) -> &'static str {
         match self {
             Self::Manoeuvre(_) => "Plan from the current state, then start the plan",
-            Self::Hold => "Hold the current pose of the arm",
-            Self::Stop => "Decelerate the arm, then hold",
+            Self::Hold => "Hold the current pose",
+            Self::Stop => "Decelerate, then hold",
             Self::Enable => "Open the brakes and hold",
             Self::Reset => "Leave the mode Fault; brakes stay closed",
         }
@@ -112,7 +112,7 @@ impl fmt::Display for NextAction<'_> {
             Self::Manoeuvre(Some(name)) => write!(f, "upswing request {name}"),
             Self::Manoeuvre(None) => f.write_str("request a manoeuvre"),
             Self::WaitOr(request) => write!(f, "wait, or upswing request {request}"),
-            Self::WaitForRest => f.write_str("wait until the arm rests"),
+            Self::WaitForRest => f.write_str("wait until the robot rests"),
         }
     }
 }

@@ -27,7 +27,7 @@ pub struct MotionFigures<T = f64> {
     pub limited_share: T,
     /// Largest difference between an unactuated joint and the end x_N of the plan in the last second of balance, deg; of a prismatic
     /// joint, 1 m counts as 1 rad.
-    pub final_tilt_deg: T,
+    pub final_error_deg: T,
     /// Largest velocity of the actuated joints in the last second of balance, rad/s or m/s.
     pub final_speed: T,
 }
@@ -43,7 +43,7 @@ impl MotionFigures {
             peak_velocity_pendulum: of(|m| m.peak_velocity_pendulum),
             peak_torque: of(|m| m.peak_torque),
             limited_share: of(|m| m.limited_share),
-            final_tilt_deg: of(|m| m.final_tilt_deg),
+            final_error_deg: of(|m| m.final_error_deg),
             final_speed: of(|m| m.final_speed),
         }
     }
@@ -92,7 +92,7 @@ pub struct SwingUpEvaluation {
     pub statistics: MotionStatistics,
 }
 
-/// Largest distance of a balanced or hanging pendulum from the end of the plan, deg.
+/// Largest distance of an unactuated joint from the end of the plan, deg.
 const BALANCED_DEG: f64 = 2.0;
 
 /// Largest share of the cycles in which the limiter may cut a torque. Assumed: while the limiter cuts, the loop is not the loop
@@ -231,7 +231,7 @@ impl MotionStatisticsCounter {
         MotionStatistics {
             motion: MotionFigures {
                 limited_share: self.limited as f64 / self.controlled.max(1) as f64,
-                final_tilt_deg: most(|end| end.1).to_degrees(),
+                final_error_deg: most(|end| end.1).to_degrees(),
                 final_speed: most(|end| end.2),
                 ..self.motion
             },
@@ -293,10 +293,10 @@ impl SwingUpEvaluation {
             }
         };
         fail(
-            !(m.final_tilt_deg <= BALANCED_DEG),
+            !(m.final_error_deg <= BALANCED_DEG),
             format!(
-                "the pendulum is {:.2} deg from the end of the plan in the last second, expected at most {BALANCED_DEG}",
-                m.final_tilt_deg
+                "an unactuated joint is {:.2} deg from the end of the plan in the last second, expected at most {BALANCED_DEG}",
+                m.final_error_deg
             ),
         );
         fail(
@@ -316,7 +316,10 @@ impl SwingUpEvaluation {
         );
         fail(
             m.peak_velocity_pendulum > 1.0,
-            format!("the pendulum reached {:.0} % of its velocity limit", 100.0 * m.peak_velocity_pendulum),
+            format!(
+                "an unactuated joint reached {:.0} % of its velocity limit",
+                100.0 * m.peak_velocity_pendulum
+            ),
         );
         fail(
             m.limited_share > LIMITED_SHARE,
@@ -366,19 +369,13 @@ impl std::fmt::Display for SwingUpEvaluation {
         writeln!(f, ", defect {:.1e}", self.defect)?;
         writeln!(
             f,
-            "  tracking  within {:.3} (actuated joints), {:.3} (free joints), rad or m",
+            "  tracking  within {:.3} (actuated joints), {:.3} (unactuated joints), rad or m",
             motion.tracking_error_arm, motion.tracking_error_pendulum
         )?;
         writeln!(
             f,
-            "  {stay:<9} {:.2} s, pendulum within {:.2} deg of {} and actuated joints below {:.3} rad/s or m/s in the last second",
-            balance_s,
-            motion.final_tilt_deg,
-            match self.end {
-                Posture::Standing => "upright",
-                Posture::Hanging => "its rest",
-            },
-            motion.final_speed
+            "  {stay:<9} {:.2} s, unactuated joints within {:.2} deg of the end of the plan, actuated joints below {:.3} rad/s or m/s in the last second",
+            balance_s, motion.final_error_deg, motion.final_speed
         )?;
         writeln!(
             f,

@@ -57,8 +57,8 @@ fn in_the_figures() {
     let away = [&cycles[0], &cycles[cycles.len() - 1]].map(away);
     assert!(away[0] > away[1], "{away:?}");
     assert!(
-        (figures.motion.final_tilt_deg - away[1].to_degrees()).abs() < 1e-9,
+        (figures.motion.final_error_deg - away[1].to_degrees()).abs() < 1e-9,
         "{}",
-        figures.motion.final_tilt_deg
+        figures.motion.final_error_deg
     );
 }

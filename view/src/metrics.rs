@@ -147,7 +147,7 @@ fn of_cycle(f: &mut Families, cycle: &CycleView) {
     f.each("fault", "", "1 for the latched fault", "cause", TripCause::ALL.iter().map(fault));
     f.gauge("brakes_closed", "", "Whether the brakes are closed", flag(cycle.brakes));
     f.gauge("torque_limited", "", "Whether the torque limiter cut the command", flag(cycle.limited));
-    f.gauge("rod_tilt", "radians", "Angle of the rod from upright", cycle.tilt);
+    f.gauge("rod_tilt", "radians", "Angle of the last link from upright", cycle.tilt);
     let errors = [("arm", cycle.error_arm), ("pendulum", cycle.error_pendulum)];
     let errors = errors.map(|(part, error)| (part.to_owned(), error));
     let help = "Largest distance of a joint from its reference in track and balance";

@@ -9,7 +9,7 @@ pub mod plan;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 use upswing_ipc::{Mode, Telemetry};
-use upswing_model::{Limits, Model};
+use upswing_model::{JointKind, Limits, Model};
 use upswing_process::output::{OutputError, OutputFile};
 
 /// Width of a picture, and height of a row of panels, px.
@@ -21,8 +21,8 @@ const JOINTS_PER_ROW: usize = 3;
 /// Upper end of the vertical axes in units of the 100 % limits, equal in all pictures, so that they can be compared. Plans may
 /// use up to 1.11 of the limit of a free joint.
 const SHOWN: f64 = 1.2;
-/// Titles of the columns.
-const COLUMNS: [&str; 3] = ["position / 100 % limit", "velocity / 100 % limit", "torque / 100 % limit"];
+/// Number of columns: positions, velocities, torques or forces.
+const COLUMNS: usize = 3;
 /// Colours that differ in print and for the colour-blind (Okabe, Ito 2008).
 const COLOURS: [RGBColor; 3] = [RGBColor(0, 114, 178), RGBColor(213, 94, 0), RGBColor(0, 158, 115)];
 
@@ -90,7 +90,7 @@ fn write(output: &OutputFile, drawing: &[u8]) -> Result<(), PictureError> {
     Ok(output.write(drawing)?)
 }
 
-/// Draws the records from 0.2 s before the plan starts to the end of the balance as an SVG: measured values in colour,
+/// Draws the records from 0.2 s before the plan starts to the end of the balance, or of the hold after the plan, as an SVG: measured values in colour,
 /// desired ones dashed, as in Fig. 5.
 ///
 /// # Errors
@@ -116,7 +116,9 @@ fn swing_up(
     let moving = |t: &&Telemetry| matches!(t.mode(), Ok(Mode::Track | Mode::Balance));
     let first = records.iter().position(|t| moving(&t)).ok_or(PictureError::NoSwingUp)?;
     let last = records.iter().rposition(|t| moving(&t)).unwrap_or(first);
-    let shown = &records[first.saturating_sub((LEAD / period) as usize)..=last];
+    // After a plan that ends hanging the mode is Hold.
+    let held = records[last + 1..].iter().take_while(|t| t.mode() == Ok(Mode::Hold)).count();
+    let shown = &records[first.saturating_sub((LEAD / period) as usize)..=last + held];
     let start = records[first].t_ns;
     let step = (shown.len() / POINTS).max(1);
     let shown: Vec<_> = shown.iter().step_by(step).collect();
@@ -140,34 +142,46 @@ fn swing_up(
     })
 }
 
-/// Draws all panels; `curves` returns the curves of a joint of the chain (0-based) in the order of [`COLUMNS`].
+/// Draws all panels; `curves` returns the curves of a joint of the chain (0-based) in the order of the columns.
 fn draw_panels(
     look: &PanelStyle,
     model: &Model,
-    curves: impl Fn(usize) -> [Option<CurvePair>; COLUMNS.len()],
+    curves: impl Fn(usize) -> [Option<CurvePair>; COLUMNS],
 ) -> Result<String, PictureError> {
     let names: Vec<&str> = model.joint_names().collect();
+    let titles = ["position", "velocity", effort(model)].map(|title| format!("{title} / 100 % limit"));
     let rows = names.len().div_ceil(JOINTS_PER_ROW);
     // The space to the right of the curves, in units of the time range, is for the legend with its names.
     let longest = names.iter().map(|name| name.chars().count()).max().unwrap_or(0);
     let legend = 0.25 + 0.028 * longest as f64;
     svg((SIZE.0, SIZE.1 * rows as u32), |root| {
-        let panels = root.split_evenly((rows, COLUMNS.len()));
+        let panels = root.split_evenly((rows, COLUMNS));
         for (row, names) in names.chunks(JOINTS_PER_ROW).enumerate() {
-            let mut columns = [const { Vec::new() }; COLUMNS.len()];
+            let mut columns = [const { Vec::new() }; COLUMNS];
             for (i, name) in names.iter().enumerate() {
                 for (column, curve) in columns.iter_mut().zip(curves(row * JOINTS_PER_ROW + i)) {
                     column.extend(curve.map(|c| (*name, c)));
                 }
             }
             for (column, curves) in columns.iter().enumerate() {
-                let title = if row == 0 { COLUMNS[column] } else { "" };
+                let title = if row == 0 { titles[column].as_str() } else { "" };
                 let bottom = row + 1 == rows;
-                draw_panel(&panels[row * COLUMNS.len() + column], title, (bottom, legend), look, curves)?;
+                draw_panel(&panels[row * COLUMNS + column], title, (bottom, legend), look, curves)?;
             }
         }
         Ok(())
     })
+}
+
+/// What the motors of a robot give: torques, forces of prismatic joints, or both.
+fn effort(model: &Model) -> &'static str {
+    let slides = |joint: usize| model.joint_kind(joint) == JointKind::Prismatic;
+    let actuated = || 0..model.sizes().actuated();
+    match (actuated().any(slides), actuated().all(slides)) {
+        (false, _) => "torque",
+        (true, false) => "torque, force",
+        (true, true) => "force",
+    }
 }
 
 /// Clamps a point to the vertical range of its panel.

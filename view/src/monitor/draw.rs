@@ -154,10 +154,10 @@ fn joint_line(joint: &JointView, (name, wide, narrow): (usize, usize, usize), th
     Line::from(spans)
 }
 
-/// The rod seen along the world's x and y axes; up is up.
+/// The last link seen along the world's x and y axes; up is up.
 fn draw_pendulum(frame: &mut Frame, area: Rect, cycle: Option<&CycleView>, theme: Theme) {
     let tilt = cycle.map_or_else(String::new, |c| format!(": {:.1} deg from upright ", c.tilt.to_degrees()));
-    let block = Block::bordered().title(format!(" Rod{tilt}"));
+    let block = Block::bordered().title(format!(" Last link{tilt}"));
     let inner = block.inner(area);
     frame.render_widget(block, area);
     let Some(cycle) = cycle else { return };
@@ -270,7 +270,7 @@ fn draw_events(frame: &mut Frame, area: Rect, view: &View, theme: Theme) {
 }
 
 fn footer(keys: &KeyState, theme: Theme) -> Line<'_> {
-    // The line takes 77 of 80 columns for the arm.
+    // The line takes 77 of 80 columns for the iiwa.
     let keys = keys
         .requests()
         .iter()
@@ -302,10 +302,10 @@ fn help(frame: &mut Frame, keys: &KeyState, theme: Theme) {
 /// Effect of a request on the robot.
 fn effect(request: OperatorRequest) -> &'static str {
     match request {
-        OperatorRequest::Enable => "The brakes open and the arm holds its pose.",
-        OperatorRequest::Manoeuvre(_) => "The arm moves fast.",
-        OperatorRequest::Hold => "The arm holds its pose; a rod that stands falls.",
-        OperatorRequest::Stop => "The arm decelerates.",
+        OperatorRequest::Enable => "The brakes open and the robot holds its pose.",
+        OperatorRequest::Manoeuvre(_) => "The robot moves fast.",
+        OperatorRequest::Hold => "The robot holds its pose; what stands falls.",
+        OperatorRequest::Stop => "The robot decelerates.",
         OperatorRequest::Reset => "The fault is forgotten; brakes stay closed.",
     }
 }

@@ -5,7 +5,7 @@ use super::{MotionColumns, RecordingDigest};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;
-use upswing_ipc::Degradation;
+use upswing_ipc::{Degradation, Mode};
 use upswing_model::{JointVector, Limits, Model};
 use upswing_record::robot::{Capsule, Link, Robot};
 use upswing_record::{Recording, RecordingError};
@@ -152,7 +152,11 @@ fn settings(recording: &Recording) -> Vec<(String, String, String)> {
 }
 
 fn summary(digest: &RecordingDigest, recording: &Recording) -> Vec<(&'static str, String)> {
-    let (statistics, tally) = (digest.statistics(), &digest.tally);
+    let ((end, statistics), tally) = (digest.statistics(), &digest.tally);
+    let (time, last_second) = match end {
+        Mode::Balance => ("balance", "last second of balance"),
+        _ => ("hold after a plan", "last second of hold"),
+    };
     let motion = statistics.motion;
     let percent = |share: f64| format!("{:.0} %", 100.0 * share);
     let degraded: Vec<_> = Degradation::of(digest.degraded).map(|d| d.to_string()).collect();
@@ -169,18 +173,18 @@ fn summary(digest: &RecordingDigest, recording: &Recording) -> Vec<(&'static str
         (
             "tracking error",
             format!(
-                "{:.3} (actuated joints), {:.3} (free joints), rad or m",
+                "{:.3} (actuated joints), {:.3} (unactuated joints), rad or m",
                 motion.tracking_error_arm, motion.tracking_error_pendulum
             ),
         ),
-        ("balance", format!("{:.2} s", statistics.balance_s)),
+        (time, format!("{:.2} s", statistics.balance_s)),
     ];
-    if motion.final_tilt_deg.is_finite() {
+    if motion.final_error_deg.is_finite() {
         rows.push((
-            "last second of balance",
+            last_second,
             format!(
-                "rod within {:.2} deg of upright, actuated joints below {:.3} rad/s or m/s",
-                motion.final_tilt_deg, motion.final_speed
+                "unactuated joints within {:.2} deg of the end of the plan, actuated joints below {:.3} rad/s or m/s",
+                motion.final_error_deg, motion.final_speed
             ),
         ));
     }

@@ -30,7 +30,8 @@ pub struct RecordingDigest {
     /// Control period, s.
     pub period: f64,
     step_ns: u64,
-    statistics: MotionStatisticsCounter,
+    /// Statistics for an end in Balance, and for one in Hold after a plan.
+    statistics: [MotionStatisticsCounter; 2],
     /// Mode or fault, begin and end, ns, of each time span in one mode.
     spans: Vec<(String, u64, u64)>,
     state: Option<(u64, u64)>,
@@ -54,7 +55,7 @@ impl RecordingDigest {
             degraded: 0,
             period: period(recording),
             step_ns: STEP_NS,
-            statistics: MotionStatisticsCounter::new(Posture::Standing),
+            statistics: [Posture::Standing, Posture::Hanging].map(MotionStatisticsCounter::new),
             spans: Vec::new(),
             state: None,
             late_ns: Vec::new(),
@@ -69,7 +70,9 @@ impl RecordingDigest {
         let record = &Telemetry { t_ns: t, ..*record };
         self.tally.count(record);
         self.times.count(record);
-        self.statistics.count(&self.model, self.model.rated_limits(), record);
+        for statistics in &mut self.statistics {
+            statistics.count(&self.model, self.model.rated_limits(), record);
+        }
         self.warnings |= record.warnings;
         self.degraded |= record.degraded;
         if record.mode() == Ok(Mode::Track) {
@@ -102,9 +105,10 @@ impl RecordingDigest {
         (self.step_ns as f64 * 1e-9).max(self.period)
     }
 
-    /// Statistics of the motion in all cycles.
-    pub fn statistics(&self) -> MotionStatistics {
-        self.statistics.statistics(self.period, self.tally.lost)
+    /// Statistics of the motion in all cycles, with the mode in which it ended: Balance if the recording has it, otherwise Hold.
+    pub fn statistics(&self) -> (Mode, MotionStatistics) {
+        let [balance, hold] = self.statistics.each_ref().map(|s| s.statistics(self.period, self.tally.lost));
+        if balance.balance_s > 0.0 { (Mode::Balance, balance) } else { (Mode::Hold, hold) }
     }
 
     /// Time spans of the modes in their order, s.

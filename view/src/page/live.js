@@ -28,9 +28,9 @@ addEventListener("DOMContentLoaded", () => {
     };
     panel("position", joint => joint.index, motion.q, motion.q_d);
     panel("velocity", joint => joint.index, motion.qd, motion.qd_d);
-    panel("torque", joint => joint.motor, motion.tau, null);
+    panel(effort(joints), joint => joint.motor, motion.tau, null);
   }
-  const scene = new Scene($("scene"), data.links, () => { dirty = true; });
+  const scene = new Scene($("scene"), data.links, data.joints, () => { dirty = true; });
   document.title = `${data.domain} - upswing`;
   $("name").textContent = `upswing, domain ${data.domain}`;
 
@@ -76,8 +76,8 @@ addEventListener("DOMContentLoaded", () => {
     const tilt = cycle && cycle.tilt !== null ? `${(cycle.tilt * 180 / Math.PI).toFixed(1)} deg from upright` : "unknown";
     const rows = [["mode", view.mode || "no daemon"], ["next", view.next || "start a daemon"]];
     if (cycle) {
-      rows.push(["fault", cycle.fault || "none"], ["rod", tilt]);
-      rows.push(["distance from reference", `${fixed(cycle.error_arm, 4)} (actuated joints), ${fixed(cycle.error_pendulum, 4)} (free joints), rad or m`]);
+      rows.push(["fault", cycle.fault || "none"], ["last link", tilt]);
+      rows.push(["distance from reference", `${fixed(cycle.error_arm, 4)} (actuated joints), ${fixed(cycle.error_pendulum, 4)} (unactuated joints), rad or m`]);
     }
     if (plan) {
       const at = cycle && cycle.plan === plan.id ? `, at ${fixed(cycle.t_plan, 2)} s` : "";
@@ -115,6 +115,7 @@ addEventListener("DOMContentLoaded", () => {
       trail.push(scene.tip(motion.q.map((column, i) => column[k] * limits.q[i])));
     }
     const q = newest("q");
+    scene.fit(q);
     scene.draw(q, follows(last.name) ? newest("q_d") : null, trail);
     $("readout").textContent = [`mode ${last.name}`, ...freeJoints(data.joints, i => q[i])].join("\n");
     panels.forEach(panel => { panel.render(); panel.draw(end, column => column[column.length - 1]); });

@@ -55,10 +55,11 @@ addEventListener("DOMContentLoaded", () => {
     };
     panel("position", joint => joint.index, q, desired, data.limits.q);
     panel("velocity", joint => joint.index, data.qd, data.qd_d, data.limits.qd);
-    panel("torque", joint => joint.motor, data.tau, null, data.limits.tau);
+    panel(effort(joints), joint => joint.motor, data.tau, null, data.limits.tau);
   }
 
-  const scene = new Scene($("scene"), data.links, draw);
+  const scene = new Scene($("scene"), data.links, data.joints, draw);
+  for (let k = 0; k <= 40; k++) scene.fit(q.map(column => at(column, place(begin + (end - begin) * k / 40))));
   const scrub = $("scrub");
   Object.assign(scrub, { min: begin, max: end, step: 0.001 });
 

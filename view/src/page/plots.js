@@ -39,6 +39,12 @@ function freeJoints(joints, position) {
   });
 }
 
+// What the motors of the joints give: torques, forces of prismatic joints, or both.
+function effort(joints) {
+  const units = joints.filter(joint => joint.motor !== null).map(joint => joint.unit);
+  return [["deg", "torque"], ["m", "force"]].filter(([unit]) => units.includes(unit)).map(([, name]) => name).join(", ");
+}
+
 // Panel with curves of joints over time. `curves`: { label, colour, values, desired, parts }.
 class Panel {
   constructor(parent, title, t, curves, seek) {

@@ -33,15 +33,18 @@ function poses(links, q) {
 }
 
 class Scene {
-  constructor(canvas, links, changed) {
+  constructor(canvas, links, joints, changed) {
     this.canvas = canvas;
     this.links = links;
-    // The camera looks at the middle of the robot at q = 0, from so far away that all of it is in the picture.
-    const rest = poses(links, new Array(64).fill(0));
-    const points = links.flatMap((link, i) => link.shapes.flatMap(s => [s.a, s.b]).map(v => add(rest[i].p, apply(rest[i].r, v))));
-    const [low, high] = [Math.min, Math.max].map(f => [0, 1, 2].map(k => points.reduce((m, v) => f(m, v[k]), points.length ? points[0][k] : 0)));
-    this.size = Math.max(Math.hypot(...high.map((v, k) => v - low[k])), 0.2);
-    this.camera = { azimuth: -0.95, elevation: 0.14, distance: 1.6 * this.size, target: mix(low, high, 0.5) };
+    this.camera = { azimuth: -0.95, elevation: 0.14, zoom: 1.6, target: [0, 0, 0] };
+    [this.low, this.high, this.size] = [[Infinity, Infinity, Infinity], [-Infinity, -Infinity, -Infinity], 0.2];
+    // Slides that an unactuated joint carries, such as a hoist, hang on a rope.
+    const carried = [];
+    links.forEach((link, i) => {
+      const above = link.parent, joint = above === null ? null : links[above].joint;
+      carried[i] = above !== null && (carried[above] || (joint !== null && joints[joint].motor === null));
+    });
+    this.hanging = links.map((link, i) => i).filter(i => links[i].slides && carried[i]);
     const rod = links[links.length - 1];
     const ends = rod.shapes.flatMap(s => [s.a, s.b]);
     const length = v => Math.hypot(...v);
@@ -55,14 +58,25 @@ class Scene {
     });
     canvas.addEventListener("wheel", e => {
       e.preventDefault();
-      this.camera.distance = Math.max(0.5 * this.size, Math.min(6 * this.size, this.camera.distance * Math.exp(e.deltaY * 0.001)));
+      this.camera.zoom = Math.max(0.5, Math.min(6, this.camera.zoom * Math.exp(e.deltaY * 0.001)));
       changed();
     }, { passive: false });
   }
 
+  // Extends the picture so that the robot at the positions q is in it.
+  fit(q) {
+    if (!q.every(Number.isFinite)) return;
+    const now = poses(this.links, q);
+    const points = this.links.flatMap((link, i) => link.shapes.flatMap(s => [s.a, s.b]).map(v => add(now[i].p, apply(now[i].r, v))));
+    if (!points.length) return;
+    [this.low, this.high] = [[Math.min, this.low], [Math.max, this.high]].map(([f, end]) => end.map((v, k) => points.reduce((m, p) => f(m, p[k]), v)));
+    this.size = Math.max(Math.hypot(...this.high.map((v, k) => v - this.low[k])), 0.2);
+    this.camera.target = mix(this.low, this.high, 0.5);
+  }
+
   // Projects a point in the world frame, m, to [px, px, px per m, depth in m].
   project(v) {
-    const { azimuth: a, elevation: e, distance, target } = this.camera;
+    const { azimuth: a, elevation: e, zoom, target } = this.camera, distance = zoom * this.size;
     const [x, y, z] = v.map((c, i) => c - target[i]);
     const ahead = -x * Math.cos(a) - y * Math.sin(a), right = -x * Math.sin(a) + y * Math.cos(a);
     const depth = distance + ahead * Math.cos(e) - z * Math.sin(e);
@@ -102,9 +116,13 @@ class Scene {
     sky.addColorStop(0, "#eef2f7"); sky.addColorStop(1, "#fbfcfd");
     g.fillStyle = sky; g.fillRect(0, 0, this.width, this.height);
     const now = poses(this.links, q);
-    this.grid(0, 1, "#dfe4ea");
-    this.grid(now[Math.min(1, now.length - 1)].p[2], 0.4, "#c3ccd6");
+    this.grid(0, 0.6 * this.size, "#dfe4ea");
+    this.grid(now[Math.min(1, now.length - 1)].p[2], 0.24 * this.size, "#c3ccd6");
     trail.slice(1).forEach((v, i) => this.line(trail[i], v, `rgba(140, 20, 25, ${0.55 * (i + 1) / trail.length})`, 2));
+    for (const i of this.hanging) {
+      const link = this.links[i], parent = now[link.parent];
+      this.line(add(parent.p, apply(parent.r, link.origin)), now[i].p, "#333", 2);
+    }
     const pieces = this.links.flatMap((link, i) => link.shapes.map(shape => {
       const [a, b] = [shape.a, shape.b].map(v => add(now[i].p, apply(now[i].r, v)));
       return { a, b, shape, depth: this.project(mix(a, b, 0.5))[3] };

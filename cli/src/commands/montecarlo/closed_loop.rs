@@ -51,18 +51,18 @@ impl std::fmt::Display for ClosedLoopResult {
 }
 
 fn write_condition(f: &mut std::fmt::Formatter<'_>, c: &ConditionResult) -> std::fmt::Result {
-    writeln!(f, "{}: {} of {} starts end balanced", c.condition, c.succeeded, c.samples)?;
+    writeln!(f, "{}: {} of {} starts succeed", c.condition, c.succeeded, c.samples)?;
     writeln!(f, "  {}", c.purpose)?;
     let m = &c.motion;
     let rows = [
-        ("tracking of arm, rad", m.tracking_error_arm, 1.0),
-        ("tracking of rod, rad", m.tracking_error_pendulum, 1.0),
+        ("tracking, actuated", m.tracking_error_arm, 1.0),
+        ("tracking, unactuated", m.tracking_error_pendulum, 1.0),
         ("position, % of limit", m.peak_position, 100.0),
         ("velocity, % of limit", m.peak_velocity, 100.0),
-        ("pendulum, % of limit", m.peak_velocity_pendulum, 100.0),
+        ("velocity, unactuated, %", m.peak_velocity_pendulum, 100.0),
         ("torque, % of limit", m.peak_torque, 100.0),
         ("cut torques, % of time", m.limited_share, 100.0),
-        ("final tilt, deg", m.final_tilt_deg, 1.0),
+        ("final error, deg", m.final_error_deg, 1.0),
         ("final speed, rad/s", m.final_speed, 1.0),
         ("one run, s", c.times.run, 1.0),
     ];
