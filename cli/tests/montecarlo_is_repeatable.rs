@@ -36,7 +36,7 @@ fn replans() {
     assert_eq!(again["samples"], 1);
     assert_eq!(again["results"][0], one["results"][4]);
     let other = montecarlo(&["replan", "--seed", "4", "--only", "4"]);
-    assert_ne!(other["results"][0]["start_deg"], one["results"][4]["start_deg"]);
+    assert_ne!(other["results"][0]["start"], one["results"][4]["start"]);
 }
 
 #[test]

@@ -39,9 +39,9 @@ causes! {
     /// An angle changed faster than the joint can move.
     EncoderJump = 6, "an angle jumped";
     /// The position of an actuated joint is too far past the range open to plans.
-    PositionLimit = 7, "an actuated joint is beyond its range";
+    PositionLimit = 7, "an actuated joint is beyond a position limit";
     /// An actuated joint is too fast.
-    VelocityLimit = 8, "an actuated joint is too fast";
+    VelocityLimit = 8, "an actuated joint is beyond a velocity limit";
     /// A measured torque is too high, or not finite.
     TorqueLimit = 9, "a measured torque is too high";
     /// The commanded torque changes too fast.

@@ -8,12 +8,12 @@ fn of_the_shipped_database() {
     let config = Config::embedded().expect("embedded settings");
     let file = DatabaseFile::of(&config, 0).expect("a file").expect("the shipped database");
     let database = file.decode().expect("a database");
-    let overview = DatabaseOverview::of(&database);
+    let overview = DatabaseOverview::of(&database, &config.model);
     assert_eq!(overview.entries, database.entries().count());
     assert_eq!(overview.entries + overview.rejected + overview.failed, database.records.len());
     assert!(overview.joints.len() >= 2);
     for joint in &overview.joints {
-        assert!(joint.angles_deg.is_sorted());
+        assert!(joint.positions.is_sorted());
         assert_eq!(joint.entries.iter().sum::<usize>(), overview.entries, "joint {}", joint.joint);
     }
     let sums: Vec<usize> = overview.map.iter().map(|row| row.iter().sum()).collect();

@@ -425,15 +425,15 @@ impl std::fmt::Display for DbInfoResult {
         writeln!(f, "  cost      {:.3} to {:.3}", self.cost_min, self.cost_max)?;
         write!(f, "  worst     {}", self.worst)?;
         for c in &self.joints {
-            let angles: Vec<_> =
-                c.angles_deg.iter().zip(&c.entries).map(|(a, n)| format!("{a} ({n})")).collect();
-            write!(f, "\n  joint {}   {} deg (entries)", c.joint, angles.join(", "))?;
+            let positions: Vec<_> =
+                c.positions.iter().zip(&c.entries).map(|(q, n)| format!("{q} ({n})")).collect();
+            write!(f, "\n  joint {}   {} {} (entries)", c.joint, positions.join(", "), c.unit)?;
         }
         write!(f, "{}", self.map)
     }
 }
 
-/// Draws the map of an overview as text, with one cell per pair of angles, darker with more entries; nothing without a map.
+/// Draws the map of an overview as text, with one cell per pair of positions, darker with more entries; nothing without a map.
 fn coverage_map(overview: &DatabaseOverview) -> String {
     const SHADES: [char; 5] = ['·', '░', '▒', '▓', '█'];
     let ([.., rows, columns], cells) = (overview.joints.as_slice(), &overview.map) else {
@@ -441,16 +441,17 @@ fn coverage_map(overview: &DatabaseOverview) -> String {
     };
     let most = cells.iter().flatten().copied().max().unwrap_or(0).max(1);
     let mut map = format!(
-        "\n  coverage  joint {} down, joint {} across ({} to {} deg); █ is {most} entries, · none",
+        "\n  coverage  joint {} down, joint {} across ({} to {} {}); █ is {most} entries, · none",
         rows.joint,
         columns.joint,
-        columns.angles_deg.first().copied().unwrap_or(0.0),
-        columns.angles_deg.last().copied().unwrap_or(0.0)
+        columns.positions.first().copied().unwrap_or(0.0),
+        columns.positions.last().copied().unwrap_or(0.0),
+        columns.unit
     );
-    for (angle, row) in rows.angles_deg.iter().zip(cells) {
+    for (position, row) in rows.positions.iter().zip(cells) {
         let shade = |n: &usize| SHADES[(n * (SHADES.len() - 1)).div_ceil(most)];
         let line: String = row.iter().flat_map(|n| [shade(n); 2]).collect();
-        map.push_str(&format!("\n  {angle:>8}  {line}"));
+        map.push_str(&format!("\n  {position:>8}  {line}"));
     }
     map
 }
@@ -459,7 +460,7 @@ fn info(common: &CommonArgs, name: Option<&str>, file: Option<&Path>) -> Result<
     let config = common.process.load()?;
     let manoeuvre = number_of(&config, name)?;
     let (database, origin) = read(&config, manoeuvre, file)?;
-    let (h, overview) = (&database.heading, DatabaseOverview::of(&database));
+    let (h, overview) = (&database.heading, DatabaseOverview::of(&database, &config.model));
     common.print(&DbInfoResult {
         origin,
         poses: h.poses,

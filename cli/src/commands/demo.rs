@@ -58,7 +58,7 @@ struct DemoResult {
     #[serde(flatten)]
     evaluation: SwingUpEvaluation,
     clock: String,
-    start_deg: Vec<f64>,
+    start: Vec<f64>,
     scenario: Option<String>,
     picture: PathBuf,
     recording: Option<PathBuf>,
@@ -121,7 +121,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
     let period = config.daemon.cycle.period.seconds();
     let recorder = recording.map(|file| {
         file.clear().map_err(|e| Failure::BadInput(format!("--record: {e}")))?;
-        let mut details = vec![("clock", args.clock.to_string()), ("start_deg", start.to_string())];
+        let mut details = vec![("clock", args.clock.to_string()), ("start", start.to_string())];
         details.extend(DatabaseFile::of(&config, 0)?.map(|d| ("database_fingerprint", d.fingerprint())));
         details.extend(args.scenario.clone().map(|scenario| ("scenario", scenario)));
         Recorder::create(file.path(), &config, details).map_err(Failure::from)
@@ -153,7 +153,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
     let result = DemoResult {
         evaluation,
         clock: args.clock.to_string(),
-        start_deg: start.0,
+        start: start.0,
         scenario: args.scenario.clone(),
         picture: named.to_path_buf(),
         recording: args.record.as_deref().map(Path::to_path_buf),

@@ -16,7 +16,7 @@ pub struct RunResult {
     /// Number of the start.
     pub index: u64,
     /// Positions of the actuated joints at the start, deg or m.
-    pub start_deg: Vec<f64>,
+    pub start: Vec<f64>,
     /// Figures of a completed run; `None` if the run was aborted.
     pub end: Option<RunFigures>,
     /// Kind of the failure; `None`: success, the rod was balanced at the end.
@@ -139,7 +139,7 @@ impl ConditionStudy<'_> {
         let time_s = begin.elapsed().as_secs_f64();
         Ok(RunResult {
             index,
-            start_deg: shown_pose(&self.study.starts.config.model, &start),
+            start: shown_pose(&self.study.starts.config.model, &start),
             end,
             failure,
             reasons,

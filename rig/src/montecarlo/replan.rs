@@ -19,7 +19,7 @@ pub struct StartResult {
     /// Number of the start.
     pub index: u64,
     /// Positions of the actuated joints at the start, deg or m.
-    pub start_deg: Vec<f64>,
+    pub start: Vec<f64>,
     /// The plan, also one that the daemon refuses; `None` if there is none.
     pub plan: Option<PlanFigures>,
     /// Reason for the failure; `None`: success.
@@ -150,5 +150,5 @@ fn sample(planner: &Planner, solver: &mut QpSolver, index: u64, start: &State) -
         }
         Err(e) => (None, Some(e.to_string()), StartTimes { total, ..StartTimes::default() }),
     };
-    StartResult { index, start_deg: shown_pose(&config.model, start), plan, failure, times }
+    StartResult { index, start: shown_pose(&config.model, start), plan, failure, times }
 }

@@ -47,7 +47,7 @@ pub struct FailedStart {
     /// Number of the start.
     pub index: u64,
     /// Positions of the actuated joints at the start, deg or m.
-    pub start_deg: Vec<f64>,
+    pub start: Vec<f64>,
     /// Kind of the failure.
     pub kind: String,
     /// Details of the failure, one per criterion that was not met.
@@ -141,7 +141,7 @@ impl RobustnessStudy<'_> {
         };
         Ok(Some(FailedStart {
             index,
-            start_deg: shown_pose(&self.study.starts.config.model, &start),
+            start: shown_pose(&self.study.starts.config.model, &start),
             kind,
             reasons,
         }))

@@ -4,6 +4,7 @@
 use super::{Area, DrawResult, PictureError, svg, write};
 use plotters::prelude::*;
 use upswing_config::GridAxis;
+use upswing_model::Model;
 use upswing_process::output::OutputFile;
 
 /// Edge length of a panel, px.
@@ -20,8 +21,8 @@ const NO_PLAN: RGBColor = RGBColor(213, 94, 0);
 /// Start of a plan and the margins of the plan.
 #[derive(Clone, Debug)]
 pub struct MapPoint {
-    /// Start angles q_A, deg.
-    pub q_deg: Vec<f64>,
+    /// Start positions q_A, deg or m.
+    pub q: Vec<f64>,
     /// Smallest margins of position, velocity and torque, as shares of half the range; `None` if there is no plan.
     pub margins: Option<[f64; 3]>,
 }
@@ -34,18 +35,19 @@ enum MapCell {
     Margin(f64),
 }
 
-/// Range of one joint, deg, divided into cells.
-#[derive(Clone, Copy)]
+/// Range of one joint, deg or m, divided into cells.
 struct MapAxis {
     joint: usize,
+    /// Name of the joint with the unit.
+    label: String,
     from: f64,
     to: f64,
     cells: usize,
 }
 
 impl MapAxis {
-    fn cell(&self, q_deg: &[f64]) -> usize {
-        let share = (q_deg[self.joint] - self.from) / (self.to - self.from);
+    fn cell(&self, q: &[f64]) -> usize {
+        let share = (q[self.joint] - self.from) / (self.to - self.from);
         ((share * self.cells as f64) as usize).min(self.cells - 1)
     }
 
@@ -54,20 +56,25 @@ impl MapAxis {
     }
 }
 
-/// Draws the map as an SVG. `axes`: ranges of the start angles, rad; joints with a range of no width are left out.
+/// Draws the map as an SVG. `axes`: ranges of the start positions of joints of `model`, rad or m; joints with a range of no width are left out.
 ///
 /// # Errors
 /// [`PictureError`] if fewer than two joints have a range, or the picture could not be drawn or written.
-pub fn draw(output: &OutputFile, axes: &[GridAxis], points: &[MapPoint]) -> Result<(), PictureError> {
+pub fn draw(
+    output: &OutputFile,
+    model: &Model,
+    axes: &[GridAxis],
+    points: &[MapPoint],
+) -> Result<(), PictureError> {
     let cells = (points.len() as f64 / STARTS_PER_CELL).sqrt().clamp(CELLS.0, CELLS.1) as usize;
-    let sides: Vec<MapAxis> = axes
-        .iter()
-        .filter(|a| a.to > a.from)
-        .map(|a| MapAxis { joint: a.joint, from: a.from.to_degrees(), to: a.to.to_degrees(), cells })
-        .collect();
-    let pairs: Vec<(MapAxis, MapAxis)> = (0..sides.len())
+    let side = |a: &GridAxis| {
+        let [(from, unit), (to, _)] = [a.from, a.to].map(|q| model.joint_kind(a.joint).shown(q));
+        MapAxis { joint: a.joint, label: format!("{} ({unit})", model.joint_name(a.joint)), from, to, cells }
+    };
+    let sides: Vec<MapAxis> = axes.iter().filter(|a| a.to > a.from).map(side).collect();
+    let pairs: Vec<(&MapAxis, &MapAxis)> = (0..sides.len())
         .flat_map(|i| (i + 1..sides.len()).map(move |j| (i, j)))
-        .map(|(i, j)| (sides[i], sides[j]))
+        .map(|(i, j)| (&sides[i], &sides[j]))
         .collect();
     if pairs.is_empty() {
         return Err(PictureError::NoPair);
@@ -92,7 +99,7 @@ pub fn draw(output: &OutputFile, axes: &[GridAxis], points: &[MapPoint]) -> Resu
 fn smallest(points: &[MapPoint], kind: usize, x: &MapAxis, y: &MapAxis) -> Vec<MapCell> {
     let mut cells = vec![MapCell::Empty; x.cells * y.cells];
     for p in points {
-        let cell = &mut cells[y.cell(&p.q_deg) * x.cells + x.cell(&p.q_deg)];
+        let cell = &mut cells[y.cell(&p.q) * x.cells + x.cell(&p.q)];
         *cell = match (*cell, p.margins) {
             (_, None) | (MapCell::NoPlan, _) => MapCell::NoPlan,
             (MapCell::Empty, Some(m)) => MapCell::Margin(m[kind]),
@@ -123,10 +130,11 @@ fn draw_panel(area: &Area<'_>, x: &MapAxis, y: &MapAxis, cells: &[MapCell], rang
         .label_style(("sans-serif", 12))
         .x_labels(4)
         .y_labels(4)
-        .x_label_formatter(&|v| format!("{v:.0}"))
-        .y_label_formatter(&|v| format!("{v:.0}"))
-        .x_desc(format!("q{} (deg)", x.joint + 1))
-        .y_desc(format!("q{} (deg)", y.joint + 1))
+        // Labels like 60 and 0.25, without trailing zeros.
+        .x_label_formatter(&|v| ((v * 1e6).round() / 1e6).to_string())
+        .y_label_formatter(&|v| ((v * 1e6).round() / 1e6).to_string())
+        .x_desc(x.label.as_str())
+        .y_desc(y.label.as_str())
         .draw()?;
     chart.draw_series(cells.iter().enumerate().filter_map(|(i, cell)| {
         let (column, row) = (i % x.cells, i / x.cells);

@@ -70,7 +70,7 @@ fn write_condition(f: &mut std::fmt::Formatter<'_>, c: &ConditionResult) -> std:
     write!(f, "  time {:.1} s", c.times.total)?;
     c.failures.iter().try_for_each(|(kind, n)| write!(f, "\n  {n} times: {kind}"))?;
     let failed = c.results.iter().filter(|s| s.failure.is_some());
-    list_failures(f, failed.map(|s| (s.index, &s.start_deg[..], s.reasons.join("; "))))
+    list_failures(f, failed.map(|s| (s.index, &s.start[..], s.reasons.join("; "))))
 }
 
 /// Swings up from every start under every condition.

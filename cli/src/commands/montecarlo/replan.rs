@@ -67,7 +67,7 @@ impl std::fmt::Display for ReplanResult {
         ];
         write_spreads(f, &rows)?;
         write!(f, "  time      {:.1} s on {} threads", s.times.total, self.threads)?;
-        let failures = s.results.iter().filter_map(|r| Some((r.index, &r.start_deg[..], r.failure.clone()?)));
+        let failures = s.results.iter().filter_map(|r| Some((r.index, &r.start[..], r.failure.clone()?)));
         list_failures(f, failures)
     }
 }
@@ -91,9 +91,11 @@ pub fn run(args: &ReplanArgs) -> Result<(), Failure> {
         let points: Vec<_> = statistics
             .results
             .iter()
-            .map(|s| map::MapPoint { q_deg: s.start_deg.clone(), margins: s.plan.as_ref().map(margins) })
+            .map(|s| map::MapPoint { q: s.start.clone(), margins: s.plan.as_ref().map(margins) })
             .collect();
-        map::draw(output, &planner.config().manoeuvres[0].grid.axes, &points).map_err(Failure::failed)?;
+        let config = planner.config();
+        map::draw(output, &config.model, &config.manoeuvres[0].grid.axes, &points)
+            .map_err(Failure::failed)?;
     }
     args.sampling.common.print(&ReplanResult {
         success: complete && succeeded == samples,
