@@ -18,7 +18,8 @@ pub struct RobotSettings {
     pub description: String,
     /// Rated limits, 100 % (Table II).
     pub limits: Limits,
-    /// Limits of plans: shares of the rated velocities and torques, positions of the unactuated joints with a margin.
+    /// Limits of plans: shares of the rated velocities, torques and ranges of the actuated joints, ranges of the unactuated joints with a
+    /// margin.
     pub planning: Limits,
     /// Bound c of the Coriolis torques in (11), if it is known.
     pub coriolis_bound: Option<CoriolisBound>,
@@ -85,6 +86,7 @@ struct LimitUsage {
     velocity_fraction_actuated: f64,
     velocity_fraction_unactuated: f64,
     torque_fraction: f64,
+    position_fraction_actuated: f64,
     /// Extension of the position limits of the unactuated joints, rad or m.
     position_margin: UnactuatedVector,
 }
@@ -98,6 +100,8 @@ struct LimitUsageInFile {
     velocity_fraction_unactuated: f64,
     #[serde(deserialize_with = "PositiveShare::read")]
     torque_fraction: f64,
+    #[serde(deserialize_with = "PositiveShare::read")]
+    position_fraction_actuated: f64,
     #[serde(default, deserialize_with = "Margin::degrees")]
     position_margin_deg: Option<Revolute<Unactuated>>,
     #[serde(default, deserialize_with = "Margin::read")]
@@ -114,6 +118,7 @@ impl TryFrom<LimitUsageInFile> for LimitUsage {
             velocity_fraction_actuated: file.velocity_fraction_actuated,
             velocity_fraction_unactuated: file.velocity_fraction_unactuated,
             torque_fraction: file.torque_fraction,
+            position_fraction_actuated: file.position_fraction_actuated,
             position_margin: UnactuatedVector::from_fn(sizes, |i| margin[i]),
         })
     }
@@ -138,6 +143,12 @@ impl From<RobotFile> for RobotSettings {
         planning.tau_max *= usage.torque_fraction;
         planning.qd_max.actuated_mut().iter_mut().for_each(|qd| *qd *= usage.velocity_fraction_actuated);
         planning.qd_max.unactuated_mut().iter_mut().for_each(|qd| *qd *= usage.velocity_fraction_unactuated);
+        let margin =
+            (limits.q_max - limits.q_min).actuated() * (0.5 * (1.0 - usage.position_fraction_actuated));
+        for i in 0..margin.len() {
+            planning.q_min[i] += margin[i];
+            planning.q_max[i] -= margin[i];
+        }
         for (i, margin) in usage.position_margin.iter().enumerate() {
             planning.q_min.unactuated_mut()[i] -= margin;
             planning.q_max.unactuated_mut()[i] += margin;
