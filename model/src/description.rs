@@ -6,7 +6,7 @@
 
 use nalgebra::{Isometry3, Matrix3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use roxmltree::{Document, Node, ParsingOptions};
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use crate::urdf_error::{UrdfElement, UrdfElementError, UrdfError, UrdfSyntaxError};
 
@@ -84,6 +84,10 @@ pub struct UrdfJoint {
     pub origin: Isometry3<f64>,
     /// Joint axis in the frame of the child link, of length 1.
     pub axis: Vector3<f64>,
+    /// Viscous friction that the URDF states (`damping`), N m s/rad or N s/m; the model has none.
+    pub damping: f64,
+    /// Coulomb friction that the URDF states (`friction`), N m or N; the model has none.
+    pub friction: f64,
     /// Limits, if the URDF states them.
     pub(crate) limit: Option<UrdfLimit>,
 }
@@ -195,12 +199,22 @@ impl Urdf {
         warnings
             .check(robot, &["link", "joint", "material", "gazebo", "transmission", "ros2_control", "sensor"]);
         let (mut links, mut by_name) = (Vec::new(), HashMap::new());
+        let carried: HashSet<_> = children(robot, "joint").filter_map(|joint| end(joint, "child")).collect();
         for node in children(robot, "link") {
-            let link = read_link(node, &colours, &mut warnings)?;
+            let is_root = node.attribute("name").is_some_and(|name| !carried.contains(name));
+            let link = read_link(node, is_root, &colours, &mut warnings)?;
             if by_name.insert(link.name.clone(), links.len()).is_some() {
                 return Err(refuse(node, UrdfElementError::SameName { tag: "link" }));
             }
             links.push(link);
+        }
+        // The root link of several programs, which need no element for it.
+        const WORLD: &str = "world";
+        let names_world = children(robot, "joint").any(|joint| end(joint, "parent") == Some(WORLD));
+        if names_world && !by_name.contains_key(WORLD) {
+            by_name.insert(WORLD.to_owned(), links.len());
+            let name = WORLD.to_owned();
+            links.push(UrdfLink { name, children: Vec::new(), visuals: Vec::new(), body: Body::NONE });
         }
         let (mut joints, mut names) = (Vec::<UrdfJoint>::new(), HashMap::new());
         let mut above: Vec<Option<usize>> = vec![None; links.len()];
@@ -238,7 +252,7 @@ impl Urdf {
 }
 
 /// The elements of a text that can be read in bounded time and memory.
-fn parse(text: &str) -> Result<Document<'_>, UrdfSyntaxError> {
+pub(crate) fn parse(text: &str) -> Result<Document<'_>, UrdfSyntaxError> {
     let large = |what, limit, unit| Err(UrdfSyntaxError::Large { what, limit, unit });
     if text.len() > LENGTH {
         return large("a text", LENGTH, "bytes");
@@ -279,7 +293,7 @@ fn elements<'a, 'i>(node: Node<'a, 'i>) -> impl Iterator<Item = Node<'a, 'i>> {
     node.children().filter(move |child| child.is_element() && child.tag_name().namespace() == space)
 }
 
-fn children<'a, 'i>(node: Node<'a, 'i>, name: &'static str) -> impl Iterator<Item = Node<'a, 'i>> {
+pub(crate) fn children<'a, 'i>(node: Node<'a, 'i>, name: &'static str) -> impl Iterator<Item = Node<'a, 'i>> {
     elements(node).filter(move |child| child.tag_name().name() == name)
 }
 
@@ -378,15 +392,21 @@ fn origin(node: Node<'_, '_>) -> Result<Isometry3<f64>, UrdfError> {
     Ok(Isometry3::from_parts(Translation3::from(xyz), rotation))
 }
 
+/// Name of the `<parent>` or `<child>` link of an element `<joint>`.
+pub(crate) fn end<'a>(joint: Node<'a, '_>, tag: &'static str) -> Option<&'a str> {
+    children(joint, tag).next()?.attribute("link")
+}
+
 /// The link of an element `<link>`.
 fn read_link(
     node: Node<'_, '_>,
+    is_root: bool,
     colours: &HashMap<&str, [f64; 4]>,
     warnings: &mut UrdfWarnings,
 ) -> Result<UrdfLink, UrdfError> {
     let name = name_of(node)?;
     warnings.check(node, &["inertial", "visual", "collision", "self_collision_checking", "contact"]);
-    let body = child(node, "inertial")?.map_or(Ok(Body::NONE), read_body)?;
+    let body = child(node, "inertial")?.map_or(Ok(Body::NONE), |inertial| read_body(inertial, is_root))?;
     let mut visuals = Vec::new();
     for visual in children(node, "visual") {
         let geometry = children(visual, "geometry").flat_map(elements).next();
@@ -399,8 +419,8 @@ fn read_link(
     Ok(UrdfLink { name, children: Vec::new(), visuals, body })
 }
 
-/// The body of an element `<inertial>`, in the frame of its link.
-fn read_body(node: Node<'_, '_>) -> Result<Body, UrdfError> {
+/// The body of an element `<inertial>`, in the frame of its link. Some programs mark a root link, which does not move, by a mass of 0.
+fn read_body(node: Node<'_, '_>, is_root: bool) -> Result<Body, UrdfError> {
     let element = |tag| child(node, tag)?.ok_or_else(|| refuse(node, UrdfElementError::NoInertial { tag }));
     let mass_node = element("mass")?;
     let text = required(mass_node, "value")?;
@@ -427,7 +447,7 @@ fn read_body(node: Node<'_, '_>) -> Result<Body, UrdfError> {
     if moments.iter().any(|moment| *moment < -1e-9 * largest) {
         return Err(refuse(node, UrdfElementError::Moments { got: got() }));
     }
-    if mass == 0.0 && largest > 0.0 {
+    if mass == 0.0 && largest > 0.0 && !is_root {
         return Err(refuse(node, UrdfElementError::MasslessInertia { got: got() }));
     }
     let origin = origin(node)?;
@@ -468,13 +488,20 @@ fn read_joint(
         "fixed" => UrdfJointKind::Fixed,
         got => return Err(refuse(node, UrdfElementError::JointType { got: got.to_owned() })),
     };
-    if let Some(mimic) = child(node, "mimic")? {
+    if let Some(mimic) = child(node, "mimic")?.filter(|_| kind != UrdfJointKind::Fixed) {
         let joint = mimic.attribute("joint").unwrap_or_default().to_owned();
         return Err(refuse(node, UrdfElementError::Mimic { joint }));
     }
+    let mut stated = [0.0; 2];
     if kind != UrdfJointKind::Fixed {
-        warn_of_motion(node, &name, warnings)?;
+        stated = friction(node, &name, warnings)?;
+        if child(node, "safety_controller")?.is_some() {
+            warnings.add(format!(
+                "joint `{name}`: its <safety_controller> is not read: limits are those of <limit>"
+            ));
+        }
     }
+    let [damping, friction] = stated;
     let axis = match child(node, "axis")? {
         None => Vector3::x(),
         Some(axis) => {
@@ -497,26 +524,22 @@ fn read_joint(
         })
     });
     let limit = limit.transpose()?;
-    Ok((UrdfJoint { name, kind, child: child_link, origin: origin(node)?, axis, limit }, parent))
+    let origin = origin(node)?;
+    Ok((UrdfJoint { name, kind, child: child_link, origin, axis, damping, friction, limit }, parent))
 }
 
-/// Warns of friction and soft limits of a joint, which the settings state instead of the URDF.
-fn warn_of_motion(node: Node<'_, '_>, name: &str, warnings: &mut UrdfWarnings) -> Result<(), UrdfError> {
-    if let Some(dynamics) = child(node, "dynamics")? {
-        for key in ["damping", "friction"] {
-            let value = dynamics.attribute(key).unwrap_or("0");
-            if value.trim().parse() != Ok(0.0) {
-                warnings.add(format!(
-                    "joint `{name}`: its {key} `{value}` is not read: friction is part of plant.toml"
-                ));
-            }
+/// Viscous and Coulomb friction of a joint, with a warning: it is part of the settings. What is no number or negative counts as none.
+fn friction(node: Node<'_, '_>, name: &str, warnings: &mut UrdfWarnings) -> Result<[f64; 2], UrdfError> {
+    let Some(dynamics) = child(node, "dynamics")? else { return Ok([0.0; 2]) };
+    Ok(["damping", "friction"].map(|key| {
+        let text = dynamics.attribute(key).unwrap_or("0").trim();
+        if text.parse() != Ok(0.0) {
+            warnings.add(format!(
+                "joint `{name}`: its {key} `{text}` is not read: friction is part of plant.toml"
+            ));
         }
-    }
-    if child(node, "safety_controller")?.is_some() {
-        warnings
-            .add(format!("joint `{name}`: its <safety_controller> is not read: limits are those of <limit>"));
-    }
-    Ok(())
+        text.parse().ok().filter(|v| (0.0..=LIMIT).contains(v)).unwrap_or_default()
+    }))
 }
 
 /// The shape of a geometry that can be drawn.

@@ -27,6 +27,7 @@ mod spatial;
 mod start;
 pub mod thresholds;
 mod urdf;
+mod urdf_edit;
 mod urdf_error;
 mod vector;
 

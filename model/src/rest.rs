@@ -27,6 +27,15 @@ pub struct TargetError {
 /// Longest step of the iteration, rad or m: where the curvature nearly vanishes, a full step would be many turns long.
 const LONGEST_STEP: f64 = 0.5;
 
+/// Which equilibrium of the unactuated joints with q_A held is looked for.
+#[derive(Clone, Copy)]
+enum Extremum {
+    /// The smallest potential energy: they hang.
+    Lowest,
+    /// The largest one: they stand.
+    Highest,
+}
+
 impl Model {
     /// A rest position q = [q_A, q_U]: the unactuated joints hang, g_U(q) = 0 with a positive curvature
     /// of the potential energy. A damped Newton iteration from the q_U of `q`; q_A stays as it is.
@@ -34,22 +43,58 @@ impl Model {
     /// # Errors
     /// [`RestError`] if the iteration does not converge.
     pub fn rest_position(&self, q: &JointVector, work: &mut Workspace) -> Result<JointVector, RestError> {
+        self.equilibrium(Extremum::Lowest, q, work)
+    }
+
+    /// The position q = [q_A, q_U] in which all unactuated joints stand upright: g_U(q) = 0 with a negative curvature of the potential
+    /// energy. Iterates from the q_U of `q` as [`Model::rest_position`] does.
+    ///
+    /// # Errors
+    /// [`RestError`] if the iteration does not converge.
+    pub fn upright_position(&self, q: &JointVector, work: &mut Workspace) -> Result<JointVector, RestError> {
+        self.equilibrium(Extremum::Highest, q, work)
+    }
+
+    /// The equilibrium at an extremum of the potential energy over q_U.
+    fn equilibrium(
+        &self,
+        extremum: Extremum,
+        q: &JointVector,
+        work: &mut Workspace,
+    ) -> Result<JointVector, RestError> {
+        /// Step away from an equilibrium that is no extremum, rad or m.
+        const KICK: f64 = 0.01;
+        /// Curvature relative to its largest entry below which a direction counts as flat.
+        const FLAT: f64 = 1e-9;
+        let sign = match extremum {
+            Extremum::Lowest => 1.0,
+            Extremum::Highest => -1.0,
+        };
         let sizes = self.sizes();
         let mut q = *q;
-        let mut energy = self.potential_energy(&q);
+        let mut energy = sign * self.potential_energy(&q);
         let mut residual = f64::INFINITY;
         let mut derivatives = Linearization::new(sizes);
         for _ in 0..100 {
             let (g, curvature) = self.unactuated_gravity(&q, work, &mut derivatives);
+            let (g, curvature) = (g * sign, curvature * sign);
             residual = g.norm();
+            let shifted = |shift: f64| curvature + Matrix::from_diagonal_element(sizes, shift);
             if residual < 1e-13 {
-                break;
+                if shifted(FLAT * (1.0 + curvature.amax())).solve_positive(&g).is_some() {
+                    break;
+                }
+                // Zero of the URDF can be the other extremum, or a saddle.
+                for q in q.unactuated_mut() {
+                    *q += KICK;
+                }
+                (energy, residual) = (sign * self.potential_energy(&q), f64::INFINITY);
+                continue;
             }
             // Away from the minimum the curvature can be indefinite; shift it until it is not.
             let mut shift = 0.0;
             let step = loop {
-                let shifted = curvature + Matrix::from_diagonal_element(sizes, shift);
-                match shifted.solve_positive(&-g) {
+                match shifted(shift).solve_positive(&-g) {
                     Some(step) => break step,
                     // What is not finite never becomes positive definite.
                     None if !curvature.amax().is_finite() || !residual.is_finite() => {
@@ -61,7 +106,7 @@ impl Model {
             let mut fraction = (LONGEST_STEP / step.norm()).min(1.0);
             loop {
                 let trial = JointVector::joined(&q.actuated(), &(q.unactuated() + step * fraction));
-                let trial_energy = self.potential_energy(&trial);
+                let trial_energy = sign * self.potential_energy(&trial);
                 // The slack is the rounding of an energy of about 100 J.
                 if trial_energy <= energy + 1e-13 || fraction < 1e-6 {
                     (q, energy) = (trial, trial_energy);

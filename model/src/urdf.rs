@@ -58,8 +58,12 @@ impl Model {
                 }
             }
             if next.len() > 1 {
-                let joints = next.iter().rev().map(|(joint, _)| joint.name.clone()).collect();
-                return Err(UrdfError::Branch { link: robot.links[current].name.clone(), joints });
+                let joints = || next.iter().rev().map(|(joint, _)| joint);
+                return Err(UrdfError::Branch {
+                    link: robot.links[current].name.clone(),
+                    joints: joints().map(|joint| joint.name.clone()).collect(),
+                    tips: joints().map(|joint| robot.last_link(joint.child).to_owned()).collect(),
+                });
             }
             if let Some(last) = joints.last_mut() {
                 last.body = body;
@@ -96,6 +100,21 @@ impl Model {
         let rated_limits = rated_limits(&order, &joints, &chain)?;
         let gravity = Vector3::new(0.0, 0.0, -GRAVITY);
         Ok(Self::new(order, joints, tip, gravity, rated_limits))
+    }
+}
+
+impl Urdf {
+    /// Name of the last movable link behind the link of index `link`, along the first branch.
+    fn last_link(&self, link: usize) -> &str {
+        let (mut current, mut last) = (link, link);
+        // Each link has one parent: the walk ends.
+        while let Some(joint) = self.links[current].children.first().map(|joint| &self.joints[*joint]) {
+            current = joint.child;
+            if joint.kind != UrdfJointKind::Fixed {
+                last = current;
+            }
+        }
+        &self.links[last].name
     }
 }
 
@@ -141,6 +160,8 @@ fn rated_limits(
             (limits.q_min[c], limits.q_max[c]) = (lower, upper);
         }
         let (velocity, effort) = joint.limit.map_or((None, None), |limit| (limit.velocity, limit.effort));
+        // CAD exporters write 0 for what they do not know.
+        let velocity = velocity.filter(|velocity| *velocity != 0.0 || order.is_actuated(i));
         if let Some(velocity) = velocity {
             if velocity <= 0.0 {
                 let unit = LimitKind::Velocity.unit(*kind);

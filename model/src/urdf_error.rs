@@ -10,14 +10,19 @@ pub enum UrdfError {
     #[error("not a readable URDF: {0}")]
     Parse(#[from] UrdfSyntaxError),
     /// The chain has no actuated joint.
-    #[error("expected a joint with a motor, got none: `effort` in the <limit> of {} is 0", .joints.join(", "))]
+    #[error(
+        "expected a joint with a motor, got none among {}: state effort=\"...\" (N m or N) and velocity=\"...\" (rad/s or m/s) in the \
+         <limit> of those that have one",
+        .joints.join(", ")
+    )]
     NoActuatedJoint {
         /// Names of the movable joints.
         joints: Vec<String>,
     },
     /// The chain has no unactuated joint.
     #[error(
-        "expected a joint without a motor, got none: set effort=\"0\" in the <limit> of the free joint among {}",
+        "expected a joint without a motor, got none: set effort=\"0\" in the <limit> of the free joints among {}; \
+         `upswing system new DIR --urdf FILE --free JOINT` does it",
         .joints.join(", ")
     )]
     NoUnactuatedJoint {
@@ -36,12 +41,28 @@ pub enum UrdfError {
     #[error("expected a chain of movable joints, got none: all joints are fixed")]
     NoJoint,
     /// A link carries two movable joints, so that the joints are no serial chain.
-    #[error("link `{link}` carries the joints {}: expected one unbranched chain; fix what is no part of it", .joints.join(", "))]
+    #[error(
+        "expected one unbranched chain, got a link `{link}` that carries the joints {}: set type=\"fixed\" for those that do not matter; \
+         `upswing system new DIR --urdf FILE --tip LINK` does it for all but those that lead to LINK, for example {}",
+        .joints.join(", "), .tips.join(" or ")
+    )]
     Branch {
         /// Name of the link.
         link: String,
         /// Names of the movable joints on the link.
         joints: Vec<String>,
+        /// Name of the last link behind each of them.
+        tips: Vec<String>,
+    },
+    /// A text that shall be changed has no joint or link of this name.
+    #[error("expected a {tag} of the robot, {}; got `{got}`", list(.names))]
+    NoElement {
+        /// Kind of the element: link or joint.
+        tag: &'static str,
+        /// Names of the elements of this kind.
+        names: Vec<String>,
+        /// Name given.
+        got: String,
     },
     /// A joint, a link or the body of a link is physically impossible or not supported.
     #[error("{element}: {cause}")]
@@ -232,7 +253,9 @@ pub enum UrdfElementError {
         joint: String,
     },
     /// A joint names a link that does not exist.
-    #[error("expected two links of the robot, there is no link `{link}`")]
+    #[error(
+        "expected two links of the robot, there is no link `{link}`: correct the name, or add <link name=\"{link}\"/>"
+    )]
     NoLink {
         /// Name given for the link.
         link: String,
@@ -301,6 +324,15 @@ pub enum UrdfElementError {
     /// The inertia of the body on a movable joint is not positive definite.
     #[error("expected a positive definite inertia of the body on it about the centre of mass")]
     Inertia,
+}
+
+/// Names for a message.
+fn list(names: &[String]) -> String {
+    match names {
+        [] => "which has none".into(),
+        [name] => name.clone(),
+        names => format!("one of {}", names.join(", ")),
+    }
 }
 
 /// Text of what was expected of an attribute.

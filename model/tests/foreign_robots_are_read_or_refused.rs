@@ -90,6 +90,27 @@ fn what_other_programs_need_is_skipped() {
 }
 
 #[test]
+fn a_root_link_may_be_named_only_or_have_no_mass() {
+    let root = "<link name=\"world\"/>";
+    assert!(ROBOT.contains(root));
+    assert_eq!(warnings(&ROBOT.replace(root, "")), Vec::<String>::new());
+    let inertia = r#"<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>"#;
+    let massless = format!("<link name=\"world\"><inertial><mass value=\"0\"/>{inertia}</inertial></link>");
+    assert_eq!(warnings(&ROBOT.replace(root, &massless)), Vec::<String>::new());
+}
+
+#[test]
+fn a_speed_of_0_without_a_motor_is_none() {
+    let at = ROBOT.find("<joint name=\"pendulum_1\"").expect("the pendulum");
+    let (front, behind) = ROBOT.split_at(at);
+    let from = behind.find("velocity=\"").expect("a speed") + "velocity=\"".len();
+    let to = from + behind[from..].find('"').expect("its end");
+    let text = format!("{front}{}0{}", &behind[..from], &behind[to..]);
+    let model = Model::from_urdf(&text).unwrap_or_else(|e| panic!("{e}"));
+    assert!(model.rated_limits().qd_max[7].is_infinite());
+}
+
+#[test]
 fn what_may_change_the_robot_is_told() {
     let joint = "<axis xyz=\"0 0 1\"/>";
     let text = ROBOT.replacen(

@@ -62,3 +62,30 @@ fn upright_is_an_equilibrium_with_the_tip_above() {
     let rod = model.rod(&q);
     assert!((rod.z - 0.5).abs() < 1e-12, "the rod of 0.5 m points up, got {rod:?}");
 }
+
+#[test]
+fn from_each_equilibrium_the_lowest_and_the_highest() {
+    for (urdf, free) in [
+        (include_str!("../../config/systems/cart-pole/robot.urdf"), 1),
+        (include_str!("../../config/systems/cart-double/robot.urdf"), 2),
+        (include_str!("../../config/systems/cart-triple/robot.urdf"), 3),
+    ] {
+        let (model, mut work) =
+            (upswing_model::Model::from_urdf(urdf).expect("the robot"), Workspace::default());
+        let at = |turned: usize| {
+            // The links are relative to each other: half a turn of one turns those behind it, too.
+            let half = |i: usize| f64::from(u8::from(turned & (1 << i) != 0)) * std::f64::consts::PI;
+            JointVector::from_fn(model.sizes(), |i| if i == 0 { 0.2 } else { half(i - 1) })
+        };
+        let energies: Vec<_> = (0..1 << free).map(|turned| model.potential_energy(&at(turned))).collect();
+        let lowest = energies.iter().copied().fold(f64::INFINITY, f64::min);
+        let highest = energies.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        for turned in 0..1 << free {
+            let rest = model.rest_position(&at(turned), &mut work).expect("it hangs");
+            let upright = model.upright_position(&at(turned), &mut work).expect("it stands");
+            assert!((model.potential_energy(&rest) - lowest).abs() < 1e-9, "{turned}: {rest:?}");
+            assert!((model.potential_energy(&upright) - highest).abs() < 1e-9, "{turned}: {upright:?}");
+            assert_eq!((rest[0], upright[0]), (0.2, 0.2));
+        }
+    }
+}
