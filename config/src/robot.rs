@@ -208,17 +208,42 @@ impl RobotSettings {
             (0..points).map(|i| low + (high - low) * i as f64 / (points - 1) as f64).collect()
         };
         let positions: Vec<_> = behind.iter().map(positions).collect();
-        let work = &mut Workspace::default();
-        let mut inertias = Vec::new();
-        for pose in combinations(&positions).take(MOST_POSES) {
+        let mut work = Workspace::default();
+        let mut inertia = |pose: &[f64]| {
+            let mut q = JointVector::zeros(sizes);
+            behind.iter().zip(pose).for_each(|(joint, position)| q[*joint] = *position);
+            model.mass_matrix(&q, &mut work).unactuated()
+        };
+        let poses: Vec<_> = combinations(&positions).take(MOST_POSES).collect();
+        let inertias: Vec<_> = poses.iter().map(|pose| inertia(pose)).collect();
+        let largest =
+            UnactuatedVector::from_fn(sizes, |i| inertias.iter().map(|m| m[(i, i)]).fold(0.0, f64::max));
+        let shares = inertias.iter().map(|m| weakest(m, &largest).1);
+        let Some((mut pose, _)) = poses.into_iter().zip(shares).min_by(|(_, a), (_, b)| a.total_cmp(b))
+        else {
+            return Ok(());
+        };
+        // Between the poses: joint by joint, within the distance of two of them.
+        for (k, joint) in (0..2 * behind.len()).map(|k| (k % behind.len(), behind[k % behind.len()])) {
+            let (low, high) = (self.planning.q_min[joint], self.planning.q_max[joint]);
+            let step = (high - low) / (points - 1) as f64;
+            let (mut from, mut to) = ((pose[k] - step).max(low), (pose[k] + step).min(high));
+            let mut share = |position: f64| {
+                pose[k] = position;
+                weakest(&inertia(&pose), &largest).1
+            };
+            for _ in 0..40 {
+                let (a, b) = (from + (to - from) / 3.0, to - (to - from) / 3.0);
+                if share(a) <= share(b) { to = b } else { from = a }
+            }
+            let ends = [from, 0.5 * (from + to), to].map(|position| (position, share(position)));
+            let best = ends.into_iter().min_by(|(_, a), (_, b)| a.total_cmp(b));
+            pose[k] = best.map_or(from, |(position, _)| position);
+        }
+        let (i, share) = weakest(&inertia(&pose), &largest);
+        if !(share > SMALLEST) {
             let mut q = JointVector::zeros(sizes);
             behind.iter().zip(&pose).for_each(|(joint, position)| q[*joint] = *position);
-            inertias.push((q, model.mass_matrix(&q, work).unactuated()));
-        }
-        let largest =
-            UnactuatedVector::from_fn(sizes, |i| inertias.iter().map(|(_, m)| m[(i, i)]).fold(0.0, f64::max));
-        for (q, m) in &inertias {
-            let Some(i) = weak(m, &largest, SMALLEST) else { continue };
             let shown = |joint: &usize| {
                 let (q, unit) = model.joint_kind(*joint).shown(q[*joint]);
                 format!("{} {q:.4} {unit}", model.joint_name(*joint))
@@ -265,20 +290,21 @@ impl RobotSettings {
     }
 }
 
-/// Index of the first unactuated joint whose inertia is below the share `smallest` of its `largest` one, or that moves with those before it
-/// so that M_UU = `m`, scaled to a diagonal of 1, has a pivot below `smallest`.
-fn weak(m: &UnactuatedMatrix, largest: &UnactuatedVector, smallest: f64) -> Option<usize> {
+/// Index of the unactuated joint with the smallest share, and that share: its inertia relative to its `largest` one, or, because it moves
+/// with those before it, the pivot of M_UU = `m`, scaled to a diagonal of 1. Not a number counts as 0.
+fn weakest(m: &UnactuatedMatrix, largest: &UnactuatedVector) -> (usize, f64) {
     let n = largest.len();
     // L of M_UU = L L'.
     let mut l = *m;
+    let mut smallest = (0, f64::INFINITY);
     for j in 0..n {
-        // Written so that NaN is refused.
-        if !(m[(j, j)] > smallest * largest[j]) {
-            return Some(j);
-        }
         let pivot = m[(j, j)] - (0..j).map(|k| l[(j, k)] * l[(j, k)]).sum::<f64>();
-        if !(pivot > smallest * m[(j, j)]) {
-            return Some(j);
+        let share = (m[(j, j)] / largest[j]).min(pivot / m[(j, j)]).max(0.0);
+        if share < smallest.1 {
+            smallest = (j, share);
+        }
+        if !(pivot > 0.0) {
+            return (j, 0.0);
         }
         l[(j, j)] = pivot.sqrt();
         for i in j + 1..n {
@@ -286,5 +312,5 @@ fn weak(m: &UnactuatedMatrix, largest: &UnactuatedVector, smallest: f64) -> Opti
             l[(i, j)] = sum / l[(j, j)];
         }
     }
-    None
+    smallest
 }

@@ -287,7 +287,7 @@ fn ranges_in_which_an_unactuated_joint_moves_nothing() {
         &message(dir.path()),
         &[
             "robot.toml",
-            "limits: expected ranges in which the unactuated joint `sway_x` moves a mass",
+            "limits: expected ranges in which the unactuated joint `sway_y` moves a mass",
             "got a singular M_UU, or nearly so, at",
             "hoist 0.0000 m",
             "narrow the ranges",

@@ -173,6 +173,17 @@ impl Planner {
         Ok(Self::with_databases(config, databases))
     }
 
+    /// Checks the databases of the settings as [`Planner::new`] does.
+    ///
+    /// # Errors
+    /// [`PlannerError`] as [`Planner::new`].
+    pub fn check_databases(config: &Config) -> Result<(), PlannerError> {
+        (0..config.manoeuvres.len()).try_for_each(|number| {
+            let database = DatabaseFile::of(config, number)?;
+            database.map_or(Ok(()), |database| ManoeuvreEntries::decode(config, number, database).map(|_| ()))
+        })
+    }
+
     /// Creates a planner with `database` for the manoeuvre number `manoeuvre`, and no other entries.
     ///
     /// # Errors

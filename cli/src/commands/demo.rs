@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use upswing_config::PendulumStart;
 use upswing_ipc::Clock;
 use upswing_planner::database::DatabaseFile;
+use upswing_planner::replan::Planner;
 use upswing_process::number::within;
 use upswing_process::output::{Destination, Overwrite};
 use upswing_process::{Failure, note, shutdown_flag};
@@ -111,6 +112,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
         }
     };
     start_state(&config, "--start", &start, PendulumStart::Rest)?;
+    Planner::check_databases(&config).map_err(Failure::bad_input)?;
     let named = args.picture.clone().unwrap_or_else(|| default_picture(args.overwrite));
     let picture = writable("--picture", Some(&named), args.overwrite)?;
     let recording = writable("--record", args.record.as_ref(), args.overwrite)?;

@@ -73,9 +73,15 @@ fn rank(target: &[TargetRow], model: &Model) -> Result<(), Mistake> {
     let (rest, known): (Vec<_>, Vec<_>) =
         (0..target.len()).partition(|i| target[*i].value == TargetValue::Rest);
     let dependent = |i: usize| {
+        let joints =
+            target[i].coefficients.iter().enumerate().filter(|(_, coefficient)| **coefficient != 0.0);
+        let joints: Vec<_> = joints.map(|(joint, _)| format!("`{}`", model.joint_name(joint))).collect();
+        let joints = joints.join(", ");
         Mistake::Row(
             i,
-            "expected a row that does not depend on the other rows, got one that does: remove it".into(),
+            format!(
+                "expected a row that does not depend on the other rows, got one of {joints} that does: remove it"
+            ),
         )
     };
     if let Some(i) = known.into_iter().find(|i| !add(&target[*i].coefficients)) {
