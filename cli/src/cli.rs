@@ -41,6 +41,7 @@ enum CliCommand {
     #[command(name = "montecarlo")]
     MonteCarlo(commands::montecarlo::MonteCarloArgs),
     Config(commands::config::ConfigArgs),
+    System(commands::system::SystemArgs),
     Completions(commands::completions::CompletionsArgs),
     // Hidden: for packagers, not for operators.
     #[command(hide = true)]
@@ -103,6 +104,7 @@ pub fn run(cli: &Cli) -> Result<(), Failure> {
         CliCommand::Model(args) => commands::model::run(args),
         CliCommand::MonteCarlo(args) => commands::montecarlo::run(args),
         CliCommand::Config(args) => commands::config::run(args),
+        CliCommand::System(args) => commands::system::run(args),
         CliCommand::Completions(args) => commands::completions::completions(args, &mut whole_command()),
         CliCommand::Man(args) => commands::completions::man(args, whole_command()),
         CliCommand::Daemon(args) => upswingd::run(args),

@@ -24,6 +24,7 @@ pub(crate) mod report;
 pub(crate) mod request;
 pub(crate) mod soak;
 pub(crate) mod status;
+pub(crate) mod system;
 pub(crate) mod systems;
 
 pub(crate) use json::TrajectoryJson;

@@ -68,4 +68,12 @@ pub enum ConfigError {
         /// Error of the robot description.
         cause: UrdfError,
     },
+    /// A new system has no pose from which to start.
+    #[error("{file}: {reason}")]
+    NoPose {
+        /// Path of the robot description.
+        file: String,
+        /// Expected, actual and remedy.
+        reason: String,
+    },
 }

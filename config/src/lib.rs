@@ -17,6 +17,7 @@ mod file;
 mod grid;
 mod joints;
 mod manoeuvre;
+mod new_system;
 mod overlay;
 mod planner;
 mod plant;
@@ -35,6 +36,7 @@ pub use fault::{EventError, Fault, FaultError, FaultJointError, FaultKind, Push}
 pub use file::{check_regular, open_file, read_file};
 pub use grid::{GridAxis, GridSettings};
 pub use manoeuvre::{GivenError, Manoeuvre, TargetRow, TargetValue};
+pub use new_system::{Changes, NewJoint, NewSystem};
 pub use planner::{
     BalanceSettings, LqrSettings, OfflineSettings, PlannerSettings, QpBackend, ReplanSettings, SUB_HORIZONS,
     TorqueForm,
