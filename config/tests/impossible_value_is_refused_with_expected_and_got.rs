@@ -116,7 +116,7 @@ fn planner() {
         ("knot_margin = 0.015", "knot_margin = 1", &["replan.knot_margin", "[0, 1)", "got 1"]),
         ("tolerance = 1e-9", "tolerance = 1", &["offline.tolerance", "between 0 and 1", "got 1"]),
         ("max_iterations = 3000", "max_iterations = 0", &["offline.max_iterations", "from 1 to", "got 0"]),
-        ("\niterations = 10", "\niterations = -4", &["replan.iterations", "from 1 to", "got -0.00004"]),
+        ("\niterations = 10", "\niterations = -4", &["replan.iterations", "from 1 to", "got -4"]),
         ("intervals = 100", "intervals = 19", &["offline.intervals", "from 20 to 1000", "got 19"]),
         ("sub_horizons = 1", "sub_horizons = 3", &["replan.sub_horizons", "one of", "got 3"]),
         ("weight_t_f = 300", "weight_t_f = -1.0", &["replan.weight_t_f", POSITIVE, "got -1"]),

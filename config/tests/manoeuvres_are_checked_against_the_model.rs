@@ -258,6 +258,7 @@ fn ranges_in_which_an_unactuated_joint_moves_nothing() {
         "<limit lower=\"-0.1\" upper=\"1.6\"",
     );
     edit(dir.path(), "robot.toml", "hoist = [0.4, 1.6]", "hoist = [-0.1, 1.6]");
+    edit(dir.path(), "robot.toml", "position_fraction_actuated = 0.98", "position_fraction_actuated = 1");
     for (from, to) in [("0 0 -0.1", "0 0 0"), ("0 0 -0.05", "0 0 0")] {
         let path = dir.path().join("robot.urdf");
         let text = std::fs::read_to_string(&path).expect("exported");
