@@ -268,7 +268,7 @@ fn plant() {
         (
             "{ pendulum_1 = 4.79",
             "{ pendulum_1 = -4.79",
-            &["encoder.resolution_rad.pendulum_1", POSITIVE, "got -0.00004"],
+            &["encoder.resolution_rad.pendulum_1", POSITIVE, "got -4"],
         ),
         ("resolution_m = 2e-5", "resolution_m = inf", &["encoder.resolution_m", POSITIVE, "got inf"]),
         ("watchdog_cycles = 20", "watchdog_cycles = 0", &["drive.watchdog_cycles", "from 1 to", "got 0"]),
