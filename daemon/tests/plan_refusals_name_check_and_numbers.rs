@@ -183,11 +183,17 @@ fn numbers_that_are_not_finite() {
 #[test]
 fn limits_at_a_knot() {
     let text = refusal(|p| p.trajectory.x[4][1] = 2.5).to_string();
-    assert!(text.contains("position of joint 2 at knot 4.00 is 2.5000") && text.contains("2.0954"), "{text}");
+    assert!(
+        text.contains("position of joint `joint_2` at knot 4.00 is 2.5000") && text.contains("2.0954"),
+        "{text}"
+    );
     let text = refusal(|p| p.trajectory.x[5].qd_mut()[3] = -0.8).to_string();
-    assert!(text.contains("velocity of joint 4 at knot 5.00 is -0.8000"), "{text}");
+    assert!(text.contains("velocity of joint `joint_4` at knot 5.00 is -0.8000"), "{text}");
     let text = refusal(|p| p.trajectory.u[0][0] = 1000.0).to_string();
-    assert!(text.contains("torque of joint 1 at knot 0.00 is") && text.contains("168.0000"), "{text}");
+    assert!(
+        text.contains("torque of joint `joint_1` at knot 0.00 is") && text.contains("168.0000"),
+        "{text}"
+    );
 }
 
 #[test]
@@ -344,7 +350,7 @@ fn a_motion_that_jumps() {
     let unfit =
         verdict(&config, &x, |p| p.trajectory.x[40..60].iter_mut().for_each(|x| x[0] += 0.3)).unwrap();
     let text = unfit.to_string();
-    assert!(text.contains("position of joint 1 jumps by 3.00e-1 rad before knot 40"), "{text}");
+    assert!(text.contains("position of joint `joint_1` jumps by 3.00e-1 rad before knot 40"), "{text}");
     assert!(text.contains("at most 1e-3"), "{text}");
     // Every row, at every knot, in both directions.
     for row in 0..sizes().state() {
@@ -520,7 +526,7 @@ fn gains_that_answer_a_tolerated_start_with_a_blow() {
                 let refusal = verdict(&|p| p.gains.knot_mut(knot)[entry(of, row)] += blow).unwrap_err();
                 let expected = matches!(
                     refusal,
-                    PlanRefusal::Criterion(UnmetCriterion::Step { knot: k, joint, got, most })
+                    PlanRefusal::Criterion(UnmetCriterion::Step { knot: k, joint, most, got, .. })
                         if (k, joint, most) == (knot, of, 5.0 * limit)
                             && (got - 6.0 * limit).abs() < 0.7 * limit
                 );

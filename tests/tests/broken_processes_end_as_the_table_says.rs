@@ -208,7 +208,7 @@ fn damage_plans(system: &mut System) {
         ("K at knot 7", |p| p.gains.knot_mut(7)[0] = f64::NAN),
         ("the final K", |p| p.gains.end_mut().fill(f64::NEG_INFINITY)),
         ("t_F", |p| p.trajectory.t_f *= -1.0),
-        ("position of joint 1", |p| p.trajectory.x[20][0] = 10.0),
+        ("position of joint `joint_1`", |p| p.trajectory.x[20][0] = 10.0),
     ];
     let before = system.status().plan_id;
     system.kill(Role::Planner);

@@ -92,14 +92,15 @@ pub enum UnmetCriterion {
     },
     /// The trajectory exceeds a limit.
     #[error(
-        "{kind} of joint {} at knot {knot:.2} is {got:.4}, expected {lowest:.4} to {highest:.4} {unit}",
-        .joint + 1
+        "{kind} of joint `{name}` at knot {knot:.2} is {got:.4}, expected {lowest:.4} to {highest:.4} {unit}"
     )]
     Limit {
         /// The kind of the limit.
         kind: LimitKind,
-        /// The joint, from 0.
+        /// Index of the joint in sorted vectors.
         joint: usize,
+        /// Name of the joint.
+        name: String,
         /// Unit of the numbers below.
         unit: &'static str,
         /// Number of the knot; with a fraction between two knots.
@@ -125,14 +126,15 @@ pub enum UnmetCriterion {
     },
     /// The spline (12) jumps at a knot: the defect (6b) is too large.
     #[error(
-        "{kind} of joint {} jumps by {got:.2e} {unit} before knot {knot}: its defect (6b) is expected to be at most {most:.0e}",
-        .joint + 1
+        "{kind} of joint `{name}` jumps by {got:.2e} {unit} before knot {knot}: its defect (6b) is expected to be at most {most:.0e}"
     )]
     Defect {
         /// Position or velocity.
         kind: LimitKind,
-        /// The joint, from 0.
+        /// Index of the joint in sorted vectors.
         joint: usize,
+        /// Name of the joint.
+        name: String,
         /// Unit of the numbers below.
         unit: &'static str,
         /// Number of the knot at the end of the interval.
@@ -163,17 +165,21 @@ pub enum UnmetCriterion {
     },
     /// A gain answers a deviation of one row of the state by the start tolerance with too much torque.
     #[error(
-        "K at knot {knot} demands {got:.3e} N m at joint {} for a deviation by the start tolerance, expected at most {most:.1} N m",
-        .joint + 1
+        "K at knot {knot} demands {got:.3e} {unit} at joint `{name}` for a deviation by the start tolerance, expected at most \
+         {most:.1} {unit}"
     )]
     Step {
         /// Number of the knot; N + 1 for the gain that holds x_N.
         knot: usize,
-        /// The joint, from 0.
+        /// Index of the joint in sorted vectors.
         joint: usize,
-        /// The torque, N m.
+        /// Name of the joint.
+        name: String,
+        /// Unit of the numbers below.
+        unit: &'static str,
+        /// The torque or force.
         got: f64,
-        /// Largest accepted torque, N m.
+        /// Largest accepted torque or force.
         most: f64,
     },
     /// The closed loop amplifies a deviation from the plan too much.

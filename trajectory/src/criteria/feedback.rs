@@ -5,7 +5,7 @@ use super::{
 };
 use crate::{Gain, Gains, Trajectory};
 use nalgebra::{DMatrix, DVector};
-use upswing_model::{ActuatedVector, Linearization, Model, Posture, Sizes, State, Workspace};
+use upswing_model::{ActuatedVector, LimitKind, Linearization, Model, Posture, Sizes, State, Workspace};
 
 /// Delays of the feedback loop of the daemon.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -143,7 +143,9 @@ impl PlanCriteria {
             for joint in 0..tau.len() {
                 let (got, most) = (tau[joint].abs(), MOST_STEP * self.tau_max[joint]);
                 if !(got <= most) {
-                    return Err(UnmetCriterion::Step { knot, joint, got, most });
+                    let (name, unit) =
+                        (model.joint_name(joint).to_owned(), LimitKind::Torque.unit(model.joint_kind(joint)));
+                    return Err(UnmetCriterion::Step { knot, joint, name, unit, got, most });
                 }
             }
         }

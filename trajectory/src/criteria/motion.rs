@@ -81,7 +81,16 @@ impl PlanCriteria {
             Ok(())
         } else {
             let unit = kind.unit(model.joint_kind(joint));
-            Err(UnmetCriterion::Limit { kind, joint, unit, knot, got, lowest, highest })
+            Err(UnmetCriterion::Limit {
+                kind,
+                joint,
+                name: model.joint_name(joint).to_owned(),
+                unit,
+                knot,
+                got,
+                lowest,
+                highest,
+            })
         }
     }
 
@@ -90,7 +99,8 @@ impl PlanCriteria {
             if let Some(row) = (0..defect.len()).find(|row| !(defect[*row].abs() <= self.defect)) {
                 let (kind, joint) = LimitKind::of_row(row, model.sizes());
                 let (unit, got, most) = (kind.unit(model.joint_kind(joint)), defect[row].abs(), self.defect);
-                return Err(UnmetCriterion::Defect { kind, joint, unit, knot: k + 1, got, most });
+                let name = model.joint_name(joint).to_owned();
+                return Err(UnmetCriterion::Defect { kind, joint, name, unit, knot: k + 1, got, most });
             }
             // Where the spline ends, before it jumps to the knot.
             self.check_state(model, &(spline.x[k + 1] - defect), k as f64 + 1.0)?;
