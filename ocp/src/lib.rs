@@ -1,7 +1,7 @@
 //! Numerics of optimal control for trajectories of N collocation intervals with a free duration.
 //!
 //! - [`problem`]: the swing-up (6), (8), (9), (11) as a nonlinear program; [`interior_point`] solves it from one guess,
-//!   [`multistart`] from several, and names the limit that leaves no solution.
+//!   [`multistart`] from several of [`guess`], and names the limit that leaves no solution.
 //! - [`qp`]: the quadratic program of a replan (16), and its solvers.
 //! - [`kkt`]: the stage-wise factorisation underneath both; [`lqr`]: the gains (18)-(23); [`slab`]: the memory of all knots.
 //!
@@ -9,6 +9,7 @@
 
 mod derivatives;
 mod dims;
+pub mod guess;
 pub mod interior_point;
 mod kernels;
 pub mod kkt;
@@ -16,6 +17,5 @@ pub mod lqr;
 pub mod multistart;
 pub mod problem;
 pub mod qp;
-#[cfg(test)]
 mod random;
 pub mod slab;

@@ -158,37 +158,6 @@ impl Problem<'_> {
         Trajectory { t_f, x: (0..=n).map(at).collect(), u: vec![ActuatedVector::zeros(self.sizes()); n + 1] }
     }
 
-    /// From the start to the nearest point of the target at constant speed with short ramps, with a half wave of the
-    /// given amplitudes (rad or m) on some actuated joints: it leaves the symmetric ridge between optima on which a straight line
-    /// begins. Joints that the chain does not have are ignored. The velocities follow the positions.
-    pub fn bent_line(&self, t_f: f64, bends: &[(usize, f64)]) -> Trajectory {
-        use std::f64::consts::PI;
-        /// Share of the duration in which the speed rises, and falls.
-        const RAMP: f64 = 0.1;
-        const SPEED: f64 = 1.0 / (1.0 - RAMP);
-        let mut guess = self.straight_line(t_f);
-        let way = guess.end() - self.start;
-        let (n, sizes) = (self.intervals, self.sizes());
-        for k in 1..n {
-            let s = k as f64 / n as f64;
-            // The way covered and the speed, of 1 in a time of 1.
-            let edge = s.min(1.0 - s);
-            let covered =
-                if edge < RAMP { 0.5 * SPEED / RAMP * edge * edge } else { SPEED * (edge - 0.5 * RAMP) };
-            let covered = if s < 0.5 { covered } else { 1.0 - covered };
-            let speed = SPEED * (edge / RAMP).min(1.0);
-            for i in 0..sizes.joints() {
-                guess.x[k].q_mut()[i] = self.start[i] + way[i] * covered;
-                guess.x[k].qd_mut()[i] = way[i] * speed / t_f;
-            }
-            for (joint, amplitude) in bends.iter().filter(|(joint, _)| *joint < sizes.actuated()) {
-                guess.x[k].q_mut()[*joint] += amplitude * (PI * s).sin();
-                guess.x[k].qd_mut()[*joint] += amplitude * PI / t_f * (PI * s).cos();
-            }
-        }
-        guess
-    }
-
     /// A solution from another start as a guess: its states are shifted by a share of the difference of the starts
     /// that falls linearly to 0 at the end.
     pub fn shifted(&self, neighbour: &Trajectory) -> Trajectory {

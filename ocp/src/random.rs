@@ -1,4 +1,4 @@
-//! Random numbers of the tests.
+//! Random numbers with a seed, of initial guesses and tests.
 
 /// SplitMix64 (Steele, Lea, Flood 2014), mapped to -1..1.
 pub(crate) struct Random(pub(crate) u64);

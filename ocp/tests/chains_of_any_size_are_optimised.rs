@@ -2,9 +2,10 @@
 //! intervals: the optimisation finds them, both QP back ends adapt them to another start, and the gains stabilise their ends.
 
 use upswing_model::{ActuatedVector, JointVector, Limits, Linearization, Model, Sizes, State, Workspace};
-use upswing_ocp::interior_point::{self, NlpOptions, NlpStatus};
+use upswing_ocp::interior_point::{NlpOptions, NlpStatus};
 use upswing_ocp::kkt::{TargetRow, check_target_rows};
 use upswing_ocp::lqr::{LqrWeights, synthesize};
+use upswing_ocp::multistart::{self, Search};
 use upswing_ocp::problem::{Problem, TorqueConstraint};
 use upswing_ocp::qp::{Backend, Qp, QpOptions, QpSolver, QpStatus, QpWeights};
 use upswing_ocp::slab::KnotVector;
@@ -44,8 +45,6 @@ struct Motion {
     /// Largest position, speed and torque.
     limits: (f64, f64, f64),
     intervals: usize,
-    /// Duration of the line from which the optimisation begins, s.
-    guess: f64,
 }
 
 impl Motion {
@@ -86,7 +85,7 @@ impl Motion {
     fn optimum(&self) -> Trajectory {
         let problem = self.problem();
         let options = NlpOptions { tolerance: 1e-9, max_iterations: 500, time_budget: None, cancelled: None };
-        let solution = interior_point::solve(&problem, &problem.bent_line(self.guess, &[]), &options);
+        let solution = multistart::solve(&problem, Search::First, None, &options);
         let trajectory = solution.trajectory;
         println!("{:?}: {} iterations, {} s", self.sizes(), solution.iterations, trajectory.t_f);
         assert_eq!(solution.status, NlpStatus::Solved);
@@ -161,7 +160,6 @@ fn a_cart_swings_its_pendulum_up_whatever_the_number_of_intervals() {
             target: vec![(unit(2, 0), 0.0), (unit(2, 1), std::f64::consts::PI)],
             limits: (4.0, 8.0, 15.0),
             intervals,
-            guess: 1.0,
         };
         motion.check().t_f
     });
@@ -177,7 +175,6 @@ fn an_arm_without_a_motor_at_its_base_stands_up() {
         target: vec![(unit(2, 0), 0.0), (unit(2, 1), std::f64::consts::PI)],
         limits: (6.0, 12.0, 10.0),
         intervals: 80,
-        guess: 4.0,
     };
     motion.check();
 }
@@ -197,7 +194,6 @@ fn a_bridge_crane_reaches_a_target_whose_rows_are_not_orthogonal() {
         ],
         limits: (3.0, 4.0, 20.0),
         intervals: 50,
-        guess: 2.3,
     };
     motion.check();
 }
@@ -210,7 +206,6 @@ fn a_cart_moves_a_pendulum_of_three_rods() {
         target: (0..4).map(|i| (unit(4, i), if i == 0 { 1.0 } else { 0.0 })).collect(),
         limits: (3.0, 6.0, 20.0),
         intervals: 100,
-        guess: 2.3,
     };
     motion.check();
 }
