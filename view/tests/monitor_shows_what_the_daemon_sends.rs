@@ -59,7 +59,7 @@ fn in_each_mode() {
         assert!(text.contains("mode hold") && text.contains("enable"), "{text}");
     }
     let text = picture(&view(upto(Mode::Balance)), &KeyState::new(&CONFIG), 120, 34);
-    assert!(text.contains("Last link: 0.0 deg from upright"), "{text}");
+    assert!(text.contains("Tip: 0.0 deg from upright"), "{text}");
 }
 
 #[test]

@@ -157,7 +157,7 @@ fn joint_line(joint: &JointView, (name, wide, narrow): (usize, usize, usize), th
 /// The last link seen along the world's x and y axes; up is up.
 fn draw_pendulum(frame: &mut Frame, area: Rect, cycle: Option<&CycleView>, theme: Theme) {
     let tilt = cycle.map_or_else(String::new, |c| format!(": {:.1} deg from upright ", c.tilt.to_degrees()));
-    let block = Block::bordered().title(format!(" Last link{tilt}"));
+    let block = Block::bordered().title(format!(" Tip{tilt}"));
     let inner = block.inner(area);
     frame.render_widget(block, area);
     let Some(cycle) = cycle else { return };
