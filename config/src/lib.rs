@@ -178,7 +178,7 @@ impl Config {
     ///
     /// # Errors
     /// [`ConfigError`] if a file has become unreadable since the settings were loaded.
-    pub fn files(&self) -> Result<Vec<(String, Cow<'static, [u8]>)>, ConfigError> {
+    pub fn files(&self) -> Result<Vec<Contents>, ConfigError> {
         let mut files = Vec::new();
         for defaults in &DEFAULTS {
             files.push((defaults.name.to_owned(), Cow::Owned(self.complete(defaults)?.into_bytes())));
