@@ -1,6 +1,7 @@
-"""Rigid-body dynamics of the robot for CasADi, read from the URDF; shares no code with upswing.
+"""Rigid-body dynamics of a chain of joints for CasADi, read from the URDF; shares no code with upswing.
 
-Symbols are the paper's (Vu, Hartl-Nesic, Kugi, ICRA 2021). SI units throughout.
+Symbols are the paper's (Vu, Hartl-Nesic, Kugi, ICRA 2021). SI units throughout: rad, or m for a prismatic joint. Vectors of all joints
+have the order of the chain.
 """
 
 import xml.etree.ElementTree as ElementTree
@@ -16,35 +17,47 @@ GRAVITY = (0.0, 0.0, -9.81)
 
 @dataclass
 class Joint:
-    """A revolute joint and the body behind it, with what is fixed to that body."""
+    """A joint with one degree of freedom and the body behind it, with what is fixed to that body."""
 
     name: str
     """In the URDF."""
+    prismatic: bool
     rotation: np.ndarray
-    """Axes of the joint's frame at angle 0 in the parent's frame."""
+    """Axes of the joint's frame at position 0 in the parent's frame."""
     translation: np.ndarray
-    """Origin of the joint's frame in the parent's frame, m."""
+    """Origin of the joint's frame at position 0 in the parent's frame, m."""
     axis: np.ndarray
-    """In the joint's frame."""
+    """In the joint's frame, a unit vector."""
     mass: float = 0.0
     first_moment: np.ndarray = field(default_factory=lambda: np.zeros(3))
     """Mass times centre of mass, in the joint's frame, kg m."""
     inertia: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
     """About the joint's origin, in the joint's frame, kg m^2."""
+    viscous: float = 0.0
+    """Friction that plans contain, N m s/rad or N s/m."""
 
 
 @dataclass
 class Chain:
-    """The revolute joints from the root to the tip, the actuated ones first."""
+    """The joints from the root to the tip, and the index sets A and U of the actuated and unactuated ones."""
 
     joints: list[Joint]
-    n_a: int
-    """n_A, number of actuated joints."""
+    actuated: list[int]
+    unactuated: list[int]
+
+    @property
+    def names(self) -> list[str]:
+        return [joint.name for joint in self.joints]
 
     @property
     def n(self) -> int:
         """Number of joints."""
         return len(self.joints)
+
+    @property
+    def n_a(self) -> int:
+        """n_A, number of actuated joints."""
+        return len(self.actuated)
 
     @property
     def nx(self) -> int:
@@ -84,7 +97,7 @@ def origin(element):
 
 
 def read_chain(path: Path) -> Chain:
-    """The chain of a URDF; fixed joints merge their link into the body before, joints with effort 0 are not actuated."""
+    """The chain of a URDF; fixed joints merge their link into the body before, joints without effort are not actuated."""
     robot = ElementTree.parse(path).getroot()
     links = {link.get("name"): link for link in robot.findall("link")}
     children = {}
@@ -92,27 +105,33 @@ def read_chain(path: Path) -> Chain:
         if children.setdefault(joint.find("parent").get("link"), joint) is not joint:
             raise ValueError(f"{path.name}: expected a chain, but {joint.find('parent').get('link')} has two children")
     (link,) = set(children) - {joint.find("child").get("link") for joint in children.values()}
-    chain, actuated = [], []
-    # Pose of the current link in the frame of the last revolute joint (or of the world).
+    chain = Chain([], [], [])
+    # Pose of the current link in the frame of the last movable joint (or of the world).
     rotation, translation = np.eye(3), np.zeros(3)
     while link in children:
         joint = children[link]
         r, p = origin(joint)
         rotation, translation = rotation @ r, translation + rotation @ p
-        if joint.get("type") == "revolute":
-            axis = np.array(numbers(joint.find("axis").get("xyz")))
-            chain.append(Joint(joint.get("name"), rotation, translation, axis))
-            actuated.append(float(joint.find("limit").get("effort")) > 0)
+        kind = joint.get("type")
+        if kind in ("revolute", "continuous", "prismatic"):
+            tag = joint.find("axis")
+            axis = np.array([1.0, 0.0, 0.0] if tag is None else numbers(tag.get("xyz")))
+            limit = joint.find("limit")
+            effort = 0.0 if limit is None else float(limit.get("effort", 0))
+            (chain.actuated if effort > 0 else chain.unactuated).append(chain.n)
+            axis /= np.linalg.norm(axis)
+            chain.joints.append(Joint(joint.get("name"), kind == "prismatic", rotation, translation, axis))
             rotation, translation = np.eye(3), np.zeros(3)
-        elif joint.get("type") != "fixed":
-            raise ValueError(f"{path.name}: joint {joint.get('name')}: expected revolute or fixed")
+        elif kind != "fixed":
+            raise ValueError(
+                f"{path.name}: joint {joint.get('name')}: expected revolute, continuous, prismatic or fixed, got {kind}"
+            )
         link = joint.find("child").get("link")
-        if chain:
-            add_body(chain[-1], links[link].find("inertial"), rotation, translation)
-    n_a = sum(actuated)
-    if not 0 < n_a < len(chain) or not all(actuated[:n_a]):
-        raise ValueError(f"{path.name}: expected actuated joints, then unactuated ones; by joint: {actuated}")
-    return Chain(chain, n_a)
+        if chain.joints:
+            add_body(chain.joints[-1], links[link].find("inertial"), rotation, translation)
+    if not chain.actuated or not chain.unactuated:
+        raise ValueError(f"{path.name}: expected actuated and unactuated joints")
+    return chain
 
 
 def add_body(joint: Joint, inertial, rotation, translation):
@@ -130,19 +149,27 @@ def add_body(joint: Joint, inertial, rotation, translation):
 
 
 def inverse_dynamics(chain: Chain, q, qd, qdd):
-    """Torques of all joints, M qdd + C qd + g: recursive Newton-Euler in body frames."""
+    """Torques (forces) of all joints, M qdd + C qd + g and viscous friction: recursive Newton-Euler in body frames."""
     omega, alpha = ca.SX.zeros(3), ca.SX.zeros(3)
     # Gravity as an acceleration of the base.
     acceleration = -ca.SX(ca.DM(GRAVITY))
     to_parent, forces, moments = [], [], []
     for i, joint in enumerate(chain.joints):
-        k = ca.DM(skew(joint.axis))
-        r = ca.DM(joint.rotation) @ (ca.DM.eye(3) + ca.sin(q[i]) * k + (1 - ca.cos(q[i])) * (k @ k))
-        p, axis = ca.DM(joint.translation), ca.DM(joint.axis)
-        acceleration = r.T @ (acceleration + ca.cross(alpha, p) + ca.cross(omega, ca.cross(omega, p)))
-        omega_parent = r.T @ omega
-        alpha = r.T @ alpha + axis * qdd[i] + ca.cross(omega_parent, axis * qd[i])
-        omega = omega_parent + axis * qd[i]
+        axis = ca.DM(joint.axis)
+        r, p = ca.DM(joint.rotation), ca.DM(joint.translation)
+        if joint.prismatic:
+            slide = r @ axis
+            p = p + slide * q[i]
+        else:
+            k = ca.DM(skew(joint.axis))
+            r = r @ (ca.DM.eye(3) + ca.sin(q[i]) * k + (1 - ca.cos(q[i])) * (k @ k))
+        acceleration = acceleration + ca.cross(alpha, p) + ca.cross(omega, ca.cross(omega, p))
+        if joint.prismatic:
+            acceleration = acceleration + slide * qdd[i] + 2 * ca.cross(omega, slide * qd[i])
+        acceleration, omega, alpha = r.T @ acceleration, r.T @ omega, r.T @ alpha
+        if not joint.prismatic:
+            alpha = alpha + axis * qdd[i] + ca.cross(omega, axis * qd[i])
+            omega = omega + axis * qd[i]
         c, inertia = ca.DM(joint.first_moment), ca.DM(joint.inertia)
         forces.append(joint.mass * acceleration + ca.cross(alpha, c) + ca.cross(omega, ca.cross(omega, c)))
         moments.append(inertia @ alpha + ca.cross(omega, inertia @ omega) + ca.cross(c, acceleration))
@@ -150,27 +177,41 @@ def inverse_dynamics(chain: Chain, q, qd, qdd):
     tau = [None] * chain.n
     force, moment = ca.SX.zeros(3), ca.SX.zeros(3)
     for i in reversed(range(chain.n)):
+        joint = chain.joints[i]
         force, moment = forces[i] + force, moments[i] + moment
-        tau[i] = ca.dot(ca.DM(chain.joints[i].axis), moment)
+        tau[i] = ca.dot(ca.DM(joint.axis), force if joint.prismatic else moment) + joint.viscous * qd[i]
         r, p = to_parent[i]
         force = r @ force
         moment = r @ moment + ca.cross(p, force)
     return ca.vertcat(*tau)
 
 
-def pendulum_acceleration(chain: Chain, q, qd, u):
+def accelerations(chain: Chain, u, qdd_u):
+    """qdd of all joints from those of the actuated and of the unactuated ones."""
+    qdd = [None] * chain.n
+    for indices, values in ((chain.actuated, u), (chain.unactuated, qdd_u)):
+        for k, i in enumerate(indices):
+            qdd[i] = values[k]
+    return ca.vertcat(*qdd)
+
+
+def free_acceleration(chain: Chain, q, qd, u):
     """qdd_U of (3a): the accelerations for which the unactuated joints need no torque."""
     n_u = chain.n - chain.n_a
     qdd_u = ca.SX.sym("qdd_u", n_u)
-    residual = inverse_dynamics(chain, q, qd, ca.vertcat(u, qdd_u))[chain.n_a :]
+    residual = inverse_dynamics(chain, q, qd, accelerations(chain, u, qdd_u))[chain.unactuated]
     m, rest = ca.jacobian(residual, qdd_u), ca.substitute(residual, qdd_u, ca.SX.zeros(n_u))
     return -(ca.adj(m) @ rest) / ca.det(m)
 
 
+def acceleration(chain: Chain, q, qd, u):
+    """qdd of all joints."""
+    return accelerations(chain, u, free_acceleration(chain, q, qd, u))
+
+
 def motor_torque(chain: Chain, q, qd, u):
     """tau_A of (3b), (9)."""
-    qdd_u = pendulum_acceleration(chain, q, qd, u)
-    return inverse_dynamics(chain, q, qd, ca.vertcat(u, qdd_u))[: chain.n_a]
+    return inverse_dynamics(chain, q, qd, acceleration(chain, q, qd, u))[chain.actuated]
 
 
 def motor_torque_without_coriolis(chain: Chain, q, u):
