@@ -85,7 +85,7 @@ impl CommonArgs {
 }
 
 /// Creates a private domain for a system that this process starts, and the options of its session, with a folder for logs. The
-/// plant starts at the angles `start`, deg, comma-separated.
+/// plant starts at the positions `start` of the actuated joints, deg or m, comma-separated.
 ///
 /// # Errors
 /// [`Failure::BadInput`] for an invalid name, [`Failure::Failed`] if the folder cannot be created.

@@ -38,7 +38,7 @@ pub struct PlanArgs {
     #[arg(long, value_parser = whole(1_u32, 100))]
     pub iterations: Option<u32>,
     /// Adapt the optimal trajectory from these positions of the actuated joints, deg or m, instead of a database entry
-    #[arg(long, value_name = "Q1,..,Q7", allow_hyphen_values = true)]
+    #[arg(long, value_name = "Q1,..", allow_hyphen_values = true)]
     pub reference: Option<Degrees>,
     /// Draw the plan (solid) and its reference trajectory (dashed), scaled by the 100 % limits (SVG)
     #[arg(long, value_name = "FILE")]

@@ -73,7 +73,7 @@ pub struct SessionOptions {
     pub domain: String,
     /// Clock of the plant.
     pub clock: Clock,
-    /// Start pose of the arm: angles of joints 1-7, deg, comma-separated; `None`: that of the plant's settings.
+    /// Start positions of the actuated joints, deg or m, comma-separated; `None`: those of the plant's settings.
     pub start: Option<String>,
     /// Scenario of the plant; `None`: the plant's settings without a scenario.
     pub scenario: Option<String>,
