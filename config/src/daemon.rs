@@ -232,6 +232,9 @@ pub struct PlanSettings {
     /// Largest defect of a plan from one QP ([`crate::ReplanSettings::iterations`] = 1), rad and rad/s per interval.
     #[serde(deserialize_with = "BetweenZeroAndOne::read")]
     pub defect_of_one_qp: f64,
+    /// Largest amplification of a deviation by the start tolerance, see [`upswing_trajectory::PlanCriteria::amplification`].
+    #[serde(deserialize_with = "Positive::read")]
+    pub amplification: f64,
     /// Delay from a measurement to its torque in the stability check of the closed loop, periods.
     #[serde(rename = "delay_cycles", deserialize_with = "Whole::<0, 8>::read")]
     pub delay: usize,

@@ -61,7 +61,7 @@ use upswing_trajectory::{LoopDelays, PlanCriteria};
 pub struct Config {
     /// Text of the robot description.
     pub urdf: String,
-    /// The robot read from it, with the rotors of `robot`; its rated limits agree with `robot.limits`.
+    /// The robot read from it, with the rotors and bearings of `robot`; its rated limits agree with `robot.limits`.
     pub model: Model,
     /// Limits and drives of the robot.
     pub robot: RobotSettings,
@@ -131,7 +131,7 @@ impl Config {
         let model = read_model(&urdf)?;
         let robot: RobotSettings = Settings::new(system.text(ROBOT.name)?, &ROBOT)
             .read(&model, |robot: &mut RobotSettings| robot.validate(&model))?;
-        let model = model.with_rotors(&robot.rotor_inertia);
+        let model = model.with_rotors(&robot.rotor_inertia).with_friction(&robot.bearing_friction);
         let manoeuvres = manoeuvre::read(&system.text(MANOEUVRES)?, &robot, &model)?;
         let planner = Settings::new(system.text_or_empty(PLANNER.name)?, &PLANNER)
             .read(&model, |planner: &mut PlannerSettings| planner.validate(&robot))?;
@@ -171,6 +171,7 @@ impl Config {
                 },
                 cycles: plans.delay,
             },
+            amplification: plans.amplification,
         }
     }
 

@@ -25,6 +25,8 @@ pub struct RobotSettings {
     pub coriolis_bound: Option<CoriolisBound>,
     /// Inertia of the rotors, reflected to the actuated joints, kg m^2 or kg; part of [`crate::Config::model`].
     pub rotor_inertia: ActuatedVector,
+    /// Viscous friction of the unactuated joints, N m s/rad or N s/m; part of [`crate::Config::model`].
+    pub bearing_friction: UnactuatedVector,
     /// Joint friction that the drives do not compensate; the daemon adds it to its torque.
     pub friction: JointFriction,
 }
@@ -51,6 +53,7 @@ struct RobotFile {
     usage: LimitUsage,
     coriolis_bound: Option<CoriolisBound>,
     drives: DriveProperties,
+    bearings: BearingProperties,
 }
 
 fn rated_limits<'de, D: Deserializer<'de>>(from: D) -> Result<Limits, D::Error> {
@@ -137,8 +140,15 @@ struct DriveProperties {
     friction_smoothing: f64,
 }
 
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct BearingProperties {
+    #[serde(deserialize_with = "NonNegative::read")]
+    friction_viscous: UnactuatedVector,
+}
+
 impl From<RobotFile> for RobotSettings {
-    fn from(RobotFile { description, limits, usage, coriolis_bound, drives }: RobotFile) -> Self {
+    fn from(RobotFile { description, limits, usage, coriolis_bound, drives, bearings }: RobotFile) -> Self {
         let mut planning = limits;
         planning.tau_max *= usage.torque_fraction;
         planning.qd_max.actuated_mut().iter_mut().for_each(|qd| *qd *= usage.velocity_fraction_actuated);
@@ -159,6 +169,7 @@ impl From<RobotFile> for RobotSettings {
             planning,
             coriolis_bound,
             rotor_inertia: drives.rotor_inertia,
+            bearing_friction: bearings.friction_viscous,
             friction: JointFriction {
                 viscous: drives.friction_viscous,
                 coulomb: drives.friction_coulomb,

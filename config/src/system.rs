@@ -46,13 +46,13 @@ static SHIPPED: &[ShippedSystem] = shipped! {
     "ur5e-pendulum": "robot.urdf" "robot.toml" "manoeuvres.toml" "plant.toml" "scenarios/everyday.toml";
     "kr3-single": "robot.urdf" "robot.toml" "manoeuvres.toml" "plant.toml" "scenarios/everyday.toml";
     "gantry-crane": "robot.urdf" "robot.toml" "manoeuvres.toml" "planner.toml" "daemon.toml" "plant.toml" "scenarios/everyday.toml";
-    "cart-pole": "robot.urdf" "robot.toml" "manoeuvres.toml" "plant.toml";
-    "cart-double": "robot.urdf" "robot.toml" "manoeuvres.toml" "plant.toml";
-    "cart-triple": "robot.urdf" "robot.toml" "manoeuvres.toml" "plant.toml";
-    "xy-spherical": "robot.urdf" "robot.toml" "manoeuvres.toml" "plant.toml";
-    "furuta": "robot.urdf" "robot.toml" "manoeuvres.toml" "plant.toml";
-    "acrobot": "robot.urdf" "robot.toml" "manoeuvres.toml" "plant.toml";
-    "pendubot": "robot.urdf" "robot.toml" "manoeuvres.toml" "plant.toml";
+    "cart-pole": "robot.urdf" "robot.toml" "manoeuvres.toml" "planner.toml" "daemon.toml" "plant.toml" "scenarios/everyday.toml";
+    "cart-double": "robot.urdf" "robot.toml" "manoeuvres.toml" "planner.toml" "daemon.toml" "plant.toml" "scenarios/everyday.toml";
+    "cart-triple": "robot.urdf" "robot.toml" "manoeuvres.toml" "planner.toml" "daemon.toml" "plant.toml" "scenarios/everyday.toml";
+    "xy-spherical": "robot.urdf" "robot.toml" "manoeuvres.toml" "planner.toml" "daemon.toml" "plant.toml" "scenarios/everyday.toml";
+    "furuta": "robot.urdf" "robot.toml" "manoeuvres.toml" "planner.toml" "daemon.toml" "plant.toml" "scenarios/everyday.toml";
+    "acrobot": "robot.urdf" "robot.toml" "manoeuvres.toml" "planner.toml" "daemon.toml" "plant.toml" "scenarios/everyday.toml";
+    "pendubot": "robot.urdf" "robot.toml" "manoeuvres.toml" "planner.toml" "daemon.toml" "plant.toml" "scenarios/everyday.toml";
 };
 
 /// Folder of the scenarios in that of a system.

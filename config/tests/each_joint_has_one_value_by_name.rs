@@ -12,7 +12,7 @@ const ACTUATED: &str = "joint_1, joint_2, joint_3, joint_4, joint_5, joint_6, jo
 const UNACTUATED: &str = "pendulum_1, pendulum_2";
 
 /// Keys with one value per joint: file, section, key, and the joints that they concern.
-const KEYS: [(&str, &str, &str, &str); 28] = [
+const KEYS: [(&str, &str, &str, &str); 29] = [
     ("robot.toml", "limits", "qd_deg_s", ALL),
     ("robot.toml", "limits", "tau_nm", ACTUATED),
     ("robot.toml", "usage", "position_margin_deg", UNACTUATED),
@@ -21,6 +21,7 @@ const KEYS: [(&str, &str, &str, &str); 28] = [
     ("robot.toml", "drives", "rotor_inertia_kg_m2", ACTUATED),
     ("robot.toml", "drives", "friction_viscous", ACTUATED),
     ("robot.toml", "drives", "friction_coulomb", ACTUATED),
+    ("robot.toml", "bearings", "friction_viscous", UNACTUATED),
     ("planner.toml", "replan", "weight_q", ALL),
     ("planner.toml", "replan", "weight_qd", ALL),
     ("planner.toml", "replan", "weight_u", ACTUATED),

@@ -7,9 +7,9 @@ use upswing_config::{Config, Level, Levels, StartTolerance};
 use upswing_ipc::{Measurement, OtherChain};
 use upswing_model::{ActuatedVector, JointKind, JointVector, MOST_JOINTS, Period, State, UnactuatedVector};
 
-/// Largest speed that an encoder of the pendulum may report, rad/s or m/s; no pendulum reaches it.
+/// Speed that an encoder of the pendulum may always report, rad/s or m/s: one that falls may exceed its limit many times.
 const PENDULUM_SPEED: f64 = 30.0;
-/// Largest speed that an encoder of the arm may report, as a multiple of the 100 % speed.
+/// Largest speed that an encoder may report, as a multiple of the 100 % speed.
 const SPEED_FACTOR: f64 = 2.0;
 /// Time until a stop decelerates an accelerating arm, s.
 const STOP_DELAY: f64 = 8e-3;
@@ -49,7 +49,8 @@ impl Checks {
             tau_max: limits.tau_max,
             encoder_speed: JointVector::joined(
                 &(limits.qd_max.actuated() * SPEED_FACTOR),
-                &UnactuatedVector::repeat(limits.qd_max.sizes(), PENDULUM_SPEED),
+                &(limits.qd_max.unactuated() * SPEED_FACTOR)
+                    .sup(&UnactuatedVector::repeat(limits.qd_max.sizes(), PENDULUM_SPEED)),
             ),
             prismatic: std::array::from_fn(|i| {
                 i < limits.qd_max.len() && config.model.joint_kind(i) == JointKind::Prismatic

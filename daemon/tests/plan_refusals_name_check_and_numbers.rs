@@ -399,7 +399,7 @@ fn gains_that_drive_away_from_the_plan() {
     let all = 0..=n(&config);
     let unfit = verdict(&|p| scale(p, all.clone(), -1.0));
     assert!(
-        matches!(unfit, UnmetCriterion::Amplification { knot, got } if knot > 80 && got > 100.0),
+        matches!(unfit, UnmetCriterion::Amplification { knot, got, .. } if knot > 80 && got > 100.0),
         "{unfit}"
     );
     let unfit = verdict(&|p| scale(p, 40..60, -1.0));
@@ -483,7 +483,7 @@ fn the_amplification_is_that_of_a_simulation() {
         let mut plan = plan.clone();
         spoil(&mut plan);
         let refusal = sent(&plan, &config).unwrap_err();
-        let PlanRefusal::Criterion(UnmetCriterion::Amplification { knot, got }) = refusal else {
+        let PlanRefusal::Criterion(UnmetCriterion::Amplification { knot, got, .. }) = refusal else {
             panic!("{refusal}")
         };
         let expected = amplification(&config, &plan, knot, stands);

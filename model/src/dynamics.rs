@@ -353,6 +353,9 @@ impl Model {
         for a in 0..actuated {
             force[a] += u[a] * self.rotors[a];
         }
+        for c in 0..d.unactuated() {
+            force[actuated + c] += qd[actuated + c] * self.friction[c];
+        }
         reduce(d, &force, work, out);
     }
 

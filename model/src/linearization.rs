@@ -303,7 +303,7 @@ impl Model {
         self.eliminate_unactuated(d, work, out);
     }
 
-    /// Rows of dr/dz, r = M qdd + C qd + g, at the state of `work`, in which the accelerations are complete: all of q and qd, and of qdd
+    /// Rows of dr/dz, r = M qdd + C qd + D qd + g, at the state of `work`, in which the accelerations are complete: all of q and qd, and of qdd
     /// the columns of the actuated joints.
     #[inline(always)]
     fn inverse_dynamics_rows<T: Scalar>(
@@ -364,6 +364,9 @@ impl Model {
         }
         for a in 0..actuated {
             out.rows[a * stride + 2 * n + a] += T::constant(self.rotors[a]);
+        }
+        for (c, i) in (actuated..n).enumerate() {
+            out.rows[i * stride + n + i] += T::constant(self.friction[c]);
         }
     }
 

@@ -2,7 +2,7 @@
 
 use crate::description::Body;
 use crate::dynamics::Frame;
-use crate::{ActuatedVector, JointVector, Limits, Order, Sizes};
+use crate::{ActuatedVector, JointVector, Limits, Order, Sizes, UnactuatedVector};
 use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 /// Pose of a frame in the world frame, m.
@@ -107,6 +107,8 @@ pub struct Model {
     pub(crate) tip: Vector3<f64>,
     /// Inertia of the rotors, reflected to the actuated joints, kg m^2 or kg.
     pub(crate) rotors: ActuatedVector,
+    /// Viscous friction D of the unactuated joints, N m s/rad or N s/m.
+    pub(crate) friction: UnactuatedVector,
     /// Gravity in the world frame, m/s^2.
     pub(crate) gravity: Vector3<f64>,
     pub(crate) rated_limits: Limits,
@@ -146,6 +148,7 @@ impl Model {
             order,
             tip: turn.transpose() * tip,
             rotors: ActuatedVector::zeros(order.sizes()),
+            friction: UnactuatedVector::zeros(order.sizes()),
             gravity,
             rated_limits,
             fingerprint: 0,
@@ -299,6 +302,15 @@ impl Model {
         geared
     }
 
+    /// A model with viscous `friction` D of the unactuated joints (N m s/rad or N s/m, 0 or above): M_UA u + M_UU qdd_U + C_U qd + D qd_U
+    /// + g_U = 0 replaces (3a), and all that follows from it. Inverse and forward dynamics are those of the bodies alone.
+    pub fn with_friction(&self, friction: &UnactuatedVector) -> Self {
+        let mut slowed = self.clone();
+        slowed.friction = *friction;
+        slowed.fingerprint = slowed.compute_fingerprint();
+        slowed
+    }
+
     /// Joint torques J^T F, N m or N, of a `force` F (N, world frame) on the tip of the pendulum.
     pub fn torque_of_tip_force(&self, q: &JointVector, force: &Vector3<f64>) -> JointVector {
         let tip = self.tip(q);
@@ -326,9 +338,12 @@ impl Model {
             put(j.mass);
         }
         self.gravity.iter().for_each(|v| put(*v));
-        // Without rotors a model is what its URDF says.
+        // Without rotors and friction a model is what its URDF says.
         if self.rotors.iter().any(|v| *v != 0.0) {
             self.rotors.iter().for_each(|v| put(*v));
+        }
+        if self.friction.iter().any(|v| *v != 0.0) {
+            self.friction.iter().for_each(|v| put(*v));
         }
         hash.digest()
     }

@@ -32,6 +32,10 @@ pub const REST_SPEED_ESTIMATE: f64 = 0.05;
 /// swing-up after one second of Balance.
 pub const REST_SPEED_REPORT: f64 = 0.05;
 
+/// The same for fast machines, as a share of the largest 100 % speed of an actuated joint. Assumed: their encoders are coarser for their
+/// speed.
+pub const REST_SHARE_REPORT: f64 = 0.02;
+
 /// Largest speed of each joint, rad/s, in a measured state from which a plan starts at rest.
 pub const REST_SPEED_START: f64 = 0.02;
 

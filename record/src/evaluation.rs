@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use upswing_config::Config;
 use upswing_ipc::operator::planning_text;
 use upswing_ipc::{Mode, PlannerResponse, Telemetry};
-use upswing_model::thresholds::{REPORT_POSITION_SLACK, REST_SPEED_REPORT};
+use upswing_model::thresholds::{REPORT_POSITION_SLACK, REST_SHARE_REPORT, REST_SPEED_REPORT};
 use upswing_model::{JointVector, Limits, Model, Posture, UnactuatedVector};
 
 /// Figures of a motion: `T` is a number, or a statistic of the numbers of many motions.
@@ -287,6 +287,7 @@ impl SwingUpEvaluation {
         let beyond = LimitExcess::most(&config.model, limits, records);
         let mut failures = Vec::new();
         let (s, m) = (&statistics, &statistics.motion);
+        let at_rest = REST_SPEED_REPORT.max(REST_SHARE_REPORT * limits.qd_max.actuated().amax());
         let mut fail = |bad: bool, text: String| {
             if bad {
                 failures.push(text);
@@ -304,9 +305,9 @@ impl SwingUpEvaluation {
             format!("{} {:.3} s, expected {seconds} s", stayed(end).0, s.balance_s),
         );
         fail(
-            !(m.final_speed <= REST_SPEED_REPORT),
+            !(m.final_speed <= at_rest),
             format!(
-                "the actuated joints move at {:.3} rad/s or m/s in the last second, expected at most {REST_SPEED_REPORT}",
+                "the actuated joints move at {:.3} rad/s or m/s in the last second, expected at most {at_rest:.3}",
                 m.final_speed
             ),
         );

@@ -20,11 +20,7 @@ const DERIVATIVE_TOLERANCE: f64 = 1e-6;
 /// Largest torque with which a gain may answer a deviation of one row of the state by the start tolerance, as a multiple of
 /// the 100 % limit. With r of (20) at a hundredth of its setting it is 4; a larger one is a blow, not feedback.
 const MOST_STEP: f64 = 5.0;
-/// Largest amplification of such a deviation: root of the sum of the squares of all rows at this and all later knots, in
-/// units of the start tolerance, for [`AMPLIFIED_INTERVALS`]. Plans of the planner have 13 to 30, because the arm has to move to catch the
-/// rod.
-const MOST_AMPLIFIED: f64 = 100.0;
-/// Number of intervals for which [`MOST_AMPLIFIED`] is stated: with more knots each counts less, so that N does not matter.
+/// Number of intervals for which [`PlanCriteria::amplification`] is stated: with more knots each counts less, so that N does not matter.
 const AMPLIFIED_INTERVALS: f64 = 100.0;
 
 /// The criteria that a plan has to meet.
@@ -40,6 +36,9 @@ pub struct PlanCriteria {
     pub tolerance: State,
     /// Delays of the feedback loop.
     pub delays: LoopDelays,
+    /// Largest amplification of a deviation of one row of the state by the start tolerance: root of the sum of the squares of all rows at
+    /// this and all later knots, in units of the start tolerance, as if the plan had 100 intervals.
+    pub amplification: f64,
 }
 
 /// The first criterion that a plan does not meet.
@@ -184,7 +183,7 @@ pub enum UnmetCriterion {
     },
     /// The closed loop amplifies a deviation from the plan too much.
     #[error(
-        "the closed loop amplifies a deviation at knot {knot} {got:.3e} times, expected at most {MOST_AMPLIFIED} times"
+        "the closed loop amplifies a deviation at knot {knot} {got:.3e} times, expected at most {most} times"
     )]
     Amplification {
         /// Number of the knot.
@@ -192,6 +191,8 @@ pub enum UnmetCriterion {
         /// Root of the sum of the squares of all rows at this and all later knots, in units of the start tolerance, for a
         /// deviation of one row by its tolerance at this knot; as if the plan had 100 intervals.
         got: f64,
+        /// Largest accepted amplification.
+        most: f64,
     },
 }
 

@@ -36,6 +36,7 @@ fn criteria_of(model: &Model) -> PlanCriteria {
         defect: 1e-3,
         tolerance: State::from_slice(model.sizes(), &[0.02, 0.02, 0.2, 0.2]).expect("four numbers"),
         delays: LoopDelays { period: 1.25e-4, velocity_filter: Some(5e-3), cycles: 2 },
+        amplification: 100.0,
     }
 }
 

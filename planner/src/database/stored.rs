@@ -25,6 +25,13 @@ pub static SHIPPED: &[(&str, &str, &[u8])] = shipped! {
     "ur5e-pendulum": "swing-up" "move" "carry";
     "kr3-single": "swing-up" "move" "carry";
     "gantry-crane": "move";
+    "cart-pole": "swing-up" "move" "carry";
+    "cart-double": "swing-up" "move" "carry";
+    "cart-triple": "swing-up" "move" "carry";
+    "xy-spherical": "swing-up" "move" "carry";
+    "furuta": "swing-up" "move" "carry";
+    "acrobot": "swing-up";
+    "pendubot": "swing-up";
 };
 
 /// Encoded database that is shipped with a system for the manoeuvre `name`.

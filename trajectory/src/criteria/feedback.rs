@@ -1,8 +1,6 @@
 //! Criteria for the gains of a plan: their torques, and the stability of the closed loop with its delays.
 
-use super::{
-    AMPLIFIED_INTERVALS, MOST_AMPLIFIED, MOST_STEP, PlanCriteria, UnmetCriterion, finite, same_sizes,
-};
+use super::{AMPLIFIED_INTERVALS, MOST_STEP, PlanCriteria, UnmetCriterion, finite, same_sizes};
 use crate::{Gain, Gains, Trajectory};
 use nalgebra::{DMatrix, DVector};
 use upswing_model::{ActuatedVector, LimitKind, Linearization, Model, Posture, Sizes, State, Workspace};
@@ -171,7 +169,8 @@ impl PlanCriteria {
         let got = (0..n_x)
             .map(from)
             .fold(0.0, |worst: f64, v| if v.is_nan() { f64::INFINITY } else { worst.max(v) });
-        if got <= MOST_AMPLIFIED { Ok(()) } else { Err(UnmetCriterion::Amplification { knot, got }) }
+        let most = self.amplification;
+        if got <= most { Ok(()) } else { Err(UnmetCriterion::Amplification { knot, got, most }) }
     }
 
     /// Quadratic form |x|^2, in units of the start tolerance, of a state of the closed loop.
