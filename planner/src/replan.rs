@@ -18,7 +18,7 @@ use crate::database::{DatabaseFile, NearestKey, Neighbour};
 use crate::offline::{self, lqr_weights, problem, problem_fingerprint, qp_weights, torque_constraint};
 use std::time::Instant;
 use tracing::warn;
-use upswing_config::{Config, ConfigError, GridAxis, Manoeuvre, QpBackend};
+use upswing_config::{Config, ConfigError, Manoeuvre, QpBackend};
 use upswing_model::{JointVector, LimitKind, State, Workspace};
 use upswing_ocp::interior_point::{self, NlpOptions, NlpStatus};
 use upswing_ocp::kkt::TargetRow;
@@ -35,9 +35,12 @@ const QP_TOLERANCE: f64 = 1e-9;
 /// reproduces the duration of the entry to 1e-6 s.
 const QP_COMPLEMENTARITY: f64 = 1e-12;
 
-/// Distance to the nearest entry, rad or m, beyond which QPs are skipped if the full optimisation is allowed; half the diagonal of a cell of the
-/// grid if that is larger. For the arm's swing-up that is 0.40 in the shipped grid and 0.53 in the grid of the paper.
+/// Distance to the nearest entry, rad or m, beyond which QPs are skipped if the full optimisation is allowed: half the diagonal of a
+/// cell is 0.40 for the shipped grid of the arm's swing-up and 0.53 for the grid of the paper.
 const REACH: f64 = 0.6;
+/// Distance to an entry, rad or m, beyond which the full optimisation follows in any case where the request gives the target: a move takes
+/// less time the less far it goes, and the duration of an entry says nothing about the optimum.
+const SAME_MOVE: f64 = 0.05;
 /// Largest ratio of the duration of a plan from QPs to that of the shortest of the nearest entries, which is about the optimum.
 /// The knot margin alone costs 1.5 %.
 const LONGER: f64 = 1.035;
@@ -300,7 +303,7 @@ impl Planner {
         // Without entries nothing but the full optimisation can give a plan.
         let optimise = effort.optimise || neighbours.is_empty();
         for entry in &neighbours {
-            if optimise && entry.distance > reach(&self.config, manoeuvre) {
+            if optimise && entry.distance > REACH {
                 break;
             }
             match self.adapt(&wanted, entry.index, effort, solver, &mut statistics) {
@@ -333,8 +336,14 @@ impl Planner {
         // The nearest entries may all belong to another, longer local optimum.
         let around = self.trees[manoeuvre].nearest(&key(start, given), AROUND);
         let longest = (LONGER * shortest(&neighbours)).min(MUCH_LONGER * shortest(&around));
-        let good = |(_, accepted): &(Neighbour, AcceptableTrajectory)| {
-            accepted.defect <= self.config.planner.replan.defect && accepted.trajectory.t_f <= longest
+        let near = match self.config.manoeuvres[manoeuvre].given().next() {
+            None => f64::INFINITY,
+            Some(_) => SAME_MOVE,
+        };
+        let good = |(entry, accepted): &(Neighbour, AcceptableTrajectory)| {
+            accepted.defect <= self.config.planner.replan.defect
+                && accepted.trajectory.t_f <= longest
+                && entry.distance <= near
         };
         let mut plan = None;
         if optimise && !adapted.as_ref().is_some_and(good) {
@@ -624,13 +633,4 @@ fn metric(config: &Config, manoeuvre: &Manoeuvre) -> Vec<f64> {
     let metric = &config.planner.replan.metric;
     let of_given = manoeuvre.given().map(|axis| metric[axis.joint]);
     metric.iter().copied().chain(of_given).collect()
-}
-
-/// Distance to the nearest entry of a manoeuvre beyond which QPs are skipped, rad or m: [`REACH`], or half the diagonal of a cell of its grid.
-fn reach(config: &Config, manoeuvre: usize) -> f64 {
-    let manoeuvre = &config.manoeuvres[manoeuvre];
-    let half = |axis: &GridAxis| 0.5 * (axis.to - axis.from) / axis.points.saturating_sub(1).max(1) as f64;
-    let axes = manoeuvre.grid.axes.iter().chain(manoeuvre.given());
-    let squared = axes.map(|axis| config.planner.replan.metric[axis.joint] * half(axis).powi(2));
-    squared.sum::<f64>().sqrt().max(REACH)
 }

@@ -4,7 +4,7 @@ use super::{Task, certify, has_grid_of};
 use crate::offline::{optimize, options, target};
 use rayon::prelude::*;
 use upswing_config::Config;
-use upswing_model::State;
+use upswing_model::{Posture, State};
 use upswing_ocp::interior_point::NlpStatus;
 use upswing_ocp::kkt::TargetRow;
 use upswing_ocp::multistart::Search;
@@ -96,7 +96,7 @@ pub enum RecordFlaw {
 const ROUNDING: f64 = 1e-6;
 /// Largest end error, rad or rad/s. The trapezoidal rule is exact to h^2; the falling rod, which is left to itself for this
 /// figure, amplifies that by some hundreds: 0.65 in the shipped database, 1.1 in that of the other arm in `examples/`. A
-/// rod that ends hanging misses its end by pi.
+/// rod that ends hanging misses its end by pi. Only for manoeuvres that start hanging.
 const FARTHEST_END: f64 = 2.0;
 
 /// Recomputes all statements of the records, in parallel: figures, start, target, limits, and that poses without a trajectory
@@ -191,7 +191,9 @@ fn verify_entry(config: &Config, manoeuvre: usize, entry: &Entry) -> Result<(), 
             }
         }
     }
-    if !(computed.end_error <= FARTHEST_END) {
+    // From a standing start the pendulum falls all the time.
+    let hangs = config.manoeuvres[manoeuvre].start == Posture::Hanging;
+    if hangs && !(computed.end_error <= FARTHEST_END) {
         return Err(RecordFlaw::EndError { got: computed.end_error });
     }
     Ok(())
