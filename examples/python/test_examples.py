@@ -148,21 +148,21 @@ class Flights(unittest.TestCase):
 
         def fly(name, plant):
             with System(f"{name[:10]}-{plant}") as system:
-                _, records = self.fly(system, name, plants[plant])
+                printed, records = self.fly(system, name, plants[plant])
             begin = np.flatnonzero(records["mode"] == Mode.Track)[0]
-            return of_joints(records[begin:], "q"), records["mode"][-1]
+            return of_joints(records[begin:], "q"), records["mode"][-1], printed
 
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             flights = {name: [pool.submit(fly, name, plant) for plant in plants] for name in FLYING}
             for name, both in flights.items():
                 with self.subTest(name):
-                    (own, own_mode), (other, other_mode) = (flight.result() for flight in both)
+                    (own, own_mode, own_text), (other, other_mode, other_text) = (flight.result() for flight in both)
                     common = min(len(own), len(other))
                     difference = own[:common] - other[:common]
                     course, end = np.abs(difference).max(), np.abs(difference[-4000:].mean(axis=0)).max()
                     print(f"{name:<16} MuJoCo and the own plant: within {course:.1e} at any time, {end:.1e} at the end, rad or m")
                     self.assertEqual(other_mode, own_mode)
-                    self.assertLess(course, COURSE)
+                    self.assertLess(course, COURSE, f"\n{own_text}\n{other_text}")
                     self.assertLess(end, END)
 
 
