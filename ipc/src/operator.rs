@@ -75,7 +75,7 @@ impl OperatorRequest {
     ///
     /// # Errors
     /// The manoeuvre.
-    pub const fn command(self) -> Result<ControlKind, ManoeuvreRequest> {
+    pub const fn command(&self) -> Result<ControlKind, &ManoeuvreRequest> {
         match self {
             Self::Manoeuvre(manoeuvre) => Err(manoeuvre),
             Self::Hold => Ok(ControlKind::Hold),
@@ -298,7 +298,7 @@ impl Operator {
     ) -> Result<AcceptedRequest, OperatorError> {
         let command = match request.command() {
             Ok(command) => command,
-            Err(manoeuvre) => return self.execute(manoeuvre, interrupted),
+            Err(manoeuvre) => return self.execute(*manoeuvre, interrupted),
         };
         let mode = self.control(&ControlRequest::new(command), &mut || true)?.mode_text();
         Ok(AcceptedRequest { success: true, mode, plan_id: None, t_f: None, planning_s: None })

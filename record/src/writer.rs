@@ -178,7 +178,7 @@ fn begin(
         writer.attach(&Attachment {
             log_time: 0,
             create_time: 0,
-            name: name.into(),
+            name,
             media_type: media_type.into(),
             data: Cow::Borrowed(text.as_bytes()),
         })?;

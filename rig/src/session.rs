@@ -257,7 +257,7 @@ impl Session {
         match request.command() {
             Ok(command) => self.control(&ControlRequest::new(command)),
             Err(manoeuvre) => {
-                self.start_manoeuvre(&manoeuvre)?;
+                self.start_manoeuvre(manoeuvre)?;
                 self.status()
             }
         }

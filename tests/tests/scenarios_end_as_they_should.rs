@@ -45,7 +45,7 @@ fn all_of_them() {
         let mut largest: f64 = 0.0;
         for _ in 0..SECOND {
             case.run(1);
-            largest = largest.max(tilt(&model, case.system.plant.position()).to_degrees());
+            largest = largest.max(tilt(model, case.system.plant.position()).to_degrees());
         }
         let balanced = case.mode() == (Mode::Balance, false) && largest < 2.0;
         let outcome = if started && balanced { BALANCED.to_owned() } else { case.outcome() };
