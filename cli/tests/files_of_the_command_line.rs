@@ -16,6 +16,8 @@ const START: &str = "0,-15,0,-95,0,10,0";
 
 /// A file that can be read, and a database.
 const SOME_FILE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../config/systems/iiwa-pendulum/swing-up.bin");
+/// A robot description.
+const URDF: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../config/systems/iiwa-pendulum/robot.urdf");
 
 /// What commands need besides the file under test: command, argument, words.
 const NEEDED: &[(&str, &str, &[&str])] = &[
@@ -26,6 +28,8 @@ const NEEDED: &[(&str, &str, &[&str])] = &[
     ("disturb fault", "kind", &["encoder-nan"]),
     ("disturb push", "impulse", &["--impulse", "1,0,0"]),
     ("config export", "dir", &["exported"]),
+    ("system new", "dir", &["my-robot"]),
+    ("system new", "urdf", &["--urdf", URDF]),
     ("record", "file", &["run.mcap"]),
     ("replay", "file", &["run.mcap"]),
     ("report", "file", &[SOME_FILE]),

@@ -50,8 +50,8 @@ fn robot() {
             &["drives.rotor_inertia_kg_m2: ", NOT_NEGATIVE, "got -1"],
         ),
         (
-            "friction_viscous = 0",
-            "friction_viscous = { default = 0, joint_2 = -1 }",
+            "friction_viscous = 0\nfriction_coulomb",
+            "friction_viscous = { default = 0, joint_2 = -1 }\nfriction_coulomb",
             &["drives.friction_viscous.joint_2", NOT_NEGATIVE, "got -1"],
         ),
         (
@@ -268,7 +268,7 @@ fn plant() {
         (
             "{ pendulum_1 = 4.79",
             "{ pendulum_1 = -4.79",
-            &["encoder.resolution_rad.pendulum_1", POSITIVE, "got -4"],
+            &["encoder.resolution_rad.pendulum_1", POSITIVE, "got -0.00004"],
         ),
         ("resolution_m = 2e-5", "resolution_m = inf", &["encoder.resolution_m", POSITIVE, "got inf"]),
         ("watchdog_cycles = 20", "watchdog_cycles = 0", &["drive.watchdog_cycles", "from 1 to", "got 0"]),

@@ -139,7 +139,7 @@ fn values_outside_the_ranges() {
         "{ joint = 'cart', value_m = 0.5 },\n{ joint = 'pole', value_deg = 180 }",
         UP,
         &[
-            "manoeuvre.target.value_m: expected a value from -0.407 to 0.407 m, which the ranges of `cart` allow, got 0.5",
+            "manoeuvre.target.value_m: expected a value from -0.38665 to 0.38665 m, which the ranges of `cart` allow, got 0.5",
         ],
     );
     swing_up(

@@ -22,6 +22,8 @@ const LAST: f64 = 0.5;
 const BALANCED: f64 = 0.03;
 const HELD: f64 = 0.01;
 const HANGING: f64 = 0.1;
+/// Largest position beyond the limits of a joint that is held at their ends, rad or m: less than a step of its encoder.
+const STEP: f64 = 1e-5;
 
 struct Flight<'a> {
     config: &'a Config,
@@ -56,7 +58,7 @@ impl Flight<'_> {
         let x = State::new(self.system.plant.position(), self.system.plant.velocity());
         for i in 0..limits.q_max.len() {
             let name = model.joint_name(i);
-            if i < tau.len() && !(limits.q_min[i]..=limits.q_max[i]).contains(&x.q()[i]) {
+            if i < tau.len() && !(limits.q_min[i] - STEP..=limits.q_max[i] + STEP).contains(&x.q()[i]) {
                 return Err(format!("joint `{name}` is at {}", x.q()[i]));
             }
             if x.qd()[i].abs() > limits.qd_max[i] {

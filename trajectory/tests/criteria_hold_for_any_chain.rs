@@ -1,7 +1,7 @@
 //! The criteria of plans on a pole on a cart, a chain with two joints: a plan that stands under a stabilising gain is accepted,
 //! without a gain it is refused, and so are plans whose parts do not belong together or to the model. None of them panics.
 
-use upswing_model::{ActuatedVector, LimitKind, Linearization, Model, Sizes, State, Workspace};
+use upswing_model::{ActuatedVector, JointVector, LimitKind, Linearization, Model, Sizes, State, Workspace};
 use upswing_trajectory::{Gains, INTERVALS, LoopDelays, Plan, PlanCriteria, Trajectory, UnmetCriterion};
 
 const CART_POLE: &str = r#"<robot name="cart-pole">
@@ -34,7 +34,10 @@ fn criteria_of(model: &Model) -> PlanCriteria {
         limits: *model.rated_limits(),
         tau_max: model.rated_limits().tau_max,
         defect: 1e-3,
-        tolerance: State::from_slice(model.sizes(), &[0.02, 0.02, 0.2, 0.2]).expect("four numbers"),
+        tolerance: State::new(
+            &JointVector::repeat(model.sizes(), 0.02),
+            &JointVector::repeat(model.sizes(), 0.2),
+        ),
         delays: LoopDelays { period: 1.25e-4, velocity_filter: Some(5e-3), cycles: 2 },
         amplification: 100.0,
     }

@@ -79,7 +79,7 @@ def look(browser, url, token, folder, blind):
 
     subprocess.run(blind, check=True, stdout=subprocess.DEVNULL)
     watch(page, "modefault")
-    watch(page, "rodunknown")
+    watch(page, "last linkunknown")
     # The newest sample of the motion may be a frame older than the state.
     page.wait_for_function("() => document.getElementById('readout').textContent.includes('pendulum_2     NaN deg')")
     page.screenshot(path=folder / "blind.png", full_page=True)
