@@ -145,7 +145,7 @@ fn values_outside_the_ranges() {
     swing_up(
         "{ joint = 'cart', given = true, from_m = 0, to_m = 0.5, points = 2 },\n{ joint = 'pole', value_deg = 180 }",
         UP,
-        &["manoeuvre.target.to_m: expected a position from -0.407 to 0.407 m, got 0.5 for joint `cart`"],
+        &["manoeuvre.target.to_m: expected a position from -0.38665 to 0.38665 m, got 0.5 for joint `cart`"],
     );
 }
 

@@ -83,7 +83,7 @@ fn each_alone() {
     );
 
     // What the simulated plant knows counts, whatever the filter shows.
-    for (joint, words) in [(3, "a velocity reached 120 %"), (8, "the pendulum reached 120 %")] {
+    for (joint, words) in [(3, "a velocity reached 120 %"), (8, "an unactuated joint reached 120 %")] {
         let mut fastest = JointVector::zeros(config.model.sizes());
         fastest[joint] = 1.2 * limits.qd_max[joint];
         let response = PlannerResponse::default();

@@ -22,8 +22,9 @@ const LAST: f64 = 0.5;
 const BALANCED: f64 = 0.03;
 const HELD: f64 = 0.01;
 const HANGING: f64 = 0.1;
-/// Largest position beyond the limits of a joint that is held at their ends, rad or m: less than a step of its encoder.
-const STEP: f64 = 1e-5;
+/// Largest position beyond the limits of a joint that is held at their ends, rad or m: two steps of 2e-5, which its encoder does not
+/// resolve for certain.
+const STEP: f64 = 4e-5;
 
 struct Flight<'a> {
     config: &'a Config,
