@@ -28,6 +28,9 @@ FLYING = [name for name in SYSTEMS if any((HERE.parents[1] / "config" / "systems
 # Encoder steps fall at other moments as soon as two plants differ in the last bits, and the feedback answers each step: the
 # differences are those that steps of up to 3e-3 rad leave in a controlled motion.
 COURSE, END = 5e-3, 1e-3
+# The planner adapts one of several entries that are nearly equally good: where the starts differ by encoder steps, it may choose another
+# one, and the plans end in other poses of the same target. Such a pair is flown again.
+PAIRS = 4
 # Far beyond anything that is waited for.
 LONG_S = 300
 
@@ -149,19 +152,24 @@ class Flights(unittest.TestCase):
         def fly(name, plant):
             with System(f"{name[:10]}-{plant}") as system:
                 printed, records = self.fly(system, name, plants[plant])
-            begin = np.flatnonzero(records["mode"] == Mode.Track)[0]
-            return of_joints(records[begin:], "q"), records["mode"][-1], printed
+            track = np.flatnonzero(records["mode"] == Mode.Track)
+            planned = of_joints(records[track[-1:]], "q_d")
+            return of_joints(records[track[0] :], "q"), planned, records["mode"][-1], printed
 
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             flights = {name: [pool.submit(fly, name, plant) for plant in plants] for name in FLYING}
             for name, both in flights.items():
                 with self.subTest(name):
-                    (own, own_mode, own_text), (other, other_mode, other_text) = (flight.result() for flight in both)
+                    for _ in range(PAIRS):
+                        (own, own_end, own_mode, own_text), (other, other_end, other_mode, other_text) = (flight.result() for flight in both)
+                        self.assertEqual(other_mode, own_mode)
+                        if np.abs(own_end - other_end).max() < COURSE:
+                            break
+                        both = [pool.submit(fly, name, plant) for plant in plants]
                     common = min(len(own), len(other))
                     difference = own[:common] - other[:common]
                     course, end = np.abs(difference).max(), np.abs(difference[-4000:].mean(axis=0)).max()
                     print(f"{name:<16} MuJoCo and the own plant: within {course:.1e} at any time, {end:.1e} at the end, rad or m")
-                    self.assertEqual(other_mode, own_mode)
                     self.assertLess(course, COURSE, f"\n{own_text}\n{other_text}")
                     self.assertLess(end, END)
 
