@@ -25,7 +25,7 @@ pub(crate) mod request;
 pub(crate) mod soak;
 pub(crate) mod status;
 pub(crate) mod system;
-pub(crate) mod systems;
+mod system_list;
 
 pub(crate) use json::TrajectoryJson;
 

@@ -4,7 +4,7 @@ use crate::RobotSettings;
 use crate::conflict::{SettingsConflict, milliseconds};
 use crate::joints::{Prismatic, Revolute, both_kinds};
 use crate::rule::{
-    BetweenZeroAndOne, Count, NonNegative, Positive, Quantity, Rule, Share, WaitingTime, Whole,
+    BetweenZeroAndOne, Count, NonNegative, Positive, Quantity, QuarterTurn, Rule, Share, WaitingTime, Whole,
 };
 use serde::de::{Deserialize, Deserializer, Error};
 use std::marker::PhantomData;
@@ -207,7 +207,7 @@ pub struct Levels {
     #[serde(deserialize_with = "Positive::read")]
     pub balance_error_m: Level,
     /// Distance |q_U - q_U,N| of the unactuated joints from the end of the plan in Balance, rad; 1 m of a prismatic joint counts as 1 rad.
-    #[serde(rename = "balance_distance_rad", deserialize_with = "Positive::read")]
+    #[serde(rename = "balance_distance_rad", deserialize_with = "QuarterTurn::read")]
     pub balance_distance: Level,
     /// Predicted speed of the actuated joints in Balance, as a share of the 100 % limits.
     #[serde(rename = "balance_speed_fraction", deserialize_with = "Positive::read")]

@@ -63,6 +63,7 @@ rules! {
     BetweenZeroAndOne: "a number between 0 and 1, both excluded", |v| v > 0.0 && v < 1.0;
     MotionTime: "a duration above 0 and at most 60 s", |v| v > 0.0 && v <= 60.0;
     WaitingTime: "a time above 0 and at most 86400 s", |v| v > 0.0 && v <= 86_400.0;
+    QuarterTurn: "an angle above 0 and below pi/2 rad", |v| v > 0.0 && v < std::f64::consts::FRAC_PI_2;
     Angle: "an angle from -360 to 360 deg", |v| (-360.0..=360.0).contains(&v);
     // Beyond, sums of positions would lose digits that the checks of equilibria need.
     Position: "a position from -100000 to 100000", |v| v.abs() <= 1e5;
@@ -163,7 +164,11 @@ mod tests {
         holds_up_to_its_ends::<BetweenZeroAndOne>(&[above_0, below_1], &[0.0, 1.0, nan]);
         holds_up_to_its_ends::<MotionTime>(&[above_0, 60.0], &[0.0, 60.0_f64.next_up(), nan]);
         holds_up_to_its_ends::<WaitingTime>(&[1e-9, 86_400.0], &[0.0, 86_400.1, nan]);
+        let quarter = std::f64::consts::FRAC_PI_2;
+        holds_up_to_its_ends::<QuarterTurn>(&[above_0, quarter.next_down()], &[0.0, quarter, nan]);
         holds_up_to_its_ends::<Angle>(&[-360.0, 360.0], &[-360.1, 360.1, nan]);
+        holds_up_to_its_ends::<Position>(&[-1e5, 1e5], &[1e5_f64.next_up(), nan, -inf]);
+        holds_up_to_its_ends::<Margin>(&[0.0, 1e5], &[-above_0, 1e5_f64.next_up(), nan]);
     }
 
     #[test]

@@ -241,7 +241,7 @@ fn daemon() {
         (
             "balance_distance_rad = { warn = 0.1745",
             "balance_distance_rad = { warn = 0",
-            &["limits.balance_distance_rad.warn", POSITIVE, "got 0"],
+            &["limits.balance_distance_rad.warn", "an angle above 0 and below pi/2 rad", "got 0"],
         ),
         ("late_cycles = { warn = 1", "late_cycles = { warn = 0", &["limits.late_cycles.warn", "got 0"]),
         ("trip = 600", "trip = 6", &["limits.plan_age_s.trip", "more than the 60 of warn", "got 6"]),

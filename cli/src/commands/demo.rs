@@ -1,6 +1,6 @@
 //! `upswing demo`: runs the whole system on this machine for its first manoeuvre, such as a swing-up.
 
-use super::systems::SystemList;
+use super::system_list::SystemList;
 use super::{CommonArgs, own_system, session_failure, time_bar, writable};
 use crate::parse::{Degrees, start_state};
 use serde::Serialize;

@@ -79,7 +79,7 @@ fn check_empty(dir: &Path) -> Result<(), Failure> {
             }
         },
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(()),
-        Err(e) => Err(refuse(&format!("expected a new or empty folder: {e}"))),
+        Err(e) => Err(refuse(&format!("expected a new or empty folder ({e}): choose another name"))),
     }
 }
 
