@@ -493,11 +493,12 @@ impl<'a> ServiceThread<'a> {
         let closing = Arc::clone(&self.closing);
         let name = self.config.first_manoeuvre(Posture::Hanging).unwrap_or_default();
         let manoeuvre = ManoeuvreRequest::new(name, &[]);
+        let known_seq = self.log.respond().seq;
         let ask = move || {
-            let manoeuvre = manoeuvre?;
+            let request = PlannerRequest { known_seq, ..PlannerRequest::from_now(manoeuvre?) };
             let planner = node.client::<PlannerRequest>()?;
             let wanted = || !closing.load(Ordering::Acquire);
-            Ok(PublishedPlan::from(&request_plan(&planner, manoeuvre, patience, wanted)?))
+            Ok(PublishedPlan::from(&request_plan(&planner, &request, patience, wanted)?))
         };
         match Builder::new().name("recovery".into()).spawn(ask) {
             Ok(thread) => self.asker = Some(thread),

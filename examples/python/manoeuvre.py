@@ -79,7 +79,9 @@ def fly(node, name, given, seconds, period):
     if ask(ControlKind.Status).mode == Mode.Idle:
         ask(ControlKind.Enable)
     wait(SETTLE_S)
-    answer = planner.call(layouts.PlannerRequest(manoeuvre=manoeuvre(name, given), from_now=1, publish=1))
+    request = layouts.PlannerRequest(manoeuvre=manoeuvre(name, given), from_now=1, publish=1)
+    request.known_seq = ask(ControlKind.Status).seq
+    answer = planner.call(request)
     if answer.plan_id == 0:
         raise Refused(f"the planner refused: {text(answer.reason)}")
     end = time.monotonic() + PATIENCE_S

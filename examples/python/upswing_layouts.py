@@ -306,22 +306,24 @@ class ManoeuvreRequest(Structure):
 
 
 class PlannerRequest(Structure):
-    SIZE = 480
+    SIZE = 488
     OFFSETS = {
         "kind": 0,
         "from_now": 8,
-        "joints": 16,
-        "actuated": 24,
-        "q": 32,
-        "qd": 160,
-        "manoeuvre": 288,
-        "iterations": 456,
-        "budget_ms": 464,
-        "publish": 472,
+        "known_seq": 16,
+        "joints": 24,
+        "actuated": 32,
+        "q": 40,
+        "qd": 168,
+        "manoeuvre": 296,
+        "iterations": 464,
+        "budget_ms": 472,
+        "publish": 480,
     }
     _fields_ = [
         ("kind", c_uint64),
         ("from_now", c_uint64),
+        ("known_seq", c_uint64),
         ("joints", c_uint64),
         ("actuated", c_uint64),
         ("q", (c_double * 16)),
@@ -334,7 +336,7 @@ class PlannerRequest(Structure):
 
     @staticmethod
     def type_name():
-        return "upswing.PlannerRequest.v3"
+        return "upswing.PlannerRequest.v4"
 
 
 class PlannerResponse(Structure):

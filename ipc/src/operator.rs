@@ -169,18 +169,17 @@ impl From<&PlannerResponse> for PublishedPlan {
     }
 }
 
-/// Asks the planner for a manoeuvre from the present state, to be published to the daemon. The request is withdrawn once
-/// `wanted` returns false.
+/// Sends a request for a plan, to be published to the daemon. The request is withdrawn once `wanted` returns false.
 ///
 /// # Errors
 /// [`OperatorError::Planner`] if the planner makes no plan, [`OperatorError::Call`] if it does not respond.
 pub fn request_plan(
     planner: &Client<PlannerRequest>,
-    manoeuvre: ManoeuvreRequest,
+    request: &PlannerRequest,
     patience: Duration,
     wanted: impl FnMut() -> bool,
 ) -> Result<PlannerResponse, OperatorError> {
-    let response = planner.call_while(&PlannerRequest::from_now(manoeuvre), patience, wanted)?;
+    let response = planner.call_while(request, patience, wanted)?;
     if response.plan_id == 0 {
         return Err(OperatorError::Planner(response.reason.to_string()));
     }
@@ -333,16 +332,19 @@ impl Operator {
         })
     }
 
-    /// As [`request_plan`].
+    /// Asks the planner for a manoeuvre from the state in the newest record of the daemon, or a later one, to be published to the
+    /// daemon. The request is withdrawn once `wanted` returns false.
     ///
     /// # Errors
-    /// As [`request_plan`].
+    /// As [`request_plan`]; [`OperatorError::Call`] if the daemon does not respond.
     pub fn plan(
         &self,
         manoeuvre: ManoeuvreRequest,
         wanted: &mut dyn FnMut() -> bool,
     ) -> Result<PlannerResponse, OperatorError> {
-        request_plan(self.planner()?, manoeuvre, self.patience, wanted)
+        let known_seq = self.control(&ControlRequest::new(ControlKind::Status), wanted)?.seq;
+        let request = PlannerRequest { known_seq, ..PlannerRequest::from_now(manoeuvre) };
+        request_plan(self.planner()?, &request, self.patience, wanted)
     }
 
     fn planner(&self) -> Result<&Client<PlannerRequest>, OperatorError> {

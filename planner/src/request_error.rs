@@ -38,6 +38,11 @@ pub(crate) enum PlannerRequestError {
     /// The newest telemetry of the daemon is seconds old.
     #[error("no telemetry from the daemon for some seconds: is upswingd running?")]
     DaemonSilent,
+    /// The record that the client knows of has not arrived.
+    #[error(
+        "telemetry of the daemon: expected record {expected} or a later one, got {got}: is the machine overloaded?"
+    )]
+    TelemetryBehind { expected: u64, got: u64 },
     /// The telemetry has another number of joints than the model.
     #[error(transparent)]
     TelemetryOfOtherChain(OtherChain),
@@ -79,6 +84,7 @@ impl PlannerRequestError {
             Self::StartOutsideLimits { .. } => PlannerStatus::StartOutsideLimits,
             Self::NoTelemetry
             | Self::DaemonSilent
+            | Self::TelemetryBehind { .. }
             | Self::TelemetryOfOtherChain(_)
             | Self::UnknownMode(_)
             | Self::Mode { .. }

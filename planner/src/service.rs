@@ -77,7 +77,7 @@ fn serve(planner: &Planner, domain: &Domain, stop: &Arc<AtomicBool>) -> Result<(
                 let answer = handler.answer(request, wanted);
                 attempts += usize::from(handler.late);
                 let again = handler.late && attempts <= LATE;
-                // A client that enables the daemon and requests a plan at once is faster than the telemetry of the new mode.
+                // A client that enables the daemon and requests a plan at once is faster than the telemetry.
                 let early = answer.0.status() == Ok(PlannerStatus::NotReady);
                 if !((again || early && begin.elapsed() < HANDS_OVER) && wanted()) {
                     break answer;
@@ -254,7 +254,7 @@ impl<'a> RequestHandler<'a> {
             got => return Err(PlannerRequestError::Iterations { got, max: MOST_ITERATIONS }),
         };
         let PlanStart { x: start, activation_ns, due } = if request.from_now == 1 {
-            self.start_from_now(&config.manoeuvres[manoeuvre], begin)?
+            self.start_from_now(&config.manoeuvres[manoeuvre], request.known_seq, begin)?
         } else {
             let x = request.start(config.model.order()).map_err(PlannerRequestError::StartOfOtherChain)?;
             PlanStart { x, activation_ns: None, due: None }
@@ -311,6 +311,7 @@ impl<'a> RequestHandler<'a> {
     fn start_from_now(
         &self,
         manoeuvre: &Manoeuvre,
+        known_seq: u64,
         begin: Instant,
     ) -> Result<PlanStart, PlannerRequestError> {
         let Some((record, seen)) = &self.newest else {
@@ -318,6 +319,9 @@ impl<'a> RequestHandler<'a> {
         };
         if stale(record, *seen) {
             return Err(PlannerRequestError::DaemonSilent);
+        }
+        if record.seq < known_seq {
+            return Err(PlannerRequestError::TelemetryBehind { expected: known_seq, got: record.seq });
         }
         let config = self.planner.config();
         let needed = Mode::from_posture(manoeuvre.start);

@@ -221,6 +221,23 @@ fn from_a_daemon_that_has_fallen_silent() {
 }
 
 #[test]
+fn from_a_record_that_the_client_knows_of_before_the_planner() {
+    let planner = planner();
+    let mut handler = RequestHandler::new(&planner);
+    let known = |seq| PlannerRequest { known_seq: seq, ..from_now("swing-up") };
+    let held = |seq| Telemetry { seq, ..record(&planner, &rest(&planner), Mode::Hold, true) };
+    handler.observe(held(1999), Instant::now());
+    refused(
+        ask(&mut handler, &known(2000)),
+        PlannerStatus::NotReady,
+        "expected record 2000 or a later one, got 1999",
+    );
+    assert!(ask(&mut handler, &known(1999)).1.is_some());
+    handler.observe(held(2001), Instant::now());
+    assert!(ask(&mut handler, &known(2000)).1.is_some());
+}
+
+#[test]
 fn nonsense() {
     let planner = planner();
     let mut handler = RequestHandler::new(&planner);

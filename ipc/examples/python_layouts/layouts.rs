@@ -159,7 +159,19 @@ pub fn module() -> String {
     class!(out, ManoeuvreRequest { name, number, given });
     class!(
         out,
-        PlannerRequest { kind, from_now, joints, actuated, q, qd, manoeuvre, iterations, budget_ms, publish }
+        PlannerRequest {
+            kind,
+            from_now,
+            known_seq,
+            joints,
+            actuated,
+            q,
+            qd,
+            manoeuvre,
+            iterations,
+            budget_ms,
+            publish
+        }
     );
     class!(
         out,

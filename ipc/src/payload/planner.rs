@@ -11,12 +11,15 @@ use upswing_model::{Order, State};
 /// A request to the planner.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
-#[type_name("upswing.PlannerRequest.v3")]
+#[type_name("upswing.PlannerRequest.v4")]
 pub struct PlannerRequest {
     /// Code of the [`PlannerKind`].
     pub kind: u64,
     /// 1: start from the state in the newest telemetry and ignore `q` and `qd`; 0: start from these.
     pub from_now: u64,
+    /// With `from_now`: `seq` of the newest record that the client knows of. The planner waits for that record or a later one, so
+    /// that equal runs plan from equal states; 0: it takes what it has.
+    pub known_seq: u64,
     /// n, number of joints.
     pub joints: u64,
     /// n_A, number of actuated joints.
@@ -36,7 +39,7 @@ pub struct PlannerRequest {
 }
 
 const _: () = assert!(
-    size_of::<PlannerRequest>() == WORD * 7 + 2 * size_of::<PerJoint>() + size_of::<ManoeuvreRequest>()
+    size_of::<PlannerRequest>() == WORD * 8 + 2 * size_of::<PerJoint>() + size_of::<ManoeuvreRequest>()
 );
 
 impl PlannerRequest {
