@@ -126,6 +126,7 @@ impl DisturbanceEstimate {
     /// Updates the estimate with the filtered velocity `v`, `elapsed` (s) after the previous one. `motion`: the motion for
     /// which the command in between was computed; `None` if the torque limiter cut the command, so that the arm moved otherwise:
     /// then the estimate stays as it is.
+    #[inline(always)]
     pub fn update(&mut self, v: &ActuatedVector, motion: Option<CommandedMotion<'_>>, elapsed: f64) {
         if self.settings.bandwidth == 0.0 || !(elapsed > 0.0) {
             return;
@@ -147,6 +148,7 @@ impl DisturbanceEstimate {
     }
 
     /// Part of `change` by which the estimate changes in a cycle, for the inertia M~.
+    #[inline(always)]
     fn share(
         &self,
         inertia: &ActuatedMatrix,

@@ -65,6 +65,7 @@ impl DifferentialFilter {
     }
 
     /// Takes the sample `q`, `cycles` cycles after the previous one; returns v.
+    #[inline(always)]
     pub fn update(&mut self, q: &JointVector, cycles: u64) -> JointVector {
         let z = match &self.state {
             None => *q,
@@ -99,6 +100,7 @@ impl LagCompensation {
     }
 
     /// Takes the acceleration `qdd` of the last `cycles` cycles; returns T_1 a.
+    #[inline(always)]
     pub fn update(&mut self, qdd: &JointVector, cycles: u64) -> JointVector {
         self.acceleration += (qdd - self.acceleration) * self.lag.share(cycles);
         self.acceleration * self.lag.time_constant

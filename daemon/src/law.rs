@@ -57,6 +57,7 @@ impl JointSpaceInertia {
 
 /// Computes tau_A = M~ u + C~ qd + g~ (24) at the state `x` for the input `u`, minus the `disturbance` torque (the paper has none),
 /// limited to +-`tau_max`, and the `inertia` in `x`; `None` if the torque is not finite, and then `inertia` is as before.
+#[inline(always)]
 pub fn torque(
     model: &Model,
     x: &State,

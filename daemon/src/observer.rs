@@ -103,6 +103,7 @@ impl Observer {
     /// Takes the newest measurement, whether or not it is new. `now_ns`: time of the cycle, used on the clock `wall`
     /// only. `expected`: qdd for which the last command was computed; `None` if the limiter cut it. `braked`: the brakes
     /// were closed, so that motion since the previous measurement is no fault.
+    #[inline(always)]
     pub fn observe(
         &mut self,
         measurement: &Measurement,

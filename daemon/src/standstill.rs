@@ -184,6 +184,7 @@ impl Standstill {
 
     /// Takes the torque of this cycle, which acts until the next measurement. `u`: commanded acceleration, `estimate`: disturbance
     /// estimate, `inertia`: inertia matrices of this cycle, `qd`: measured speeds of the arm.
+    #[inline(always)]
     pub fn command(
         &mut self,
         u: &ActuatedVector,
@@ -262,6 +263,7 @@ impl Standstill {
 
     /// Takes the positions `q`, `elapsed` (s) after the previous ones. Returns a trip for the first joint with an unexplained
     /// standstill.
+    #[inline(always)]
     pub fn observe(&mut self, q: &JointVector, elapsed: f64) -> Option<Trip> {
         let drive = self.drive.as_ref()?;
         self.quiet += elapsed;
