@@ -1,7 +1,6 @@
 //! Parsers of values on the command line.
 
-use upswing_config::Config;
-use upswing_config::PendulumStart;
+use upswing_config::{Config, GivenOutsideLimits, PendulumStart};
 use upswing_model::{Posture, StartError, State};
 use upswing_planner::database::standing;
 use upswing_process::Failure;
@@ -64,7 +63,8 @@ impl std::str::FromStr for JointValue {
 /// a joint without option.
 ///
 /// # Errors
-/// [`Failure::BadInput`] if there is no such manoeuvre, or if it does not ask for one of the joints.
+/// [`Failure::BadInput`] if there is no such manoeuvre, if it does not ask for one of the joints, if a joint has two values, or one outside
+/// its limits.
 pub fn given_values(config: &Config, name: &str, to: &[JointValue]) -> Result<(usize, Vec<f64>), Failure> {
     let Some(number) = config.manoeuvres.iter().position(|manoeuvre| manoeuvre.name == name) else {
         let names: Vec<_> = config.manoeuvres.iter().map(|m| format!("`{}`", m.name)).collect();
@@ -80,7 +80,12 @@ pub fn given_values(config: &Config, name: &str, to: &[JointValue]) -> Result<(u
             let refusal = format!("--to: `{name}` takes values of the joints {expected}; got `{joint}`");
             return Err(Failure::BadInput(refusal));
         };
+        if !given[i].is_nan() {
+            return Err(Failure::BadInput(format!("--to: joint `{joint}` twice: give one value")));
+        }
         given[i] = config.model.joint_kind(joints[i]).position(*value);
+        GivenOutsideLimits::check(config, joints[i], given[i])
+            .map_err(|e| Failure::BadInput(format!("--to: {e}")))?;
     }
     Ok((number, given))
 }

@@ -56,6 +56,8 @@ fn targets() {
         let with = |more: &[&str], parts: &[&str]| refused(&[&[command], &start[..], more].concat(), parts);
         with(&["fly"], &["unknown manoeuvre `fly`"]);
         with(&["swing-up", "--to", "joint_1=1"], &["joints none", "`joint_1`"]);
+        with(&["move", "--to", "joint_1=200"], &["--to", "`joint_1`", "expected -1", "got 200.000 deg"]);
+        with(&["move", "--to", "joint_1=1", "joint_1=2"], &["--to", "`joint_1` twice"]);
     }
     let leaning = ["plan", "--start", "0,-15,0,-95,0,20,0", "--manoeuvre", "carry"];
     refused(&leaning, &["--start", "cannot stand"]);

@@ -35,7 +35,7 @@ pub use error::ConfigError;
 pub use fault::{EventError, Fault, FaultError, FaultJointError, FaultKind, Push};
 pub use file::{check_regular, open_file, read_file};
 pub use grid::{GridAxis, GridSettings};
-pub use manoeuvre::{GivenError, Manoeuvre, TargetRow, TargetValue};
+pub use manoeuvre::{GivenError, GivenOutsideLimits, Manoeuvre, TargetRow, TargetValue};
 pub use new_system::{Changes, NewJoint, NewSystem};
 pub use planner::{
     BalanceSettings, LqrSettings, OfflineSettings, PlannerSettings, QpBackend, ReplanSettings, SUB_HORIZONS,

@@ -5,14 +5,14 @@ mod check;
 use crate::conflict::{SettingsConflict, in_file, unit};
 use crate::file::TextFile;
 use crate::rule::{Finite, Positive, Rule, Whole};
-use crate::{ConfigError, GridAxis, GridSettings, RobotSettings};
+use crate::{Config, ConfigError, GridAxis, GridSettings, RobotSettings};
 use check::Mistake;
 use serde::{Deserialize, Deserializer};
 use std::collections::BTreeMap;
 use std::fmt::Display;
 use toml::Spanned;
 use upswing_model::{
-    JointKind, JointVector, Limits, Model, Posture, RestError, State, UnactuatedVector, Workspace,
+    JointKind, JointVector, LimitKind, Limits, Model, Posture, RestError, State, UnactuatedVector, Workspace,
 };
 
 /// Largest number of start poses, so that a typing error does not exhaust the memory.
@@ -71,6 +71,38 @@ pub enum GivenError {
     /// The unactuated joints have no rest position in the pose.
     #[error(transparent)]
     NoRest(#[from] RestError),
+}
+
+/// A position that a request gives is outside the limits of its joint.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("target of joint `{joint}`: expected {min:.3} to {max:.3} {unit}, got {got:.3} {unit}")]
+pub struct GivenOutsideLimits {
+    /// Name of the joint.
+    pub joint: String,
+    /// Ends of the range open to plans, deg or m.
+    pub min: f64,
+    /// Upper end.
+    pub max: f64,
+    /// deg or m
+    pub got: f64,
+    /// deg or m
+    pub unit: &'static str,
+}
+
+impl GivenOutsideLimits {
+    /// Checks the position `q` (rad or m) that a request gives to `joint` against the limits of plans.
+    ///
+    /// # Errors
+    /// [`GivenOutsideLimits`], also for NaN.
+    pub fn check(config: &Config, joint: usize, q: f64) -> Result<(), Self> {
+        let (min, max) = config.robot.planning.range(LimitKind::Position, joint);
+        if q >= min && q <= max {
+            return Ok(());
+        }
+        let kind = config.model.joint_kind(joint);
+        let [(min, unit), (max, _), (got, _)] = [min, max, q].map(|q| kind.shown(q));
+        Err(Self { joint: config.model.joint_name(joint).to_owned(), min, max, got, unit })
+    }
 }
 
 impl Manoeuvre {

@@ -2,6 +2,7 @@
 
 use crate::replan::NoPlan;
 use std::time::Duration;
+use upswing_config::GivenOutsideLimits;
 use upswing_ipc::{Mode, OtherChain, PlannerStatus, UnknownCode};
 use upswing_model::LimitKind;
 
@@ -17,9 +18,9 @@ pub(crate) enum PlannerRequestError {
     /// The request gives the wrong number of values.
     #[error("`{manoeuvre}`: expected values of the joints {joints}, got {got}")]
     GivenNumber { manoeuvre: String, joints: String, got: u64 },
-    /// A given value is outside the limits of its joint, in `unit`: deg or m.
-    #[error("target of joint `{joint}`: expected {min:.3} to {max:.3} {unit}, got {got:.3} {unit}")]
-    GivenOutsideLimits { joint: String, min: f64, max: f64, got: f64, unit: &'static str },
+    /// A given value is outside the limits of its joint.
+    #[error(transparent)]
+    GivenOutsideLimits(#[from] GivenOutsideLimits),
     /// The request asks for too many QP iterations.
     #[error("iterations: expected 0 (the setting) to {max}, got {got}")]
     Iterations { got: u64, max: u64 },
@@ -77,7 +78,7 @@ impl PlannerRequestError {
             Self::UnknownKind(_)
             | Self::UnknownManoeuvre { .. }
             | Self::GivenNumber { .. }
-            | Self::GivenOutsideLimits { .. }
+            | Self::GivenOutsideLimits(_)
             | Self::Iterations { .. }
             | Self::StartOfOtherChain(_)
             | Self::StartNotFinite { .. } => PlannerStatus::BadRequest,

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use tracing::{info, warn};
-use upswing_config::{Config, Manoeuvre, ReplanSettings};
+use upswing_config::{Config, GivenOutsideLimits, Manoeuvre, ReplanSettings};
 use upswing_ipc::{
     Clock, Domain, ManoeuvreRequest, Mode, PlanMessage, PlannerKind, PlannerRequest, PlannerResponse,
     PlannerStatus, Subscriber, Telemetry, TelemetryBatch, Text, TopicPayload as _,
@@ -437,14 +437,8 @@ fn given_values(
     }
     let value = |(number, joint): (usize, &usize)| match request.given().get(number) {
         Some(got) if !got.is_nan() => {
-            let (min, max) = config.robot.planning.range(LimitKind::Position, *joint);
-            if *got >= min && *got <= max {
-                return Ok(*got);
-            }
-            let [(min, unit), (max, _), (got, _)] =
-                [min, max, *got].map(|q| model.joint_kind(*joint).shown(q));
-            let joint = model.joint_name(*joint).to_owned();
-            Err(PlannerRequestError::GivenOutsideLimits { joint, min, max, got, unit })
+            GivenOutsideLimits::check(config, *joint, *got)?;
+            Ok(*got)
         }
         _ => Ok(start[*joint]),
     };
