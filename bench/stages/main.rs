@@ -6,7 +6,7 @@
 use std::hint::black_box;
 use upswing_model::{ActuatedVector, JointVector, Limits, Model, Sizes, State, Workspace};
 use upswing_ocp::kkt::{Factor, Kkt, TargetRow};
-use upswing_ocp::lqr::{self, LqrWeights};
+use upswing_ocp::lqr::{self, LqrWeights, Recursion};
 use upswing_ocp::problem::{Problem, TorqueConstraint};
 use upswing_ocp::qp::{Backend, Qp, QpOptions, QpSolver, QpStatus, QpWeights};
 use upswing_ocp::slab::KnotVector;
@@ -121,7 +121,8 @@ impl Chain {
         });
         let qp = cpu_us(|| assert_eq!(solver.solve(&self.qp, &QpOptions::new(1e-9)), QpStatus::Solved));
         let gains = cpu_us(|| {
-            let gains = lqr::synthesize(&self.model, &self.hanging, &weights, PERIOD, &mut work);
+            let gains =
+                lqr::synthesize(&self.model, &self.hanging, &weights, PERIOD, Recursion::Periods, &mut work);
             assert!(gains.is_ok(), "{gains:?}");
         });
         [

@@ -38,8 +38,8 @@ pub use grid::{GridAxis, GridSettings};
 pub use manoeuvre::{GivenError, GivenOutsideLimits, Manoeuvre, TargetRow, TargetValue};
 pub use new_system::{Changes, NewJoint, NewSystem};
 pub use planner::{
-    BalanceSettings, LqrSettings, OfflineSettings, PlannerSettings, QpBackend, ReplanSettings, SUB_HORIZONS,
-    TorqueForm,
+    BalanceSettings, LqrRecursion, LqrSettings, OfflineSettings, PlannerSettings, QpBackend, ReplanSettings,
+    SUB_HORIZONS, TorqueForm,
 };
 pub use plant::{
     DriveSettings, EncoderSettings, FrictionSettings, IntegratorSettings, JointStopSettings, MAX_DELAY,

@@ -122,7 +122,7 @@ pub enum QpBackend {
     Clarabel,
 }
 
-/// Settings of the LQR along a trajectory: its weights Q_c and R_c of (20).
+/// Settings of the LQR along a trajectory: its weights Q_c and R_c of (20), and its recursion (23).
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LqrSettings {
@@ -138,6 +138,18 @@ pub struct LqrSettings {
     /// r of R_c = r I, s^4/rad^2.
     #[serde(deserialize_with = "Positive::read")]
     pub r: f64,
+    /// How (23) is computed.
+    pub recursion: LqrRecursion,
+}
+
+/// How the recursion (23) is computed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LqrRecursion {
+    /// From a few longer periods, extrapolated to the control period.
+    Extrapolated,
+    /// With the control period.
+    Periods,
 }
 
 /// Settings of the LQR gain of the mode Balance, which holds x_N: its weights, which replace those of [`LqrSettings`].

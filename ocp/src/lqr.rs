@@ -7,7 +7,7 @@ use nalgebra::DMatrix;
 use upswing_model::{
     ActuatedVector, Dims, LARGEST_STATE, Linearization, MOST_JOINTS, Model, Sizes, State, States, Workspace,
 };
-use upswing_trajectory::{Gains, Trajectory};
+use upswing_trajectory::{Gain, Gains, Trajectory};
 
 /// The Riccati equation (21) has no stabilising solution at the trajectory's end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -26,8 +26,26 @@ pub struct LqrWeights {
     pub r: f64,
 }
 
-/// Solves (21), then iterates (23) backwards with the period `ts` (s), with A and B interpolated between the
-/// knots; keeps the gains at the knots.
+/// How the gains of (23) are computed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Recursion {
+    /// With the period T_s, as in the paper.
+    Periods,
+    /// With a few longer periods, and extrapolated to T_s (Richardson, *The deferred approach to the limit*, Phil. Trans. R. Soc. A 226,
+    /// 1927); with T_s itself where that takes no more steps.
+    Extrapolated,
+}
+
+/// Numbers of periods per interval from which gains are extrapolated, one after the other until they suffice: the sequence of Bulirsch and
+/// Stoer (Numer. Math. 8, 1966).
+const PERIODS: [usize; 8] = [2, 3, 4, 6, 8, 12, 16, 24];
+/// Largest change of a gain by the last of them, relative to the largest entry of the gain. What the next one would change, which is about
+/// the error, is a tenth of it or less for the entries of all shipped databases.
+const LARGEST_CHANGE: f64 = 1e-3;
+
+/// Solves (21), then iterates (23) backwards, with A and B interpolated between the knots, and keeps the gains at the knots: those of the
+/// periods that begin there. `ts`: control period T_s, s. With [`Recursion::Periods`] a whole number of periods lies between two knots, the
+/// one that makes them most nearly as long as T_s.
 ///
 /// # Errors
 /// [`NotStabilisable`] if (21) has no stabilising solution at x_N.
@@ -36,6 +54,7 @@ pub fn synthesize(
     trajectory: &Trajectory,
     weights: &LqrWeights,
     ts: f64,
+    recursion: Recursion,
     work: &mut Workspace,
 ) -> Result<Gains, NotStabilisable> {
     let (sizes, n) = (model.sizes(), trajectory.intervals());
@@ -53,54 +72,112 @@ pub fn synthesize(
     // The end is an equilibrium: u = 0 there, whatever the last knot's input.
     let mut at_end = Slab::zeros(sizes, 1, sizes.unactuated());
     linearise(&mut at_end, 0, trajectory.end(), &ActuatedVector::zeros(sizes));
-    let gains = dispatch!(sizes, |d| recursion(d, &rows, &at_end, trajectory, weights, ts))?;
+    let gains = dispatch!(sizes, |d| all_gains(d, &rows, &at_end, trajectory, weights, ts, recursion))?;
     gains.as_slice().iter().all(|v| v.is_finite()).then_some(gains).ok_or(NotStabilisable)
 }
 
 /// The gains for the rows d qdd_U / dz of all knots, and for those at x_N with u = 0.
-fn recursion<D: Registers>(
+fn all_gains<D: Registers>(
     d: D,
     rows: &Slab<Knots>,
     at_end: &Slab<Knots>,
     trajectory: &Trajectory,
     weights: &LqrWeights,
     ts: f64,
+    recursion: Recursion,
 ) -> Result<Gains, NotStabilisable> {
     let LqrWeights { q, q_end, r } = weights;
-    let (sizes, n, h) = (rows.sizes(), trajectory.intervals(), trajectory.h());
-    let mut gains = Gains::zeros(sizes, n);
+    let (sizes, h) = (rows.sizes(), trajectory.h());
     let at_end = at_end.panel(0);
     let terminal = |q: &State| algebraic_riccati(sizes, at_end, q, *r, ts).ok_or(NotStabilisable);
 
-    let mut end = Recursion::new(&terminal(q_end)?, sizes);
+    let x = terminal(q)?;
+    let by_periods =
+        |count: usize| gains_by_periods(d, rows, &(&x * (ts * count as f64 / h)), weights, h, count);
+    let every_period = ((h / ts).round() as usize).max(1);
+    let extrapolated = match recursion {
+        Recursion::Periods => None,
+        Recursion::Extrapolated => extrapolate(h / ts, every_period, by_periods),
+    };
+    let mut gains = extrapolated.map_or_else(|| by_periods(every_period), Ok)?;
+
+    let mut end = CostToGo::new(&terminal(q_end)?, sizes);
     end.step(d, (at_end, at_end, 0.0), q_end, *r, ts)?;
     end.gain(d, gains.end_mut());
-    for k in 0..=n {
-        end.gain(d, gains.knot_mut(k));
-    }
+    Ok(gains)
+}
 
-    let mut cost = Recursion::new(&terminal(q)?, sizes);
-    let steps = (trajectory.t_f / ts).floor() as usize;
-    let mut next_knot = n;
-    for i in (0..steps).rev() {
-        let t = i as f64 * ts;
-        let k = ((t / h) as usize).min(n - 1);
-        cost.step(d, (rows.panel(k), rows.panel(k + 1), t / h - k as f64), q, *r, ts)?;
-        // The first gain at or before a knot's time serves the knot.
-        while next_knot > 0 && t <= next_knot as f64 * h {
-            cost.gain(d, gains.knot_mut(next_knot));
-            next_knot -= 1;
+/// The gains (23) at the knots with `count` periods per interval of length `h` (s) from the terminal weight `x` on.
+fn gains_by_periods<D: Registers>(
+    d: D,
+    rows: &Slab<Knots>,
+    x: &DMatrix<f64>,
+    LqrWeights { q, r, .. }: &LqrWeights,
+    h: f64,
+    count: usize,
+) -> Result<Gains, NotStabilisable> {
+    let (sizes, n, period) = (rows.sizes(), rows.panels() - 1, h / count as f64);
+    let mut gains = Gains::zeros(sizes, n);
+    let mut cost = CostToGo::new(x, sizes);
+    let mut after = cost.clone();
+    after.step(d, (rows.panel(n), rows.panel(n), 0.0), q, *r, period)?;
+    after.gain(d, gains.knot_mut(n));
+    for k in (0..n).rev() {
+        for i in (0..count).rev() {
+            let share = i as f64 / count as f64;
+            cost.step(d, (rows.panel(k), rows.panel(k + 1), share), q, *r, period)?;
         }
-    }
-    if steps > 0 {
-        cost.gain(d, gains.knot_mut(0));
+        cost.gain(d, gains.knot_mut(k));
     }
     Ok(gains)
 }
 
-/// The recursion (23): the cost-to-go x' P x, the factors of the gain of the last step, and the memory of a step.
+/// The gains for `count` periods per interval, not necessarily whole, from those `by_periods` for some of [`PERIODS`]: the polynomial in
+/// the length of the period. `None` if it takes `most` periods per interval or more.
+fn extrapolate(
+    count: f64,
+    most: usize,
+    by_periods: impl Fn(usize) -> Result<Gains, NotStabilisable>,
+) -> Option<Gains> {
+    let mut computed: Vec<Gains> = Vec::new();
+    let mut before: Option<Gains> = None;
+    for used in 1..=PERIODS.len() {
+        let counts = &PERIODS[..used];
+        if counts.iter().sum::<usize>() >= most {
+            break;
+        }
+        computed.push(by_periods(counts[used - 1]).ok()?);
+        let mut gains = Gains::zeros(computed[0].sizes(), computed[0].intervals());
+        for (i, part) in computed.iter().enumerate() {
+            // Lagrange's polynomial for the lengths 1 / count.
+            let own = 1.0 / counts[i] as f64;
+            let others = counts.iter().filter(|c| **c != counts[i]).map(|c| 1.0 / *c as f64);
+            let weight = others.map(|other| (1.0 / count - other) / (own - other)).product();
+            shift_add(gains.as_mut_slice(), weight, part.as_slice());
+        }
+        if before.is_some_and(|before| change(&before, &gains) <= LARGEST_CHANGE) {
+            return Some(gains);
+        }
+        before = Some(gains);
+    }
+    None
+}
+
+/// Largest difference of a gain at a knot, relative to its largest entry. Infinite if a number is not finite.
+fn change(before: &Gains, after: &Gains) -> f64 {
+    let of_knot = |(before, after): (Gain<'_>, Gain<'_>)| {
+        let largest = after.as_slice().iter().fold(f64::MIN_POSITIVE, |most, v| most.max(v.abs()));
+        let differences = before.as_slice().iter().zip(after.as_slice()).map(|(b, a)| (a - b).abs());
+        // A maximum would lose a NaN.
+        differences.fold(0.0, |worst: f64, d| if d.is_finite() { worst.max(d) } else { f64::INFINITY })
+            / largest
+    };
+    before.knots().zip(after.knots()).map(of_knot).fold(0.0, f64::max)
+}
+
+/// The cost-to-go x' P x of (23), the factors of the gain of the last step, and the memory of a step.
 #[derive(Clone, Debug)]
-struct Recursion {
+struct CostToGo {
     /// P, symmetric, one panel of as many rows as a state has entries.
     p: Slab<States>,
     /// d qdd_U / dx, one panel of n_U rows, and d qdd_U / du, n_U rows of n_A entries, at the time of the step.
@@ -116,7 +193,7 @@ struct Recursion {
     right: Slab<States>,
 }
 
-impl Recursion {
+impl CostToGo {
     /// From the terminal weight `p`.
     fn new(p: &DMatrix<f64>, sizes: Sizes) -> Self {
         let (actuated, unactuated) = (sizes.actuated(), sizes.unactuated());
@@ -167,7 +244,7 @@ kernels! {
     /// `A = [[0, I], [0], [a]]`, `Gamma = Ts [[0], [I], [b]]` all products are a few row operations.
     fn riccati_step(
         d: D,
-        work: &mut Recursion,
+        work: &mut CostToGo,
         from: &[f64],
         to: &[f64],
         share: f64,
@@ -346,7 +423,7 @@ mod tests {
     ) -> (DMatrix<f64>, DMatrix<f64>) {
         let sizes = rows.sizes();
         let state = sizes.state();
-        let mut work = Recursion::new(p, sizes);
+        let mut work = CostToGo::new(p, sizes);
         work.step(d, (rows.panel(0), rows.panel(1), 0.25), q, r, ts).expect("positive definite");
         let mut gain = vec![0.0; sizes.actuated() * state];
         work.gain(d, &mut gain);

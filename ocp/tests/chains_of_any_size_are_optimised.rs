@@ -4,7 +4,7 @@
 use upswing_model::{ActuatedVector, JointVector, Limits, Linearization, Model, Sizes, State, Workspace};
 use upswing_ocp::interior_point::{NlpOptions, NlpStatus};
 use upswing_ocp::kkt::{TargetRow, check_target_rows};
-use upswing_ocp::lqr::{LqrWeights, synthesize};
+use upswing_ocp::lqr::{LqrWeights, Recursion, synthesize};
 use upswing_ocp::multistart::{self, Search};
 use upswing_ocp::problem::{Problem, TorqueConstraint};
 use upswing_ocp::qp::{Backend, Qp, QpOptions, QpSolver, QpStatus, QpWeights};
@@ -130,7 +130,8 @@ impl Motion {
         let (sizes, mut work) = (self.sizes(), Workspace::default());
         let ones = State::repeat(sizes, 1.0);
         let weights = LqrWeights { q: ones, q_end: ones, r: 0.1 };
-        let gains = synthesize(&self.model, trajectory, &weights, 1e-3, &mut work).expect("stabilisable");
+        let gains = synthesize(&self.model, trajectory, &weights, 1e-3, Recursion::Extrapolated, &mut work)
+            .expect("stabilisable");
         let mut at_end = Linearization::new(sizes);
         self.model.linearize(trajectory.end(), &ActuatedVector::zeros(sizes), &mut work, &mut at_end);
         let gain = gains.end();

@@ -1,10 +1,12 @@
 //! Offline optimisation of a manoeuvre, (6), (8), (9)/(11), under the settings of a configuration.
 
-use upswing_config::{Config, GivenError, PlannerSettings, ReplanSettings, TargetValue, TorqueForm};
+use upswing_config::{
+    Config, GivenError, LqrRecursion, PlannerSettings, ReplanSettings, TargetValue, TorqueForm,
+};
 use upswing_model::{JointVector, Sizes, State};
 use upswing_ocp::interior_point::{NlpOptions, NlpSolution, NlpStatus};
 use upswing_ocp::kkt::TargetRow;
-use upswing_ocp::lqr::LqrWeights;
+use upswing_ocp::lqr::{LqrWeights, Recursion};
 use upswing_ocp::multistart::{self, Search, limit_in_the_way};
 use upswing_ocp::problem::{Problem, TorqueConstraint};
 use upswing_ocp::qp::QpWeights;
@@ -135,6 +137,14 @@ pub fn lqr_weights(settings: &PlannerSettings, sizes: Sizes) -> LqrWeights {
     q_end.q_a_mut().fill(balance.q_angles_actuated);
     q_end.q_u_mut().fill(balance.q_angles_unactuated);
     LqrWeights { q, q_end, r: weights.r }
+}
+
+/// How the settings compute (23).
+pub fn lqr_recursion(settings: &PlannerSettings) -> Recursion {
+    match settings.lqr.recursion {
+        LqrRecursion::Extrapolated => Recursion::Extrapolated,
+        LqrRecursion::Periods => Recursion::Periods,
+    }
 }
 
 /// The weights of the settings for the objective (17) of a replan.

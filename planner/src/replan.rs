@@ -15,7 +15,9 @@ pub use outcome::{FailedAttempt, Method, NoPlan, PlanningFailure, Replan, Replan
 pub use summary::{MarginShares, PlanSummary};
 
 use crate::database::{DatabaseFile, NearestKey, Neighbour};
-use crate::offline::{self, lqr_weights, problem, problem_fingerprint, qp_weights, torque_constraint};
+use crate::offline::{
+    self, lqr_recursion, lqr_weights, problem, problem_fingerprint, qp_weights, torque_constraint,
+};
 use std::time::Instant;
 use tracing::warn;
 use upswing_config::{Config, ConfigError, Manoeuvre, QpBackend};
@@ -513,6 +515,7 @@ impl Planner {
             &trajectory,
             &lqr_weights(&self.config.planner, model.sizes()),
             ts,
+            lqr_recursion(&self.config.planner),
             &mut work,
         )?;
         statistics.lqr += begin.elapsed();

@@ -1,10 +1,10 @@
-//! The gains of swing-ups are those of the Riccati recursion with dense matrices, and the gain at the end balances the pendulum
-//! with and without friction in its bearings.
+//! The gains of swing-ups are those of the Riccati recursion with dense matrices, those that are extrapolated to the control period are
+//! the same for all shipped systems, and the gain at the end balances the pendulum with and without friction in its bearings.
 
 use nalgebra::DMatrix;
-use upswing_config::Config;
+use upswing_config::{Config, System};
 use upswing_model::{ActuatedVector, Linearization, State, Workspace};
-use upswing_ocp::lqr::synthesize;
+use upswing_ocp::lqr::{Recursion, synthesize};
 use upswing_planner::offline::lqr_weights;
 use upswing_planner::replan::Planner;
 use upswing_trajectory::Gain;
@@ -56,7 +56,8 @@ fn balance_is_stable_with_a_free_rod_and_with_one_that_its_bearings_hold() {
     for entry in planner.entries(0).iter().step_by(40) {
         let x = entry.trajectory.end();
         let weights = lqr_weights(&config.planner, sizes);
-        let gains = synthesize(&config.model, &entry.trajectory, &weights, ts, work).expect("stabilisable");
+        let gains = synthesize(&config.model, &entry.trajectory, &weights, ts, Recursion::Extrapolated, work)
+            .expect("stabilisable");
         let mut d = Linearization::new(sizes);
         config.model.linearize(x, &ActuatedVector::zeros(sizes), work, &mut d);
         for friction in [0.0, 0.03, 0.1, 0.2, 0.3, 0.5, 0.8, 1.0] {
@@ -79,7 +80,8 @@ fn the_gains_of_a_swing_are_those_of_the_dense_recursion() {
     let (weights, ts) = (&config.planner.lqr, config.daemon.cycle.period.seconds());
     let (sizes, work) = (config.model.sizes(), &mut Workspace::default());
     let n = trajectory.intervals();
-    let gains = synthesize(&config.model, trajectory, &lqr_weights(&config.planner, sizes), ts, work)
+    let weights_of_all = lqr_weights(&config.planner, sizes);
+    let gains = synthesize(&config.model, trajectory, &weights_of_all, ts, Recursion::Periods, work)
         .expect("stabilisable");
 
     // (20), written out.
@@ -117,25 +119,68 @@ fn the_gains_of_a_swing_are_those_of_the_dense_recursion() {
     assert!(error < 1e-6 * scale, "at the end: {}", error / scale);
 
     let knots: Vec<_> = trajectory.knots().map(|(x, u)| ab(x, u)).collect();
-    let periods = (trajectory.t_f / ts).floor() as usize;
-    let mut by_period = vec![DMatrix::zeros(7, 18); periods];
-    for i in (0..periods).rev() {
-        let place = i as f64 * ts / trajectory.t_f * n as f64;
-        let (k, share) = ((place as usize).min(n - 1), place.fract());
-        let a = &knots[k].0 * (1.0 - share) + &knots[k + 1].0 * share;
-        let b = &knots[k].1 * (1.0 - share) + &knots[k + 1].1 * share;
-        (by_period[i], p) = dense_step(&p, (&a, &b), &q, weights.r, ts);
+    // A whole number of periods from knot to knot: within 0.3 % of the control period, and the weight of x_N is for that one.
+    let periods = (trajectory.h() / ts).round() as usize;
+    let period = trajectory.h() / periods as f64;
+    p *= ts / period;
+    let mut by_knot = vec![dense_step(&p, (&knots[n].0, &knots[n].1), &q, weights.r, period).0];
+    for k in (0..n).rev() {
+        let mut first = DMatrix::zeros(7, 18);
+        for i in (0..periods).rev() {
+            let share = i as f64 / periods as f64;
+            let a = &knots[k].0 * (1.0 - share) + &knots[k + 1].0 * share;
+            let b = &knots[k].1 * (1.0 - share) + &knots[k + 1].1 * share;
+            (first, p) = dense_step(&p, (&a, &b), &q, weights.r, period);
+        }
+        by_knot.insert(0, first);
     }
-    // Number of the control period that contains knot k; no period begins at or after t_F.
-    let at = |k: usize| ((k as f64 * trajectory.h() / ts) as usize).min(periods - 1);
     for k in 0..=n {
         let gain = matrix(gains.knot(k));
-        let error = (&gain - &by_period[at(k)]).amax();
+        let error = (&gain - &by_knot[k]).amax();
         assert!(error < 1e-6 * scale, "knot {k}: {}", error / scale);
         // The gains of neighbouring knots differ.
         for neighbour in [k.saturating_sub(1), (k + 1).min(n)].into_iter().filter(|n| *n != k) {
-            let change = (&gain - &by_period[at(neighbour)]).amax();
+            let change = (&gain - &by_knot[neighbour]).amax();
             assert!(change > 1e-4 * scale, "knots {k} and {neighbour}: {}", change / scale);
+        }
+    }
+}
+
+#[test]
+fn extrapolated_gains_are_those_of_every_period_for_all_shipped_systems() {
+    /// Largest difference relative to the largest entry of a gain: a third of what the last of the longer periods may change.
+    const TOLERANCE: f64 = 3e-4;
+    /// Largest number of entries of each database.
+    const ENTRIES: usize = 16;
+    let work = &mut Workspace::default();
+    for system in System::shipped() {
+        let config = Config::load(&System::Shipped(system)).expect("settings");
+        let planner = Planner::new(config.clone()).expect("the databases fit");
+        let weights = lqr_weights(&config.planner, config.model.sizes());
+        for (number, manoeuvre) in config.manoeuvres.iter().enumerate().filter(|(_, m)| m.reverses.is_none())
+        {
+            let entries = planner.entries(number);
+            for entry in entries.iter().step_by(entries.len().div_ceil(ENTRIES).max(1)) {
+                // Near the control period, a whole number of them between two knots: all of the difference is the extrapolation's.
+                let h = entry.trajectory.h();
+                let ts = h / (h / config.daemon.cycle.period.seconds()).round();
+                let mut gains = |recursion| {
+                    let gains = synthesize(&config.model, &entry.trajectory, &weights, ts, recursion, work);
+                    gains.expect("stabilisable")
+                };
+                let (want, got) = (gains(Recursion::Periods), gains(Recursion::Extrapolated));
+                for (k, (want, got)) in want.knots().zip(got.knots()).enumerate() {
+                    let (want, got) = (matrix(want), matrix(got));
+                    let error = (got - &want).amax() / want.amax();
+                    assert!(
+                        error < TOLERANCE,
+                        "{} of {}, knot {k}: {error:e}",
+                        manoeuvre.name,
+                        system.name()
+                    );
+                }
+                assert_eq!(want.end(), got.end());
+            }
         }
     }
 }

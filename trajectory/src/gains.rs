@@ -46,6 +46,11 @@ impl Gains {
         &self.slab
     }
 
+    /// All entries, to be written.
+    pub fn as_mut_slice(&mut self) -> &mut [f64] {
+        &mut self.slab
+    }
+
     /// K_k (23).
     ///
     /// # Panics

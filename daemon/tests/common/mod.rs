@@ -7,7 +7,7 @@ use std::sync::LazyLock;
 use upswing_config::Config;
 use upswing_ipc::{Clock, Command, Measurement, PlanMessage};
 use upswing_model::{ActuatedVector, JointVector, Model, Sizes, State, UnactuatedVector, Workspace};
-use upswing_ocp::lqr;
+use upswing_ocp::lqr::{self, Recursion};
 use upswing_planner::offline::lqr_weights;
 use upswing_planner::replan::Planner;
 use upswing_trajectory::{Gains, Plan, Trajectory};
@@ -125,7 +125,15 @@ pub fn resting(config: &Config, x: &State, t_f: f64) -> Plan {
     let mut work = Workspace::default();
     let gain = if x.q_u()[0] > 3.0 {
         let weights = lqr_weights(&config.planner, sizes);
-        let gains = lqr::synthesize(&config.model, &still(intervals), &weights, PERIOD, &mut work).unwrap();
+        let gains = lqr::synthesize(
+            &config.model,
+            &still(intervals),
+            &weights,
+            PERIOD,
+            Recursion::Periods,
+            &mut work,
+        )
+        .unwrap();
         gains.knot(0).as_slice().to_vec()
     } else {
         held(sizes)
@@ -160,7 +168,8 @@ pub fn swing(config: &Config, q: &JointVector) -> (Box<Plan>, Box<Plan>) {
     let trajectory = up.trajectory.reversed();
     let mut work = Workspace::default();
     let weights = lqr_weights(&config.planner, q.sizes());
-    let gains = lqr::synthesize(&config.model, &trajectory, &weights, PERIOD, &mut work).unwrap();
+    let gains =
+        lqr::synthesize(&config.model, &trajectory, &weights, PERIOD, Recursion::Periods, &mut work).unwrap();
     let down = Plan {
         id: 8,
         fingerprint: up.fingerprint,
