@@ -34,7 +34,7 @@ const SEEDED_WAVES: (f64, f64) = (0.2, 0.2);
 /// That of the waves on actuated joints with which every second guess of [`SWINGS`] leaves the symmetric ridge between optima.
 const RIDGE_WAVE: f64 = 0.1;
 /// Costs that differ by this share are those of one optimum.
-const SAME: f64 = 1e-3;
+pub const SAME: f64 = 1e-3;
 
 /// How hard to look for the best of several local optima.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -172,12 +172,12 @@ impl Found {
     }
 }
 
-/// Solves `problem` from the guesses of [`Search`], and from the solution of a `neighbour` where there is one. A budget of
-/// time counts for each guess.
+/// Solves `problem` from the guesses of [`Search`], and from the solutions of `neighbours`, which begin elsewhere; where there are few local
+/// optima, until the cheapest one is found twice. A budget of time counts for each guess.
 pub fn solve(
     problem: &Problem<'_>,
     search: Search,
-    neighbour: Option<&Trajectory>,
+    neighbours: &[Trajectory],
     options: &NlpOptions<'_>,
 ) -> NlpSolution {
     let mut guesses = Guesses::new(problem);
@@ -190,14 +190,14 @@ pub fn solve(
             break;
         }
     }
-    if let Some(neighbour) = neighbour
-        && !found.interrupted
-        && found.times < 2
-    {
+    let (least, most) = guesses.seeded_count(search);
+    for neighbour in neighbours {
+        if found.interrupted || least == 0 && found.times > 1 {
+            break;
+        }
         found.attempt(problem, &problem.shifted(neighbour), options);
     }
     if found.solved() {
-        let (least, most) = guesses.seeded_count(search);
         for tried in 0..most {
             if found.interrupted || tried >= least && found.times > 1 {
                 break;

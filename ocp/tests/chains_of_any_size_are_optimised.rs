@@ -85,7 +85,7 @@ impl Motion {
     fn optimum(&self) -> Trajectory {
         let problem = self.problem();
         let options = NlpOptions { tolerance: 1e-9, max_iterations: 500, time_budget: None, cancelled: None };
-        let solution = multistart::solve(&problem, Search::First, None, &options);
+        let solution = multistart::solve(&problem, Search::First, &[], &options);
         let trajectory = solution.trajectory;
         println!("{:?}: {} iterations, {} s", self.sizes(), solution.iterations, trajectory.t_f);
         assert_eq!(solution.status, NlpStatus::Solved);

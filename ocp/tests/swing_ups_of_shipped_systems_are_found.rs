@@ -115,7 +115,7 @@ impl System {
 fn solve(name: &str, problem: &Problem<'_>, search: Search) -> NlpSolution {
     let options = NlpOptions { tolerance: 1e-8, max_iterations: 500, time_budget: None, cancelled: None };
     let begin = Instant::now();
-    let solution = multistart::solve(problem, search, None, &options);
+    let solution = multistart::solve(problem, search, &[], &options);
     let time = begin.elapsed();
     let t_f = solution.trajectory.t_f;
     let swings = half_swings(&solution);

@@ -8,7 +8,7 @@ mod overview;
 mod stored;
 mod verify;
 
-pub use build::build;
+pub use build::{build, improve_line};
 pub use merge::merge;
 pub use nearest::{NearestKey, Neighbour};
 pub use overview::{DatabaseOverview, JointCoverage};
@@ -16,8 +16,9 @@ pub use stored::{DatabaseFile, SHIPPED};
 pub use verify::{Discrepancy, RecordFlaw, verify};
 
 use crate::offline::{problem_fingerprint, target};
+use crate::replan::Planner;
 use std::path::{Path, PathBuf};
-use upswing_config::{Config, Manoeuvre};
+use upswing_config::{Config, ConfigError, Manoeuvre};
 use upswing_model::thresholds::SAME_START;
 use upswing_model::{ActuatedVector, Posture, State};
 use upswing_ocp::kkt::TargetRow;
@@ -274,6 +275,31 @@ impl Task {
 pub fn standing(config: &Config, manoeuvre: usize, q_a: &ActuatedVector) -> Option<State> {
     let source = config.manoeuvres[manoeuvre].reverses.unwrap_or(manoeuvre);
     config.manoeuvres[source].state_as_in_target(&config.model, &config.robot.planning, q_a)
+}
+
+/// The solutions of the entries nearest to a start (rad, rad/s) and `given` values (rad or m) in the database of manoeuvre number `manoeuvre`
+/// of the settings, nearest first; none without a database. One that was made for other settings is a warning.
+///
+/// # Errors
+/// Those of [`DatabaseFile::of`].
+pub fn solutions_near(
+    config: &Config,
+    manoeuvre: usize,
+    given: &[f64],
+    start: &State,
+) -> Result<Vec<Trajectory>, ConfigError> {
+    let Some(file) = DatabaseFile::of(config, manoeuvre)? else { return Ok(Vec::new()) };
+    Ok(match Planner::with_database(config.clone(), manoeuvre, file) {
+        Ok(planner) => {
+            let entries = planner.entries(manoeuvre);
+            let near = planner.nearest(manoeuvre, given, start).into_iter();
+            near.map(|near| entries[near.index].trajectory.clone()).collect()
+        }
+        Err(e) => {
+            tracing::warn!("{e}; its entries are not used");
+            Vec::new()
+        }
+    })
 }
 
 /// Computes the certificate of a trajectory under the limits and weights of the settings.

@@ -95,18 +95,18 @@ pub fn problem_fingerprint(config: &Config, manoeuvre: usize) -> u64 {
     hash.digest()
 }
 
-/// Optimises a manoeuvre from a start state (rad, rad/s) to `target`; the solution of a `neighbour`, if given, is a further initial guess.
+/// Optimises a manoeuvre from a start state (rad, rad/s) to `target`; the solutions of `neighbours` are further initial guesses.
 /// A time budget in `options` applies to each guess.
 pub fn optimize(
     config: &Config,
     target: Vec<TargetRow>,
     start: State,
     search: Search,
-    neighbour: Option<&Trajectory>,
+    neighbours: &[Trajectory],
     options: &NlpOptions<'_>,
 ) -> NlpSolution {
     let problem = problem(config, target, start);
-    let mut best = multistart::solve(&problem, search, neighbour, options);
+    let mut best = multistart::solve(&problem, search, neighbours, options);
     if matches!(best.status, NlpStatus::Infeasible(_))
         && let Some(limit) = limit_in_the_way(&problem, options)
     {

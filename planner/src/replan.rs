@@ -444,7 +444,7 @@ impl Planner {
         let halted = || effort.is_cancelled() || effort.out_of_time();
         let options = NlpOptions { cancelled: Some(&halted), ..offline::options(&self.config) };
         let mut problem = self.problem_of(wanted, reference.as_ref(), 0.0)?;
-        let mut solution = multistart::solve(&problem, Search::Quick, None, &options);
+        let mut solution = multistart::solve(&problem, Search::Quick, &[], &options);
         if solution.status != NlpStatus::Solved
             && let Some(reference) = &reference
         {
@@ -484,7 +484,7 @@ impl Planner {
             solution = interior_point::solve(&problem, &found, &options);
             let solved = matches!(solution.status, NlpStatus::Solved | NlpStatus::Stalled);
             if !solved && tolerable.is_none() && !halted() {
-                solution = multistart::solve(&problem, Search::Quick, reference.as_ref(), &options);
+                solution = multistart::solve(&problem, Search::Quick, reference.as_slice(), &options);
             }
         }
         unreachable!("the last round returns")

@@ -11,7 +11,7 @@ use upswing_planner::offline::{optimize, options, target};
 const STARTS: usize = 60;
 
 fn solve(config: &Config, start: State) -> NlpSolution {
-    optimize(config, target(config, 0, &[]).expect("a target"), start, Search::First, None, &options(config))
+    optimize(config, target(config, 0, &[]).expect("a target"), start, Search::First, &[], &options(config))
 }
 
 fn assert_solved(config: &Config, start: State) {
@@ -93,20 +93,20 @@ fn budgets_end_a_solve_with_what_it_has() {
     let mut limited = options(&config);
     limited.max_iterations = 3;
     let solution =
-        optimize(&config, target(&config, 0, &[]).expect("a target"), start, Search::First, None, &limited);
+        optimize(&config, target(&config, 0, &[]).expect("a target"), start, Search::First, &[], &limited);
     assert_eq!(solution.status, NlpStatus::MaxIterations);
     assert!(solution.trajectory.x.iter().all(|x| x.iter().all(|v| v.is_finite())));
     let mut stopped = options(&config);
     stopped.cancelled = Some(&|| true);
     assert_eq!(
-        optimize(&config, target(&config, 0, &[]).expect("a target"), start, Search::First, None, &stopped)
+        optimize(&config, target(&config, 0, &[]).expect("a target"), start, Search::First, &[], &stopped)
             .status,
         NlpStatus::Interrupted
     );
     let mut brief = options(&config);
     brief.time_budget = Some(std::time::Duration::ZERO);
     assert_eq!(
-        optimize(&config, target(&config, 0, &[]).expect("a target"), start, Search::First, None, &brief)
+        optimize(&config, target(&config, 0, &[]).expect("a target"), start, Search::First, &[], &brief)
             .status,
         NlpStatus::OutOfTime
     );

@@ -5,10 +5,12 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Instant;
 use upswing_config::{Config, GridAxis};
+use upswing_ocp::multistart::Search;
 use upswing_planner::database::{
-    self, BuildError, BuildSummary, RecordFlaw, SHIPPED, Shard, certify, read, verify,
+    self, BuildError, BuildSummary, DatabaseFile, RecordFlaw, SHIPPED, Shard, certify, improve_line, read,
+    verify,
 };
-use upswing_planner::offline::problem_fingerprint;
+use upswing_planner::offline::{optimize, options, problem_fingerprint, target};
 use upswing_planner::replan::{Planner, PlannerError};
 use upswing_process::output::{OutputError, Overwrite};
 use upswing_trajectory::{Database, DatabaseError, Entry, PoseOutcome, PoseRecord, Trajectory};
@@ -122,6 +124,35 @@ fn interrupted_between_two_guesses_for_a_pose() {
         build(&config, Shard::WHOLE, &path, &go(), |_| ()).expect("it goes on");
         assert!(bytes(&whole) == bytes(&path), "interrupted after {moment}/{MOMENTS} of the time");
     }
+}
+
+/// Of the two families of swing-ups of the double pendulum on a cart, the second pose of five keeps the better one, the first pose has no
+/// solution, and the third one that of the first guess: both get the better one again.
+#[test]
+fn a_dearer_solution_gives_way_to_that_of_the_next_pose() {
+    let config = Config::load(&"cart-double".parse().expect("a system")).expect("its settings");
+    let file = DatabaseFile::of(&config, 0).expect("readable").expect("shipped");
+    let best = file.decode().expect("it decodes").records;
+    let cost = |record: &PoseRecord| match &record.outcome {
+        PoseOutcome::Solved(entry) => entry.certificate.cost,
+        _ => f64::INFINITY,
+    };
+    let PoseOutcome::Solved(third) = &best[2].outcome else { panic!("solved") };
+    let target = target(&config, 0, &[]).expect("a target");
+    let first = optimize(&config, target, *third.trajectory.start(), Search::First, &[], &options(&config))
+        .trajectory;
+    let mut line = best.clone();
+    line[0].outcome = PoseOutcome::Failed;
+    line[2].outcome = PoseOutcome::Solved(Box::new(Entry::new(&first, |t| certify(&config, t))));
+    assert!(cost(&line[2]) > 1.1 * cost(&best[2]), "{}, best {}", cost(&line[2]), cost(&best[2]));
+    improve_line(&config, 0, &mut line, &options(&config)).expect("it is not stopped");
+    for (got, best) in line.iter().zip(&best) {
+        assert!(cost(got) < 1.001 * cost(best), "pose {}: {}, best {}", got.pose, cost(got), cost(best));
+    }
+    // Again, there is nothing to improve.
+    let again = line.clone();
+    improve_line(&config, 0, &mut line, &options(&config)).expect("it is not stopped");
+    assert!(line == again);
 }
 
 #[test]

@@ -31,7 +31,7 @@ fn plans_where_there_is_an_optimum(planner: &Planner, start: &State) -> bool {
         target(config, 0, &[]).expect("a target"),
         *start,
         Search::Best,
-        None,
+        &[],
         &options(config),
     );
     if optimum.status != NlpStatus::Solved {
@@ -141,7 +141,7 @@ fn with_a_target_on_its_limit() {
         .map(|degrees| {
             let target = target(&config, 0, &[]).expect("a target");
             let optimum =
-                optimize(&config, target, rest(&config, *degrees), Search::Best, None, &options(&config));
+                optimize(&config, target, rest(&config, *degrees), Search::Best, &[], &options(&config));
             assert_eq!(optimum.status, NlpStatus::Solved, "from {degrees:?}");
             let input_weight = config.planner.offline.input_weight;
             Entry::new(&optimum.trajectory, |t| {

@@ -59,7 +59,7 @@ fn check(torque: TorqueForm) {
             target(&config, 0, &[]).expect("a target"),
             start,
             Search::First,
-            None,
+            &[],
             &options(&config),
         );
         let name = format!("{:?} ({torque:?})", known.start_deg);

@@ -88,7 +88,7 @@ fn with_other_numbers_of_intervals() {
             target(&config, 0, &[]).expect("a target"),
             near,
             Search::First,
-            None,
+            &[],
             &options(&config),
         );
         assert_eq!(optimum.status, NlpStatus::Solved, "{intervals} intervals");

@@ -7,6 +7,7 @@ use std::sync::atomic::Ordering;
 use std::time::Instant;
 use upswing_ocp::interior_point::{NlpOptions, NlpStatus};
 use upswing_ocp::multistart::Search;
+use upswing_planner::database::solutions_near;
 use upswing_planner::offline::{optimize, options, target};
 use upswing_planner::replan::MarginShares;
 use upswing_process::number::within;
@@ -27,7 +28,7 @@ pub struct OptimizeArgs {
     /// The manoeuvre.
     #[command(flatten)]
     pub manoeuvre: ManoeuvreArgs,
-    /// Search for the best of several local optima
+    /// Search for the best of several local optima, also from the nearest entries of the database
     #[arg(long)]
     pub best: bool,
     /// Longest time for each attempt, s
@@ -71,7 +72,11 @@ pub fn run(args: &OptimizeArgs) -> Result<(), Failure> {
     let stopped = || stop.load(Ordering::Acquire);
     let options = NlpOptions { time_budget, cancelled: Some(&stopped), ..options(&config) };
     let waiting = spinner("optimising; Ctrl-C prints what there is");
-    let solution = optimize(&config, target, start, search, None, &options);
+    let neighbours = match search {
+        Search::Best => solutions_near(&config, manoeuvre, &given, &start)?,
+        _ => Vec::new(),
+    };
+    let solution = optimize(&config, target, start, search, &neighbours, &options);
     waiting.finish_and_clear();
     let time_s = begin.elapsed().as_secs_f64();
     let status = solution.status.to_string();

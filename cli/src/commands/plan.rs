@@ -150,7 +150,7 @@ fn optimal_entry(
     start: State,
 ) -> Result<Entry, Failure> {
     let target = target(config, manoeuvre, given).map_err(Failure::failed)?;
-    let solution = optimize(config, target, start, Search::Best, None, &options(config));
+    let solution = optimize(config, target, start, Search::Best, &[], &options(config));
     if solution.status != NlpStatus::Solved {
         return Err(Failure::failed(format!("--reference: no trajectory: {}", solution.status)));
     }

@@ -149,7 +149,7 @@ fn has_start(
             if by <= ROUNDING { Ok(()) } else { Err(RecordFlaw::Start { row, by }) }
         }
         _ => {
-            let solution = optimize(config, target, *start, Search::Best, None, &options(config));
+            let solution = optimize(config, target, *start, Search::Best, &[], &options(config));
             match solution.status {
                 NlpStatus::Solved => Err(RecordFlaw::Solvable { cost: solution.cost }),
                 _ => Ok(()),
