@@ -1,7 +1,7 @@
 //! Times replanning: its QPs, its steps, and requests to a running system; `bench/replan/run` calls it.
 //!
-//! - `solvers FOLDER STARTS`: for random starts one QP from cold with both back ends, whole replans and LQR syntheses;
-//!   writes the QPs and their solutions to FOLDER for a peer.
+//! - `solvers FOLDER STARTS`: for random starts the first two QPs with both back ends, whole replans and LQR syntheses;
+//!   writes the QPs and their solutions to FOLDER for the peers.
 //! - `system STARTS`: a running system: from request to plan accepted, and the memory of the planner.
 
 mod qps;

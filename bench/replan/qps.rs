@@ -9,8 +9,8 @@ use upswing_ocp::qp::{Qp, QpSolution};
 pub struct QpFile(Vec<f64>);
 
 impl QpFile {
-    /// Adds a QP with the times and solutions of the structured solver and of Clarabel.
-    pub fn push(&mut self, qp: &Qp, results: [(MeasuredTime, &QpSolution); 2]) {
+    /// Adds a QP with the times and solutions of the structured solver and of Clarabel, and the solution that all others are compared with.
+    pub fn push(&mut self, qp: &Qp, results: [(MeasuredTime, &QpSolution); 2], reference: &QpSolution) {
         let (out, sizes) = (&mut self.0, qp.sizes());
         if out.is_empty() {
             let head = [qp.intervals(), sizes.state(), sizes.actuated(), qp.target.len()];
@@ -19,8 +19,8 @@ impl QpFile {
         for (took, solution) in results {
             out.extend([took.cpu.as_secs_f64(), took.wall.as_secs_f64(), solution.iterations as f64]);
             out.extend(solution.z.vectors().flatten());
-            out.push(solution.t);
         }
+        out.extend(reference.z.vectors().flatten());
         out.extend([qp.h, qp.weight_t, qp.gradient_t, qp.t.0, qp.t.1]);
         out.extend(qp.weight.vectors().chain(qp.gradient.vectors()).flatten());
         for k in 0..=qp.intervals() {

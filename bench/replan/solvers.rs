@@ -1,4 +1,4 @@
-//! One QP from cold, whole replans, LQR syntheses; times of one thread.
+//! The QPs of replans, whole replans, LQR syntheses; times of one thread.
 
 use crate::qps::QpFile;
 use crate::{config, print, starts};
@@ -10,15 +10,17 @@ use upswing_ocp::qp::{Backend, Qp, QpOptions, QpSolver, QpStatus};
 use upswing_planner::offline::{lqr_weights, qp_weights, target};
 use upswing_planner::replan::{Effort, Planner, Replan};
 
-/// As in a replan (`planner/src/replan.rs`) but for a tenth of its complementarity, with which all solvers come equally
-/// close to the exact solution.
+/// As in a replan (`planner/src/replan.rs`).
 const OPTIONS: QpOptions<'_> = QpOptions {
     tolerance: 1e-9,
-    complementarity: 1e-13,
+    complementarity: 1e-12,
     max_iterations: 100,
     deadline: None,
     cancelled: None,
 };
+
+/// Of the reference, Clarabel's solution: a tenth of the complementarity, so that its own error hardly counts.
+const REFERENCE: QpOptions<'_> = QpOptions { complementarity: 1e-13, ..OPTIONS };
 
 /// Duration of a computation.
 #[derive(Clone, Copy)]
@@ -56,44 +58,60 @@ pub fn run(folder: &Path, count: u64) {
     let planner = Planner::new(config()).unwrap_or_else(|e| panic!("{e}"));
     let starts = starts(planner.config(), count);
     println!("{count} random starts, {} database entries", planner.entries(0).len());
-    one_qp(&planner, &starts, &folder.join("qps.bin"));
+    two_qps(&planner, &starts, folder);
     replans(&planner, &starts);
 }
 
-/// The first QP of each replan.
-fn one_qp(planner: &Planner, starts: &[State], path: &Path) {
-    let backends = [Backend::Structured, Backend::Clarabel];
+/// The first two QPs of each replan: the first one from cold, the second one from the multipliers of the first.
+fn two_qps(planner: &Planner, starts: &[State], folder: &Path) {
     let (sizes, intervals) = (planner.config().model.sizes(), planner.config().planner.offline.intervals);
+    let backends = [Backend::Structured, Backend::Clarabel];
     let mut solvers = backends.map(|backend| QpSolver::new(backend, sizes, intervals));
-    let mut file = QpFile::default();
+    let mut reference = QpSolver::new(Backend::Clarabel, sizes, intervals);
+    let mut files = [QpFile::default(), QpFile::default()];
     let mut infeasible = 0;
     for start in starts {
-        let qp = first_qp(planner, start);
-        let results = solvers.each_mut().map(|solver| {
-            let (status, took) = timed(|| solver.solve(&qp, &OPTIONS));
-            (status, took, solver.solution())
-        });
-        match results.each_ref().map(|(status, ..)| *status) {
-            [QpStatus::Solved, QpStatus::Solved] => {
-                file.push(&qp, results.map(|(_, took, solution)| (took, solution)));
+        let nearest = planner.nearest(0, &[], start)[0];
+        let entry = &planner.entries(0)[nearest.index].trajectory;
+        let weights = qp_weights(&planner.config().planner.replan);
+        let target = target(planner.config(), 0, &[]).expect("a target");
+        let problem = planner.problem(target, start);
+        let mut at = entry.clone();
+        for (again, file) in files.iter_mut().enumerate() {
+            let qp = Qp::new(&problem, entry, &at, &weights);
+            let results = solvers.each_mut().map(|solver| {
+                let (status, took) = timed(|| match again {
+                    0 => solver.solve(&qp, &OPTIONS),
+                    _ => solver.solve_again(&qp, &OPTIONS),
+                });
+                (status, took, solver.solution())
+            });
+            match results.each_ref().map(|(status, ..)| *status) {
+                [QpStatus::Solved, QpStatus::Solved] => {}
+                [QpStatus::Infeasible(_), QpStatus::Infeasible(_)] => {
+                    infeasible += 1;
+                    break;
+                }
+                other => panic!("the back ends do not agree: {other:?}"),
             }
-            [QpStatus::Infeasible(_), QpStatus::Infeasible(_)] => infeasible += 1,
-            other => panic!("the back ends do not agree: {other:?}"),
+            let status = reference.solve(&qp, &REFERENCE);
+            assert_eq!(status, QpStatus::Solved, "the reference");
+            file.push(&qp, results.map(|(_, took, solution)| (took, solution)), reference.solution());
+            let solution = solvers[0].solution();
+            at.t_f += solution.t;
+            for (k, (x, u)) in at.x.iter_mut().zip(&mut at.u).enumerate() {
+                *x += solution.z.x(k);
+                *u += solution.z.u(k);
+            }
         }
     }
     if infeasible > 0 {
         println!("{infeasible} QPs are infeasible and left out; a replan then takes the next entry");
     }
-    std::fs::write(path, file.bytes()).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
-}
-
-/// (16), linearised around the nearest entry.
-fn first_qp(planner: &Planner, start: &State) -> Qp {
-    let nearest = planner.nearest(0, &[], start)[0];
-    let reference = &planner.entries(0)[nearest.index].trajectory;
-    let weights = qp_weights(&planner.config().planner.replan);
-    let target = target(planner.config(), 0, &[]).expect("a target");
-    Qp::new(&planner.problem(target, start), reference, reference, &weights)
+    for (name, file) in ["first.bin", "second.bin"].into_iter().zip(files) {
+        let path = folder.join(name);
+        std::fs::write(&path, file.bytes()).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+    }
 }
 
 fn replans(planner: &Planner, starts: &[State]) {

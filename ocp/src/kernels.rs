@@ -3,7 +3,7 @@
 //! Rows are padded to a multiple of four entries. Columns, never terms of one sum, are neighbours in a vector register, so that results
 //! do not depend on the width of the registers. Sums over entries are four sums side by side on every CPU.
 
-use crate::dims::kernels;
+use crate::dims::{Registers, kernels};
 use upswing_model::MOST_JOINTS;
 
 /// c += s a, of the length of `c`.
@@ -109,12 +109,12 @@ unsafe fn combine_tile<const W: usize>(
     }
 }
 
-/// Two rows and W columns of [`rank_update`], from row i and column j on.
+/// R rows and W columns of [`update_lower`], from row i and column j on.
 ///
 /// # Safety
-/// i + 1 and j + W within the rows and columns of `out`, `left` and `right`, which have at least `rank` rows.
+/// i + R and j + W within the rows and columns of `out`, `left` and `right`, which have at least `rank` rows.
 #[inline(always)]
-unsafe fn update_tile<const W: usize>(
+unsafe fn update_tile<const R: usize, const W: usize>(
     out: &mut [f64],
     stride: usize,
     i: usize,
@@ -127,29 +127,127 @@ unsafe fn update_tile<const W: usize>(
 ) {
     // SAFETY: by the caller; l < rank.
     unsafe {
-        let first = out.as_mut_ptr().add(i * stride + j).cast::<[f64; W]>();
-        let second = out.as_mut_ptr().add((i + 1) * stride + j).cast::<[f64; W]>();
-        let (mut a, mut b) = (*first, *second);
+        let mut sums = [[0.0; W]; R];
+        for r in 0..R {
+            sums[r] = *out.as_ptr().add((i + r) * stride + j).cast::<[f64; W]>();
+        }
         for l in 0..rank {
-            let s = left.as_ptr().add(l * left_stride + i).cast::<[f64; 2]>();
+            let s = &*left.as_ptr().add(l * left_stride + i).cast::<[f64; R]>();
             let row = &*right.as_ptr().add(l * right_stride + j).cast::<[f64; W]>();
-            for c in 0..W {
-                a[c] += (*s)[0] * row[c];
-            }
-            for c in 0..W {
-                b[c] += (*s)[1] * row[c];
+            for r in 0..R {
+                for c in 0..W {
+                    sums[r][c] += s[r] * row[c];
+                }
             }
         }
-        (*first, *second) = (a, b);
+        for r in 0..R {
+            *out.as_mut_ptr().add((i + r) * stride + j).cast::<[f64; W]>() = sums[r];
+        }
+    }
+}
+
+/// R rows of [`update_lower`] from row i on, up to the column `columns`, a multiple of 4.
+///
+/// # Safety
+/// i + R and `columns` within the rows and columns of `out`, `left` and `right`, which have at least `rank` rows.
+#[inline(always)]
+unsafe fn update_rows<D: Registers, const R: usize>(
+    out: &mut [f64],
+    stride: usize,
+    i: usize,
+    columns: usize,
+    rank: usize,
+    left: &[f64],
+    left_stride: usize,
+    right: &[f64],
+    right_stride: usize,
+) {
+    let mut j = 0;
+    // Without AVX2 a wider tile does not fit into the registers.
+    while D::AVX2 && j + 8 <= columns {
+        // SAFETY: by the caller, and j + 8 <= columns.
+        unsafe { update_tile::<R, 8>(out, stride, i, j, rank, left, left_stride, right, right_stride) };
+        j += 8;
+    }
+    while j < columns {
+        // SAFETY: by the caller; `columns` is a multiple of 4.
+        unsafe { update_tile::<R, 4>(out, stride, i, j, rank, left, left_stride, right, right_stride) };
+        j += 4;
+    }
+}
+
+/// Lower triangle of the symmetric `out` plus sum_l left_l right_l', for `n` rows of `stride` in `out` and `rank` rows in `left` and
+/// `right`. Entries above the diagonal become meaningless where they share a tile with the triangle; [`mirror`] sets them.
+///
+/// Tiles of four rows and eight columns stay in registers. With half of the entries left out, this is less than half the time of
+/// [`combine`] on all rows. Inlined where the compiler knows the rank; [`rank_update`] is the same as a function of its own.
+#[inline(always)]
+pub(crate) fn update_lower<D: Registers>(
+    d: D,
+    out: &mut [f64],
+    stride: usize,
+    n: usize,
+    rank: usize,
+    left: &[f64],
+    left_stride: usize,
+    right: &[f64],
+    right_stride: usize,
+) {
+    let _ = d;
+    assert!(
+        stride.is_multiple_of(4)
+            && n <= stride
+            && stride <= right_stride
+            && n <= left_stride
+            && out.len() >= n * stride
+            && left.len() >= rank * left_stride
+            && right.len() >= rank * right_stride
+    );
+    let mut i = 0;
+    while i + 4 <= n {
+        // SAFETY: i + 3 < n <= stride, and the assertion above covers all rows.
+        unsafe {
+            update_rows::<D, 4>(out, stride, i, i + 4, rank, left, left_stride, right, right_stride);
+        }
+        i += 4;
+    }
+    let columns = n.next_multiple_of(4);
+    if i + 2 <= n {
+        // SAFETY: i + 1 < n and columns <= stride; the assertion above covers all rows.
+        unsafe {
+            update_rows::<D, 2>(out, stride, i, columns, rank, left, left_stride, right, right_stride);
+        }
+        i += 2;
+    }
+    if i < n {
+        combine(&mut out[i * stride..][..columns], rank, &left[i..], left_stride, right, right_stride);
+    }
+}
+
+/// Copies the entries below the diagonal of rows i to i + 4 and columns j to j + 4 of [`mirror`], j <= i.
+///
+/// # Safety
+/// Rows and columns up to i + 3 and j + 3 are within `out`.
+#[inline(always)]
+unsafe fn mirror_block(out: &mut [f64], stride: usize, i: usize, j: usize) {
+    // SAFETY: by the caller; the reads are done before the writes.
+    unsafe {
+        let row = |l: usize| *out.as_ptr().add((i + l) * stride + j).cast::<[f64; 4]>();
+        let block = [row(0), row(1), row(2), row(3)];
+        let mut transposed = [[0.0; 4]; 4];
+        for l in 0..4 {
+            for m in 0..4 {
+                transposed[l][m] = if i == j && m <= l { block[l][m] } else { block[m][l] };
+            }
+        }
+        for l in 0..4 {
+            *out.as_mut_ptr().add((j + l) * stride + i).cast::<[f64; 4]>() = transposed[l];
+        }
     }
 }
 
 kernels! {
-    /// Lower triangle of the symmetric `out` plus sum_l left_l right_l', for `n` rows of `stride` in `out` and `rank` rows in `left` and
-    /// `right`. Entries above the diagonal become meaningless where they share a tile with the triangle; [`mirror`] sets them.
-    ///
-    /// Tiles of two rows and eight columns stay in registers. With half of the entries left out, this is half the time of [`combine`]
-    /// on all rows.
+    /// [`update_lower`]
     pub(crate) fn rank_update(
         d: D,
         out: &mut [f64],
@@ -161,39 +259,21 @@ kernels! {
         right: &[f64],
         right_stride: usize,
     ) {
-        assert!(
-            stride.is_multiple_of(4)
-                && n <= stride
-                && stride <= right_stride
-                && n <= left_stride
-                && out.len() >= n * stride
-                && left.len() >= rank * left_stride
-                && right.len() >= rank * right_stride
-        );
-        let mut i = 0;
-        while i + 2 <= n {
-            let columns = (i + 2).next_multiple_of(4).min(stride);
-            let mut j = 0;
-            while j + 8 <= columns {
-                // SAFETY: i + 1 < n and j + 8 <= stride; the assertion above covers all rows.
-                unsafe { update_tile::<8>(out, stride, i, j, rank, left, left_stride, right, right_stride) };
-                j += 8;
-            }
-            if j < columns {
-                // SAFETY: the same; `columns` is a multiple of 4.
-                unsafe { update_tile::<4>(out, stride, i, j, rank, left, left_stride, right, right_stride) };
-            }
-            i += 2;
-        }
-        if i < n {
-            let columns = (i + 1).next_multiple_of(4).min(stride);
-            combine(&mut out[i * stride..][..columns], rank, &left[i..], left_stride, right, right_stride);
-        }
+        update_lower(d, out, stride, n, rank, left, left_stride, right, right_stride);
     }
 
     /// Copies the lower triangle of `n` rows to above the diagonal.
     pub(crate) fn mirror(d: D, out: &mut [f64], stride: usize, n: usize) {
-        for i in 0..n {
+        assert!(stride.is_multiple_of(4) && n <= stride && out.len() >= n * stride);
+        // Whole blocks of four rows and columns, which take a quarter of the time of their entries one by one.
+        let whole = n - n % 4;
+        for i in (0..whole).step_by(4) {
+            for j in (0..=i).step_by(4) {
+                // SAFETY: i + 3 and j + 3 are less than n, hence rows and columns of `out` by the assertion above.
+                unsafe { mirror_block(out, stride, i, j) };
+            }
+        }
+        for i in whole..n {
             for j in 0..i {
                 out[j * stride + i] = out[i * stride + j];
             }

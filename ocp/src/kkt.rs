@@ -29,14 +29,15 @@ mod variables;
 pub use dynamics::Dynamics;
 pub use sweep::Factor;
 pub(crate) use sweep::factorise;
+use sweep::{Pass, SweepWorkspace};
 pub(crate) use target::nearest_state;
 pub use target::{DependentTargetRow, TargetRow, check_target_rows};
 
 use crate::dims::{Registers, dispatch, kernels};
-use crate::kernels::{amax, combine, dot, mirror, rank_update, shift_add};
+use crate::kernels::{amax, combine, dot, mirror, shift_add, update_lower};
 use crate::slab::{Knots, LARGEST_KNOT, Slab};
 use dynamics::{apply, apply_transposed};
-use upswing_model::{LARGEST_STATE, Sizes, State, States};
+use upswing_model::{LARGEST_STATE, MOST_JOINTS, Sizes, State, States};
 
 /// Right-hand side of the system: gradients and residuals.
 #[derive(Clone, Debug)]
@@ -125,13 +126,38 @@ impl NewtonStep {
     }
 }
 
+/// diag(d_k) + J_k' diag(sigma_k) J_k for all knots, which the factorisation adds up where it needs it: a QP whose H_k is nothing else
+/// writes and reads no panels of it. Empty if there is none.
+#[derive(Clone, Debug)]
+pub(crate) struct Products {
+    /// d_k, N + 1 vectors.
+    pub(crate) diagonal: Slab<Knots>,
+    /// J_k, N + 1 panels of n_A rows.
+    pub(crate) jacobian: Slab<Knots>,
+    /// sigma_k, n_A entries for each knot.
+    pub(crate) sigma: Vec<f64>,
+}
+
+impl Products {
+    fn zeros(sizes: Sizes, knots: usize) -> Self {
+        let actuated = sizes.actuated();
+        Self {
+            diagonal: Slab::zeros(sizes, knots, 1),
+            jacobian: Slab::zeros(sizes, knots, actuated),
+            sigma: vec![0.0; knots * actuated],
+        }
+    }
+}
+
 /// The matrix of the system.
 #[derive(Clone, Debug)]
 pub struct Kkt {
     /// h = t_F / N, s.
     pub h: f64,
-    /// H_k, symmetric: N + 1 panels of as many rows as z has entries.
+    /// H_k, symmetric: N + 1 panels of as many rows as z has entries. None of them where H_k is a sum of products alone.
     pub hessian: Slab<Knots>,
+    /// What H_k has besides, if anything.
+    pub(crate) products: Products,
     /// c_k: second derivatives with respect to z_k and t, N + 1 vectors.
     pub with_t: Slab<Knots>,
     /// w: second derivative with respect to t.
@@ -145,9 +171,7 @@ pub struct Kkt {
 /// Memory of [`Kkt::solve_into`].
 #[derive(Clone, Debug)]
 pub struct SolveWorkspace {
-    /// Gradient of the value function of stages k+1..N at s_k = 0, and the input there, n_A entries for each interval.
-    gradient: Slab<States>,
-    feedforward: Vec<f64>,
+    sweep: SweepWorkspace,
     left: Rhs,
     next_left: Rhs,
     correction: NewtonStep,
@@ -158,8 +182,7 @@ impl SolveWorkspace {
     /// For systems of `n` intervals with `targets` target rows.
     pub fn new(sizes: Sizes, n: usize, targets: usize) -> Self {
         Self {
-            gradient: Slab::zeros(sizes, n, 1),
-            feedforward: vec![0.0; n * sizes.actuated()],
+            sweep: SweepWorkspace::new(sizes, n),
             left: Rhs::zeros(sizes, n, targets),
             next_left: Rhs::zeros(sizes, n, targets),
             correction: NewtonStep::zeros(sizes, n, targets),
@@ -174,6 +197,7 @@ impl Kkt {
         Self {
             h: 0.0,
             hessian: Slab::zeros(sizes, n + 1, sizes.knot()),
+            products: Products::zeros(sizes, 0),
             with_t: Slab::zeros(sizes, n + 1, 1),
             t_t: 0.0,
             dynamics: Dynamics::zeros(sizes, n),
@@ -181,14 +205,23 @@ impl Kkt {
         }
     }
 
+    /// The matrix of `n` intervals whose H_k are [`Products`] alone, 0.
+    pub(crate) fn of_products(sizes: Sizes, n: usize, target: &[TargetRow]) -> Self {
+        Self {
+            hessian: Slab::zeros(sizes, 0, sizes.knot()),
+            products: Products::zeros(sizes, n + 1),
+            ..Self::zeros(sizes, n, target)
+        }
+    }
+
     /// Numbers of joints of the chain.
     pub fn sizes(&self) -> Sizes {
-        self.hessian.sizes()
+        self.dynamics.sizes()
     }
 
     /// N
     pub fn intervals(&self) -> usize {
-        self.hessian.panels() - 1
+        self.with_t.panels() - 1
     }
 
     /// A right-hand side of the right size, all zero.
@@ -226,14 +259,18 @@ impl Kkt {
         sigma: &[f64],
         scaled: &mut Slab<Knots>,
     ) {
+        let (row, knot) = (self.hessian.stride(), self.sizes().knot());
         let (jacobian, hessian, scaled) = (jacobian.panel(k), self.hessian.panel_mut(k), scaled.panel_mut(0));
-        dispatch!(self.dynamics.sizes(), |d| add_products(d, jacobian, sigma, hessian, scaled));
+        dispatch!(self.dynamics.sizes(), |d| {
+            add_products(d, jacobian, sigma, hessian, scaled);
+            mirror(d, hessian, row, knot);
+        });
     }
 }
 
 kernels! {
-    /// H += J' diag(`sigma`) J for the rows of `jacobian`, one for each actuated joint, and a symmetric panel `hessian` over z. `scaled`
-    /// is memory of the size of `jacobian`.
+    /// H += J' diag(`sigma`) J in the lower triangle of the symmetric panel `hessian` over z, for the rows of `jacobian`, one for each
+    /// actuated joint. `scaled` is memory of the size of `jacobian`.
     pub(crate) fn add_products(
         d: D,
         jacobian: &[f64],
@@ -248,8 +285,7 @@ kernels! {
                 scaled[i * row + j] = sigma[i] * jacobian[i * row + j];
             }
         }
-        rank_update(d, hessian, row, d.knot(), actuated, scaled, row, jacobian, row);
-        mirror(d, hessian, row, d.knot());
+        update_lower(d, hessian, row, d.knot(), actuated, scaled, row, jacobian, row);
     }
 
     /// Adds to `left` what the constraints contribute to the conditions of a solution: their multipliers' forces
@@ -325,13 +361,28 @@ kernels! {
         damping: (f64, f64),
         left: &mut Rhs,
     ) -> f64 {
-        let (state, knot, row) = (d.state(), d.knot(), d.knot_row());
+        let (actuated, state, knot, row) = (d.actuated(), d.state(), d.knot(), d.knot_row());
         left.copy_from(rhs);
         left.g_t += (kkt.t_t + damping.0) * step.t;
         let (z, g) = (step.z.as_slice(), left.g.as_mut_slice());
+        let Products { diagonal, jacobian, sigma } = &kkt.products;
         for k in 0..=kkt.intervals() {
             let (z, g) = (&z[k * row..][..row], &mut g[k * row..][..row]);
-            combine(g, knot, z, 1, &kkt.hessian.as_slice()[k * knot * row..][..knot * row], row);
+            if let Some(hessian) = kkt.hessian.as_slice().get(k * knot * row..(k + 1) * knot * row) {
+                combine(g, knot, z, 1, hessian, row);
+            }
+            if let Some(sigma) = sigma.get(k * actuated..(k + 1) * actuated) {
+                let jacobian = &jacobian.as_slice()[k * actuated * row..][..actuated * row];
+                let mut pull = [0.0; MOST_JOINTS];
+                for i in 0..actuated {
+                    pull[i] = sigma[i] * dot(&jacobian[i * row..][..row], z);
+                }
+                combine(g, actuated, &pull, 1, jacobian, row);
+                let diagonal = &diagonal.as_slice()[k * row..][..row];
+                for i in 0..row {
+                    g[i] += diagonal[i] * z[i];
+                }
+            }
             let with_t = &kkt.with_t.as_slice()[k * row..][..row];
             shift_add(g, step.t, with_t);
             for i in 0..knot {
@@ -342,6 +393,30 @@ kernels! {
         add_constraints(d, kkt, step, left);
         left.norm()
     }
+}
+
+/// dz and dt of the solution, without its multipliers; `step` keeps those that it has. No refinement.
+pub(crate) fn predict<D: Registers>(
+    d: D,
+    kkt: &Kkt,
+    factor: &Factor,
+    rhs: &Rhs,
+    work: &mut SolveWorkspace,
+    step: &mut NewtonStep,
+) {
+    sweep::solve(d, kkt, factor, rhs, Pass::Predictor, &mut work.sweep, step);
+}
+
+/// The solution for the defects of the last [`predict`] and another gradient. No refinement.
+pub(crate) fn correct<D: Registers>(
+    d: D,
+    kkt: &Kkt,
+    factor: &Factor,
+    rhs: &Rhs,
+    work: &mut SolveWorkspace,
+    step: &mut NewtonStep,
+) {
+    sweep::solve(d, kkt, factor, rhs, Pass::Corrector, &mut work.sweep, step);
 }
 
 /// [`Kkt::solve_into`]
@@ -355,8 +430,8 @@ pub(crate) fn solve<D: Registers>(
     work: &mut SolveWorkspace,
     step: &mut NewtonStep,
 ) {
-    let SolveWorkspace { gradient, feedforward, left, next_left, correction, refined } = work;
-    sweep::solve(d, kkt, factor, rhs, gradient, feedforward, step);
+    let SolveWorkspace { sweep, left, next_left, correction, refined } = work;
+    sweep::solve(d, kkt, factor, rhs, Pass::Whole, sweep, step);
     if refinements == 0 {
         return;
     }
@@ -366,7 +441,7 @@ pub(crate) fn solve<D: Registers>(
         if norm <= accuracy * scale {
             break;
         }
-        sweep::solve(d, kkt, factor, left, gradient, feedforward, correction);
+        sweep::solve(d, kkt, factor, left, Pass::Whole, sweep, correction);
         refined.copy_from(step);
         refined.add_scaled(1.0, correction);
         let next_norm = residual(d, kkt, rhs, refined, damping, next_left);

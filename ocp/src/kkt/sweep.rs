@@ -6,11 +6,11 @@ use super::variables::{
     KnotRow, Scratch, entering, entering_apply, entering_congruence, entering_transposed, leaving,
     leaving_apply, leaving_congruence, leaving_transposed, places,
 };
-use super::{Kkt, NewtonStep, Rhs};
-use crate::dims::kernels;
+use super::{Kkt, NewtonStep, Products, Rhs, add_products};
+use crate::dims::{Registers, kernels};
 use crate::kernels::{
-    backward, cholesky, combine, divide_negative, dot, forward, mirror, rank_update, shift_add,
-    solve_negative,
+    backward, cholesky, combine, divide_negative, dot, forward, mirror, shift_add, solve_negative,
+    update_lower,
 };
 use crate::slab::{Knots, LARGEST_KNOT, Slab};
 use upswing_model::{Dims, Sizes};
@@ -44,9 +44,10 @@ pub struct Factor {
     pivot_t: f64,
     target: OrthonormalTarget,
     /// The quadratic in dz_k or (s_k, du_{k+1}) that the sweep has come to, one panel of which the lower triangle is kept; and the
-    /// rows of a symmetric update.
+    /// rows of symmetric updates.
     p: Slab<Knots>,
     update: Slab<States>,
+    scaled: Slab<Knots>,
     scratch: Scratch,
 }
 
@@ -70,8 +71,38 @@ impl Factor {
             target: OrthonormalTarget::new(sizes),
             p: Slab::zeros(sizes, 1, sizes.knot()),
             update: Slab::zeros(sizes, 1, sizes.state()),
+            scaled: Slab::zeros(sizes, 1, actuated),
             scratch: Scratch::new(sizes),
         }
+    }
+}
+
+/// What a solution is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Pass {
+    /// A solution by itself.
+    Whole,
+    /// A predictor, of which nobody needs the multipliers: a quarter of the work less.
+    Predictor,
+    /// A corrector with the defects of the predictor before it, whose products with the value functions are known: as much less.
+    Corrector,
+}
+
+/// Memory of [`solve`].
+#[derive(Clone, Debug)]
+pub(super) struct SweepWorkspace {
+    /// Gradient of the value function of stages k+1..N at s_k = 0.
+    gradient: Slab<States>,
+    /// The input there, n_A entries for each interval.
+    feedforward: Vec<f64>,
+    /// -S_k r_k of the last predictor.
+    on_defects: Slab<States>,
+}
+
+impl SweepWorkspace {
+    pub(super) fn new(sizes: Sizes, n: usize) -> Self {
+        let vectors = Slab::zeros(sizes, n, 1);
+        Self { gradient: vectors.clone(), feedforward: vec![0.0; n * sizes.actuated()], on_defects: vectors }
     }
 }
 
@@ -85,18 +116,37 @@ fn copy_states(d: impl Dims, from: &[f64], to: &mut [f64]) {
     }
 }
 
-/// Lower triangle of P + H + damping for the panels of a knot.
+/// Lower triangle of P + H_k + damping.
 #[inline(always)]
-fn add_knot(d: impl Dims, hessian: &[f64], damping: (f64, f64), p: &mut [f64]) {
-    let row = d.knot_row();
-    for i in 0..d.knot() {
-        let columns = (i + 1).next_multiple_of(4).min(row);
-        shift_add(&mut p[i * row..][..columns], 1.0, &hessian[i * row..][..columns]);
+fn add_knot<D: Registers>(d: D, kkt: &Kkt, k: usize, damping: (f64, f64), p: &mut [f64], scaled: &mut [f64]) {
+    let (actuated, knot, row) = (d.actuated(), d.knot(), d.knot_row());
+    if let Some(hessian) = kkt.hessian.as_slice().get(k * knot * row..(k + 1) * knot * row) {
+        for i in 0..knot {
+            let columns = (i + 1).next_multiple_of(4).min(row);
+            shift_add(&mut p[i * row..][..columns], 1.0, &hessian[i * row..][..columns]);
+        }
+    }
+    let Products { diagonal, jacobian, sigma } = &kkt.products;
+    if let Some(sigma) = sigma.get(k * actuated..(k + 1) * actuated) {
+        let jacobian = &jacobian.as_slice()[k * actuated * row..][..actuated * row];
+        add_products(d, jacobian, sigma, p, scaled);
+        let diagonal = &diagonal.as_slice()[k * row..][..row];
+        for i in 0..knot {
+            p[i * row + i] += diagonal[i];
+        }
+    }
+    for i in 0..knot {
         p[i * row + i] += if i < d.state() { damping.0 } else { damping.1 };
     }
 }
 
 kernels! {
+    /// Lower triangle of S + sum_l left_l right_l', for n_A rows in `left` and `right`.
+    fn add_gain(d: D, left: &[f64], right: &[f64], value: &mut [f64]) {
+        let row = d.state_row();
+        update_lower(d, value, row, d.state(), d.actuated(), left, row, right, row);
+    }
+
     /// [`Kkt::factor_into`](super::Kkt::factor_into)
     pub(crate) fn factorise(d: D, kkt: &Kkt, damping: f64, input_damping: f64, factor: &mut Factor) -> bool {
         let (actuated, state, state_row) = (d.actuated(), d.state(), d.state_row());
@@ -107,12 +157,12 @@ kernels! {
         if factor.target.set(d, &kkt.target).is_err() {
             return false;
         }
-        let hessian = |k: usize| &kkt.hessian.as_slice()[k * knot * row..][..knot * row];
         let with_t = |k: usize| &kkt.with_t.as_slice()[k * row..][..row];
         let dynamics = |k: usize| &kkt.dynamics.rows.as_slice()[k * dense..][..dense];
         let f = |k: usize| &kkt.dynamics.f.as_slice()[k * state_row..][..state_row];
         let Factor { scratch, .. } = factor;
         let p = &mut factor.p.as_mut_slice()[..knot * row];
+        let products = &mut factor.scaled.as_mut_slice()[..actuated * row];
         let update = &mut factor.update.as_mut_slice()[..state * state_row];
         let damping = (damping, input_damping);
 
@@ -127,7 +177,7 @@ kernels! {
             let columns = (i + 1).next_multiple_of(4).min(state_row);
             combine(&mut p[i * row..][..columns], targets, &update[i..], state_row, rows, state_row);
         }
-        add_knot(d, hessian(n), damping, p);
+        add_knot(d, kkt, n, damping, p, products);
         let mut p_t: KnotRow = [0.0; LARGEST_KNOT];
         let p_t = &mut p_t[..row];
         p_t.copy_from_slice(with_t(n));
@@ -159,7 +209,7 @@ kernels! {
             copy_states(d, p, value);
             let negative = &mut update[..actuated * state_row];
             divide_negative(inverse, actuated, gain, negative, state_row);
-            rank_update(d, value, state_row, state, actuated, negative, state_row, gain, state_row);
+            add_gain(d, negative, gain, value);
             mirror(d, value, state_row, state);
             gain.copy_from_slice(negative);
             backward(lower, actuated, gain, state_row);
@@ -178,7 +228,7 @@ kernels! {
             combine(on_s, state, along_t, 1, value, state_row);
             t_t += dot(along_t, on_s) + dot(along_t, value_t);
             leaving_congruence(d, half_h, leave, value, p, scratch);
-            add_knot(d, hessian(k), damping, p);
+            add_knot(d, kkt, k, damping, p, products);
             leaving_transposed(d, half_h, leave, on_s, p_t);
             shift_add(p_t, 1.0, with_t(k));
         }
@@ -202,8 +252,8 @@ kernels! {
         kkt: &Kkt,
         factor: &Factor,
         rhs: &Rhs,
-        gradient: &mut Slab<States>,
-        feedforward: &mut [f64],
+        pass: Pass,
+        work: &mut SweepWorkspace,
         step: &mut NewtonStep,
     ) {
         let (actuated, state, state_row) = (d.actuated(), d.state(), d.state_row());
@@ -211,7 +261,8 @@ kernels! {
         let (_, _, u) = places(d);
         let n = kkt.intervals();
         let half_h = 0.5 * kkt.h;
-        let gradient = gradient.as_mut_slice();
+        let (gradient, feedforward) = (work.gradient.as_mut_slice(), work.feedforward.as_mut_slice());
+        let on_defects = work.on_defects.as_mut_slice();
         let lower = |k: usize| &factor.lower[k * actuated * actuated..][..actuated * actuated];
         let inverse = |k: usize| &factor.inverse[k * actuated..][..actuated];
         let gain_t = |k: usize| &factor.gain_t[k * actuated..][..actuated];
@@ -248,7 +299,16 @@ kernels! {
             for l in 0..state_row {
                 negative[l] = -defects(k)[l];
             }
-            combine(beyond, state, &negative, 1, value(k), state_row);
+            let on_defects = &mut on_defects[k * state_row..][..state_row];
+            match pass {
+                Pass::Whole => combine(beyond, state, &negative, 1, value(k), state_row),
+                Pass::Predictor => {
+                    on_defects.fill(0.0);
+                    combine(on_defects, state, &negative, 1, value(k), state_row);
+                    shift_add(beyond, 1.0, on_defects);
+                }
+                Pass::Corrector => shift_add(beyond, 1.0, on_defects),
+            }
             p_t += dot(along_t(k), beyond) - dot(value_t(k), defects(k));
             leaving_transposed(d, half_h, leave(k), beyond, p);
             shift_add(p, 1.0, g(k));
@@ -275,17 +335,22 @@ kernels! {
             leaving_apply(d, half_h, leave(k), z, s);
             shift_add(s, -1.0, defects(k));
             shift_add(s, t, along_t(k));
-            let lambda = &mut step_lambda[k * state_row..][..state_row];
-            lambda.copy_from_slice(&gradient[k * state_row..][..state_row]);
-            shift_add(lambda, t, value_t(k));
-            combine(lambda, state, s, 1, value(k), state_row);
-            for l in 0..state_row {
-                lambda[l] = -lambda[l];
+            if pass != Pass::Predictor {
+                let lambda = &mut step_lambda[k * state_row..][..state_row];
+                lambda.copy_from_slice(&gradient[k * state_row..][..state_row]);
+                shift_add(lambda, t, value_t(k));
+                combine(lambda, state, s, 1, value(k), state_row);
+                for l in 0..state_row {
+                    lambda[l] = -lambda[l];
+                }
             }
             for (l, gain) in gain(k).chunks_exact(state_row).enumerate() {
                 next[u + l] = feedforward[k * actuated + l] + gain_t(k)[l] * t + dot(gain, s);
             }
             entering_apply(d, half_h, m(k), s, next);
+        }
+        if pass == Pass::Predictor {
+            return;
         }
         let last = &z[n * row..];
         for (i, q) in rows.chunks_exact(state_row).enumerate() {

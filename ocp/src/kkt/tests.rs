@@ -164,6 +164,50 @@ fn equals_dense_elimination_for_all_sizes_with_and_without_damping() {
     }
 }
 
+#[test]
+fn a_hessian_of_products_gives_the_step_of_its_panels_and_a_predictor_and_corrector_the_whole_step() {
+    let mut random = Random(5);
+    for sizes in all_sizes().step_by(3) {
+        let (n, targets) = (6, 1);
+        let (mut panels, rhs) = system(&mut random, sizes, n, targets);
+        let mut products = Kkt::of_products(sizes, n, &panels.target);
+        (products.h, products.t_t) = (panels.h, panels.t_t);
+        products.with_t.copy_from(&panels.with_t);
+        products.dynamics.copy_from(&panels.dynamics);
+        let Products { diagonal, jacobian, sigma } = &mut products.products;
+        sigma.fill_with(|| 10.0 * random.next().abs());
+        panels.hessian.clear();
+        for k in 0..=n {
+            diagonal.vector_mut(k).fill_with(|| 1.0 + random.next().abs());
+            (0..sizes.actuated()).for_each(|i| jacobian.row_mut(k, i).fill_with(|| random.next()));
+            (0..sizes.knot()).for_each(|i| panels.hessian.row_mut(k, i)[i] = diagonal.vector(k)[i]);
+            let sigma = &sigma[k * sizes.actuated()..][..sizes.actuated()];
+            panels.add_products(k, jacobian, sigma, &mut Slab::zeros(sizes, 1, sizes.actuated()));
+        }
+        let (d, damping) = (Baseline(sizes), (0.2, 0.1));
+        let step = || NewtonStep::zeros(sizes, n, targets);
+        let (mut factor, mut work) = (Factor::new(sizes, n), SolveWorkspace::new(sizes, n, targets));
+        let (mut want, mut found) = (step(), step());
+        for (kkt, out) in [(&panels, &mut want), (&products, &mut found)] {
+            assert!(factorise(d, kkt, damping.0, damping.1, &mut factor), "{sizes:?}");
+            solve(d, kkt, &factor, &rhs, damping, (8, 1e-13), &mut work, out);
+        }
+        assert!(difference(&found, &want) <= 1e-9, "{sizes:?}: {:e}", difference(&found, &want));
+
+        let mut other = rhs.clone();
+        (0..=n).for_each(|k| other.g.vector_mut(k).fill_with(|| random.next()));
+        let (mut predicted, mut corrected) = (step(), step());
+        predict(d, &products, &factor, &rhs, &mut work, &mut predicted);
+        correct(d, &products, &factor, &other, &mut work, &mut corrected);
+        solve(d, &products, &factor, &rhs, damping, (0, 0.0), &mut work, &mut want);
+        (predicted.lambda, predicted.lambda_target) = (want.lambda.clone(), want.lambda_target.clone());
+        // Without refinement, the stiff target costs seven digits.
+        assert!(difference(&predicted, &want) <= 1e-6, "{sizes:?}: {:e}", difference(&predicted, &want));
+        solve(d, &products, &factor, &other, damping, (0, 0.0), &mut work, &mut want);
+        assert!(difference(&corrected, &want) <= 1e-6, "{sizes:?}: {:e}", difference(&corrected, &want));
+    }
+}
+
 /// The solution of a system in the instance of `d`.
 fn solved<D: Registers>(d: D, kkt: &Kkt, rhs: &Rhs) -> NewtonStep {
     let (sizes, n, targets) = (kkt.sizes(), kkt.intervals(), kkt.target.len());

@@ -4,7 +4,7 @@
 //! All functions take h/2 and the dense rows of T or N as a panel of n_U rows over (s, u) or z.
 
 use crate::dims::kernels;
-use crate::kernels::{combine, rank_update, shift_add, solve_rows};
+use crate::kernels::{combine, shift_add, solve_rows, update_lower};
 use crate::slab::LARGEST_KNOT;
 use upswing_model::Dims;
 use upswing_model::{LARGEST_STATE, MOST_JOINTS};
@@ -49,7 +49,7 @@ fn symmetric_update<D: super::Registers>(
     left[..half].copy_from_slice(m);
     left[half..].copy_from_slice(&right[..half]);
     right[half..].copy_from_slice(m);
-    rank_update(d, p, row, d.knot(), 2 * unactuated, left, row, right, row);
+    update_lower(d, p, row, d.knot(), 2 * unactuated, left, row, right, row);
 }
 
 /// The shifts of the double integrators on the columns of one row over (s, u): q + h/2 on qd, qd_A + h/2 on u.

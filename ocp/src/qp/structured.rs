@@ -13,7 +13,7 @@ use super::{Bound, ConflictingBound, Qp, QpOptions, QpSolution, QpStatus, Stall}
 use crate::dims::{Registers, dispatch, kernels};
 use crate::kernels::{amax, combine, dot, shift_add};
 use crate::kkt::{self, Factor, Kkt, NewtonStep, Rhs, SolveWorkspace, TargetRow};
-use crate::slab::{Knots, LARGEST_KNOT, Slab};
+use crate::slab::LARGEST_KNOT;
 use upswing_model::{Dims, LimitKind, Sizes, State};
 
 /// Number of bounded quantities: torques of knot 0, then states and torques of each knot, then dt.
@@ -36,13 +36,28 @@ const RESOLUTION: f64 = 1e-14;
 const SHORTEST: f64 = 1e-12;
 /// Least slack and product of slack and multiplier of a cold start; the half ranges of the limits are about 1.
 /// Tuned, as the next pair: ten times more or less costs one or two iterations.
-const COLD: (f64, f64) = (1e-1, 1e-1);
+const COLD: (f64, f64) = (1e-1, 1e-2);
 /// The same of a warm start.
 const WARM: (f64, f64) = (1e-3, 1e-5);
+
+/// How often a step is refined at most, and the share of the right-hand side that is left then, where steps miss what they aim at.
+const REFINEMENTS: (usize, f64) = (2, 1e-9);
+
+/// How the linear system of a step is solved.
+#[derive(Clone, Copy, Debug)]
+enum Linear {
+    /// Without multipliers.
+    Predictor,
+    /// With another gradient than the predictor's.
+    Corrector,
+    /// As the corrector, with iterative refinement.
+    Refined,
+}
 
 /// Solver and its memory.
 #[derive(Clone, Debug)]
 pub struct Structured {
+    /// The matrix; its rows J_k are the Jacobians of the torques, each scaled to half its range.
     kkt: Kkt,
     factor: Factor,
     /// Of the factorisation.
@@ -54,9 +69,6 @@ pub struct Structured {
     /// Iterate: dz, dt and the multipliers of defects and target rows.
     at: NewtonStep,
     step: NewtonStep,
-    /// Jacobian of the torques of the knots, each scaled to half its range, and memory for one panel of it.
-    jacobian: Slab<Knots>,
-    scaled: Slab<Knots>,
     lower: Vec<f64>,
     upper: Vec<f64>,
     /// By how much a bound yields to a unit of its multiplier.
@@ -68,7 +80,6 @@ pub struct Structured {
     above: Side,
     /// What a bounded quantity contributes to the gradient.
     pull: Vec<f64>,
-    sigma: Vec<f64>,
     solution: QpSolution,
 }
 
@@ -83,6 +94,8 @@ struct Side {
     residual: Vec<f64>,
     /// What slack times multiplier shall change by, to first order.
     target: Vec<f64>,
+    /// One over the distance that a multiplier's pull acts on: the slack, and what the bound yields.
+    inverse: Vec<f64>,
 }
 
 impl Side {
@@ -95,24 +108,9 @@ impl Side {
             multiplier_step: zeros(),
             residual: zeros(),
             target: zeros(),
+            inverse: zeros(),
         }
     }
-
-    /// Sum of the products of slacks and multipliers.
-    fn product(&self) -> f64 {
-        dot(&self.slack, &self.multiplier)
-    }
-
-    /// The same for the distances beyond the resolution.
-    fn resolved_product(&self) -> f64 {
-        self.slack.iter().zip(&self.multiplier).map(|(a, y)| (a - RESOLUTION) * y).sum()
-    }
-}
-
-/// Distance that a multiplier's pull acts on: the slack, and what the bound yields.
-#[inline(always)]
-fn stretch(slack: f64, multiplier: f64, compliance: f64) -> f64 {
-    slack + compliance * multiplier
 }
 
 kernels! {
@@ -183,41 +181,33 @@ kernels! {
     }
 
     /// sigma of all bounded quantities.
-    fn sigmas(d: D, below: &Side, above: &Side, compliance: f64, sigma: &mut [f64]) {
+    fn sigmas(d: D, below: &mut Side, above: &mut Side, compliance: f64, sigma: &mut [f64]) {
         for i in 0..sigma.len() {
-            sigma[i] = below.multiplier[i] / stretch(below.slack[i], below.multiplier[i], compliance)
-                + above.multiplier[i] / stretch(above.slack[i], above.multiplier[i], compliance);
+            below.inverse[i] = 1.0 / (below.slack[i] + compliance * below.multiplier[i]);
+            above.inverse[i] = 1.0 / (above.slack[i] + compliance * above.multiplier[i]);
+            sigma[i] = below.multiplier[i] * below.inverse[i] + above.multiplier[i] * above.inverse[i];
         }
     }
 
-    /// H_k of all knots: the weights and J' sigma J.
-    fn hessians(d: D, weight: &[f64], jacobian: &[f64], sigma: &[f64], scaled: &mut [f64], hessian: &mut [f64]) {
-        let (actuated, state, knot, row) = (d.actuated(), d.state(), d.knot(), d.knot_row());
-        for k in 0..weight.len() / row {
+    /// H_k of all knots: the weights, and sigma of states and of torques.
+    fn hessians(d: D, weight: &[f64], sigma: &[f64], diagonal: &mut [f64], of_torque: &mut [f64]) {
+        let (actuated, state, row) = (d.actuated(), d.state(), d.knot_row());
+        diagonal.copy_from_slice(weight);
+        for (k, diagonal) in diagonal.chunks_exact_mut(row).enumerate() {
             let at = torque_at(d, k);
-            let hessian = &mut hessian[k * knot * row..][..knot * row];
-            let jacobian = &jacobian[k * actuated * row..][..actuated * row];
-            hessian.fill(0.0);
-            kkt::add_products(d, jacobian, &sigma[at..at + actuated], hessian, scaled);
-            for j in 0..knot {
-                hessian[j * row + j] += weight[k * row + j];
-            }
+            of_torque[k * actuated..][..actuated].copy_from_slice(&sigma[at..at + actuated]);
             if k > 0 {
-                for j in 0..state {
-                    hessian[j * row + j] += sigma[at - state + j];
-                }
+                shift_add(&mut diagonal[..state], 1.0, &sigma[at - state..at]);
             }
         }
     }
 
     /// What the bounded quantities pull in a step for the targets of both sides.
-    fn pulls(d: D, below: &Side, above: &Side, compliance: f64, pull: &mut [f64]) {
+    fn pulls(d: D, below: &Side, above: &Side, pull: &mut [f64]) {
         let (a, b) = (below, above);
         for i in 0..pull.len() {
-            pull[i] = (b.target[i] - b.multiplier[i] * b.residual[i])
-                / stretch(b.slack[i], b.multiplier[i], compliance)
-                - (a.target[i] - a.multiplier[i] * a.residual[i])
-                    / stretch(a.slack[i], a.multiplier[i], compliance);
+            pull[i] = (b.target[i] - b.multiplier[i] * b.residual[i]) * b.inverse[i]
+                - (a.target[i] - a.multiplier[i] * a.residual[i]) * a.inverse[i];
         }
     }
 
@@ -225,8 +215,7 @@ kernels! {
     fn expand(d: D, side: &mut Side, sign: f64, dw: &[f64], compliance: f64) {
         for i in 0..dw.len() {
             let da = sign * dw[i] + side.residual[i];
-            let dy = (side.target[i] - side.multiplier[i] * da)
-                / stretch(side.slack[i], side.multiplier[i], compliance);
+            let dy = (side.target[i] - side.multiplier[i] * da) * side.inverse[i];
             side.multiplier_step[i] = dy;
             side.slack_step[i] = da + compliance * dy;
         }
@@ -253,12 +242,43 @@ kernels! {
 
     /// Sum of the products of slacks and multipliers after a step of the length `alpha`.
     fn product_after(d: D, side: &Side, alpha: f64) -> f64 {
-        let mut sum = 0.0;
-        for i in 0..side.slack.len() {
-            sum += (side.slack[i] + alpha * side.slack_step[i])
-                * (side.multiplier[i] + alpha * side.multiplier_step[i]);
+        let (slack, multiplier) = (side.slack.as_chunks::<4>(), side.multiplier.as_chunks::<4>());
+        let (slack_step, multiplier_step) =
+            (side.slack_step.as_chunks::<4>(), side.multiplier_step.as_chunks::<4>());
+        let after = |slack: f64, slack_step: f64, multiplier: f64, multiplier_step: f64| {
+            (slack + alpha * slack_step) * (multiplier + alpha * multiplier_step)
+        };
+        let mut sums = [0.0; 4];
+        for i in 0..slack.0.len() {
+            for l in 0..4 {
+                sums[l] +=
+                    after(slack.0[i][l], slack_step.0[i][l], multiplier.0[i][l], multiplier_step.0[i][l]);
+            }
         }
-        sum
+        for l in 0..slack.1.len() {
+            sums[l] += after(slack.1[l], slack_step.1[l], multiplier.1[l], multiplier_step.1[l]);
+        }
+        (sums[0] + sums[1]) + (sums[2] + sums[3])
+    }
+
+    /// Sum of the products of slacks and multipliers, and the same for the distances beyond the resolution.
+    fn products(d: D, side: &Side) -> (f64, f64) {
+        let (slack, multiplier) = (side.slack.as_chunks::<4>(), side.multiplier.as_chunks::<4>());
+        let (mut sums, mut resolved) = ([0.0; 4], [0.0; 4]);
+        let mut add = |l: usize, slack: f64, multiplier: f64| {
+            sums[l] += slack * multiplier;
+            resolved[l] += (slack - RESOLUTION) * multiplier;
+        };
+        for i in 0..slack.0.len() {
+            for l in 0..4 {
+                add(l, slack.0[i][l], multiplier.0[i][l]);
+            }
+        }
+        for l in 0..slack.1.len() {
+            add(l, slack.1[l], multiplier.1[l]);
+        }
+        let sum = |sums: [f64; 4]| (sums[0] + sums[1]) + (sums[2] + sums[3]);
+        (sum(sums), sum(resolved))
     }
 
     /// The targets of a predictor step: no product of slack and multiplier.
@@ -291,7 +311,7 @@ impl Structured {
         // More target rows than states would contradict each other.
         let row = TargetRow { coefficients: State::zeros(sizes), value: 0.0 };
         let targets = sizes.state();
-        let kkt = Kkt::zeros(sizes, n, &vec![row; targets]);
+        let kkt = Kkt::of_products(sizes, n, &vec![row; targets]);
         let rows = bounded_quantities(sizes, n);
         let zeros = || vec![0.0; rows];
         Self {
@@ -303,8 +323,6 @@ impl Structured {
             at: NewtonStep::zeros(sizes, n, targets),
             step: NewtonStep::zeros(sizes, n, targets),
             kkt,
-            jacobian: Slab::zeros(sizes, n + 1, sizes.actuated()),
-            scaled: Slab::zeros(sizes, 1, sizes.actuated()),
             lower: zeros(),
             upper: zeros(),
             compliance: 0.0,
@@ -313,7 +331,6 @@ impl Structured {
             below: Side::new(rows),
             above: Side::new(rows),
             pull: zeros(),
-            sigma: zeros(),
             solution: QpSolution::zeros(sizes, n),
         }
     }
@@ -346,7 +363,9 @@ impl Structured {
                 let scale = 2.0 / (upper[i] - lower[i]);
                 self.lower[at + i] = lower[i] * scale;
                 self.upper[at + i] = upper[i] * scale;
-                for (scaled, j) in self.jacobian.row_mut(k, i).iter_mut().zip(qp.torque.jacobian.row(k, i)) {
+                for (scaled, j) in
+                    self.kkt.products.jacobian.row_mut(k, i).iter_mut().zip(qp.torque.jacobian.row(k, i))
+                {
                     *scaled = j * scale;
                 }
             }
@@ -370,7 +389,7 @@ impl Structured {
         self.at.z.clear();
         self.at.z.x_mut(0).copy_from_slice(&qp.start);
         self.at.t = 0.0;
-        bounded(d, self.jacobian.as_slice(), self.at.z.as_slice(), 0.0, &mut self.value);
+        bounded(d, self.kkt.products.jacobian.as_slice(), self.at.z.as_slice(), 0.0, &mut self.value);
         let (slack, barrier) = if warm { WARM } else { COLD };
         if !warm {
             self.at.lambda.clear();
@@ -397,7 +416,7 @@ impl Structured {
         r.start = qp.start;
         r.target.iter_mut().zip(&qp.target).for_each(|(r, row)| *r = -row.value);
         kkt::add_constraints(d, &self.kkt, &self.at, r);
-        bounded(d, self.jacobian.as_slice(), self.at.z.as_slice(), self.at.t, &mut self.value);
+        bounded(d, self.kkt.products.jacobian.as_slice(), self.at.z.as_slice(), self.at.t, &mut self.value);
         slack_residuals(
             d,
             &self.value,
@@ -408,7 +427,7 @@ impl Structured {
             &mut self.above,
             &mut self.pull,
         );
-        add_pull(d, self.jacobian.as_slice(), &self.pull, r);
+        add_pull(d, self.kkt.products.jacobian.as_slice(), &self.pull, r);
     }
 
     /// Largest residuals: of the constraints, and of stationarity relative to the multipliers.
@@ -428,16 +447,12 @@ impl Structured {
 
     /// The matrix at the iterate.
     fn condense<D: Registers>(&mut self, d: D, qp: &Qp) {
-        sigmas(d, &self.below, &self.above, self.compliance, &mut self.sigma);
-        self.kkt.t_t = qp.weight_t + self.sigma[self.t_row()];
-        hessians(
-            d,
-            qp.weight.as_slice(),
-            self.jacobian.as_slice(),
-            &self.sigma,
-            self.scaled.as_mut_slice(),
-            self.kkt.hessian.as_mut_slice(),
-        );
+        // Until the next step, the memory of a step holds sigma.
+        let sigma = &mut self.value_step;
+        sigmas(d, &mut self.below, &mut self.above, self.compliance, sigma);
+        self.kkt.t_t = qp.weight_t + sigma.last().copied().unwrap_or(0.0);
+        let products = &mut self.kkt.products;
+        hessians(d, qp.weight.as_slice(), sigma, products.diagonal.as_mut_slice(), &mut products.sigma);
     }
 
     /// Factorises. Near the end rounding may cost a pivot its sign: then a little damping keeps the step near the
@@ -451,22 +466,26 @@ impl Structured {
     }
 
     /// A step of everything, for the complementarity targets of both sides.
-    fn direction<D: Registers>(&mut self, d: D, refinements: (usize, f64)) {
+    fn direction<D: Registers>(&mut self, d: D, linear: Linear) {
         self.rhs.copy_from(&self.residual);
-        pulls(d, &self.below, &self.above, self.compliance, &mut self.pull);
-        add_pull(d, self.jacobian.as_slice(), &self.pull, &mut self.rhs);
-        let damping = (self.damping, self.damping);
-        kkt::solve(
+        pulls(d, &self.below, &self.above, &mut self.pull);
+        add_pull(d, self.kkt.products.jacobian.as_slice(), &self.pull, &mut self.rhs);
+        let Self { kkt, factor, rhs, work, step, .. } = self;
+        match linear {
+            Linear::Predictor => kkt::predict(d, kkt, factor, rhs, work, step),
+            Linear::Corrector => kkt::correct(d, kkt, factor, rhs, work, step),
+            Linear::Refined => {
+                let damping = (self.damping, self.damping);
+                kkt::solve(d, kkt, factor, rhs, damping, REFINEMENTS, work, step);
+            }
+        }
+        bounded(
             d,
-            &self.kkt,
-            &self.factor,
-            &self.rhs,
-            damping,
-            refinements,
-            &mut self.work,
-            &mut self.step,
+            self.kkt.products.jacobian.as_slice(),
+            self.step.z.as_slice(),
+            self.step.t,
+            &mut self.value_step,
         );
-        bounded(d, self.jacobian.as_slice(), self.step.z.as_slice(), self.step.t, &mut self.value_step);
         expand(d, &mut self.below, 1.0, &self.value_step, self.compliance);
         expand(d, &mut self.above, -1.0, &self.value_step, self.compliance);
     }
@@ -481,9 +500,17 @@ impl Structured {
             return None;
         }
         let state = self.kkt.sizes().state();
+        let mut excess =
+            self.on_start().dot(&qp.start) + dot(self.at.lambda.as_slice(), qp.defects.as_slice());
+        for (m, row) in self.at.lambda_target.iter().zip(&qp.target) {
+            excess -= m * row.value;
+        }
+        excess += dot(&self.below.multiplier, &self.lower) - dot(&self.above.multiplier, &self.upper);
+        if !(excess > 0.0) {
+            return None;
+        }
         // v: what is left of the gradient without the objective.
         let mut slope = 0.0;
-        let mut excess = self.on_start().dot(&qp.start);
         for k in 0..=qp.intervals() {
             let (residual, z) = (self.residual.g.vector(k), self.at.z.vector(k));
             let (weight, gradient) = (qp.weight.vector(k), qp.gradient.vector(k));
@@ -501,13 +528,6 @@ impl Structured {
         }
         let v_t = self.residual.g_t - qp.weight_t * self.at.t - qp.gradient_t;
         slope += v_t.abs() * qp.t.0.abs().max(qp.t.1.abs());
-        excess += dot(self.at.lambda.as_slice(), qp.defects.as_slice());
-        for (m, row) in self.at.lambda_target.iter().zip(&qp.target) {
-            excess -= m * row.value;
-        }
-        for i in 0..self.lower.len() {
-            excess += self.below.multiplier[i] * self.lower[i] - self.above.multiplier[i] * self.upper[i];
-        }
         (excess > slope).then(|| self.heaviest())
     }
 
@@ -520,7 +540,7 @@ impl Structured {
         let mut out = State::from_fn(sizes, |i| by_defects[i] * (-0.5 * self.kkt.h) - lambda[i]);
         for i in 0..sizes.actuated() {
             let pull = self.above.multiplier[i] - self.below.multiplier[i];
-            shift_add(&mut out, pull, self.jacobian.row(0, i));
+            shift_add(&mut out, pull, self.kkt.products.jacobian.row(0, i));
         }
         out
     }
@@ -583,14 +603,15 @@ impl Structured {
     }
 
     fn run<D: Registers>(&mut self, d: D, qp: &Qp, options: &QpOptions<'_>) -> QpStatus {
+        // The residuals that an exact step would have left.
+        let mut expected = f64::INFINITY;
         for iteration in 0..=options.max_iterations {
             self.solution.iterations = iteration;
             self.residuals(d, qp);
             let (primal, dual) = self.largest_residuals();
-            let rows = self.lower.len();
-            let mean = |below: f64, above: f64| (below + above) / (2 * rows) as f64;
-            let mu = mean(self.below.product(), self.above.product());
-            let resolved = mean(self.below.resolved_product(), self.above.resolved_product());
+            let mean = |below: f64, above: f64| (below + above) / (2 * self.lower.len()) as f64;
+            let (below, above) = (products(d, &self.below), products(d, &self.above));
+            let (mu, resolved) = (mean(below.0, above.0), mean(below.1, above.1));
             if primal.max(dual) <= options.tolerance && resolved <= options.complementarity {
                 return QpStatus::Solved;
             }
@@ -608,8 +629,9 @@ impl Structured {
                 aim_at_zero(d, side);
             }
             // The predictor only chooses how far to go; the corrector is the step.
-            self.direction(d, (0, 0.0));
+            self.direction(d, Linear::Predictor);
             let alpha = longest(d, &self.below).min(longest(d, &self.above)).min(1.0);
+            let mean = |below: f64, above: f64| (below + above) / (2 * self.lower.len()) as f64;
             let after = mean(product_after(d, &self.below, alpha), product_after(d, &self.above, alpha));
             let centring = (after / mu).powi(3);
             // Closer to the boundary than asked for, rounding would spoil stationarity.
@@ -617,11 +639,14 @@ impl Structured {
             for side in [&mut self.below, &mut self.above] {
                 aim_at(d, side, aim);
             }
-            self.direction(d, (1, 1e-6));
+            // What a step misses is a residual of the next one; refinement costs more, unless steps miss by much.
+            let missed = primal.max(dual) > 10.0 * expected.max(options.tolerance);
+            self.direction(d, if missed { Linear::Refined } else { Linear::Corrector });
             let alpha = (TO_BOUNDARY * longest(d, &self.below).min(longest(d, &self.above))).min(1.0);
             if !(alpha > SHORTEST) {
                 return QpStatus::Stalled(Stall::ShortStep);
             }
+            expected = (1.0 - alpha) * primal.max(dual);
             self.at.add_scaled(alpha, &self.step);
             for side in [&mut self.below, &mut self.above] {
                 advance(d, side, alpha);

@@ -6,6 +6,7 @@ use crate::dims::{Avx2, Baseline};
 use crate::kkt::Dynamics;
 use crate::qp::{Backend, QpSolver, TorqueRows};
 use crate::random::Random;
+use crate::slab::{Knots, Slab};
 use upswing_model::{ActuatedVector, Fixed, MOST_JOINTS, States};
 
 /// Tolerances with which inputs agree even where a bound is weakly active.
