@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use upswing_model::{State, Workspace};
 use upswing_ocp::lqr;
 use upswing_ocp::qp::{Backend, Qp, QpOptions, QpSolver, QpStatus};
-use upswing_planner::offline::{lqr_weights, qp_weights, target};
+use upswing_planner::offline::{lqr_recursion, lqr_weights, qp_weights, target};
 use upswing_planner::replan::{Effort, Planner, Replan};
 
 /// As in a replan (`planner/src/replan.rs`).
@@ -141,12 +141,14 @@ fn replans(planner: &Planner, starts: &[State]) {
 
     let (weights, ts) =
         (lqr_weights(&config.planner, config.model.sizes()), config.daemon.cycle.period.seconds());
+    let recursion = lqr_recursion(&config.planner);
     let mut work = Workspace::default();
     let times: Vec<MeasuredTime> = plans
         .iter()
         .map(|plan| {
-            let (gains, took) =
-                timed(|| lqr::synthesize(&config.model, &plan.trajectory, &weights, ts, &mut work));
+            let (gains, took) = timed(|| {
+                lqr::synthesize(&config.model, &plan.trajectory, &weights, ts, recursion, &mut work)
+            });
             assert!(gains.is_ok(), "{gains:?}");
             took
         })
