@@ -158,7 +158,7 @@ fn entry(config: &Config, solution: &Trajectory, given: &[f64]) -> Entry {
     Entry { key: key(entry.trajectory.start(), given), ..entry }
 }
 
-/// Optimises poses of a line from the solution of a pose next to them that is cheaper and [moves otherwise](moves_otherwise), from the last
+/// Optimises poses of a line from the solution of a pose next to them that is cheaper and of another family, from the last
 /// pose to the first and back, until none becomes cheaper; poses without a solution from any solution. `None` if the build was stopped
 /// meanwhile.
 pub fn improve_line(
