@@ -79,13 +79,13 @@ pub enum GivenError {
 pub struct GivenOutsideLimits {
     /// Name of the joint.
     pub joint: String,
-    /// Ends of the range open to plans, deg or m.
+    /// Lower end of the range open to plans, in `unit`.
     pub min: f64,
-    /// Upper end.
+    /// Its upper end, in `unit`.
     pub max: f64,
-    /// deg or m
+    /// The position, in `unit`.
     pub got: f64,
-    /// deg or m
+    /// `deg` or `m`.
     pub unit: &'static str,
 }
 

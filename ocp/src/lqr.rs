@@ -43,9 +43,8 @@ const PERIODS: [usize; 8] = [2, 3, 4, 6, 8, 12, 16, 24];
 /// the error, is a tenth of it or less for the entries of all shipped databases.
 const LARGEST_CHANGE: f64 = 1e-3;
 
-/// Solves (21), then iterates (23) backwards, with A and B interpolated between the knots, and keeps the gains at the knots: those of the
-/// periods that begin there. `ts`: control period T_s, s. With [`Recursion::Periods`] a whole number of periods lies between two knots, the
-/// one that makes them most nearly as long as T_s.
+/// Solves (21), then iterates (23) backwards, with A and B interpolated between the knots; keeps the gains at the knots: those of the
+/// last period that begins there or before. `ts`: control period T_s, s.
 ///
 /// # Errors
 /// [`NotStabilisable`] if (21) has no stabilising solution at x_N.
@@ -91,24 +90,66 @@ fn all_gains<D: Registers>(
     let at_end = at_end.panel(0);
     let terminal = |q: &State| algebraic_riccati(sizes, at_end, q, *r, ts).ok_or(NotStabilisable);
 
-    let x = terminal(q)?;
-    let by_periods =
-        |count: usize| gains_by_periods(d, rows, &(&x * (ts * count as f64 / h)), weights, h, count);
-    let every_period = ((h / ts).round() as usize).max(1);
-    let extrapolated = match recursion {
-        Recursion::Periods => None,
-        Recursion::Extrapolated => extrapolate(h / ts, every_period, by_periods),
-    };
-    let mut gains = extrapolated.map_or_else(|| by_periods(every_period), Ok)?;
-
     let mut end = CostToGo::new(&terminal(q_end)?, sizes);
     end.step(d, (at_end, at_end, 0.0), q_end, *r, ts)?;
+    let mut gains = Gains::zeros(sizes, trajectory.intervals());
     end.gain(d, gains.end_mut());
+
+    let x = terminal(q)?;
+    // X grows with the length of a period as the weights of (20) do.
+    let by_longer =
+        |count: usize| gains_of_longer_periods(d, rows, &(&x * (ts * count as f64 / h)), weights, h, count);
+    let extrapolated = match recursion {
+        Recursion::Periods => None,
+        Recursion::Extrapolated => extrapolate(h / ts, by_longer),
+    };
+    match extrapolated {
+        Some(extrapolated) => {
+            for k in 0..=extrapolated.intervals() {
+                gains.knot_mut(k).copy_from_slice(extrapolated.knot(k).as_slice());
+            }
+        }
+        None => {
+            // A trajectory shorter than a period has no other gain.
+            for k in 0..=trajectory.intervals() {
+                end.gain(d, gains.knot_mut(k));
+            }
+            every_period(d, rows, CostToGo::new(&x, sizes), trajectory, weights, ts, &mut gains)?;
+        }
+    }
     Ok(gains)
 }
 
-/// The gains (23) at the knots with `count` periods per interval of length `h` (s) from the terminal weight `x` on.
-fn gains_by_periods<D: Registers>(
+/// The gains (23) at the knots, from the terminal weight `cost` on, with the control period `ts`, s.
+fn every_period<D: Registers>(
+    d: D,
+    rows: &Slab<Knots>,
+    mut cost: CostToGo,
+    trajectory: &Trajectory,
+    LqrWeights { q, r, .. }: &LqrWeights,
+    ts: f64,
+    gains: &mut Gains,
+) -> Result<(), NotStabilisable> {
+    let (n, h) = (trajectory.intervals(), trajectory.h());
+    let steps = (trajectory.t_f / ts).floor() as usize;
+    let mut next_knot = n;
+    for i in (0..steps).rev() {
+        let t = i as f64 * ts;
+        let k = ((t / h) as usize).min(n - 1);
+        cost.step(d, (rows.panel(k), rows.panel(k + 1), t / h - k as f64), q, *r, ts)?;
+        while next_knot > 0 && t <= next_knot as f64 * h {
+            cost.gain(d, gains.knot_mut(next_knot));
+            next_knot -= 1;
+        }
+    }
+    if steps > 0 {
+        cost.gain(d, gains.knot_mut(0));
+    }
+    Ok(())
+}
+
+/// The gains (23) at the knots with `count` periods per interval of length `h` (s) instead of those of T_s, from the terminal weight `x` on.
+fn gains_of_longer_periods<D: Registers>(
     d: D,
     rows: &Slab<Knots>,
     x: &DMatrix<f64>,
@@ -119,13 +160,14 @@ fn gains_by_periods<D: Registers>(
     let (sizes, n, period) = (rows.sizes(), rows.panels() - 1, h / count as f64);
     let mut gains = Gains::zeros(sizes, n);
     let mut cost = CostToGo::new(x, sizes);
-    let mut after = cost.clone();
-    after.step(d, (rows.panel(n), rows.panel(n), 0.0), q, *r, period)?;
-    after.gain(d, gains.knot_mut(n));
     for k in (0..n).rev() {
         for i in (0..count).rev() {
             let share = i as f64 / count as f64;
             cost.step(d, (rows.panel(k), rows.panel(k + 1), share), q, *r, period)?;
+            if (k + 1, i + 1) == (n, count) {
+                // No period begins at the end: the last one serves it.
+                cost.gain(d, gains.knot_mut(n));
+            }
         }
         cost.gain(d, gains.knot_mut(k));
     }
@@ -133,17 +175,13 @@ fn gains_by_periods<D: Registers>(
 }
 
 /// The gains for `count` periods per interval, not necessarily whole, from those `by_periods` for some of [`PERIODS`]: the polynomial in
-/// the length of the period. `None` if it takes `most` periods per interval or more.
-fn extrapolate(
-    count: f64,
-    most: usize,
-    by_periods: impl Fn(usize) -> Result<Gains, NotStabilisable>,
-) -> Option<Gains> {
+/// the length of the period. `None` if it takes as many periods.
+fn extrapolate(count: f64, by_periods: impl Fn(usize) -> Result<Gains, NotStabilisable>) -> Option<Gains> {
     let mut computed: Vec<Gains> = Vec::new();
     let mut before: Option<Gains> = None;
     for used in 1..=PERIODS.len() {
         let counts = &PERIODS[..used];
-        if counts.iter().sum::<usize>() >= most {
+        if counts.iter().sum::<usize>() as f64 >= count {
             break;
         }
         computed.push(by_periods(counts[used - 1]).ok()?);

@@ -119,28 +119,24 @@ fn the_gains_of_a_swing_are_those_of_the_dense_recursion() {
     assert!(error < 1e-6 * scale, "at the end: {}", error / scale);
 
     let knots: Vec<_> = trajectory.knots().map(|(x, u)| ab(x, u)).collect();
-    // A whole number of periods from knot to knot: within 0.3 % of the control period, and the weight of x_N is for that one.
-    let periods = (trajectory.h() / ts).round() as usize;
-    let period = trajectory.h() / periods as f64;
-    p *= ts / period;
-    let mut by_knot = vec![dense_step(&p, (&knots[n].0, &knots[n].1), &q, weights.r, period).0];
-    for k in (0..n).rev() {
-        let mut first = DMatrix::zeros(7, 18);
-        for i in (0..periods).rev() {
-            let share = i as f64 / periods as f64;
-            let a = &knots[k].0 * (1.0 - share) + &knots[k + 1].0 * share;
-            let b = &knots[k].1 * (1.0 - share) + &knots[k + 1].1 * share;
-            (first, p) = dense_step(&p, (&a, &b), &q, weights.r, period);
-        }
-        by_knot.insert(0, first);
+    let periods = (trajectory.t_f / ts).floor() as usize;
+    let mut by_period = vec![DMatrix::zeros(7, 18); periods];
+    for i in (0..periods).rev() {
+        let place = i as f64 * ts / trajectory.t_f * n as f64;
+        let (k, share) = ((place as usize).min(n - 1), place.fract());
+        let a = &knots[k].0 * (1.0 - share) + &knots[k + 1].0 * share;
+        let b = &knots[k].1 * (1.0 - share) + &knots[k + 1].1 * share;
+        (by_period[i], p) = dense_step(&p, (&a, &b), &q, weights.r, ts);
     }
+    // Number of the control period that contains knot k; no period begins at or after t_F.
+    let at = |k: usize| ((k as f64 * trajectory.h() / ts) as usize).min(periods - 1);
     for k in 0..=n {
         let gain = matrix(gains.knot(k));
-        let error = (&gain - &by_knot[k]).amax();
+        let error = (&gain - &by_period[at(k)]).amax();
         assert!(error < 1e-6 * scale, "knot {k}: {}", error / scale);
         // The gains of neighbouring knots differ.
         for neighbour in [k.saturating_sub(1), (k + 1).min(n)].into_iter().filter(|n| *n != k) {
-            let change = (&gain - &by_knot[neighbour]).amax();
+            let change = (&gain - &by_period[at(neighbour)]).amax();
             assert!(change > 1e-4 * scale, "knots {k} and {neighbour}: {}", change / scale);
         }
     }
@@ -161,9 +157,10 @@ fn extrapolated_gains_are_those_of_every_period_for_all_shipped_systems() {
         {
             let entries = planner.entries(number);
             for entry in entries.iter().step_by(entries.len().div_ceil(ENTRIES).max(1)) {
-                // Near the control period, a whole number of them between two knots: all of the difference is the extrapolation's.
+                // Near the control period, with periods that begin at the knots, not a rounding error after them: all of the difference is
+                // the extrapolation's.
                 let h = entry.trajectory.h();
-                let ts = h / (h / config.daemon.cycle.period.seconds()).round();
+                let ts = h / (h / config.daemon.cycle.period.seconds()).round() * (1.0 - 1e-12);
                 let mut gains = |recursion| {
                     let gains = synthesize(&config.model, &entry.trajectory, &weights, ts, recursion, work);
                     gains.expect("stabilisable")

@@ -214,14 +214,12 @@ fn infeasible_ones_are_infeasible_for_both() {
 #[test]
 fn softened_limits_yield_where_hard_ones_contradict() {
     let mut config = Config::embedded().expect("embedded settings");
-    // With a larger weight Clarabel comes no closer than 1e-5 to the solution of a soft program.
-    config.planner.replan.weight_t_f = 1.0;
+    // With a larger weight Clarabel comes no closer than 1e-5 to 4e-4 to the solution of a soft program.
+    config.planner.replan.weight_t_f = 0.3;
     let planner = Planner::new(config).expect("the shipped database fits");
     let limits = &planner.config().robot.planning;
     for joint in [1, 3, 5] {
-        // Around 15 of 21 entries tried, Clarabel comes no closer than 1e-6 to 4e-4, while a tighter tolerance moves the structured
-        // solver's solution by at most 4e-7.
-        let mut qp = towards_its_stop(&planner, 100, joint, limits.qd_max[joint]);
+        let mut qp = towards_its_stop(&planner, 40, joint, limits.qd_max[joint]);
         for compliance in [1e-2, 1e-4] {
             qp.compliance = compliance;
             let [mut structured, mut clarabel] = BACKENDS.map(|backend| solver(&planner, backend));

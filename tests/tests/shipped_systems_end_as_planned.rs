@@ -4,7 +4,6 @@
 
 use upswing_config::{Config, Manoeuvre, System};
 use upswing_ipc::{Mode, PlanMessage};
-use upswing_model::thresholds::REPORT_POSITION_SLACK;
 use upswing_model::{Posture, State};
 use upswing_ocp::qp::QpSolver;
 use upswing_planner::replan::{Effort, Planner};
@@ -23,6 +22,9 @@ const LAST: f64 = 0.5;
 const BALANCED: f64 = 0.03;
 const HELD: f64 = 0.01;
 const HANGING: f64 = 0.1;
+/// Largest position beyond the limits of a joint that is held at their ends, rad or m: two steps of 2e-5, which its encoder does not
+/// resolve for certain.
+const STEP: f64 = 4e-5;
 
 struct Flight<'a> {
     config: &'a Config,
@@ -57,9 +59,7 @@ impl Flight<'_> {
         let x = State::new(self.system.plant.position(), self.system.plant.velocity());
         for i in 0..limits.q_max.len() {
             let name = model.joint_name(i);
-            let (min, max) =
-                (limits.q_min[i] - REPORT_POSITION_SLACK, limits.q_max[i] + REPORT_POSITION_SLACK);
-            if i < tau.len() && !(min..=max).contains(&x.q()[i]) {
+            if i < tau.len() && !(limits.q_min[i] - STEP..=limits.q_max[i] + STEP).contains(&x.q()[i]) {
                 return Err(format!("joint `{name}` is at {}", x.q()[i]));
             }
             if x.qd()[i].abs() > limits.qd_max[i] {

@@ -605,11 +605,12 @@ impl Structured {
     fn run<D: Registers>(&mut self, d: D, qp: &Qp, options: &QpOptions<'_>) -> QpStatus {
         // The residuals that an exact step would have left.
         let mut expected = f64::INFINITY;
+        let pairs = (2 * self.lower.len()) as f64;
+        let mean = |below: f64, above: f64| (below + above) / pairs;
         for iteration in 0..=options.max_iterations {
             self.solution.iterations = iteration;
             self.residuals(d, qp);
             let (primal, dual) = self.largest_residuals();
-            let mean = |below: f64, above: f64| (below + above) / (2 * self.lower.len()) as f64;
             let (below, above) = (products(d, &self.below), products(d, &self.above));
             let (mu, resolved) = (mean(below.0, above.0), mean(below.1, above.1));
             if primal.max(dual) <= options.tolerance && resolved <= options.complementarity {
@@ -631,7 +632,6 @@ impl Structured {
             // The predictor only chooses how far to go; the corrector is the step.
             self.direction(d, Linear::Predictor);
             let alpha = longest(d, &self.below).min(longest(d, &self.above)).min(1.0);
-            let mean = |below: f64, above: f64| (below + above) / (2 * self.lower.len()) as f64;
             let after = mean(product_after(d, &self.below, alpha), product_after(d, &self.above, alpha));
             let centring = (after / mu).powi(3);
             // Closer to the boundary than asked for, rounding would spoil stationarity.

@@ -122,7 +122,7 @@ fn solve_line(
 ) -> Option<Vec<PoseRecord>> {
     let stopped = || stop.load(Ordering::Acquire);
     let options = NlpOptions { cancelled: Some(&stopped), ..options(config) };
-    let mut neighbour: Vec<Trajectory> = Vec::new();
+    let mut neighbour: Option<Trajectory> = None;
     let mut records = Vec::with_capacity(line.len());
     for number in line {
         if halted() {
@@ -131,7 +131,7 @@ fn solve_line(
         let outcome = match Task::of(config, manoeuvre, *number) {
             None => PoseOutcome::Rejected,
             Some(Task { start, given, target }) => {
-                let solution = optimize(config, target, start, Search::Best, &neighbour, &options);
+                let solution = optimize(config, target, start, Search::Best, neighbour.as_slice(), &options);
                 // An interrupted search has tried some guesses only: its best solution need not be the best of all.
                 if stopped() {
                     return None;
@@ -139,7 +139,7 @@ fn solve_line(
                 match solution.status {
                     NlpStatus::Solved => {
                         let entry = entry(config, &solution.trajectory, &given);
-                        neighbour = vec![entry.trajectory.clone()];
+                        neighbour = Some(entry.trajectory.clone());
                         PoseOutcome::Solved(Box::new(entry))
                     }
                     _ => PoseOutcome::Failed,
