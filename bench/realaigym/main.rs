@@ -77,7 +77,8 @@ fn run(system: &System, args: &Args) -> Result<(), String> {
         }
         agree(&config.model, &machine).map_err(|e| format!("{system}: {e}"))?;
         // Without a database, whose entries have another weight, the planner optimises the plan in full.
-        let planner = Planner::with_entries(config.clone(), 0, String::new(), Vec::new());
+        let planner =
+            Planner::with_entries(config.clone(), 0, String::new(), Vec::new()).map_err(|e| e.to_string())?;
         let benchmark = Benchmark { config: &config, version, limits, seed: args.seed };
         let pilot = Pilot::new(&planner)?;
         if version == Version::Two {

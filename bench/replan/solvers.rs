@@ -57,7 +57,7 @@ fn print_both(name: &str, times: &[MeasuredTime]) {
 pub fn run(folder: &Path, count: u64) {
     let planner = Planner::new(config()).unwrap_or_else(|e| panic!("{e}"));
     let starts = starts(planner.config(), count);
-    println!("{count} random starts, {} database entries", planner.entries(0).len());
+    println!("{count} random starts, {} database entries", planner.entries(0));
     two_qps(&planner, &starts, folder);
     replans(&planner, &starts);
 }
@@ -72,7 +72,7 @@ fn two_qps(planner: &Planner, starts: &[State], folder: &Path) {
     let mut infeasible = 0;
     for start in starts {
         let nearest = planner.nearest(0, &[], start)[0];
-        let entry = &planner.entries(0)[nearest.index].trajectory;
+        let entry = &planner.entry(0, nearest.index).expect("an entry").trajectory;
         let weights = qp_weights(&planner.config().planner.replan);
         let target = target(planner.config(), 0, &[]).expect("a target");
         let problem = planner.problem(target, start);

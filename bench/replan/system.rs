@@ -10,7 +10,7 @@ use upswing_planner::database::DatabaseFile;
 use upswing_rig::course::first_manoeuvre;
 use upswing_rig::session::{Role, Session};
 use upswing_tests::System;
-use upswing_trajectory::{Database, PoseOutcome};
+use upswing_trajectory::DatabaseContents;
 
 /// How long an answer may take.
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -86,15 +86,15 @@ fn request(session: &mut Session, request: PlannerRequest) -> (PlannerResponse, 
 
 fn entries(config: &Config) -> usize {
     let database = DatabaseFile::of(config, 0).unwrap_or_else(|e| panic!("{e}")).expect("a database");
-    Database::decode(&database.bytes).map_or(0, |d| d.entries().count())
+    database.load().map_or(0, |database| database.entries())
 }
 
 /// Keeps as many entries of the database in a settings folder as the paper's has.
 fn shorten(settings: &std::path::Path) {
     let path = settings.join("swing-up.bin");
     let bytes = std::fs::read(&path).expect("the exported database");
-    let mut database = Database::decode(&bytes).unwrap_or_else(|e| panic!("{e}"));
-    database.records.retain(|r| matches!(r.outcome, PoseOutcome::Solved(_)));
+    let mut database = DatabaseContents::decode(bytes).unwrap_or_else(|e| panic!("{e}"));
+    database.records.retain(|r| r.entry().is_some());
     database.records.truncate(PAPER_ENTRIES);
     std::fs::write(&path, database.encode()).expect("written");
 }

@@ -259,24 +259,6 @@ impl Config {
         Ok(texts)
     }
 
-    /// Reads a further file of the system: its name in messages and its contents, from the folder of the system; for a shipped system
-    /// that is `shipped`. `None` if there is no such file.
-    ///
-    /// # Errors
-    /// [`ConfigError::Unreadable`] if the file exists but cannot be read.
-    pub fn optional_file(
-        &self,
-        name: &str,
-        shipped: Option<&'static [u8]>,
-    ) -> Result<Option<Contents>, ConfigError> {
-        match &self.system {
-            System::Shipped(system) => {
-                Ok(shipped.map(|bytes| (format!("embedded {}/{name}", system.name()), Cow::Borrowed(bytes))))
-            }
-            System::Folder(_) => self.system.file(name),
-        }
-    }
-
     /// Replaces the grid of start poses of manoeuvre number `manoeuvre` by the grid in the file at `path`.
     ///
     /// # Errors

@@ -6,23 +6,6 @@ use upswing_config::{Config, PendulumStart, TorqueForm, VelocityEstimate};
 use upswing_model::{ActuatedVector, Period};
 
 #[test]
-fn files_of_the_folder_or_the_program() {
-    let embedded = Config::embedded().expect("embedded settings");
-    let dir = exported();
-    let loaded = Config::from_dir(dir.path()).expect("exported settings");
-    std::fs::write(dir.path().join("other"), b"in the folder").expect("write");
-    let (of_folder, of_program) = (
-        loaded.optional_file("other", Some(b"embedded")).expect("readable").expect("a file"),
-        embedded.optional_file("other", Some(b"embedded")).expect("readable").expect("embedded"),
-    );
-    for config in [&loaded, &embedded] {
-        assert_eq!(config.optional_file("none", None).expect("no error"), None);
-    }
-    assert!(of_folder.0.ends_with("other") && of_folder.1 == b"in the folder".as_slice());
-    assert!(of_program.0 == "embedded iiwa-pendulum/other" && of_program.1 == b"embedded".as_slice());
-}
-
-#[test]
 fn a_file_contains_only_the_keys_that_differ() {
     let dir = exported();
     std::fs::write(

@@ -8,7 +8,7 @@ use upswing_config::{Config, ConfigError};
 /// Files that every folder has.
 const NEEDED: [&str; 3] = ["robot.urdf", "robot.toml", "manoeuvres.toml"];
 /// Files that are read if they are there.
-const OTHERS: [&str; 4] = ["planner.toml", "daemon.toml", "plant.toml", "swing-up.bin"];
+const OTHERS: [&str; 3] = ["planner.toml", "daemon.toml", "plant.toml"];
 
 fn files() -> impl Iterator<Item = &'static str> {
     NEEDED.into_iter().chain(OTHERS)
@@ -41,12 +41,7 @@ fn pipes_and_devices_in_place_of_files() {
             // A hang would be the end of the thread, too late for the test.
             let (tell, told) = std::sync::mpsc::channel();
             let folder = dir.path().to_owned();
-            std::thread::spawn(move || {
-                tell.send(
-                    Config::from_dir(&folder)
-                        .and_then(|config| config.optional_file("swing-up.bin", None).map(drop)),
-                )
-            });
+            std::thread::spawn(move || tell.send(Config::from_dir(&folder).map(drop)));
             let outcome = told.recv_timeout(std::time::Duration::from_secs(60)).expect("no hang");
             let message = outcome.expect_err("no file").to_string();
             for part in [path.display().to_string().as_str(), "regular file"] {

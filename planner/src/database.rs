@@ -1,16 +1,15 @@
-//! The trajectory database: [`build()`] it, [`merge()`] its shards, [`verify()`] its records, describe it ([`DatabaseOverview`]), and find
-//! the entries nearest to a start pose ([`NearestKey`]). The file format is that of [`upswing_trajectory::Database`].
+//! The trajectory database: [`build()`] it, [`merge()`] its shards, [`verify()`] its records, and describe it
+//! ([`DatabaseOverview`]). The file format and the search of entries are those of [`upswing_trajectory::Database`].
 
+mod assemble;
 mod build;
 mod merge;
-mod nearest;
 mod overview;
 mod stored;
 mod verify;
 
 pub use build::{build, improve_line};
 pub use merge::merge;
-pub use nearest::{NearestKey, Neighbour};
 pub use overview::{DatabaseOverview, JointCoverage};
 pub use stored::{DatabaseFile, SHIPPED};
 pub use verify::{Discrepancy, RecordFlaw, verify};
@@ -23,7 +22,7 @@ use upswing_model::thresholds::SAME_START;
 use upswing_model::{ActuatedVector, Posture, State};
 use upswing_ocp::kkt::TargetRow;
 use upswing_process::output::OutputError;
-use upswing_trajectory::{Certificate, Database, DatabaseError, DatabaseHeading, PoseOutcome, Trajectory};
+use upswing_trajectory::{Certificate, Database, DatabaseError, DatabaseHeading, Trajectory};
 use xxhash_rust::xxh3::Xxh3;
 
 /// A share of the lines of a grid: the lines whose number, counted from 0, is `number - 1` modulo `of`.
@@ -140,25 +139,6 @@ pub struct BuildSummary {
     pub left: usize,
 }
 
-fn summary(database: &Database, poses: usize, resumed: usize) -> BuildSummary {
-    let mut s = BuildSummary {
-        poses,
-        resumed,
-        solved: 0,
-        rejected: 0,
-        failed: Vec::new(),
-        left: poses.saturating_sub(database.records.len()),
-    };
-    for record in &database.records {
-        match record.outcome {
-            PoseOutcome::Solved(_) => s.solved += 1,
-            PoseOutcome::Rejected => s.rejected += 1,
-            PoseOutcome::Failed => s.failed.push(record.pose),
-        }
-    }
-    s
-}
-
 /// Number of poses in the database of a manoeuvre: of its starts, times that of the values that requests give.
 pub fn poses(manoeuvre: &Manoeuvre) -> usize {
     manoeuvre.grid.poses() * manoeuvre.given().map(|axis| axis.points).product::<usize>()
@@ -179,7 +159,7 @@ pub fn pose(manoeuvre: &Manoeuvre, number: usize) -> (ActuatedVector, Vec<f64>) 
 }
 
 /// The header of the database of a manoeuvre (or of one shard) for the robot, the optimisation problem and the grid of the settings.
-fn heading(config: &Config, manoeuvre: usize, shard: Shard) -> DatabaseHeading {
+pub(crate) fn heading(config: &Config, manoeuvre: usize, shard: Shard) -> DatabaseHeading {
     let (sizes, settings) = (config.model.sizes(), &config.manoeuvres[manoeuvre]);
     DatabaseHeading {
         sizes,
@@ -214,7 +194,7 @@ fn grid_fingerprint(manoeuvre: &Manoeuvre) -> u64 {
 
 /// Whether a database was built from the grid of the manoeuvre in the settings, so that [`verify()`] can compare poses.
 pub fn has_grid_of(config: &Config, manoeuvre: usize, database: &Database) -> bool {
-    database.heading.grid == grid_fingerprint(&config.manoeuvres[manoeuvre])
+    database.heading().grid == grid_fingerprint(&config.manoeuvres[manoeuvre])
 }
 
 /// Checks that a database was made for the robot model, the limits, the weights and the manoeuvre of the settings; its grid may be
@@ -223,7 +203,7 @@ pub fn has_grid_of(config: &Config, manoeuvre: usize, database: &Database) -> bo
 /// # Errors
 /// Those of [`DatabaseHeading::check_origin`].
 pub fn check_origin(config: &Config, manoeuvre: usize, database: &Database) -> Result<(), DatabaseError> {
-    database.heading.check_origin(&config.model, problem_fingerprint(config, manoeuvre))
+    database.heading().check_origin(&config.model, problem_fingerprint(config, manoeuvre))
 }
 
 /// Refuses a file that was made for another robot, other settings or another grid.
@@ -240,12 +220,12 @@ fn same_origin(path: &Path, got: &DatabaseHeading, expected: &DatabaseHeading) -
     Ok(())
 }
 
-/// Reads a database file.
+/// Opens a database file.
 ///
 /// # Errors
 /// [`BuildError::File`] or [`BuildError::Database`].
 pub fn read(path: &Path) -> Result<Database, BuildError> {
-    DatabaseFile::read(path)?.decode()
+    DatabaseFile::open(path)?.load()
 }
 
 /// What a pose of a database is to be solved for.
@@ -291,9 +271,15 @@ pub fn solutions_near(
     let Some(file) = DatabaseFile::of(config, manoeuvre)? else { return Ok(Vec::new()) };
     Ok(match Planner::with_database(config.clone(), manoeuvre, file) {
         Ok(planner) => {
-            let entries = planner.entries(manoeuvre);
             let near = planner.nearest(manoeuvre, given, start).into_iter();
-            near.map(|near| entries[near.index].trajectory.clone()).collect()
+            let entries = near.filter_map(|near| match planner.entry(manoeuvre, near.index) {
+                Ok(entry) => Some(entry.trajectory),
+                Err(e) => {
+                    tracing::warn!("{}: {e}; the entry is not used", planner.origin(manoeuvre));
+                    None
+                }
+            });
+            entries.collect()
         }
         Err(e) => {
             tracing::warn!("{e}; its entries are not used");

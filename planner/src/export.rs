@@ -4,6 +4,7 @@ use crate::database::DatabaseFile;
 use std::path::Path;
 use upswing_config::{Config, ConfigError};
 use upswing_process::output::{OutputError, Overwrite};
+use upswing_trajectory::DatabaseSource;
 
 /// The files of a system could not be exported.
 #[derive(Debug, thiserror::Error)]
@@ -22,10 +23,11 @@ pub enum ExportError {
 /// # Errors
 /// [`ExportError`]; if one of the files exists and may not be replaced, no file is written.
 pub fn export(config: &Config, dir: &Path, overwrite: Overwrite) -> Result<(), ExportError> {
-    let mut files = config.files()?;
+    let memory = |(name, bytes)| (name, DatabaseSource::Memory(bytes));
+    let mut files: Vec<_> = config.files()?.into_iter().map(memory).collect();
     for manoeuvre in 0..config.manoeuvres.len() {
         if let Some(database) = DatabaseFile::of(config, manoeuvre)? {
-            files.push((DatabaseFile::name(config, manoeuvre), database.bytes));
+            files.push((DatabaseFile::name(config, manoeuvre), database.source));
         }
     }
     let files: Vec<_> = files.iter().map(|(name, bytes)| (dir.join(name), bytes)).collect();
@@ -36,7 +38,9 @@ pub fn export(config: &Config, dir: &Path, overwrite: Overwrite) -> Result<(), E
         let folder = path.parent().unwrap_or(dir);
         std::fs::create_dir_all(folder)
             .map_err(|cause| OutputError::Io { path: folder.to_owned(), cause })?;
-        overwrite.output(&path).write(bytes)?;
+        let mut pending = overwrite.output(&path).begin()?;
+        bytes.copy_to(&mut pending).map_err(|cause| OutputError::Io { path, cause })?;
+        pending.finish()?;
     }
     Ok(())
 }

@@ -14,10 +14,11 @@ mod summary;
 pub use outcome::{FailedAttempt, Method, NoPlan, PlanningFailure, Replan, ReplanStatistics, SecondOpinion};
 pub use summary::{MarginShares, PlanSummary};
 
-use crate::database::{DatabaseFile, NearestKey, Neighbour};
+use crate::database::{DatabaseFile, Shard, heading};
 use crate::offline::{
     self, lqr_recursion, lqr_weights, problem, problem_fingerprint, qp_weights, torque_constraint,
 };
+use std::sync::Arc;
 use std::time::Instant;
 use tracing::warn;
 use upswing_config::{Config, ConfigError, Manoeuvre, QpBackend};
@@ -29,7 +30,10 @@ use upswing_ocp::multistart::{self, Search};
 use upswing_ocp::problem::Problem;
 use upswing_ocp::qp::{Backend, Qp, QpOptions, QpSolution, QpSolver, QpStatus};
 use upswing_ocp::slab::Slab;
-use upswing_trajectory::{Database, DatabaseError, Entry, Gains, Margins, Trajectory, UnmetCriterion};
+use upswing_trajectory::{
+    Database, DatabaseContents, DatabaseError, DatabaseSource, Entry, Gains, Margins, Neighbour, PoseOutcome,
+    PoseRecord, Trajectory, UnmetCriterion,
+};
 
 /// Tolerance of each QP: a tenth of the defect that four linearisations reach.
 const QP_TOLERANCE: f64 = 1e-9;
@@ -121,14 +125,12 @@ pub enum PlannerError {
     },
 }
 
-/// Planner of the manoeuvres of the settings from a measured start: settings, database entries and their search trees.
+/// Planner of the manoeuvres of the settings from a measured start: settings and databases.
 #[derive(Clone, Debug)]
 pub struct Planner {
     config: Config,
     /// One per manoeuvre; that of a reversal is empty, because it runs the entries of another manoeuvre backwards.
     databases: Vec<ManoeuvreEntries>,
-    /// One per manoeuvre: of the keys of its entries, or of the poses in which those end that it runs backwards.
-    trees: Vec<NearestKey>,
 }
 
 /// Database entries of a manoeuvre.
@@ -136,18 +138,25 @@ pub struct Planner {
 struct ManoeuvreEntries {
     /// Source of the entries, for messages.
     origin: String,
-    entries: Vec<Entry>,
+    /// `None` without entries.
+    database: Option<Arc<Database>>,
 }
 
 impl ManoeuvreEntries {
-    fn decode(config: &Config, manoeuvre: usize, database: DatabaseFile) -> Result<Self, PlannerError> {
-        let DatabaseFile { bytes, origin } = database;
-        let entries = Database::decode(&bytes)
-            .and_then(|database| database.entries_for(&config.model, problem_fingerprint(config, manoeuvre)));
-        match entries {
-            Ok(entries) => Ok(Self { origin, entries }),
+    fn load(config: &Config, manoeuvre: usize, file: DatabaseFile) -> Result<Self, PlannerError> {
+        let DatabaseFile { source, origin } = file;
+        let checked = Database::load(source).and_then(|database| {
+            database.check_for(&config.model, problem_fingerprint(config, manoeuvre)).map(|()| database)
+        });
+        match checked {
+            Ok(database) => Ok(Self { origin, database: Some(Arc::new(database)) }),
             Err(cause) => Err(PlannerError::Database { origin, cause }),
         }
+    }
+
+    /// Durations of the entries, s.
+    fn durations(&self) -> &[f64] {
+        self.database.as_ref().map_or(&[], |database| database.durations())
     }
 }
 
@@ -162,7 +171,7 @@ impl Planner {
         let mut databases = Vec::new();
         for (number, manoeuvre) in config.manoeuvres.iter().enumerate() {
             databases.push(match DatabaseFile::of(&config, number)? {
-                Some(database) => ManoeuvreEntries::decode(&config, number, database)?,
+                Some(database) => ManoeuvreEntries::load(&config, number, database)?,
                 None => {
                     if manoeuvre.reverses.is_none() {
                         let name = &manoeuvre.name;
@@ -175,7 +184,7 @@ impl Planner {
                 }
             });
         }
-        Ok(Self::with_databases(config, databases))
+        Ok(Self { config, databases })
     }
 
     /// Checks the databases of the settings as [`Planner::new`] does.
@@ -185,7 +194,7 @@ impl Planner {
     pub fn check_databases(config: &Config) -> Result<(), PlannerError> {
         (0..config.manoeuvres.len()).try_for_each(|number| {
             let database = DatabaseFile::of(config, number)?;
-            database.map_or(Ok(()), |database| ManoeuvreEntries::decode(config, number, database).map(|_| ()))
+            database.map_or(Ok(()), |database| ManoeuvreEntries::load(config, number, database).map(|_| ()))
         })
     }
 
@@ -198,31 +207,34 @@ impl Planner {
         manoeuvre: usize,
         database: DatabaseFile,
     ) -> Result<Self, PlannerError> {
-        let ManoeuvreEntries { origin, entries } = ManoeuvreEntries::decode(&config, manoeuvre, database)?;
-        Ok(Self::with_entries(config, manoeuvre, origin, entries))
+        let mut databases = vec![ManoeuvreEntries::default(); config.manoeuvres.len()];
+        databases[manoeuvre] = ManoeuvreEntries::load(&config, manoeuvre, database)?;
+        Ok(Self { config, databases })
     }
 
     /// Creates a planner with `entries` that were made for the manoeuvre number `manoeuvre` of these settings, and no others; `origin`
     /// names their source in messages.
-    pub fn with_entries(config: Config, manoeuvre: usize, origin: String, entries: Vec<Entry>) -> Self {
-        let mut databases = vec![ManoeuvreEntries::default(); config.manoeuvres.len()];
-        databases[manoeuvre] = ManoeuvreEntries { origin, entries };
-        Self::with_databases(config, databases)
-    }
-
-    fn with_databases(config: Config, databases: Vec<ManoeuvreEntries>) -> Self {
-        let tree = |(number, manoeuvre): (usize, &Manoeuvre)| match manoeuvre.reverses {
-            None => {
-                let keys = databases[number].entries.iter().map(|e| e.key.clone());
-                NearestKey::new(keys, &metric(&config, manoeuvre))
-            }
-            Some(reversed) => {
-                let keys = databases[reversed].entries.iter().map(|e| key(e.trajectory.end(), &[]));
-                NearestKey::new(keys, &config.planner.replan.metric)
-            }
+    ///
+    /// # Errors
+    /// [`PlannerError::Database`] for an entry that no file may have.
+    pub fn with_entries(
+        config: Config,
+        manoeuvre: usize,
+        origin: String,
+        entries: Vec<Entry>,
+    ) -> Result<Self, PlannerError> {
+        let Some(first) = entries.first() else {
+            let mut databases = vec![ManoeuvreEntries::default(); config.manoeuvres.len()];
+            databases[manoeuvre].origin = origin;
+            return Ok(Self { config, databases });
         };
-        let trees = config.manoeuvres.iter().enumerate().map(tree).collect();
-        Self { config, databases, trees }
+        let mut heading = heading(&config, manoeuvre, Shard::WHOLE);
+        heading.intervals = first.trajectory.intervals();
+        let record = |(pose, entry)| PoseRecord { pose, outcome: PoseOutcome::Solved(Box::new(entry)) };
+        let records = (0..).zip(entries).map(record).collect();
+        let bytes = DatabaseContents { heading, records }.encode();
+        let file = DatabaseFile { source: DatabaseSource::Memory(bytes.into()), origin };
+        Self::with_database(config, manoeuvre, file)
     }
 
     /// The settings.
@@ -235,14 +247,23 @@ impl Planner {
         &self.databases[self.source(manoeuvre)].origin
     }
 
-    /// The database entries from which plans of a manoeuvre are adapted.
-    pub fn entries(&self, manoeuvre: usize) -> &[Entry] {
-        &self.databases[self.source(manoeuvre)].entries
+    /// Number of the database entries from which plans of a manoeuvre are adapted.
+    pub fn entries(&self, manoeuvre: usize) -> usize {
+        self.databases[self.source(manoeuvre)].durations().len()
+    }
+
+    /// Reads a database entry from which plans of a manoeuvre are adapted.
+    ///
+    /// # Errors
+    /// [`DatabaseError`] if it is damaged, or if there is none of this number.
+    pub fn entry(&self, manoeuvre: usize, number: usize) -> Result<Entry, DatabaseError> {
+        let database = self.databases[self.source(manoeuvre)].database.as_ref();
+        database.map_or(Err(DatabaseError::Empty), |database| database.entry(number))
     }
 
     /// Number of the entries of all manoeuvres.
     pub fn entries_of_all(&self) -> usize {
-        self.databases.iter().map(|database| database.entries.len()).sum()
+        self.databases.iter().map(|database| database.durations().len()).sum()
     }
 
     /// The manoeuvre whose entries a manoeuvre adapts.
@@ -252,7 +273,18 @@ impl Planner {
 
     /// The `replan.neighbours` entries nearest to a start state (rad, rad/s) and `given` values (rad or m), nearest first.
     pub fn nearest(&self, manoeuvre: usize, given: &[f64], start: &State) -> Vec<Neighbour> {
-        self.trees[manoeuvre].nearest(&key(start, given), self.config.planner.replan.neighbours)
+        self.nearest_of(manoeuvre, given, start, self.config.planner.replan.neighbours)
+    }
+
+    fn nearest_of(&self, manoeuvre: usize, given: &[f64], start: &State, count: usize) -> Vec<Neighbour> {
+        let Some(database) = &self.databases[self.source(manoeuvre)].database else { return Vec::new() };
+        match self.config.manoeuvres[manoeuvre].reverses {
+            None => {
+                let metric = metric(&self.config, &self.config.manoeuvres[manoeuvre]);
+                database.keys().nearest(&key(start, given), &metric, count)
+            }
+            Some(_) => database.ends().nearest(&start.q_a(), &self.config.planner.replan.metric, count),
+        }
     }
 
     /// A QP solver of the back end in the settings, with its memory.
@@ -330,13 +362,10 @@ impl Planner {
             }
         }
         let mut optimisation = None;
-        let entries = self.entries(manoeuvre);
-        let shortest = |of: &[Neighbour]| {
-            let durations = of.iter().map(|n| entries[n.index].trajectory.t_f);
-            durations.fold(f64::INFINITY, f64::min)
-        };
+        let durations = self.databases[self.source(manoeuvre)].durations();
+        let shortest = |of: &[Neighbour]| of.iter().map(|n| durations[n.index]).fold(f64::INFINITY, f64::min);
         // The nearest entries may all belong to another, longer local optimum.
-        let around = self.trees[manoeuvre].nearest(&key(start, given), AROUND);
+        let around = self.nearest_of(manoeuvre, given, start, AROUND);
         let longest = (LONGER * shortest(&neighbours)).min(MUCH_LONGER * shortest(&around));
         let near = match self.config.manoeuvres[manoeuvre].given().next() {
             None => f64::INFINITY,
@@ -365,12 +394,12 @@ impl Planner {
     }
 
     /// The trajectory of an entry, run backwards for a reversal.
-    fn reference(&self, manoeuvre: usize, entry: usize) -> Trajectory {
-        let trajectory = &self.entries(manoeuvre)[entry].trajectory;
-        match self.config.manoeuvres[manoeuvre].reverses {
-            None => trajectory.clone(),
+    fn reference(&self, manoeuvre: usize, entry: usize) -> Result<Trajectory, DatabaseError> {
+        let trajectory = self.entry(manoeuvre, entry)?.trajectory;
+        Ok(match self.config.manoeuvres[manoeuvre].reverses {
+            None => trajectory,
             Some(_) => trajectory.reversed(),
-        }
+        })
     }
 
     /// The problem of a replan. A reversal ends where `reference` ends; without reference the arm ends in the pose in which it begins,
@@ -406,7 +435,7 @@ impl Planner {
         statistics: &mut ReplanStatistics,
     ) -> Result<AcceptableTrajectory, PlanningFailure> {
         let iterations = effort.iterations.max(1);
-        let reference = self.reference(wanted.manoeuvre, entry);
+        let reference = self.reference(wanted.manoeuvre, entry)?;
         let problem = self.problem_of(wanted, Some(&reference), self.config.planner.replan.knot_margin)?;
         let mut work = Workspace::default();
         let mut trajectory = reference.clone();
@@ -440,7 +469,7 @@ impl Planner {
         statistics: &mut ReplanStatistics,
     ) -> Result<AcceptableTrajectory, PlanningFailure> {
         let mut begin = Instant::now();
-        let reference = entry.map(|entry| self.reference(wanted.manoeuvre, entry));
+        let reference = entry.map(|entry| self.reference(wanted.manoeuvre, entry)).transpose()?;
         let halted = || effort.is_cancelled() || effort.out_of_time();
         let options = NlpOptions { cancelled: Some(&halted), ..offline::options(&self.config) };
         let mut problem = self.problem_of(wanted, reference.as_ref(), 0.0)?;

@@ -17,7 +17,7 @@ fn config() -> Config {
 #[test]
 fn beside_the_full_optimisation() {
     let with_database = Planner::new(config()).expect("the shipped databases");
-    let without = Planner::with_entries(config(), 0, "nothing".into(), Vec::new());
+    let without = Planner::with_entries(config(), 0, "nothing".into(), Vec::new()).expect("a planner");
     let start = config().start_state(&START, PendulumStart::Rest).expect("a start");
     let manoeuvre = config().manoeuvres.iter().position(|m| m.name == "move").expect("a manoeuvre");
     let effort = Effort::iterations(config().planner.replan.iterations);

@@ -7,13 +7,15 @@ use std::time::Instant;
 use upswing_config::{Config, GridAxis};
 use upswing_ocp::multistart::Search;
 use upswing_planner::database::{
-    self, BuildError, BuildSummary, DatabaseFile, RecordFlaw, SHIPPED, Shard, certify, improve_line, read,
+    self, BuildError, BuildSummary, DatabaseFile, Discrepancy, RecordFlaw, Shard, certify, improve_line,
     verify,
 };
 use upswing_planner::offline::{optimize, options, problem_fingerprint, target};
 use upswing_planner::replan::{Planner, PlannerError};
 use upswing_process::output::{OutputError, Overwrite};
-use upswing_trajectory::{Database, DatabaseError, Entry, PoseOutcome, PoseRecord, Trajectory};
+use upswing_trajectory::{
+    Database, DatabaseContents, DatabaseError, DatabaseSource, Entry, PoseOutcome, PoseRecord, Trajectory,
+};
 
 /// Six poses in three lines; the first of each line has no rest position within the limits.
 fn small_grid() -> Config {
@@ -44,6 +46,16 @@ fn merge(inputs: &[PathBuf], path: &Path) -> Result<BuildSummary, BuildError> {
 
 fn go() -> AtomicBool {
     AtomicBool::new(false)
+}
+
+/// The contents of a database file.
+fn read(path: &Path) -> Result<DatabaseContents, DatabaseError> {
+    DatabaseContents::decode(bytes(path))
+}
+
+/// A database with these contents.
+fn stored(contents: &DatabaseContents) -> Database {
+    Database::load(DatabaseSource::Memory(contents.encode().into())).expect("it is whole")
 }
 
 fn bytes(path: &Path) -> Vec<u8> {
@@ -132,7 +144,7 @@ fn interrupted_between_two_guesses_for_a_pose() {
 fn a_dearer_solution_gives_way_to_that_of_the_next_pose() {
     let config = Config::load(&"cart-double".parse().expect("a system")).expect("its settings");
     let file = DatabaseFile::of(&config, 0).expect("readable").expect("shipped");
-    let best = file.decode().expect("it decodes").records;
+    let best = DatabaseContents::of(&file.load().expect("it loads")).expect("whole").records;
     let cost = |record: &PoseRecord| match &record.outcome {
         PoseOutcome::Solved(entry) => entry.certificate.cost,
         _ => f64::INFINITY,
@@ -265,10 +277,15 @@ fn disagreeing_duplicates_are_refused() {
 fn certificates_are_recomputed() {
     let dir = tempfile::tempdir().expect("a folder");
     let mut database = read(&whole(dir.path())).expect("it reads");
-    assert!(verify(&small_grid(), 0, &database, || ()).is_empty());
+    assert!(verify(&small_grid(), 0, &stored(&database), || ()).expect("whole").is_empty());
     let PoseOutcome::Solved(entry) = &mut database.records[3].outcome else { panic!("solved") };
     entry.trajectory.u[50][0] += 1e-3;
-    let found = verify(&small_grid(), 0, &database, || ());
+    // The index has the end of another trajectory than that of these torques.
+    let found = verify(&small_grid(), 0, &stored(&database), || ()).expect("whole");
+    assert!(matches!(found[..], [Discrepancy { pose: 3, flaw: RecordFlaw::Index }]), "{found:?}");
+    let PoseOutcome::Solved(entry) = &mut database.records[3].outcome else { panic!("solved") };
+    **entry = Entry::new(&entry.trajectory, |_| entry.certificate);
+    let found = verify(&small_grid(), 0, &stored(&database), || ()).expect("whole");
     assert_eq!(found.iter().map(|d| d.pose).collect::<Vec<_>>(), [3]);
     assert!(matches!(found[0].flaw, RecordFlaw::Certificate { .. }), "{found:?}");
 }
@@ -278,12 +295,13 @@ fn consistent_records_of_something_else_are_found() {
     let dir = tempfile::tempdir().expect("a folder");
     let config = small_grid();
     let whole = read(&whole(dir.path())).expect("it reads");
-    let solved = |d: &Database| d.records.iter().position(|r| matches!(r.outcome, PoseOutcome::Solved(_)));
+    let solved =
+        |d: &DatabaseContents| d.records.iter().position(|r| matches!(r.outcome, PoseOutcome::Solved(_)));
     let found = |change: &dyn Fn(&mut PoseRecord)| {
         let mut database = whole.clone();
         let record = solved(&database).expect("an entry");
         change(&mut database.records[record]);
-        let found = verify(&config, 0, &database, || ());
+        let found = verify(&config, 0, &stored(&database), || ()).expect("whole");
         assert_eq!(found.len(), 1, "{found:?}");
         found[0].flaw
     };
@@ -322,7 +340,7 @@ fn consistent_records_of_something_else_are_found() {
                 PoseOutcome::Solved(Box::new(Entry::new(&entry.trajectory, |t| certify(&narrower, t))));
         }
     }
-    let found = verify(&narrower, 0, &database, || ());
+    let found = verify(&narrower, 0, &stored(&database), || ()).expect("whole");
     assert_eq!(found.len(), 3, "{found:?}");
     assert!(found.iter().all(|d| matches!(d.flaw, RecordFlaw::Limit { what: "torque", .. })), "{found:?}");
 }
@@ -330,8 +348,8 @@ fn consistent_records_of_something_else_are_found() {
 #[test]
 fn the_shipped_database_holds() {
     let config = Config::embedded().expect("embedded settings");
-    let database = Database::decode(SHIPPED[0].2).expect("it decodes");
-    let found = verify(&config, 0, &database, || ());
+    let file = DatabaseFile::of(&config, 0).expect("readable").expect("shipped");
+    let found = verify(&config, 0, &file.load().expect("it loads"), || ()).expect("whole");
     assert!(found.is_empty(), "{}: {}", found[0].pose, found[0].flaw);
 }
 

@@ -149,7 +149,7 @@ fn with_a_target_on_its_limit() {
             })
         })
         .collect();
-    let planner = Planner::with_entries(config, 0, "computed".into(), entries);
+    let planner = Planner::with_entries(config, 0, "computed".into(), entries).expect("a planner");
     let mut solver = planner.solver();
     let quadratic = Effort { optimise: false, ..Effort::iterations(10) };
     for (degrees, shift) in origins.iter().flat_map(|d| [(d, 0.0), (d, 5.0), (d, -5.0)]) {

@@ -53,7 +53,8 @@ fn balance_is_stable_with_a_free_rod_and_with_one_that_its_bearings_hold() {
     let planner = Planner::new(config.clone()).expect("the database fits");
     let ts = config.daemon.cycle.period.seconds();
     let (sizes, work) = (config.model.sizes(), &mut Workspace::default());
-    for entry in planner.entries(0).iter().step_by(40) {
+    for entry in (0..planner.entries(0)).step_by(40) {
+        let entry = planner.entry(0, entry).expect("an entry");
         let x = entry.trajectory.end();
         let weights = lqr_weights(&config.planner, sizes);
         let gains = synthesize(&config.model, &entry.trajectory, &weights, ts, Recursion::Extrapolated, work)
@@ -76,7 +77,7 @@ fn balance_is_stable_with_a_free_rod_and_with_one_that_its_bearings_hold() {
 fn the_gains_of_a_swing_are_those_of_the_dense_recursion() {
     let config = Config::embedded().expect("settings");
     let planner = Planner::new(config.clone()).expect("the database fits");
-    let trajectory = &planner.entries(0)[7].trajectory;
+    let trajectory = &planner.entry(0, 7).expect("an entry").trajectory;
     let (weights, ts) = (&config.planner.lqr, config.daemon.cycle.period.seconds());
     let (sizes, work) = (config.model.sizes(), &mut Workspace::default());
     let n = trajectory.intervals();
@@ -156,7 +157,8 @@ fn extrapolated_gains_are_those_of_every_period_for_all_shipped_systems() {
         for (number, manoeuvre) in config.manoeuvres.iter().enumerate().filter(|(_, m)| m.reverses.is_none())
         {
             let entries = planner.entries(number);
-            for entry in entries.iter().step_by(entries.len().div_ceil(ENTRIES).max(1)) {
+            for entry in (0..entries).step_by(entries.div_ceil(ENTRIES).max(1)) {
+                let entry = planner.entry(number, entry).expect("an entry");
                 // Near the control period, with periods that begin at the knots, not a rounding error after them: all of the difference is
                 // the extrapolation's.
                 let h = entry.trajectory.h();

@@ -11,7 +11,7 @@ const START_DEG: [f64; 7] = [0.0, -15.0, 0.0, -95.0, 0.0, 10.0, 0.0];
 
 fn planner() -> Planner {
     let config = Config::embedded().expect("embedded settings");
-    Planner::with_entries(config, 0, "nothing".into(), Vec::new())
+    Planner::with_entries(config, 0, "nothing".into(), Vec::new()).expect("a planner")
 }
 
 /// Number of a manoeuvre of the settings.

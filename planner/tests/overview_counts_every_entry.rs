@@ -7,10 +7,10 @@ use upswing_planner::database::{DatabaseFile, DatabaseOverview};
 fn of_the_shipped_database() {
     let config = Config::embedded().expect("embedded settings");
     let file = DatabaseFile::of(&config, 0).expect("a file").expect("the shipped database");
-    let database = file.decode().expect("a database");
-    let overview = DatabaseOverview::of(&database, &config.model);
-    assert_eq!(overview.entries, database.entries().count());
-    assert_eq!(overview.entries + overview.rejected + overview.failed, database.records.len());
+    let database = file.load().expect("a database");
+    let overview = DatabaseOverview::of(&database, &config.model).expect("whole");
+    assert_eq!(overview.entries, database.entries());
+    assert_eq!(overview.entries + overview.rejected + overview.failed, database.len());
     assert!(overview.joints.len() >= 2);
     for joint in &overview.joints {
         assert!(joint.positions.is_sorted());
@@ -19,7 +19,7 @@ fn of_the_shipped_database() {
     let sums: Vec<usize> = overview.map.iter().map(|row| row.iter().sum()).collect();
     assert_eq!(sums, overview.joints[overview.joints.len() - 2].entries);
     let worst = overview.worst;
-    for entry in database.entries() {
+    for entry in (0..database.entries()).map(|entry| database.entry(entry).expect("whole")) {
         let c = &entry.certificate;
         assert!(worst.cost >= c.cost && worst.defect >= c.defect && worst.end_error >= c.end_error);
         assert!(

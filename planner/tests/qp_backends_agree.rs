@@ -23,7 +23,7 @@ const PRECISE: QpOptions<'_> = QpOptions {
 
 /// A QP solver for the entries of a planner.
 fn solver(planner: &Planner, backend: Backend) -> QpSolver {
-    let entry = &planner.entries(0)[0].trajectory;
+    let entry = &planner.entry(0, 0).expect("an entry").trajectory;
     QpSolver::new(backend, entry.sizes(), entry.intervals())
 }
 
@@ -50,7 +50,7 @@ impl Random {
 
 /// The QP for a start at rest that is `offset` (rad) away from the start of an entry.
 fn qp_at(planner: &Planner, entry: usize, offset: &[f64; 7]) -> Option<Qp> {
-    let reference = &planner.entries(0)[entry].trajectory;
+    let reference = &planner.entry(0, entry).expect("an entry").trajectory;
     let q: Vec<f64> = reference.start().q_a().iter().zip(offset).map(|(q, offset)| q + offset).collect();
     let start = planner.config().start_state(&q, PendulumStart::Rest).ok()?;
     Some(qp_from(planner, reference, reference, start))
@@ -115,7 +115,7 @@ fn on_random_starts_up_to_the_corners_of_a_cell() {
     let [mut structured, mut clarabel] = BACKENDS.map(|backend| solver(&planner, backend));
     let (mut done, mut active, mut infeasible) = (0, 0, 0);
     while done < QPS {
-        let entry = random.next() as usize % planner.entries(0).len();
+        let entry = random.next() as usize % planner.entries(0);
         let offset = match done % 4 {
             // A corner of the cell.
             0 => CELL.map(|half| half * random.sign().signum()),
@@ -137,7 +137,8 @@ fn on_random_starts_up_to_the_corners_of_a_cell() {
             // One joint at its position limit moves towards the limit, at a speed that may be too high.
             let joint = [1, 3, 5][random.next() as usize % 3];
             let limits = &planner.config().robot.planning;
-            qp.start[joint] = limits.q_max[joint] - planner.entries(0)[entry].trajectory.x[0][joint];
+            qp.start[joint] =
+                limits.q_max[joint] - planner.entry(0, entry).expect("an entry").trajectory.x[0][joint];
             qp.start.qd_mut()[joint] = limits.qd_max[joint] * random.sign().abs();
         }
         let verdicts = [structured.solve(&qp, &PRECISE), clarabel.solve(&qp, &PRECISE)];
@@ -172,7 +173,7 @@ fn touches_a_limit(qp: &Qp, solver: &QpSolver) -> bool {
 
 /// The QP around an entry for a start at the upper position limit of `joint`, with speed `fast` (rad/s) towards the limit.
 fn towards_its_stop(planner: &Planner, entry: usize, joint: usize, fast: f64) -> Qp {
-    let reference = &planner.entries(0)[entry].trajectory;
+    let reference = &planner.entry(0, entry).expect("an entry").trajectory;
     let mut start = reference.x[0];
     start[joint] = planner.config().robot.planning.q_max[joint];
     start.qd_mut()[joint] = fast;
@@ -261,7 +262,7 @@ fn a_limit_that_jumps_away_is_named() {
 fn a_warm_start_ends_where_a_cold_one_does() {
     let planner = planner();
     for (entry, offset) in [(10, 0.05), (40, -0.1), (77, 0.15)] {
-        let reference = &planner.entries(0)[entry].trajectory;
+        let reference = &planner.entry(0, entry).expect("an entry").trajectory;
         let q_a = reference.start().q_a();
         let q: Vec<f64> = q_a.iter().enumerate().map(|(i, q)| q + offset * [1.0, 0.5, 0.0][i % 3]).collect();
         let start = planner.config().start_state(&q, PendulumStart::Rest).expect("a start at rest");
@@ -292,7 +293,7 @@ fn a_warm_start_ends_where_a_cold_one_does() {
 fn equal_qps_give_equal_bits_whatever_was_solved_before() {
     let planner = planner();
     // Entries whose start remains within the limits when it is moved.
-    let mut qps = (0..planner.entries(0).len()).filter_map(|entry| qp_at(&planner, entry, &[0.02; 7]));
+    let mut qps = (0..planner.entries(0)).filter_map(|entry| qp_at(&planner, entry, &[0.02; 7]));
     let (first, other) = (qps.nth(20).expect("one"), qps.nth(20).expect("another"));
     let options = QpOptions::new(1e-9);
     let mut fresh = solver(&planner, Backend::Structured);
@@ -311,7 +312,7 @@ fn equal_qps_give_equal_bits_whatever_was_solved_before() {
 #[test]
 fn a_deadline_in_the_past_leaves_the_first_iterate() {
     let planner = planner();
-    let entries = 0..planner.entries(0).len();
+    let entries = 0..planner.entries(0);
     let qp = entries.filter_map(|entry| qp_at(&planner, entry, &[0.02; 7])).next().expect("a start at rest");
     for backend in BACKENDS {
         let mut solver = solver(&planner, backend);
@@ -330,7 +331,7 @@ fn a_deadline_in_the_past_leaves_the_first_iterate() {
 #[test]
 fn what_is_less_accurate_than_asked_for_is_not_solved() {
     let planner = planner();
-    let entries = 0..planner.entries(0).len();
+    let entries = 0..planner.entries(0);
     let qp = entries.filter_map(|entry| qp_at(&planner, entry, &[0.02; 7])).next().expect("a start at rest");
     // No solver meets this tolerance: Clarabel reports `SolverStatus::AlmostSolved`.
     let mut solver = solver(&planner, Backend::Clarabel);

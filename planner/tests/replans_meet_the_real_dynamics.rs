@@ -93,7 +93,8 @@ fn with_other_numbers_of_intervals() {
         );
         assert_eq!(optimum.status, NlpStatus::Solved, "{intervals} intervals");
         let entry = Entry::new(&optimum.trajectory, |t| certify(&config, t));
-        let planner = Planner::with_entries(config.clone(), 0, "computed".into(), vec![entry]);
+        let planner =
+            Planner::with_entries(config.clone(), 0, "computed".into(), vec![entry]).expect("a planner");
         let effort = Effort { optimise: false, ..Effort::iterations(config.planner.replan.iterations) };
         let replan = |manoeuvre: usize, start: &State| {
             let replan = planner.replan_with(&mut planner.solver(), manoeuvre, &[], start, &effort);
@@ -158,10 +159,10 @@ fn a_pendulum_that_swings_at_the_start_is_caught() {
 fn an_entry_of_the_database_is_found_and_kept() {
     let planner = planner_of_one_qp();
     let entry = 40;
-    let x = planner.entries(0)[entry].trajectory.x[0];
+    let x = planner.entry(0, entry).expect("an entry").trajectory.x[0];
     let replan = planner.replan(&x, 1, None).expect("a plan");
     assert_eq!(replan.entry.map(|found| (found.index, found.distance)), Some((entry, 0.0)));
-    let want = &planner.entries(0)[entry].trajectory;
+    let want = &planner.entry(0, entry).expect("an entry").trajectory;
     // The entry uses its full limits; the replan keeps the knot margin of 1.5 %.
     assert!((replan.trajectory.t_f / want.t_f - 1.0).abs() <= 0.04, "t_F {}", replan.trajectory.t_f);
 }
@@ -170,8 +171,9 @@ fn an_entry_of_the_database_is_found_and_kept() {
 fn a_swing_down_ends_where_an_entry_began_on_a_limit_too() {
     let planner = planner();
     let (mut solver, q_min) = (planner.solver(), planner.config().robot.planning.q_min);
-    let on_a_limit = |entry: &&Entry| (entry.trajectory.x[0][3] - q_min[3]).abs() < 1e-9;
-    let entries: Vec<_> = planner.entries(0).iter().filter(on_a_limit).step_by(8).collect();
+    let on_a_limit = |entry: &Entry| (entry.trajectory.x[0][3] - q_min[3]).abs() < 1e-9;
+    let entries = (0..planner.entries(0)).map(|entry| planner.entry(0, entry).expect("an entry"));
+    let entries: Vec<_> = entries.filter(on_a_limit).step_by(8).collect();
     assert!(entries.len() > 5, "only {} entries with joint 4 on its limit", entries.len());
     for entry in entries {
         let effort = Effort::iterations(planner.config().planner.replan.iterations);

@@ -23,7 +23,7 @@ fn rest(planner: &Planner) -> State {
 
 /// The end of a swing-up: upright, at rest.
 fn end(planner: &Planner) -> State {
-    *planner.entries(0)[17].trajectory.end()
+    *planner.entry(0, 17).expect("an entry").trajectory.end()
 }
 
 /// A telemetry record of the shipped arm at state `x` (rad, rad/s), with clock `lockstep` or a clock that runs.

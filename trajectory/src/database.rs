@@ -1,22 +1,40 @@
 //! The file format of the trajectory database.
 //!
-//! A file consists of little-endian words of 8 bytes. The header holds: magic, format version, number of its bytes, n, n_A, N, length
-//! of the keys, fingerprints, number of poses in the grid, shard, number of records, names of the joints, checksum. A name is its number
-//! of bytes, and the bytes, filled up to a whole word with zeros; names and vectors have the order [A, U]. One record per pose of the
-//! grid follows, in the order of the grid: number of the pose, outcome and, if a trajectory was found, its key, its certificate, t_F,
-//! x_0, and (u_k, q_U,k, qd_U,k) at each knot. The states of the actuated joints follow from u by (6b), which is exact for double
-//! integrators. Each record ends with its checksum (XXH3, 64 bit).
+//! A file consists of little-endian words of 8 bytes: the header, the records, the index.
 //!
-//! During a build, records are appended to a journal: the same file without the number of records.
+//! - The header holds: magic, format version, number of its bytes, n, n_A, N, length of the keys, fingerprints, number of poses in the grid,
+//!   shard, number of records, number of entries, names of the joints, checksum. A name is its number of bytes, and the bytes, filled up
+//!   to a whole word with zeros; names and vectors have the order [A, U].
+//! - There is one record per pose of the grid: first those with a trajectory, the entries, then the others, both in the order of the grid.
+//!   A record holds: number of the pose, outcome and, if a trajectory was found, its key, its certificate, t_F, x_0, and
+//!   (u_k, q_U,k, qd_U,k) at each knot. The states of the actuated joints follow from u by (6b), which is exact for double integrators.
+//!   Each record ends with its checksum.
+//! - The index holds what a search needs ([`Index`]). It is in memory while a database is in use; entries are read when they are used.
+//!
+//! Checksums are XXH3, 64 bit. The index holds those of all records: its own checksum is that of the whole contents.
+//!
+//! During a build, records are appended to a journal: a header without the number of records, and records in any order.
+
+mod keys;
+mod scan;
+mod stored;
+
+pub use keys::{KeyTree, Neighbour};
+pub use scan::{RecordScan, read_record};
+pub use stored::{Database, DatabaseSource, Index};
 
 use crate::{Certificate, INTERVALS, Trajectory};
 use upswing_model::{ActuatedVector, MOST_JOINTS, Model, Sizes, State};
 use xxhash_rust::xxh3::xxh3_64;
 
 const MAGIC: &[u8; 8] = b"upswing\0";
-const VERSION: u64 = 3;
-/// Words of the header before the names of the joints.
-const FIXED_WORDS: usize = 14;
+const VERSION: u64 = 4;
+/// The version whose files have the same records, in the order of the grid, a header without the number of entries, and no index.
+const WITHOUT_INDEX: u64 = 3;
+/// Words of the header before the names of the joints; one fewer in version [`WITHOUT_INDEX`].
+const FIXED_WORDS: u64 = 15;
+/// Largest header, bytes: some sixty thousand bytes for each name.
+const LARGEST_HEADER: u64 = 1 << 20;
 /// Number of records in the header of a journal, which is not known yet.
 const OPEN_END: u64 = u64::MAX;
 /// Bytes of a record without trajectory: pose, outcome, checksum.
@@ -78,13 +96,26 @@ pub struct DatabaseHeading {
     pub shards: u64,
 }
 
-/// Optimal trajectories of one robot under one set of limits and weights.
+/// The whole contents of a database in memory: of a small one.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Database {
+pub struct DatabaseContents {
     /// The robot, settings and grid of the database.
     pub heading: DatabaseHeading,
     /// One record per pose, in the order of the grid.
     pub records: Vec<PoseRecord>,
+}
+
+/// The header of a file.
+#[derive(Clone, Debug)]
+struct Header {
+    heading: DatabaseHeading,
+    version: u64,
+    /// Number of records; [`OPEN_END`] in a journal.
+    records: u64,
+    /// Number of records with a trajectory; 0 where it is not known.
+    entries: u64,
+    /// Bytes of the header.
+    length: u64,
 }
 
 /// Why a file is not a usable database.
@@ -96,9 +127,17 @@ pub enum DatabaseError {
         /// The part that the bytes should hold.
         what: String,
         /// Expected number of bytes.
-        expected: usize,
+        expected: u64,
         /// Number of bytes in the file.
-        got: usize,
+        got: u64,
+    },
+    /// A part of the file cannot be read.
+    #[error("cannot read {what}: {cause}")]
+    Unreadable {
+        /// The part.
+        what: String,
+        /// The error of the operating system.
+        cause: std::io::ErrorKind,
     },
     /// The file is of another kind.
     #[error("not an upswing database: it begins with {got:02x?}")]
@@ -116,6 +155,14 @@ pub enum DatabaseError {
         /// The number in the file.
         got: u64,
     },
+    /// The file was written before databases had an index.
+    #[error(
+        "format version: this build expects {VERSION}, the file has {WITHOUT_INDEX}; convert it with `upswing db merge --output NEW FILE`"
+    )]
+    NoIndex,
+    /// The file is the journal of a build.
+    #[error("the file is the journal of a build that is not finished: run its `upswing db build` again")]
+    Journal,
     /// A checksum does not match.
     #[error("{what} is damaged: checksum {expected:016x} is recorded, the bytes give {got:016x}")]
     Checksum {
@@ -235,13 +282,13 @@ impl DatabaseHeading {
         }
     }
 
-    /// The bytes of the header of a file with this number of records.
-    fn encode(&self, records: u64) -> Vec<u8> {
+    /// The bytes of the header of a file with these numbers of records, and of entries among them.
+    pub fn encode(&self, records: u64, entries: u64) -> Vec<u8> {
         let names: usize = self.joints.iter().map(|name| 1 + name.len().div_ceil(8)).sum();
         let mut bytes = MAGIC.to_vec();
         let words = [
             VERSION,
-            (8 * (FIXED_WORDS + names + 1)) as u64,
+            8 * (FIXED_WORDS + names as u64 + 1),
             self.sizes.joints() as u64,
             self.sizes.actuated() as u64,
             self.intervals as u64,
@@ -253,6 +300,7 @@ impl DatabaseHeading {
             self.shard,
             self.shards,
             records,
+            entries,
         ];
         words.iter().for_each(|v| bytes.extend_from_slice(&v.to_le_bytes()));
         for name in &self.joints {
@@ -266,26 +314,39 @@ impl DatabaseHeading {
 
     /// The bytes with which a journal begins.
     pub fn journal(&self) -> Vec<u8> {
-        self.encode(OPEN_END)
+        self.encode(OPEN_END, 0)
     }
+    /// Bytes of a record with a trajectory: key, certificate, t_F, x_0, knots.
+    fn long_record(&self) -> usize {
+        let knot = self.sizes.actuated() + 2 * self.sizes.unactuated();
+        SHORT_RECORD + 8 * (self.key + 6 + 1 + self.sizes.state() + (self.intervals + 1) * knot)
+    }
+}
 
-    /// The header at the beginning of `bytes`, its number of records, and its length in bytes.
-    fn decode(bytes: &[u8]) -> Result<(Self, u64, usize), DatabaseError> {
-        if bytes.is_empty() {
+impl Header {
+    /// Reads the header at the beginning of a file.
+    fn read(source: &DatabaseSource) -> Result<Self, DatabaseError> {
+        let size = source.length()?;
+        if size == 0 {
             return Err(DatabaseError::Empty);
         }
-        if !bytes.starts_with(MAGIC) {
-            return Err(DatabaseError::Magic { got: bytes.iter().take(MAGIC.len()).copied().collect() });
+        let what = || "the header".to_owned();
+        let truncated = |expected| DatabaseError::Length { what: what(), expected, got: size };
+        let mut start = [0; 24];
+        let start = &mut start[..size.min(24) as usize];
+        source.read(0, start, what)?;
+        if !start.starts_with(MAGIC) {
+            return Err(DatabaseError::Magic { got: start.iter().take(MAGIC.len()).copied().collect() });
         }
         // The version first: only then the length means something.
-        if bytes.len() >= 16 && word(bytes, 1) != VERSION {
-            let (expected, got) = (VERSION, word(bytes, 1));
-            return Err(DatabaseError::Layout { what: "format version", expected, got });
-        }
-        let truncated =
-            |expected| DatabaseError::Length { what: "the header".into(), expected, got: bytes.len() };
-        let least = 8 * (FIXED_WORDS + 1);
-        if bytes.len() < least {
+        let version = if start.len() >= 16 { word(start, 1) } else { VERSION };
+        let fixed = match version {
+            VERSION => FIXED_WORDS,
+            WITHOUT_INDEX => FIXED_WORDS - 1,
+            got => return Err(DatabaseError::Layout { what: "format version", expected: VERSION, got }),
+        };
+        let least = 8 * (fixed + 1);
+        if size < least {
             return Err(truncated(least));
         }
         let value = |what: &str, expected: String, got: u64| DatabaseError::Value {
@@ -293,18 +354,19 @@ impl DatabaseHeading {
             expected,
             got: got.to_string(),
         };
-        let length = usize::try_from(word(bytes, 2)).unwrap_or(usize::MAX);
-        if length < least || !length.is_multiple_of(8) {
-            return Err(value(
-                "length of the header",
-                format!("{least} or more, whole words"),
-                word(bytes, 2),
-            ));
+        let length = word(start, 2);
+        if !(least..=LARGEST_HEADER).contains(&length) || !length.is_multiple_of(8) {
+            let expected = format!("{least} to {LARGEST_HEADER}, whole words");
+            return Err(value("length of the header", expected, length));
         }
-        let header = bytes.get(..length).ok_or_else(|| truncated(length))?;
-        check(header, || "the header".into())?;
+        if size < length {
+            return Err(truncated(length));
+        }
+        let mut header = vec![0; length as usize];
+        source.read(0, &mut header, what)?;
+        check(&header, what)?;
 
-        let [joints, actuated, intervals, key] = std::array::from_fn(|i| word(header, 3 + i));
+        let [joints, actuated, intervals, key] = std::array::from_fn(|i| word(&header, 3 + i));
         let small = |v: u64| usize::try_from(v).unwrap_or(usize::MAX);
         let sizes = Sizes::new(small(joints), small(actuated)).ok_or_else(|| {
             let expected = format!("fewer than the {joints} joints, which are at most {MOST_JOINTS}");
@@ -320,20 +382,19 @@ impl DatabaseHeading {
             return Err(value("length of the keys", expected, key));
         }
         let [model, problem, grid, poses, shard, shards, records] =
-            std::array::from_fn(|i| word(header, 7 + i));
+            std::array::from_fn(|i| word(&header, 7 + i));
         if shard == 0 || shard > shards {
             return Err(value("shard", format!("1 to {shards}"), shard));
         }
-        let joints = decode_names(&header[8 * FIXED_WORDS..length - 8], sizes.joints())?;
+        let entries = if version == VERSION { word(&header, 14) } else { 0 };
+        if entries > records.min(u64::from(u32::MAX)) {
+            return Err(value("number of entries", format!("at most the {records} records"), entries));
+        }
+        let joints = decode_names(&header[8 * fixed as usize..length as usize - 8], sizes.joints())?;
         let (intervals, key) = (small(intervals), small(key));
-        let heading = Self { sizes, joints, intervals, key, model, problem, grid, poses, shard, shards };
-        Ok((heading, records, length))
-    }
-
-    /// Bytes of a record with a trajectory: key, certificate, t_F, x_0, knots.
-    fn long_record(&self) -> usize {
-        let knot = self.sizes.actuated() + 2 * self.sizes.unactuated();
-        SHORT_RECORD + 8 * (self.key + 6 + 1 + self.sizes.state() + (self.intervals + 1) * knot)
+        let heading =
+            DatabaseHeading { sizes, joints, intervals, key, model, problem, grid, poses, shard, shards };
+        Ok(Self { heading, version, records, entries, length })
     }
 }
 
@@ -359,6 +420,14 @@ fn decode_names(mut bytes: &[u8], count: usize) -> Result<Vec<String>, DatabaseE
 }
 
 impl PoseRecord {
+    /// The entry, if the optimisation found a trajectory.
+    pub fn entry(&self) -> Option<&Entry> {
+        match &self.outcome {
+            PoseOutcome::Solved(entry) => Some(entry),
+            _ => None,
+        }
+    }
+
     /// The bytes of the record.
     pub fn encode(&self) -> Vec<u8> {
         let mut bytes = self.pose.to_le_bytes().to_vec();
@@ -388,13 +457,13 @@ impl PoseRecord {
     }
 
     /// The record at the beginning of `bytes`, and its length in bytes.
-    fn decode(
-        bytes: &[u8],
-        number: usize,
-        heading: &DatabaseHeading,
-    ) -> Result<(Self, usize), DatabaseError> {
+    fn decode(bytes: &[u8], number: u64, heading: &DatabaseHeading) -> Result<(Self, usize), DatabaseError> {
         let what = || format!("record {number}");
-        let truncated = |expected| DatabaseError::Length { what: what(), expected, got: bytes.len() };
+        let truncated = |expected: usize| DatabaseError::Length {
+            what: what(),
+            expected: expected as u64,
+            got: bytes.len() as u64,
+        };
         if bytes.len() < SHORT_RECORD {
             return Err(truncated(SHORT_RECORD));
         }
@@ -462,76 +531,42 @@ fn decode_entry(
     Ok(Entry { key, trajectory, certificate })
 }
 
-impl Database {
+impl DatabaseContents {
     /// The bytes of the file.
     pub fn encode(&self) -> Vec<u8> {
-        let mut bytes = self.heading.encode(self.records.len() as u64);
-        self.records.iter().for_each(|r| bytes.extend(r.encode()));
+        let mut index = Index::default();
+        let (entries, others): (Vec<_>, Vec<_>) = self.records.iter().partition(|r| r.entry().is_some());
+        let mut bytes = self.heading.encode(self.records.len() as u64, entries.len() as u64);
+        for record in entries.into_iter().chain(others) {
+            let encoded = record.encode();
+            index.push(record, &encoded);
+            bytes.extend(encoded);
+        }
+        bytes.extend(index.encode(&self.heading));
         bytes
     }
 
-    /// The database in the bytes of a file.
+    /// The contents of a database.
+    ///
+    /// # Errors
+    /// [`DatabaseError`] if a record is damaged.
+    pub fn of(database: &Database) -> Result<Self, DatabaseError> {
+        let mut records: Vec<PoseRecord> = database.records().collect::<Result<_, _>>()?;
+        records.sort_by_key(|record| record.pose);
+        Ok(Self { heading: database.heading().clone(), records })
+    }
+
+    /// The contents of the file with these bytes.
     ///
     /// # Errors
     /// [`DatabaseError`] if a part of the file is damaged or of another version.
-    pub fn decode(bytes: &[u8]) -> Result<Self, DatabaseError> {
-        let (heading, count, mut at) = DatabaseHeading::decode(bytes)?;
-        let mut records = Vec::new();
-        // A journal has no number of records; its last record must be complete, too.
-        while if count == OPEN_END { at < bytes.len() } else { (records.len() as u64) < count } {
-            let (record, length) = PoseRecord::decode(&bytes[at..], records.len(), &heading)?;
-            at += length;
-            records.push(record);
-        }
-        if at != bytes.len() {
-            let what = format!("{count} records");
-            return Err(DatabaseError::Length { what, expected: at, got: bytes.len() });
-        }
-        Ok(Self { heading, records })
+    pub fn decode(bytes: Vec<u8>) -> Result<Self, DatabaseError> {
+        Self::of(&Database::load(DatabaseSource::Memory(bytes.into()))?)
     }
 
-    /// The complete records of a journal, whose end a killed process may have left incomplete, and their length in bytes,
-    /// including the header.
-    ///
-    /// # Errors
-    /// [`DatabaseError`] if the header is damaged.
-    pub fn recover(bytes: &[u8]) -> Result<(Self, usize), DatabaseError> {
-        let (heading, _, mut at) = DatabaseHeading::decode(bytes)?;
-        let mut records = Vec::new();
-        while let Ok((record, length)) = PoseRecord::decode(&bytes[at..], records.len(), &heading) {
-            at += length;
-            records.push(record);
-        }
-        Ok((Self { heading, records }, at))
-    }
-
-    /// The solved entries, in the order of the grid.
+    /// The entries, in the order of the grid.
     pub fn entries(&self) -> impl Iterator<Item = &Entry> {
-        self.records.iter().filter_map(|r| match &r.outcome {
-            PoseOutcome::Solved(entry) => Some(&**entry),
-            _ => None,
-        })
-    }
-
-    /// The entries of a database that was made for the model, and for the problem with this fingerprint.
-    ///
-    /// # Errors
-    /// Those of [`DatabaseHeading::check_origin`], [`DatabaseError::Shard`] or [`DatabaseError::Empty`].
-    pub fn entries_for(self, model: &Model, problem: u64) -> Result<Vec<Entry>, DatabaseError> {
-        let h = &self.heading;
-        h.check_origin(model, problem)?;
-        if h.shards > 1 {
-            return Err(DatabaseError::Shard { shard: h.shard, shards: h.shards });
-        }
-        let entries: Vec<Entry> = self
-            .records
-            .into_iter()
-            .filter_map(|r| match r.outcome {
-                PoseOutcome::Solved(entry) => Some(*entry),
-                _ => None,
-            })
-            .collect();
-        if entries.is_empty() { Err(DatabaseError::Empty) } else { Ok(entries) }
+        self.records.iter().filter_map(PoseRecord::entry)
     }
 }
 

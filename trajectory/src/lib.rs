@@ -11,7 +11,10 @@ mod trajectory;
 
 pub use certificate::{Certificate, open_loop_end};
 pub use criteria::{LoopDelays, PlanCriteria, UnmetCriterion};
-pub use database::{Database, DatabaseError, DatabaseHeading, Entry, PoseOutcome, PoseRecord};
+pub use database::{
+    Database, DatabaseContents, DatabaseError, DatabaseHeading, DatabaseSource, Entry, Index, KeyTree,
+    Neighbour, PoseOutcome, PoseRecord, RecordScan, read_record,
+};
 pub use gains::{Gain, Gains, InterpolatedGain};
 pub use margins::{Margin, Margins};
 pub use plan::{Plan, Reference};

@@ -283,7 +283,7 @@ fn conclude(
 /// Reads the database of a file, or that of a manoeuvre of the settings; returns it with its origin for messages.
 fn read(config: &Config, manoeuvre: usize, file: Option<&Path>) -> Result<(Database, String), Failure> {
     let file = match file {
-        Some(path) => DatabaseFile::read(path).map_err(failure)?,
+        Some(path) => DatabaseFile::open(path).map_err(failure)?,
         None => DatabaseFile::of(config, manoeuvre)?.ok_or_else(|| {
             let name = &config.manoeuvres[manoeuvre].name;
             Failure::BadInput(format!(
@@ -291,7 +291,8 @@ fn read(config: &Config, manoeuvre: usize, file: Option<&Path>) -> Result<(Datab
             ))
         })?,
     };
-    Ok((file.decode().map_err(failure)?, file.origin))
+    let origin = file.origin.clone();
+    Ok((file.load().map_err(failure)?, origin))
 }
 
 #[derive(Serialize)]
@@ -364,10 +365,12 @@ fn verify(
     if !starts_compared {
         tracing::warn!("{origin}: built from another grid, starts are not compared; name it by --grid");
     }
-    let entries = database.entries().count();
+    let entries = database.entries();
     let bar = progress_bar(entries as u64, "entries");
     let begin = Instant::now();
-    let discrepancies = database::verify(&config, manoeuvre, &database, || bar.inc(1));
+    let damaged = |e| Failure::BadInput(format!("{origin}: {e}"));
+    let discrepancies = database::verify(&config, manoeuvre, &database, || bar.inc(1)).map_err(damaged)?;
+    let worst = DatabaseOverview::of(&database, &config.model).map_err(damaged)?.worst;
     bar.finish_and_clear();
     for d in &discrepancies {
         tracing::warn!("pose {}: {}", d.pose, d.flaw);
@@ -379,7 +382,7 @@ fn verify(
         entries,
         starts_compared,
         discrepancies: discrepancies.iter().map(|d| d.pose).collect(),
-        worst: (&Certificate::worst(database.entries().map(|e| &e.certificate))).into(),
+        worst: (&worst).into(),
         time_s: begin.elapsed().as_secs_f64(),
     })?;
     if success {
@@ -460,7 +463,9 @@ fn info(common: &CommonArgs, name: Option<&str>, file: Option<&Path>) -> Result<
     let config = common.process.load()?;
     let manoeuvre = number_of(&config, name)?;
     let (database, origin) = read(&config, manoeuvre, file)?;
-    let (h, overview) = (&database.heading, DatabaseOverview::of(&database, &config.model));
+    let overview = DatabaseOverview::of(&database, &config.model);
+    let (h, overview) =
+        (database.heading(), overview.map_err(|e| Failure::BadInput(format!("{origin}: {e}")))?);
     common.print(&DbInfoResult {
         origin,
         poses: h.poses,
@@ -502,21 +507,20 @@ fn export(
 ) -> Result<(), Failure> {
     let config = common.process.load()?;
     let (database, origin) = read(&config, number_of(&config, name)?, file)?;
-    let entries = database.entries().count();
+    let entries = database.entries();
     if let Some(entry) = only.filter(|e| *e >= entries) {
         let last = entries.saturating_sub(1);
         return Err(Failure::BadInput(format!("--entry: {origin} has entries 0 to {last}, got {entry}")));
     }
-    for (entry, e) in database.entries().enumerate() {
-        if only.is_none_or(|o| o == entry) {
-            print_json(&DbExportResult {
-                entry,
-                trajectory: TrajectoryJson::new(&e.trajectory, config.model.order()),
-                status: "solved",
-                cost: e.certificate.cost,
-                certificate: (&e.certificate).into(),
-            })?;
-        }
+    for entry in only.map_or(0..entries, |entry| entry..entry + 1) {
+        let e = database.entry(entry).map_err(|e| Failure::BadInput(format!("{origin}: {e}")))?;
+        print_json(&DbExportResult {
+            entry,
+            trajectory: TrajectoryJson::new(&e.trajectory, config.model.order()),
+            status: "solved",
+            cost: e.certificate.cost,
+            certificate: (&e.certificate).into(),
+        })?;
     }
     Ok(())
 }

@@ -124,7 +124,9 @@ pub fn run(args: &DemoArgs) -> Result<(), Failure> {
     let recorder = recording.map(|file| {
         file.clear().map_err(|e| Failure::BadInput(format!("--record: {e}")))?;
         let mut details = vec![("clock", args.clock.to_string()), ("start", start.to_string())];
-        details.extend(DatabaseFile::of(&config, 0)?.map(|d| ("database_fingerprint", d.fingerprint())));
+        if let Some(database) = DatabaseFile::of(&config, 0)? {
+            details.push(("database_fingerprint", database.fingerprint().map_err(Failure::bad_input)?));
+        }
         details.extend(args.scenario.clone().map(|scenario| ("scenario", scenario)));
         Recorder::create(file.path(), &config, details).map_err(Failure::from)
     });

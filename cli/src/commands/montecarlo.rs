@@ -134,7 +134,7 @@ impl SamplingArgs {
         if let Some(iterations) = iterations {
             config.planner.replan.iterations = iterations as usize;
         }
-        let stored = |path: &Path| DatabaseFile::read(path).map_err(Failure::bad_input);
+        let stored = |path: &Path| DatabaseFile::open(path).map_err(Failure::bad_input);
         match (&self.database, self.grid) {
             (Some(path), _) => Planner::with_database(config, 0, stored(path)?),
             (None, Grid::Paper) => {

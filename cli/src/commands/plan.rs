@@ -80,8 +80,9 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
             let entry = optimal_entry(&config, (manoeuvre, &given), x)?;
             Planner::with_entries(config, manoeuvre, "--reference".into(), vec![entry])
         }
-        None => Planner::new(config).map_err(Failure::bad_input)?,
+        None => Planner::new(config),
     };
+    let planner = planner.map_err(Failure::bad_input)?;
     let settings = &planner.config().planner;
     let effort = Effort::iterations(settings.replan.iterations);
     // With --reference, only this trajectory is adapted: there is no full optimisation instead.
@@ -92,9 +93,10 @@ pub fn run(args: &PlanArgs) -> Result<(), Failure> {
     let open = replan.defect > settings.replan.defect;
     let status = if open { PlannerStatus::OpenDefect } else { PlannerStatus::Solved };
     if let Some(output) = &svg {
-        let nearest = replan.entry.and_then(|entry| planner.entries(manoeuvre).get(entry.index));
+        let nearest = replan.entry.map(|entry| planner.entry(manoeuvre, entry.index));
+        let nearest = nearest.transpose().map_err(Failure::failed)?;
         // Without a database, the plan is its own reference.
-        let reference = nearest.map_or(&replan.trajectory, |entry| &entry.trajectory);
+        let reference = nearest.as_ref().map_or(&replan.trajectory, |entry| &entry.trajectory);
         let config = planner.config();
         picture::plan::draw(output, &config.model, &config.robot.limits, &replan.trajectory, reference)
             .map_err(Failure::failed)?;

@@ -69,7 +69,8 @@ pub fn run(args: &RecordArgs) -> Result<(), Failure> {
     let node = args.common.join_existing()?;
     let stop = shutdown_flag()?;
     let tap = Tap::new(&node).map_err(Failure::failed)?;
-    let database = DatabaseFile::of(&config, 0)?.map(|file| ("database_fingerprint", file.fingerprint()));
+    let fingerprint = DatabaseFile::of(&config, 0)?.map(DatabaseFile::fingerprint).transpose();
+    let database = fingerprint.map_err(Failure::bad_input)?.map(|of_file| ("database_fingerprint", of_file));
     let details = [("domain", args.common.process.domain.clone())].into_iter().chain(database);
     if let Some(output) = output {
         output.clear().map_err(Failure::bad_input)?;

@@ -7,7 +7,8 @@
 //!
 //! Every finished line is appended to a journal beside the output; a build that finds a journal continues after its last line.
 
-use super::{BuildError, BuildSummary, Shard, Task, certify, heading, poses, same_origin, summary};
+use super::assemble::{RecordFile, RecordPlace, summary, write};
+use super::{BuildError, BuildSummary, DatabaseFile, Shard, Task, certify, heading, poses, same_origin};
 use crate::offline::{optimize, options, problem};
 use crate::replan::key;
 use rayon::prelude::*;
@@ -24,7 +25,7 @@ use upswing_ocp::multistart::{SAME, Search};
 use upswing_ocp::problem::Problem;
 use upswing_process::output::OutputFile;
 use upswing_trajectory::{
-    Database, DatabaseError, DatabaseHeading, Entry, PoseOutcome, PoseRecord, Trajectory,
+    DatabaseError, DatabaseHeading, DatabaseSource, Entry, PoseOutcome, PoseRecord, RecordScan, Trajectory,
 };
 
 /// Numbers of the poses of one line of the grid, in order.
@@ -68,7 +69,8 @@ pub fn build(
     }
     output.check()?;
     let path = journal_path(output.path());
-    let (mut file, mut records) = open_journal(&path, &heading)?;
+    let mut journal = Journal::open(&path, &heading)?;
+    let records = &mut journal.records;
     // Journals joined by hand may hold a pose twice.
     records.sort_by_key(|r| r.pose);
     records.dedup_by_key(|r| r.pose);
@@ -79,34 +81,27 @@ pub fn build(
     records.retain(|r| kept.contains(&r.pose));
     let resumed = records.len();
     progress(resumed);
-    let results: Mutex<Result<Vec<PoseRecord>, BuildError>> = Mutex::new(Ok(records));
-    let journal = Mutex::new(&mut file);
+    let journal: Mutex<Result<Journal, BuildError>> = Mutex::new(Ok(journal));
     lines.par_iter().filter(|line| !whole(line)).for_each(|line| {
         // Stop, too, if the write of another line failed.
-        let halted = || stop.load(Ordering::Acquire) || results.lock().map_or(true, |r| r.is_err());
+        let halted = || stop.load(Ordering::Acquire) || journal.lock().map_or(true, |j| j.is_err());
         let Some(solved) = solve_line(config, manoeuvre, line, &halted, stop) else { return };
-        let bytes: Vec<u8> = solved.iter().flat_map(PoseRecord::encode).collect();
-        let written = journal.lock().map(|mut file| file.write_all(&bytes));
-        if let Ok(mut results) = results.lock() {
-            match (written, &mut *results) {
-                (Ok(Ok(())), Ok(records)) => {
-                    records.extend(solved);
-                    progress(line.len());
-                }
-                (Ok(Err(cause)), Ok(_)) => {
-                    *results = Err(BuildError::File { action: "write", path: path.clone(), cause });
-                }
-                _ => {}
+        // A poisoned lock means a panic, which rayon propagates.
+        let Ok(mut guarded) = journal.lock() else { return };
+        let Ok(journal) = &mut *guarded else { return };
+        match journal.append(&solved) {
+            Ok(()) => progress(line.len()),
+            Err(cause) => {
+                *guarded = Err(BuildError::File { action: "write", path: path.clone(), cause });
             }
         }
     });
-    // A poisoned lock means a panic, which rayon has propagated already.
-    let mut records = results.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner())?;
+    let Journal { file, mut records, .. } =
+        journal.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner())?;
     records.sort_by_key(|r| r.pose);
-    let database = Database { heading, records };
-    let summary = summary(&database, poses, resumed);
+    let summary = summary(&records, poses, resumed);
     if summary.left == 0 {
-        output.write(&database.encode())?;
+        write(&heading, &[file], &records, output)?;
         remove(&path)?;
     }
     Ok(summary)
@@ -237,56 +232,92 @@ fn moves_otherwise(problem: &Problem<'_>, one: &Trajectory, other: &Trajectory) 
     one.x.iter().zip(&other.x).any(apart)
 }
 
-/// The finished database at `output` if its header is that of this build. A file of other settings is replaced at the end.
-fn finished(output: &Path, heading: &DatabaseHeading) -> Result<Option<Database>, BuildError> {
-    match upswing_config::read_file(output) {
-        Ok(bytes) => Ok(Database::decode(&bytes).ok().filter(|d| d.heading == *heading)),
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(None),
-        Err(cause) => Err(BuildError::File { action: "read", path: output.to_owned(), cause }),
-    }
+/// The places of the records of the finished database at `output` if its header is that of this build and its records are undamaged. A file
+/// of other settings is replaced at the end.
+fn finished(output: &Path, heading: &DatabaseHeading) -> Result<Option<Vec<RecordPlace>>, BuildError> {
+    let database = match DatabaseFile::open(output).map(DatabaseFile::load) {
+        Err(BuildError::File { cause, .. }) if cause.kind() == std::io::ErrorKind::NotFound => {
+            return Ok(None);
+        }
+        Err(e) => return Err(e),
+        Ok(Ok(database)) if database.heading() == heading => database,
+        Ok(_) => return Ok(None),
+    };
+    let place = |record: Result<PoseRecord, _>| record.map(|record| RecordPlace::new(&record, 0, 0));
+    let records: Result<Vec<_>, DatabaseError> = database.records().map(place).collect();
+    Ok(records.ok())
 }
 
-/// Opens the journal for appending, locks it, and reads its complete records.
-fn open_journal(path: &Path, heading: &DatabaseHeading) -> Result<(File, Vec<PoseRecord>), BuildError> {
-    let failed = |action| move |cause| BuildError::File { action, path: path.to_owned(), cause };
-    let open = || {
-        upswing_config::check_regular(path).map_err(failed("write"))?;
-        let file = OpenOptions::new().create(true).append(true).open(path).map_err(failed("write"))?;
-        // The lock is held until the build ends; the kernel releases it if the process dies.
-        match file.try_lock() {
-            Ok(()) => Ok(file),
-            Err(TryLockError::WouldBlock) => Err(BuildError::Busy(path.to_owned())),
-            Err(TryLockError::Error(cause)) => Err(failed("lock")(cause)),
+/// The journal of a build, locked until the build ends.
+struct Journal {
+    out: File,
+    /// The same file, for reading.
+    file: RecordFile,
+    /// Bytes in the file.
+    length: u64,
+    /// Its records.
+    records: Vec<RecordPlace>,
+}
+
+impl Journal {
+    /// Opens the journal for appending, locks it, and reads its complete records.
+    fn open(path: &Path, heading: &DatabaseHeading) -> Result<Self, BuildError> {
+        let failed = |action| move |cause| BuildError::File { action, path: path.to_owned(), cause };
+        let open = || {
+            upswing_config::check_regular(path).map_err(failed("write"))?;
+            let options = OpenOptions::new().create(true).read(true).append(true).open(path);
+            let file = options.map_err(failed("write"))?;
+            // The lock is held until the build ends; the kernel releases it if the process dies.
+            match file.try_lock() {
+                Ok(()) => Ok(file),
+                Err(TryLockError::WouldBlock) => Err(BuildError::Busy(path.to_owned())),
+                Err(TryLockError::Error(cause)) => Err(failed("lock")(cause)),
+            }
+        };
+        let mut out = open()?;
+        let source = DatabaseSource::File(out.try_clone().map_err(failed("read"))?);
+        let file = RecordFile { source, origin: path.display().to_string() };
+        let beginning = heading.journal();
+        let length = file.source.length().map_err(file.failed())?;
+        let mut scan = match RecordScan::new(&file.source) {
+            Ok(scan) => scan,
+            // A journal that ends within its header, because the process was killed, holds no records.
+            Err(_) if length < beginning.len() as u64 => {
+                out.set_len(0).and_then(|()| out.write_all(&beginning)).map_err(failed("write"))?;
+                let (length, records) = (beginning.len() as u64, Vec::new());
+                return Ok(Self { out, file, length, records });
+            }
+            Err(cause) => return Err(file.failed()(cause)),
+        };
+        let got = scan.heading();
+        same_origin(path, got, heading)?;
+        for (what, expected, got) in
+            [("shard", heading.shard, got.shard), ("shards", heading.shards, got.shards)]
+        {
+            if expected != got {
+                return Err(BuildError::Foreign { path: path.to_owned(), what, expected, got });
+            }
         }
-    };
-    let begin = |mut file: File| {
-        file.write_all(&heading.journal()).map_err(failed("write"))?;
-        Ok((file, Vec::new()))
-    };
-    let file = open()?;
-    let bytes = upswing_config::read_file(path).map_err(failed("read"))?;
-    if bytes.is_empty() {
-        return begin(file);
+        // The first record that is not whole was being written by a process that was killed.
+        let records = scan.by_ref().map_while(Result::ok);
+        let records = records.map(|(at, record)| RecordPlace::new(&record, 0, at)).collect();
+        let length = scan.at();
+        out.set_len(length).map_err(failed("write"))?;
+        Ok(Self { out, file, length, records })
     }
-    // A journal that ends within its header, because the process was killed, holds no records.
-    let Ok((journal, whole)) = Database::recover(&bytes) else {
-        if bytes.len() >= heading.journal().len() {
-            let cause = Database::recover(&bytes).err().unwrap_or(DatabaseError::Empty);
-            return Err(BuildError::Database { origin: path.display().to_string(), cause });
+
+    /// Appends records, in one write.
+    fn append(&mut self, records: &[PoseRecord]) -> std::io::Result<()> {
+        let mut bytes = Vec::new();
+        let begin = self.records.len();
+        for record in records {
+            self.records.push(RecordPlace::new(record, 0, self.length + bytes.len() as u64));
+            bytes.extend(record.encode());
         }
-        file.set_len(0).map_err(failed("write"))?;
-        return begin(file);
-    };
-    same_origin(path, &journal.heading, heading)?;
-    for (what, expected, got) in
-        [("shard", heading.shard, journal.heading.shard), ("shards", heading.shards, journal.heading.shards)]
-    {
-        if expected != got {
-            return Err(BuildError::Foreign { path: path.to_owned(), what, expected, got });
-        }
+        self.out.write_all(&bytes).inspect_err(|_| self.records.truncate(begin))?;
+        self.length += bytes.len() as u64;
+        Ok(())
     }
-    file.set_len(whole as u64).map_err(failed("write"))?;
-    Ok((file, journal.records))
 }
 
 fn remove(path: &Path) -> Result<(), BuildError> {

@@ -1,8 +1,8 @@
 //! Figures of a database as a whole: durations, costs, the worst certificate, and the start poses of its entries.
 
 use serde::Serialize;
-use upswing_model::{JointKind, Model};
-use upswing_trajectory::{Certificate, Database, DatabaseHeading, Entry, PoseOutcome};
+use upswing_model::{ActuatedVector, JointKind, Model};
+use upswing_trajectory::{Certificate, Database, DatabaseError, DatabaseHeading, PoseOutcome};
 
 /// Figures of all records of a database.
 #[derive(Clone, Debug)]
@@ -43,39 +43,58 @@ pub struct JointCoverage {
     pub entries: Vec<usize>,
 }
 
+/// What the overview needs of an entry.
+struct EntryFigures {
+    /// Start pose q_A, rad or m.
+    start: ActuatedVector,
+    certificate: Certificate,
+}
+
 impl DatabaseOverview {
     /// The figures of `database`, made for `model`; joints that the model does not have count as revolute.
-    pub fn of(database: &Database, model: &Model) -> Self {
-        let entries: Vec<&Entry> = database.entries().collect();
-        let range = |value: fn(&Entry) -> f64| {
-            let limits = (f64::INFINITY, f64::NEG_INFINITY);
-            entries.iter().map(|e| value(e)).fold(limits, |(a, b), v| (a.min(v), b.max(v)))
+    ///
+    /// # Errors
+    /// [`DatabaseError`] if a record is damaged.
+    pub fn of(database: &Database, model: &Model) -> Result<Self, DatabaseError> {
+        let mut entries = Vec::with_capacity(database.entries());
+        let (mut rejected, mut failed) = (0, 0);
+        for record in database.records() {
+            match record?.outcome {
+                PoseOutcome::Rejected => rejected += 1,
+                PoseOutcome::Failed => failed += 1,
+                PoseOutcome::Solved(entry) => entries.push(EntryFigures {
+                    start: entry.trajectory.start().q_a(),
+                    certificate: entry.certificate,
+                }),
+            }
+        }
+        let range = |values: &mut dyn Iterator<Item = f64>| {
+            values.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)))
         };
-        let count = |outcome: PoseOutcome| database.records.iter().filter(|r| r.outcome == outcome).count();
-        let joints = joints(&database.heading, &entries, model);
-        Self {
+        let joints = joints(database.heading(), &entries, model);
+        Ok(Self {
             entries: entries.len(),
-            rejected: count(PoseOutcome::Rejected),
-            failed: count(PoseOutcome::Failed),
-            t_f: range(|e| e.trajectory.t_f),
-            cost: range(|e| e.certificate.cost),
+            rejected,
+            failed,
+            t_f: range(&mut database.durations().iter().copied()),
+            cost: range(&mut entries.iter().map(|e| e.certificate.cost)),
             worst: Certificate::worst(entries.iter().map(|e| &e.certificate)),
             map: match joints.as_slice() {
                 [.., rows, columns] => map(&entries, rows, columns),
                 _ => Vec::new(),
             },
             joints,
-        }
+        })
     }
 }
 
-/// Start position of the joint of index `coordinate` in sorted vectors, deg or m, rounded: grid positions stay distinct, equal positions with
+/// Start position of the actuated joint of index `coordinate`, deg or m, rounded: grid positions stay distinct, equal positions with
 /// different rounding errors become equal.
-fn start(entry: &Entry, coordinate: usize, kind: JointKind) -> f64 {
-    (kind.shown(entry.trajectory.start()[coordinate]).0 * 1e3).round() / 1e3
+fn start(entry: &EntryFigures, coordinate: usize, kind: JointKind) -> f64 {
+    (kind.shown(entry.start[coordinate]).0 * 1e3).round() / 1e3
 }
 
-fn joints(heading: &DatabaseHeading, entries: &[&Entry], model: &Model) -> Vec<JointCoverage> {
+fn joints(heading: &DatabaseHeading, entries: &[EntryFigures], model: &Model) -> Vec<JointCoverage> {
     let kind = |name: &str| {
         let joint = (0..model.sizes().joints()).find(|joint| model.joint_name(*joint) == name);
         joint.map_or(JointKind::Revolute, |joint| model.joint_kind(joint))
@@ -93,10 +112,10 @@ fn joints(heading: &DatabaseHeading, entries: &[&Entry], model: &Model) -> Vec<J
     actuated.map(coverage).filter(|c| c.positions.len() > 1).collect()
 }
 
-fn map(entries: &[&Entry], rows: &JointCoverage, columns: &JointCoverage) -> Vec<Vec<usize>> {
+fn map(entries: &[EntryFigures], rows: &JointCoverage, columns: &JointCoverage) -> Vec<Vec<usize>> {
     let count = |r: f64, c: f64| {
-        let at = |e: &Entry, joint: &JointCoverage| start(e, joint.coordinate, joint.kind);
-        let here = |e: &&&Entry| at(e, rows) == r && at(e, columns) == c;
+        let at = |e: &EntryFigures, joint: &JointCoverage| start(e, joint.coordinate, joint.kind);
+        let here = |e: &&EntryFigures| at(e, rows) == r && at(e, columns) == c;
         entries.iter().filter(here).count()
     };
     rows.positions.iter().map(|r| columns.positions.iter().map(|c| count(*r, *c)).collect()).collect()

@@ -4,8 +4,7 @@ use super::BuildError;
 use std::borrow::Cow;
 use std::path::Path;
 use upswing_config::{Config, ConfigError, System};
-use upswing_trajectory::Database;
-use xxhash_rust::xxh3::xxh3_64;
+use upswing_trajectory::{Database, DatabaseSource};
 
 /// Embeds databases: those of a system by the names of their manoeuvres.
 macro_rules! shipped {
@@ -34,18 +33,18 @@ pub static SHIPPED: &[(&str, &str, &[u8])] = shipped! {
     "pendubot": "swing-up";
 };
 
-/// Encoded database that is shipped with a system for the manoeuvre `name`.
-fn shipped(system: &System, name: &str) -> Option<&'static [u8]> {
-    let System::Shipped(system) = system else { return None };
-    let database = SHIPPED.iter().find(|(of, manoeuvre, _)| *of == system.name() && *manoeuvre == name);
-    database.map(|(.., bytes)| *bytes)
+/// The database that is shipped with a system for the manoeuvre `name`.
+fn shipped(system: &str, name: &str) -> Option<DatabaseFile> {
+    let (.., bytes) = SHIPPED.iter().find(|(of, manoeuvre, _)| *of == system && *manoeuvre == name)?;
+    let source = DatabaseSource::Memory(Cow::Borrowed(bytes));
+    Some(DatabaseFile { source, origin: format!("embedded {system}/{name}.bin") })
 }
 
-/// Encoded trajectory database and its origin.
-#[derive(Clone, Debug)]
+/// A trajectory database that is not checked yet, and its origin.
+#[derive(Debug)]
 pub struct DatabaseFile {
     /// Contents of the file.
-    pub bytes: Cow<'static, [u8]>,
+    pub source: DatabaseSource,
     /// Path or name of the source, for messages.
     pub origin: String,
 }
@@ -56,7 +55,7 @@ impl DatabaseFile {
         format!("{}.bin", config.manoeuvres[manoeuvre].name)
     }
 
-    /// Reads the database of manoeuvre number `manoeuvre` in the folder of the settings; the shipped database for the embedded
+    /// Opens the database of manoeuvre number `manoeuvre` in the folder of the settings; the shipped database for the embedded
     /// settings. `None` if there is none, as for a manoeuvre that reverses another one.
     ///
     /// # Errors
@@ -65,35 +64,46 @@ impl DatabaseFile {
         if config.manoeuvres[manoeuvre].reverses.is_some() {
             return Ok(None);
         }
-        let shipped = shipped(config.system(), &config.manoeuvres[manoeuvre].name);
-        let file = config.optional_file(&Self::name(config, manoeuvre), shipped)?;
-        Ok(file.map(|(origin, bytes)| Self { bytes, origin }))
+        match config.system() {
+            System::Shipped(system) => Ok(shipped(system.name(), &config.manoeuvres[manoeuvre].name)),
+            System::Folder(folder) => {
+                let path = folder.join(Self::name(config, manoeuvre));
+                match upswing_config::open_file(&path) {
+                    Ok(file) => Ok(Some(Self::new(file, &path))),
+                    Err(cause) if cause.kind() == std::io::ErrorKind::NotFound => Ok(None),
+                    Err(cause) => Err(ConfigError::Unreadable { file: path.display().to_string(), cause }),
+                }
+            }
+        }
     }
 
-    /// Reads the database in the file at `path`.
+    fn new(file: std::fs::File, path: &Path) -> Self {
+        Self { source: DatabaseSource::File(file), origin: path.display().to_string() }
+    }
+
+    /// Opens the database in the file at `path`.
     ///
     /// # Errors
     /// [`BuildError::File`] if the file cannot be read.
-    pub fn read(path: &Path) -> Result<Self, BuildError> {
-        let bytes = upswing_config::read_file(path).map_err(|cause| BuildError::File {
-            action: "read",
-            path: path.to_owned(),
-            cause,
-        })?;
-        Ok(Self { bytes: Cow::Owned(bytes), origin: path.display().to_string() })
+    pub fn open(path: &Path) -> Result<Self, BuildError> {
+        let failed = |cause| BuildError::File { action: "read", path: path.to_owned(), cause };
+        upswing_config::open_file(path).map(|file| Self::new(file, path)).map_err(failed)
     }
 
-    /// Decodes the database.
+    /// Fingerprint of the contents, 16 hexadecimal digits.
+    ///
+    /// # Errors
+    /// As [`Self::load`].
+    pub fn fingerprint(self) -> Result<String, BuildError> {
+        Ok(format!("{:016x}", self.load()?.fingerprint()))
+    }
+
+    /// Reads and checks the index of the database.
     ///
     /// # Errors
     /// [`BuildError::Database`]
-    pub fn decode(&self) -> Result<Database, BuildError> {
-        Database::decode(&self.bytes)
-            .map_err(|cause| BuildError::Database { origin: self.origin.clone(), cause })
-    }
-
-    /// XXH3 hash of the contents, 16 hexadecimal digits.
-    pub fn fingerprint(&self) -> String {
-        format!("{:016x}", xxh3_64(&self.bytes))
+    pub fn load(self) -> Result<Database, BuildError> {
+        let Self { source, origin } = self;
+        Database::load(source).map_err(|cause| BuildError::Database { origin, cause })
     }
 }

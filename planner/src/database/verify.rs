@@ -8,7 +8,9 @@ use upswing_model::{Posture, State};
 use upswing_ocp::interior_point::NlpStatus;
 use upswing_ocp::kkt::TargetRow;
 use upswing_ocp::multistart::Search;
-use upswing_trajectory::{Certificate, Database, Entry, Margins, PoseOutcome, PoseRecord};
+use upswing_trajectory::{
+    Certificate, Database, DatabaseError, Entry, KeyTree, Margins, PoseOutcome, PoseRecord,
+};
 
 /// A pose whose record differs from the result of a build with these settings.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,6 +32,9 @@ pub enum RecordFlaw {
         /// Certificate computed from the trajectory.
         computed: Certificate,
     },
+    /// Start, end or duration in the index differ from those of the trajectory.
+    #[error("the index has another key, end or duration than the record")]
+    Index,
     /// The rules of the grid leave out a pose that the file has, or the file leaves out a pose that the grid has.
     #[error("the grid {} this pose, the file does not", if *leaves_out { "leaves out" } else { "has" })]
     Rule {
@@ -102,14 +107,18 @@ const FARTHEST_END: f64 = 2.0;
 /// Recomputes all statements of the records, in parallel: figures, start, target, limits, and that poses without a trajectory
 /// have no solution. Starts are compared where the database [has the settings' grid](has_grid_of). Between knots a limit may
 /// be exceeded by `replan.knot_margin`, the margin that a replan keeps at the knots for this excess.
+///
+/// # Errors
+/// [`DatabaseError`] if a record is damaged.
 pub fn verify(
     config: &Config,
     manoeuvre: usize,
     database: &Database,
     progress: impl Fn() + Sync,
-) -> Vec<Discrepancy> {
+) -> Result<Vec<Discrepancy>, DatabaseError> {
     let compare_poses = has_grid_of(config, manoeuvre, database);
-    let judge = |record: &PoseRecord| {
+    let (keys, ends) = (by_number(database.keys()), by_number(database.ends()));
+    let judge = |number: usize, record: &PoseRecord| {
         if compare_poses {
             let task = Task::of(config, manoeuvre, record.pose as usize);
             let leaves_out = task.is_none();
@@ -122,6 +131,11 @@ pub fn verify(
         }
         match &record.outcome {
             PoseOutcome::Solved(entry) => {
+                let end: &[f64] = &entry.trajectory.end().q_a();
+                let t_f = database.durations()[number];
+                if (keys[number], ends[number], t_f) != (&entry.key, end, entry.trajectory.t_f) {
+                    return Err(RecordFlaw::Index);
+                }
                 let verdict = verify_entry(config, manoeuvre, entry);
                 progress();
                 verdict
@@ -129,8 +143,21 @@ pub fn verify(
             _ => Ok(()),
         }
     };
-    let judged = database.records.par_iter().map(|record| (record.pose, judge(record)));
-    judged.filter_map(|(pose, verdict)| verdict.err().map(|flaw| Discrepancy { pose, flaw })).collect()
+    let judged = (0..database.len()).into_par_iter().map(|number| {
+        let record = database.record(number)?;
+        let flaw = judge(number, &record).err();
+        Ok(flaw.map(|flaw| Discrepancy { pose: record.pose, flaw }))
+    });
+    let mut found: Vec<_> = judged.filter_map(Result::transpose).collect::<Result<_, _>>()?;
+    found.sort_by_key(|discrepancy: &Discrepancy| discrepancy.pose);
+    Ok(found)
+}
+
+/// The keys of a tree in the order of their numbers.
+fn by_number(tree: &KeyTree) -> Vec<&[f64]> {
+    let mut keys: Vec<_> = tree.keys().collect();
+    keys.sort_unstable_by_key(|(number, _)| *number);
+    keys.into_iter().map(|(_, key)| key).collect()
 }
 
 /// Checks that the trajectory of a record starts in `start` (rad, rad/s); without a trajectory, that none to `target` is found from

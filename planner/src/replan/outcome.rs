@@ -1,13 +1,12 @@
 //! The result of a replan: a plan, or the reason of failure for each database entry that was tried.
 
-use crate::database::Neighbour;
 use std::time::Duration;
 use upswing_config::{Config, GivenError};
 use upswing_model::{RestError, Workspace};
 use upswing_ocp::interior_point::NlpStatus;
 use upswing_ocp::lqr;
 use upswing_ocp::qp::{ConflictingBound, QpStatus, Stall};
-use upswing_trajectory::{Gains, Margins, Plan, Trajectory, UnmetCriterion};
+use upswing_trajectory::{DatabaseError, Gains, Margins, Neighbour, Plan, Trajectory, UnmetCriterion};
 
 /// A database entry from which no plan could be made.
 #[derive(Clone, Debug)]
@@ -62,6 +61,9 @@ pub enum PlanningFailure {
     /// The full optimisation found no trajectory.
     #[error("{0}")]
     Optimisation(NlpStatus),
+    /// The entry cannot be read.
+    #[error("the database: {0}")]
+    Entry(#[from] DatabaseError),
     /// The given values make no target.
     #[error("the target: {0}")]
     Target(#[from] GivenError),

@@ -101,7 +101,7 @@ pub fn run(args: &ReplanArgs) -> Result<(), Failure> {
         success: complete && succeeded == samples,
         complete,
         database: planner.origin(0).to_owned(),
-        entries: planner.entries(0).len(),
+        entries: planner.entries(0),
         seed: args.sampling.seed,
         statistics,
         threads: args.sampling.threads(),

@@ -1,7 +1,7 @@
-//! The K-D tree finds the same keys as a linear search, for keys of any length, also on regular grids with ties.
+//! The tree of keys finds the same keys as a linear search, for keys of any length, also on regular grids with ties.
 
 use proptest::prelude::*;
-use upswing_planner::database::NearestKey;
+use upswing_trajectory::KeyTree;
 
 fn brute_force(keys: &[Vec<f64>], metric: &[f64], q: &[f64], count: usize) -> Vec<usize> {
     let scale: Vec<f64> = metric.iter().map(|w| w.sqrt()).collect();
@@ -33,8 +33,8 @@ fn grid(length: usize, varied: &[usize], points: usize) -> Vec<Vec<f64>> {
     keys
 }
 
-fn indices(tree: &NearestKey, q: &[f64], count: usize) -> Vec<usize> {
-    tree.nearest(q, count).iter().map(|n| n.index).collect()
+fn indices(tree: &KeyTree, q: &[f64], metric: &[f64], count: usize) -> Vec<usize> {
+    tree.nearest(q, metric, count).iter().map(|n| n.index).collect()
 }
 
 proptest! {
@@ -53,22 +53,22 @@ proptest! {
     ) {
         let (q, metric) = (&q[..length], &metric[..length]);
         let keys = grid(length, &[0, 1, 3, 5], points);
-        let tree = NearestKey::new(keys.clone(), metric);
-        prop_assert_eq!(indices(&tree, q, count), brute_force(&keys, metric, q, count));
+        let tree = KeyTree::new(length, &keys.concat());
+        prop_assert_eq!(indices(&tree, q, metric, count), brute_force(&keys, metric, q, count));
         let tie: Vec<f64> = halves[..length].iter().map(|h| 0.5 * f64::from(*h)).collect();
-        prop_assert_eq!(indices(&tree, &tie, count), brute_force(&keys, metric, &tie, count));
+        prop_assert_eq!(indices(&tree, &tie, metric, count), brute_force(&keys, metric, &tie, count));
     }
 }
 
 #[test]
 fn of_no_keys_none_is_nearest() {
-    assert!(NearestKey::new([], &[1.0; 7]).nearest(&[0.0; 7], 3).is_empty());
+    assert!(KeyTree::new(7, &[]).nearest(&[0.0; 7], &[1.0; 7], 3).is_empty());
 }
 
 #[test]
 fn coordinates_without_a_weight_do_not_count() {
-    let tree = NearestKey::new([vec![2.0, 0.0], vec![1.0, 9.0]], &[1.0]);
-    assert_eq!(indices(&tree, &[0.0, 0.0], 2), [1, 0]);
-    let tree = NearestKey::new([vec![2.0], vec![1.0], vec![3.0]], &[]);
-    assert_eq!(indices(&tree, &[0.0], 2), [0, 1]);
+    let tree = KeyTree::new(2, &[2.0, 0.0, 1.0, 9.0]);
+    assert_eq!(indices(&tree, &[0.0, 0.0], &[1.0], 2), [1, 0]);
+    let tree = KeyTree::new(1, &[2.0, 1.0, 3.0]);
+    assert_eq!(indices(&tree, &[0.0], &[], 2), [0, 1]);
 }
