@@ -8,7 +8,6 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use upswing_config::Config;
 use upswing_ipc::Mode;
-use upswing_model::Workspace;
 use upswing_trajectory::Plan;
 use upswingd::controller::Controller;
 use upswingd::plan::accept;
@@ -70,7 +69,7 @@ fn some(plan: &Plan, random: &mut Random) -> Range<usize> {
 
 /// f_k of the model at every knot: nobody who wants to be believed forgets that.
 fn follow_the_model(plan: &mut Plan, config: &Config) {
-    plan.f = plan.trajectory.f(&config.model, &mut Workspace::default());
+    plan.f = plan.trajectory.f(&config.model);
 }
 
 type Mutation = fn(&mut Plan, &mut Random);

@@ -58,7 +58,7 @@ fn refusal(spoil: impl Fn(&mut Plan)) -> PlanRefusal {
 
 /// f_k of the model at every knot.
 fn follow_the_model(plan: &mut Plan, config: &Config) {
-    plan.f = plan.trajectory.f(&config.model, &mut Workspace::default());
+    plan.f = plan.trajectory.f(&config.model);
 }
 
 /// What is said about a plan that rests at `x` for 1 s after `spoil`, with f_k of the model.

@@ -6,8 +6,8 @@ use crate::model::{Joint, JointKind};
 use crate::spatial::{Matrix3, SpatialInertia, SpatialVector, Symmetric3, Vector3};
 use crate::vector::{Joints, Matrix, Unactuated};
 use crate::{
-    ActuatedMatrix, ActuatedVector, Dims, JointMatrix, JointVector, MOST_JOINTS, Model, Scalar, State,
-    UnactuatedVector, with_dims,
+    ActuatedMatrix, ActuatedVector, Dims, JointMatrix, JointVector, LARGEST_STATE, Lanes, MOST_JOINTS, Model,
+    Scalar, State, UnactuatedVector, with_dims,
 };
 
 /// Scratch memory of the recursions over the chain, owned by the caller. It holds the quantities of the state that was
@@ -166,6 +166,95 @@ impl Model {
         out: &mut HybridValues<f64>,
     ) {
         self.hybrid_values(d, x, u, work, out);
+    }
+
+    /// [`Self::hybrid_dynamics`] at `count` points, with the same bits: calls `visit` with the number, the state and the result of each, in
+    /// order, until it returns an error. Four points are evaluated side by side.
+    ///
+    /// `point` writes the state and the input of a point.
+    ///
+    /// # Errors
+    /// That of `visit`.
+    pub fn try_hybrid_dynamics<E>(
+        &self,
+        count: usize,
+        point: impl Fn(usize, &mut State, &mut ActuatedVector),
+        mut visit: impl FnMut(usize, &State, &HybridDynamics) -> Result<(), E>,
+    ) -> Result<(), E> {
+        const LANES: usize = 4;
+        let sizes = self.sizes();
+        let mut states = [State::zeros(sizes); LANES];
+        let mut input = ActuatedVector::zeros(sizes);
+        let mut dynamics = HybridDynamics { qdd_u: UnactuatedVector::zeros(sizes), tau: input };
+        let mut work = Workspace::<Lanes<LANES>>::default();
+        let (mut x, mut u) = ([Lanes::ZERO; LARGEST_STATE], [Lanes::ZERO; MOST_JOINTS]);
+        let mut values = HybridValues::ZERO;
+        for first in (0..count).step_by(LANES) {
+            for (lane, state) in states.iter_mut().enumerate() {
+                // Lanes that are left over repeat the last point.
+                point((first + lane).min(count - 1), state, &mut input);
+                x.iter_mut().zip(state.iter()).for_each(|(x, v)| x.0[lane] = *v);
+                u.iter_mut().zip(input.iter()).for_each(|(u, v)| u.0[lane] = *v);
+            }
+            self.hybrid_values_side_by_side(
+                &x[..sizes.state()],
+                &u[..sizes.actuated()],
+                &mut work,
+                &mut values,
+            );
+            for (lane, state) in states.iter().enumerate().take(count - first) {
+                dynamics.qdd_u.iter_mut().zip(&values.qdd_u).for_each(|(out, v)| *out = v.0[lane]);
+                dynamics.tau.iter_mut().zip(&values.tau).for_each(|(out, v)| *out = v.0[lane]);
+                visit(first + lane, state, &dynamics)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn hybrid_values_side_by_side<T: Scalar>(
+        &self,
+        x: &[T],
+        u: &[T],
+        work: &mut Workspace<T>,
+        out: &mut HybridValues<T>,
+    ) {
+        #[cfg(target_arch = "x86_64")]
+        if std::arch::is_x86_feature_detected!("avx2") {
+            // SAFETY: the CPU has AVX2.
+            return unsafe { self.hybrid_values_avx2(x, u, work, out) };
+        }
+        with_dims!(self.sizes(), |d| self.hybrid_values(d, x, u, work, out));
+    }
+
+    /// [`Self::hybrid_values`] with registers of 256 bits, and the same bits: nothing is contracted to fused operations.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn hybrid_values_avx2<T: Scalar>(
+        &self,
+        x: &[T],
+        u: &[T],
+        work: &mut Workspace<T>,
+        out: &mut HybridValues<T>,
+    ) {
+        with_dims!(self.sizes(), |d| self.hybrid_values(d, x, u, work, out));
+    }
+
+    /// f(x_k, u_k) (5) at many points, for example the knots of a trajectory.
+    pub fn f_of_all(&self, x: &[State], u: &[ActuatedVector]) -> Vec<State> {
+        let mut f = Vec::with_capacity(x.len());
+        let all = self.try_hybrid_dynamics(
+            x.len(),
+            |k, state, input| {
+                state.copy_from_slice(&x[k]);
+                input.copy_from_slice(&u[k]);
+            },
+            |k, x, dynamics| {
+                f.push(state_derivative(x, &u[k], &dynamics.qdd_u));
+                Ok::<_, std::convert::Infallible>(())
+            },
+        );
+        all.unwrap_or_else(|never| match never {});
+        f
     }
 
     /// Motor torque tau_A = M~ u + C~ qd + g~ (9), N m or N; with u = u_d + K dx the torque law (24).

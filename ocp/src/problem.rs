@@ -102,7 +102,7 @@ impl Problem<'_> {
         const EXTRA: f64 = 1.5;
         /// The least, as a share of the range.
         const LEAST: f64 = 1e-4;
-        let f = trajectory.f(self.model, &mut Workspace::default());
+        let f = trajectory.f(self.model);
         let spline = trajectory.spline(&f);
         let (lowest, highest) = self.range();
         let n = trajectory.intervals();

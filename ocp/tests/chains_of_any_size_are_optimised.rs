@@ -91,7 +91,7 @@ impl Motion {
         assert_eq!(solution.status, NlpStatus::Solved);
         let mut work = Workspace::default();
         assert_eq!(trajectory.intervals(), self.intervals);
-        assert!(trajectory.defect(&self.model, &mut work) < 1e-8);
+        assert!(trajectory.defect(&self.model) < 1e-8);
         assert_eq!(*trajectory.start(), problem.start);
         for row in &problem.target {
             assert!(row.residual(trajectory.end()).abs() < 1e-8, "{row:?}");

@@ -124,7 +124,7 @@ fn solve(name: &str, problem: &Problem<'_>, search: Search) -> NlpSolution {
         solution.iterations
     );
     assert_eq!(solution.status, NlpStatus::Solved, "{name}");
-    assert!(solution.trajectory.defect(problem.model, &mut Workspace::default()) < 1e-7, "{name}");
+    assert!(solution.trajectory.defect(problem.model) < 1e-7, "{name}");
     for row in &problem.target {
         assert!(row.residual(solution.trajectory.end()).abs() < 1e-7, "{name}");
     }

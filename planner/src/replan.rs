@@ -444,7 +444,6 @@ impl Planner {
         let iterations = effort.iterations.max(1);
         let reference = self.reference(wanted.manoeuvre, entry)?;
         let problem = self.problem_of(wanted, Some(&reference), self.config.planner.replan.knot_margin)?;
-        let mut work = Workspace::default();
         let mut trajectory = reference.clone();
         let weights = qp_weights(&self.config.planner.replan);
         let begin = Instant::now();
@@ -460,7 +459,7 @@ impl Planner {
                 &mut trajectory,
                 &mut statistics.second_opinions,
             )?;
-            defect = trajectory.defect(&self.config.model, &mut work);
+            defect = trajectory.defect(&self.config.model);
         }
         statistics.qp += begin.elapsed();
         self.accept(trajectory, Method::Quadratic, done, statistics)
@@ -539,7 +538,7 @@ impl Planner {
         let model = &self.config.model;
         let criteria = self.config.plan_criteria();
         let unmet = |criterion| PlanningFailure::Criterion { method, iterations, criterion };
-        let f = trajectory.f(model, &mut work);
+        let f = trajectory.f(model);
         let spline = trajectory.spline(&f);
         let margins = criteria.check_motion(model, &spline).map_err(unmet)?;
         let defect = spline.defect();

@@ -2,7 +2,7 @@
 //! starts at q8 = q9 = 0 near the level flange do, too; for an infeasible start the limit is named.
 
 use upswing_config::{Config, PendulumStart};
-use upswing_model::{LimitKind, State, Workspace};
+use upswing_model::{LimitKind, State};
 use upswing_ocp::interior_point::{NlpSolution, NlpStatus};
 use upswing_ocp::multistart::Search;
 use upswing_planner::offline::{optimize, options, target};
@@ -19,7 +19,7 @@ fn assert_solved(config: &Config, start: State) {
     let q = start.q().map(f64::to_degrees);
     assert_eq!(solution.status, NlpStatus::Solved, "from {q:?}");
     let t = &solution.trajectory;
-    assert!(t.defect(&config.model, &mut Workspace::default()) <= 1e-8, "from {q:?}");
+    assert!(t.defect(&config.model) <= 1e-8, "from {q:?}");
     let limits = &config.robot.planning;
     for x in t.x.iter() {
         for i in 0..q.len() {

@@ -64,7 +64,7 @@ fn check(torque: TorqueForm) {
         );
         let name = format!("{:?} ({torque:?})", known.start_deg);
         assert_eq!(solution.status, NlpStatus::Solved, "{name}");
-        let defect = solution.trajectory.defect(&config.model, &mut Workspace::default());
+        let defect = solution.trajectory.defect(&config.model);
         assert!(defect <= 1e-8, "{name}: defect {defect:e}");
         assert!((solution.trajectory.x[0] - start).amax() == 0.0, "{name}: another start");
         for row in target(&config, 0, &[]).expect("a target") {

@@ -30,7 +30,7 @@ impl Certificate {
         let margins = Margins::of(trajectory, model, limits, Self::BETWEEN);
         Self {
             cost: trajectory.cost(input_weight),
-            defect: trajectory.defect(model, &mut work),
+            defect: trajectory.defect(model),
             margin_q: margins.q.share,
             margin_qd: margins.qd.share,
             margin_tau: margins.tau.share,
@@ -84,7 +84,7 @@ pub fn open_loop_end(trajectory: &Trajectory, model: &Model, work: &mut Workspac
     const TOLERANCE: f64 = 1e-11;
     /// Shortest step, s.
     const SHORTEST: f64 = 1e-9;
-    let f = trajectory.f(model, work);
+    let f = trajectory.f(model);
     let spline = trajectory.spline(&f);
     let mut x = *trajectory.start();
     let mut step = trajectory.h();

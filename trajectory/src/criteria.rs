@@ -2,6 +2,7 @@
 //! again before it loads the plan: with the same code and the same settings.
 
 mod feedback;
+mod matrix;
 mod motion;
 
 pub use feedback::LoopDelays;

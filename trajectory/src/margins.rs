@@ -1,7 +1,8 @@
 //! Margins: how far a trajectory stays from its limits, also between the knots.
 
 use crate::{Spline, Trajectory};
-use upswing_model::{ActuatedVector, LimitKind, Limits, Model, State, Workspace};
+use std::convert::Infallible;
+use upswing_model::{ActuatedVector, LimitKind, Limits, Model, State};
 
 /// The smallest distance to the limits of one kind.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,31 +29,6 @@ impl Margin {
     }
 }
 
-/// One point of the spline (12) with the motor torque that it needs.
-pub(crate) struct SplinePoint {
-    /// s since the start of the trajectory.
-    time: f64,
-    x: State,
-    /// tau_A (9), N m.
-    pub(crate) tau: ActuatedVector,
-}
-
-impl SplinePoint {
-    /// Point number `i` of the `N * parts + 1` points that divide each interval into `parts` equal ones.
-    pub(crate) fn new(
-        spline: &Spline<'_>,
-        i: usize,
-        parts: usize,
-        model: &Model,
-        work: &mut Workspace,
-    ) -> Self {
-        let time = spline.t_f * i as f64 / (spline.intervals() * parts) as f64;
-        let x = spline.state(time);
-        let tau = model.torque(&x, &spline.input(time), work);
-        Self { time, x, tau }
-    }
-}
-
 /// The smallest margins of a trajectory to its limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Margins {
@@ -69,25 +45,25 @@ impl Margins {
 
     /// The margins of the spline (12) at its knots and at `between` more points in each interval.
     pub fn of(trajectory: &Trajectory, model: &Model, limits: &Limits, between: usize) -> Self {
-        let mut work = Workspace::default();
-        let f = trajectory.f(model, &mut work);
-        let spline = trajectory.spline(&f);
-        let parts = between + 1;
+        let f = trajectory.f(model);
         let mut margins = Self::NONE;
-        for i in 0..=spline.intervals() * parts {
-            margins.include(&SplinePoint::new(&spline, i, parts, model, &mut work), limits);
-        }
+        let all = visit_points(&trajectory.spline(&f), between + 1, model, |_, time, x, tau| {
+            margins.include(time, x, tau, limits);
+            Ok::<_, Infallible>(())
+        });
+        all.unwrap_or_else(|never| match never {});
         margins
     }
 
-    pub(crate) fn include(&mut self, sample: &SplinePoint, limits: &Limits) {
-        let (q, qd) = (sample.x.q(), sample.x.qd());
-        for joint in 0..q.len() {
-            self.q.include(q[joint], limits.range(LimitKind::Position, joint), joint, sample.time);
-            self.qd.include(qd[joint], limits.range(LimitKind::Velocity, joint), joint, sample.time);
+    /// The margins of the state `x` and the motor torque `tau` at `time`.
+    pub(crate) fn include(&mut self, time: f64, x: &State, tau: &ActuatedVector, limits: &Limits) {
+        let n = x.len() / 2;
+        for joint in 0..n {
+            self.q.include(x[joint], limits.range(LimitKind::Position, joint), joint, time);
+            self.qd.include(x[n + joint], limits.range(LimitKind::Velocity, joint), joint, time);
         }
-        for joint in 0..sample.tau.len() {
-            self.tau.include(sample.tau[joint], limits.range(LimitKind::Torque, joint), joint, sample.time);
+        for joint in 0..tau.len() {
+            self.tau.include(tau[joint], limits.range(LimitKind::Torque, joint), joint, time);
         }
     }
 
@@ -95,4 +71,21 @@ impl Margins {
     pub fn smallest(&self) -> f64 {
         self.q.share.min(self.qd.share).min(self.tau.share)
     }
+}
+
+/// Calls `visit` with the number, the time since the start (s), the state and the motor torque (9) of each of the `N * parts + 1` points of
+/// the spline (12) that divide its intervals into `parts` equal ones, in order, until it returns an error.
+pub(crate) fn visit_points<E>(
+    spline: &Spline<'_>,
+    parts: usize,
+    model: &Model,
+    mut visit: impl FnMut(usize, f64, &State, &ActuatedVector) -> Result<(), E>,
+) -> Result<(), E> {
+    let last = spline.intervals() * parts;
+    let time = |i: usize| spline.t_f * i as f64 / last as f64;
+    let point = |i: usize, x: &mut State, u: &mut ActuatedVector| {
+        let (k, dt) = spline.locate(time(i));
+        (*x, *u) = (spline.state_in(k, dt), spline.input_in(k, dt));
+    };
+    model.try_hybrid_dynamics(last + 1, point, |i, x, dynamics| visit(i, time(i), x, &dynamics.tau))
 }

@@ -1,7 +1,7 @@
 //! A trajectory: its knots, and the spline between them.
 
 use crate::largest;
-use upswing_model::{ActuatedVector, Dims, Model, Sizes, State, Workspace, with_dims};
+use upswing_model::{ActuatedVector, Dims, Model, Sizes, State, with_dims};
 
 /// The trajectory xi = (t_F, x_0..x_N, u_0..u_N) (7), with knots uniform over [0, t_F].
 ///
@@ -51,8 +51,8 @@ impl Trajectory {
     }
 
     /// f_k = f(x_k, u_k) (5) of every knot.
-    pub fn f(&self, model: &Model, work: &mut Workspace) -> Vec<State> {
-        self.knots().map(|(x, u)| model.f(x, u, work)).collect()
+    pub fn f(&self, model: &Model) -> Vec<State> {
+        model.f_of_all(&self.x, &self.u)
     }
 
     /// The spline (12) through the knots, for `f` = f_k.
@@ -61,8 +61,8 @@ impl Trajectory {
     }
 
     /// Largest component of the defects (6b); infinite if a component is NaN.
-    pub fn defect(&self, model: &Model, work: &mut Workspace) -> f64 {
-        self.spline(&self.f(model, work)).defect()
+    pub fn defect(&self, model: &Model) -> f64 {
+        self.spline(&self.f(model)).defect()
     }
 
     /// The trajectory in reversed time: the same positions and inputs in reverse order, velocities with the opposite sign. It

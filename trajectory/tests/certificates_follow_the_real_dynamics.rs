@@ -65,7 +65,7 @@ fn figures_are_those_of_the_trajectory() {
     assert!(c.defect > 1e-9 && c.defect < 1e-4, "defect {:e}", c.defect);
     assert_eq!(c.difference(&c), 0.0);
     assert!(c.difference(&Certificate { end_error: f64::NAN, ..c }).is_infinite());
-    let f = trajectory.f(&model, &mut Workspace::default());
+    let f = trajectory.f(&model);
     assert_eq!(trajectory.spline(&f).state(0.0), trajectory.x[0]);
 }
 
@@ -84,5 +84,5 @@ fn a_defect_that_is_not_a_number_is_infinite() {
     let model = robot();
     let mut trajectory = motion(&model);
     trajectory.u[50][0] = f64::NAN;
-    assert!(trajectory.defect(&model, &mut Workspace::default()).is_infinite());
+    assert!(trajectory.defect(&model).is_infinite());
 }

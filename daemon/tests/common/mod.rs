@@ -173,7 +173,7 @@ pub fn swing(config: &Config, q: &JointVector) -> (Box<Plan>, Box<Plan>) {
     let down = Plan {
         id: 8,
         fingerprint: up.fingerprint,
-        f: trajectory.f(&config.model, &mut work),
+        f: trajectory.f(&config.model),
         trajectory,
         gains,
         activation_ns: None,

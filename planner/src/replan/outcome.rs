@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 use upswing_config::{Config, GivenError};
-use upswing_model::{RestError, Workspace};
+use upswing_model::RestError;
 use upswing_ocp::interior_point::NlpStatus;
 use upswing_ocp::lqr;
 use upswing_ocp::qp::{ConflictingBound, QpStatus, Stall};
@@ -198,11 +198,10 @@ impl NoPlan {
 impl Replan {
     /// The plan for the daemon, without activation time.
     pub fn plan(&self, config: &Config) -> Plan {
-        let mut work = Workspace::default();
         Plan {
             id: self.id(),
             fingerprint: config.model.fingerprint(),
-            f: self.trajectory.f(&config.model, &mut work),
+            f: self.trajectory.f(&config.model),
             trajectory: self.trajectory.clone(),
             gains: self.gains.clone(),
             activation_ns: None,

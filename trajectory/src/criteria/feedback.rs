@@ -1,9 +1,9 @@
 //! Criteria for the gains of a plan: their torques, and the stability of the closed loop with its delays.
 
+use super::matrix::Matrix;
 use super::{AMPLIFIED_INTERVALS, MOST_STEP, PlanCriteria, UnmetCriterion, finite, same_sizes};
 use crate::{Gain, Gains, Trajectory};
-use nalgebra::DMatrix;
-use upswing_model::{ActuatedVector, LimitKind, Linearization, Model, Posture, Sizes, State, Workspace};
+use upswing_model::{ActuatedVector, LimitKind, Linearization, Model, Posture, Sizes, Workspace};
 
 /// Delays of the feedback loop of the daemon.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,46 +22,115 @@ impl LoopDelays {
     fn dimension(&self, sizes: Sizes) -> usize {
         sizes.state() + sizes.joints() + self.cycles * sizes.actuated()
     }
+}
 
-    /// The matrix of the closed loop over one period, for the deviation s = (x, z, delayed inputs u, oldest first): x of (19)
-    /// with `a` and `b`, z the state of the differential filter, u = K [q, v] (22) with the filtered velocities v.
-    fn closed_loop(&self, a: &DMatrix<f64>, b: &DMatrix<f64>, gain: Gain<'_>) -> DMatrix<f64> {
-        let (ts, sizes) = (self.period, gain.sizes());
+/// The matrix of the closed loop over one period, with the memory for it.
+struct ClosedLoop {
+    delays: LoopDelays,
+    /// (19)
+    a: Matrix,
+    b: Matrix,
+    /// I T_s + A T_s^2 / 2
+    half: Matrix,
+    phi: Matrix,
+    gamma: Matrix,
+    /// u = K_s s
+    k: Matrix,
+    gamma_k: Matrix,
+    m: Matrix,
+}
+
+impl ClosedLoop {
+    fn new(delays: LoopDelays, sizes: Sizes) -> Self {
+        let (n_a, n_x, dimension) = (sizes.actuated(), sizes.state(), delays.dimension(sizes));
+        Self {
+            delays,
+            a: Matrix::zeros(n_x, n_x),
+            b: Matrix::zeros(n_x, n_a),
+            half: Matrix::zeros(n_x, n_x),
+            phi: Matrix::zeros(n_x, n_x),
+            gamma: Matrix::zeros(n_x, n_a),
+            k: Matrix::zeros(n_a, dimension),
+            gamma_k: Matrix::zeros(n_x, dimension),
+            m: Matrix::zeros(dimension, dimension),
+        }
+    }
+
+    /// The matrix for the deviation s = (x, z, delayed inputs u, oldest first): x of (19) with its derivatives, z the state of the
+    /// differential filter, u = K [q, v] (22) with the filtered velocities v.
+    fn at(&mut self, derivatives: &Linearization, gain: Gain<'_>) -> &Matrix {
+        let sizes = gain.sizes();
+        let (n, n_x) = (sizes.joints(), sizes.state());
+        for i in 0..n {
+            self.a[(i, n + i)] = 1.0;
+        }
+        for i in 0..sizes.actuated() {
+            self.b[(n + i, i)] = 1.0;
+        }
+        for (i, row) in (n + sizes.actuated()..n_x).zip(0..) {
+            let (in_x, in_u) = derivatives.qdd_u(row).split_at(n_x);
+            self.a.row_mut(i).copy_from_slice(in_x);
+            self.b.row_mut(i).copy_from_slice(in_u);
+        }
+        self.set(gain);
+        &self.m
+    }
+
+    /// The matrix with A and B that are there.
+    fn set(&mut self, gain: Gain<'_>) {
+        let (ts, sizes) = (self.delays.period, gain.sizes());
         let (n, n_a, n_x) = (sizes.joints(), sizes.actuated(), sizes.state());
         // Two terms of the exponential: one alone drives an undamped pendulum.
-        let half = DMatrix::identity(n_x, n_x) * ts + a * (0.5 * ts * ts);
-        let (phi, gamma) = (DMatrix::identity(n_x, n_x) + &half * a, half * b);
-        // u = K_s s
-        let mut k = DMatrix::zeros(n_a, self.dimension(sizes));
-        k.columns_mut(0, n_x).copy_from(&DMatrix::from_row_slice(n_a, n_x, gain.as_slice()));
-        if let Some(t_1) = self.velocity_filter {
+        for i in 0..n_x {
+            let entries = self.half.row_mut(i).iter_mut().zip(self.a.row(i));
+            entries.for_each(|(half, a)| *half = 0.5 * ts * ts * a);
+            self.half[(i, i)] += ts;
+        }
+        self.phi.set_product(&self.half, &self.a);
+        (0..n_x).for_each(|i| self.phi[(i, i)] += 1.0);
+        self.gamma.set_product(&self.half, &self.b);
+        self.k.fill(0.0);
+        for (i, row) in gain.rows().enumerate() {
+            self.k.row_mut(i)[..n_x].copy_from_slice(row);
+        }
+        if let Some(t_1) = self.delays.velocity_filter {
             for j in 0..n {
                 for i in 0..n_a {
-                    let share = k[(i, n + j)] / t_1;
-                    k[(i, j)] += share;
-                    k[(i, n + j)] = 0.0;
-                    k[(i, n_x + j)] = -share;
+                    let share = self.k[(i, n + j)] / t_1;
+                    self.k[(i, j)] += share;
+                    self.k[(i, n + j)] = 0.0;
+                    self.k[(i, n_x + j)] = -share;
                 }
             }
         }
-        let mut m = DMatrix::zeros(self.dimension(sizes), self.dimension(sizes));
-        m.view_mut((0, 0), (n_x, n_x)).copy_from(&phi);
-        let forgotten = self.velocity_filter.map_or(1.0, |t_1| -(-ts / t_1).exp_m1());
+        self.m.fill(0.0);
+        for i in 0..n_x {
+            self.m.row_mut(i)[..n_x].copy_from_slice(self.phi.row(i));
+        }
+        let forgotten = self.delays.velocity_filter.map_or(1.0, |t_1| -(-ts / t_1).exp_m1());
         for i in 0..n {
-            (m[(n_x + i, n_x + i)], m[(n_x + i, i)]) = (1.0 - forgotten, forgotten);
+            self.m[(n_x + i, n_x + i)] = 1.0 - forgotten;
+            self.m[(n_x + i, i)] = forgotten;
         }
         let queue = n_x + n;
-        if self.cycles == 0 {
-            let mut x = m.rows_mut(0, n_x);
-            x += gamma * &k;
-        } else {
-            m.view_mut((0, queue), (n_x, n_a)).copy_from(&gamma);
-            for i in 0..(self.cycles - 1) * n_a {
-                m[(queue + i, queue + n_a + i)] = 1.0;
+        if self.delays.cycles == 0 {
+            self.gamma_k.set_product(&self.gamma, &self.k);
+            for i in 0..n_x {
+                let entries = self.m.row_mut(i).iter_mut().zip(self.gamma_k.row(i));
+                entries.for_each(|(m, added)| *m += added);
             }
-            m.rows_mut(queue + (self.cycles - 1) * n_a, n_a).copy_from(&k);
+        } else {
+            for i in 0..n_x {
+                self.m.row_mut(i)[queue..queue + n_a].copy_from_slice(self.gamma.row(i));
+            }
+            for i in 0..(self.delays.cycles - 1) * n_a {
+                self.m[(queue + i, queue + n_a + i)] = 1.0;
+            }
+            let newest = queue + (self.delays.cycles - 1) * n_a;
+            for i in 0..n_a {
+                self.m.row_mut(newest + i).copy_from_slice(self.k.row(i));
+            }
         }
-        m
     }
 }
 
@@ -88,59 +157,61 @@ impl PlanCriteria {
         same_sizes("K", model, std::iter::once(gains.sizes()))?;
         finite("K", gains.knots().map(|k| k.as_slice()))?;
         finite("the final K", std::iter::once(gains.end().as_slice()))?;
-        let mut work = Workspace::default();
+        let (mut work, mut linearization) = (Workspace::default(), Linearization::new(model.sizes()));
         let x_n = trajectory.end();
         let stands = model.posture(&x_n.q(), &mut work) == Posture::Standing;
         let none = ActuatedVector::zeros(model.sizes());
         let last = stands.then_some((x_n, &none, gains.end()));
-        let knots = trajectory.knots().zip(gains.knots()).map(|((x, u), gain)| (x, u, gain));
-        for (knot, (x, u, gain)) in knots.chain(last).enumerate() {
-            self.check_step(model, x, u, gain, knot, &mut work)?;
-        }
-        let mut linearization = Linearization::new(model.sizes());
-        let mut closed_loop = |x: &State, u: &ActuatedVector, gain: Gain<'_>| {
-            model.linearize(x, u, &mut work, &mut linearization);
-            self.delays.closed_loop(&linearization.a(), &linearization.b(), gain)
-        };
         // From one knot to the middle between two.
         let periods = (0.5 * trajectory.h() / self.delays.period).round().max(1.0) as u32;
-        let unit = self.square_of_state(model.sizes()) * (AMPLIFIED_INTERVALS / n as f64);
+        let unit = self.square_of_state(model.sizes(), AMPLIFIED_INTERVALS / n as f64);
+        let square = || Matrix::zeros(unit.rows(), unit.rows());
+        let (mut interval, mut scratch) = (square(), square());
+        let mut closed_loop = ClosedLoop::new(self.delays, model.sizes());
+        // The closed loop over half an interval with the gain of each knot.
+        let mut halves = Vec::with_capacity(n + 2);
+        let knots = trajectory.knots().zip(gains.knots()).map(|((x, u), gain)| (x, u, gain));
+        for (knot, (x, u, gain)) in knots.chain(last).enumerate() {
+            model.linearize(x, u, &mut work, &mut linearization);
+            self.check_step(model, &linearization, gain, knot)?;
+            let mut half = square();
+            half.set_power(closed_loop.at(&linearization, gain), periods, &mut scratch);
+            halves.push(half);
+        }
         let mut p = unit.clone();
-        if let Some((x, u, gain)) = last {
-            let m = closed_loop(x, u, gain);
-            p = lyapunov(&power(&m, 2 * periods), &unit)
-                .ok_or_else(|| UnmetCriterion::Unstable { radius: spectral_radius(m) })?;
+        if last.is_some() {
+            let half = &halves[n + 1];
+            interval.set_product(half, half);
+            p = lyapunov(&interval, &unit)
+                .ok_or_else(|| UnmetCriterion::Unstable { radius: spectral_radius(closed_loop.m) })?;
             self.check_amplification(&p, n, model.sizes())?;
         }
-        let mut half =
-            |k: usize| power(&closed_loop(&trajectory.x[k], &trajectory.u[k], gains.knot(k)), periods);
-        let mut after = half(n);
+        let mut next = square();
         for k in (0..n).rev() {
-            let before = half(k);
-            let interval = &after * &before;
-            p = &unit + congruence(&p, &interval);
+            interval.set_product(&halves[k + 1], &halves[k]);
+            next.set_congruence(&p, &interval, &mut scratch);
+            next.add(&unit);
+            std::mem::swap(&mut p, &mut next);
             self.check_amplification(&p, k, model.sizes())?;
-            after = before;
         }
         Ok(())
     }
 
-    /// The torque M~ K dx with which a gain answers a deviation dx of one row by the start tolerance.
+    /// The torque M~ K dx with which a gain answers a deviation dx of one row by the start tolerance; M~ is d tau / du.
     fn check_step(
         &self,
         model: &Model,
-        x: &State,
-        u: &ActuatedVector,
+        linearization: &Linearization,
         gain: Gain<'_>,
         knot: usize,
-        work: &mut Workspace,
     ) -> Result<(), UnmetCriterion> {
-        model.hybrid_dynamics(x, u, work);
-        let reduced_inertia = model.reduced_inertia(work);
-        for row in 0..x.len() {
-            let tau = &reduced_inertia * &gain.column(row) * self.tolerance[row];
-            for joint in 0..tau.len() {
-                let (got, most) = (tau[joint].abs(), MOST_STEP * self.tau_max[joint]);
+        let n_x = model.sizes().state();
+        for joint in 0..model.sizes().actuated() {
+            let reduced_inertia = &linearization.tau(joint)[n_x..];
+            for row in 0..n_x {
+                let column = gain.as_slice()[row..].iter().step_by(n_x);
+                let dtau_dx = reduced_inertia.iter().zip(column).map(|(m, k)| m * k).sum::<f64>();
+                let (got, most) = ((dtau_dx * self.tolerance[row]).abs(), MOST_STEP * self.tau_max[joint]);
                 if !(got <= most) {
                     let (name, unit) =
                         (model.joint_name(joint).to_owned(), LimitKind::Torque.unit(model.joint_kind(joint)));
@@ -153,7 +224,7 @@ impl PlanCriteria {
 
     /// `p`: quadratic form of the sum of the squares of the state, in units of the start tolerance, at `knot` and all later
     /// knots of [`AMPLIFIED_INTERVALS`].
-    fn check_amplification(&self, p: &DMatrix<f64>, knot: usize, sizes: Sizes) -> Result<(), UnmetCriterion> {
+    fn check_amplification(&self, p: &Matrix, knot: usize, sizes: Sizes) -> Result<(), UnmetCriterion> {
         let (n, n_x) = (sizes.joints(), sizes.state());
         // The deviation s of one row by its tolerance, where the filter has settled on it: two numbers are not 0, and s' P s has four
         // terms.
@@ -174,60 +245,44 @@ impl PlanCriteria {
         if got <= most { Ok(()) } else { Err(UnmetCriterion::Amplification { knot, got, most }) }
     }
 
-    /// Quadratic form |x|^2, in units of the start tolerance, of a state of the closed loop.
-    fn square_of_state(&self, sizes: Sizes) -> DMatrix<f64> {
-        let mut unit = DMatrix::zeros(self.delays.dimension(sizes), self.delays.dimension(sizes));
+    /// Quadratic form `factor` |x|^2, in units of the start tolerance, of a state of the closed loop.
+    fn square_of_state(&self, sizes: Sizes, factor: f64) -> Matrix {
+        let mut unit = Matrix::zeros(self.delays.dimension(sizes), self.delays.dimension(sizes));
         for row in 0..sizes.state() {
-            unit[(row, row)] = self.tolerance[row].powi(-2);
+            unit[(row, row)] = factor * self.tolerance[row].powi(-2);
         }
         unit
     }
 }
 
 /// P of the Lyapunov equation P = Q + M' P M, the sum of (M')^i Q M^i over all i, by doubling; `None` if M is not stable.
-fn lyapunov(m: &DMatrix<f64>, q: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+fn lyapunov(m: &Matrix, q: &Matrix) -> Option<Matrix> {
     /// 2^40 intervals of 20 ms are seven hundred years.
     const DOUBLINGS: usize = 40;
     let (mut m, mut p) = (m.clone(), q.clone());
+    let (mut step, mut scratch) = (q.clone(), q.clone());
     for _ in 0..DOUBLINGS {
-        let step = congruence(&p, &m);
-        p += &step;
+        step.set_congruence(&p, &m, &mut scratch);
+        p.add(&step);
         // A maximum would lose a NaN.
-        if !p.iter().all(|v| v.is_finite()) {
+        if !p.as_slice().iter().all(|v| v.is_finite()) {
             return None;
         }
         if step.amax() <= 1e-12 * p.amax() {
             return Some(p);
         }
-        m = &m * &m;
+        scratch.set_product(&m, &m);
+        std::mem::swap(&mut m, &mut scratch);
     }
     None
 }
 
-/// M' P M. With the transpose written out it is two products of the fast kind; `tr_mul` takes one scalar product per entry, three times as
-/// long.
-fn congruence(p: &DMatrix<f64>, m: &DMatrix<f64>) -> DMatrix<f64> {
-    m.transpose() * (p * m)
-}
-
-/// m^n for `n` of 1 or above.
-fn power(m: &DMatrix<f64>, n: u32) -> DMatrix<f64> {
-    let mut result = m.clone();
-    // The bits below the highest one, from the top.
-    for bit in (0..n.ilog2()).rev() {
-        result = &result * &result;
-        if n >> bit & 1 == 1 {
-            result = &result * m;
-        }
-    }
-    result
-}
-
 /// The largest magnitude of an eigenvalue of `m`: the limit of |M^n|^(1/n) for n = 2^k by repeated squaring, each time scaled to
 /// norm 1. Infinite if it is not finite.
-fn spectral_radius(mut m: DMatrix<f64>) -> f64 {
+fn spectral_radius(mut m: Matrix) -> f64 {
     /// 2^40 periods of 125 us are four years.
     const SQUARINGS: i32 = 40;
+    let mut square = m.clone();
     // log |M^n| / n
     let mut rate = 0.0;
     for k in 0..SQUARINGS {
@@ -236,8 +291,9 @@ fn spectral_radius(mut m: DMatrix<f64>) -> f64 {
             return 0.0;
         }
         rate += norm.ln() / f64::from(k).exp2();
-        m /= norm;
-        m = &m * &m;
+        m.divide(norm);
+        square.set_product(&m, &m);
+        std::mem::swap(&mut m, &mut square);
     }
     if rate.is_finite() { rate.exp() } else { f64::INFINITY }
 }
@@ -245,7 +301,7 @@ fn spectral_radius(mut m: DMatrix<f64>) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::DVector;
+    use nalgebra::{DMatrix, DVector};
     use std::collections::VecDeque;
 
     /// Numbers without a pattern, from -1 to 1.
@@ -271,29 +327,19 @@ mod tests {
     }
 
     #[test]
-    fn a_power_is_that_many_products() {
-        let m = matrix(5, 0.9);
-        let mut product = DMatrix::identity(5, 5);
-        for n in 1..40 {
-            product = &product * &m;
-            assert!((power(&m, n) - &product).amax() < 1e-14, "{n}");
-        }
-    }
-
-    #[test]
     fn the_spectral_radius_is_that_of_the_eigenvalues() {
         for size in [2, 7, 34] {
             for radius in [1e-3, 0.5, 0.999_999, 1.000_001, 3.0] {
-                let got = spectral_radius(matrix(size, radius));
+                let got = spectral_radius((&matrix(size, radius)).into());
                 assert!((got / radius - 1.0).abs() < 1e-9, "{size}: {got}, expected {radius}");
             }
         }
         // One that is not normal at all: far from its radius for a long time.
         let jordan = DMatrix::from_row_slice(3, 3, &[0.9996, 1e3, 0.0, 0.0, 0.9996, 1e3, 0.0, 0.0, 0.9996]);
-        assert!((spectral_radius(jordan) - 0.9996).abs() < 1e-9);
-        assert_eq!(spectral_radius(DMatrix::zeros(3, 3)), 0.0);
-        assert_eq!(spectral_radius(DMatrix::from_element(3, 3, f64::NAN)), f64::INFINITY);
-        assert!((spectral_radius(DMatrix::from_element(3, 3, 1e300)) / 3e300 - 1.0).abs() < 1e-9);
+        assert!((spectral_radius((&jordan).into()) - 0.9996).abs() < 1e-9);
+        assert_eq!(spectral_radius(Matrix::zeros(3, 3)), 0.0);
+        assert_eq!(spectral_radius((&DMatrix::from_element(3, 3, f64::NAN)).into()), f64::INFINITY);
+        assert!((spectral_radius((&DMatrix::from_element(3, 3, 1e300)).into()) / 3e300 - 1.0).abs() < 1e-9);
     }
 
     #[test]
@@ -301,13 +347,13 @@ mod tests {
         let q = DMatrix::from_fn(9, 9, |i, j| f64::from(u8::from(i == j)) * (1.0 + i as f64));
         for radius in [0.1, 0.9, 0.9999] {
             let m = matrix(9, radius);
-            let p = lyapunov(&m, &q).expect("stable");
+            let p = DMatrix::from(&lyapunov(&(&m).into(), &(&q).into()).expect("stable"));
             assert!((&q + m.tr_mul(&(&p * &m)) - &p).amax() < 1e-9 * p.amax(), "{radius}");
         }
         for radius in [1.0001, 2.0, 1e6] {
-            assert_eq!(lyapunov(&matrix(9, radius), &q), None, "{radius}");
+            assert_eq!(lyapunov(&(&matrix(9, radius)).into(), &(&q).into()), None, "{radius}");
         }
-        assert_eq!(lyapunov(&DMatrix::from_element(9, 9, f64::NAN), &q), None);
+        assert_eq!(lyapunov(&(&DMatrix::from_element(9, 9, f64::NAN)).into(), &(&q).into()), None);
     }
 
     #[test]
@@ -334,7 +380,10 @@ mod tests {
         let mut gains = Gains::zeros(sizes, 20);
         // Column by column of K': by rows of K.
         gains.end_mut().copy_from_slice(k.transpose().as_slice());
-        let m = delays.closed_loop(&a, &b, gains.end());
+        let mut closed_loop = ClosedLoop::new(*delays, sizes);
+        (closed_loop.a, closed_loop.b) = ((&a).into(), (&b).into());
+        closed_loop.set(gains.end());
+        let m = DMatrix::from(&closed_loop.m);
         let mut s = DVector::zeros(delays.dimension(sizes));
         let mut x = DVector::from_fn(n_x, |i, _| number(i, 7));
         let mut z = x.rows(0, n) * 0.9;

@@ -3,7 +3,7 @@
 use super::{
     DERIVATIVE_TOLERANCE, PlanCriteria, TORQUE_SLACK, UnmetCriterion, VELOCITY_SLACK, finite, same_sizes,
 };
-use crate::margins::SplinePoint;
+use crate::margins::visit_points;
 use crate::{Certificate, INTERVALS, Margins, Spline, Trajectory};
 use upswing_model::thresholds::{PLAN_END_ACCELERATION, PLAN_POSITION_SLACK, REST_SPEED_PLAN_END};
 use upswing_model::{ActuatedVector, JointVector, LimitKind, Model, State, Workspace};
@@ -25,8 +25,6 @@ impl PlanCriteria {
         if !(spline.t_f > 0.0 && spline.t_f <= Trajectory::LONGEST) {
             return Err(UnmetCriterion::Duration { got: spline.t_f });
         }
-        let mut work = Workspace::default();
-        let mut margins = Margins::NONE;
         let n = spline.intervals();
         for k in 0..=n {
             self.check_state(model, &spline.x[k], k as f64)?;
@@ -35,19 +33,17 @@ impl PlanCriteria {
                     .extrema(k)
                     .try_for_each(|(row, share, got)| self.check_row(model, row, got, k as f64 + share))?;
             }
-            let points = if k < n { PARTS } else { 1 };
-            for i in k * PARTS..k * PARTS + points {
-                let sample = SplinePoint::new(spline, i, PARTS, model, &mut work);
-                margins.include(&sample, &self.limits);
-                let knot = i as f64 / PARTS as f64;
-                for (joint, tau) in sample.tau.iter().enumerate() {
-                    self.check_limit(model, LimitKind::Torque, joint, *tau, knot)?;
-                }
-            }
         }
-        check_derivatives(model, spline, &mut work)?;
+        let mut margins = Margins::NONE;
+        visit_points(spline, PARTS, model, |i, time, x, tau| {
+            margins.include(time, x, tau, &self.limits);
+            let knot = i as f64 / PARTS as f64;
+            (0..tau.len())
+                .try_for_each(|joint| self.check_limit(model, LimitKind::Torque, joint, tau[joint], knot))
+        })?;
+        check_derivatives(model, spline)?;
         self.check_defects(model, spline)?;
-        check_end(model, &spline.x[n], &mut work)?;
+        check_end(model, &spline.x[n])?;
         Ok(margins)
     }
 
@@ -127,9 +123,8 @@ fn check_sizes(model: &Model, spline: &Spline<'_>) -> Result<(), UnmetCriterion>
 }
 
 /// f_k of the plan against f(x_k, u_k) (5) of the model.
-fn check_derivatives(model: &Model, spline: &Spline<'_>, work: &mut Workspace) -> Result<(), UnmetCriterion> {
-    for knot in 0..=spline.intervals() {
-        let f = model.f(&spline.x[knot], &spline.u[knot], work);
+fn check_derivatives(model: &Model, spline: &Spline<'_>) -> Result<(), UnmetCriterion> {
+    for (knot, f) in model.f_of_all(spline.x, spline.u).iter().enumerate() {
         for row in 0..f.len() {
             let (got, expected) = (spline.f[knot][row], f[row]);
             if !((got - expected).abs() <= DERIVATIVE_TOLERANCE * (1.0 + expected.abs())) {
@@ -141,9 +136,10 @@ fn check_derivatives(model: &Model, spline: &Spline<'_>, work: &mut Workspace) -
 }
 
 /// Rest at the state `x`, in an equilibrium of the unactuated joints.
-fn check_end(model: &Model, x: &State, work: &mut Workspace) -> Result<(), UnmetCriterion> {
+fn check_end(model: &Model, x: &State) -> Result<(), UnmetCriterion> {
     let at_rest = State::new(&x.q(), &JointVector::zeros(model.sizes()));
-    let acceleration = model.f(&at_rest, &ActuatedVector::zeros(model.sizes()), work).qd_u().amax();
+    let acceleration =
+        model.f(&at_rest, &ActuatedVector::zeros(model.sizes()), &mut Workspace::default()).qd_u().amax();
     let speed = x.qd().amax();
     if speed <= REST_SPEED_PLAN_END && acceleration <= PLAN_END_ACCELERATION {
         Ok(())

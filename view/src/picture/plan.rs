@@ -15,7 +15,7 @@ struct Samples {
 impl Samples {
     fn of(trajectory: &Trajectory, model: &Model) -> Self {
         let mut work = Workspace::default();
-        let f = trajectory.f(model, &mut work);
+        let f = trajectory.f(model);
         let spline = trajectory.spline(&f);
         let t: Vec<f64> = (0..=POINTS).map(|i| trajectory.t_f * i as f64 / POINTS as f64).collect();
         let x: Vec<State> = t.iter().map(|t| spline.state(*t)).collect();
