@@ -1,10 +1,11 @@
 //! Equal settings, seeds and conditions give equal results: on one thread and on two, and when a single start is
-//! repeated. Only times differ.
+//! repeated, and on CPUs with and without FMA. Only times differ.
 
 mod common;
 
 use common::json;
 use serde_json::Value;
+use std::process::Command;
 
 /// The document of `upswing montecarlo ARGS --json`, without its times.
 fn montecarlo(args: &[&str]) -> Value {
@@ -52,4 +53,21 @@ fn closed_loops() {
         let again = montecarlo(&["closed-loop", "--seed", "3", "--condition", condition, "--only", "2"]);
         assert_eq!(again["conditions"][0]["results"][0], results[2], "{condition}");
     }
+}
+
+#[test]
+fn runs_on_cpus_with_and_without_fma() {
+    // Optimisation, gains, the control law and the noise of encoders. The C library chooses its functions by these tunables.
+    const RUN: [&str; 7] =
+        ["montecarlo", "closed-loop", "--samples", "2", "--condition", "coarse-encoders", "--json"];
+    let results = |tunables: &str| {
+        let mut run = Command::new(env!("CARGO_BIN_EXE_upswing"));
+        let output = run.args(RUN).env("GLIBC_TUNABLES", tunables).output().expect("upswing runs");
+        let mut answer = serde_json::from_slice(&output.stdout).expect("JSON");
+        forget_times(&mut answer);
+        answer
+    };
+    let with_fma = results("");
+    assert_eq!(with_fma, results("glibc.cpu.hwcaps=-FMA,-FMA4,-AVX2"));
+    assert_eq!(with_fma["conditions"][0]["results"].as_array().map(Vec::len), Some(2), "{with_fma}");
 }

@@ -162,7 +162,7 @@ impl NewSystem {
 /// A speed (rad/s or m/s), rounded up to two digits in the unit of files.
 fn speed_in_file(kind: JointKind, speed: f64) -> f64 {
     let shown = kind.shown(speed).0;
-    let digit = 10_f64.powf(shown.log10().floor() - 1.0);
+    let digit = libm::pow(10.0, libm::log10(shown).floor() - 1.0);
     kind.position((shown / digit).ceil() * digit)
 }
 

@@ -39,10 +39,10 @@ struct Shares {
 
 impl Shares {
     fn new(settings: &DisturbanceSettings, time_constant: f64, elapsed: f64) -> Self {
-        let share = |rate: f64| -(-elapsed * rate).exp_m1();
+        let share = |rate: f64| -libm::expm1(-elapsed * rate);
         Self {
             elapsed,
-            lag: -(-elapsed / time_constant).exp_m1(),
+            lag: -libm::expm1(-elapsed / time_constant),
             heavy: share(settings.bandwidth),
             light: share(settings.light_bandwidth),
         }
@@ -117,7 +117,7 @@ impl DisturbanceEstimate {
             return;
         }
         self.weighed += elapsed;
-        let share = (elapsed / self.weighed).max(-(-elapsed * self.settings.bandwidth).exp_m1());
+        let share = (elapsed / self.weighed).max(-libm::expm1(-elapsed * self.settings.bandwidth));
         let estimate = self.estimate + (d - self.estimate) * share;
         *self = Self { weighed: self.weighed, ..Self::new(&self.settings, self.most, self.time_constant) };
         (self.estimate, self.unlimited, self.lagging_estimate) = (estimate, estimate, estimate);

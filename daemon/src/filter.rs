@@ -16,7 +16,7 @@ struct Lag {
 
 impl Lag {
     fn new(period: f64, time_constant: f64) -> Self {
-        let of_one = -(-period / time_constant).exp_m1();
+        let of_one = -libm::expm1(-period / time_constant);
         Self { period, time_constant, of_one }
     }
 
@@ -24,7 +24,7 @@ impl Lag {
         if cycles == 1 {
             self.of_one
         } else {
-            -(-(cycles as f64) * self.period / self.time_constant).exp_m1()
+            -libm::expm1(-(cycles as f64) * self.period / self.time_constant)
         }
     }
 }

@@ -18,7 +18,7 @@ impl JointFriction {
     pub fn torque(&self, qd: &ActuatedVector) -> ActuatedVector {
         ActuatedVector::from_fn(qd.sizes(), |i| {
             // Most robots leave it at 0, and a tanh is slow.
-            let coulomb = if self.coulomb[i] == 0.0 { 0.0 } else { (qd[i] / self.smoothing).tanh() };
+            let coulomb = if self.coulomb[i] == 0.0 { 0.0 } else { libm::tanh(qd[i] / self.smoothing) };
             self.viscous[i] * qd[i] + self.coulomb[i] * coulomb
         })
     }

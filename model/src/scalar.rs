@@ -36,7 +36,7 @@ impl Scalar for f64 {
 
     #[inline(always)]
     fn sin_cos(self) -> (Self, Self) {
-        f64::sin_cos(self)
+        libm::sincos(self)
     }
 }
 
@@ -114,7 +114,7 @@ impl<const L: usize> Scalar for Lanes<L> {
     fn sin_cos(self) -> (Self, Self) {
         let (mut sin, mut cos) = ([0.0; L], [0.0; L]);
         for i in 0..L {
-            (sin[i], cos[i]) = self.0[i].sin_cos();
+            (sin[i], cos[i]) = libm::sincos(self.0[i]);
         }
         (Self(sin), Self(cos))
     }

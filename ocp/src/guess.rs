@@ -35,14 +35,14 @@ struct Curve(f64, f64, f64);
 impl Curve {
     /// From 0 to 1, beginning and ending at rest.
     fn way(s: f64) -> Self {
-        let (sin, cos) = (PI * s).sin_cos();
+        let (sin, cos) = libm::sincos(PI * s);
         Self(0.5 * (1.0 - cos), 0.5 * PI * sin, 0.5 * PI * PI * cos)
     }
 
     /// This curve times `half_swings` half periods of a cosine that end with 1.
     fn swinging(self, half_swings: f64, s: f64) -> Self {
         let w = PI * half_swings;
-        let (sin, cos) = (w * (1.0 - s)).sin_cos();
+        let (sin, cos) = libm::sincos(w * (1.0 - s));
         let Self(c, dc, ddc) = self;
         Self(c * cos, dc * cos + c * w * sin, ddc * cos + 2.0 * dc * w * sin - c * w * w * cos)
     }
@@ -50,7 +50,7 @@ impl Curve {
     /// A sine of `half_waves` half periods.
     fn wave(half_waves: f64, s: f64) -> Self {
         let w = PI * half_waves;
-        let (sin, cos) = (w * s).sin_cos();
+        let (sin, cos) = libm::sincos(w * s);
         Self(sin, w * cos, -w * w * sin)
     }
 }

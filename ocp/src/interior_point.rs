@@ -409,7 +409,7 @@ impl<'a> NlpSolver<'a> {
         while !(infeasibility.max(self.complementarity(self.mu)) > KAPPA_EPSILON * self.mu
             || self.mu <= smallest)
         {
-            self.mu = (KAPPA_MU * self.mu).min(self.mu.powf(THETA_MU)).max(smallest);
+            self.mu = (KAPPA_MU * self.mu).min(libm::pow(self.mu, THETA_MU)).max(smallest);
             filter.clear();
         }
     }

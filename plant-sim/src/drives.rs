@@ -61,7 +61,7 @@ impl Drives {
         Self {
             tau_max: *tau_max,
             offset: settings.torque_offset,
-            lag_share: if lag > 0.0 { -(-period.seconds() / lag).exp_m1() } else { 1.0 },
+            lag_share: if lag > 0.0 { -libm::expm1(-period.seconds() / lag) } else { 1.0 },
             watchdog_cycles: settings.watchdog_cycles,
             engage_cycles: period.nearest_cycles(settings.brake_engage),
             delay: settings.command_delay.into(),

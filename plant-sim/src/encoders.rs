@@ -37,6 +37,6 @@ impl Encoders {
         const UNIT: f64 = f64::EPSILON / 2.0;
         let mut uniform = || ((self.random.next_u64() >> 11) + 1) as f64 * UNIT;
         // Uniform numbers in (0, 1], so that the logarithm is finite.
-        (-2.0 * uniform().ln()).sqrt() * (TAU * uniform()).cos()
+        (-2.0 * libm::log(uniform())).sqrt() * libm::cos(TAU * uniform())
     }
 }

@@ -180,7 +180,7 @@ impl Friction {
             if self.coulomb[i] == 0.0 {
                 return viscous;
             }
-            viscous + self.coulomb[i] * (qd[i] / self.smoothing).tanh()
+            viscous + self.coulomb[i] * libm::tanh(qd[i] / self.smoothing)
         })
     }
 }

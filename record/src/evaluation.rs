@@ -102,7 +102,7 @@ const LIMITED_SHARE: f64 = 0.01;
 /// Angle of the rod from upright at joint positions q, rad: between the line from the last joint to the tip and the vertical.
 pub fn tilt(model: &Model, q: &JointVector) -> f64 {
     let rod = model.rod(q);
-    (rod.z / rod.norm()).clamp(-1.0, 1.0).acos()
+    libm::acos((rod.z / rod.norm()).clamp(-1.0, 1.0))
 }
 
 /// Excess of a joint position over its limit, with the name of the joint and the record.

@@ -241,7 +241,7 @@ impl<'a> Soak<'a> {
         self.expect(Mode::Balance)?;
 
         self.phase = "balance";
-        let impulse = [IMPULSE * angle.cos(), IMPULSE * angle.sin(), 0.0];
+        let impulse = [IMPULSE * libm::cos(angle), IMPULSE * libm::sin(angle), 0.0];
         let push = PlantRequest { cycles: PUSH_CYCLES, impulse, ..PlantRequest::new(PlantKind::Push) };
         self.session.plant(&push)?;
         self.pass(BALANCE.1)?;

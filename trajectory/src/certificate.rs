@@ -101,7 +101,7 @@ pub fn open_loop_end(trajectory: &Trajectory, model: &Model, work: &mut Workspac
             } else if h <= SHORTEST {
                 return State::repeat(x.sizes(), f64::NAN);
             }
-            let growth = 0.9 * (TOLERANCE / worst.max(1e-300)).powf(0.2);
+            let growth = 0.9 * libm::pow(TOLERANCE / worst.max(1e-300), 0.2);
             step = (h * growth.clamp(0.2, 5.0)).max(SHORTEST);
         }
     }

@@ -66,7 +66,7 @@ impl BoundedVector {
             }
             product *= low * high;
         }
-        -mu * (sum + product.ln())
+        -mu * (sum + libm::log(product))
     }
 
     /// Steps of the multipliers that belong to the step `dv`.

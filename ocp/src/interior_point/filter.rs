@@ -42,7 +42,7 @@ impl Filter {
         }
         // Rounding of the barrier function near convergence.
         let slack = 10.0 * f64::EPSILON * phi.abs();
-        let descent = slope < 0.0 && alpha * (-slope).powf(S_PHI) > theta.powf(S_THETA);
+        let descent = slope < 0.0 && alpha * libm::pow(-slope, S_PHI) > libm::pow(theta, S_THETA);
         let armijo = phi_p <= phi + ETA_PHI * alpha * slope + slack;
         let good = if theta <= self.theta_min && descent {
             armijo

@@ -159,7 +159,7 @@ impl Variation {
             Self::PendulumMass => plant.model.unactuated_mass_scale *= scale,
             Self::PendulumLength => plant.model.unactuated_length_scale *= scale,
             Self::EncoderBits => {
-                plant.encoder.resolution.unactuated_mut().fill(std::f64::consts::TAU * (-value).exp2());
+                plant.encoder.resolution.unactuated_mut().fill(std::f64::consts::TAU * libm::exp2(-value));
             }
             Self::TorqueDelay => plant.drive.command_delay = value as u32,
             Self::VelocityFilter => config.daemon.cycle.velocity_filter = 1e-3 * value,
@@ -185,7 +185,7 @@ impl Variation {
         let mut disturbances = Disturbances::default();
         match self {
             Self::Push => {
-                let (sin, cos) = (std::f64::consts::TAU * share()).sin_cos();
+                let (sin, cos) = libm::sincos(std::f64::consts::TAU * share());
                 disturbances.pushes.push(Push {
                     from: cycle(t_f + BEFORE),
                     cycles: cycle(PUSH).max(1),

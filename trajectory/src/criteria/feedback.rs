@@ -107,7 +107,7 @@ impl ClosedLoop {
         for i in 0..n_x {
             self.m.row_mut(i)[..n_x].copy_from_slice(self.phi.row(i));
         }
-        let forgotten = self.delays.velocity_filter.map_or(1.0, |t_1| -(-ts / t_1).exp_m1());
+        let forgotten = self.delays.velocity_filter.map_or(1.0, |t_1| -libm::expm1(-ts / t_1));
         for i in 0..n {
             self.m[(n_x + i, n_x + i)] = 1.0 - forgotten;
             self.m[(n_x + i, i)] = forgotten;
@@ -290,12 +290,12 @@ fn spectral_radius(mut m: Matrix) -> f64 {
         if norm == 0.0 {
             return 0.0;
         }
-        rate += norm.ln() / f64::from(k).exp2();
+        rate += libm::log(norm) / libm::exp2(f64::from(k));
         m.divide(norm);
         square.set_product(&m, &m);
         std::mem::swap(&mut m, &mut square);
     }
-    if rate.is_finite() { rate.exp() } else { f64::INFINITY }
+    if rate.is_finite() { libm::exp(rate) } else { f64::INFINITY }
 }
 
 #[cfg(test)]
@@ -311,7 +311,7 @@ mod tests {
 
     fn matrix(size: usize, radius: f64) -> DMatrix<f64> {
         let m = DMatrix::from_fn(size, size, number);
-        let largest = m.complex_eigenvalues().iter().map(|e| e.norm()).fold(0.0, f64::max);
+        let largest = m.complex_eigenvalues().iter().map(|e| e.re.hypot(e.im)).fold(0.0, f64::max);
         m * (radius / largest)
     }
 
