@@ -1,7 +1,7 @@
 //! The certificate of a database entry: figures of its trajectory that can be computed again from the trajectory alone.
 
-use crate::{Margins, Trajectory, largest};
-use upswing_model::{Limits, Model, State, Workspace};
+use crate::{Gains, Margins, Trajectory, largest};
+use upswing_model::{ActuatedVector, Limits, Model, State, Workspace};
 
 /// Cost, accuracy and margins of one trajectory, which [`Certificate::of`] computes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -75,11 +75,31 @@ impl Certificate {
     }
 }
 
-/// The state at t_F, rad and rad/s, that the dynamics (5) reach from x_0 without feedback under u(t) of the spline (12).
+/// The state at t_F, rad and rad/s, that the dynamics (5) reach from x_0 without feedback under u(t) of the spline (12). NaN if the
+/// integration fails.
+pub fn open_loop_end(trajectory: &Trajectory, model: &Model, work: &mut Workspace) -> State {
+    end_under(trajectory, model, work, |_, u, _| u)
+}
+
+/// Largest distance, rad or rad/s, from x_N to the state at t_F that the dynamics (5) reach from x_0 under u = u_d + K (x - x_d) (22), with
+/// u_d and x_d of the spline (12): without delay, filter and limits. Infinite if the integration fails.
+pub fn end_error(trajectory: &Trajectory, gains: &Gains, model: &Model, work: &mut Workspace) -> f64 {
+    let end = end_under(trajectory, model, work, |(k, dt), u, dx| {
+        u + gains.between(k, (dt / trajectory.h()).clamp(0.0, 1.0)).times(&dx)
+    });
+    largest(&(end - trajectory.end()))
+}
+
+/// The state at t_F for an input that depends on the place on the spline (interval, s after its knot), u_d and x - x_d.
 ///
 /// By the method of Dormand and Prince (J. Comput. Appl. Math. 6, 1980) of order 5 with error control of order 4, restarted
 /// at each knot, where u(t) has a kink. All components are NaN if the local error cannot be kept small.
-pub fn open_loop_end(trajectory: &Trajectory, model: &Model, work: &mut Workspace) -> State {
+fn end_under(
+    trajectory: &Trajectory,
+    model: &Model,
+    work: &mut Workspace,
+    input: impl Fn((usize, f64), ActuatedVector, State) -> ActuatedVector,
+) -> State {
     /// Largest local error of a step, rad or rad/s.
     const TOLERANCE: f64 = 1e-11;
     /// Shortest step, s.
@@ -93,7 +113,11 @@ pub fn open_loop_end(trajectory: &Trajectory, model: &Model, work: &mut Workspac
         while t < end {
             let h = step.min(end - t);
             let last = h >= end - t;
-            let (next, error) = dormand_prince(&x, t, h, |t, x| model.f(x, &spline.input(t), work));
+            let (next, error) = dormand_prince(&x, t, h, |t, x| {
+                let (k, dt) = spline.locate(t);
+                let u = input((k, dt), spline.input_in(k, dt), x - spline.state_in(k, dt));
+                model.f(x, &u, work)
+            });
             let worst = largest(&error);
             if worst <= TOLERANCE {
                 x = next;

@@ -9,7 +9,7 @@ mod margins;
 mod plan;
 mod trajectory;
 
-pub use certificate::{Certificate, open_loop_end};
+pub use certificate::{Certificate, end_error, open_loop_end};
 pub use criteria::{LoopDelays, PlanCriteria, UnmetCriterion};
 pub use database::{
     Database, DatabaseContents, DatabaseError, DatabaseHeading, DatabaseSource, Entry, Index, KeyTree,
