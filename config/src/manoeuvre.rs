@@ -141,6 +141,9 @@ impl Manoeuvre {
     }
 }
 
+/// Tolerance of the largest rest angle, rad or m: poses of a grid hang at exactly this angle, but for the rounding of their rest position.
+const ROUNDING: f64 = 1e-9;
+
 impl Manoeuvre {
     /// The state at rest in the posture of the start with the actuated joints at `q_a` (rad or m); `None` if the rules of the grid leave
     /// this pose out: the unactuated joints are not in equilibrium, or not within `limits` or the largest rest angle. In a manoeuvre that
@@ -149,7 +152,7 @@ impl Manoeuvre {
         let start = match self.start {
             Posture::Hanging => {
                 let start = model.standstill(limits, q_a, None).ok();
-                start.filter(|x| x.q_u().amax() <= self.grid.max_rest_angle)?
+                start.filter(|x| x.q_u().amax() <= self.grid.max_rest_angle + ROUNDING)?
             }
             Posture::Standing => self.state_as_in_target(model, limits, q_a)?,
         };

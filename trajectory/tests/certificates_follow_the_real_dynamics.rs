@@ -2,7 +2,7 @@
 //! with the trapezoidal rule and finds the end that another one finds. What no integrator can follow has none.
 
 use upswing_model::{ActuatedVector, JointVector, Model, State, Workspace};
-use upswing_trajectory::{Certificate, Trajectory, open_loop_end};
+use upswing_trajectory::{Certificate, Gains, Trajectory, end_error, open_loop_end};
 
 const N: usize = 100;
 
@@ -48,6 +48,29 @@ fn two_integrators_find_the_same_end() {
     let trajectory = motion(&model);
     let end = open_loop_end(&trajectory, &model, &mut Workspace::default());
     assert!((end - trajectory.x[N]).amax() < 1e-9, "they differ by {:e}", (end - trajectory.x[N]).amax());
+}
+
+#[test]
+fn gains_bring_a_disturbed_motion_back() {
+    let (model, mut work) = (robot(), Workspace::default());
+    let mut trajectory = motion(&model);
+    // A push that the states do not know of.
+    trajectory.u[50][0] += 1.0;
+    let mut gains = Gains::zeros(model.sizes(), N);
+    let lost = (open_loop_end(&trajectory, &model, &mut work) - trajectory.end()).amax();
+    // Half of 1 rad/s^2 over two intervals of 10 ms.
+    assert!(lost > 4e-3, "{lost:e}");
+    assert_eq!(end_error(&trajectory, &gains, &model, &mut work), lost);
+    let state = model.sizes().state();
+    for gain in gains.as_mut_slice().chunks_exact_mut(model.sizes().actuated() * state) {
+        // Joint 1 with two poles at -20 1/s.
+        (gain[0], gain[model.sizes().joints()]) = (-400.0, -40.0);
+    }
+    // (1 + 20 t) exp(-20 t) after half a second, with the swing that the pendulum keeps.
+    let kept = end_error(&trajectory, &gains, &model, &mut work);
+    assert!(kept < 0.2 * lost, "{kept:e} of {lost:e}");
+    trajectory.u[50][0] = f64::NAN;
+    assert!(end_error(&trajectory, &gains, &model, &mut work).is_infinite());
 }
 
 #[test]
