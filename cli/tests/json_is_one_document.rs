@@ -58,7 +58,7 @@ fn the_model() {
 fn settings_and_database() {
     assert_eq!(json(&["config", "check", "--json"], "")["success"], true);
     let info = json(&["db", "info", "--json"], "");
-    assert_eq!((&info["entries"], &info["fits_settings"]), (&426.into(), &true.into()));
+    assert_eq!((&info["entries"], &info["fits_settings"]), (&428.into(), &true.into()));
 }
 
 #[test]
