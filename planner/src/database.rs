@@ -22,33 +22,9 @@ use upswing_model::thresholds::SAME_START;
 use upswing_model::{ActuatedVector, Posture, State};
 use upswing_ocp::kkt::TargetRow;
 use upswing_process::output::OutputError;
+use upswing_process::shard::{JournalError, MissingShards, Shard};
 use upswing_trajectory::{Certificate, Database, DatabaseError, DatabaseHeading, Trajectory};
 use xxhash_rust::xxh3::Xxh3;
-
-/// A share of the lines of a grid: the lines whose number, counted from 0, is `number - 1` modulo `of`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Shard {
-    /// Number of the shard, from 1.
-    pub number: u64,
-    /// Number of shards.
-    pub of: u64,
-}
-
-impl Shard {
-    /// The whole grid.
-    pub const WHOLE: Self = Self { number: 1, of: 1 };
-}
-
-impl std::str::FromStr for Shard {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let wrong = || format!("expected i/n with 1 <= i <= n, got `{text}`");
-        let (number, of) = text.split_once('/').ok_or_else(wrong)?;
-        let (number, of) = (number.parse().map_err(|_| wrong())?, of.parse().map_err(|_| wrong())?);
-        if number >= 1 && number <= of { Ok(Self { number, of }) } else { Err(wrong()) }
-    }
-}
 
 /// Error of a build, merge or verification of a database.
 #[derive(Debug, thiserror::Error)]
@@ -87,13 +63,8 @@ pub enum BuildError {
         got: u64,
     },
     /// Shards are missing.
-    #[error("shards missing: {} of {of}", .missing.iter().map(u64::to_string).collect::<Vec<_>>().join(", "))]
-    Missing {
-        /// Numbers of the missing shards, from 1.
-        missing: Vec<u64>,
-        /// Number of shards of the build.
-        of: u64,
-    },
+    #[error(transparent)]
+    Missing(#[from] MissingShards),
     /// All shards are present, but not all poses: a shard is not finished.
     #[error(
         "expected {poses} poses in the shards together, got {got}; finish the shards with `upswing db build`"
@@ -114,9 +85,9 @@ pub enum BuildError {
         /// Path of the other file.
         second: PathBuf,
     },
-    /// Another process is building the same file.
-    #[error("{} is being written by another build; wait for it or choose another output", .0.display())]
-    Busy(PathBuf),
+    /// The journal cannot be opened, or another process is building the same file.
+    #[error(transparent)]
+    Journal(#[from] JournalError),
     /// A merge without input files.
     #[error("no shards given")]
     Nothing,

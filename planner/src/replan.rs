@@ -14,7 +14,7 @@ mod summary;
 pub use outcome::{FailedAttempt, Method, NoPlan, PlanningFailure, Replan, ReplanStatistics, SecondOpinion};
 pub use summary::{MarginShares, PlanSummary};
 
-use crate::database::{DatabaseFile, Shard, heading};
+use crate::database::{DatabaseFile, heading};
 use crate::offline::{
     self, lqr_recursion, lqr_weights, problem, problem_fingerprint, qp_weights, torque_constraint,
 };
@@ -30,6 +30,7 @@ use upswing_ocp::multistart::{self, Search};
 use upswing_ocp::problem::Problem;
 use upswing_ocp::qp::{Backend, Qp, QpOptions, QpSolution, QpSolver, QpStatus};
 use upswing_ocp::slab::Slab;
+use upswing_process::shard::Shard;
 use upswing_trajectory::{
     Database, DatabaseContents, DatabaseError, DatabaseSource, Entry, Gains, Margins, Neighbour, PoseOutcome,
     PoseRecord, Trajectory, UnmetCriterion,
@@ -250,6 +251,11 @@ impl Planner {
     /// Number of the database entries from which plans of a manoeuvre are adapted.
     pub fn entries(&self, manoeuvre: usize) -> usize {
         self.databases[self.source(manoeuvre)].durations().len()
+    }
+
+    /// Fingerprint of the database of a manoeuvre; 0 without one.
+    pub fn fingerprint(&self, manoeuvre: usize) -> u64 {
+        self.databases[self.source(manoeuvre)].database.as_ref().map_or(0, |database| database.fingerprint())
     }
 
     /// Reads a database entry from which plans of a manoeuvre are adapted.

@@ -7,12 +7,12 @@ use std::time::Instant;
 use upswing_config::{Config, GridAxis, System};
 use upswing_ocp::multistart::Search;
 use upswing_planner::database::{
-    self, BuildError, BuildSummary, DatabaseFile, Discrepancy, RecordFlaw, Shard, certify, improve_line,
-    verify,
+    self, BuildError, BuildSummary, DatabaseFile, Discrepancy, RecordFlaw, certify, improve_line, verify,
 };
 use upswing_planner::offline::{optimize, options, problem_fingerprint, target};
 use upswing_planner::replan::{Planner, PlannerError};
 use upswing_process::output::{OutputError, Overwrite};
+use upswing_process::shard::{JournalError, MissingShards, Shard};
 use upswing_trajectory::{
     Database, DatabaseContents, DatabaseError, DatabaseSource, Entry, PoseOutcome, PoseRecord, Trajectory,
 };
@@ -101,7 +101,10 @@ fn in_one_piece_in_shards_and_on_one_core() {
     let summary = merge(&[shards[0].clone(), with_unsolved], &merged).expect("it merges");
     assert_eq!(summary.failed, [unsolved.records[0].pose]);
     let missing = merge(&shards[1..], &merged).expect_err("shard 1 is missing");
-    assert!(matches!(missing, BuildError::Missing { ref missing, of: 2 } if *missing == [1]), "{missing}");
+    assert!(
+        matches!(missing, BuildError::Missing(MissingShards { ref missing, of: 2 }) if *missing == [1]),
+        "{missing}"
+    );
     let mut unfinished = read(&shards[0]).expect("it reads");
     unfinished.records.pop();
     std::fs::write(&shards[0], unfinished.encode()).expect("written");
@@ -220,7 +223,7 @@ fn a_second_build_of_the_same_file_is_refused() {
     let journal = std::fs::File::create(dir.path().join("database.bin.journal")).expect("created");
     journal.lock().expect("locked");
     let refusal = build(&small_grid(), Shard::WHOLE, &path, &go(), |_| ()).expect_err("refused");
-    assert!(matches!(refusal, BuildError::Busy(_)), "{refusal}");
+    assert!(matches!(refusal, BuildError::Journal(JournalError::Busy(_))), "{refusal}");
 }
 
 #[test]

@@ -1,9 +1,10 @@
 //! Common functions of all programs: command-line options, logging, the shutdown flag, exit codes, notifications to the service
-//! manager, and output files.
+//! manager, output files and shards.
 
 pub mod notify;
 pub mod number;
 pub mod output;
+pub mod shard;
 
 use clap::builder::{OsStringValueParser, TypedValueParser as _};
 use std::fmt::Display;

@@ -82,6 +82,11 @@ impl OutputFile {
         Overwrite::default().output(path)
     }
 
+    /// Whether an existing file may be replaced.
+    pub fn may_replace(&self) -> bool {
+        self.force
+    }
+
     /// Path of the file.
     pub fn path(&self) -> &Path {
         &self.path

@@ -1,6 +1,6 @@
 //! Evaluation of the first manoeuvre of the settings, such as a swing-up, from its telemetry: motion statistics and success.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use upswing_config::Config;
 use upswing_ipc::operator::planning_text;
@@ -9,7 +9,7 @@ use upswing_model::thresholds::{REPORT_POSITION_SLACK, REST_SHARE_REPORT, REST_S
 use upswing_model::{JointVector, Limits, Model, Posture, UnactuatedVector};
 
 /// Figures of a motion: `T` is a number, or a statistic of the numbers of many motions.
-#[derive(Clone, Copy, Debug, Default, Serialize)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub struct MotionFigures<T = f64> {
     /// Largest difference between a position of an actuated joint and its reference while tracking, rad or m.
     pub tracking_error_arm: T,

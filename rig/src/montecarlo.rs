@@ -4,15 +4,19 @@ pub mod closed_loop;
 pub mod condition;
 pub mod replan;
 pub mod robustness;
+mod runs;
 mod statistics;
 pub mod variation;
 
+pub use runs::{RunsError, StudyIdentity, StudyRuns};
 pub use statistics::{Spread, wilson};
 
 use crate::closed_loop::{Aborted, Disturbances, swing_up};
 use rand_pcg::Pcg64;
 use rand_pcg::rand_core::{Rng, SeedableRng};
 use rayon::prelude::*;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 use std::sync::atomic::{AtomicBool, Ordering};
 use upswing_config::{Config, PendulumStart};
 use upswing_ipc::Telemetry;
@@ -106,6 +110,8 @@ pub struct Study<'a> {
     pub starts: RandomStarts<'a>,
     /// Numbers of the starts to run.
     pub indices: Vec<u64>,
+    /// Runs in files, of a shard or of all shards; `None`: the study runs all jobs and keeps no file.
+    pub runs: Option<&'a StudyRuns>,
     /// Number of threads.
     pub threads: usize,
     /// Set to true to end the study: runs in progress are completed, the others are skipped.
@@ -120,34 +126,63 @@ pub enum StudyError {
     /// The ranges of the grid contain no suitable start.
     #[error(transparent)]
     NoStart(#[from] NoStart),
+    /// The files of a shard, or of all shards, cannot be used.
+    #[error(transparent)]
+    Runs(#[from] RunsError),
     /// The threads could not be started.
     #[error("cannot start threads: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),
 }
 
 impl Study<'_> {
-    /// Executes `work` for each of `jobs` on all threads, each with its own `scratch`; results in the order of the jobs, without skipped
-    /// ones.
+    /// Executes `work` for each of the `jobs` of a `part` of the study on all threads, each with its own `scratch`; results in the order of
+    /// the jobs, without skipped ones. Jobs of other shards are skipped, the results of those in files are taken from there.
     ///
     /// # Errors
     /// [`StudyError`]
-    pub fn each<S, T: Send>(
+    pub fn each<S, T: Send + Serialize + DeserializeOwned>(
         &self,
+        part: usize,
         jobs: &[u64],
         scratch: impl Fn() -> S + Sync + Send,
         work: impl Fn(&mut S, u64) -> Result<T, NoStart> + Sync + Send,
     ) -> Result<Vec<T>, StudyError> {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(self.threads).build()?;
-        let results: Vec<Option<Result<T, NoStart>>> = pool.install(|| {
+        let results: Vec<Result<Option<T>, StudyError>> = pool.install(|| {
             jobs.par_iter()
                 .map_init(&scratch, |scratch, job| {
-                    let result = (!self.stop.load(Ordering::Acquire)).then(|| work(scratch, *job));
+                    let result = self.result_of(part, *job, || work(scratch, *job));
                     (self.progress)();
                     result
                 })
                 .collect()
         });
-        Ok(results.into_iter().flatten().collect::<Result<_, _>>()?)
+        results.into_iter().filter_map(Result::transpose).collect()
+    }
+
+    /// The result of a job, from a file or from `work`; `None` if it is skipped.
+    fn result_of<T: Serialize + DeserializeOwned>(
+        &self,
+        part: usize,
+        job: u64,
+        work: impl FnOnce() -> Result<T, NoStart>,
+    ) -> Result<Option<T>, StudyError> {
+        if self.runs.is_some_and(|runs| runs.skips(job)) {
+            return Ok(None);
+        }
+        if let Some(runs) = self.runs
+            && let Some(known) = runs.result(part, job)?
+        {
+            return Ok(Some(known));
+        }
+        if self.stop.load(Ordering::Acquire) || self.runs.is_some_and(StudyRuns::failed) {
+            return Ok(None);
+        }
+        let result = work()?;
+        if let Some(runs) = self.runs {
+            runs.append(part, job, &result);
+        }
+        Ok(Some(result))
     }
 }
 

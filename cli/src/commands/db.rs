@@ -8,10 +8,11 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 use upswing_config::Config;
 use upswing_planner::database::{
-    self, BuildError, BuildSummary, DatabaseFile, DatabaseOverview, JointCoverage, Shard,
+    self, BuildError, BuildSummary, DatabaseFile, DatabaseOverview, JointCoverage,
 };
 use upswing_process::number::whole;
 use upswing_process::output::{Destination, OutputError, OutputFile, Overwrite};
+use upswing_process::shard::Shard;
 use upswing_process::{Failure, shutdown_flag};
 use upswing_trajectory::{Certificate, Database};
 

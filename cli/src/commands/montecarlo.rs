@@ -6,16 +6,21 @@ mod robustness;
 
 use super::{CommonArgs, progress_bar, writable};
 use clap::ValueEnum;
+use serde::Serialize;
+use std::fmt::Debug;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use upswing_config::Config;
 use upswing_ipc::Telemetry;
-use upswing_planner::database::{self, DatabaseFile, Shard};
+use upswing_planner::database::{self, DatabaseFile};
 use upswing_planner::replan::Planner;
 use upswing_process::Failure;
 use upswing_process::number::whole;
-use upswing_process::output::OutputFile;
-use upswing_rig::montecarlo::{NoStart, RandomStarts, Spread, Study, StudyError};
+use upswing_process::output::{Destination, OutputFile, Overwrite};
+use upswing_process::shard::Shard;
+use upswing_rig::montecarlo::{
+    NoStart, RandomStarts, RunsError, Spread, Study, StudyError, StudyIdentity, StudyRuns,
+};
 use upswing_view::picture;
 
 pub use closed_loop::ClosedLoopArgs;
@@ -81,6 +86,15 @@ pub struct SamplingArgs {
     /// Number of threads, 1 to 1024 [default: one per core]
     #[arg(long, value_name = "N", value_parser = whole(1_u16, 1024))]
     pub threads: Option<u16>,
+    /// Run only shard i of n; needs --output
+    #[arg(long, value_name = "i/n", requires = "output")]
+    pub shard: Option<Shard>,
+    /// Append each run to this file, for --merge; repeated, the command goes on from where it was interrupted
+    #[arg(long, value_name = "FILE", conflicts_with = "only")]
+    pub output: Option<Destination>,
+    /// Take the runs from the files of all shards, made with the same options, instead of running them
+    #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = ["output", "only"])]
+    pub merge: Vec<PathBuf>,
 }
 
 /// Most starts: a month on two cores.
@@ -111,7 +125,36 @@ pub fn run(args: &MonteCarloArgs) -> Result<(), Failure> {
 fn study_failure(e: StudyError) -> Failure {
     match e {
         StudyError::NoStart(_) => Failure::bad_input(e),
+        StudyError::Runs(e) => runs_failure(e),
         StudyError::Threads(_) => Failure::failed(e),
+    }
+}
+
+/// Converts the error of a file of runs: files that do not belong together are [`Failure::BadInput`].
+fn runs_failure(e: RunsError) -> Failure {
+    match e {
+        RunsError::Journal(_) | RunsError::File { action: "write", .. } => Failure::failed(e),
+        e => Failure::bad_input(e),
+    }
+}
+
+/// Result of one shard.
+#[derive(Serialize)]
+struct ShardResult {
+    success: bool,
+    file: PathBuf,
+    shard: u64,
+    shards: u64,
+    runs: usize,
+    resumed: usize,
+    left: usize,
+}
+
+impl std::fmt::Display for ShardResult {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { file, shard, shards, runs, resumed, .. } = self;
+        write!(f, "{}: shard {shard} of {shards}, {runs} runs", file.display())?;
+        if *resumed > 0 { write!(f, "; {resumed} were there already") } else { Ok(()) }
     }
 }
 
@@ -173,19 +216,80 @@ impl SamplingArgs {
         }
     }
 
-    /// Runs `work` on the study of these options, with a progress bar over its `runs`.
+    /// The shard of --shard.
+    fn share(&self) -> Shard {
+        self.shard.unwrap_or(Shard::WHOLE)
+    }
+
+    /// Opens the files of --output or --merge, for the `study` whose results `options` determine besides these options, the settings and the
+    /// database.
+    fn runs(
+        &self,
+        study: &'static str,
+        planner: &Planner,
+        options: &dyn Debug,
+        overwrite: Overwrite,
+    ) -> Result<Option<StudyRuns>, Failure> {
+        let config = planner.config();
+        let settings = (&config.robot, &config.planner, &config.daemon, &config.plant, &config.manoeuvres);
+        let models = [&config.model, &config.plant_model].map(|model| model.fingerprint());
+        let all = (self.samples, self.seed, models, planner.fingerprint(0), settings, options);
+        let identity = StudyIdentity::new(study, &all);
+        let runs = match &self.output {
+            Some(output) => StudyRuns::of_shard(&identity, self.share(), &overwrite.output(output)),
+            None if self.merge.is_empty() => return Ok(None),
+            None => StudyRuns::merged(&identity, &self.merge),
+        };
+        runs.map(Some).map_err(runs_failure)
+    }
+
+    /// Completes the file of a shard that has `done` runs of its share of the `jobs`, and prints its result. `None` without --output.
+    fn conclude_shard(
+        &self,
+        runs: Option<StudyRuns>,
+        jobs: impl Iterator<Item = u64>,
+        done: usize,
+    ) -> Option<Result<(), Failure>> {
+        let (shard, output) = (self.share(), self.output.as_deref()?);
+        let share = jobs.filter(|job| shard.contains(*job)).count();
+        let conclude = || {
+            let resumed = runs.as_ref().map_or(0, StudyRuns::known);
+            runs.map_or(Ok(()), StudyRuns::finish).map_err(runs_failure)?;
+            let left = share.saturating_sub(done);
+            self.common.print(&ShardResult {
+                success: left == 0,
+                file: output.to_owned(),
+                shard: shard.number,
+                shards: shard.of,
+                runs: done,
+                resumed,
+                left,
+            })?;
+            match left {
+                0 => Ok(()),
+                n => Err(Failure::failed(format!(
+                    "interrupted with {n} runs left; the same command goes on from here"
+                ))),
+            }
+        };
+        Some(conclude())
+    }
+
+    /// Runs `work` on the study of these options, with a progress bar over its `jobs`.
     fn study<T>(
         &self,
         planner: &Planner,
-        runs: usize,
+        runs: Option<&StudyRuns>,
+        jobs: usize,
         stop: &AtomicBool,
         work: impl FnOnce(&Study<'_>) -> Result<T, Failure>,
     ) -> Result<T, Failure> {
-        let bar = progress_bar(runs as u64, "runs");
+        let bar = progress_bar(jobs as u64, "runs");
         let study = Study {
             planner,
             starts: RandomStarts { config: planner.config(), seed: self.seed },
             indices: self.indices(),
+            runs,
             threads: self.threads(),
             stop,
             progress: &|| bar.inc(1),

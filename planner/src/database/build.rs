@@ -8,12 +8,12 @@
 //! Every finished line is appended to a journal beside the output; a build that finds a journal continues after its last line.
 
 use super::assemble::{RecordFile, RecordPlace, summary, write};
-use super::{BuildError, BuildSummary, DatabaseFile, Shard, Task, certify, heading, poses, same_origin};
+use super::{BuildError, BuildSummary, DatabaseFile, Task, certify, heading, poses, same_origin};
 use crate::offline::{optimize, options, problem};
 use crate::replan::key;
 use rayon::prelude::*;
 use std::collections::HashSet;
-use std::fs::{File, OpenOptions, TryLockError};
+use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -24,6 +24,7 @@ use upswing_ocp::interior_point::{self, NlpOptions, NlpStatus};
 use upswing_ocp::multistart::{SAME, Search};
 use upswing_ocp::problem::Problem;
 use upswing_process::output::OutputFile;
+use upswing_process::shard::{Shard, open_journal};
 use upswing_trajectory::{
     DatabaseError, DatabaseHeading, DatabaseSource, Entry, PoseOutcome, PoseRecord, RecordScan, Trajectory,
 };
@@ -34,7 +35,7 @@ type GridLine = Vec<usize>;
 fn lines(manoeuvre: &Manoeuvre, shard: Shard) -> Vec<GridLine> {
     let length = manoeuvre.grid.axes.last().map_or(1, |axis| axis.points);
     (0..poses(manoeuvre) / length)
-        .filter(|line| *line as u64 % shard.of == shard.number - 1)
+        .filter(|line| shard.contains(*line as u64))
         .map(|line| (line * length..(line + 1) * length).collect())
         .collect()
 }
@@ -263,18 +264,7 @@ impl Journal {
     /// Opens the journal for appending, locks it, and reads its complete records.
     fn open(path: &Path, heading: &DatabaseHeading) -> Result<Self, BuildError> {
         let failed = |action| move |cause| BuildError::File { action, path: path.to_owned(), cause };
-        let open = || {
-            upswing_config::check_regular(path).map_err(failed("write"))?;
-            let options = OpenOptions::new().create(true).read(true).append(true).open(path);
-            let file = options.map_err(failed("write"))?;
-            // The lock is held until the build ends; the kernel releases it if the process dies.
-            match file.try_lock() {
-                Ok(()) => Ok(file),
-                Err(TryLockError::WouldBlock) => Err(BuildError::Busy(path.to_owned())),
-                Err(TryLockError::Error(cause)) => Err(failed("lock")(cause)),
-            }
-        };
-        let mut out = open()?;
+        let mut out = open_journal(path)?;
         let source = DatabaseSource::File(out.try_clone().map_err(failed("read"))?);
         let file = RecordFile { source, origin: path.display().to_string() };
         let beginning = heading.journal();

@@ -5,6 +5,7 @@ use super::{BuildError, BuildSummary, DatabaseFile, same_origin};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 use upswing_process::output::{OutputError, OutputFile};
+use upswing_process::shard::Shard;
 use upswing_trajectory::{Database, DatabaseHeading, DatabaseSource, RecordScan};
 
 /// Merges the shards of one build into `output` and returns the numbers of poses. The order of the files does not matter; the
@@ -52,10 +53,7 @@ pub fn merge(inputs: &[PathBuf], output: &OutputFile) -> Result<BuildSummary, Bu
         }
     }
     records.dedup_by_key(|record| record.pose);
-    let missing: Vec<u64> = (1..=heading.shards).filter(|i| !present.contains(i)).collect();
-    if !missing.is_empty() {
-        return Err(BuildError::Missing { missing, of: heading.shards });
-    }
+    Shard::check_all(&present, heading.shards)?;
     let (poses, got) = (heading.poses, records.len() as u64);
     if got != poses {
         return Err(BuildError::Incomplete { poses, got });

@@ -1,11 +1,11 @@
 //! Figures of a plan for reports and studies.
 
 use super::Replan;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use upswing_trajectory::Margins;
 
 /// Summary of a replan, without its t_F.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct PlanSummary {
     /// Index of the nearest database entry, from which the plan was adapted; none without a database.
     pub nearest_entry: Option<usize>,
@@ -36,7 +36,7 @@ impl From<&Replan> for PlanSummary {
 }
 
 /// Smallest margins to the limits as shares of half the range; negative: violated.
-#[derive(Clone, Copy, Debug, Serialize)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct MarginShares {
     /// Smallest margin of the positions.
     pub margin_q: f64,

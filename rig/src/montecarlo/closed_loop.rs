@@ -3,15 +3,15 @@
 use super::condition::PlantCondition;
 use super::{ENDED_BADLY, NoStart, Scratch, Spread, Study, StudyError, shown_pose};
 use crate::closed_loop::{Aborted, Disturbances};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::time::Instant;
 use upswing_ipc::Telemetry;
 use upswing_model::State;
 use upswing_record::evaluation::{MotionFigures, SwingUpEvaluation};
 
-/// Result of the swing-up from one start. All fields but the time are functions of settings, condition, seed and index only.
-#[derive(Clone, Debug, Serialize)]
+/// Result of the swing-up from one start. It is a function of settings, condition, seed and index only.
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct RunResult {
     /// Number of the start.
     pub index: u64,
@@ -23,13 +23,10 @@ pub struct RunResult {
     pub failure: Option<String>,
     /// Details of the failure, one per criterion that was not met.
     pub reasons: Vec<String>,
-    /// Computation time of the run, s.
-    #[serde(skip)]
-    pub time_s: f64,
 }
 
 /// Figures of one swing-up, a part of [`SwingUpEvaluation`].
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct RunFigures {
     /// Duration of the plan t_F, s.
     pub t_f: f64,
@@ -73,6 +70,8 @@ pub struct RunTimes {
 pub struct ConditionStudy<'a> {
     /// Planner, starts and threads.
     pub study: &'a Study<'a>,
+    /// Number of the condition in the study.
+    pub part: usize,
     /// The condition of the plant.
     pub condition: &'a PlantCondition,
     /// Duration of the balance, s.
@@ -87,30 +86,32 @@ impl ConditionStudy<'_> {
     pub fn run(&self) -> Result<ConditionResult, StudyError> {
         let Self { study, condition, .. } = self;
         let begin = Instant::now();
-        let results = study.each(
+        // Each result with the computation time of its run, s.
+        let results: Vec<(RunResult, f64)> = study.each(
+            self.part,
             &study.indices,
             || Scratch::new(study.planner),
             |scratch, index| self.sample(scratch, index),
         )?;
-        let completed = || results.iter().filter_map(|s| Some(&s.end.as_ref()?.motion));
+        let completed = || results.iter().filter_map(|(s, _)| Some(&s.end.as_ref()?.motion));
         Ok(ConditionResult {
             condition: condition.name.clone(),
             purpose: condition.purpose.clone(),
             samples: results.len(),
-            failures: results.iter().filter_map(|s| s.failure.clone()).fold(
+            failures: results.iter().filter_map(|(s, _)| s.failure.clone()).fold(
                 BTreeMap::new(),
                 |mut n, kind| {
                     *n.entry(kind).or_default() += 1;
                     n
                 },
             ),
-            succeeded: results.iter().filter(|s| s.failure.is_none()).count(),
+            succeeded: results.iter().filter(|(s, _)| s.failure.is_none()).count(),
             motion: MotionFigures::statistic(|figure| Spread::of(completed().map(figure))),
             times: RunTimes {
-                run: Spread::of(results.iter().map(|s| s.time_s)),
+                run: Spread::of(results.iter().map(|(_, time)| *time)),
                 total: begin.elapsed().as_secs_f64(),
             },
-            results,
+            results: results.into_iter().map(|(result, _)| result).collect(),
         })
     }
 
@@ -125,7 +126,7 @@ impl ConditionStudy<'_> {
         Ok(scratch.records)
     }
 
-    fn sample(&self, scratch: &mut Scratch, index: u64) -> Result<RunResult, NoStart> {
+    fn sample(&self, scratch: &mut Scratch, index: u64) -> Result<(RunResult, f64), NoStart> {
         let begin = Instant::now();
         let start = self.study.starts.start(index)?;
         let (end, failure, reasons) = match self.swing_up(scratch, index, &start) {
@@ -136,15 +137,15 @@ impl ConditionStudy<'_> {
             }
             Err(e) => (None, Some(e.kind()), vec![e.to_string()]),
         };
-        let time_s = begin.elapsed().as_secs_f64();
-        Ok(RunResult {
+        let time = begin.elapsed().as_secs_f64();
+        let result = RunResult {
             index,
             start: shown_pose(&self.study.starts.config.model, &start),
             end,
             failure,
             reasons,
-            time_s,
-        })
+        };
+        Ok((result, time))
     }
 
     fn swing_up(

@@ -2,7 +2,7 @@
 
 use super::{NoStart, Spread, Study, StudyError, shown_pose};
 use crate::course::first_manoeuvre;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::time::Instant;
 use upswing_ipc::PlanMessage;
 use upswing_model::State;
@@ -13,8 +13,8 @@ use upswingd::plan::accept;
 /// Largest defect of the nonlinear dynamics that counts as closed, rad or rad/s per interval.
 pub const CLOSED_DEFECT: f64 = 1e-6;
 
-/// Result for one start. All fields but the times depend on settings, seed and index only.
-#[derive(Clone, Debug, Serialize)]
+/// Result for one start. It depends on settings, seed and index only.
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct StartResult {
     /// Number of the start.
     pub index: u64,
@@ -24,12 +24,10 @@ pub struct StartResult {
     pub plan: Option<PlanFigures>,
     /// Reason for the failure; `None`: success.
     pub failure: Option<String>,
-    #[serde(skip)]
-    times: StartTimes,
 }
 
 /// Figures of a plan.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct PlanFigures {
     /// Duration t_F, s.
     pub t_f: f64,
@@ -39,7 +37,7 @@ pub struct PlanFigures {
 }
 
 /// Computing times for one start, s; QPs and gains of a start without a plan: 0.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 struct StartTimes {
     qp: f64,
     lqr: f64,
@@ -98,21 +96,22 @@ pub struct ReplanTimes {
 /// [`StudyError`] if there is no start, or threads cannot be started.
 pub fn run(study: &Study<'_>) -> Result<PlanStudyResult, StudyError> {
     let begin = Instant::now();
-    let work = |solver: &mut QpSolver, index: u64| -> Result<StartResult, NoStart> {
+    let work = |solver: &mut QpSolver, index: u64| -> Result<_, NoStart> {
         Ok(sample(study.planner, solver, index, &study.starts.start(index)?))
     };
-    let results = study.each(&study.indices, || study.planner.solver(), work)?;
-    let plans = || results.iter().filter_map(|s| s.plan.as_ref());
+    let results: Vec<(StartResult, StartTimes)> =
+        study.each(0, &study.indices, || study.planner.solver(), work)?;
+    let plans = || results.iter().filter_map(|(s, _)| s.plan.as_ref());
     let spread = |value: fn(&PlanFigures) -> f64| Spread::of(plans().map(value));
-    let time = |value: fn(&StartTimes) -> f64| Spread::of(results.iter().map(|s| value(&s.times)));
+    let time = |value: fn(&StartTimes) -> f64| Spread::of(results.iter().map(|(_, times)| value(times)));
     // Times of the parts are unknown for starts without a plan.
     let part = |value: fn(&StartTimes) -> f64| {
-        Spread::of(results.iter().filter(|s| s.plan.is_some()).map(|s| value(&s.times)))
+        Spread::of(results.iter().filter(|(s, _)| s.plan.is_some()).map(|(_, times)| value(times)))
     };
     let most = plans().map(|p| p.plan.attempts).max().unwrap_or(0);
     Ok(PlanStudyResult {
         samples: results.len(),
-        succeeded: results.iter().filter(|s| s.failure.is_none()).count(),
+        succeeded: results.iter().filter(|(s, _)| s.failure.is_none()).count(),
         feasible: plans().count(),
         defect_closed: plans().filter(|p| p.plan.defect <= CLOSED_DEFECT).count(),
         attempts: (1..=most).map(|n| plans().filter(|p| p.plan.attempts == n).count()).collect(),
@@ -129,11 +128,11 @@ pub fn run(study: &Study<'_>) -> Result<PlanStudyResult, StudyError> {
             lqr: part(|t| t.lqr),
             total: begin.elapsed().as_secs_f64(),
         },
-        results,
+        results: results.into_iter().map(|(result, _)| result).collect(),
     })
 }
 
-fn sample(planner: &Planner, solver: &mut QpSolver, index: u64, start: &State) -> StartResult {
+fn sample(planner: &Planner, solver: &mut QpSolver, index: u64, start: &State) -> (StartResult, StartTimes) {
     let config = planner.config();
     let effort = Effort::iterations(config.planner.replan.iterations);
     let begin = Instant::now();
@@ -150,5 +149,5 @@ fn sample(planner: &Planner, solver: &mut QpSolver, index: u64, start: &State) -
         }
         Err(e) => (None, Some(e.to_string()), StartTimes { total, ..StartTimes::default() }),
     };
-    StartResult { index, start: shown_pose(&config.model, start), plan, failure, times }
+    (StartResult { index, start: shown_pose(&config.model, start), plan, failure }, times)
 }

@@ -3,7 +3,7 @@
 use super::variation::{MissedCycleCounts, ValueError, Variation};
 use super::{ENDED_BADLY, NoStart, Scratch, Study, StudyError, shown_pose, wilson};
 use crate::closed_loop::Aborted;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use upswing_config::{Config, VelocityEstimate};
 use upswing_ipc::Telemetry;
@@ -11,6 +11,7 @@ use upswing_model::State;
 use upswing_record::evaluation::SwingUpEvaluation;
 
 /// One point to compute of a robustness curve: variation, value and settings.
+#[derive(Debug)]
 pub struct RobustnessCase {
     /// The varied quantity.
     pub over: Variation,
@@ -42,7 +43,7 @@ impl RobustnessCase {
 }
 
 /// A start whose swing-up failed.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct FailedStart {
     /// Number of the start.
     pub index: u64,
@@ -105,6 +106,7 @@ impl RobustnessStudy<'_> {
         // In the order of the starts, so that all cases advance together and the estimate of the remaining time is fair.
         let place = |job: u64| (job as usize % cases.len(), job as usize / cases.len());
         let results = study.each(
+            0,
             &jobs,
             || Scratch::new(study.planner),
             |scratch, job| {

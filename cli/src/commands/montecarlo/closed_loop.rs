@@ -88,19 +88,26 @@ pub fn run(args: &ClosedLoopArgs) -> Result<(), Failure> {
         let got = conditions.len();
         return Err(Failure::BadInput(format!("--picture: expected one --condition, got {got}")));
     }
+    let runs = args.sampling.runs("closed-loop", &planner, &(&conditions, args.seconds), args.overwrite)?;
+    let parts = conditions.len();
     let expected = args.sampling.indices().len() * conditions.len();
-    let study_of = |condition: PlantCondition| -> Result<ConditionResult, Failure> {
-        args.sampling.study(&planner, args.sampling.indices().len(), &stop, |study| {
-            let study = ConditionStudy { study, condition: &condition, seconds: args.seconds };
+    let study_of = |(part, condition): (usize, PlantCondition)| -> Result<ConditionResult, Failure> {
+        args.sampling.study(&planner, runs.as_ref(), args.sampling.indices().len(), &stop, |study| {
+            let study = ConditionStudy { study, part, condition: &condition, seconds: args.seconds };
             if let (Some(output), Some(index)) = (&picture, args.sampling.only) {
                 draw_run(output, config, study.records(index))?;
             }
             study.run().map_err(study_failure)
         })
     };
-    let answers: Vec<ConditionResult> = conditions.into_iter().map(study_of).collect::<Result<_, _>>()?;
+    let answers: Vec<ConditionResult> =
+        conditions.into_iter().enumerate().map(study_of).collect::<Result<_, _>>()?;
     let samples = answers.iter().map(|c| c.samples).sum();
     let succeeded = answers.iter().map(|c| c.succeeded).sum();
+    let jobs = (0..parts).flat_map(|_| args.sampling.indices());
+    if let Some(result) = args.sampling.conclude_shard(runs, jobs, samples) {
+        return result;
+    }
     let complete = samples == expected;
     args.sampling.common.print(&ClosedLoopResult {
         success: complete && succeeded == samples,

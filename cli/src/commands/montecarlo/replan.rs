@@ -18,7 +18,7 @@ pub struct ReplanArgs {
     #[arg(long, value_parser = whole(1_u32, 100))]
     pub iterations: Option<u32>,
     /// Draw the smallest margins over the ranges of the starts (SVG)
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", conflicts_with = "output")]
     pub svg: Option<Destination>,
     /// Overwriting of existing files.
     #[command(flatten)]
@@ -81,9 +81,14 @@ pub fn run(args: &ReplanArgs) -> Result<(), Failure> {
     let stop = shutdown_flag()?;
     let planner = args.sampling.planner(args.iterations, &stop)?;
     let starts = args.sampling.indices().len();
-    let statistics =
-        args.sampling.study(&planner, starts, &stop, |study| replan::run(study).map_err(study_failure))?;
+    let runs = args.sampling.runs("replan", &planner, &(), args.overwrite)?;
+    let statistics = args
+        .sampling
+        .study(&planner, runs.as_ref(), starts, &stop, |study| replan::run(study).map_err(study_failure))?;
     let (samples, succeeded) = (statistics.samples, statistics.succeeded);
+    if let Some(result) = args.sampling.conclude_shard(runs, args.sampling.indices().into_iter(), samples) {
+        return result;
+    }
     let complete = samples == starts;
     if let Some(output) = &svg {
         let margins =

@@ -37,7 +37,7 @@ pub struct RobustnessArgs {
     #[arg(long, value_name = "S", default_value_t = 4.0, value_parser = within(2.0, 600.0))]
     pub seconds: f64,
     /// Draw the curves (SVG)
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", conflicts_with = "output")]
     pub svg: Option<Destination>,
     /// Draw the swing-up of --only, up to its failure (SVG); needs one --over, --values and --velocity
     #[arg(long, value_name = "FILE", requires = "only")]
@@ -107,7 +107,9 @@ pub fn run(args: &RobustnessArgs) -> Result<(), Failure> {
     let planner = args.sampling.planner(None, &stop)?;
     let cases = cases(args, planner.config())?;
     let jobs = cases.len() * args.sampling.indices().len();
-    let curves = args.sampling.study(&planner, jobs, &stop, |study| {
+    let runs =
+        args.sampling.runs("robustness", &planner, &(&cases, &misses, args.seconds), args.overwrite)?;
+    let curves = args.sampling.study(&planner, runs.as_ref(), jobs, &stop, |study| {
         let study = RobustnessStudy { study, misses: &misses, seconds: args.seconds };
         if let (Some(output), Some(index)) = (&picture, args.sampling.only) {
             let [case] = &cases[..] else {
@@ -119,7 +121,11 @@ pub fn run(args: &RobustnessArgs) -> Result<(), Failure> {
         }
         study.run(&cases).map_err(study_failure)
     })?;
-    let complete = curves.iter().flat_map(|c| &c.points).map(|p| p.samples).sum::<usize>() == jobs;
+    let samples = curves.iter().flat_map(|c| &c.points).map(|p| p.samples).sum::<usize>();
+    if let Some(result) = args.sampling.conclude_shard(runs, 0..jobs as u64, samples) {
+        return result;
+    }
+    let complete = samples == jobs;
     if let Some(output) = &svg {
         curves::draw(output, &panels(&curves)).map_err(Failure::failed)?;
     }
