@@ -82,7 +82,11 @@ fn extension(path: &str, arg: &Arg) -> &'static str {
 /// The words of a command with `file` as the value of `arg`, and what else it needs.
 fn line(path: &str, command: &Command, arg: &Arg, file: &Path, domain: &str) -> Vec<String> {
     let mut words: Vec<String> = path.split(' ').map(str::to_owned).collect();
+    let conflicts = command.get_arg_conflicts_with(arg);
     for other in command.get_arguments() {
+        if conflicts.iter().any(|conflict| conflict.get_id() == other.get_id()) {
+            continue;
+        }
         let value = file.display().to_string();
         let needed = NEEDED.iter().find(|(of, id, _)| *of == path && other.get_id() == id);
         if other.get_id() == arg.get_id() {

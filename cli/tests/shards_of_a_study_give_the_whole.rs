@@ -85,7 +85,7 @@ fn of_closed_loops() {
 
 #[test]
 fn of_robustness_curves() {
-    let over = ["--over", "torque-delay", "--values", "0,1000", "--seconds", "2"];
+    let over = ["--over", "torque-delay", "--values", "0,63", "--seconds", "2"];
     check(&[&["montecarlo", "robustness", "--samples", "2"], &over[..]].concat(), 4);
 }
 

@@ -356,20 +356,31 @@ fn every_shipped_database_holds() {
             let Some(file) = DatabaseFile::of(&config, number).expect("readable") else { continue };
             let found = verify(&config, number, &file.load().expect("it loads"), || ()).expect("whole");
             let name = &manoeuvre.name;
-            assert!(found.is_empty(), "{name} of {}, pose {}: {}", system.name(), found[0].pose, found[0].flaw);
+            assert!(
+                found.is_empty(),
+                "{name} of {}, pose {}: {}",
+                system.name(),
+                found[0].pose,
+                found[0].flaw
+            );
         }
     }
 }
 
 #[test]
 fn entries_that_feedback_does_not_hold_are_found() {
-    let mut config = Config::load(&"cart-triple".parse().expect("shipped")).expect("settings");
-    let database = DatabaseFile::of(&config, 0).expect("readable").expect("shipped").load().expect("it loads");
-    // Nearly no feedback: three rods fall within a tenth of a second.
-    config.planner.lqr.r = 1e12;
+    let mut config = Config::load(&"cart-double".parse().expect("shipped")).expect("settings");
+    // So few knots that the trapezoidal rule says little about the motion of the rods; limits between them are not the question here.
+    config.planner.offline.intervals = 20;
+    config.planner.replan.knot_margin = 1e3;
+    config.manoeuvres[0].grid.axes = vec![GridAxis { joint: 0, from: 0.0, to: 0.0, points: 1 }];
+    let dir = tempfile::tempdir().expect("a folder");
+    let path = dir.path().join("coarse.bin");
+    build(&config, Shard::WHOLE, &path, &go(), |_| ()).expect("it builds");
+    let database = stored(&read(&path).expect("it reads"));
     let found = verify(&config, 0, &database, || ()).expect("whole");
     let flaws: Vec<_> = found.iter().map(|d| d.flaw).collect();
-    assert!(matches!(flaws[..], [RecordFlaw::EndError { .. }, ..] | [RecordFlaw::Gains(_), ..]), "{flaws:?}");
+    assert!(matches!(flaws[..], [RecordFlaw::EndError { .. }]), "{flaws:?}");
 }
 
 #[test]

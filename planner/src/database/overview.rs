@@ -22,7 +22,7 @@ pub struct DatabaseOverview {
     /// Distribution of the start positions of each actuated joint that has more than one.
     pub joints: Vec<JointCoverage>,
     /// Number of entries for each pair of start positions of the last two of `joints`, one row per position of the first of them;
-    /// empty if there are fewer than two.
+    /// empty if there are fewer than two, or more pairs than a grid has.
     pub map: Vec<Vec<usize>>,
 }
 
@@ -89,9 +89,9 @@ impl DatabaseOverview {
 }
 
 /// Start position of the actuated joint of index `coordinate`, deg or m, rounded: grid positions stay distinct, equal positions with
-/// different rounding errors become equal.
+/// different rounding errors become equal, and 0 has no sign.
 fn start(entry: &EntryFigures, coordinate: usize, kind: JointKind) -> f64 {
-    (kind.shown(entry.start[coordinate]).0 * 1e3).round() / 1e3
+    (kind.shown(entry.start[coordinate]).0 * 1e3).round() / 1e3 + 0.0
 }
 
 fn joints(heading: &DatabaseHeading, entries: &[EntryFigures], model: &Model) -> Vec<JointCoverage> {
@@ -101,11 +101,10 @@ fn joints(heading: &DatabaseHeading, entries: &[EntryFigures], model: &Model) ->
     };
     let coverage = |(coordinate, joint): (usize, &String)| {
         let kind = kind(joint);
-        let mut positions: Vec<f64> = entries.iter().map(|e| start(e, coordinate, kind)).collect();
-        positions.sort_by(f64::total_cmp);
-        positions.dedup();
-        let count = |a: &f64| entries.iter().filter(|e| start(e, coordinate, kind) == *a).count();
-        let entries = positions.iter().map(count).collect();
+        let mut starts: Vec<f64> = entries.iter().map(|e| start(e, coordinate, kind)).collect();
+        starts.sort_by(f64::total_cmp);
+        let (positions, entries) =
+            starts.chunk_by(|a, b| a == b).map(|equal| (equal[0], equal.len())).unzip();
         JointCoverage { joint: joint.clone(), coordinate, kind, unit: kind.shown(0.0).1, entries, positions }
     };
     let actuated = heading.joints.iter().enumerate().take(heading.sizes.actuated());
@@ -113,10 +112,20 @@ fn joints(heading: &DatabaseHeading, entries: &[EntryFigures], model: &Model) ->
 }
 
 fn map(entries: &[EntryFigures], rows: &JointCoverage, columns: &JointCoverage) -> Vec<Vec<usize>> {
-    let count = |r: f64, c: f64| {
-        let at = |e: &EntryFigures, joint: &JointCoverage| start(e, joint.coordinate, joint.kind);
-        let here = |e: &&EntryFigures| at(e, rows) == r && at(e, columns) == c;
-        entries.iter().filter(here).count()
-    };
-    rows.positions.iter().map(|r| columns.positions.iter().map(|c| count(*r, *c)).collect()).collect()
+    /// The positions of a grid have fewer pairs; random ones have as many as the square of the number of entries.
+    const MOST_PAIRS: usize = 1 << 20;
+    if rows.positions.len().saturating_mul(columns.positions.len()) > MOST_PAIRS {
+        return Vec::new();
+    }
+    let mut map = vec![vec![0; columns.positions.len()]; rows.positions.len()];
+    for entry in entries {
+        let place = |joint: &JointCoverage| {
+            let position = start(entry, joint.coordinate, joint.kind);
+            joint.positions.binary_search_by(|p| p.total_cmp(&position))
+        };
+        if let (Ok(row), Ok(column)) = (place(rows), place(columns)) {
+            map[row][column] += 1;
+        }
+    }
+    map
 }
