@@ -30,7 +30,7 @@ HPIPM = {
 HPIPM_SETTINGS = {"mu0": 1e-2, "tol_stat": 1e-6, "tol_eq": TOLERANCE, "tol_ineq": TOLERANCE}
 """The fastest of the barriers 1 to 1e-3; none of its other settings makes it faster. SPEED_ABS ends by the mean product alone."""
 HPIPM_COMPLEMENTARITY = {
-    ("first", hpipm.SPEED_ABS): 1e-11,
+    ("first", hpipm.SPEED_ABS): 1e-12,
     ("first", hpipm.BALANCE): 1e-10,
     ("second", hpipm.SPEED_ABS): 3e-13,
     ("second", hpipm.BALANCE): 1e-10,
