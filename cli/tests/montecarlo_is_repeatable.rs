@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::json;
+use common::{forget_times, json};
 use serde_json::Value;
 use std::process::Command;
 
@@ -13,17 +13,6 @@ fn montecarlo(args: &[&str]) -> Value {
     assert_eq!(code == Some(0), answer["success"] == true, "{args:?}");
     forget_times(&mut answer);
     answer
-}
-
-fn forget_times(value: &mut Value) {
-    match value {
-        Value::Object(map) => {
-            map.remove("times");
-            map.values_mut().for_each(forget_times);
-        }
-        Value::Array(items) => items.iter_mut().for_each(forget_times),
-        _ => {}
-    }
 }
 
 #[test]

@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{json, upswing};
+use common::{forget_times, json, upswing};
 use serde_json::Value;
 use std::path::Path;
 
@@ -15,17 +15,6 @@ fn document(args: &[&str]) -> Value {
     assert_eq!(code == Some(0), answer["success"] == true, "{args:?}: {answer}");
     forget_times(&mut answer);
     answer
-}
-
-fn forget_times(value: &mut Value) {
-    match value {
-        Value::Object(map) => {
-            map.remove("times");
-            map.values_mut().for_each(forget_times);
-        }
-        Value::Array(items) => items.iter_mut().for_each(forget_times),
-        _ => {}
-    }
 }
 
 /// Paths of the shards in a folder.

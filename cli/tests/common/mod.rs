@@ -19,6 +19,18 @@ pub fn json(args: &[&str]) -> (Option<i32>, serde_json::Value) {
     (output.status.code(), document.unwrap_or_else(|e| panic!("{args:?}: {e}: {output:?}")))
 }
 
+/// Removes the computing times of a document, which differ from run to run.
+pub fn forget_times(value: &mut serde_json::Value) {
+    match value {
+        serde_json::Value::Object(map) => {
+            map.remove("times");
+            map.values_mut().for_each(forget_times);
+        }
+        serde_json::Value::Array(items) => items.iter_mut().for_each(forget_times),
+        _ => {}
+    }
+}
+
 /// As [`json`], of a command that must succeed.
 pub fn success(args: &[&str]) -> serde_json::Value {
     let (code, document) = json(args);

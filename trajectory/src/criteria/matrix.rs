@@ -130,7 +130,6 @@ impl From<&Matrix> for nalgebra::DMatrix<f64> {
 }
 
 /// out = a b for `rows` rows of `out`; the entry (i, l) of a, l < `inner`, is a[i `a_row` + l `a_column`]. `out` and `b` have rows of `stride`.
-#[allow(clippy::too_many_arguments)]
 fn product(
     out: &mut [f64],
     rows: usize,
@@ -152,7 +151,6 @@ fn product(
 /// [`product`] with registers of 256 bits, and the same bits: nothing is contracted to fused operations.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-#[allow(clippy::too_many_arguments)]
 fn product_avx2(
     out: &mut [f64],
     rows: usize,
@@ -168,7 +166,6 @@ fn product_avx2(
 
 /// Tiles of four rows and at most `WIDE` columns stay in registers.
 #[inline(always)]
-#[allow(clippy::too_many_arguments)]
 fn product_here<const WIDE: usize>(
     out: &mut [f64],
     rows: usize,
@@ -212,7 +209,6 @@ fn product_here<const WIDE: usize>(
 /// # Safety
 /// Rows below i + R and columns below j + W exist in `out`, the rows in `a`, the columns in `b`, for all l < `inner`.
 #[inline(always)]
-#[allow(clippy::too_many_arguments)]
 unsafe fn tile<const R: usize, const W: usize>(
     out: &mut [f64],
     stride: usize,

@@ -7,7 +7,7 @@
 
 use std::ops::Range;
 
-/// Number of keys in a leaf: few enough that a search skips most keys, enough that the boxes take a fifth of the memory of the keys.
+/// Number of keys in a leaf: few enough that a search skips most keys, enough that the boxes take a quarter of the memory of the keys.
 const LEAF: usize = 16;
 
 /// Keys in the order of the tree, with the boxes of its nodes.
