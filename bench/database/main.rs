@@ -4,16 +4,17 @@
 //!   files and searches do not differ from those of solutions.
 //! - `measure FILE`: time to load it, memory, time to find the nearest three entries, time to read one.
 //! - `grid`: the same search among 10^6 poses of a regular grid, without a file.
+//! - `compressed`: size and error of the shipped entries in shorter forms, which no file has.
 
 use std::io::{BufWriter, Write};
 use std::path::Path;
 use std::time::{Duration, Instant};
 use upswing_config::Config;
 use upswing_model::{JointVector, State};
-use upswing_planner::database::DatabaseFile;
+use upswing_planner::database::{DatabaseFile, certify};
 use upswing_planner::replan::Planner;
 use upswing_rig::montecarlo::Spread;
-use upswing_trajectory::{Entry, Index, KeyTree, PoseOutcome, PoseRecord};
+use upswing_trajectory::{Database, Entry, Index, KeyTree, PoseOutcome, PoseRecord, Trajectory};
 
 /// Number of queries of which the median counts.
 const QUERIES: usize = 1000;
@@ -27,8 +28,11 @@ fn main() {
         ["generate", file, entries] => generate(Path::new(file), entries.parse().expect("a number")),
         ["measure", file] => measure(Path::new(file)),
         ["grid"] => grid(),
+        ["compressed"] => compressed(),
         other => {
-            eprintln!("error: expected `generate FILE ENTRIES`, `measure FILE` or `grid`, got {other:?}");
+            eprintln!(
+                "error: expected `generate FILE ENTRIES`, `measure FILE`, `grid` or `compressed`, got {other:?}"
+            );
             std::process::exit(2);
         }
     }
@@ -58,10 +62,14 @@ fn config() -> Config {
     Config::embedded().unwrap_or_else(|e| panic!("{e}"))
 }
 
+fn shipped(config: &Config) -> Database {
+    let shipped = DatabaseFile::of(config, 0).unwrap_or_else(|e| panic!("{e}")).expect("a database");
+    shipped.load().unwrap_or_else(|e| panic!("{e}"))
+}
+
 fn generate(path: &Path, entries: u64) {
     let config = config();
-    let shipped = DatabaseFile::of(&config, 0).unwrap_or_else(|e| panic!("{e}")).expect("a database");
-    let shipped = shipped.load().unwrap_or_else(|e| panic!("{e}"));
+    let shipped = shipped(&config);
     let examples: Vec<Entry> = (0..shipped.entries().min(64))
         .map(|entry| shipped.entry(entry).unwrap_or_else(|e| panic!("{e}")))
         .collect();
@@ -142,4 +150,89 @@ fn grid() {
         assert_eq!(nearest.len(), 3);
     }
     println!("{count:>8} poses of a regular grid over {width} joints: nearest three {}", shown(searches));
+}
+
+/// Name, bytes of a number and of what is stored once per coordinate, and the values of a coordinate at all knots as they are read again.
+type Form = (&'static str, usize, usize, fn(&[f64]) -> Vec<f64>);
+
+const FORMS: [Form; 4] = [
+    ("float32", 4, 0, |values| values.iter().map(|v| f64::from(*v as f32)).collect()),
+    ("float32, difference to the knot before", 4, 16, |values| {
+        predicted(values, |before, _| before, |difference| f64::from(difference as f32))
+    }),
+    ("int16 in the range of a coordinate", 2, 16, |values| {
+        let (low, high) =
+            values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(*v), b.max(*v)));
+        let step = ((high - low) / f64::from(u16::MAX)).max(f64::MIN_POSITIVE);
+        values.iter().map(|v| low + step * ((v - low) / step).round()).collect()
+    }),
+    ("int16, difference to the line through two knots before", 2, 24, |values| {
+        let line = |before: f64, second: f64| before + before - second;
+        let bends = values.windows(3).map(|v| (v[2] - line(v[1], v[0])).abs());
+        // Rounding lengthens a difference by two steps at most.
+        let step = (bends.fold(0.0, f64::max) / f64::from(i16::MAX - 2)).max(f64::MIN_POSITIVE);
+        predicted(values, line, |difference| step * (difference / step).round())
+    }),
+];
+
+/// Values that are stored as the rounded difference to a prediction from the two values before them, as read: errors do not add up. The
+/// first two values are exact.
+fn predicted(values: &[f64], predict: impl Fn(f64, f64) -> f64, round: impl Fn(f64) -> f64) -> Vec<f64> {
+    let mut read = values[..values.len().min(2)].to_vec();
+    for v in &values[read.len()..] {
+        let prediction = predict(read[read.len() - 1], read[read.len() - 2]);
+        read.push(prediction + round(v - prediction));
+    }
+    read
+}
+
+/// Prints for each form the size of an entry, and how far the shipped entries differ when they are read: inputs, unactuated joints, the arm,
+/// which follows from the inputs, and the largest defect.
+fn compressed() {
+    let config = config();
+    let database = shipped(&config);
+    let entries: Vec<Entry> = (0..database.entries())
+        .map(|entry| database.entry(entry).unwrap_or_else(|e| panic!("{e}")))
+        .collect();
+    let heading = database.heading();
+    let coordinates = heading.sizes.actuated() + 2 * heading.sizes.unactuated();
+    let record =
+        PoseRecord { pose: 0, outcome: PoseOutcome::Solved(Box::new(entries[0].clone())) }.encode().len();
+    let numbers = coordinates * (heading.intervals + 1);
+    let defect = entries.iter().map(|entry| entry.certificate.defect).fold(0.0, f64::max);
+    println!("{:<56} {record:>5} bytes; largest defect {defect:.1e}", "float64");
+    for (name, of_number, of_coordinate, form) in FORMS {
+        let size = record - 8 * numbers + of_number * numbers + of_coordinate * coordinates;
+        let (mut u, mut unactuated, mut arm, mut defect) = (0.0_f64, 0.0_f64, 0.0_f64, 0.0_f64);
+        for entry in &entries {
+            let read = Entry::new(&in_form(&entry.trajectory, form), |t| certify(&config, t));
+            for ((x, input), (x_read, input_read)) in entry.trajectory.knots().zip(read.trajectory.knots()) {
+                u = u.max((*input - *input_read).amax());
+                unactuated = unactuated.max((x.q_u() - x_read.q_u()).amax());
+                arm = arm.max((x.q_a() - x_read.q_a()).amax());
+            }
+            defect = defect.max(read.certificate.defect);
+        }
+        println!(
+            "{name:<56} {size:>5} bytes; largest defect {defect:.1e}; largest errors: u {u:.1e} rad/s^2, q_U {unactuated:.1e}, \
+             q_A {arm:.1e} rad"
+        );
+    }
+}
+
+/// A trajectory with u, q_U and qd_U as they are read from a form.
+fn in_form(trajectory: &Trajectory, form: fn(&[f64]) -> Vec<f64>) -> Trajectory {
+    let mut read = trajectory.clone();
+    let sizes = read.x[0].sizes();
+    for a in 0..sizes.actuated() {
+        let values: Vec<f64> = trajectory.u.iter().map(|u| u[a]).collect();
+        read.u.iter_mut().zip(form(&values)).for_each(|(u, v)| u[a] = v);
+    }
+    for c in 0..sizes.unactuated() {
+        let (q, qd): (Vec<f64>, Vec<f64>) = trajectory.x.iter().map(|x| (x.q_u()[c], x.qd_u()[c])).unzip();
+        for (x, (q, qd)) in read.x.iter_mut().zip(form(&q).into_iter().zip(form(&qd))) {
+            (x.q_u_mut()[c], x.qd_u_mut()[c]) = (q, qd);
+        }
+    }
+    read
 }

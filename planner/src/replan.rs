@@ -277,19 +277,25 @@ impl Planner {
         self.config.manoeuvres[manoeuvre].reverses.unwrap_or(manoeuvre)
     }
 
-    /// The `replan.neighbours` entries nearest to a start state (rad, rad/s) and `given` values (rad or m), nearest first.
+    /// The `replan.neighbours` entries nearest to a start state (rad, rad/s) and `given` values (rad or m), nearest first. The first call for
+    /// a reversal reads the ends of the entries; none if that fails.
     pub fn nearest(&self, manoeuvre: usize, given: &[f64], start: &State) -> Vec<Neighbour> {
         self.nearest_of(manoeuvre, given, start, self.config.planner.replan.neighbours)
     }
 
     fn nearest_of(&self, manoeuvre: usize, given: &[f64], start: &State, count: usize) -> Vec<Neighbour> {
-        let Some(database) = &self.databases[self.source(manoeuvre)].database else { return Vec::new() };
-        match self.config.manoeuvres[manoeuvre].reverses {
-            None => {
-                let metric = metric(&self.config, &self.config.manoeuvres[manoeuvre]);
-                database.keys().nearest(&key(start, given), &metric, count)
+        let ManoeuvreEntries { origin, database } = &self.databases[self.source(manoeuvre)];
+        let Some(database) = database else { return Vec::new() };
+        if self.config.manoeuvres[manoeuvre].reverses.is_none() {
+            let metric = metric(&self.config, &self.config.manoeuvres[manoeuvre]);
+            return database.keys().nearest(&key(start, given), &metric, count);
+        }
+        match database.ends() {
+            Ok(ends) => ends.nearest(&start.q_a(), &self.config.planner.replan.metric, count),
+            Err(e) => {
+                warn!("{origin}: {e}; the plan is optimised in full");
+                Vec::new()
             }
-            Some(_) => database.ends().nearest(&start.q_a(), &self.config.planner.replan.metric, count),
         }
     }
 

@@ -303,9 +303,18 @@ fn a_file_that_changes_while_it_is_used_gives_errors() {
     std::fs::write(&path, other.encode()).expect("written");
     let refusal = database.entry(0).expect_err("another record");
     assert!(matches!(refusal, DatabaseError::Checksum { .. }), "{refusal}");
+    let refusal = database.ends().expect_err("another index");
+    assert!(matches!(refusal, DatabaseError::Checksum { .. }), "{refusal}");
     std::fs::write(&path, &bytes[..1000]).expect("written");
     let refusal = database.entry(1).expect_err("beyond the end");
     assert_eq!(refusal.to_string(), "cannot read record 1: unexpected end of file");
+    let refusal = database.ends().expect_err("beyond the end");
+    assert_eq!(refusal.to_string(), "cannot read the index: unexpected end of file");
+    std::fs::write(&path, &bytes).expect("written");
+    let ends = database.ends().expect("the index is whole again");
+    let entries: Vec<_> = example().entries().map(|entry| entry.trajectory.end().q_a().to_vec()).collect();
+    assert_eq!(ends.keys().count(), entries.len());
+    assert!(ends.keys().all(|(number, end)| end == entries[number]));
     std::fs::remove_file(&path).expect("removed");
 }
 

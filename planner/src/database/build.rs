@@ -83,7 +83,8 @@ pub fn build(
     let resumed = records.len();
     progress(resumed);
     let journal: Mutex<Result<Journal, BuildError>> = Mutex::new(Ok(journal));
-    lines.par_iter().filter(|line| !whole(line)).for_each(|line| {
+    // One by one, because lines take very different times: a core that is done takes the next one.
+    lines.par_iter().with_max_len(1).filter(|line| !whole(line)).for_each(|line| {
         // Stop, too, if the write of another line failed.
         let halted = || stop.load(Ordering::Acquire) || journal.lock().map_or(true, |j| j.is_err());
         let Some(solved) = solve_line(config, manoeuvre, line, &halted, stop) else { return };

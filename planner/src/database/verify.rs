@@ -120,7 +120,7 @@ pub fn verify(
     progress: impl Fn() + Sync,
 ) -> Result<Vec<Discrepancy>, DatabaseError> {
     let compare_poses = has_grid_of(config, manoeuvre, database);
-    let (keys, ends) = (by_number(database.keys()), by_number(database.ends()));
+    let (keys, ends) = (by_number(database.keys()), by_number(database.ends()?));
     let judge = |number: usize, record: &PoseRecord| {
         if compare_poses {
             let task = Task::of(config, manoeuvre, record.pose as usize);

@@ -8,6 +8,7 @@ use std::borrow::Cow;
 use std::fs::File;
 use std::io::{self, Write};
 use std::os::unix::fs::FileExt;
+use std::sync::OnceLock;
 use upswing_model::Model;
 use xxhash_rust::xxh3::{Xxh3, xxh3_64};
 
@@ -142,30 +143,92 @@ impl IndexReader<'_> {
         Ok(part)
     }
 
+    /// Visits the next `count` words, many at once.
+    fn visit(&mut self, count: usize, mut visit: impl FnMut(&[[u8; 8]])) -> Result<(), DatabaseError> {
+        let mut left = count;
+        while left > 0 {
+            let words = left.min(PART / 8);
+            self.bytes(8 * words)?;
+            let part = &self.part[..8 * words];
+            self.hash.update(part);
+            visit(part.as_chunks().0);
+            left -= words;
+        }
+        Ok(())
+    }
+
     /// The next `count` words, each converted from its bytes.
     fn words<T>(&mut self, count: usize, convert: impl Fn([u8; 8]) -> T) -> Result<Vec<T>, DatabaseError> {
         let mut values = Vec::with_capacity(count);
-        while values.len() < count {
-            let length = 8 * (count - values.len()).min(PART / 8);
-            self.bytes(length)?;
-            let part = &self.part[..length];
-            self.hash.update(part);
-            values.extend(part.as_chunks().0.iter().map(|word| convert(*word)));
-        }
+        self.visit(count, |part| values.extend(part.iter().map(|word| convert(*word))))?;
         Ok(values)
     }
 
-    /// The next tree of `count` keys with `width` coordinates; `None` if it is not one key for each entry.
-    fn tree(&mut self, width: usize, count: usize) -> Result<Option<KeyTree>, DatabaseError> {
-        let numbers =
-            self.words(count, |word| u32::try_from(u64::from_le_bytes(word)).unwrap_or(u32::MAX))?;
-        let points = self.words(count * width, f64::from_le_bytes)?;
+    /// The next tree of `count` keys with `width` coordinates, an empty one unless it is `kept`; `None` if it is not one key for each entry.
+    fn tree(&mut self, width: usize, count: usize, kept: bool) -> Result<Option<KeyTree>, DatabaseError> {
+        let room = |length: usize| if kept { length } else { 0 };
+        let mut numbers = Vec::with_capacity(room(count));
         let mut seen = vec![false; count];
-        let once = numbers
-            .iter()
-            .all(|number| seen.get_mut(*number as usize).is_some_and(|seen| !std::mem::replace(seen, true)));
-        let good = once && points.iter().fold(true, |good, v| good & v.is_finite());
+        let mut good = true;
+        self.visit(count, |part| {
+            let values = part.iter().map(|word| u32::try_from(u64::from_le_bytes(*word)).unwrap_or(u32::MAX));
+            good &= values.clone().all(|number| {
+                seen.get_mut(number as usize).is_some_and(|seen| !std::mem::replace(seen, true))
+            });
+            numbers.extend(values.take(room(part.len())));
+        })?;
+        let mut points = Vec::with_capacity(room(count * width));
+        self.visit(count * width, |part| {
+            let values = part.iter().map(|word| f64::from_le_bytes(*word));
+            good &= values.clone().fold(true, |good, v| good & v.is_finite());
+            points.extend(values.take(room(part.len())));
+        })?;
         Ok(good.then(|| KeyTree::arranged(width, numbers, points)))
+    }
+}
+
+/// The index of a file, checked, without the trees that are not kept.
+struct CheckedIndex {
+    sums: Vec<u64>,
+    durations: Vec<f64>,
+    keys: KeyTree,
+    ends: KeyTree,
+    fingerprint: u64,
+}
+
+impl CheckedIndex {
+    /// Reads and checks the index at `at` of a file with this header, whose numbers are not larger than the file.
+    fn read(
+        source: &DatabaseSource,
+        header: &Header,
+        at: u64,
+        kept: [bool; 2],
+    ) -> Result<Self, DatabaseError> {
+        let (records, entries) = (header.records as usize, header.entries as usize);
+        let mut reader = IndexReader { source, at, hash: Xxh3::new(), part: vec![0; PART] };
+        let sums = reader.words(records, u64::from_le_bytes)?;
+        let durations = reader.words(entries, f64::from_le_bytes)?;
+        let keys = reader.tree(header.heading.key, entries, kept[0])?;
+        let ends = reader.tree(header.heading.sizes.actuated(), entries, kept[1])?;
+        let got = reader.hash.digest();
+        let fingerprint = super::word(reader.bytes(8)?, 0);
+        if fingerprint != got {
+            return Err(DatabaseError::Checksum { what: "the index".into(), expected: fingerprint, got });
+        }
+        let refuse = |what: &str, expected: String| DatabaseError::Value {
+            what: what.into(),
+            expected,
+            got: "others".into(),
+        };
+        let duration = |t_f: &f64| *t_f > 0.0 && *t_f <= Trajectory::LONGEST;
+        if !durations.iter().all(duration) {
+            let expected = format!("more than 0 and at most {} s", Trajectory::LONGEST);
+            return Err(refuse("durations in the index", expected));
+        }
+        let whole =
+            || refuse("keys in the index", format!("finite numbers, once for each of {entries} entries"));
+        let (keys, ends) = (keys.ok_or_else(whole)?, ends.ok_or_else(whole)?);
+        Ok(Self { sums, durations, keys, ends, fingerprint })
     }
 }
 
@@ -179,7 +242,8 @@ pub struct Database {
     /// t_F of the entries, s.
     durations: Vec<f64>,
     keys: KeyTree,
-    ends: KeyTree,
+    /// Read when the first manoeuvre that runs entries backwards asks for it: as large as the keys.
+    ends: OnceLock<KeyTree>,
     /// Checksum of the index.
     fingerprint: u64,
 }
@@ -227,31 +291,9 @@ impl Database {
             return Err(DatabaseError::Length { what, expected, got });
         }
         // From here on no number is larger than the file.
-        let mut reader = IndexReader { source: &source, at, hash: Xxh3::new(), part: vec![0; PART] };
-        let sums = reader.words(records as usize, u64::from_le_bytes)?;
-        let durations = reader.words(entries as usize, f64::from_le_bytes)?;
-        let trees = [header.heading.key, header.heading.sizes.actuated()]
-            .map(|width| reader.tree(width, entries as usize));
-        let got = reader.hash.digest();
-        let expected = super::word(reader.bytes(8)?, 0);
-        if expected != got {
-            return Err(DatabaseError::Checksum { what: "the index".into(), expected, got });
-        }
-        let refuse = |what: &str, expected: String| DatabaseError::Value {
-            what: what.into(),
-            expected,
-            got: "others".into(),
-        };
-        let duration = |t_f: &f64| *t_f > 0.0 && *t_f <= Trajectory::LONGEST;
-        if !durations.iter().all(duration) {
-            let expected = format!("more than 0 and at most {} s", Trajectory::LONGEST);
-            return Err(refuse("durations in the index", expected));
-        }
-        let [keys, ends] = trees;
-        let whole =
-            || refuse("keys in the index", format!("finite numbers, once for each of {entries} entries"));
-        let (keys, ends) = (keys?.ok_or_else(whole)?, ends?.ok_or_else(whole)?);
-        Ok(Self { source, header, sums, durations, keys, ends, fingerprint: expected })
+        let index = CheckedIndex::read(&source, &header, at, [true, false])?;
+        let CheckedIndex { sums, durations, keys, fingerprint, .. } = index;
+        Ok(Self { source, header, sums, durations, keys, ends: OnceLock::new(), fingerprint })
     }
 
     /// The robot, settings and grid of the database.
@@ -274,9 +316,21 @@ impl Database {
         &self.keys
     }
 
-    /// Poses q_A in which the entries end, rad or m.
-    pub fn ends(&self) -> &KeyTree {
-        &self.ends
+    /// Poses q_A in which the entries end, rad or m; the first call reads them.
+    ///
+    /// # Errors
+    /// [`DatabaseError`] if they cannot be read or the index has changed since it was loaded.
+    pub fn ends(&self) -> Result<&KeyTree, DatabaseError> {
+        if let Some(ends) = self.ends.get() {
+            return Ok(ends);
+        }
+        let at = self.header.place(self.header.records);
+        let index = CheckedIndex::read(&self.source, &self.header, at, [false, true])?;
+        let (expected, got) = (self.fingerprint, index.fingerprint);
+        if expected != got {
+            return Err(DatabaseError::Checksum { what: "the index".into(), expected, got });
+        }
+        Ok(self.ends.get_or_init(|| index.ends))
     }
 
     /// XXH3 hash of the index, and so of all records.
