@@ -1,18 +1,16 @@
 // The torque law (24) with Pinocchio: crba + nonLinearEffects + a solve with M_UU, at the states of the Rust program.
 // Prints the largest difference of the torques and the percentiles of the time per call.
 
+#include "chain.hpp"
+
 #include <pinocchio/algorithm/crba.hpp>
 #include <pinocchio/algorithm/rnea.hpp>
-#include <pinocchio/multibody.hpp>
 
 #include <algorithm>
 #include <chrono>
 #include <cstdio>
-#include <fstream>
-#include <string>
 #include <vector>
 
-namespace pin = pinocchio;
 using Clock = std::chrono::steady_clock;
 
 constexpr int MOST_JOINTS = 16;
@@ -40,39 +38,12 @@ Vector torque(const pin::Model &model, pin::Data &data, const Sample &s) {
     return tau;
 }
 
-// The chain that export.py wrote.
-pin::Model read_model(const char *path) {
-    pin::Model model;
-    std::ifstream file(path);
-    int axis;
-    while (file >> axis) {
-        double v[12], mass, lever[3], moment[6];
-        for (double &number : v)
-            file >> number;
-        file >> mass;
-        for (double &number : lever)
-            file >> number;
-        for (double &number : moment)
-            file >> number;
-        const pin::SE3 placement(Eigen::Map<Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(v), Eigen::Map<Eigen::Vector3d>(v + 9));
-        const pin::JointIndex parent = model.njoints - 1;
-        const std::string name = "joint_" + std::to_string(model.njoints);
-        const pin::JointModel joint = axis == 0   ? pin::JointModel(pin::JointModelRX())
-                                      : axis == 1 ? pin::JointModel(pin::JointModelRY())
-                                                  : pin::JointModel(pin::JointModelRZ());
-        const auto index = model.addJoint(parent, joint, placement, name);
-        model.appendBodyToJoint(index, pin::Inertia(mass, Eigen::Map<Eigen::Vector3d>(lever),
-                                                    pin::Symmetric3(Eigen::Map<Eigen::Matrix<double, 6, 1>>(moment))));
-    }
-    return model;
-}
-
 int main(int argc, char **argv) {
     if (argc != 3) {
         std::fprintf(stderr, "error: expected CHAIN and STATES\n");
         return 2;
     }
-    const pin::Model model = read_model(argv[1]);
+    const pin::Model model = read_chain(argv[1]);
     pin::Data data(model);
     std::vector<Sample> samples;
     std::ifstream file(argv[2], std::ios::binary);

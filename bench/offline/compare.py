@@ -1,4 +1,4 @@
-"""Solves the same problems with upswing and with CasADi + IPOPT, on one core, and compares.
+"""Solves the same problems with upswing, with CasADi + IPOPT and with FATROP, on one core, and compares.
 
 Started by bench/offline/run, which sets up everything this needs.
 """
@@ -21,7 +21,9 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
+import fatrop
 import peer as ipopt
+from fatrop import Fatrop
 from peer import Peer, Result, Solution, Start, cpu_seconds
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -30,6 +32,8 @@ MODEL_TOLERANCE = 1e-9
 CLOSE, LARGEST, SHARE = 0.1, 2.0, 0.9
 """A system passes if the cost exceeds the lowest known one by at most CLOSE % at this share of the starts, and never by more than
 LARGEST %."""
+TURNS = 3
+"""How often upswing and FATROP solve each problem, in turns."""
 
 
 def arguments():
@@ -48,6 +52,9 @@ def arguments():
     )
     parser.add_argument(
         "--neighbours", type=int, default=2, help="further guesses: its results at the nearest starts [%(default)s]"
+    )
+    parser.add_argument(
+        "--peers", choices=("both", "ipopt", "fatrop"), default="both", help="what to compare with [%(default)s]"
     )
     parser.add_argument("--core", type=int, help="core that both run on [the last one]")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all numbers and our solutions to FILE")
@@ -111,10 +118,25 @@ def shown(peer: Peer, joint: int, value: float) -> float:
     return value if peer.chain.joints[joint].prismatic else float(np.degrees(value))
 
 
+def command_of(upswing: Path, folder: Path, peer: Peer, pose: str) -> list:
+    return [upswing, "optimize", "--json", "--system", folder, "--manoeuvre", peer.manoeuvre.name, f"--start={pose}"]
+
+
+def seconds_without_solving(upswing: Path, folder: Path, peer: Peer) -> float:
+    """CPU time of upswing's process without the solver: it refuses a start far outside of the limits after it has read the settings."""
+    command, times = command_of(upswing, folder, peer, ",".join("1e6" for _ in peer.chain.actuated)), []
+    for _ in range(9):
+        before = cpu_seconds(resource.RUSAGE_CHILDREN)
+        if subprocess.run(command, capture_output=True).returncode != 2:
+            sys.exit("error: `upswing optimize` accepted a start outside of the limits")
+        times.append(cpu_seconds(resource.RUSAGE_CHILDREN) - before)
+    return statistics.median(times)
+
+
 def solve_with_upswing(upswing: Path, folder: Path, peer: Peer, start: Start, best: bool) -> dict:
     chain = peer.chain
     pose = ",".join(f"{shown(peer, i, start.x[i]):.17g}" for i in chain.actuated)
-    command = [upswing, "optimize", "--json", "--system", folder, "--manoeuvre", peer.manoeuvre.name, f"--start={pose}"]
+    command = command_of(upswing, folder, peer, pose)
     if best:
         command.append("--best")
     if start.given:
@@ -193,6 +215,75 @@ def compare(upswing: Path, folder: Path, peer: Peer, start: Start, theirs: Resul
         "difference_percent": 100 * (ours["cost"] / theirs.best.cost - 1) if solved and theirs.best else None,
         "ratio": theirs.first_cpu_s / first["cpu_s"] if first["status"] == "solved" and theirs.best else None,
     }
+
+
+def compare_with_fatrop(upswing: Path, folder: Path, peer: Peer, fatrop: Fatrop, start: Start, outside: float) -> dict:
+    """upswing and FATROP in turns from the guess that upswing tries first; `outside` is the CPU time of upswing's process without the
+    solver."""
+    guess, ours, theirs = peer.swing(start), [], []
+    for _ in range(TURNS):
+        ours.append(solve_with_upswing(upswing, folder, peer, start, False))
+        theirs.append(fatrop.attempt(start, guess))
+    first, solution = ours[0], theirs[0].solution
+    solver_s = statistics.median(run["cpu_s"] for run in ours) - outside
+    fatrop_s = statistics.median(run.cpu_s for run in theirs)
+    both = solution is not None and first["status"] == "solved"
+    return {
+        "start": problem(start),
+        "upswing": {key: first[key] for key in ("status", "cost", "t_f", "iterations")} | {"cpu_s": solver_s},
+        "fatrop": {"iterations": theirs[0].iterations, "cpu_s": fatrop_s, "cost": solution.cost if solution else None},
+        "audit": peer.audit(start, solution.t_f, np.array(solution.x), np.array(solution.u)) if solution else None,
+        "difference": abs(first["cost"] / solution.cost - 1) if both else None,
+        "state_difference": float(np.abs(np.array(first["x"]) - solution.x).max()) if both else None,
+        "ratio": fatrop_s / solver_s if both else None,
+    }
+
+
+def fatrop_line(row: dict) -> str:
+    ours, theirs = row["upswing"], row["fatrop"]
+    result = "failed" if row["ratio"] is None else f"{theirs['cost']:.6f}, ratio {row['ratio']:.1f}"
+    return (
+        f"upswing {ours['cost']:.6f}, {ours['iterations']} iterations, {1e3 * ours['cpu_s']:.1f} ms | "
+        f"FATROP {theirs['iterations']} iterations, {1e3 * theirs['cpu_s']:.0f} ms, {result}"
+    )
+
+
+def summarise_fatrop(rows: list[dict]) -> dict:
+    solved = [row for row in rows if row["ratio"] is not None]
+    same = [row for row in solved if row["difference"] < 1e-2 * CLOSE]
+
+    def median(value):
+        return statistics.median(map(value, same)) if same else None
+
+    def largest(value):
+        return max(map(value, same), default=None)
+
+    return {
+        "starts": len(rows),
+        "solved_by_fatrop": sum(row["fatrop"]["cost"] is not None for row in rows),
+        "same_optimum": len(same),
+        "median_ratio": median(lambda row: row["ratio"]),
+        "median_cpu_s": [median(lambda row: row["upswing"]["cpu_s"]), median(lambda row: row["fatrop"]["cpu_s"])],
+        "median_iterations": [
+            median(lambda row: row["upswing"]["iterations"]),
+            median(lambda row: row["fatrop"]["iterations"]),
+        ],
+        "largest_difference": largest(lambda row: row["difference"]),
+        "largest_state_difference": largest(lambda row: row["state_difference"]),
+        "largest_violation": largest(lambda row: max(v for key, v in row["audit"].items() if key != "cost")),
+    }
+
+
+def print_fatrop_summary(s: dict):
+    print(f"\nFATROP solved {s['solved_by_fatrop']} of {s['starts']}; the same optimum as upswing's first solution: {s['same_optimum']}")
+    if s["same_optimum"]:
+        (ours, theirs), (our_iterations, their_iterations) = s["median_cpu_s"], s["median_iterations"]
+        print(
+            f"of those, medians: CPU time of the solver, upswing {1e3 * ours:.1f} ms, FATROP {1e3 * theirs:.0f} ms, ratio "
+            f"{s['median_ratio']:.1f}; iterations {our_iterations:g}, FATROP {their_iterations:g}\n"
+            f"largest difference of a cost {s['largest_difference']:.1e} (relative), of a state {s['largest_state_difference']:.1e}; "
+            f"largest violation of FATROP's solutions in the peer's model {s['largest_violation']:.1e}"
+        )
 
 
 HEADER = (
@@ -322,8 +413,35 @@ def versions(upswing: Path) -> dict:
         "numpy": np.__version__,
         "python": platform.python_version(),
         "gcc": output_of("gcc", "--version"),
-        "gcc_flags": ipopt.C_FLAGS,
+        "gcc_flags": {"ipopt": ipopt.C_FLAGS, "fatrop": fatrop.C_FLAGS},
+        "fatrop_options": fatrop.OPTIONS,
     }
+
+
+def compare_with_ipopt(
+    upswing: Path, folder: Path, peer: Peer, starts: list[Start], fingerprint: str, options: argparse.Namespace
+) -> dict:
+    problems = {"fingerprint": fingerprint, "starts": [problem(start) for start in starts]}
+    if options.keep and options.keep.exists():
+        results = kept_results(options.keep, problems)
+    else:
+        results = solve_with_ipopt(peer, starts, options)
+        if options.keep:
+            kept = problems | {"ipopt": [asdict(result) for result in results]}
+            options.keep.write_text(json.dumps(kept) + "\n")
+    print(
+        "first, best: our first solution and that of our search; above: excess of the latter over the lowest cost known;\n"
+        "time: CPU time, of our whole process, of IPOPT until its first solution, and for all guesses (their number);\n"
+        "ratio = IPOPT until its first solution / our first\n"
+    )
+    print(HEADER, flush=True)
+    rows = []
+    for start, result in zip(starts, results, strict=True):
+        rows.append(compare(upswing, folder, peer, start, result))
+        print(table_line(rows[-1]), flush=True)
+    summary = summarise(rows)
+    print_summary(summary)
+    return {"summary": summary, "problems": rows}
 
 
 def main():
@@ -355,26 +473,17 @@ def main():
         check_model(upswing, folder, peer)
         print(f"CasADi {ca.__version__}, {report['versions']['ipopt']}")
         print(f"{options.system}, {peer.manoeuvre.name}; core {core}, torque constraint: {options.torque}")
-        problems = {"fingerprint": fingerprint, "starts": [problem(start) for start in starts]}
-        if options.keep and options.keep.exists():
-            results = kept_results(options.keep, problems)
-        else:
-            results = solve_with_ipopt(peer, starts, options)
-            if options.keep:
-                kept = problems | {"ipopt": [asdict(result) for result in results]}
-                options.keep.write_text(json.dumps(kept) + "\n")
-        print(
-            "first, best: our first solution and that of our search; above: excess of the latter over the lowest cost known;\n"
-            "time: CPU time, of our whole process, of IPOPT until its first solution, and for all guesses (their number);\n"
-            "ratio = IPOPT until its first solution / our first\n"
-        )
-        print(HEADER, flush=True)
-        rows = []
-        for start, result in zip(starts, results, strict=True):
-            rows.append(compare(upswing, folder, peer, start, result))
-            print(table_line(rows[-1]), flush=True)
-    report |= {"summary": summarise(rows), "problems": rows}
-    print_summary(report["summary"])
+        if options.peers != "ipopt":
+            fatrop_peer = Fatrop(peer, options.torque, ROOT / "bench" / ".cache")
+            outside, rows = seconds_without_solving(upswing, folder, peer), []
+            print(f"FATROP from upswing's first guess, {TURNS} turns; CPU times of the solvers alone", flush=True)
+            for start in starts:
+                rows.append(compare_with_fatrop(upswing, folder, peer, fatrop_peer, start, outside))
+                print(fatrop_line(rows[-1]), flush=True)
+            report |= {"fatrop_summary": summarise_fatrop(rows), "fatrop_problems": rows}
+            print_fatrop_summary(report["fatrop_summary"])
+        if options.peers != "fatrop":
+            report |= compare_with_ipopt(upswing, folder, peer, starts, fingerprint, options)
     if options.json:
         options.json.write_text(json.dumps(report, indent=1) + "\n")
 

@@ -23,6 +23,8 @@ STRAIGHT = (3.5, 5.0, 2.5)
 """Durations of the straight lines that are tried first, in half periods of the slowest swing of the hanging unactuated joints."""
 WAVES = (1.2, 8.0)
 """Shortest and longest duration of the lines with random waves, in the same unit."""
+SWING = ((1.5, 2.5), (1.0, 3.0))
+"""Half swings and half periods of the guess that upswing tries first; the second pair where more joints are actuated than not."""
 SAME = 1e-3
 """Costs that differ by less than this share count as the same optimum."""
 ENOUGH = 3
@@ -211,7 +213,7 @@ class Peer:
         self._check_functions()
         self._knot_functions(torque)
         functions = self._problem_functions()
-        library = compile_functions(functions, cache)
+        library = compile_functions(functions, cache, C_FLAGS)
         nlp, grad_f, jac_g, hess_lag = (ca.external(f.name(), str(library)) for f in functions)
         options = {
             "grad_f": grad_f,
@@ -452,6 +454,27 @@ class Peer:
         u = np.gradient(qd, s * t_f, axis=0)[:, chain.actuated]
         return pack(t_f, np.hstack([q, qd]), u)
 
+    def swing(self, start: Start) -> np.ndarray:
+        """The guess that upswing tries first (`ocp/src/guess.rs`, `ocp/src/multistart.rs`): the actuated joints move to the target along a
+        line, the unactuated ones swing there in time with their natural frequency; velocities and inputs are the derivatives."""
+        chain, limits, knots = self.chain, self.limits, self.limits.intervals + 1
+        half_swings, half_periods = SWING[chain.n_a > chain.n - chain.n_a]
+        q = start.x[: chain.n]
+        way = self.nearest(self.manoeuvre.coefficients, start.rows, q) - q
+        shortest = np.abs(way / limits.qd_max)[chain.actuated].max()
+        t_f = float(np.clip(max(half_periods * self.half_period(q), shortest), *limits.t_f))
+        s = np.linspace(0, 1, knots)[:, None]
+        line = (1 - np.cos(np.pi * s)) / 2
+        line_d, line_dd = np.pi / 2 * np.sin(np.pi * s), np.pi**2 / 2 * np.cos(np.pi * s)
+        phase = np.pi * half_swings * (1 - s)
+        unactuated = np.isin(np.arange(chain.n), chain.unactuated)
+        positions = q + way * line * np.where(unactuated, np.cos(phase), 1)
+        swinging_d = line_d * np.cos(phase) + line * np.pi * half_swings * np.sin(phase)
+        velocities = way * np.where(unactuated, swinging_d, line_d) / t_f
+        velocities[0] = 0
+        u = (way * line_dd / t_f**2)[:, chain.actuated]
+        return pack(t_f, np.hstack([positions, velocities]), u)
+
     def guesses(self, start: Start, most: int, seed: int):
         """Straight lines, then lines with random waves."""
         q = start.x[: self.chain.n]
@@ -576,13 +599,13 @@ def pack(t_f, x, u) -> np.ndarray:
     return np.concatenate([[t_f], np.hstack([x, u]).ravel()])
 
 
-def compile_functions(functions, cache: Path) -> Path:
+def compile_functions(functions, cache: Path, flags: list[str]) -> Path:
     """Shared library of the functions; compiled only if the cache has none of the same source."""
     generator = ca.CodeGenerator("manoeuvre.c")
     for function in functions:
         generator.add(function)
     source = generator.dump()
-    key = hashlib.sha256(" ".join([ca.__version__, *C_FLAGS, source]).encode()).hexdigest()[:16]
+    key = hashlib.sha256(" ".join([ca.__version__, *flags, source]).encode()).hexdigest()[:16]
     library = cache / f"manoeuvre_{key}.so"
     if not library.exists():
         print("compiling the peer's functions ...", flush=True)
@@ -590,7 +613,7 @@ def compile_functions(functions, cache: Path) -> Path:
         c_file = library.with_suffix(".c")
         c_file.write_text(source)
         unfinished = library.with_suffix(".tmp")
-        subprocess.run(["gcc", *C_FLAGS, "-o", str(unfinished), str(c_file), "-lm"], check=True)
+        subprocess.run(["gcc", *flags, "-o", str(unfinished), str(c_file), "-lm"], check=True)
         unfinished.rename(library)
     return library
 
