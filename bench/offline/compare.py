@@ -32,6 +32,8 @@ MODEL_TOLERANCE = 1e-9
 CLOSE, LARGEST, SHARE = 0.1, 2.0, 0.9
 """A system passes if the cost exceeds the lowest known one by at most CLOSE % at this share of the starts, and never by more than
 LARGEST %."""
+SAME = 1e-5
+"""Largest relative difference of the costs of one optimum, solved by upswing and by FATROP: far above both tolerances."""
 TURNS = 3
 """How often upswing and FATROP solve each problem, in turns."""
 
@@ -250,7 +252,7 @@ def fatrop_line(row: dict) -> str:
 
 def summarise_fatrop(rows: list[dict]) -> dict:
     solved = [row for row in rows if row["ratio"] is not None]
-    same = [row for row in solved if row["difference"] < 1e-2 * CLOSE]
+    same = [row for row in solved if row["difference"] < SAME]
 
     def median(value):
         return statistics.median(map(value, same)) if same else None
