@@ -1,8 +1,8 @@
 //! Parsers of values on the command line.
 
-use upswing_config::{Config, GivenOutsideLimits, PendulumStart};
-use upswing_model::{Posture, StartError, State};
-use upswing_planner::database::standing;
+use upswing_config::{Config, PendulumStart};
+use upswing_model::{StartError, State};
+use upswing_planner::wanted;
 use upswing_process::Failure;
 use upswing_record::Window;
 
@@ -59,35 +59,25 @@ impl std::str::FromStr for JointValue {
     }
 }
 
-/// Returns the number of the manoeuvre `name` of the settings, and the values that the options `--to` give to its target, rad or m: NaN for
-/// a joint without option.
+/// Returns the number of the manoeuvre `name` of the settings (`None`: the first one), and the values that the options `--to` give to its
+/// target, rad or m: NaN for a joint without option.
 ///
 /// # Errors
 /// [`Failure::BadInput`] if there is no such manoeuvre, if it does not ask for one of the joints, if a joint has two values, or one outside
 /// its limits.
-pub fn given_values(config: &Config, name: &str, to: &[JointValue]) -> Result<(usize, Vec<f64>), Failure> {
-    let Some(number) = config.manoeuvres.iter().position(|manoeuvre| manoeuvre.name == name) else {
-        let names: Vec<_> = config.manoeuvres.iter().map(|m| format!("`{}`", m.name)).collect();
-        let refusal = format!("unknown manoeuvre `{name}`: this system has {}", names.join(", "));
-        return Err(Failure::BadInput(refusal));
+pub fn given_values(
+    config: &Config,
+    name: Option<&str>,
+    to: &[JointValue],
+) -> Result<(usize, Vec<f64>), Failure> {
+    let number = wanted::manoeuvre_number(config, name).map_err(Failure::bad_input)?;
+    let model = &config.model;
+    let si = |JointValue { joint, value }: &JointValue| {
+        model.coordinate(joint).map_or(*value, |i| model.joint_kind(i).position(*value))
     };
-    let joints: Vec<usize> = config.manoeuvres[number].given().map(|axis| axis.joint).collect();
-    let mut given = vec![f64::NAN; joints.len()];
-    for JointValue { joint, value } in to {
-        let Some(i) = joints.iter().position(|i| config.model.joint_name(*i) == joint) else {
-            let names: Vec<_> = joints.iter().map(|i| format!("`{}`", config.model.joint_name(*i))).collect();
-            let expected = if names.is_empty() { "none".to_owned() } else { names.join(", ") };
-            let refusal = format!("--to: `{name}` takes values of the joints {expected}; got `{joint}`");
-            return Err(Failure::BadInput(refusal));
-        };
-        if !given[i].is_nan() {
-            return Err(Failure::BadInput(format!("--to: joint `{joint}` twice: give one value")));
-        }
-        given[i] = config.model.joint_kind(joints[i]).position(*value);
-        GivenOutsideLimits::check(config, joints[i], given[i])
-            .map_err(|e| Failure::BadInput(format!("--to: {e}")))?;
-    }
-    Ok((number, given))
+    let to = to.iter().map(|value| (value.joint.as_str(), si(value)));
+    let given = wanted::given_values(config, number, to);
+    given.map(|given| (number, given)).map_err(|e| Failure::BadInput(format!("--to: {e}")))
 }
 
 /// Options of the manoeuvre of a computation.
@@ -108,21 +98,11 @@ impl ManoeuvreArgs {
     /// [`Failure::BadInput`] as [`given_values`] and [`StartArgs::state`], or if the unactuated joints do not stand in the start pose of a
     /// manoeuvre from standing.
     pub fn of(&self, config: &Config, start: &StartArgs) -> Result<(usize, Vec<f64>, State), Failure> {
-        let first = config.manoeuvres.first().map_or("", |manoeuvre| manoeuvre.name.as_str());
-        let name = self.manoeuvre.as_deref().unwrap_or(first);
-        let (number, mut given) = given_values(config, name, &self.to)?;
-        let hanging = start.state(config)?;
-        let x = match config.manoeuvres[number].start {
-            Posture::Hanging => hanging,
-            Posture::Standing => standing(config, number, &hanging.q_a()).ok_or_else(|| {
-                Failure::BadInput("--start: the unactuated joints cannot stand in this pose".into())
-            })?,
-        };
-        for (value, axis) in given.iter_mut().zip(config.manoeuvres[number].given()) {
-            if value.is_nan() {
-                *value = x[axis.joint];
-            }
-        }
+        let (number, mut given) = given_values(config, self.manoeuvre.as_deref(), &self.to)?;
+        let refuse = |e: &dyn std::fmt::Display| Failure::BadInput(format!("--start: {e}"));
+        let q_a = config.model.actuated_from_shown(&start.start.0).map_err(|e| refuse(&e))?;
+        let x = wanted::start_of(config, number, &q_a, start.pendulum()).map_err(|e| refuse(&e))?;
+        wanted::complete_given(config, number, &mut given, &x);
         Ok((number, given, x))
     }
 }
@@ -139,14 +119,6 @@ pub struct StartArgs {
 }
 
 impl StartArgs {
-    /// Returns the start state.
-    ///
-    /// # Errors
-    /// As [`start_state`].
-    pub fn state(&self, config: &Config) -> Result<State, Failure> {
-        start_state(config, "--start", &self.start, self.pendulum())
-    }
-
     /// Returns the position of the pendulum at the start.
     pub fn pendulum(&self) -> PendulumStart {
         if self.zero { PendulumStart::Zero } else { PendulumStart::Rest }

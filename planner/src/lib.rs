@@ -3,7 +3,7 @@
 //! - [`offline`]: the optimisation problem of the settings, solved for one start state; [`database`] applies it to a grid of
 //!   start poses and finds the entries nearest to a start pose.
 //! - [`replan`]: a plan from a measured start; [`predict`]: the state in which a moving system will be when a plan begins.
-//! - [`service`]: the planner process, which answers requests.
+//! - [`wanted`]: a manoeuvre as a person asks for it; [`service`]: the planner process, which answers requests.
 
 pub mod database;
 mod export;
@@ -12,5 +12,6 @@ pub mod predict;
 pub mod replan;
 mod request_error;
 pub mod service;
+pub mod wanted;
 
 pub use export::{ExportError, export};

@@ -683,8 +683,8 @@ pub fn key(start: &State, given: &[f64]) -> Vec<f64> {
     start.q_a().iter().chain(given).copied().collect()
 }
 
-/// Weights of the coordinates of the keys of a manoeuvre: those of the actuated joints, then for each given value that of its joint.
-fn metric(config: &Config, manoeuvre: &Manoeuvre) -> Vec<f64> {
+/// Weights of the coordinates of the [`key`]s of a manoeuvre in the search of the nearest one: those of the actuated joints, then for each given value that of its joint.
+pub fn metric(config: &Config, manoeuvre: &Manoeuvre) -> Vec<f64> {
     let metric = &config.planner.replan.metric;
     let of_given = manoeuvre.given().map(|axis| metric[axis.joint]);
     metric.iter().copied().chain(of_given).collect()

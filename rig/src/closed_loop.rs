@@ -2,13 +2,14 @@
 
 use crate::course::{self, Course, first_manoeuvre};
 use upswing_config::{Config, Push};
-use upswing_ipc::{ManoeuvreRequest, Mode, PlanMessage, PlannerResponse, Telemetry};
-use upswing_model::JointVector;
+use upswing_ipc::{ManoeuvreRequest, Mode, PlanMessage, PlannerResponse, PlannerStatus, Telemetry};
+use upswing_model::{ActuatedVector, JointVector};
 use upswing_ocp::qp::QpSolver;
 use upswing_planner::replan::{Effort, NoPlan, Planner};
 use upswing_planner::service::describe;
 use upswing_plant::{Plant, SetEventError, StateError};
 use upswing_record::evaluation::SwingUpEvaluation;
+use upswing_trajectory::{Margins, Plan};
 use upswingd::controller::Controller;
 use upswingd::plan::{PlanRefusal, accept};
 use upswingd::step::{StepInput, StepOutput, StepRequest};
@@ -16,6 +17,9 @@ use upswingd::trip::TripCause;
 
 /// Consecutive cycles without a new measurement after which a run is aborted; one second at 8 kHz.
 const MOST_SILENT: u32 = 8000;
+
+/// Cycles between two looks whether a run is to end: some milliseconds.
+const LOOK: usize = 1000;
 
 /// Error of a swing-up that ended early.
 #[derive(Debug, thiserror::Error)]
@@ -40,6 +44,12 @@ pub enum Aborted {
     /// The plant refused a push.
     #[error("push: {0}")]
     Push(#[from] SetEventError),
+    /// A controller that takes the place of the daemon's gave no torque.
+    #[error("the controller failed: {0}")]
+    Controller(String),
+    /// The run was ended from outside.
+    #[error("interrupted")]
+    Interrupted,
     /// No new measurement arrives, because a fault of the plant suppresses them.
     #[error("no new measurement in {MOST_SILENT} cycles")]
     Silent,
@@ -73,6 +83,8 @@ impl Aborted {
             Self::Plan(_) => "the daemon refused the plan".into(),
             Self::Refused { request, .. } => format!("{request} was refused"),
             Self::Push(_) => "the push cannot be".into(),
+            Self::Controller(_) => "the controller failed".into(),
+            Self::Interrupted => "interrupted".into(),
             Self::Silent => "no measurements".into(),
             Self::Tripped { mode, cause, joint, .. } => {
                 format!("{mode} tripped: {}, joint `{joint}`", cause.text())
@@ -99,6 +111,22 @@ pub struct Disturbances {
     pub missed: Vec<MissedCycles>,
 }
 
+/// A controller in place of that of the daemon: the torques of the actuated joints (N m or N) for the record of a cycle, which has the
+/// measured positions, the estimated velocities, the reference, and what the controller of the daemon would do.
+pub type OtherController<'a> = dyn FnMut(&Telemetry) -> Result<ActuatedVector, String> + 'a;
+
+/// What may be different in a run: another planner or controller, to compare them with those of the daemon, and its end from outside.
+#[derive(Default)]
+pub struct RunOptions<'a> {
+    /// The plan to follow; `None`: the planner makes one.
+    pub plan: Option<Plan>,
+    /// The controller in Track and Balance, within the torque limits of the robot; the one of the daemon estimates velocities and monitors all
+    /// limits. `None`: the one of the daemon.
+    pub controller: Option<Box<OtherController<'a>>>,
+    /// Asked every [`LOOK`] cycles whether to end the run.
+    pub interrupted: Option<&'a dyn Fn() -> bool>,
+}
+
 /// Controller and plant in lockstep: one control step per plant step, as on the clock `lockstep`.
 #[derive(Clone, Debug)]
 pub struct ClosedLoop {
@@ -119,10 +147,22 @@ impl ClosedLoop {
     /// Steps controller and plant by one cycle and returns the output of the controller. Without a new measurement (a fault of the plant)
     /// the controller does not run, as in the daemon: the output is `None` and the request stays pending.
     pub fn cycle(&mut self, request: &mut Option<StepRequest>) -> Option<StepOutput> {
+        self.cycle_with(request, |_| ())
+    }
+
+    /// As [`Self::cycle`]; `change` may replace the command before the plant gets it.
+    pub fn cycle_with(
+        &mut self,
+        request: &mut Option<StepRequest>,
+        change: impl FnOnce(&mut StepOutput),
+    ) -> Option<StepOutput> {
         let measurement = self.plant.measure();
         let new = measurement.seq != self.measured;
         self.measured = measurement.seq;
-        let output = new.then(|| self.controller.step(StepInput::new(measurement, 0, request.take())));
+        let mut output = new.then(|| self.controller.step(StepInput::new(measurement, 0, request.take())));
+        if let Some(output) = &mut output {
+            change(output);
+        }
         self.plant.step(output.as_ref().map(|output| &output.command));
         output
     }
@@ -135,6 +175,7 @@ struct SwingUpRun<'a, D> {
     planner: &'a Planner,
     solver: &'a mut QpSolver,
     disturbances: Option<D>,
+    options: RunOptions<'a>,
     /// Cycles that the controller misses after the start of the plan.
     missed: Vec<MissedCycles>,
     records: &'a mut Vec<Telemetry>,
@@ -144,9 +185,26 @@ struct SwingUpRun<'a, D> {
 
 impl<D> SwingUpRun<'_, D> {
     fn cycle(&mut self, request: Option<StepRequest>) -> Result<(), Aborted> {
+        let look = self.records.len().is_multiple_of(LOOK);
+        if look && self.options.interrupted.is_some_and(|interrupted| interrupted()) {
+            return Err(Aborted::Interrupted);
+        }
         let before = self.system.controller.mode();
         let (name, mut request) = request.map(|request| (request.name(), request)).unzip();
-        let output = (0..MOST_SILENT).find_map(|_| self.system.cycle(&mut request)).ok_or(Aborted::Silent)?;
+        let (config, other) = (self.config, &mut self.options.controller);
+        let mut failed = None;
+        let mut replace = |output: &mut StepOutput| {
+            if let Some(other) = other
+                && matches!(output.record.telemetry.mode(), Ok(Mode::Track | Mode::Balance))
+            {
+                failed = replace_torque(config, &mut **other, output).err();
+            }
+        };
+        let output = (0..MOST_SILENT).find_map(|_| self.system.cycle_with(&mut request, &mut replace));
+        let output = output.ok_or(Aborted::Silent)?;
+        if let Some(e) = failed {
+            return Err(Aborted::Controller(e));
+        }
         let record = output.record.telemetry;
         self.records.push(record);
         if matches!(record.mode(), Ok(Mode::Track | Mode::Balance)) {
@@ -194,6 +252,50 @@ impl<D> SwingUpRun<'_, D> {
     }
 }
 
+impl<D> SwingUpRun<'_, D> {
+    /// The answer to a request for a plan that the run was given.
+    fn describe_given(&self, plan: &Plan) -> PlannerResponse {
+        let Config { model, robot, .. } = self.config;
+        let margins = Margins::of(&plan.trajectory, model, &robot.planning, 0);
+        PlannerResponse {
+            status: PlannerStatus::Solved.code(),
+            t_f: plan.trajectory.t_f,
+            distance: f64::NAN,
+            defect: plan.spline().defect(),
+            margin_q: margins.q.share,
+            margin_qd: margins.qd.share,
+            margin_tau: margins.tau.share,
+            ..PlannerResponse::default()
+        }
+    }
+}
+
+/// Replaces the torque of a command, and of its record, by that of another controller, cut to the limits of the robot.
+fn replace_torque(
+    config: &Config,
+    other: &mut OtherController<'_>,
+    output: &mut StepOutput,
+) -> Result<(), String> {
+    let asked = other(&output.record.telemetry)?;
+    if let Some(i) = asked.iter().position(|tau| !tau.is_finite()) {
+        return Err(format!(
+            "torque of joint `{}`: expected a finite number, got {}",
+            config.model.joint_name(i),
+            asked[i]
+        ));
+    }
+    let most = &config.robot.limits.tau_max;
+    let tau = asked.inf(most).sup(&-most);
+    output.command.tau = *tau.padded();
+    let record = &mut output.record.telemetry;
+    record.tau = *tau.padded();
+    record.flags &= !Telemetry::LIMITED;
+    if tau != asked {
+        record.flags |= Telemetry::LIMITED;
+    }
+    Ok(())
+}
+
 impl<D: FnOnce(f64) -> Disturbances> Course for SwingUpRun<'_, D> {
     type Error = Aborted;
 
@@ -217,22 +319,32 @@ impl<D: FnOnce(f64) -> Disturbances> Course for SwingUpRun<'_, D> {
             request: "plan",
             refusal: format!("unknown manoeuvre `{name}`"),
         })?;
-        let replan = self.planner.replan_with(self.solver, number, manoeuvre.given(), &start, &effort)?;
-        let plan =
-            accept(&PlanMessage::new(&replan.plan(self.config), self.config.model.order()), self.config)?;
+        let (plan, response) = match self.options.plan.take() {
+            Some(plan) => {
+                let response = self.describe_given(&plan);
+                (plan, response)
+            }
+            None => {
+                let replan =
+                    self.planner.replan_with(self.solver, number, manoeuvre.given(), &start, &effort)?;
+                let time_total_us = replan.statistics.total.as_secs_f64() * 1e6;
+                let response = PlannerResponse { time_total_us, ..describe(&replan, settings) };
+                (replan.plan(self.config), response)
+            }
+        };
+        let plan = accept(&PlanMessage::new(&plan, self.config.model.order()), self.config)?;
         let id = plan.id;
         self.cycle(Some(StepRequest::Load(plan)))?;
         self.cycle(Some(StepRequest::Start(id)))?;
         if let Some(disturbances) = self.disturbances.take() {
-            let Disturbances { pushes, missed } = disturbances(replan.trajectory.t_f);
+            let Disturbances { pushes, missed } = disturbances(response.t_f);
             let now = self.system.plant.seq();
             for push in pushes {
                 self.system.plant.push(&Push { from: now + push.from, ..push })?;
             }
             self.missed = missed;
         }
-        let time_total_us = replan.statistics.total.as_secs_f64() * 1e6;
-        Ok(PlannerResponse { time_total_us, ..describe(&replan, settings) })
+        Ok(response)
     }
 
     fn watch(&mut self, cycles: u64) -> Result<(), Aborted> {
@@ -241,8 +353,8 @@ impl<D: FnOnce(f64) -> Disturbances> Course for SwingUpRun<'_, D> {
 }
 
 /// Runs the first manoeuvre of the settings, a swing-up, balances for `seconds` (s) and evaluates the run. `config` are the settings of the
-/// controller; the plant may have others. `disturbances` maps the duration t_F (s) of the plan to the disturbances. `records` is cleared
-/// and then filled with one record per control cycle.
+/// controller; the plant may have others. `disturbances` maps the duration t_F (s) of the plan to the disturbances; `options` may replace
+/// planner and controller, and end the run. `records` is cleared and then filled with one record per control cycle.
 ///
 /// # Errors
 /// [`Aborted`] if the run ended early; the evaluation of a finished run contains its success or its failures.
@@ -253,6 +365,7 @@ pub fn swing_up(
     plant: Plant,
     seconds: f64,
     disturbances: impl FnOnce(f64) -> Disturbances,
+    options: RunOptions<'_>,
     records: &mut Vec<Telemetry>,
 ) -> Result<SwingUpEvaluation, Aborted> {
     records.clear();
@@ -262,6 +375,7 @@ pub fn swing_up(
         planner,
         solver,
         disturbances: Some(disturbances),
+        options,
         missed: Vec::new(),
         records,
         fastest: JointVector::zeros(config.model.sizes()),

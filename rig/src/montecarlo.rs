@@ -11,7 +11,7 @@ pub mod variation;
 pub use runs::{RunsError, StudyIdentity, StudyRuns};
 pub use statistics::{Spread, wilson};
 
-use crate::closed_loop::{Aborted, Disturbances, swing_up};
+use crate::closed_loop::{Aborted, Disturbances, RunOptions, swing_up};
 use rand_pcg::Pcg64;
 use rand_pcg::rand_core::{Rng, SeedableRng};
 use rayon::prelude::*;
@@ -213,7 +213,8 @@ impl Scratch {
         plant.plant.start.pendulum = PendulumStart::Rest;
         plant.plant.encoder.seed = plant.plant.encoder.seed.wrapping_add(index);
         let plant = Plant::new(&plant)?;
-        swing_up(planner, &mut self.solver, controller, plant, seconds, disturbances, &mut self.records)
+        let (solver, none) = (&mut self.solver, RunOptions::default());
+        swing_up(planner, solver, controller, plant, seconds, disturbances, none, &mut self.records)
     }
 }
 

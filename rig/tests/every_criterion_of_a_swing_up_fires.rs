@@ -6,7 +6,7 @@ use upswing_model::JointVector;
 use upswing_planner::replan::Planner;
 use upswing_plant::Plant;
 use upswing_record::evaluation::SwingUpEvaluation;
-use upswing_rig::closed_loop::{Disturbances, swing_up};
+use upswing_rig::closed_loop::{Disturbances, RunOptions, swing_up};
 
 /// Time in Balance, s.
 const SECONDS: f64 = 2.0;
@@ -29,8 +29,17 @@ fn each_alone() {
     let plant = Plant::new(&config).expect("a possible start");
     let mut good = Vec::new();
     let none = |_| Disturbances::default();
-    let report = swing_up(&planner, &mut planner.solver(), &config, plant, SECONDS, none, &mut good)
-        .expect("runs to its end");
+    let report = swing_up(
+        &planner,
+        &mut planner.solver(),
+        &config,
+        plant,
+        SECONDS,
+        none,
+        RunOptions::default(),
+        &mut good,
+    )
+    .expect("runs to its end");
     assert_eq!(report.failures, [""; 0], "a good run");
     let limits = &config.robot.limits;
 

@@ -6,7 +6,7 @@ use upswing_ipc::{Clock, Mode, Telemetry};
 use upswing_model::ActuatedVector;
 use upswing_planner::replan::Planner;
 use upswing_plant::Plant;
-use upswing_rig::closed_loop::{Disturbances, swing_up};
+use upswing_rig::closed_loop::{Disturbances, RunOptions, swing_up};
 use upswing_tests::{System, same_bits};
 
 const START_DEG: &[f64] = &[10.0, 10.0, 0.0, -100.0, 0.0, -20.0, 0.0];
@@ -31,6 +31,7 @@ fn in_one_process() -> Vec<Telemetry> {
         plant,
         SECONDS,
         |_| Disturbances::default(),
+        RunOptions::default(),
         &mut records,
     );
     let report = report.unwrap_or_else(|e| panic!("{e}"));

@@ -1,7 +1,7 @@
 //! A plan: a trajectory with the feedback gains that track it and hold its end.
 
 use crate::{Gains, InterpolatedGain, Spline, Trajectory};
-use upswing_model::{ActuatedVector, State};
+use upswing_model::{ActuatedVector, Model, State};
 
 /// The reference of the controller at one moment: u = u_d + K (x - x_d).
 #[derive(Clone, Copy, Debug)]
@@ -44,6 +44,23 @@ pub struct Plan {
 }
 
 impl Plan {
+    /// The plan of a trajectory of `model` with its gains, without activation time. Its id is the XXH3 hash of both, at least 1: equal plans
+    /// have equal ids, and different plans almost never.
+    pub fn new(model: &Model, trajectory: Trajectory, gains: Gains) -> Self {
+        let mut hash = xxhash_rust::xxh3::Xxh3::new();
+        let t = &trajectory;
+        let numbers = t.x.iter().flat_map(|x| x.iter()).chain(t.u.iter().flat_map(|u| u.iter()));
+        numbers.chain([&t.t_f]).chain(gains.as_slice()).for_each(|v| hash.update(&v.to_le_bytes()));
+        Self {
+            id: hash.digest().max(1),
+            fingerprint: model.fingerprint(),
+            activation_ns: None,
+            f: trajectory.f(model),
+            trajectory,
+            gains,
+        }
+    }
+
     /// The reference at the time `t` (s) since the start of the plan, K interpolated linearly between the knots; after
     /// t_F that of [`Self::end`]. Does not allocate.
     pub fn reference(&self, t: f64) -> Reference<'_> {

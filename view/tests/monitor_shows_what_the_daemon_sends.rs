@@ -10,7 +10,7 @@ use upswing_ipc::operator::OperatorRequest;
 use upswing_ipc::{Mode, Telemetry};
 use upswing_planner::replan::Planner;
 use upswing_plant::Plant;
-use upswing_rig::closed_loop::{Disturbances, swing_up};
+use upswing_rig::closed_loop::{Disturbances, RunOptions, swing_up};
 use upswing_view::live::{DaemonStatus, EventView, LatencyPercentiles, Severity, View, ViewBuilder};
 use upswing_view::monitor::{KeyAction, KeyState, Theme, draw};
 
@@ -21,7 +21,16 @@ static CYCLES: LazyLock<Vec<Telemetry>> = LazyLock::new(|| {
     let plant = Plant::new(&CONFIG).expect("a possible start");
     let mut records = Vec::new();
     let calm = |_| Disturbances::default();
-    let report = swing_up(&planner, &mut planner.solver(), &CONFIG, plant, 2.0, calm, &mut records);
+    let report = swing_up(
+        &planner,
+        &mut planner.solver(),
+        &CONFIG,
+        plant,
+        2.0,
+        calm,
+        RunOptions::default(),
+        &mut records,
+    );
     let report = report.expect("a swing-up");
     assert!(report.success, "{report}");
     records

@@ -249,7 +249,7 @@ fn use_manoeuvre(config: &mut Config, name: Option<&str>, grid: Option<&Path>) -
 
 /// Number of the manoeuvre `name`; of the first one without a name.
 fn number_of(config: &Config, name: Option<&str>) -> Result<usize, Failure> {
-    name.map_or(Ok(0), |name| Ok(given_values(config, name, &[])?.0))
+    name.map_or(Ok(0), |name| Ok(given_values(config, Some(name), &[])?.0))
 }
 
 /// Prints the result of a build or merge that started at `begin`.

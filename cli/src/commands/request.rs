@@ -39,7 +39,7 @@ pub fn run(args: &RequestArgs) -> Result<(), Failure> {
         _ if args.to.is_empty() => args.what,
         OperatorRequest::Manoeuvre(manoeuvre) => {
             let config = args.common.process.load()?;
-            let (_, given) = given_values(&config, manoeuvre.name.as_str(), &args.to)?;
+            let (_, given) = given_values(&config, Some(manoeuvre.name.as_str()), &args.to)?;
             let request = ManoeuvreRequest::new(manoeuvre.name.as_str(), &given);
             OperatorRequest::Manoeuvre(request.map_err(Failure::bad_input)?)
         }

@@ -198,22 +198,6 @@ impl NoPlan {
 impl Replan {
     /// The plan for the daemon, without activation time.
     pub fn plan(&self, config: &Config) -> Plan {
-        Plan {
-            id: self.id(),
-            fingerprint: config.model.fingerprint(),
-            f: self.trajectory.f(&config.model),
-            trajectory: self.trajectory.clone(),
-            gains: self.gains.clone(),
-            activation_ns: None,
-        }
-    }
-
-    /// XXH3 hash of trajectory and gains, at least 1: equal plans have equal ids, and different plans almost never.
-    fn id(&self) -> u64 {
-        let mut hash = xxhash_rust::xxh3::Xxh3::new();
-        let t = &self.trajectory;
-        let numbers = t.x.iter().flat_map(|x| x.iter()).chain(t.u.iter().flat_map(|u| u.iter()));
-        numbers.chain([&t.t_f]).chain(self.gains.as_slice()).for_each(|v| hash.update(&v.to_le_bytes()));
-        hash.digest().max(1)
+        Plan::new(&config.model, self.trajectory.clone(), self.gains.clone())
     }
 }
