@@ -7,7 +7,7 @@ FATROP requires explicit dynamics. The trapezoidal rule x_k+1 - h/2 f_k+1 = x_k 
 - dynamics: p_k+1 = x_k + h/2 f_k;
 - constraints: the equations of motion of the unactuated joints, torques, positions, velocities; start and target as equal bounds.
 
-This is 26 equations fewer per stage than the states x_k, u_k, qdd_U,k would need, and FATROP's fastest form of the problem.
+For the default robot these are 19 states; x_k, u_k, qdd_U,k and t_F as the state would be 28.
 """
 
 import resource
