@@ -17,7 +17,9 @@ using Vector = Eigen::VectorXd;
 using Matrix = Eigen::MatrixXd;
 using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
-constexpr int BLOCKS = 400;
+// Points in a block, short enough that few blocks are interrupted, and rounds over all points.
+constexpr size_t BLOCK = 32;
+constexpr int ROUNDS = 100;
 
 struct Point {
     Vector q, qd, u, w, mu, qdd, tau;
@@ -101,12 +103,13 @@ double difference(const Matrix &a, const Matrix &b) { return (a - b).lpNorm<Eige
 
 template <typename Work> void time(const char *name, const std::vector<Point> &points, Work work) {
     std::vector<double> us;
-    for (int block = 0; block < BLOCKS; ++block) {
-        const auto begin = Clock::now();
-        for (const auto &p : points)
-            work(p);
-        us.push_back(std::chrono::duration<double, std::micro>(Clock::now() - begin).count() / points.size());
-    }
+    for (int round = 0; round < ROUNDS; ++round)
+        for (size_t first = 0; first + BLOCK <= points.size(); first += BLOCK) {
+            const auto begin = Clock::now();
+            for (size_t i = first; i < first + BLOCK; ++i)
+                work(points[i]);
+            us.push_back(std::chrono::duration<double, std::micro>(Clock::now() - begin).count() / BLOCK);
+        }
     std::nth_element(us.begin(), us.begin() + us.size() / 2, us.end());
     std::printf("%-50s %.3f us\n", name, us[us.size() / 2]);
 }
