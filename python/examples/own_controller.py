@@ -2,13 +2,13 @@
 
     python python/examples/own_controller.py [STARTS]
 
-The controller is an example: joint-space PD control of the arm's part of the plan, without feedback of the pendulum. It tracks the plan and loses the balance.
+The controller is an example: PD control of the actuated joints along the plan. It tracks the plan, and loses the balance.
 """
 
 import sys
 
-import numpy as np
 import upswing
+from upswing.benchmark import Benchmark, table
 
 
 def pd_controller(system, plan, kp=400.0, kd=40.0):
@@ -28,17 +28,18 @@ def main():
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 3
     system = upswing.System.load("cart-pole")
     planner = upswing.Planner(system)
-    for condition in ("nominal", "everyday"):
-        plant = system if condition == "nominal" else system.with_scenario(condition)
-        succeeded = {"ours": 0, "ours with r = 1/2": 0, "PD": 0}
-        for index, start in enumerate(upswing.random_starts(system, count)):
-            plan = planner.replan(start)
-            softer = upswing.Plan(plan.trajectory, *upswing.lqr(plan.trajectory, r=0.5))
-            loop = upswing.ClosedLoop(planner, start, plant=plant, seed=index)
-            succeeded["ours"] += loop.run(plan=plan).success
-            succeeded["ours with r = 1/2"] += loop.run(plan=softer).success
-            succeeded["PD"] += loop.run(plan=plan, controller=pd_controller(system, plan)).success
-        print(f"{condition}: " + ", ".join(f"{name} {n} of {count}" for name, n in succeeded.items()))
+    benchmark = Benchmark.of(system, samples=count)
+
+    def softer(start):
+        trajectory = planner.replan(start).trajectory
+        return upswing.Plan(trajectory, *upswing.lqr(trajectory, r=0.5))
+
+    scores = [
+        benchmark.score("ours", planner),
+        benchmark.score("our plans, gains with r = 1/2", planner, plan=softer),
+        benchmark.score("our plans, PD controller", planner, controller=lambda plan: pd_controller(system, plan)),
+    ]
+    print(table(scores))
 
 
 if __name__ == "__main__":
