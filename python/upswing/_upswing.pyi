@@ -355,7 +355,7 @@ class Database:
         """Reads a file, or the database of the system. Raises `InputError` if it is damaged, or of another robot or other settings."""
     @property
     def origin(self) -> str:
-        """_Path of the file, or name of the shipped database."""
+        """Path of the file, or name of the shipped database."""
     @property
     def manoeuvre(self) -> str:
         """Name of the manoeuvre."""
