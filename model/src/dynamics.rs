@@ -80,13 +80,16 @@ pub struct HybridDynamics {
 
 /// The components of [`HybridDynamics`] over any number; entries beyond the sizes of the chain have no meaning.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct HybridValues<T> {
+pub struct HybridValues<T> {
+    /// qdd_U (3a), rad/s^2 or m/s^2.
     pub qdd_u: [T; MOST_JOINTS],
+    /// tau_A (3b), (9), N m or N.
     pub tau: [T; MOST_JOINTS],
 }
 
 impl<T: Scalar> HybridValues<T> {
-    pub(crate) const ZERO: Self = Self { qdd_u: [T::ZERO; MOST_JOINTS], tau: [T::ZERO; MOST_JOINTS] };
+    /// All zero.
+    pub const ZERO: Self = Self { qdd_u: [T::ZERO; MOST_JOINTS], tau: [T::ZERO; MOST_JOINTS] };
 }
 
 impl Model {
@@ -196,12 +199,7 @@ impl Model {
                 x.iter_mut().zip(state.iter()).for_each(|(x, v)| x.0[lane] = *v);
                 u.iter_mut().zip(input.iter()).for_each(|(u, v)| u.0[lane] = *v);
             }
-            self.hybrid_values_side_by_side(
-                &x[..sizes.state()],
-                &u[..sizes.actuated()],
-                &mut work,
-                &mut values,
-            );
+            self.hybrid_dynamics_of(&x[..sizes.state()], &u[..sizes.actuated()], &mut work, &mut values);
             for (lane, state) in states.iter().enumerate().take(count - first) {
                 dynamics.qdd_u.iter_mut().zip(&values.qdd_u).for_each(|(out, v)| *out = v.0[lane]);
                 dynamics.tau.iter_mut().zip(&values.tau).for_each(|(out, v)| *out = v.0[lane]);
@@ -211,7 +209,8 @@ impl Model {
         Ok(())
     }
 
-    fn hybrid_values_side_by_side<T: Scalar>(
+    /// [`Self::hybrid_dynamics`] at x = [q, qd] and u, sorted, over any number: of one point, or of several side by side.
+    pub fn hybrid_dynamics_of<T: Scalar>(
         &self,
         x: &[T],
         u: &[T],

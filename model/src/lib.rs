@@ -33,7 +33,7 @@ mod vector;
 
 pub use description::{Urdf, UrdfJoint, UrdfJointKind, UrdfLink, UrdfShape, UrdfVisual};
 pub use dims::{Dims, Fixed};
-pub use dynamics::{HybridDynamics, Workspace};
+pub use dynamics::{HybridDynamics, HybridValues, Workspace};
 pub use friction::JointFriction;
 pub use integration::runge_kutta_step;
 pub use limits::{LimitKind, Limits};

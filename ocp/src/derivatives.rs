@@ -1,17 +1,19 @@
-//! Derivatives at the knots of a trajectory, several knots side by side: half the time of one knot after the other, and the same bits.
+//! Values and derivatives at the knots of a trajectory, several knots side by side: half the time of one knot after the other, and the same
+//! bits.
 
 use crate::kkt::Dynamics;
 use crate::problem::{Problem, TorqueConstraint};
 use upswing_model::{
-    ActuatedVector, Dims, LARGEST_STATE, Lanes, Linearization, MOST_JOINTS, Sizes, Workspace,
+    ActuatedVector, Dims, HybridValues, LARGEST_STATE, Lanes, Linearization, MOST_JOINTS, Sizes, State,
+    Workspace,
 };
 
 /// Number of knots side by side.
 pub(crate) const LANES: usize = 4;
 
-type Number = Lanes<LANES>;
+pub(crate) type Number = Lanes<LANES>;
 
-/// Derivatives of dynamics and constrained torque at up to [`LANES`] knots, one in each lane, and memory for them.
+/// Values and derivatives of dynamics and constrained torque at up to [`LANES`] knots, one in each lane, and memory for them.
 pub(crate) struct KnotDerivatives {
     sizes: Sizes,
     x: [Number; LARGEST_STATE],
@@ -20,6 +22,7 @@ pub(crate) struct KnotDerivatives {
     w: [Number; MOST_JOINTS],
     mu: [Number; MOST_JOINTS],
     work: Workspace<Number>,
+    values: HybridValues<Number>,
     dynamics: Linearization<Number>,
     /// Of (11) where that is the constraint.
     constraint: Option<Linearization<Number>>,
@@ -43,6 +46,7 @@ impl KnotDerivatives {
             w: [zero; MOST_JOINTS],
             mu: [zero; MOST_JOINTS],
             work: Workspace::default(),
+            values: HybridValues::ZERO,
             dynamics: Linearization::new(sizes),
             constraint,
             hessian,
@@ -57,9 +61,48 @@ impl KnotDerivatives {
     }
 
     /// Sets the factors of qdd_U and of the torque in the second derivatives of a lane.
-    pub(crate) fn set_multipliers(&mut self, lane: usize, w: &[f64], mu: &[f64]) {
-        put(lane, w, &mut self.w);
-        put(lane, mu, &mut self.mu);
+    pub(crate) fn set_multipliers(
+        &mut self,
+        lane: usize,
+        w: impl Iterator<Item = f64>,
+        mu: impl Iterator<Item = f64>,
+    ) {
+        self.w.iter_mut().zip(w).for_each(|(out, w)| out.0[lane] = w);
+        self.mu.iter_mut().zip(mu).for_each(|(out, mu)| out.0[lane] = mu);
+    }
+
+    /// Calls `visit` with qdd_U and the constrained torque of `count` knots, in order: with the number of the knot, the values, and the lane
+    /// that holds them. `point` gives the state and the input of a knot.
+    pub(crate) fn evaluate_all<'p>(
+        &mut self,
+        problem: &Problem<'_>,
+        count: usize,
+        point: impl Fn(usize) -> (&'p [f64], &'p [f64]),
+        mut visit: impl FnMut(usize, &HybridValues<Number>, usize),
+    ) {
+        let sizes = self.sizes;
+        let mut work = match problem.torque {
+            TorqueConstraint::Exact => None,
+            TorqueConstraint::WithoutCoriolis { .. } => Some(Workspace::default()),
+        };
+        for first in (0..count).step_by(LANES) {
+            for lane in 0..LANES {
+                // Lanes that are left over repeat the last knot.
+                let (x, u) = point((first + lane).min(count - 1));
+                self.set_point(lane, x, u);
+            }
+            let (x, u) = (&self.x[..sizes.state()], &self.u[..sizes.actuated()]);
+            problem.model.hybrid_dynamics_of(x, u, &mut self.work, &mut self.values);
+            for (lane, k) in (first..count).take(LANES).enumerate() {
+                if let Some(work) = &mut work {
+                    let (x, u) = point(k);
+                    let (x, u) = (State::from_fn(sizes, |i| x[i]), ActuatedVector::from_fn(sizes, |i| u[i]));
+                    let tau = problem.model.torque_without_coriolis(&x, &u, work);
+                    put(lane, &tau, &mut self.values.tau);
+                }
+                visit(k, &self.values, lane);
+            }
+        }
     }
 
     /// First derivatives at the points.

@@ -17,7 +17,7 @@ use bounded::BoundedVector;
 use filter::Filter;
 use newton::{Direction, LinearSystem};
 use std::time::{Duration, Instant};
-use upswing_model::{ActuatedVector, LimitKind, Sizes, State, States, Workspace};
+use upswing_model::{ActuatedVector, LARGEST_STATE, LimitKind, Sizes, State, States};
 use upswing_trajectory::Trajectory;
 
 /// When to stop.
@@ -210,7 +210,6 @@ struct TrialPoint {
 
 struct NlpSolver<'a> {
     problem: &'a Problem<'a>,
-    work: Workspace,
     /// Derivatives at some knots.
     derivatives: KnotDerivatives,
     /// Centre and half range of the constrained torque.
@@ -221,6 +220,8 @@ struct NlpSolver<'a> {
     lambda: Slab<States>,
     lambda_target: Vec<f64>,
     lambda_torque: Vec<f64>,
+    /// w_k = lambda_{k-1} + lambda_k, what the defects on both sides of knot k pull with.
+    on_knots: Slab<States>,
     /// Bounds of x_1..x_N (x_0 is given), of the slacks and of t_F.
     bound_x: BoundedVector,
     bound_s: BoundedVector,
@@ -241,7 +242,6 @@ const BARRIER: f64 = 1e-3;
 
 impl<'a> NlpSolver<'a> {
     fn new(problem: &'a Problem<'a>, guess: &Trajectory) -> Self {
-        let mut work = Workspace::default();
         let mu = BARRIER;
         let (sizes, n) = (problem.sizes(), guess.intervals());
         let (low, high) = problem.torque.bounds(&problem.limits.tau_max);
@@ -264,19 +264,26 @@ impl<'a> NlpSolver<'a> {
             highest.extend_from_slice(&high);
         }
         let bound_x = BoundedVector::new(lowest, highest, free, mu);
-        for k in 0..=n {
-            let (_, tau) = problem.knot(&primal.x(k), &primal.u(k), &mut work);
-            primal.s.extend_from_slice(&(tau - torque_centre).component_div(&torque_half));
-        }
+        let mut derivatives = KnotDerivatives::new(problem);
+        let Primal { x, u, s, .. } = &mut primal;
+        derivatives.evaluate_all(
+            problem,
+            n + 1,
+            |k| (part(x, k, sizes.state()), part(u, k, sizes.actuated())),
+            |_, values, lane| {
+                let scaled = |a: usize| (values.tau[a].0[lane] - torque_centre[a]) / torque_half[a];
+                s.extend((0..sizes.actuated()).map(scaled));
+            },
+        );
         let ones = vec![1.0; primal.s.len()];
         let bound_s = BoundedVector::new(vec![-1.0; ones.len()], ones, &mut primal.s, mu);
         Self {
             problem,
-            derivatives: KnotDerivatives::new(problem),
-            work,
+            derivatives,
             torque_centre,
             torque_half,
             lambda: Slab::zeros(sizes, n, 1),
+            on_knots: Slab::zeros(sizes, n + 1, 1),
             lambda_target: vec![0.0; problem.target.len()],
             lambda_torque: vec![0.0; primal.s.len()],
             primal,
@@ -290,20 +297,33 @@ impl<'a> NlpSolver<'a> {
 
     fn residuals(&mut self, p: &Primal) -> Residuals {
         let (sizes, n) = (p.sizes, p.intervals());
+        let (joints, actuated, state) = (sizes.joints(), sizes.actuated(), sizes.state());
         let half_h = 0.5 * p.h();
         let mut defects = Slab::<States>::zeros(sizes, n, 1);
         let mut torque = Vec::with_capacity(p.s.len());
-        let mut last: Option<(State, State)> = None;
-        for k in 0..=n {
-            let (x, u) = (p.x(k), p.u(k));
-            let (f, tau) = self.problem.knot(&x, &u, &mut self.work);
-            let tau = (tau - self.torque_centre).component_div(&self.torque_half);
-            torque.extend(tau.iter().zip(part(&p.s, k, sizes.actuated())).map(|(tau, s)| tau - s));
-            if let Some((last_x, last_f)) = last {
-                defects.set(k - 1, &(x - last_x - (last_f + f) * half_h));
+        // f of the last two knots.
+        let (mut before, mut f) = ([0.0; LARGEST_STATE], [0.0; LARGEST_STATE]);
+        let point = |k| (part(&p.x, k, state), part(&p.u, k, actuated));
+        let (centre, half) = (&self.torque_centre, &self.torque_half);
+        self.derivatives.evaluate_all(self.problem, n + 1, point, |k, values, lane| {
+            let ((x, u), s) = (point(k), part(&p.s, k, actuated));
+            for i in 0..actuated {
+                torque.push((values.tau[i].0[lane] - centre[i]) / half[i] - s[i]);
             }
-            last = Some((x, f));
-        }
+            // [qd, u, qdd_U]
+            f[..joints].copy_from_slice(&x[joints..]);
+            f[joints..joints + actuated].copy_from_slice(u);
+            for i in joints + actuated..state {
+                f[i] = values.qdd_u[i - joints - actuated].0[lane];
+            }
+            if k > 0 {
+                let (last, defect) = (point(k - 1).0, defects.vector_mut(k - 1));
+                for i in 0..state {
+                    defect[i] = x[i] - last[i] - (before[i] + f[i]) * half_h;
+                }
+            }
+            std::mem::swap(&mut before, &mut f);
+        });
         let end = p.x(n);
         let target = self.problem.target.iter().map(|row| row.residual(&end)).collect();
         Residuals { defects, target, torque }

@@ -224,24 +224,33 @@ pub(crate) fn update_lower<D: Registers>(
     }
 }
 
-/// Copies the entries below the diagonal of rows i to i + 4 and columns j to j + 4 of [`mirror`], j <= i.
+/// Copies rows i to i + 4 and columns j to j + 4 of [`mirror`], j < i, to rows j to j + 4.
 ///
 /// # Safety
 /// Rows and columns up to i + 3 and j + 3 are within `out`.
 #[inline(always)]
-unsafe fn mirror_block(out: &mut [f64], stride: usize, i: usize, j: usize) {
-    // SAFETY: by the caller; the reads are done before the writes.
+unsafe fn mirror_block<D: Registers>(out: &mut [f64], stride: usize, i: usize, j: usize) {
+    // SAFETY: by the caller; the reads are done before the writes, and a `D` with AVX2 exists only where the CPU has it.
     unsafe {
-        let row = |l: usize| *out.as_ptr().add((i + l) * stride + j).cast::<[f64; 4]>();
-        let block = [row(0), row(1), row(2), row(3)];
-        let mut transposed = [[0.0; 4]; 4];
-        for l in 0..4 {
-            for m in 0..4 {
-                transposed[l][m] = if i == j && m <= l { block[l][m] } else { block[m][l] };
-            }
+        let from = out.as_ptr().add(i * stride + j);
+        let to = out.as_mut_ptr().add(j * stride + i);
+        #[cfg(target_arch = "x86_64")]
+        if D::AVX2 {
+            use std::arch::x86_64::*;
+            let row = |l: usize| _mm256_loadu_pd(from.add(l * stride));
+            let (r0, r1, r2, r3) = (row(0), row(1), row(2), row(3));
+            let (even, odd) = (_mm256_unpacklo_pd(r0, r1), _mm256_unpackhi_pd(r0, r1));
+            let (even_2, odd_2) = (_mm256_unpacklo_pd(r2, r3), _mm256_unpackhi_pd(r2, r3));
+            _mm256_storeu_pd(to, _mm256_permute2f128_pd::<0x20>(even, even_2));
+            _mm256_storeu_pd(to.add(stride), _mm256_permute2f128_pd::<0x20>(odd, odd_2));
+            _mm256_storeu_pd(to.add(2 * stride), _mm256_permute2f128_pd::<0x31>(even, even_2));
+            _mm256_storeu_pd(to.add(3 * stride), _mm256_permute2f128_pd::<0x31>(odd, odd_2));
+            return;
         }
+        let row = |l: usize| *from.add(l * stride).cast::<[f64; 4]>();
+        let block = [row(0), row(1), row(2), row(3)];
         for l in 0..4 {
-            *out.as_mut_ptr().add((j + l) * stride + i).cast::<[f64; 4]>() = transposed[l];
+            *to.add(l * stride).cast::<[f64; 4]>() = [block[0][l], block[1][l], block[2][l], block[3][l]];
         }
     }
 }
@@ -268,48 +277,48 @@ kernels! {
         // Whole blocks of four rows and columns, which take a quarter of the time of their entries one by one.
         let whole = n - n % 4;
         for i in (0..whole).step_by(4) {
-            for j in (0..=i).step_by(4) {
+            for j in (0..i).step_by(4) {
                 // SAFETY: i + 3 and j + 3 are less than n, hence rows and columns of `out` by the assertion above.
-                unsafe { mirror_block(out, stride, i, j) };
+                unsafe { mirror_block::<D>(out, stride, i, j) };
             }
         }
-        for i in whole..n {
-            for j in 0..i {
+        for i in 0..n {
+            for j in if i < whole { i - i % 4 } else { 0 }..i {
                 out[j * stride + i] = out[i * stride + j];
             }
         }
     }
 
-    /// The factors of P = L D L' (Cholesky's decomposition without square roots): rows of `n` of L below its diagonal of ones, and the
-    /// inverses of the diagonal D. P is the symmetric block of `n` rows that begins at (`at`, `at`) of `p`; its lower triangle is read.
-    /// `false` unless P is positive definite.
-    pub(crate) fn cholesky(
+    /// Eliminates `n` variables of a quadratic form from its `rows` of them: these become L^-1 times what they were, for the factors
+    /// L D L' (Cholesky's decomposition without square roots) of the symmetric block whose columns begin at `at`. `lower` becomes rows
+    /// of `n` of L below its diagonal of ones, `inverse` the inverses of the diagonal D. Of the block the lower triangle is read.
+    /// `false` unless it is positive definite.
+    pub(crate) fn eliminate(
         d: D,
-        p: &[f64],
+        rows: &mut [f64],
         stride: usize,
         at: usize,
         n: usize,
         lower: &mut [f64],
         inverse: &mut [f64],
     ) -> bool {
-        let (lower, inverse) = (&mut lower[..n * n], &mut inverse[..n]);
-        for i in 0..n {
-            let row = &p[(at + i) * stride + at..][..n];
-            let (done, rest) = lower.split_at_mut(i * n);
-            let rest = &mut rest[..n];
-            // L D of this row.
-            let mut scaled = [0.0; MOST_JOINTS];
-            let mut pivot = row[i];
+        let (rows, lower, inverse) = (&mut rows[..n * stride], &mut lower[..n * n], &mut inverse[..n]);
+        for i in 1..n {
             for j in 0..i {
-                let known = &done[j * n..][..n];
-                let mut sum = row[j];
-                for l in 0..j {
-                    sum -= scaled[l] * known[l];
-                }
-                scaled[j] = sum;
-                rest[j] = sum * inverse[j];
-                pivot -= sum * rest[j];
+                rows[j * stride + at + i] = rows[i * stride + at + j];
             }
+        }
+        for i in 0..n {
+            let (done, rest) = rows.split_at_mut(i * stride);
+            let row = &mut rest[..stride];
+            let mut s = [0.0; MOST_JOINTS];
+            for l in 0..i {
+                let known = done[l * stride + at + i] * inverse[l];
+                lower[i * n + l] = known;
+                s[l] = -known;
+            }
+            combine(row, i, &s, 1, done, stride);
+            let pivot = row[at + i];
             // A NaN is refused, too.
             if !(pivot > 0.0 && pivot.is_finite()) {
                 return false;
@@ -320,20 +329,7 @@ kernels! {
     }
 }
 
-/// b = L^-1 b for the factors of [`cholesky`] and `n` rows of `stride`.
-#[inline(always)]
-pub(crate) fn forward(lower: &[f64], n: usize, b: &mut [f64], stride: usize) {
-    for i in 0..n {
-        let (done, rest) = b.split_at_mut(i * stride);
-        let mut s = [0.0; MOST_JOINTS];
-        for l in 0..i {
-            s[l] = -lower[i * n + l];
-        }
-        combine(&mut rest[..stride], i, &s, 1, done, stride);
-    }
-}
-
-/// out = -D^-1 b for the factors of [`cholesky`] and `n` rows of `stride`.
+/// out = -D^-1 b for the factors of [`eliminate`] and `n` rows of `stride`.
 #[inline(always)]
 pub(crate) fn divide_negative(inverse: &[f64], n: usize, b: &[f64], out: &mut [f64], stride: usize) {
     for i in 0..n {
@@ -344,7 +340,7 @@ pub(crate) fn divide_negative(inverse: &[f64], n: usize, b: &[f64], out: &mut [f
     }
 }
 
-/// b = L'^-1 b for the factors of [`cholesky`] and `n` rows of `stride`.
+/// b = L'^-1 b for the factors of [`eliminate`] and `n` rows of `stride`.
 #[inline(always)]
 pub(crate) fn backward(lower: &[f64], n: usize, b: &mut [f64], stride: usize) {
     for i in (0..n).rev() {
@@ -357,7 +353,7 @@ pub(crate) fn backward(lower: &[f64], n: usize, b: &mut [f64], stride: usize) {
     }
 }
 
-/// x = -P^-1 b for the factors of [`cholesky`] and one column of `n` entries.
+/// x = -P^-1 b for the factors of [`eliminate`] and one column of `n` entries.
 #[inline(always)]
 pub(crate) fn solve_negative(lower: &[f64], inverse: &[f64], n: usize, b: &[f64], x: &mut [f64]) {
     let (lower, inverse, b, x) = (&lower[..n * n], &inverse[..n], &b[..n], &mut x[..n]);

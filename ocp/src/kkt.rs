@@ -28,8 +28,8 @@ mod variables;
 
 pub use dynamics::Dynamics;
 pub use sweep::Factor;
-pub(crate) use sweep::factorise;
 use sweep::{Pass, SweepWorkspace};
+pub(crate) use sweep::{change_variables, factorise};
 pub(crate) use target::nearest_state;
 pub use target::{DependentTargetRow, TargetRow, check_target_rows};
 
@@ -229,10 +229,21 @@ impl Kkt {
         Rhs::zeros(self.sizes(), self.intervals(), self.target.len())
     }
 
-    /// Backward sweep with `damping` added to the diagonal of every H_k and to w (inertia correction): one
-    /// number for states and t, one for inputs. `factor` must be one for as many intervals. `false`, with a useless
-    /// factor, if the reduced Hessian is not positive definite or if target rows depend on each other.
+    /// [`Self::change_variables`] and [`Self::factorise`].
     pub fn factor_into(&self, damping: f64, input_damping: f64, factor: &mut Factor) -> bool {
+        self.change_variables(factor) && self.factorise(damping, input_damping, factor)
+    }
+
+    /// The part of a factorisation that depends on h, A_k, B_k, f_k and T alone. `factor` must be one for as many intervals. `false` if
+    /// target rows depend on each other.
+    pub fn change_variables(&self, factor: &mut Factor) -> bool {
+        dispatch!(self.sizes(), |d| change_variables(d, self, factor))
+    }
+
+    /// Backward sweep with `damping` added to the diagonal of every H_k and to w (inertia correction): one
+    /// number for states and t, one for inputs. `factor` must know the changes of variables. `false`, with a useless factor, if the
+    /// reduced Hessian is not positive definite.
+    pub fn factorise(&self, damping: f64, input_damping: f64, factor: &mut Factor) -> bool {
         dispatch!(self.sizes(), |d| factorise(d, self, damping, input_damping, factor))
     }
 

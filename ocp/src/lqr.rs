@@ -1,7 +1,7 @@
 //! Discrete time-variant LQR (18)-(23) along a trajectory.
 
 use crate::dims::{Registers, dispatch, kernels};
-use crate::kernels::{backward, cholesky, combine, divide_negative, forward, mirror, rank_update, shift_add};
+use crate::kernels::{backward, combine, eliminate, mirror, rank_update, shift_add};
 use crate::slab::{Knots, Slab};
 use nalgebra::DMatrix;
 use upswing_model::{
@@ -224,11 +224,10 @@ struct CostToGo {
     /// L and the inverse of D of L D L' = R + Gamma' P Gamma, n_A rows of n_A entries and n_A entries.
     lower: Vec<f64>,
     inverse: Vec<f64>,
-    pivot: Vec<f64>,
     /// The factors of the update of P, of n_U + n_A rows each: [Ts a; -D^-1 G]' and [V; G] with G = L^-1 Gamma' P Phi and the rows V
-    /// of P Phi of the unactuated velocities.
+    /// of P Phi of the unactuated velocities. Beside G stands what the elimination leaves of R + Gamma' P Gamma.
     left: Slab<States>,
-    right: Slab<States>,
+    right: Slab<Knots>,
 }
 
 impl CostToGo {
@@ -245,7 +244,6 @@ impl CostToGo {
             b: vec![0.0; unactuated * actuated],
             lower: vec![0.0; actuated * actuated],
             inverse: vec![0.0; actuated],
-            pivot: vec![0.0; actuated * actuated],
             left: Slab::zeros(sizes, 1, unactuated + actuated),
             right: Slab::zeros(sizes, 1, unactuated + actuated),
         }
@@ -308,13 +306,13 @@ kernels! {
             }
         }
         // R + Gamma' P Gamma
-        let pivot = &mut work.pivot[..actuated * actuated];
+        let (v, g) = work.right.as_mut_slice().split_at_mut(unactuated * knot_row);
         for i in 0..actuated {
             let mut line = [0.0; LARGEST_STATE];
             let line = &mut line[..row];
             line.copy_from_slice(&p[(n + i) * row..][..row]);
             combine(line, unactuated, &b[i..], actuated, &p[v_u * row..], row);
-            let out = &mut pivot[i * actuated..][..actuated];
+            let out = &mut g[i * knot_row + state..][..actuated];
             out.copy_from_slice(&line[n..v_u]);
             for m in 0..unactuated {
                 shift_add(out, line[v_u + m], &b[m * actuated..]);
@@ -323,9 +321,6 @@ kernels! {
                 out[j] *= ts * ts;
             }
             out[i] += r;
-        }
-        if !cholesky(d, pivot, actuated, 0, actuated, &mut work.lower, &mut work.inverse) {
-            return false;
         }
         // P Phi
         for i in 0..state {
@@ -339,30 +334,38 @@ kernels! {
             combine(line, unactuated, &on_v, 1, a, row);
         }
         // V, and L^-1 Gamma' P Phi
-        let (v, g) = work.right.as_mut_slice().split_at_mut(unactuated * row);
-        v.copy_from_slice(&p[v_u * row..]);
+        for m in 0..unactuated {
+            v[m * knot_row..][..state].copy_from_slice(&p[(v_u + m) * row..][..state]);
+        }
         for i in 0..actuated {
-            let g = &mut g[i * row..][..row];
-            g.copy_from_slice(&p[(n + i) * row..][..row]);
-            combine(g, unactuated, &b[i..], actuated, v, row);
-            for j in 0..row {
-                g[j] *= ts;
+            let mut line = [0.0; LARGEST_STATE];
+            let line = &mut line[..row];
+            line.copy_from_slice(&p[(n + i) * row..][..row]);
+            combine(line, unactuated, &b[i..], actuated, &p[v_u * row..], row);
+            for j in 0..state {
+                g[i * knot_row + j] = ts * line[j];
             }
         }
-        forward(&work.lower, actuated, g, row);
+        if !eliminate(d, g, knot_row, state, actuated, &mut work.lower, &mut work.inverse) {
+            return false;
+        }
         // Q + Phi' (P Phi) - K' (R + Gamma' P Gamma) K: its lower half, and the same above the diagonal. Without exact
         // symmetry rounding grows over 17 000 steps.
         let (on_v, on_g) = work.left.as_mut_slice().split_at_mut(unactuated * row);
         for j in 0..on_v.len() {
             on_v[j] = ts * a[j];
         }
-        divide_negative(&work.inverse, actuated, g, on_g, row);
+        for i in 0..actuated {
+            for j in 0..state {
+                on_g[i * row + j] = -work.inverse[i] * g[i * knot_row + j];
+            }
+        }
         for i in n..state {
             let (low, high) = p.split_at_mut(i * row);
             shift_add(&mut high[..row], ts, &low[(i - n) * row..]);
         }
         let (left, right) = (work.left.as_slice(), work.right.as_slice());
-        rank_update(d, p, row, state, unactuated + actuated, left, row, right, row);
+        rank_update(d, p, row, state, unactuated + actuated, left, row, right, knot_row);
         for i in 0..state {
             p[i * row + i] += q[i];
         }

@@ -4,11 +4,12 @@
 //! until one converges and the next one is not cheaper, then guesses with seeded waves on all joints, until the cheapest solution is
 //! found a second time.
 
+use crate::derivatives::KnotDerivatives;
 use crate::guess::Swing;
 use crate::interior_point::{self, Limit, NlpOptions, NlpSolution, NlpStatus};
 use crate::problem::Problem;
 use crate::random::Random;
-use upswing_model::{JointVector, LimitKind, Workspace};
+use upswing_model::{JointVector, LimitKind};
 use upswing_trajectory::Trajectory;
 
 /// Half swings and durations, in half periods, of the guesses that are tried first. From either of the first two the best known optimum of
@@ -252,22 +253,26 @@ fn most_exceeded(
     joints: std::ops::Range<usize>,
 ) -> Option<Limit> {
     let limits = &problem.limits;
-    let mut work = Workspace::default();
+    let (tau_min, tau_max) = problem.torque.bounds(&limits.tau_max);
     let mut worst = (0.0, None);
-    for (k, (x, u)) in trajectory.knots().enumerate() {
-        let (_, tau) = problem.knot(x, u, &mut work);
-        let (tau_min, tau_max) = problem.torque.bounds(&limits.tau_max);
-        for joint in joints.clone() {
-            let (value, (lower, upper)) = match kind {
-                LimitKind::Position => (x.q()[joint], limits.range(kind, joint)),
-                LimitKind::Velocity => (x.qd()[joint], limits.range(kind, joint)),
-                LimitKind::Torque => (tau[joint], (tau_min[joint], tau_max[joint])),
-            };
-            let excess = (lower - value).max(value - upper) / (upper - lower);
-            if excess > worst.0 {
-                worst = (excess, Some(Limit { kind, joint, time: k as f64 * trajectory.h() }));
+    KnotDerivatives::new(problem).evaluate_all(
+        problem,
+        trajectory.x.len(),
+        |k| (&trajectory.x[k], &trajectory.u[k]),
+        |k, values, lane| {
+            let x = &trajectory.x[k];
+            for joint in joints.clone() {
+                let (value, (lower, upper)) = match kind {
+                    LimitKind::Position => (x.q()[joint], limits.range(kind, joint)),
+                    LimitKind::Velocity => (x.qd()[joint], limits.range(kind, joint)),
+                    LimitKind::Torque => (values.tau[joint].0[lane], (tau_min[joint], tau_max[joint])),
+                };
+                let excess = (lower - value).max(value - upper) / (upper - lower);
+                if excess > worst.0 {
+                    worst = (excess, Some(Limit { kind, joint, time: k as f64 * trajectory.h() }));
+                }
             }
-        }
-    }
+        },
+    );
     worst.1
 }

@@ -1,7 +1,7 @@
 //! The swing-up as an optimisation problem: (6), (8) with the torque constraint (9) or (11).
 
 use crate::kkt::{TargetRow, nearest_state};
-use upswing_model::{ActuatedVector, Limits, Model, Sizes, State, Workspace};
+use upswing_model::{ActuatedVector, Limits, Model, Sizes, State};
 use upswing_trajectory::Trajectory;
 
 /// The form of the motor torque that is kept within its limits, with what its bounds need.
@@ -129,22 +129,6 @@ impl Problem<'_> {
     /// J of (6a): t_F + h/2 sum u_k' R u_k, for `n` intervals with the `effort` sum u_k' u_k.
     pub(crate) fn cost(&self, t_f: f64, n: usize, effort: f64) -> f64 {
         t_f + 0.5 * t_f / n as f64 * self.input_weight * effort
-    }
-
-    /// f_k and the constrained torque at a knot.
-    pub(crate) fn knot(
-        &self,
-        x: &State,
-        u: &ActuatedVector,
-        work: &mut Workspace,
-    ) -> (State, ActuatedVector) {
-        let exact = self.model.derivative_and_torque(x, u, work);
-        match self.torque {
-            TorqueConstraint::Exact => exact,
-            TorqueConstraint::WithoutCoriolis { .. } => {
-                (exact.0, self.model.torque_without_coriolis(x, u, work))
-            }
-        }
     }
 
     /// A straight line from the start to the nearest point of the target, with zero velocities and inputs.

@@ -2,6 +2,7 @@
 
 use super::newton::LinearSystem;
 use super::{BoundedVector, Limit, NlpSolver, part};
+use crate::kernels::dot;
 use crate::kkt::Kkt;
 use crate::slab::KnotVector;
 use upswing_model::LimitKind;
@@ -21,9 +22,9 @@ impl NlpSolver<'_> {
         let mut worst = 0.0_f64;
         let mut by_defects = KnotVector::zeros(sizes);
         for k in 0..=n {
-            let w = self.defect_multiplier(k);
-            on_t -= w.dot(&dynamics.f.state(k)) * (0.5 / n as f64);
-            dynamics.apply_transposed(k, &w, &mut by_defects);
+            let w = self.on_knots.vector(k);
+            on_t -= dot(w, dynamics.f.vector(k)) * (0.5 / n as f64);
+            dynamics.apply_transposed(k, w, &mut by_defects);
             torque.add_transposed_times(k, part(&self.lambda_torque, k, actuated), rhs.g.vector_mut(k));
             let g = rhs.g.vector_mut(k);
             for (g, by_defects) in g.iter_mut().zip(by_defects.iter()) {

@@ -3,9 +3,10 @@
 use super::bounded::DualStep;
 use super::{BoundedVector, NlpSolver, Residuals, part};
 use crate::derivatives::LANES;
+use crate::kernels::shift_add;
 use crate::kkt::{Factor, Kkt, NewtonStep, Rhs, SolveWorkspace, TargetRow};
 use crate::slab::{Knots, Slab};
-use upswing_model::{ActuatedVector, Sizes, State, States};
+use upswing_model::{Sizes, States};
 
 /// Of the linear solves: each refinement gains several digits; more than this many means there is nothing left to
 /// gain, and so does a residual this small against the right-hand side.
@@ -69,20 +70,19 @@ impl LinearSystem {
 }
 
 impl NlpSolver<'_> {
-    /// Multiplier sum w_k = lambda_{k-1} + lambda_k of the defects at knot k.
-    pub(super) fn defect_multiplier(&self, k: usize) -> State {
-        let mut w = State::zeros(self.primal.sizes);
-        if k > 0 {
-            w += self.lambda.state(k - 1);
-        }
-        if k < self.primal.intervals() {
-            w += self.lambda.state(k);
-        }
-        w
+    /// Sums the multipliers of the defects on both sides of each knot.
+    fn sum_multipliers(&mut self) {
+        let (lambda, row) = (self.lambda.as_slice(), self.lambda.stride());
+        let sums = self.on_knots.as_mut_slice();
+        let last = sums.len() - row;
+        sums[..last].copy_from_slice(lambda);
+        sums[last..].fill(0.0);
+        shift_add(&mut sums[row..], 1.0, lambda);
     }
 
     /// Sets the matrix (without barrier and torque terms) and the torques' Jacobians to those of the current point.
     pub(super) fn linearise(&mut self, linear: &mut LinearSystem) {
+        self.sum_multipliers();
         let (h, n, sizes) = (self.primal.h(), self.primal.intervals(), self.primal.sizes);
         let (state, actuated) = (sizes.state(), sizes.actuated());
         let r = self.problem.input_weight;
@@ -91,15 +91,18 @@ impl NlpSolver<'_> {
             for lane in 0..LANES {
                 // Lanes that are left over repeat the last knot.
                 let k = (first + lane).min(n);
-                let w_u = self.defect_multiplier(k).qd_u() * (-0.5 * h);
+                let on_qdd_u = &self.on_knots.vector(k)[sizes.joints() + actuated..];
                 let lambda = part(&self.lambda_torque, k, actuated);
-                let mu = ActuatedVector::from_fn(sizes, |i| lambda[i] / self.torque_half[i]);
                 self.derivatives.set_point(
                     lane,
                     part(&self.primal.x, k, state),
                     part(&self.primal.u, k, actuated),
                 );
-                self.derivatives.set_multipliers(lane, &w_u, &mu);
+                self.derivatives.set_multipliers(
+                    lane,
+                    on_qdd_u.iter().map(|w| w * (-0.5 * h)),
+                    lambda.iter().zip(self.torque_half.iter()).map(|(lambda, half)| lambda / half),
+                );
             }
             self.derivatives.linearise_twice(self.problem);
             for (lane, k) in (first..=n).take(LANES).enumerate() {
@@ -114,7 +117,7 @@ impl NlpSolver<'_> {
         }
         for k in 0..=n {
             let with_t = with_t.vector_mut(k);
-            dynamics.apply_transposed(k, &self.defect_multiplier(k), with_t);
+            dynamics.apply_transposed(k, self.on_knots.vector(k), with_t);
             with_t.iter_mut().for_each(|v| *v *= -0.5 / n as f64);
             let u = part(&self.primal.u, k, actuated);
             for i in 0..actuated {
@@ -149,9 +152,12 @@ impl NlpSolver<'_> {
         let p = &self.primal;
         let (state, actuated) = (p.sizes.state(), p.sizes.actuated());
         linear.kkt.t_t += self.bound_t.sigma(0, p.t);
-        for (i, x) in p.free_x().iter().enumerate() {
-            let (k, row) = (1 + i / state, i % state);
-            linear.kkt.hessian.row_mut(k, row)[row] += self.bound_x.sigma(i, *x);
+        for k in 1..=p.intervals() {
+            let (first, stride) = ((k - 1) * state, linear.kkt.hessian.stride());
+            let panel = linear.kkt.hessian.panel_mut(k);
+            for i in 0..state {
+                panel[i * stride + i] += self.bound_x.sigma(first + i, p.free_x()[first + i]);
+            }
         }
         let sigma: Vec<f64> = p.s.iter().enumerate().map(|(i, s)| self.bound_s.sigma(i, *s)).collect();
         let LinearSystem { kkt, torque, scaled, .. } = linear;
@@ -167,8 +173,11 @@ impl NlpSolver<'_> {
         rhs.g_t = self.objective_gradient(&mut rhs.g) + self.bound_t.gradient(0, p.t, self.mu);
         rhs.defects.copy_from(&c.defects);
         rhs.target.copy_from_slice(&c.target);
-        for (i, x) in p.free_x().iter().enumerate() {
-            rhs.g.vector_mut(1 + i / state)[i % state] += self.bound_x.gradient(i, *x, self.mu);
+        for k in 1..=p.intervals() {
+            let (first, g) = ((k - 1) * state, rhs.g.vector_mut(k));
+            for i in 0..state {
+                g[i] += self.bound_x.gradient(first + i, p.free_x()[first + i], self.mu);
+            }
         }
         let b = &self.bound_s;
         let pull = |(i, s): (usize, &f64)| b.sigma(i, *s) * c.torque[i] + b.gradient(i, *s, self.mu);
@@ -231,8 +240,11 @@ impl NlpSolver<'_> {
         const FIRST: f64 = 1e-4;
         const MOST: f64 = 1e10;
         let mut damping = least;
+        if !linear.kkt.change_variables(&mut linear.factor) {
+            return None;
+        }
         loop {
-            if linear.kkt.factor_into(damping, damping * INPUT_DAMPING, &mut linear.factor) {
+            if linear.kkt.factorise(damping, damping * INPUT_DAMPING, &mut linear.factor) {
                 if damping > 0.0 {
                     self.last_damping = damping;
                 }

@@ -44,7 +44,7 @@ impl Dynamics {
     }
 
     /// [A, B]' w of knot `k` into `out`, the entries of z.
-    pub fn apply_transposed(&self, k: usize, w: &State, out: &mut [f64]) {
+    pub fn apply_transposed(&self, k: usize, w: &[f64], out: &mut [f64]) {
         let sizes = self.sizes();
         let mut row = [0.0; LARGEST_KNOT];
         apply_transposed(sizes, self.rows.panel(k), w, &mut row[..sizes.knot_row()]);

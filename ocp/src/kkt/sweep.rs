@@ -9,8 +9,7 @@ use super::variables::{
 use super::{Kkt, NewtonStep, Products, Rhs, add_products};
 use crate::dims::{Registers, kernels};
 use crate::kernels::{
-    backward, cholesky, combine, divide_negative, dot, forward, mirror, shift_add, solve_negative,
-    update_lower,
+    backward, combine, divide_negative, dot, eliminate, mirror, shift_add, solve_negative, update_lower,
 };
 use crate::slab::{Knots, LARGEST_KNOT, Slab};
 use upswing_model::{Dims, Sizes};
@@ -116,21 +115,17 @@ fn copy_states(d: impl Dims, from: &[f64], to: &mut [f64]) {
     }
 }
 
-/// Lower triangle of P + H_k + damping.
+/// Adds H_k, but for its products, and the damping to the lower triangle of P.
 #[inline(always)]
-fn add_knot<D: Registers>(d: D, kkt: &Kkt, k: usize, damping: (f64, f64), p: &mut [f64], scaled: &mut [f64]) {
-    let (actuated, knot, row) = (d.actuated(), d.knot(), d.knot_row());
+fn add_knot<D: Registers>(d: D, kkt: &Kkt, k: usize, damping: (f64, f64), p: &mut [f64]) {
+    let (knot, row) = (d.knot(), d.knot_row());
     if let Some(hessian) = kkt.hessian.as_slice().get(k * knot * row..(k + 1) * knot * row) {
         for i in 0..knot {
             let columns = (i + 1).next_multiple_of(4).min(row);
             shift_add(&mut p[i * row..][..columns], 1.0, &hessian[i * row..][..columns]);
         }
     }
-    let Products { diagonal, jacobian, sigma } = &kkt.products;
-    if let Some(sigma) = sigma.get(k * actuated..(k + 1) * actuated) {
-        let jacobian = &jacobian.as_slice()[k * actuated * row..][..actuated * row];
-        add_products(d, jacobian, sigma, p, scaled);
-        let diagonal = &diagonal.as_slice()[k * row..][..row];
+    if let Some(diagonal) = kkt.products.diagonal.as_slice().get(k * row..(k + 1) * row) {
         for i in 0..knot {
             p[i * row + i] += diagonal[i];
         }
@@ -140,6 +135,17 @@ fn add_knot<D: Registers>(d: D, kkt: &Kkt, k: usize, damping: (f64, f64), p: &mu
     }
 }
 
+/// J_k and sigma_k of a knot; empty if there are none.
+#[inline(always)]
+fn products<D: Registers>(d: D, products: &Products, k: usize) -> (&[f64], &[f64]) {
+    let (actuated, row) = (d.actuated(), d.knot_row());
+    let sigma = products.sigma.get(k * actuated..(k + 1) * actuated).unwrap_or_default();
+    (
+        products.jacobian.as_slice().get(k * actuated * row..(k + 1) * actuated * row).unwrap_or_default(),
+        sigma,
+    )
+}
+
 kernels! {
     /// Lower triangle of S + sum_l left_l right_l', for n_A rows in `left` and `right`.
     fn add_gain(d: D, left: &[f64], right: &[f64], value: &mut [f64]) {
@@ -147,22 +153,36 @@ kernels! {
         update_lower(d, value, row, d.state(), d.actuated(), left, row, right, row);
     }
 
-    /// [`Kkt::factor_into`](super::Kkt::factor_into)
+    /// [`Kkt::change_variables`](super::Kkt::change_variables)
+    pub(crate) fn change_variables(d: D, kkt: &Kkt, factor: &mut Factor) -> bool {
+        let (state_row, dense) = (d.state_row(), d.unactuated() * d.knot_row());
+        let n = kkt.intervals();
+        let half_h = 0.5 * kkt.h;
+        let dynamics = |k: usize| &kkt.dynamics.rows.as_slice()[k * dense..][..dense];
+        let f = |k: usize| &kkt.dynamics.f.as_slice()[k * state_row..][..state_row];
+        for k in 0..n {
+            let m = &mut factor.entering.as_mut_slice()[k * dense..][..dense];
+            entering(d, half_h, dynamics(k + 1), m, &mut factor.scratch);
+            leaving(d, half_h, dynamics(k), &mut factor.leaving.as_mut_slice()[k * dense..][..dense]);
+            let along_t = &mut factor.along_t.as_mut_slice()[k * state_row..][..state_row];
+            let (near, far) = (f(k), f(k + 1));
+            for l in 0..state_row {
+                along_t[l] = (near[l] + far[l]) / (2.0 * n as f64);
+            }
+        }
+        factor.target.set(d, &kkt.target).is_ok()
+    }
+
+    /// [`Kkt::factorise`](super::Kkt::factorise)
     pub(crate) fn factorise(d: D, kkt: &Kkt, damping: f64, input_damping: f64, factor: &mut Factor) -> bool {
         let (actuated, state, state_row) = (d.actuated(), d.state(), d.state_row());
         let (knot, row, dense) = (d.knot(), d.knot_row(), d.unactuated() * d.knot_row());
         let (_, _, u) = places(d);
         let n = kkt.intervals();
         let half_h = 0.5 * kkt.h;
-        if factor.target.set(d, &kkt.target).is_err() {
-            return false;
-        }
         let with_t = |k: usize| &kkt.with_t.as_slice()[k * row..][..row];
-        let dynamics = |k: usize| &kkt.dynamics.rows.as_slice()[k * dense..][..dense];
-        let f = |k: usize| &kkt.dynamics.f.as_slice()[k * state_row..][..state_row];
         let Factor { scratch, .. } = factor;
         let p = &mut factor.p.as_mut_slice()[..knot * row];
-        let products = &mut factor.scaled.as_mut_slice()[..actuated * row];
         let update = &mut factor.update.as_mut_slice()[..state * state_row];
         let damping = (damping, input_damping);
 
@@ -177,21 +197,19 @@ kernels! {
             let columns = (i + 1).next_multiple_of(4).min(state_row);
             combine(&mut p[i * row..][..columns], targets, &update[i..], state_row, rows, state_row);
         }
-        add_knot(d, kkt, n, damping, p, products);
+        add_knot(d, kkt, n, damping, p);
+        let (jacobian, sigma) = products(d, &kkt.products, n);
+        if !sigma.is_empty() {
+            add_products(d, jacobian, sigma, p, &mut factor.scaled.as_mut_slice()[..actuated * row]);
+        }
         let mut p_t: KnotRow = [0.0; LARGEST_KNOT];
         let p_t = &mut p_t[..row];
         p_t.copy_from_slice(with_t(n));
         let mut t_t = kkt.t_t + damping.0;
         for k in (0..n).rev() {
-            let m = &mut factor.entering.as_mut_slice()[k * dense..][..dense];
-            let leave = &mut factor.leaving.as_mut_slice()[k * dense..][..dense];
-            entering(d, half_h, dynamics(k + 1), m, scratch);
-            leaving(d, half_h, dynamics(k), leave);
-            let along_t = &mut factor.along_t.as_mut_slice()[k * state_row..][..state_row];
-            let (near, far) = (f(k), f(k + 1));
-            for l in 0..state_row {
-                along_t[l] = (near[l] + far[l]) / (2.0 * n as f64);
-            }
+            let m = &factor.entering.as_slice()[k * dense..][..dense];
+            let leave = &factor.leaving.as_slice()[k * dense..][..dense];
+            let along_t = &factor.along_t.as_slice()[k * state_row..][..state_row];
             // In (s_k, du_{k+1}).
             mirror(d, p, row, knot);
             entering_congruence(d, half_h, m, p, scratch);
@@ -199,12 +217,11 @@ kernels! {
             // Without du_{k+1}.
             let lower = &mut factor.lower[k * actuated * actuated..][..actuated * actuated];
             let inverse = &mut factor.inverse[k * actuated..][..actuated];
-            if !cholesky(d, p, row, u, actuated, lower, inverse) {
+            if !eliminate(d, &mut p[u * row..], row, u, actuated, lower, inverse) {
                 return false;
             }
             let gain = &mut factor.gain.as_mut_slice()[k * actuated * state_row..][..actuated * state_row];
             copy_states(d, &p[u * row..], gain);
-            forward(lower, actuated, gain, state_row);
             let value = &mut factor.value.as_mut_slice()[k * state * state_row..][..state * state_row];
             copy_states(d, p, value);
             let negative = &mut update[..actuated * state_row];
@@ -227,18 +244,18 @@ kernels! {
             on_s.copy_from_slice(value_t);
             combine(on_s, state, along_t, 1, value, state_row);
             t_t += dot(along_t, on_s) + dot(along_t, value_t);
-            leaving_congruence(d, half_h, leave, value, p, scratch);
-            add_knot(d, kkt, k, damping, p, products);
+            leaving_congruence(d, half_h, leave, value, products(d, &kkt.products, k), p, scratch);
+            add_knot(d, kkt, k, damping, p);
             leaving_transposed(d, half_h, leave, on_s, p_t);
             shift_add(p_t, 1.0, with_t(k));
         }
         // At the start dx_0 is given: u_0 and t are left.
         let lower = &mut factor.lower[n * actuated * actuated..];
         let inverse = &mut factor.inverse[n * actuated..];
-        if !cholesky(d, p, row, u, actuated, lower, inverse) {
+        copy_states(d, &p[u * row..], factor.value_ux.as_mut_slice());
+        if !eliminate(d, &mut p[u * row..], row, u, actuated, lower, inverse) {
             return false;
         }
-        copy_states(d, &p[u * row..], factor.value_ux.as_mut_slice());
         copy_states(d, p_t, factor.value_xt.as_mut_slice());
         let gain_t = &mut factor.gain_t[n * actuated..];
         solve_negative(lower, inverse, actuated, &p_t[u..], gain_t);

@@ -189,6 +189,7 @@ fn a_hessian_of_products_gives_the_step_of_its_panels_and_a_predictor_and_correc
         let (mut factor, mut work) = (Factor::new(sizes, n), SolveWorkspace::new(sizes, n, targets));
         let (mut want, mut found) = (step(), step());
         for (kkt, out) in [(&panels, &mut want), (&products, &mut found)] {
+            assert!(change_variables(d, kkt, &mut factor));
             assert!(factorise(d, kkt, damping.0, damping.1, &mut factor), "{sizes:?}");
             solve(d, kkt, &factor, &rhs, damping, (8, 1e-13), &mut work, out);
         }
@@ -213,6 +214,7 @@ fn solved<D: Registers>(d: D, kkt: &Kkt, rhs: &Rhs) -> NewtonStep {
     let (sizes, n, targets) = (kkt.sizes(), kkt.intervals(), kkt.target.len());
     let mut factor = Factor::new(sizes, n);
     let mut step = NewtonStep::zeros(sizes, n, targets);
+    assert!(change_variables(d, kkt, &mut factor));
     assert!(factorise(d, kkt, 0.1, 0.2, &mut factor));
     let mut work = SolveWorkspace::new(sizes, n, targets);
     solve(d, kkt, &factor, rhs, (0.1, 0.2), (3, 0.0), &mut work, &mut step);

@@ -15,7 +15,8 @@ pub(super) fn places(d: impl Dims) -> (usize, usize, usize) {
     (d.joints(), d.joints() + d.actuated(), d.state())
 }
 
-/// Memory of the congruences: the two factors of the symmetric update, 2 n_U rows over z each, and a block of n_U rows and columns.
+/// Memory of the congruences: the two factors of the symmetric update, 2 n_U + n_A rows over z each, and a block of n_U rows and
+/// columns.
 #[derive(Clone, Debug)]
 pub(super) struct Scratch {
     left: Vec<f64>,
@@ -25,7 +26,7 @@ pub(super) struct Scratch {
 
 impl Scratch {
     pub(super) fn new(d: impl Dims) -> Self {
-        let update = 2 * d.unactuated() * d.knot_row();
+        let update = (2 * d.unactuated() + d.actuated()) * d.knot_row();
         Self {
             left: vec![0.0; update],
             right: vec![0.0; update],
@@ -34,22 +35,31 @@ impl Scratch {
     }
 }
 
-/// P + sum_i m_i g_i' + g_i m_i' in the lower triangle of the panel `p`, for the rows m_i and the rows g_i, which the first half of
-/// `right` holds.
+/// P + sum_i m_i g_i' + g_i m_i' + sum_j sigma_j J_j J_j' in the lower triangle of the panel `p`, for the rows m_i, the rows g_i, which the
+/// first rows of `right` hold, and the rows J_j and sigma of `products`.
 #[inline(always)]
 fn symmetric_update<D: super::Registers>(
     d: D,
     m: &[f64],
-    left: &mut [f64],
-    right: &mut [f64],
+    (jacobian, sigma): (&[f64], &[f64]),
+    scratch: &mut Scratch,
     p: &mut [f64],
 ) {
-    let (unactuated, row) = (d.unactuated(), d.knot_row());
-    let half = unactuated * row;
+    let row = d.knot_row();
+    let half = d.unactuated() * row;
+    let rank = 2 * d.unactuated() + sigma.len();
+    let (left, right) = (&mut scratch.left[..rank * row], &mut scratch.right[..rank * row]);
     left[..half].copy_from_slice(m);
-    left[half..].copy_from_slice(&right[..half]);
-    right[half..].copy_from_slice(m);
-    update_lower(d, p, row, d.knot(), 2 * unactuated, left, row, right, row);
+    left[half..2 * half].copy_from_slice(&right[..half]);
+    right[half..2 * half].copy_from_slice(m);
+    right[2 * half..].copy_from_slice(jacobian);
+    for (j, sigma) in sigma.iter().enumerate() {
+        let (left, jacobian) = (&mut left[2 * half + j * row..][..row], &jacobian[j * row..][..row]);
+        for i in 0..row {
+            left[i] = sigma * jacobian[i];
+        }
+    }
+    update_lower(d, p, row, d.knot(), rank, left, row, right, row);
 }
 
 /// The shifts of the double integrators on the columns of one row over (s, u): q + h/2 on qd, qd_A + h/2 on u.
@@ -199,10 +209,8 @@ kernels! {
         for i in 0..z {
             shift_columns(d, half_h, &mut p[i * row..][..row]);
         }
-        let (left, right) =
-            (&mut scratch.left[..2 * unactuated * row], &mut scratch.right[..2 * unactuated * row]);
         let block = &mut scratch.block[..unactuated * unactuated];
-        let g = &mut right[..unactuated * row];
+        let g = &mut scratch.right[..unactuated * row];
         g.copy_from_slice(&p[v_u * row..][..unactuated * row]);
         for i in 0..unactuated {
             for j in 0..unactuated {
@@ -217,10 +225,11 @@ kernels! {
         for i in 0..z {
             p[i * row + v_u..][..unactuated].fill(0.0);
         }
-        symmetric_update(d, m, left, right, p);
+        symmetric_update(d, m, (&[], &[]), scratch, p);
     }
 
-    /// N' S N into the lower triangle of the panel `p` over z, for a symmetric panel `s` over states.
+    /// N' S N + J' diag(sigma) J into the lower triangle of the panel `p` over z, for a symmetric panel `s` over states, and the rows J
+    /// and sigma of `products`.
     ///
     /// With S = E' S E in the shifts alone, what the dense rows contribute is an update as in [`entering_congruence`], with the rows of
     /// S of the unactuated velocities.
@@ -229,6 +238,7 @@ kernels! {
         half_h: f64,
         rows: &[f64],
         s: &[f64],
+        products: (&[f64], &[f64]),
         p: &mut [f64],
         scratch: &mut Scratch,
     ) {
@@ -250,11 +260,9 @@ kernels! {
             }
             shifted(d, half_h, line, &mut p[j * row..][..row]);
         }
-        let (left, right) =
-            (&mut scratch.left[..2 * unactuated * row], &mut scratch.right[..2 * unactuated * row]);
         for i in 0..unactuated {
             let line = &s[(v_u + i) * state_row..][..state_row];
-            let g = &mut right[i * row..][..row];
+            let g = &mut scratch.right[i * row..][..row];
             shifted(d, half_h, line, g);
             let mut half = [0.0; MOST_JOINTS];
             for j in 0..unactuated {
@@ -262,7 +270,7 @@ kernels! {
             }
             combine(g, unactuated, &half, 1, rows, row);
         }
-        symmetric_update(d, rows, left, right, p);
+        symmetric_update(d, rows, products, scratch, p);
     }
 }
 

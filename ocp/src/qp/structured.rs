@@ -37,9 +37,14 @@ const SHORTEST: f64 = 1e-12;
 /// Least slack and product of slack and multiplier of a cold start; the half ranges of the limits are about 1.
 /// Tuned, as the next pair: ten times more or less costs one or two iterations.
 const COLD: (f64, f64) = (1e-1, 1e-2);
-/// The same of a warm start.
-const WARM: (f64, f64) = (1e-3, 1e-5);
+/// Of a warm start, the slack in units of the change since the last solution, and the product in units of its square: what the
+/// multipliers of the last solution miss is of the size of the change, which the defects show.
+const WARM: (f64, f64) = (3e-2, 3e-2);
+/// The change counts as no smaller.
+const SMALLEST_CHANGE: f64 = 1e-6;
 
+/// Share of the residuals that a step without refinement may leave: the stiffness of the target costs as much.
+const UNREFINED: f64 = 1e-5;
 /// How often a step is refined at most, and the share of the right-hand side that is left then, where steps miss what they aim at.
 const REFINEMENTS: (usize, f64) = (2, 1e-9);
 
@@ -390,7 +395,12 @@ impl Structured {
         self.at.z.x_mut(0).copy_from_slice(&qp.start);
         self.at.t = 0.0;
         bounded(d, self.kkt.products.jacobian.as_slice(), self.at.z.as_slice(), 0.0, &mut self.value);
-        let (slack, barrier) = if warm { WARM } else { COLD };
+        let (slack, barrier) = if warm {
+            let change = amax(qp.defects.as_slice()).max(amax(&qp.start)).max(SMALLEST_CHANGE);
+            ((WARM.0 * change).min(COLD.0), (WARM.1 * change * change).min(COLD.1))
+        } else {
+            COLD
+        };
         if !warm {
             self.at.lambda.clear();
             self.at.lambda_target.fill(0.0);
@@ -416,7 +426,6 @@ impl Structured {
         r.start = qp.start;
         r.target.iter_mut().zip(&qp.target).for_each(|(r, row)| *r = -row.value);
         kkt::add_constraints(d, &self.kkt, &self.at, r);
-        bounded(d, self.kkt.products.jacobian.as_slice(), self.at.z.as_slice(), self.at.t, &mut self.value);
         slack_residuals(
             d,
             &self.value,
@@ -591,6 +600,9 @@ impl Structured {
 
     fn solve_with<D: Registers>(&mut self, d: D, qp: &Qp, warm: bool, options: &QpOptions<'_>) -> QpStatus {
         self.load(qp);
+        if !kkt::change_variables(d, &self.kkt, &mut self.factor) {
+            return QpStatus::Stalled(Stall::Factorisation);
+        }
         self.start(d, qp, warm);
         let mut status = self.run(d, qp, options);
         if warm && matches!(status, QpStatus::Stalled(_)) {
@@ -603,7 +615,7 @@ impl Structured {
     }
 
     fn run<D: Registers>(&mut self, d: D, qp: &Qp, options: &QpOptions<'_>) -> QpStatus {
-        // The residuals that an exact step would have left.
+        // The residuals that a good step would have left.
         let mut expected = f64::INFINITY;
         let pairs = (2 * self.lower.len()) as f64;
         let mean = |below: f64, above: f64| (below + above) / pairs;
@@ -616,7 +628,10 @@ impl Structured {
             if primal.max(dual) <= options.tolerance && resolved <= options.complementarity {
                 return QpStatus::Solved;
             }
-            if let Some(conflict) = self.contradiction(qp) {
+            // Where all constraints hold, none contradict each other.
+            if primal > options.tolerance
+                && let Some(conflict) = self.contradiction(qp)
+            {
                 return QpStatus::Infeasible(Some(conflict));
             }
             if let Some(status) = options.stop() {
@@ -646,8 +661,9 @@ impl Structured {
             if !(alpha > SHORTEST) {
                 return QpStatus::Stalled(Stall::ShortStep);
             }
-            expected = (1.0 - alpha) * primal.max(dual);
+            expected = (1.0 - alpha).max(UNREFINED) * primal.max(dual);
             self.at.add_scaled(alpha, &self.step);
+            shift_add(&mut self.value, alpha, &self.value_step);
             for side in [&mut self.below, &mut self.above] {
                 advance(d, side, alpha);
             }

@@ -18,9 +18,14 @@ pub struct LoopDelays {
 }
 
 impl LoopDelays {
+    /// Number of states of the differential filter.
+    fn filter_states(&self, sizes: Sizes) -> usize {
+        if self.velocity_filter.is_some() { sizes.joints() } else { 0 }
+    }
+
     /// Dimension of the state of the closed loop.
     fn dimension(&self, sizes: Sizes) -> usize {
-        sizes.state() + sizes.joints() + self.cycles * sizes.actuated()
+        sizes.state() + self.filter_states(sizes) + self.cycles * sizes.actuated()
     }
 }
 
@@ -57,7 +62,7 @@ impl ClosedLoop {
     }
 
     /// The matrix for the deviation s = (x, z, delayed inputs u, oldest first): x of (19) with its derivatives, z the state of the
-    /// differential filter, u = K [q, v] (22) with the filtered velocities v.
+    /// differential filter, if there is one, u = K [q, v] (22) with the filtered velocities v.
     fn at(&mut self, derivatives: &Linearization, gain: Gain<'_>) -> &Matrix {
         let sizes = gain.sizes();
         let (n, n_x) = (sizes.joints(), sizes.state());
@@ -107,12 +112,14 @@ impl ClosedLoop {
         for i in 0..n_x {
             self.m.row_mut(i)[..n_x].copy_from_slice(self.phi.row(i));
         }
-        let forgotten = self.delays.velocity_filter.map_or(1.0, |t_1| -libm::expm1(-ts / t_1));
-        for i in 0..n {
-            self.m[(n_x + i, n_x + i)] = 1.0 - forgotten;
-            self.m[(n_x + i, i)] = forgotten;
+        if let Some(t_1) = self.delays.velocity_filter {
+            let forgotten = -libm::expm1(-ts / t_1);
+            for i in 0..n {
+                self.m[(n_x + i, n_x + i)] = 1.0 - forgotten;
+                self.m[(n_x + i, i)] = forgotten;
+            }
         }
-        let queue = n_x + n;
+        let queue = n_x + self.delays.filter_states(sizes);
         if self.delays.cycles == 0 {
             self.gamma_k.set_product(&self.gamma, &self.k);
             for i in 0..n_x {
@@ -226,15 +233,14 @@ impl PlanCriteria {
     /// knots of [`AMPLIFIED_INTERVALS`].
     fn check_amplification(&self, p: &Matrix, knot: usize, sizes: Sizes) -> Result<(), UnmetCriterion> {
         let (n, n_x) = (sizes.joints(), sizes.state());
-        // The deviation s of one row by its tolerance, where the filter has settled on it: two numbers are not 0, and s' P s has four
-        // terms.
+        // The deviation s of one row by its tolerance, where the filter has settled on it: at most two numbers are not 0.
         let from = |row: usize| {
-            let settled = match row.checked_sub(n) {
+            let settled = self.delays.velocity_filter.map(|t_1| match row.checked_sub(n) {
                 None => (n_x + row, 1.0),
-                Some(joint) => (n_x + joint, -self.delays.velocity_filter.unwrap_or(0.0)),
-            };
-            let s = [(row, 1.0), settled];
-            let terms = s.iter().flat_map(|(i, a)| s.iter().map(move |(j, b)| a * p[(*i, *j)] * b));
+                Some(joint) => (n_x + joint, -t_1),
+            });
+            let s = || std::iter::once((row, 1.0)).chain(settled);
+            let terms = s().flat_map(|(i, a)| s().map(move |(j, b)| a * p[(i, j)] * b));
             terms.sum::<f64>().sqrt() * self.tolerance[row]
         };
         // A maximum would lose a NaN.
@@ -388,7 +394,7 @@ mod tests {
         let mut x = DVector::from_fn(n_x, |i, _| number(i, 7));
         let mut z = x.rows(0, n) * 0.9;
         s.rows_mut(0, n_x).copy_from(&x);
-        s.rows_mut(n_x, n).copy_from(&z);
+        s.rows_mut(n_x, delays.filter_states(sizes)).copy_from(&z.rows(0, delays.filter_states(sizes)));
         let mut on_its_way = VecDeque::from(vec![DVector::zeros(n_a); delays.cycles]);
         for _ in 0..50 {
             let q = x.rows(0, n).into_owned();
