@@ -181,6 +181,15 @@ def test_other_threads_run_meanwhile(arm_planner, arm):
     assert len(ticks) > 10
 
 
+@pytest.fixture
+def interrupts():
+    """Ctrl-C raises KeyboardInterrupt, also where a shell started the tests in the background: such programs ignore it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interrupts")
 @pytest.mark.parametrize("long", ["build", "study", "advance"])
 def test_an_interrupt_ends_a_long_computation(arm, arm_planner, tmp_path, long):
     calls = {
