@@ -95,8 +95,8 @@ impl ManoeuvreArgs {
     /// Returns the number of the manoeuvre, its given values (rad or m), and the state in which it starts.
     ///
     /// # Errors
-    /// [`Failure::BadInput`] as [`given_values`] and [`StartArgs::state`], or if the unactuated joints do not stand in the start pose of a
-    /// manoeuvre from standing.
+    /// [`Failure::BadInput`] as [`given_values`], with the joint, value and limit of a start outside the limits, or if the unactuated joints
+    /// do not stand in the start pose of a manoeuvre from standing.
     pub fn of(&self, config: &Config, start: &StartArgs) -> Result<(usize, Vec<f64>, State), Failure> {
         let (number, mut given) = given_values(config, self.manoeuvre.as_deref(), &self.to)?;
         let refuse = |e: &dyn std::fmt::Display| Failure::BadInput(format!("--start: {e}"));
