@@ -123,7 +123,7 @@ pub struct RunOptions<'a> {
     /// The controller in Track and Balance, within the torque limits of the robot; the one of the daemon estimates velocities and monitors all
     /// limits. `None`: the one of the daemon.
     pub controller: Option<Box<OtherController<'a>>>,
-    /// Asked every [`LOOK`] cycles whether to end the run.
+    /// Asked once in a thousand cycles whether to end the run.
     pub interrupted: Option<&'a dyn Fn() -> bool>,
 }
 
