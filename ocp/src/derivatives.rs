@@ -11,7 +11,7 @@ use upswing_model::{
 /// Number of knots side by side.
 pub(crate) const LANES: usize = 4;
 
-pub(crate) type Number = Lanes<LANES>;
+type Number = Lanes<LANES>;
 
 /// Values and derivatives of dynamics and constrained torque at up to [`LANES`] knots, one in each lane, and memory for them.
 pub(crate) struct KnotDerivatives {

@@ -210,7 +210,7 @@ struct TrialPoint {
 
 struct NlpSolver<'a> {
     problem: &'a Problem<'a>,
-    /// Derivatives at some knots.
+    /// Values and derivatives at some knots.
     derivatives: KnotDerivatives,
     /// Centre and half range of the constrained torque.
     torque_centre: ActuatedVector,

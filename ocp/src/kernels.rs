@@ -283,7 +283,9 @@ kernels! {
             }
         }
         for i in 0..n {
-            for j in if i < whole { i - i % 4 } else { 0 }..i {
+            // The blocks left of the diagonal are done.
+            let first = if i < whole { i - i % 4 } else { 0 };
+            for j in first..i {
                 out[j * stride + i] = out[i * stride + j];
             }
         }

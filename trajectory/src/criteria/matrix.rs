@@ -191,22 +191,16 @@ fn product_here<const WIDE: usize>(
         while j < stride {
             // SAFETY: rows and columns of the tile are below `rows` and `stride`, a multiple of 4, and the assertion above covers all.
             unsafe {
-                match (rows - i, stride - j >= WIDE) {
-                    (4.., true) => tile::<4, WIDE>(out, stride, i, j, a, a_row, a_column, b, inner),
-                    (4.., false) => tile::<4, LANES>(out, stride, i, j, a, a_row, a_column, b, inner),
-                    (2.., true) => tile::<2, WIDE>(out, stride, i, j, a, a_row, a_column, b, inner),
-                    (2.., false) => tile::<2, LANES>(out, stride, i, j, a, a_row, a_column, b, inner),
-                    (_, true) => tile::<1, WIDE>(out, stride, i, j, a, a_row, a_column, b, inner),
-                    (_, false) => tile::<1, LANES>(out, stride, i, j, a, a_row, a_column, b, inner),
+                match (rows - i >= 4, stride - j >= WIDE) {
+                    (true, true) => tile::<4, WIDE>(out, stride, i, j, a, a_row, a_column, b, inner),
+                    (true, false) => tile::<4, LANES>(out, stride, i, j, a, a_row, a_column, b, inner),
+                    (false, true) => tile::<1, WIDE>(out, stride, i, j, a, a_row, a_column, b, inner),
+                    (false, false) => tile::<1, LANES>(out, stride, i, j, a, a_row, a_column, b, inner),
                 }
             }
             j += if stride - j >= WIDE { WIDE } else { LANES };
         }
-        i += match rows - i {
-            4.. => 4,
-            2.. => 2,
-            _ => 1,
-        };
+        i += if rows - i >= 4 { 4 } else { 1 };
     }
 }
 
