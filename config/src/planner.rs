@@ -68,7 +68,7 @@ pub struct ReplanSettings {
     /// Largest defect of (6b) with the nonlinear dynamics at which the linearisations end, rad and rad/s per interval.
     #[serde(deserialize_with = "BetweenZeroAndOne::read")]
     pub defect: f64,
-    /// Margin of the limits at the knots, as a share of the range of each limit.
+    /// Margin of the limits at the knots, as a share of the range of each limit, of entries and of plans.
     #[serde(deserialize_with = "ShareBelowOne::read")]
     pub knot_margin: f64,
     /// Form of the torque constraint (16c).
@@ -81,6 +81,9 @@ pub struct ReplanSettings {
     pub lead: Duration,
     /// Solver of the quadratic programs.
     pub backend: QpBackend,
+    /// Share of the duration of an entry by which the duration in (17) is shorter; 0 as in the paper.
+    #[serde(deserialize_with = "ShareBelowOne::read")]
+    pub shortening: f64,
     /// Weight of the duration in the diagonal of Q, (17), 1/s^2.
     #[serde(deserialize_with = "Positive::read")]
     pub weight_t_f: f64,

@@ -4,7 +4,7 @@ use upswing_config::{
     Config, GivenError, LqrRecursion, PlannerSettings, ReplanSettings, TargetValue, TorqueForm,
 };
 use upswing_model::{JointVector, Sizes, State};
-use upswing_ocp::interior_point::{NlpOptions, NlpSolution, NlpStatus};
+use upswing_ocp::interior_point::{self, NlpOptions, NlpSolution, NlpStatus};
 use upswing_ocp::kkt::TargetRow;
 use upswing_ocp::lqr::{LqrWeights, Recursion};
 use upswing_ocp::multistart::{self, Search, limit_in_the_way};
@@ -49,6 +49,27 @@ pub fn problem(config: &Config, target: Vec<TargetRow>, start: State) -> Problem
     }
 }
 
+/// [`problem()`] for trajectories that the robot shall follow, those of the database and of replans: its limits are narrowed by
+/// `replan.knot_margin`, because the trapezoidal rule constrains the knots only. They contain start and target nevertheless.
+pub fn problem_with_margin(config: &Config, target: Vec<TargetRow>, start: State) -> Problem<'_> {
+    let mut problem = problem(config, target, start);
+    let share = 1.0 - config.planner.replan.knot_margin;
+    let l = &mut problem.limits;
+    let (middle, half) = ((l.q_max + l.q_min) * 0.5, (l.q_max - l.q_min) * 0.5);
+    l.tau_max *= share;
+    // A start outside the narrowed limits, or measured slightly outside the limits, must not make the first step infeasible.
+    l.q_min = (middle - half * share).inf(&start.q());
+    l.q_max = (middle + half * share).sup(&start.q());
+    l.qd_max = (l.qd_max * share).sup(&start.qd().abs());
+    for row in &problem.target {
+        if let Some(i) = row.joint() {
+            l.q_min[i] = l.q_min[i].min(row.value);
+            l.q_max[i] = l.q_max[i].max(row.value);
+        }
+    }
+    problem
+}
+
 /// The torque constraint (9), or (11) with the bound c of the settings.
 pub fn torque_constraint(config: &Config, form: TorqueForm) -> TorqueConstraint {
     match (form, config.robot.coriolis_bound) {
@@ -60,7 +81,7 @@ pub fn torque_constraint(config: &Config, form: TorqueForm) -> TorqueConstraint 
     }
 }
 
-/// XXH3 hash of the inputs of the database of a manoeuvre other than the robot: limits, torque constraint, weights, target,
+/// XXH3 hash of the inputs of the database of a manoeuvre other than the robot: limits, knot margin, torque constraint, weights, target,
 /// dimensions. Where a request gives a value, or it follows from the rest of the target, that fact counts instead of a value.
 pub fn problem_fingerprint(config: &Config, manoeuvre: usize) -> u64 {
     let sizes = config.model.sizes();
@@ -78,7 +99,8 @@ pub fn problem_fingerprint(config: &Config, manoeuvre: usize) -> u64 {
     let (lower, upper) = p.torque.bounds(&l.tau_max);
     lower.iter().chain(upper.iter()).for_each(|v| put(*v));
     put(f64::from(u8::from(p.torque == TorqueConstraint::Exact)));
-    [p.input_weight, p.t_f.0, p.t_f.1].into_iter().for_each(&mut put);
+    let margin = config.planner.replan.knot_margin;
+    [margin, p.input_weight, p.t_f.0, p.t_f.1].into_iter().for_each(&mut put);
     for row in &manoeuvre.target {
         State::new(&row.coefficients, &at_rest).iter().for_each(|v| put(*v));
         put(match row.value {
@@ -95,24 +117,44 @@ pub fn problem_fingerprint(config: &Config, manoeuvre: usize) -> u64 {
     hash.digest()
 }
 
-/// Optimises a manoeuvre from a start state (rad, rad/s) to `target`; the solutions of `neighbours` are further initial guesses.
-/// A time budget in `options` applies to each guess.
+/// Solves a problem of this module; the solutions of `neighbours` are further initial guesses. A time budget in `options` applies to each
+/// guess.
 pub fn optimize(
-    config: &Config,
-    target: Vec<TargetRow>,
-    start: State,
+    problem: &Problem<'_>,
     search: Search,
     neighbours: &[Trajectory],
     options: &NlpOptions<'_>,
 ) -> NlpSolution {
-    let problem = problem(config, target, start);
-    let mut best = multistart::solve(&problem, search, neighbours, options);
+    let mut best = multistart::solve(problem, search, neighbours, options);
     if matches!(best.status, NlpStatus::Infeasible(_))
-        && let Some(limit) = limit_in_the_way(&problem, options)
+        && let Some(limit) = limit_in_the_way(problem, options)
     {
         best.status = NlpStatus::Infeasible(limit);
     }
     best
+}
+
+/// Optimises a trajectory for a database, from a start state (rad, rad/s) to `target`: within the limits of the settings, and from there
+/// [with the knot margin](problem_with_margin). Of several families of solutions the guesses of a search find fewer within narrower limits.
+pub fn optimize_entry(
+    config: &Config,
+    target: Vec<TargetRow>,
+    start: State,
+    neighbours: &[Trajectory],
+    options: &NlpOptions<'_>,
+) -> NlpSolution {
+    let narrower = problem_with_margin(config, target.clone(), start);
+    let widest = optimize(&problem(config, target, start), Search::Best, neighbours, options);
+    match widest.status {
+        NlpStatus::Solved => {}
+        NlpStatus::Interrupted => return widest,
+        _ => return optimize(&narrower, Search::Best, neighbours, options),
+    }
+    let near = interior_point::solve(&narrower, &widest.trajectory, options);
+    match near.status {
+        NlpStatus::Solved | NlpStatus::Interrupted => near,
+        _ => optimize(&narrower, Search::Best, neighbours, options),
+    }
 }
 
 /// The options of the interior-point method in the settings; no time budget.

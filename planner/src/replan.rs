@@ -16,7 +16,8 @@ pub use summary::{MarginShares, PlanSummary};
 
 use crate::database::{DatabaseFile, heading};
 use crate::offline::{
-    self, lqr_recursion, lqr_weights, problem, problem_fingerprint, qp_weights, torque_constraint,
+    self, lqr_recursion, lqr_weights, problem, problem_fingerprint, problem_with_margin, qp_weights,
+    torque_constraint,
 };
 use std::sync::Arc;
 use std::time::Instant;
@@ -49,7 +50,6 @@ const REACH: f64 = 0.6;
 /// less time the less far it goes, and the duration of an entry says nothing about the optimum.
 const SAME_MOVE: f64 = 0.05;
 /// Largest ratio of the duration of a plan from QPs to that of the shortest of the nearest entries, which is about the optimum.
-/// The knot margin alone costs 1.5 %.
 const LONGER: f64 = 1.035;
 /// Largest ratio to the shortest of the [`AROUND`] nearest entries, not all of which are near.
 const MUCH_LONGER: f64 = 1.06;
@@ -421,17 +421,16 @@ impl Planner {
         })
     }
 
-    /// The problem of a replan. A reversal ends where `reference` ends; without reference the arm ends in the pose in which it begins,
+    /// The target of a replan. A reversal ends where `reference` ends; without reference the arm ends in the pose in which it begins,
     /// and the unactuated joints hang.
-    fn problem_of(
+    fn target_of(
         &self,
         wanted: &Wanted<'_>,
         reference: Option<&Trajectory>,
-        knot_margin: f64,
-    ) -> Result<Problem<'_>, PlanningFailure> {
+    ) -> Result<Vec<TargetRow>, PlanningFailure> {
         let model = &self.config.model;
         let state = |x: &State| (0..x.len()).map(|i| TargetRow::unit(x.sizes(), i, x[i])).collect();
-        let target = match (self.config.manoeuvres[wanted.manoeuvre].reverses, reference) {
+        Ok(match (self.config.manoeuvres[wanted.manoeuvre].reverses, reference) {
             (None, _) => offline::target(&self.config, wanted.manoeuvre, wanted.given)?,
             (Some(_), Some(reference)) => state(reference.end()),
             (Some(_), None) => {
@@ -440,8 +439,7 @@ impl Planner {
                 let q = model.rest_position(&q, &mut Workspace::default())?;
                 state(&State::new(&q, &JointVector::zeros(model.sizes())))
             }
-        };
-        Ok(self.problem_with_margin(target, wanted.start, knot_margin))
+        })
     }
 
     /// Adapts an entry by QPs, (14)-(17).
@@ -454,13 +452,15 @@ impl Planner {
         statistics: &mut ReplanStatistics,
     ) -> Result<AcceptableTrajectory, PlanningFailure> {
         let iterations = effort.iterations.max(1);
-        let reference = self.reference(wanted.manoeuvre, entry)?;
-        let problem = self.problem_of(wanted, Some(&reference), self.config.planner.replan.knot_margin)?;
+        let mut reference = self.reference(wanted.manoeuvre, entry)?;
+        let problem = self.problem(self.target_of(wanted, Some(&reference))?, wanted.start);
         let mut trajectory = reference.clone();
-        let weights = qp_weights(&self.config.planner.replan);
+        let settings = &self.config.planner.replan;
+        reference.t_f *= 1.0 - settings.shortening;
+        let weights = qp_weights(settings);
         let begin = Instant::now();
         let (mut done, mut defect) = (0, f64::INFINITY);
-        while done < iterations && !(defect <= self.config.planner.replan.defect) {
+        while done < iterations && !(defect <= settings.defect) {
             done += 1;
             let qp = Qp::new(&problem, &reference, &trajectory, &weights);
             self.move_by_qp(
@@ -490,7 +490,11 @@ impl Planner {
         let reference = entry.map(|entry| self.reference(wanted.manoeuvre, entry)).transpose()?;
         let halted = || effort.is_cancelled() || effort.out_of_time();
         let options = NlpOptions { cancelled: Some(&halted), ..offline::options(&self.config) };
-        let mut problem = self.problem_of(wanted, reference.as_ref(), 0.0)?;
+        let mut problem = self.with_torque(problem(
+            &self.config,
+            self.target_of(wanted, reference.as_ref())?,
+            *wanted.start,
+        ));
         let mut solution = multistart::solve(&problem, Search::Quick, &[], &options);
         if solution.status != NlpStatus::Solved
             && let Some(reference) = &reference
@@ -572,26 +576,14 @@ impl Planner {
         Ok(AcceptableTrajectory { trajectory, gains, method, iterations, defect, margins })
     }
 
-    /// The optimisation problem of a replan from `start` (rad, rad/s) to `target`: limits narrowed by the knot margin, which the
-    /// trapezoidal rule needs between the knots.
+    /// The optimisation problem of a replan by QPs from `start` (rad, rad/s) to `target`.
     pub fn problem(&self, target: Vec<TargetRow>, start: &State) -> Problem<'_> {
-        self.problem_with_margin(target, start, self.config.planner.replan.knot_margin)
+        self.with_torque(problem_with_margin(&self.config, target, *start))
     }
 
-    fn problem_with_margin(&self, target: Vec<TargetRow>, start: &State, knot_margin: f64) -> Problem<'_> {
-        let settings = &self.config.planner.replan;
-        let mut problem = problem(&self.config, target, *start);
-        problem.torque = torque_constraint(&self.config, settings.torque);
-        let l = &mut problem.limits;
-        let (middle, half) = ((l.q_max + l.q_min) * 0.5, (l.q_max - l.q_min) * 0.5);
-        let share = 1.0 - knot_margin;
-        l.tau_max *= share;
-        // A start outside the narrowed limits, or measured slightly outside the limits, must not make the first step infeasible.
-        l.q_min = (middle - half * share).inf(&start.q());
-        l.q_max = (middle + half * share).sup(&start.q());
-        l.qd_max = (l.qd_max * share).sup(&start.qd().abs());
-        keep_target_within(&mut problem);
-        problem
+    /// The problem with the torque constraint of replans.
+    fn with_torque<'a>(&self, problem: Problem<'a>) -> Problem<'a> {
+        Problem { torque: torque_constraint(&self.config, self.config.planner.replan.torque), ..problem }
     }
 
     /// Solves one QP, or its sub-horizons one after the other, and adds the solution to the trajectory. If the structured solver
@@ -659,17 +651,6 @@ fn solution_of(solver: &QpSolver, status: QpStatus, iteration: usize) -> Result<
         QpStatus::Deadline => Err(PlanningFailure::Deadline { iteration }),
         QpStatus::Cancelled => Err(PlanningFailure::Cancelled { iteration }),
         QpStatus::Stalled(stall) => Err(PlanningFailure::Stalled { iteration, stall }),
-    }
-}
-
-/// Widens the position limits to the target: it may lie on a limit, which the knot margin makes infeasible.
-fn keep_target_within(problem: &mut Problem<'_>) {
-    for row in &problem.target {
-        if let Some(i) = row.joint() {
-            let l = &mut problem.limits;
-            l.q_min[i] = l.q_min[i].min(row.value);
-            l.q_max[i] = l.q_max[i].max(row.value);
-        }
     }
 }
 

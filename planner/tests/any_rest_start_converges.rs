@@ -5,13 +5,18 @@ use upswing_config::{Config, PendulumStart};
 use upswing_model::{LimitKind, State};
 use upswing_ocp::interior_point::{NlpSolution, NlpStatus};
 use upswing_ocp::multistart::Search;
-use upswing_planner::offline::{optimize, options, target};
+use upswing_planner::offline::{optimize, options, problem, target};
 
 /// Number of random starts, a compromise between coverage and duration; 1000 were run when the test was written.
 const STARTS: usize = 60;
 
 fn solve(config: &Config, start: State) -> NlpSolution {
-    optimize(config, target(config, 0, &[]).expect("a target"), start, Search::First, &[], &options(config))
+    optimize(
+        &problem(config, target(config, 0, &[]).expect("a target"), start),
+        Search::First,
+        &[],
+        &options(config),
+    )
 }
 
 fn assert_solved(config: &Config, start: State) {
@@ -92,22 +97,36 @@ fn budgets_end_a_solve_with_what_it_has() {
     let start = zero_start(&config, 90.0);
     let mut limited = options(&config);
     limited.max_iterations = 3;
-    let solution =
-        optimize(&config, target(&config, 0, &[]).expect("a target"), start, Search::First, &[], &limited);
+    let solution = optimize(
+        &problem(&config, target(&config, 0, &[]).expect("a target"), start),
+        Search::First,
+        &[],
+        &limited,
+    );
     assert_eq!(solution.status, NlpStatus::MaxIterations);
     assert!(solution.trajectory.x.iter().all(|x| x.iter().all(|v| v.is_finite())));
     let mut stopped = options(&config);
     stopped.cancelled = Some(&|| true);
     assert_eq!(
-        optimize(&config, target(&config, 0, &[]).expect("a target"), start, Search::First, &[], &stopped)
-            .status,
+        optimize(
+            &problem(&config, target(&config, 0, &[]).expect("a target"), start),
+            Search::First,
+            &[],
+            &stopped
+        )
+        .status,
         NlpStatus::Interrupted
     );
     let mut brief = options(&config);
     brief.time_budget = Some(std::time::Duration::ZERO);
     assert_eq!(
-        optimize(&config, target(&config, 0, &[]).expect("a target"), start, Search::First, &[], &brief)
-            .status,
+        optimize(
+            &problem(&config, target(&config, 0, &[]).expect("a target"), start),
+            Search::First,
+            &[],
+            &brief
+        )
+        .status,
         NlpStatus::OutOfTime
     );
 }

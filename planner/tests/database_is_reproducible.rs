@@ -9,7 +9,7 @@ use upswing_ocp::multistart::Search;
 use upswing_planner::database::{
     self, BuildError, BuildSummary, DatabaseFile, Discrepancy, RecordFlaw, certify, improve_line, verify,
 };
-use upswing_planner::offline::{optimize, options, problem_fingerprint, target};
+use upswing_planner::offline::{optimize, options, problem_fingerprint, problem_with_margin, target};
 use upswing_planner::replan::{Planner, PlannerError};
 use upswing_process::output::{OutputError, Overwrite};
 use upswing_process::shard::{JournalError, MissingShards, Shard};
@@ -154,8 +154,13 @@ fn a_dearer_solution_gives_way_to_that_of_the_next_pose() {
     };
     let PoseOutcome::Solved(third) = &best[2].outcome else { panic!("solved") };
     let target = target(&config, 0, &[]).expect("a target");
-    let first = optimize(&config, target, *third.trajectory.start(), Search::First, &[], &options(&config))
-        .trajectory;
+    let first = optimize(
+        &problem_with_margin(&config, target, *third.trajectory.start()),
+        Search::First,
+        &[],
+        &options(&config),
+    )
+    .trajectory;
     let mut line = best.clone();
     line[0].outcome = PoseOutcome::Failed;
     line[2].outcome = PoseOutcome::Solved(Box::new(Entry::new(&first, |t| certify(&config, t))));

@@ -6,7 +6,7 @@ use upswing_config::{Config, PendulumStart};
 use upswing_model::{ActuatedVector, State};
 use upswing_ocp::interior_point::NlpStatus;
 use upswing_ocp::multistart::Search;
-use upswing_planner::offline::{optimize, options, target};
+use upswing_planner::offline::{optimize, options, problem, problem_with_margin, target};
 use upswing_planner::replan::{Effort, Method, Planner};
 use upswing_trajectory::{Certificate, Entry};
 
@@ -27,9 +27,7 @@ fn rest(config: &Config, degrees: [f64; 7]) -> State {
 fn plans_where_there_is_an_optimum(planner: &Planner, start: &State) -> bool {
     let config = planner.config();
     let optimum = optimize(
-        config,
-        target(config, 0, &[]).expect("a target"),
-        *start,
+        &problem(config, target(config, 0, &[]).expect("a target"), *start),
         Search::Best,
         &[],
         &options(config),
@@ -140,8 +138,12 @@ fn with_a_target_on_its_limit() {
         .iter()
         .map(|degrees| {
             let target = target(&config, 0, &[]).expect("a target");
-            let optimum =
-                optimize(&config, target, rest(&config, *degrees), Search::Best, &[], &options(&config));
+            let optimum = optimize(
+                &problem_with_margin(&config, target, rest(&config, *degrees)),
+                Search::Best,
+                &[],
+                &options(&config),
+            );
             assert_eq!(optimum.status, NlpStatus::Solved, "from {degrees:?}");
             let input_weight = config.planner.offline.input_weight;
             Entry::new(&optimum.trajectory, |t| {

@@ -55,9 +55,7 @@ fn check(torque: TorqueForm) {
         let start = config.start_state(&q, PendulumStart::Rest).expect("a start at rest");
         assert!((start.q_u()[1].to_degrees() - known.start_q9_deg).abs() < 1e-9);
         let solution = optimize(
-            &config,
-            target(&config, 0, &[]).expect("a target"),
-            start,
+            &problem(&config, target(&config, 0, &[]).expect("a target"), start),
             Search::First,
             &[],
             &options(&config),

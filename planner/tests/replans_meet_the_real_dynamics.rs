@@ -7,7 +7,7 @@ use upswing_model::State;
 use upswing_ocp::interior_point::NlpStatus;
 use upswing_ocp::multistart::Search;
 use upswing_planner::database::certify;
-use upswing_planner::offline::{optimize, options, target};
+use upswing_planner::offline::{optimize, options, problem_with_margin, target};
 use upswing_planner::replan::{Effort, Planner, PlanningFailure};
 use upswing_trajectory::Entry;
 
@@ -84,9 +84,7 @@ fn with_other_numbers_of_intervals() {
         };
         let (x, near) = (start(STARTS[0]), start(STARTS[1]));
         let optimum = optimize(
-            &config,
-            target(&config, 0, &[]).expect("a target"),
-            near,
+            &problem_with_margin(&config, target(&config, 0, &[]).expect("a target"), near),
             Search::First,
             &[],
             &options(&config),

@@ -131,7 +131,7 @@ pub fn optimize(
     let search = if best { Search::Best } else { Search::First };
     let solution = cancellable(py, |stop| {
         let options = NlpOptions { time_budget, cancelled: Some(stop), ..offline::options(config) };
-        offline::optimize(config, target, start, search, &neighbours, &options)
+        offline::optimize(&offline::problem(config, target, start), search, &neighbours, &options)
     })?;
     let trajectory = Py::new(py, Trajectory::of(config, solution.trajectory.clone()))?;
     Ok(Optimum { config: config.clone(), solution, trajectory })

@@ -8,7 +8,7 @@ use std::time::Instant;
 use upswing_ocp::interior_point::{NlpOptions, NlpStatus};
 use upswing_ocp::multistart::Search;
 use upswing_planner::database::solutions_near;
-use upswing_planner::offline::{optimize, options, target};
+use upswing_planner::offline::{optimize, options, problem, target};
 use upswing_planner::replan::MarginShares;
 use upswing_process::number::within;
 use upswing_process::{Failure, shutdown_flag};
@@ -76,7 +76,7 @@ pub fn run(args: &OptimizeArgs) -> Result<(), Failure> {
         Search::Best => solutions_near(&config, manoeuvre, &given, &start)?,
         _ => Vec::new(),
     };
-    let solution = optimize(&config, target, start, search, &neighbours, &options);
+    let solution = optimize(&problem(&config, target, start), search, &neighbours, &options);
     waiting.finish_and_clear();
     let time_s = begin.elapsed().as_secs_f64();
     let status = solution.status.to_string();

@@ -7,9 +7,8 @@ use upswing_config::Config;
 use upswing_ipc::PlannerStatus;
 use upswing_model::State;
 use upswing_ocp::interior_point::NlpStatus;
-use upswing_ocp::multistart::Search;
 use upswing_planner::database::certify;
-use upswing_planner::offline::{optimize, options, target};
+use upswing_planner::offline::{optimize_entry, options, target};
 use upswing_planner::replan::{Effort, Method, PlanSummary, Planner, key};
 use upswing_process::Failure;
 use upswing_process::number::whole;
@@ -152,7 +151,7 @@ fn optimal_entry(
     start: State,
 ) -> Result<Entry, Failure> {
     let target = target(config, manoeuvre, given).map_err(Failure::failed)?;
-    let solution = optimize(config, target, start, Search::Best, &[], &options(config));
+    let solution = optimize_entry(config, target, start, &[], &options(config));
     if solution.status != NlpStatus::Solved {
         return Err(Failure::failed(format!("--reference: no trajectory: {}", solution.status)));
     }

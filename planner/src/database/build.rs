@@ -1,7 +1,7 @@
 //! Build of a trajectory database: on all cores, resumable, in shards.
 //!
 //! The poses of a grid form lines along its last axis. A line is solved from one end to the other, each pose from the
-//! initial guesses of [`Search::Best`] and from the solution of the pose before it; the cheapest solution is kept. Passes from the other
+//! initial guesses of [`optimize_entry()`] and from the solution of the pose before it; the cheapest solution is kept. Passes from the other
 //! end and back follow ([`improve_line()`]): of several families of solutions the guesses find the best one at some poses only. Lines do not
 //! depend on each other, so that neither the number of cores, nor an interruption, nor shards change a bit of the result.
 //!
@@ -9,7 +9,7 @@
 
 use super::assemble::{RecordFile, RecordPlace, summary, write};
 use super::{BuildError, BuildSummary, DatabaseFile, Task, certify, heading, poses, same_origin};
-use crate::offline::{optimize, options, problem};
+use crate::offline::{optimize_entry, options, problem_with_margin};
 use crate::replan::key;
 use rayon::prelude::*;
 use std::collections::HashSet;
@@ -21,7 +21,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use upswing_config::{Config, Manoeuvre};
 use upswing_model::State;
 use upswing_ocp::interior_point::{self, NlpOptions, NlpStatus};
-use upswing_ocp::multistart::{SAME, Search};
+use upswing_ocp::multistart::SAME;
 use upswing_ocp::problem::Problem;
 use upswing_process::output::OutputFile;
 use upswing_process::shard::{Shard, open_journal};
@@ -128,7 +128,7 @@ fn solve_line(
         let outcome = match Task::of(config, manoeuvre, *number) {
             None => PoseOutcome::Rejected,
             Some(Task { start, given, target }) => {
-                let solution = optimize(config, target, start, Search::Best, neighbour.as_slice(), &options);
+                let solution = optimize_entry(config, target, start, neighbour.as_slice(), &options);
                 // An interrupted search has tried some guesses only: its best solution need not be the best of all.
                 if stopped() {
                     return None;
@@ -199,7 +199,7 @@ fn improved_from(
     let Some(Task { start, given, target }) = Task::of(config, manoeuvre, record.pose as usize) else {
         return Some(None);
     };
-    let problem = problem(config, target, start);
+    let problem = problem_with_margin(config, target, start);
     let guess = problem.shifted(&neighbour.trajectory);
     let cost = match &record.outcome {
         PoseOutcome::Solved(entry)

@@ -1,14 +1,13 @@
 //! Verification of a database: recomputes the figures and outcomes that its records state.
 
 use super::{Task, certify, has_grid_of};
-use crate::offline::{lqr_recursion, lqr_weights, optimize, options, target};
+use crate::offline::{lqr_recursion, lqr_weights, optimize_entry, options, target};
 use rayon::prelude::*;
 use upswing_config::Config;
 use upswing_model::{State, Workspace};
 use upswing_ocp::interior_point::NlpStatus;
 use upswing_ocp::kkt::TargetRow;
 use upswing_ocp::lqr::{self, NotStabilisable};
-use upswing_ocp::multistart::Search;
 use upswing_trajectory::{
     Certificate, Database, DatabaseError, Entry, KeyTree, Margins, PoseOutcome, PoseRecord, end_error,
 };
@@ -179,7 +178,7 @@ fn has_start(
             if by <= ROUNDING { Ok(()) } else { Err(RecordFlaw::Start { row, by }) }
         }
         _ => {
-            let solution = optimize(config, target, *start, Search::Best, &[], &options(config));
+            let solution = optimize_entry(config, target, *start, &[], &options(config));
             match solution.status {
                 NlpStatus::Solved => Err(RecordFlaw::Solvable { cost: solution.cost }),
                 _ => Ok(()),
