@@ -98,6 +98,29 @@ pub struct NlpSolution {
     pub violation: f64,
     /// Largest scaled residual of the stationarity conditions.
     pub stationarity: f64,
+    /// The multipliers that belong to the trajectory.
+    pub multipliers: Multipliers,
+}
+
+/// Multipliers of the Lagrangian
+///
+/// L = J + sum lambda_k' c_k + nu' (C x_N - d) + sum zeta_k' x_k + sum pi_k' tau_k + zeta_t t_F
+///
+/// with the cost J (6a), s, and the defects c_k = x_{k+1} - x_k - h/2 (f_k + f_{k+1}) (6b), whose derivatives with respect to x_1..x_N, u_0..u_N and
+/// t_F are zero at an optimum. A multiplier says how much cheaper the optimum gets per unit by which its constraint is relaxed. Those of limits are
+/// positive at the upper limit, negative at the lower one, and as small as the tolerance in between.
+#[derive(Clone, Debug)]
+pub struct Multipliers {
+    /// lambda_0..lambda_{N-1} of the defects: s per rad or m of positions, s per rad/s or m/s of velocities.
+    pub defects: Vec<State>,
+    /// nu of the rows C x_N = d of the target (8), in their order: s per unit of a row.
+    pub target: Vec<f64>,
+    /// zeta_1..zeta_N of the limits of x_1..x_N, units as those of the defects.
+    pub x: Vec<State>,
+    /// pi_0..pi_N of the limits of the constrained torque, that of (9) or of (11): s per N m or N.
+    pub torque: Vec<ActuatedVector>,
+    /// zeta_t of the limits of t_F.
+    pub t_f: f64,
 }
 
 /// Primal variables of an iterate: the entries of all knots, one knot after the other.
@@ -395,6 +418,25 @@ impl<'a> NlpSolver<'a> {
             iterations,
             violation: c.largest(),
             stationarity,
+            multipliers: self.multipliers(),
+        }
+    }
+
+    /// The multipliers of the iterate, of both bounds of a number together, in the units of the problem.
+    fn multipliers(&self) -> Multipliers {
+        let (sizes, n) = (self.primal.sizes, self.primal.intervals());
+        let pull = |b: &BoundedVector, i: usize| b.z_upper[i] - b.z_lower[i];
+        let (state, actuated) = (sizes.state(), sizes.actuated());
+        let x = |k: usize| State::from_fn(sizes, |i| pull(&self.bound_x, k * state + i));
+        let torque = |k: usize| {
+            ActuatedVector::from_fn(sizes, |i| self.lambda_torque[k * actuated + i] / self.torque_half[i])
+        };
+        Multipliers {
+            defects: (0..n).map(|k| entries(sizes, self.lambda.vector(k))).collect(),
+            target: self.lambda_target.clone(),
+            x: (0..n).map(x).collect(),
+            torque: (0..=n).map(torque).collect(),
+            t_f: pull(&self.bound_t, 0),
         }
     }
 

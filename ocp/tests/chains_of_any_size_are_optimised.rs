@@ -2,7 +2,7 @@
 //! intervals: the optimisation finds them, both QP back ends adapt them to another start, and the gains stabilise their ends.
 
 use upswing_model::{ActuatedVector, JointVector, Limits, Linearization, Model, Sizes, State, Workspace};
-use upswing_ocp::interior_point::{NlpOptions, NlpStatus};
+use upswing_ocp::interior_point::{Multipliers, NlpOptions, NlpStatus};
 use upswing_ocp::kkt::{TargetRow, check_target_rows};
 use upswing_ocp::lqr::{LqrWeights, Recursion, synthesize};
 use upswing_ocp::multistart::{self, Search};
@@ -102,7 +102,65 @@ impl Motion {
             let tau = self.model.torque(x, u, &mut work);
             assert!(tau.amax() <= tau_max + 1e-6, "{tau:?}");
         }
+        self.assert_stationary(&trajectory, &solution.multipliers);
         trajectory
+    }
+
+    /// The Lagrangian of [`Multipliers`] at a trajectory.
+    fn lagrangian(&self, trajectory: &Trajectory, multipliers: &Multipliers) -> f64 {
+        let problem = self.problem();
+        let mut work = Workspace::default();
+        let Trajectory { t_f, x, u } = trajectory;
+        let Multipliers { defects, target, x: of_x, torque, t_f: of_t_f } = multipliers;
+        let (f, h) = (trajectory.f(&self.model), trajectory.h());
+        let mut sum = trajectory.cost(problem.input_weight) + of_t_f * t_f;
+        for (k, lambda) in defects.iter().enumerate() {
+            sum += lambda.dot(&(x[k + 1] - x[k] - (f[k] + f[k + 1]) * (0.5 * h)));
+            sum += of_x[k].dot(&x[k + 1]);
+        }
+        for (row, nu) in problem.target.iter().zip(target) {
+            sum += nu * row.residual(trajectory.end());
+        }
+        for (k, pull) in torque.iter().enumerate() {
+            sum += pull.dot(&self.model.torque(&x[k], &u[k], &mut work));
+        }
+        sum
+    }
+
+    /// The derivatives of the Lagrangian, by central differences, are zero, and the signs of the multipliers say which limit is reached.
+    fn assert_stationary(&self, trajectory: &Trajectory, multipliers: &Multipliers) {
+        const STEP: f64 = 1e-5;
+        // Third derivatives times STEP^2, and rounding of L / STEP.
+        const ALLOWED: f64 = 1e-7;
+        let slope = |change: &dyn Fn(&mut Trajectory, f64)| {
+            let at = |step: f64| {
+                let mut moved = trajectory.clone();
+                change(&mut moved, step);
+                self.lagrangian(&moved, multipliers)
+            };
+            (at(STEP) - at(-STEP)) / (2.0 * STEP)
+        };
+        let sizes = self.sizes();
+        let mut slopes = vec![slope(&|moved, step| moved.t_f += step)];
+        for k in 0..=self.intervals {
+            slopes.extend((0..sizes.actuated()).map(|i| slope(&|moved, step| moved.u[k][i] += step)));
+            if k > 0 {
+                slopes.extend((0..sizes.state()).map(|i| slope(&|moved, step| moved.x[k][i] += step)));
+            }
+        }
+        let worst = slopes.iter().fold(0.0_f64, |worst, slope| worst.max(slope.abs()));
+        println!("{sizes:?}: slope {worst:.1e}");
+        assert!(worst < ALLOWED, "{worst:e}");
+        let (mut work, tau_max) = (Workspace::default(), self.limits.2);
+        for ((x, u), pull) in trajectory.knots().zip(&multipliers.torque) {
+            let tau = self.model.torque(x, u, &mut work);
+            // A limit that is not reached has none.
+            assert!(
+                pull.iter()
+                    .zip(tau.iter())
+                    .all(|(pull, tau)| (tau_max - tau * pull.signum()) * pull.abs() < 1e-6)
+            );
+        }
     }
 
     /// Both back ends solve one QP around the trajectory, from a start that is moved, to the same solution.
