@@ -1,20 +1,14 @@
-//! The RealAIGym benchmark of acrobot and pendubot: the daemon swings up its simulated machine; `bench/realaigym/run` calls it. bench/README.md
-//! names the sources of all definitions.
+//! Prints the scores of the RealAIGym leaderboards for acrobot and pendubot; `bench/realaigym/run` calls it. The library has the definitions.
 
-mod boards;
-mod machine;
-mod pilot;
-mod scores;
-
-use boards::{Benchmark, Version};
 use clap::Parser;
-use machine::{Joints, Parameters};
-use pilot::Pilot;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use upswing_config::{Config, Level, System};
-use upswing_model::{JointVector, Model, Workspace};
+use std::sync::atomic::AtomicBool;
+use upswing_config::System;
 use upswing_planner::replan::Planner;
+use upswing_rig::realaigym::{
+    Benchmark, Controller, DoublePendulum, Performance, Pilot, Replanner, Version, csv, machine,
+};
 
 /// Flies the machine of the RealAIGym benchmark and prints the scores of its leaderboards
 #[derive(Parser)]
@@ -26,6 +20,9 @@ struct Args {
     /// Only the performance score, which is the result of one simulation
     #[arg(long)]
     performance: bool,
+    /// Only the uptime score, which is the result of one simulation
+    #[arg(long, conflicts_with = "performance")]
+    uptime: bool,
     /// Weight r of the input in (6a), s^4/rad^2: that of upswing's defaults; the systems' own ones are smaller, for a short time
     #[arg(long, value_name = "R", default_value_t = 0.01)]
     input_weight: f64,
@@ -49,76 +46,37 @@ fn main() -> ExitCode {
 }
 
 fn run(system: &System, args: &Args) -> Result<(), String> {
-    let mut config = Config::load(system).map_err(|e| e.to_string())?;
-    let order = *config.model.order();
-    let (joints, actuated) = (order.sizes().joints(), order.sizes().actuated());
-    if (joints, actuated) != (2, 1) {
-        return Err(format!(
-            "{system}: expected a double pendulum, 2 joints and 1 of them actuated, got {joints} and {actuated}; choose \
-             another --system"
-        ));
-    }
-    if !(args.input_weight > 0.0 && args.input_weight.is_finite()) {
-        return Err(format!("--input-weight: expected a number above 0, got {}", args.input_weight));
-    }
-    config.planner.offline.input_weight = args.input_weight;
-    never_trip(&mut config);
-    let mut limits: Joints = [0.0; 2];
-    limits[order.joint(0)] = config.robot.limits.tau_max[0];
-
     println!("{system}");
     for version in [Version::Two, Version::One] {
-        let machine = boards::machine(version, &limits);
-        if version == Version::One {
-            if args.performance {
-                break;
-            }
-            config.model = Model::from_urdf(&machine.urdf(&limits)).map_err(|e| e.to_string())?;
+        if version == Version::One && (args.performance || args.uptime) {
+            break;
         }
-        agree(&config.model, &machine).map_err(|e| format!("{system}: {e}"))?;
+        let pendulum = DoublePendulum::load(system, version, args.input_weight)?;
+        let benchmark = Benchmark { pendulum: &pendulum, version, seed: args.seed };
         // Without a database, whose entries have another weight, the planner optimises the plan in full.
-        let planner =
-            Planner::with_entries(config.clone(), 0, String::new(), Vec::new()).map_err(|e| e.to_string())?;
-        let benchmark = Benchmark { config: &config, version, limits, seed: args.seed };
+        let planner = Planner::with_entries(pendulum.config.clone(), 0, String::new(), Vec::new())
+            .map_err(|e| e.to_string())?;
         let pilot = Pilot::new(&planner)?;
         if version == Version::Two {
-            let path = args.csv.as_deref().map(|folder| folder.join(format!("{system}.csv")));
-            performance(&benchmark, &pilot, &machine, path.as_deref())?;
+            if !args.uptime {
+                let path = args.csv.as_deref().map(|folder| folder.join(format!("{system}.csv")));
+                performance(&benchmark, &pilot, path.as_deref())?;
+            }
+            if !args.performance {
+                uptime(&benchmark, &planner);
+            }
         }
-        if !args.performance {
+        if !args.performance && !args.uptime {
             robustness(&benchmark, &pilot);
         }
     }
     Ok(())
 }
 
-/// Raises the trip levels that protect a machine, which the benchmark does not have, out of reach.
-fn never_trip(config: &mut Config) {
-    let never = Level { warn: f64::INFINITY, trip: f64::INFINITY };
-    let limits = &mut config.daemon.limits;
-    for level in [
-        &mut limits.encoder_jump,
-        &mut limits.position_margin,
-        &mut limits.velocity_fraction,
-        &mut limits.torque_rate,
-        &mut limits.collision_torque,
-        &mut limits.tracking_error,
-        &mut limits.balance_error,
-        &mut limits.balance_distance,
-        &mut limits.balance_speed,
-    ] {
-        *level = never;
-    }
-}
-
-fn performance(
-    benchmark: &Benchmark<'_>,
-    pilot: &Pilot<'_>,
-    machine: &Parameters,
-    csv: Option<&Path>,
-) -> Result<(), String> {
-    let motion = benchmark.fly(pilot, benchmark.nominal(), 0);
-    let figures = scores::Performance::of(&motion, machine);
+fn performance(benchmark: &Benchmark<'_>, pilot: &Pilot<'_>, csv_file: Option<&Path>) -> Result<(), String> {
+    let mut pilot = pilot.clone();
+    let motion = benchmark.fly(&mut |x| pilot.step(x), benchmark.nominal(), 0);
+    let figures = Performance::of(&motion, &machine(benchmark.version, &benchmark.pendulum.limits));
     println!("  performance, version 2");
     for (name, value) in [
         ("success", f64::from(u8::from(figures.success))),
@@ -131,43 +89,39 @@ fn performance(
     ] {
         println!("    {name:<26} {value:>8.3}");
     }
-    let Some(path) = csv else { return Ok(()) };
-    std::fs::write(path, scores::csv(&motion))
-        .map_err(|e| format!("{}: {e}; choose another --csv", path.display()))
+    let Some(path) = csv_file else { return Ok(()) };
+    std::fs::write(path, csv(&motion)).map_err(|e| format!("{}: {e}; choose another --csv", path.display()))
+}
+
+fn uptime(benchmark: &Benchmark<'_>, planner: &Planner) {
+    let mut replanner = Replanner::new(planner);
+    let (uptime, _) = benchmark.uptime(&mut |x| replanner.step(x));
+    println!("  uptime, version 3");
+    for (name, value) in [
+        ("uptime, s", uptime.uptime),
+        ("swing-ups", uptime.swing_ups as f64),
+        ("slowest plan, s", replanner.slowest),
+        ("score", uptime.score()),
+    ] {
+        println!("    {name:<26} {value:>8.3}");
+    }
 }
 
 fn robustness(benchmark: &Benchmark<'_>, pilot: &Pilot<'_>) {
     println!("  robustness, version {}", if benchmark.version == Version::One { 1 } else { 2 });
-    let categories = benchmark.robustness(pilot, |name, each| {
-        let marks: String = each.iter().map(|success| if *success { '+' } else { '.' }).collect();
-        println!("    {name:<26} {marks}");
-    });
-    for (name, share) in &categories {
+    let controller = || -> Box<Controller<'_>> {
+        let mut pilot = pilot.clone();
+        Box::new(move |x| pilot.step(x))
+    };
+    let result = benchmark.robustness(&controller, &AtomicBool::new(false), &|| ());
+    let Some(result) = result else { return };
+    for quantity in &result.quantities {
+        let marks: String =
+            quantity.succeeded.iter().map(|success| if *success { '+' } else { '.' }).collect();
+        println!("    {:<26} {marks}", quantity.name);
+    }
+    for (name, share) in result.categories() {
         println!("    {name:<26} {:>8.1} %", 100.0 * share);
     }
-    let score = categories.iter().map(|(_, share)| share).sum::<f64>() / categories.len() as f64;
-    println!("    {:<26} {score:>8.3}", "score");
-}
-
-/// Checks that the model of planner and daemon is the machine of the benchmark.
-fn agree(model: &Model, machine: &Parameters) -> Result<(), String> {
-    let (order, mut work) = (model.order(), Workspace::default());
-    for n in 0..100 {
-        let number = |k: i32| ((f64::from(n) * 7.0 + f64::from(k)) * 1.7).sin();
-        let x = [4.0 * number(1), 4.0 * number(2), 15.0 * number(3), 15.0 * number(4)];
-        let mut tau = [0.0; 2];
-        tau[order.joint(0)] = 6.0 * number(5);
-        let sorted = |chain: &[f64]| order.sorted(chain).unwrap_or_else(|| panic!("a chain of two joints"));
-        let ours = model.forward_dynamics(&sorted(&x[..2]), &sorted(&x[2..]), &sorted(&tau), &mut work);
-        let theirs = sorted(&machine.acceleration(&x, &tau));
-        let difference = ours.map_or(f64::INFINITY, |ours: JointVector| (ours - theirs).amax());
-        // Rounding errors.
-        if !(difference <= 1e-9 * theirs.amax()) {
-            return Err(format!(
-                "expected the machine of the benchmark, got one whose accelerations differ by {difference:.1e} rad/s^2 \
-                 at {x:.2?}; choose another --system"
-            ));
-        }
-    }
-    Ok(())
+    println!("    {:<26} {:>8.3}", "score", result.score());
 }

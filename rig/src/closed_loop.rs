@@ -30,6 +30,9 @@ pub enum Aborted {
     /// The planner found no plan.
     #[error(transparent)]
     NoPlan(#[from] NoPlan),
+    /// A planner that takes the place of ours gave no plan.
+    #[error("no plan: {0}")]
+    NoPlanGiven(String),
     /// The daemon did not accept the plan.
     #[error("the daemon refused the plan: {0}")]
     Plan(#[from] PlanRefusal),
@@ -79,7 +82,7 @@ impl Aborted {
     pub fn kind(&self) -> String {
         match self {
             Self::Start(_) => "the plant cannot start there".into(),
-            Self::NoPlan(_) => "no plan".into(),
+            Self::NoPlan(_) | Self::NoPlanGiven(_) => "no plan".into(),
             Self::Plan(_) => "the daemon refused the plan".into(),
             Self::Refused { request, .. } => format!("{request} was refused"),
             Self::Push(_) => "the push cannot be".into(),

@@ -2,6 +2,7 @@
 
 pub mod closed_loop;
 pub mod condition;
+pub mod contender;
 pub mod replan;
 pub mod robustness;
 mod runs;
@@ -199,7 +200,8 @@ impl Scratch {
     }
 
     /// Swings up from start number `index`, with the pendulum in the rest position of this plant, and balances for `seconds` (s).
-    /// `controller` and `plant` are the settings of controller and plant; `disturbances` maps t_F (s) to the disturbances.
+    /// `controller` and `plant` are the settings of controller and plant; `disturbances` maps t_F (s) to the disturbances; `options` may replace
+    /// plan and controller.
     fn swing_up(
         &mut self,
         planner: &Planner,
@@ -208,13 +210,14 @@ impl Scratch {
         mut plant: Config,
         seconds: f64,
         disturbances: impl FnOnce(f64) -> Disturbances,
+        options: RunOptions<'_>,
     ) -> Result<SwingUpEvaluation, Aborted> {
         plant.plant.start.q = start.q_a();
         plant.plant.start.pendulum = PendulumStart::Rest;
         plant.plant.encoder.seed = plant.plant.encoder.seed.wrapping_add(index);
         let plant = Plant::new(&plant)?;
-        let (solver, none) = (&mut self.solver, RunOptions::default());
-        swing_up(planner, solver, controller, plant, seconds, disturbances, none, &mut self.records)
+        let (solver, records) = (&mut self.solver, &mut self.records);
+        swing_up(planner, solver, controller, plant, seconds, disturbances, options, records)
     }
 }
 

@@ -1,8 +1,9 @@
 //! Monte Carlo study of swing-ups under one plant condition that is unknown to planner and controller.
 
 use super::condition::PlantCondition;
+use super::contender::Contender;
 use super::{ENDED_BADLY, NoStart, Scratch, Spread, Study, StudyError, shown_pose};
-use crate::closed_loop::{Aborted, Disturbances};
+use crate::closed_loop::{Aborted, Disturbances, RunOptions};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -76,6 +77,8 @@ pub struct ConditionStudy<'a> {
     pub condition: &'a PlantCondition,
     /// Duration of the balance, s.
     pub seconds: f64,
+    /// Plans and controller in place of those of planner and daemon.
+    pub contender: Option<&'a dyn Contender>,
 }
 
 impl ConditionStudy<'_> {
@@ -157,6 +160,11 @@ impl ConditionStudy<'_> {
         let Study { planner, starts, .. } = self.study;
         let plant = self.condition.plant(starts, index);
         let undisturbed = |_| Disturbances::default();
-        scratch.swing_up(planner, (index, start), planner.config(), plant, self.seconds, undisturbed)
+        let options = match self.contender {
+            Some(contender) => contender.options(index, start).map_err(Aborted::NoPlanGiven)?,
+            None => RunOptions::default(),
+        };
+        let (seconds, controller) = (self.seconds, planner.config());
+        scratch.swing_up(planner, (index, start), controller, plant, seconds, undisturbed, options)
     }
 }

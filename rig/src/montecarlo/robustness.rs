@@ -2,7 +2,7 @@
 
 use super::variation::{MissedCycleCounts, ValueError, Variation};
 use super::{ENDED_BADLY, NoStart, Scratch, Study, StudyError, shown_pose, wilson};
-use crate::closed_loop::Aborted;
+use crate::closed_loop::{Aborted, RunOptions};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use upswing_config::{Config, VelocityEstimate};
@@ -162,8 +162,8 @@ impl RobustnessStudy<'_> {
         let shares = self.study.starts.shares(index);
         let disturbances =
             |t_f: f64| case.over.disturbances(case.value, t_f, seconds, period, self.misses, shares);
-        let plant = config.clone();
-        scratch.swing_up(self.study.planner, (index, start), config, plant, seconds, disturbances)
+        let (plant, none) = (config.clone(), RunOptions::default());
+        scratch.swing_up(self.study.planner, (index, start), config, plant, seconds, disturbances, none)
     }
 }
 

@@ -1,5 +1,5 @@
-//! The double pendulum of the benchmark and its simulation, from the equations and parameters that the benchmark publishes (README.md has
-//! the source). Independent of `model/` and `plant-sim/`.
+//! The double pendulum of the benchmark and its simulation, from the equations and parameters that the benchmark publishes (the module above
+//! names the source). Independent of `model/` and `plant-sim/`.
 
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
@@ -72,8 +72,7 @@ impl Parameters {
         let m11 = i[0] + i[1] + m[1] * l[0] * l[0] + 2.0 * coupling * q2.cos() + (GEAR * GEAR + 1.0) * ir;
         let m12 = i[1] + coupling * q2.cos() - GEAR * ir;
         let m22 = i[1] + GEAR * GEAR * ir;
-        let lower = m[1] * r[1] * (q1 + q2).sin();
-        let gravity = [GRAVITY * (m[0] * r[0] * q1.sin() + m[1] * l[0] * q1.sin() + lower), GRAVITY * lower];
+        let gravity = self.gravity(&[*q1, *q2, *v1, *v2]);
         let coriolis = [-coupling * q2.sin() * (2.0 * v1 * v2 + v2 * v2), coupling * q2.sin() * v1 * v1];
         let load: Joints = std::array::from_fn(|k| {
             let v = [*v1, *v2][k];
@@ -81,6 +80,13 @@ impl Parameters {
         });
         let determinant = m11 * m22 - m12 * m12;
         [(m22 * load[0] - m12 * load[1]) / determinant, (m11 * load[1] - m12 * load[0]) / determinant]
+    }
+
+    /// Torques that carry the weight of the links, N m.
+    pub fn gravity(&self, [q1, q2, ..]: &State) -> Joints {
+        let Self { m, l, r, .. } = self;
+        let lower = m[1] * r[1] * (q1 + q2).sin();
+        [GRAVITY * (m[0] * r[0] * q1.sin() + m[1] * l[0] * q1.sin() + lower), GRAVITY * lower]
     }
 
     /// Whether the tip is above the line that counts as upright.
@@ -146,6 +152,7 @@ impl Parameters {
 /// Differences of a simulation from the undisturbed one.
 #[derive(Clone, Debug)]
 pub struct Condition {
+    /// Parameters of the machine.
     pub parameters: Parameters,
     /// Standard deviation of the noise of the measured velocities, rad/s.
     pub velocity_noise: f64,

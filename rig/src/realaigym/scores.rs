@@ -1,19 +1,23 @@
 //! Scores of a recorded motion, by the definitions of the leaderboards.
 
-use crate::machine::{DT, Joints, Parameters, State};
+use super::machine::{DT, Joints, Parameters, State};
+use serde::Serialize;
 use std::f64::consts::PI;
 use std::fmt::Write as _;
 
 /// A motion: the states before each step and after the last one, and the torques in each step.
 #[derive(Clone, Debug, Default)]
 pub struct Motion {
+    /// rad and rad/s
     pub x: Vec<State>,
+    /// N m
     pub tau: Vec<Joints>,
 }
 
 /// Criteria and score of the performance leaderboard, version 2.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Performance {
+    /// Whether the tip stays above the line in the end.
     pub success: bool,
     /// Time from which on the tip stays above the line, s.
     pub time: f64,
