@@ -40,6 +40,7 @@ enum CliCommand {
     Model(commands::model::ModelArgs),
     #[command(name = "montecarlo")]
     MonteCarlo(commands::montecarlo::MonteCarloArgs),
+    Bench(commands::bench::BenchArgs),
     Config(commands::config::ConfigArgs),
     System(commands::system::SystemArgs),
     Completions(commands::completions::CompletionsArgs),
@@ -103,6 +104,7 @@ pub fn run(cli: &Cli) -> Result<(), Failure> {
         CliCommand::Db(args) => commands::db::run(args),
         CliCommand::Model(args) => commands::model::run(args),
         CliCommand::MonteCarlo(args) => commands::montecarlo::run(args),
+        CliCommand::Bench(args) => commands::bench::run(args),
         CliCommand::Config(args) => commands::config::run(args),
         CliCommand::System(args) => commands::system::run(args),
         CliCommand::Completions(args) => commands::completions::completions(args, &mut whole_command()),

@@ -3,6 +3,7 @@
 //! For a command `NAME`, `NameArgs` holds its options, `run` runs it, and `NameResult` is its output: one JSON document with
 //! `--json`, otherwise text. A command that runs until Ctrl-C prints `NameStarted` instead.
 
+pub(crate) mod bench;
 pub(crate) mod completions;
 pub(crate) mod config;
 pub(crate) mod db;

@@ -70,6 +70,64 @@ fn targets() {
 }
 
 #[test]
+fn plans_of_others() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let file = dir.path().join("plans.json");
+    let name = file.to_str().expect("a plain path");
+    let run = ["montecarlo", "closed-loop", "--system", "cart-pole", "--samples", "1", "--plans"];
+    let with = |text: &str, parts: &[&str]| {
+        std::fs::write(&file, text).expect("written");
+        refused(&[&run[..], &[name]].concat(), &[&[name], parts].concat());
+    };
+    refused(&[&run[..], &["no-such.json"]].concat(), &["no-such.json", "No such file"]);
+    with("not JSON", &["plan 0", "expected JSON documents", "`upswing plan --json`"]);
+    with(r#"null {"t_f": 1}"#, &["plan 1", "missing field `u`"]);
+    with("", &["expected a plan for each of 1 starts", "got 0"]);
+    with(r#"{"t_f": 1, "u": [[0]]}"#, &["plan 0: expected rows `x`"]);
+    with(r#"{"t_f": 1, "u": [[0]], "x": [[0, 0, 0, 0]]}"#, &["plan 0: expected", "knots", "got 1 and 1"]);
+    let rows = |row: &str, count: usize| format!("[{}]", vec![row; count].join(", "));
+    let plan = |t_f: &str, x: &str, u: &str, more: &str| {
+        format!(r#"{{"t_f": {t_f}, "x": {}, "u": {}{more}}}"#, rows(x, 101), rows(u, 101))
+    };
+    with(&plan("-1", "[0, 0, 0, 0]", "[0]", ""), &["`t_f`: expected above 0", "got -1"]);
+    with(&plan("1", "[0, 0, 0]", "[0]", ""), &["`x`, knot 0: expected 4 finite numbers"]);
+    with(&plan("1", "[0, 0, 0, 0]", "[0, 1]", ""), &["`u`, knot 0: expected 1 finite numbers"]);
+    with(
+        &plan("1", "[0, 0, 0, 0]", "[0]", r#", "joints": ["a", "b"]"#),
+        &["expected the joints cart, ", "got a, b"],
+    );
+    with(&plan("1", "[0, 0, 0, 0]", "[0]", r#", "t": [0, 1]"#), &["`t`: expected uniform times"]);
+}
+
+#[test]
+fn benchmarks() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let file = dir.path().join("benchmark.json");
+    let name = file.to_str().expect("a plain path");
+    refused(&["bench", "score", name], &[name, "No such file"]);
+    std::fs::write(&file, "{}").expect("written");
+    refused(&["bench", "score", name], &[name, "missing field", "`upswing bench export`"]);
+    refused(&["bench", "export", name], &["FILE", "exists already", "--force"]);
+    let export = ["bench", "export", name, "--force", "--system", "cart-pole", "--samples", "1"];
+    refused(&[&export[..], &["--condition", "no-such"]].concat(), &["no-such"]);
+    assert!(upswing(&export).status.success());
+    refused(&["bench", "score", name, "--system", "furuta"], &["--system: expected cart-pole", "got furuta"]);
+    let text = std::fs::read_to_string(&file).expect("read");
+    let changed = |from: &str, to: &str, parts: &[&str]| {
+        assert_eq!(text.matches(from).count(), 1, "{from}");
+        std::fs::write(&file, text.replace(from, to)).expect("written");
+        refused(&["bench", "score", name], parts);
+    };
+    changed(
+        r#""seed": 0"#,
+        r#""seed": 1"#,
+        &[name, "expected start 0 of seed 1", "export the benchmark anew"],
+    );
+    changed(r#""system": "cart-pole""#, r#""system": "furuta""#, &[name, "expected the model", "of furuta"]);
+    changed(r#""system": "cart-pole""#, r#""system": "no-such""#, &[name, "no-such"]);
+}
+
+#[test]
 fn starts() {
     for command in ["demo", "plan", "optimize"] {
         refused(

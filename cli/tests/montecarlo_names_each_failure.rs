@@ -86,3 +86,44 @@ fn a_start_without_a_plan() {
         assert!(failure.contains("entry 0 (") && failure.contains("rad away): "), "{failure}");
     }
 }
+
+#[test]
+fn plans_of_others_have_the_runs_of_ours() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let plans = dir.path().join("plans.json");
+    let benchmark = dir.path().join("benchmark.json");
+    let (plans, benchmark) = (plans.to_str().expect("plain"), benchmark.to_str().expect("plain"));
+    let system = ["--system", "cart-pole"];
+    let (code, exported) = json(
+        &[&["bench", "export", benchmark, "--samples", "2", "--condition", "nominal"], &system[..]].concat(),
+    );
+    assert_eq!((code, &exported["samples"]), (Some(0), &2.into()));
+    let document: Value =
+        serde_json::from_str(&std::fs::read_to_string(benchmark).expect("read")).expect("JSON");
+    // The starts of the file, of which the second one gets no plan.
+    let start = document["starts"][0][0].to_string();
+    let output = upswing(&[&["plan", "--start", &start, "--json"], &system[..]].concat());
+    std::fs::write(plans, [&output.stdout[..], b"null"].concat()).expect("written");
+
+    let given = ["montecarlo", "closed-loop", "--samples", "2", "--plans", plans];
+    let (code, answer) = json(&[&given[..], &system[..]].concat());
+    let runs = &answer["conditions"][0];
+    assert_eq!((code, &runs["succeeded"], &answer["plans"]), (Some(1), &1.into(), &plans.into()));
+    assert_eq!(runs["results"][1]["failure"], "no plan");
+    let text = upswing(&[&given[..], &system[..]].concat());
+    assert!(String::from_utf8_lossy(&text.stdout).contains("the file has no plan for this start"));
+    let ours = json(&[&["montecarlo", "closed-loop", "--samples", "1"], &system[..]].concat()).1;
+    let plan: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    assert_eq!(runs["results"][0]["end"]["t_f"], plan["t_f"]);
+    // The planner plans from the measured start, which the encoders round.
+    let t_f = |answer: &Value| answer["conditions"][0]["results"][0]["end"]["t_f"].as_f64();
+    let (ours, given) = (t_f(&ours).expect("a run"), t_f(&answer).expect("a run"));
+    assert!((ours - given).abs() < 1e-2, "{ours} {given}");
+
+    let (code, score) = json(&["bench", "score", benchmark, "--plans", plans, "--name", "mine"]);
+    assert_eq!((code, &score["name"]), (Some(0), &"mine".into()));
+    assert_eq!(score["conditions"][0]["results"], runs["results"]);
+    let table = upswing(&["bench", "score", benchmark, "--plans", plans, "--name", "mine"]);
+    let table = String::from_utf8_lossy(&table.stdout);
+    assert!(table.contains("| mine | nominal | 1 of 2 | "), "{table}");
+}

@@ -28,7 +28,7 @@ def main():
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 3
     system = upswing.System.load("cart-pole")
     planner = upswing.Planner(system)
-    benchmark = Benchmark.of(system, samples=count)
+    benchmark = Benchmark(system, samples=count)
 
     def softer(start):
         trajectory = planner.replan(start).trajectory

@@ -12,6 +12,8 @@ mod python {
     pyo3::import_exception!(upswing.errors, Aborted);
 }
 
+pub use python::UpswingError;
+
 /// `InputError`, also a `ValueError`: an argument, a file or a setting cannot be used.
 pub fn input(e: impl Display) -> PyErr {
     python::InputError::new_err(e.to_string())
@@ -19,7 +21,7 @@ pub fn input(e: impl Display) -> PyErr {
 
 /// `UpswingError`: the computation failed.
 pub fn failed(e: impl Display) -> PyErr {
-    python::UpswingError::new_err(e.to_string())
+    UpswingError::new_err(e.to_string())
 }
 
 /// `NoPlan`: no plan keeps all limits.

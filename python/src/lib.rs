@@ -5,6 +5,7 @@
 //! are batches. Nothing here panics on bad input: errors become Python exceptions with the text of the Rust error.
 
 mod array;
+mod benchmark;
 mod chain;
 mod database;
 mod errors;
@@ -19,6 +20,8 @@ mod trajectory;
 /// Classes and functions of the package; `upswing/__init__.py` exports them.
 #[pyo3::pymodule(name = "_upswing")]
 mod module {
+    #[pymodule_export]
+    use super::benchmark::{Benchmark, Score, score_table};
     #[pymodule_export]
     use super::database::{Database, build_database};
     #[pymodule_export]

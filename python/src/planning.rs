@@ -16,13 +16,14 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use upswing_config::Config;
 use upswing_model::{Order, State, Workspace};
-use upswing_ocp::interior_point::{NlpOptions, NlpSolution, NlpStatus};
+use upswing_ocp::interior_point::{Multipliers, NlpOptions, NlpSolution, NlpStatus};
 use upswing_ocp::lqr::{LqrWeights, synthesize};
 use upswing_ocp::multistart::Search;
 use upswing_ocp::qp::QpSolver;
 use upswing_planner::database::{DatabaseFile, solutions_near};
 use upswing_planner::offline::{self, lqr_recursion, lqr_weights, target};
 use upswing_planner::replan::{Effort, Method, NoPlan, PlanSummary, Planner as Replanner, Replan};
+use upswing_rig::course::first_manoeuvre;
 use upswing_trajectory::{Gain, Gains, Margins, Plan as Reference, Trajectory as Knots};
 
 /// A time budget of an argument.
@@ -81,6 +82,29 @@ impl Optimum {
     #[getter]
     fn stationarity(&self) -> f64 {
         self.solution.stationarity
+    }
+
+    /// Multipliers of L = J + sum lambda_k . c_k + nu . (C x_N - d) + sum zeta_k . x_k + sum pi_k . tau_k + zeta_t t_F, whose derivatives with
+    /// respect to x_1..x_N, u_0..u_N and t_F are zero at an optimum; c_k = x_{k+1} - x_k - h/2 (f_k + f_{k+1}) are the defects (6b).
+    ///
+    /// A dictionary: "defects" lambda (N, 2n), s per unit of x; "target" nu (m,), rows as of `System.target`; "x" zeta (N + 1, 2n), that of the given
+    /// x_0 is 0; "torque" pi (N + 1, n_A), s per N m or N, of the torque (9), or (11) if the settings say so; "t_f" zeta_t.
+    /// Those of limits are positive at the upper limit and negative at the lower one. They are the last iterate's if there is no solution.
+    #[getter]
+    fn multipliers<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let order = self.config.model.order();
+        let (state, actuated) = (order.sizes().state(), order.sizes().actuated());
+        let Multipliers { defects, target, x, torque, t_f } = &self.solution.multipliers;
+        let n = defects.len();
+        let states = |x: &[State]| x.iter().flat_map(|x| chain::state_in_chain(order, x)).collect::<Vec<_>>();
+        let dict = PyDict::new(py);
+        dict.set_item("defects", output(py, vec![n, state], states(defects))?)?;
+        dict.set_item("target", output(py, vec![target.len()], target.clone())?)?;
+        dict.set_item("x", output(py, vec![n + 1, state], [vec![0.0; state], states(x)].concat())?)?;
+        let torque = torque.iter().flat_map(|tau| tau.to_vec()).collect();
+        dict.set_item("torque", output(py, vec![n + 1, actuated], torque)?)?;
+        dict.set_item("t_f", t_f)?;
+        Ok(dict)
     }
 
     /// As `Trajectory.margins`.
@@ -423,6 +447,16 @@ impl Planner {
         let result = f(&mut solver);
         pool().push(solver);
         result
+    }
+
+    /// The plan of the first manoeuvre from a state, as a run in closed loop gets it.
+    pub fn plan_from(&self, py: Python<'_>, start: &State) -> PyResult<Plan> {
+        let found = py.detach(|| {
+            let effort = Effort::iterations(self.config.planner.replan.iterations);
+            let manoeuvre = first_manoeuvre(&self.config);
+            self.with_solver(|solver| self.planner.replan_with(solver, 0, manoeuvre.given(), start, &effort))
+        });
+        Plan::of_replan(py, &self.config, found.map_err(no_plan)?)
     }
 
     fn effort(&self, iterations: Option<usize>, optimise: Option<bool>) -> PyResult<Effort<'static>> {

@@ -24,7 +24,9 @@ use upswing_record::evaluation::SwingUpEvaluation;
 use upswing_rig::closed_loop::{Aborted, ClosedLoop as Loop, Disturbances, RunOptions, swing_up};
 use upswing_rig::montecarlo::closed_loop::ConditionStudy;
 use upswing_rig::montecarlo::condition::PlantCondition;
+use upswing_rig::montecarlo::contender::Contender;
 use upswing_rig::montecarlo::{RandomStarts, Study};
+use upswing_trajectory::Plan as Reference;
 use upswingd::plan::accept;
 use upswingd::step::StepRequest;
 
@@ -484,7 +486,7 @@ impl ClosedLoop {
 }
 
 /// The torques of a controller of Python for the record of a cycle.
-fn call_controller(
+pub fn call_controller(
     controller: &Bound<'_, PyAny>,
     config: &Config,
     cycle: &Telemetry,
@@ -621,18 +623,29 @@ pub fn random_starts<'py>(
 }
 
 /// A result of the libraries as Python has the JSON of the command line.
-fn of_json<'py>(py: Python<'py>, result: &impl serde::Serialize) -> PyResult<Bound<'py, PyAny>> {
+pub fn of_json<'py>(py: Python<'py>, result: &impl serde::Serialize) -> PyResult<Bound<'py, PyAny>> {
     let text = serde_json::to_string(result).map_err(failed)?;
     py.import("json")?.call_method1("loads", (text,))
+}
+
+/// A plan for each start; `None`: there is none.
+struct ArrayPlans(Vec<Option<Reference>>);
+
+impl Contender for ArrayPlans {
+    fn options(&self, index: u64, _: &State) -> Result<RunOptions<'_>, String> {
+        let plan = usize::try_from(index).ok().and_then(|index| self.0.get(index)?.clone());
+        let plan = plan.ok_or("none was given for this start")?;
+        Ok(RunOptions { plan: Some(plan), ..RunOptions::default() })
+    }
 }
 
 /// Swings up from random starts on all cores, and balances for `seconds` (s), as `upswing montecarlo closed-loop`.
 ///
 /// `condition`: "nominal", "arm-mass", "pendulum-mass", "pendulum-length", a scenario of the system, or a .toml file. `progress(done, total)` is
-/// called about every 0.1 s. The result is an element of `conditions` in the output of the command with --json: samples, succeeded, failures,
+/// called about every 0.1 s. `plans`: one of your own for each start, or `None` for a run that has failed. The result is an element of `conditions` in the output of the command with --json: samples, succeeded, failures,
 /// spreads of the figures of the motion, and results of each start. All but its times depends on the settings, the seed and the condition only.
 #[pyfunction]
-#[pyo3(signature = (planner, samples, *, seed = 0, condition = "nominal", seconds = 4.0, threads = None, progress = None))]
+#[pyo3(signature = (planner, samples, *, seed = 0, condition = "nominal", seconds = 4.0, plans = None, threads = None, progress = None))]
 pub fn monte_carlo<'py>(
     py: Python<'py>,
     planner: &Planner,
@@ -640,9 +653,18 @@ pub fn monte_carlo<'py>(
     seed: u64,
     condition: &str,
     seconds: f64,
+    plans: Option<Vec<Option<Py<Plan>>>>,
     threads: Option<usize>,
     progress: Option<Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
+    let plans = plans.map(|plans| {
+        ArrayPlans(plans.iter().map(|plan| Some(plan.as_ref()?.get().reference.clone())).collect())
+    });
+    if let Some(ArrayPlans(plans)) = &plans
+        && plans.len() as u64 != samples
+    {
+        return Err(input(format!("`plans`: expected {samples}, one for each start, got {}", plans.len())));
+    }
     if !(2.0..=600.0).contains(&seconds) {
         return Err(input(format!("`seconds`: expected 2 to 600, got {seconds}")));
     }
@@ -665,7 +687,8 @@ pub fn monte_carlo<'py>(
             stop,
             progress: &count,
         };
-        ConditionStudy { study: &study, part: 0, condition: &condition, seconds }.run()
+        let contender = plans.as_ref().map(|plans| plans as &dyn Contender);
+        ConditionStudy { study: &study, part: 0, condition: &condition, seconds, contender }.run()
     })?;
     of_json(py, &result.map_err(failed)?)
 }

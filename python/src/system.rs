@@ -113,7 +113,7 @@ impl System {
     /// Raises `InputError` if it is unknown, or a file of it cannot be used.
     #[staticmethod]
     #[pyo3(signature = (system = None))]
-    fn load(py: Python<'_>, system: Option<PathBuf>) -> PyResult<Self> {
+    pub fn load(py: Python<'_>, system: Option<PathBuf>) -> PyResult<Self> {
         let source = match system {
             Some(system) => Source::try_from(OsString::from(system)).map_err(input)?,
             None => Source::default(),

@@ -1,42 +1,97 @@
-"""The benchmark has the runs of the Monte Carlo study, and tells controllers apart."""
+"""The benchmark has the runs of the Monte Carlo study and of the command line, and tells controllers apart."""
 
 import json
 
 import numpy as np
 import pytest
 import upswing
-from upswing.benchmark import Benchmark, table
+from upswing.benchmark import Benchmark, Score, table
 
 
 @pytest.fixture(scope="module")
 def benchmark(cart):
-    return Benchmark.of(cart, samples=3, seconds=2.0)
+    return Benchmark(cart, samples=3, seconds=2.0)
 
 
-def test_our_score_is_that_of_the_study(benchmark):
-    planner = upswing.Planner(benchmark.system)
+@pytest.fixture(scope="module")
+def planner(cart):
+    return upswing.Planner(cart)
+
+
+@pytest.fixture(scope="module")
+def plans(benchmark, planner):
+    return planner.replan_all(benchmark.starts)
+
+
+def test_our_score_is_that_of_the_study_and_of_the_command_line(benchmark, planner, command, tmp_path):
     score = benchmark.score("ours", planner)
-    for condition, runs in score.runs.items():
-        study = upswing.monte_carlo(planner, 3, condition=condition, seconds=2.0)["results"]
-        for run, expected in zip(runs, study):
-            assert benchmark.starts[run.index].tolist() == expected["start"]
-            assert run.success and run.t_f == expected["end"]["t_f"]
-            assert run.figures == {figure: expected["end"][figure] for figure in run.figures}
+    for condition in score.conditions:
+        study = upswing.monte_carlo(planner, 3, condition=condition["condition"], seconds=2.0)
+        assert condition["results"] == study["results"] and condition["succeeded"] == 3
     assert "| ours | everyday | 3 of 3 |" in table([score])
-    assert json.loads(score.to_json())["runs"]["nominal"][2]["success"]
+    benchmark.export(tmp_path / "benchmark.json")
+    expected = command("bench", "score", str(tmp_path / "benchmark.json"), "--json")
+    assert json.loads(score.to_json()) == expected
+    assert table([Score.of_json(json.dumps(expected))]) == table([score])
 
 
-def test_an_idle_controller_has_no_success(benchmark):
-    planner = upswing.Planner(benchmark.system)
+def test_a_benchmark_of_the_command_line_is_the_same(benchmark, command, tmp_path):
+    path = tmp_path / "benchmark.json"
+    command("bench", "export", str(path), "--system", "cart-pole", "--samples", "3", "--seconds", "2", "--json")
+    again = Benchmark.read(path)
+    assert np.array_equal(again.starts, benchmark.starts) and again.conditions == benchmark.conditions
+    assert (again.seed, again.seconds) == (benchmark.seed, benchmark.seconds)
+
+
+def test_plans_of_others_are_run_from_arrays_and_from_files(benchmark, planner, plans, command, tmp_path):
+    given = [plans[0], None, plans[2]]
+    upswing.export_plans(given, tmp_path / "plans.json")
+    arguments = ["--system", "cart-pole", "--samples", "3", "--seconds", "2", "--plans", str(tmp_path / "plans.json")]
+    expected = command("montecarlo", "closed-loop", *arguments, "--json")["conditions"][0]
+    got = upswing.monte_carlo(planner, 3, seconds=2.0, plans=given)
+    assert [run["failure"] for run in got["results"]] == [None, "no plan", None]
+    assert [run["end"] for run in got["results"]] == [run["end"] for run in expected["results"]]
+    assert [run["failure"] for run in got["results"]] == [run["failure"] for run in expected["results"]]
+    benchmark.export(tmp_path / "benchmark.json")
+    files = [str(tmp_path / "benchmark.json"), "--plans", str(tmp_path / "plans.json")]
+    score = command("bench", "score", *files, "--json")
+    assert score["conditions"][0]["results"] == expected["results"]
+    by_start = {tuple(start): plan for start, plan in zip(benchmark.starts.tolist(), plans)}
+    mine = benchmark.score("mine", planner, plan=lambda start: by_start[tuple(start)])
+    assert [condition["succeeded"] for condition in mine.conditions] == [3, 3]
+    with pytest.raises(upswing.InputError, match="`plans`: expected 3, one for each start, got 1"):
+        upswing.monte_carlo(planner, 3, plans=plans[:1])
+
+
+def test_an_idle_controller_has_no_success(benchmark, planner):
     idle = benchmark.score("idle", planner, controller=lambda plan: lambda t, x, x_d, u_d: np.zeros(1))
-    assert [idle.succeeded(condition) for condition in benchmark.conditions] == [0, 0]
-    assert np.isnan(idle.median("nominal", "t_f")) and idle.runs["nominal"][0].failures
+    assert [condition["succeeded"] for condition in idle.conditions] == [0, 0]
+    assert idle.conditions[0]["t_f"] is None and idle.conditions[0]["results"][0]["reasons"]
+    assert "| idle | nominal | 0 of 3 | - |" in table([idle])
 
     def refuse(start):
         raise upswing.NoPlan("none here")
 
     none = benchmark.score("none", planner, plan=refuse)
-    assert none.runs["everyday"][1].failures == ["none here"]
+    assert none.conditions[1]["results"][1]["reasons"] == ["no plan: none here"]
+    assert none.conditions[1]["failures"] == {"no plan": 3}
+
+
+def test_our_law_in_python_succeeds(benchmark, planner):
+    model = benchmark.system.model
+
+    def law(plan):
+        return lambda t, x, x_d, u_d: model.torque(x, plan.input(t, x))
+
+    # Without our disturbance observer, friction moves the cart off its place.
+    assert [condition["succeeded"] for condition in benchmark.score("law", planner, controller=law).conditions] == [3, 0]
+
+
+def test_an_exception_of_another_kind_ends_the_benchmark(benchmark, planner):
+    with pytest.raises(ZeroDivisionError):
+        benchmark.score("bad", planner, plan=lambda start: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        benchmark.score("bad", planner, controller=lambda plan: lambda t, x, x_d, u_d: 1 / 0)
 
 
 def test_a_file_has_all_digits(benchmark, tmp_path):
@@ -44,6 +99,12 @@ def test_a_file_has_all_digits(benchmark, tmp_path):
     benchmark.export(path)
     again = Benchmark.read(path)
     assert np.array_equal(again.starts, benchmark.starts) and again.conditions == benchmark.conditions
-    path.write_text(path.read_text().replace(benchmark.system.model.fingerprint, "0" * 16))
+    text = path.read_text()
+    path.write_text(text.replace(benchmark.system.model.fingerprint, "0" * 16))
     with pytest.raises(upswing.InputError, match="expected the model 0000"):
+        Benchmark.read(path)
+    document = json.loads(text)
+    document["starts"][1][0] += 1e-15
+    path.write_text(json.dumps(document))
+    with pytest.raises(upswing.InputError, match="expected start 1 of seed 0, got another one"):
         Benchmark.read(path)

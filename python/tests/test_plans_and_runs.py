@@ -44,6 +44,40 @@ def test_the_target_is_met(arm, plan):
     assert np.allclose(rows @ plan.trajectory.x[-1], values, atol=1e-6)
 
 
+def test_the_multipliers_make_the_lagrangian_stationary(arm):
+    optimum = upswing.optimize(arm, np.deg2rad(ARM_START_DEG))
+    model, m = arm.model, optimum.multipliers
+    x, u, t_f = optimum.trajectory.x, optimum.trajectory.u, optimum.trajectory.t_f
+    intervals, h, width = len(x) - 1, t_f / (len(x) - 1), x.shape[1]
+    f, a, b = model.f(x, u), model.A(x, u), model.B(x, u)
+    # w_k = lambda_{k-1} + lambda_k: f_k is part of the defects on both sides of a knot.
+    padded = np.zeros((intervals + 2, width))
+    padded[1:-1] = m["defects"]
+    w = padded[:-1] + padded[1:]
+    with np.errstate(all="raise"):
+        # Second derivatives of mu . tau are of no use here: first ones of tau, by central differences of the torque law.
+        step = 1e-6
+        z = np.concatenate([x, u], axis=1)
+        moved = z[:, None, :] + step * np.stack([np.eye(z.shape[1]), -np.eye(z.shape[1])])[:, None].reshape(1, -1, z.shape[1])
+        tau = model.torque(moved[..., :width], moved[..., width:]).reshape(len(z), 2, z.shape[1], -1)
+        by_torque = ((tau[:, 0] - tau[:, 1]) / (2 * step)) @ m["torque"][..., None]
+    rows, _ = arm.target()
+    by_x = padded[:-1] - padded[1:] - h / 2 * np.einsum("kij,ki->kj", a, w) + m["x"] + by_torque[:, :width, 0]
+    by_x[-1] += m["target"] @ rows
+    r = 2 * (optimum.cost - t_f) / (h * np.sum(u**2))
+    by_u = h * r * u - h / 2 * np.einsum("kij,ki->kj", b, w) + by_torque[:, width:, 0]
+    by_t = 1 + r / 2 * np.sum(u**2) / intervals - np.sum(w * f) / 2 / intervals + m["t_f"]
+    # The tolerance of the optimisation, and central differences.
+    assert max(np.abs(by_x[1:]).max(), np.abs(by_u).max(), abs(by_t)) < 1e-5
+    # Velocities are at their limits of plans, and nothing else of the arm: signs say which of the two.
+    limit = arm.planning_limits["qd_max"]
+    n = len(arm.joints)
+    pull, qd = m["x"][:, n:], x[:, n:]
+    held = np.abs(pull) > 1e-3
+    assert held.any() and (np.sign(pull) == np.sign(qd))[held].all() and (np.abs(qd) > 0.99 * limit)[held].all()
+    assert (m["x"][0] == 0).all() and m["torque"].shape == u.shape
+
+
 def test_other_weights_give_other_gains(plan):
     gains, _ = upswing.lqr(plan.trajectory)
     other, _ = upswing.lqr(plan.trajectory, r=10.0)

@@ -32,7 +32,7 @@ from upswing._upswing import (
     random_starts,
 )
 from upswing.errors import Aborted, InputError, NoPlan, UpswingError
-from upswing.exports import export
+from upswing.exports import export, export_plans
 from upswing.recording import Recording, Report, report
 
 __all__ = [
@@ -55,6 +55,7 @@ __all__ = [
     "UpswingError",
     "build_database",
     "export",
+    "export_plans",
     "lqr",
     "monte_carlo",
     "optimize",

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 __all__ = [
+    "Benchmark",
     "ClosedLoop",
     "Database",
     "Model",
@@ -20,6 +21,7 @@ __all__ = [
     "Plant",
     "Plants",
     "Run",
+    "Score",
     "System",
     "Trajectory",
     "build_database",
@@ -29,11 +31,13 @@ __all__ = [
     "random_starts",
     "read_recording",
     "report_html",
+    "score_table",
 ]
 
 _Array = NDArray[np.float64]
 _Path = Union[str, "PathLike[str]"]
 _Progress = Callable[[int, int], object]
+_Controller = Callable[[float, _Array, _Array, _Array], ArrayLike]
 
 @final
 class Model:
@@ -210,6 +214,14 @@ class Optimum:
     @property
     def stationarity(self) -> float:
         """Largest scaled residual of the conditions of stationarity."""
+    @property
+    def multipliers(self) -> Dict[str, Any]:
+        """Multipliers of L = J + sum lambda_k . c_k + nu . (C x_N - d) + sum zeta_k . x_k + sum pi_k . tau_k + zeta_t t_F, whose derivatives with
+        respect to x_1..x_N, u_0..u_N and t_F are zero at an optimum; c_k = x_{k+1} - x_k - h/2 (f_k + f_{k+1}) are the defects (6b).
+
+        A dictionary: "defects" lambda (N, 2n), s per unit of x; "target" nu (m,), rows as of `System.target`; "x" zeta (N + 1, 2n), that of the given
+        x_0 is 0; "torque" pi (N + 1, n_A), s per N m or N, of the torque (9), or (11) if the settings say so; "t_f" zeta_t.
+        Those of limits are positive at the upper limit and negative at the lower one. They are the last iterate's if there is no solution."""
     @property
     def margins(self) -> Dict[str, float]:
         """As `Trajectory.margins`."""
@@ -454,7 +466,7 @@ class ClosedLoop:
         seconds: float = 4.0,
         *,
         plan: Optional[Plan] = None,
-        controller: Optional[Callable[[float, _Array, _Array, _Array], ArrayLike]] = None,
+        controller: Optional[_Controller] = None,
         pushes: Sequence[Tuple[float, Sequence[float], float]] = ...,
     ) -> "Run":
         """Holds the arm, executes the first manoeuvre from the start, stays at its end for `seconds`, and evaluates the run.
@@ -533,14 +545,85 @@ def monte_carlo(
     seed: int = 0,
     condition: str = "nominal",
     seconds: float = 4.0,
+    plans: Optional[Sequence[Optional[Plan]]] = None,
     threads: Optional[int] = None,
     progress: Optional[_Progress] = None,
 ) -> Dict[str, Any]:
     """Swings up from random starts on all cores, and balances for `seconds` (s), as `upswing montecarlo closed-loop`.
 
     `condition`: "nominal", "arm-mass", "pendulum-mass", "pendulum-length", a scenario of the system, or a .toml file. `progress(done, total)` is
-    called about every 0.1 s. The result is an element of `conditions` in the output of the command with --json: samples, succeeded, failures,
+    called about every 0.1 s. `plans`: one of your own for each start, or `None` for a run that has failed. The result is an element of `conditions` in the output of the command with --json: samples, succeeded, failures,
     spreads of the figures of the motion, and results of each start. All but its times depends on the settings, the seed and the condition only."""
 
 def read_recording(path: _Path, start: float = 0.0, end: Optional[float] = None) -> Dict[str, Any]: ...
 def report_html(path: _Path, start: float = 0.0, end: Optional[float] = None) -> str: ...
+
+@final
+class Benchmark:
+    """Starts and conditions of runs of the first manoeuvre of a system, and the time at its end, as `upswing bench export` writes them."""
+
+    def __new__(
+        cls,
+        system: System,
+        samples: int = 20,
+        *,
+        seed: int = 0,
+        conditions: Optional[Sequence[str]] = None,
+        seconds: float = 4.0,
+    ) -> "Benchmark":
+        """The first starts of `upswing montecarlo` with this seed; `conditions` as of `monte_carlo`; success is judged in the last of the `seconds`."""
+    @staticmethod
+    def read(path: _Path) -> "Benchmark":
+        """Reads a file of `export`. Raises `InputError` if it is none, or of another model or other settings."""
+    def export(self, path: _Path) -> None:
+        """Writes the benchmark as JSON with all digits, which `upswing bench score` reads. The file is replaced if it exists."""
+    @property
+    def system(self) -> System:
+        """The system of planner and controller."""
+    @property
+    def starts(self) -> _Array:
+        """Positions of the actuated joints at the starts, (samples, n_A), rad or m; the others hang at rest."""
+    @property
+    def conditions(self) -> List[str]:
+        """Names of the conditions."""
+    @property
+    def seed(self) -> int:
+        """Seed of starts and random conditions."""
+    @property
+    def seconds(self) -> float:
+        """Time at the end of the plan, s."""
+    def score(
+        self,
+        name: str,
+        planner: Planner,
+        *,
+        plan: Optional[Callable[[_Array], Plan]] = None,
+        controller: Optional[Callable[[Plan], _Controller]] = None,
+        threads: Optional[int] = None,
+        progress: Optional[_Progress] = None,
+    ) -> "Score":
+        """Runs every start under every condition.
+
+        `plan(q_a)` gives the `Plan` for a start in place of `planner`'s, and `controller(plan)` a controller, as `ClosedLoop.run` takes it, in place
+        of ours. An `UpswingError` of theirs is a run that has failed; other exceptions end the benchmark. `progress(done, total)` is called about
+        every 0.1 s."""
+
+@final
+class Score:
+    """The runs of one planner and controller in a benchmark."""
+
+    @property
+    def name(self) -> str:
+        """Name of planner and controller."""
+    @property
+    def conditions(self) -> List[Dict[str, Any]]:
+        """Results under each condition, as `upswing bench score --json` prints them: condition, samples, succeeded, failures, medians t_f and figures of the
+        motion over the successful runs, results of each run."""
+    def to_json(self) -> str:
+        """All runs as JSON, the document of `upswing bench score --json`."""
+    @staticmethod
+    def of_json(text: str) -> "Score":
+        """The score of such a document."""
+
+def score_table(scores: Sequence[Score]) -> str:
+    """A table of scores in Markdown, as `upswing bench score` prints it: success, and medians over the successful runs."""

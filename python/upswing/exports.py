@@ -4,12 +4,30 @@ from __future__ import annotations
 
 import json
 import os
-from typing import Optional, Union
+from typing import Any, Dict, Iterable, Optional, Union
 
 import numpy as np
 
-from upswing._upswing import Trajectory
+from upswing._upswing import Plan, Trajectory
 from upswing.errors import InputError
+
+
+def _document(trajectory: Trajectory, t: np.ndarray, x: np.ndarray, u: np.ndarray) -> Dict[str, Any]:
+    q, qd = np.split(x, 2, axis=-1)
+    names = {"joints": trajectory.joints, "actuated": trajectory.actuated, "t_f": trajectory.t_f}
+    return {**names, "t": t.tolist(), "q": q.tolist(), "qd": qd.tolist(), "u": u.tolist()}
+
+
+def export_plans(plans: Iterable[Union[Plan, Trajectory, None]], path: Union[str, "os.PathLike[str]"]) -> None:
+    """Writes plans for ``upswing montecarlo closed-loop --plans`` and ``upswing bench score --plans``: the i-th one for the i-th start, ``None`` for none.
+
+    One JSON document per line, as :func:`export` writes it; the command computes the gains. The file is replaced if it exists.
+    """
+    with open(path, "w", encoding="utf-8") as file:
+        for plan in plans:
+            trajectory = plan.trajectory if isinstance(plan, Plan) else plan
+            document = trajectory and _document(trajectory, trajectory.t, trajectory.x, trajectory.u)
+            file.write(json.dumps(document) + "\n")
 
 
 def export(trajectory: Trajectory, path: Union[str, "os.PathLike[str]"], times: Optional[np.ndarray] = None) -> None:
@@ -33,10 +51,8 @@ def export(trajectory: Trajectory, path: Union[str, "os.PathLike[str]"], times: 
         with open(path, "w", encoding="utf-8") as file:
             file.writelines(",".join(map(str, row)) + "\n" for row in [names, *rows])
     elif ending == ".json":
-        numbers = {"t": t.tolist(), "q": q.tolist(), "qd": qd.tolist(), "u": u.tolist()}
-        document = {"joints": joints, "actuated": actuated, "t_f": trajectory.t_f, **numbers}
         with open(path, "w", encoding="utf-8") as file:
-            json.dump(document, file)
+            json.dump(_document(trajectory, t, x, u), file)
     elif ending == ".npz":
         with open(path, "wb") as file:
             np.savez(file, joints=joints, actuated=actuated, t_f=trajectory.t_f, t=t, q=q, qd=qd, u=u)

@@ -2,11 +2,13 @@
 
 use super::{SamplingArgs, draw_run, list_failures, study_failure, writable, write_spreads};
 use serde::Serialize;
+use std::path::PathBuf;
 use upswing_process::number::within;
 use upswing_process::output::{Destination, Overwrite};
 use upswing_process::{Failure, shutdown_flag};
 use upswing_rig::montecarlo::closed_loop::{ConditionResult, ConditionStudy};
 use upswing_rig::montecarlo::condition::PlantCondition;
+use upswing_rig::montecarlo::contender::{Contender, GivenPlans, GivenPlansError};
 
 /// Options of `montecarlo closed-loop`.
 #[derive(Clone, Debug, clap::Args)]
@@ -22,6 +24,10 @@ pub struct ClosedLoopArgs {
     /// Duration of the balance, s (2 to 600); success is judged in the last second
     #[arg(long, value_name = "S", default_value_t = 4.0, value_parser = within(2.0, 600.0))]
     pub seconds: f64,
+    /// Plans in place of ours, the i-th one for start number i: JSON documents one after the other, each as `upswing plan --json` prints it, or
+    /// null for none; they get our gains
+    #[arg(long, value_name = "FILE")]
+    pub plans: Option<PathBuf>,
     /// Draw the swing-up of --only, up to its failure (SVG)
     #[arg(long, value_name = "FILE", requires = "only")]
     pub picture: Option<Destination>,
@@ -35,6 +41,9 @@ struct ClosedLoopResult {
     success: bool,
     complete: bool,
     database: String,
+    /// File with the plans of --plans.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    plans: Option<PathBuf>,
     seed: u64,
     conditions: Vec<ConditionResult>,
 }
@@ -42,7 +51,10 @@ struct ClosedLoopResult {
 impl std::fmt::Display for ClosedLoopResult {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let part = if self.complete { "" } else { " (interrupted)" };
-        write!(f, "seed {}, {}{part}", self.seed, self.database)?;
+        match &self.plans {
+            None => write!(f, "seed {}, {}{part}", self.seed, self.database)?,
+            Some(plans) => write!(f, "seed {}, plans of {}{part}", self.seed, plans.display())?,
+        }
         self.conditions.iter().try_for_each(|c| {
             writeln!(f)?;
             write_condition(f, c)
@@ -88,12 +100,23 @@ pub fn run(args: &ClosedLoopArgs) -> Result<(), Failure> {
         let got = conditions.len();
         return Err(Failure::BadInput(format!("--picture: expected one --condition, got {got}")));
     }
-    let runs = args.sampling.runs("closed-loop", &planner, &(&conditions, args.seconds), args.overwrite)?;
+    let plans = args.plans.as_ref().map(|path| -> Result<_, GivenPlansError> {
+        let plans = GivenPlans::read(path, config)?;
+        let starts = args.sampling.only.map_or(args.sampling.samples, |index| index.saturating_add(1));
+        plans.require(starts, path)?;
+        Ok(plans)
+    });
+    let plans = plans.transpose().map_err(Failure::bad_input)?;
+    let contender = plans.as_ref().map(|plans| plans as &dyn Contender);
+    let given = plans.as_ref().map(GivenPlans::fingerprint);
+    let options = (&conditions, args.seconds, given);
+    let runs = args.sampling.runs("closed-loop", &planner, &options, args.overwrite)?;
     let parts = conditions.len();
     let expected = args.sampling.indices().len() * conditions.len();
     let study_of = |(part, condition): (usize, PlantCondition)| -> Result<ConditionResult, Failure> {
         args.sampling.study(&planner, runs.as_ref(), args.sampling.indices().len(), &stop, |study| {
-            let study = ConditionStudy { study, part, condition: &condition, seconds: args.seconds };
+            let seconds = args.seconds;
+            let study = ConditionStudy { study, part, condition: &condition, seconds, contender };
             if let (Some(output), Some(index)) = (&picture, args.sampling.only) {
                 draw_run(output, config, study.records(index))?;
             }
@@ -113,6 +136,7 @@ pub fn run(args: &ClosedLoopArgs) -> Result<(), Failure> {
         success: complete && succeeded == samples,
         complete,
         database: planner.origin(0).to_owned(),
+        plans: args.plans.clone(),
         seed: args.sampling.seed,
         conditions: answers,
     })?;
