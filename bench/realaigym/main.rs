@@ -7,7 +7,7 @@ use std::sync::atomic::AtomicBool;
 use upswing_config::System;
 use upswing_planner::replan::Planner;
 use upswing_rig::realaigym::{
-    Benchmark, Controller, DoublePendulum, Performance, Pilot, Replanner, Version, csv, machine,
+    Benchmark, Controller, DoublePendulum, Performance, Pilot, Version, csv, machine,
 };
 
 /// Flies the machine of the RealAIGym benchmark and prints the scores of its leaderboards
@@ -20,9 +20,6 @@ struct Args {
     /// Only the performance score, which is the result of one simulation
     #[arg(long)]
     performance: bool,
-    /// Only the uptime score, which is the result of one simulation
-    #[arg(long, conflicts_with = "performance")]
-    uptime: bool,
     /// Weight r of the input in (6a), s^4/rad^2: that of upswing's defaults; the systems' own ones are smaller, for a short time
     #[arg(long, value_name = "R", default_value_t = 0.01)]
     input_weight: f64,
@@ -48,7 +45,7 @@ fn main() -> ExitCode {
 fn run(system: &System, args: &Args) -> Result<(), String> {
     println!("{system}");
     for version in [Version::Two, Version::One] {
-        if version == Version::One && (args.performance || args.uptime) {
+        if version == Version::One && args.performance {
             break;
         }
         let pendulum = DoublePendulum::load(system, version, args.input_weight)?;
@@ -58,15 +55,10 @@ fn run(system: &System, args: &Args) -> Result<(), String> {
             .map_err(|e| e.to_string())?;
         let pilot = Pilot::new(&planner)?;
         if version == Version::Two {
-            if !args.uptime {
-                let path = args.csv.as_deref().map(|folder| folder.join(format!("{system}.csv")));
-                performance(&benchmark, &pilot, path.as_deref())?;
-            }
-            if !args.performance {
-                uptime(&benchmark, &planner);
-            }
+            let path = args.csv.as_deref().map(|folder| folder.join(format!("{system}.csv")));
+            performance(&benchmark, &pilot, path.as_deref())?;
         }
-        if !args.performance && !args.uptime {
+        if !args.performance {
             robustness(&benchmark, &pilot);
         }
     }
@@ -91,20 +83,6 @@ fn performance(benchmark: &Benchmark<'_>, pilot: &Pilot<'_>, csv_file: Option<&P
     }
     let Some(path) = csv_file else { return Ok(()) };
     std::fs::write(path, csv(&motion)).map_err(|e| format!("{}: {e}; choose another --csv", path.display()))
-}
-
-fn uptime(benchmark: &Benchmark<'_>, planner: &Planner) {
-    let mut replanner = Replanner::new(planner);
-    let (uptime, _) = benchmark.uptime(&mut |x| replanner.step(x));
-    println!("  uptime, version 3");
-    for (name, value) in [
-        ("uptime, s", uptime.uptime),
-        ("swing-ups", uptime.swing_ups as f64),
-        ("slowest plan, s", replanner.slowest),
-        ("score", uptime.score()),
-    ] {
-        println!("    {name:<26} {value:>8.3}");
-    }
 }
 
 fn robustness(benchmark: &Benchmark<'_>, pilot: &Pilot<'_>) {

@@ -12,6 +12,7 @@ mod errors;
 mod model;
 mod planning;
 mod progress;
+mod realaigym;
 mod recording;
 mod simulation;
 mod system;
@@ -28,6 +29,8 @@ mod module {
     use super::model::Model;
     #[pymodule_export]
     use super::planning::{Optimum, Plan, Planner, lqr, optimize};
+    #[pymodule_export]
+    use super::realaigym::realaigym;
     #[pymodule_export]
     use super::recording::{read_recording, report_html};
     #[pymodule_export]

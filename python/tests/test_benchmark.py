@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 import upswing
-from upswing.benchmark import Benchmark, Score, table
+from upswing.benchmark import Benchmark, Score, realaigym, table
 
 
 @pytest.fixture(scope="module")
@@ -108,3 +108,45 @@ def test_a_file_has_all_digits(benchmark, tmp_path):
     path.write_text(json.dumps(document))
     with pytest.raises(upswing.InputError, match="expected start 1 of seed 0, got another one"):
         Benchmark.read(path)
+
+
+def test_our_performance_is_the_published_one():
+    # bench/README.md has these scores of `bench/realaigym/run`.
+    for name, expected in (("acrobot", 0.678), ("pendubot", 0.629)):
+        result = realaigym(upswing.System.load(name), "performance")
+        assert result["success"] and round(result["score"], 3) == expected
+        assert 0.5 < result["time"] < 2.0
+
+
+def test_a_controller_of_python_is_scored():
+    pendubot = upswing.System.load("pendubot")
+    asked = []
+
+    def new():
+        def controller(t, x):
+            asked.append(t)
+            return 0.0
+
+        return controller
+
+    idle = realaigym(pendubot, "performance", new)
+    assert not idle["success"] and idle["score"] == 0.0 and idle["energy"] == 0.0
+    assert asked[:2] == [0.0, 0.002] and len(asked) == 5000
+    asked.clear()
+    uptime = realaigym(pendubot, "uptime", new)
+    # 15 resets of 0.2 s, in which the controller is not asked; some leave the pendulum above the line for a moment.
+    assert len(asked) == pytest.approx(30_000 - 15 * 100, abs=20)
+    assert uptime["score"] == uptime["uptime"] / 60 < 0.1
+
+    calls = []
+    with pytest.raises(ZeroDivisionError):
+        realaigym(pendubot, "robustness", lambda: lambda t, x: 1 / 0, progress=lambda *numbers: calls.append(numbers))
+    assert calls[-1][1] == 10 * 21 + 2 * 21 * 10 + 2 * 21 + 50
+    with pytest.raises(upswing.InputError, match="expected one finite torque"):
+        realaigym(pendubot, "performance", lambda: lambda t, x: [0.0, 1.0])
+    with pytest.raises(upswing.InputError, match="`controller`: expected one for \"uptime\""):
+        realaigym(pendubot, "uptime")
+    with pytest.raises(upswing.InputError, match="expected \"performance\""):
+        realaigym(pendubot, "speed")
+    with pytest.raises(upswing.InputError, match="expected a double pendulum"):
+        realaigym(upswing.System.load("iiwa-pendulum"), "performance")

@@ -8,9 +8,9 @@
 >>> run.success
 True
 
-Vectors of joints have the order of the chain, from base to tip, as ``System.joints`` names them: q and qd have n numbers, a state is
+Vectors of joints have the order of the chain, from base to tip, as `System.joints` names them: q and qd have n numbers, a state is
 x = [q, qd] with 2n numbers. Inputs u and torques tau have one number for each of the n_A actuated joints, in the order of
-``System.actuated``. Units are SI: rad, m, s, N m, N, kg. Functions of the model take arrays of any leading shape.
+`System.actuated`. Units are SI: rad, m, s, N m, N, kg. Functions of the model take arrays of any leading shape.
 """
 
 from upswing._upswing import (

@@ -29,6 +29,7 @@ __all__ = [
     "monte_carlo",
     "optimize",
     "random_starts",
+    "realaigym",
     "read_recording",
     "report_html",
     "score_table",
@@ -627,3 +628,19 @@ class Score:
 
 def score_table(scores: Sequence[Score]) -> str:
     """A table of scores in Markdown, as `upswing bench score` prints it: success, and medians over the successful runs."""
+
+def realaigym(
+    system: System,
+    score: str,
+    controller: Optional[Callable[[], Callable[[float, _Array], Union[float, ArrayLike]]]] = None,
+    *,
+    seed: int = 0,
+    progress: Optional[_Progress] = None,
+) -> Dict[str, Any]:
+    """Score of the RealAIGym leaderboards of the systems `acrobot` and `pendubot`, as `bench/realaigym/run` computes it, with its criteria.
+
+    `score`: "performance" or "robustness" (version 2), "robustness-1" (version 1), "uptime" (version 3). `controller()` makes the controller of one
+    simulation: a function of the time (s, counted in its calls) and the measured state [q1, q2, qd1, qd2] (4,), rad and rad/s, shoulder and elbow, which
+    hang at 0, that is called every 2 ms and returns the torque of the motor, N m, which is cut to 6. `None`: ours, the daemon with one plan,
+    which has no uptime. Robustness takes 720 simulations of 10 s: ours several minutes. `progress(done, total)` is called
+    about every 0.1 s. The result has "score" and the criteria."""

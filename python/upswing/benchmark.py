@@ -4,10 +4,10 @@
 >>> ours = benchmark.score("ours", upswing.Planner(benchmark.system))
 >>> print(table([ours]))                                                    # doctest: +SKIP
 
-The same on the command line: ``upswing bench export`` and ``upswing bench score``.
+The same on the command line: `upswing bench export` and `upswing bench score`. `realaigym` has the scores of another, published benchmark.
 """
 
-from upswing._upswing import Benchmark, Score
+from upswing._upswing import Benchmark, Score, realaigym
 from upswing._upswing import score_table as table
 
-__all__ = ["Benchmark", "Score", "table"]
+__all__ = ["Benchmark", "Score", "realaigym", "table"]

@@ -19,9 +19,9 @@ def _document(trajectory: Trajectory, t: np.ndarray, x: np.ndarray, u: np.ndarra
 
 
 def export_plans(plans: Iterable[Union[Plan, Trajectory, None]], path: Union[str, "os.PathLike[str]"]) -> None:
-    """Writes plans for ``upswing montecarlo closed-loop --plans`` and ``upswing bench score --plans``: the i-th one for the i-th start, ``None`` for none.
+    """Writes plans for `upswing montecarlo closed-loop --plans` and `upswing bench score --plans`: the i-th one for the i-th start, `None` for none.
 
-    One JSON document per line, as :func:`export` writes it; the command computes the gains. The file is replaced if it exists.
+    One JSON document per line, as `export` writes it; the command computes the gains. The file is replaced if it exists.
     """
     with open(path, "w", encoding="utf-8") as file:
         for plan in plans:
@@ -31,13 +31,13 @@ def export_plans(plans: Iterable[Union[Plan, Trajectory, None]], path: Union[str
 
 
 def export(trajectory: Trajectory, path: Union[str, "os.PathLike[str]"], times: Optional[np.ndarray] = None) -> None:
-    """Writes a trajectory to a file whose name ends in ``.csv``, ``.json`` or ``.npz``.
+    """Writes a trajectory to a file whose name ends in `.csv`, `.json` or `.npz`.
 
-    One row for each of ``times`` (s); ``None``: the knots. CSV has the columns ``t``, ``q_JOINT``, ``qd_JOINT`` for all joints and ``u_JOINT``
-    for the actuated ones; JSON and npz have ``joints``, ``actuated``, ``t_f``, ``t`` (rows,), ``q``, ``qd`` (rows, n), ``u`` (rows, n_A). Units
+    One row for each of `times` (s); `None`: the knots. CSV has the columns `t`, `q_JOINT`, `qd_JOINT` for all joints and `u_JOINT`
+    for the actuated ones; JSON and npz have `joints`, `actuated`, `t_f`, `t` (rows,), `q`, `qd` (rows, n), `u` (rows, n_A). Units
     are SI; numbers keep all digits. The file is replaced if it exists.
 
-    Raises :class:`upswing.InputError` for another ending.
+    Raises `InputError` for another ending.
     """
     t = trajectory.t if times is None else np.asarray(times, dtype=float)
     x = trajectory.x if times is None else trajectory.state(t)

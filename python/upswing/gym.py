@@ -1,21 +1,21 @@
-"""Gymnasium environments, one per shipped system: with this module imported, ``gymnasium.make("upswing/IiwaPendulum-v0")``.
+"""Gymnasium environments, one per shipped system: with this module imported, `gymnasium.make("upswing/IiwaPendulum-v0")`.
 
 The first manoeuvre of the system, such as a swing-up, in simulation, with drives, encoders' friction and limits of the system.
 
 Observation: float64, shape (n_A + 2 n_U + n,): positions of the actuated joints (rad or m), sine and cosine of the positions of the unactuated
-joints (dimensionless), velocities of all joints from base to tip (rad/s or m/s). ``info["x"]`` is the state [q, qd] itself.
+joints (dimensionless), velocities of all joints from base to tip (rad/s or m/s). `info["x"]` is the state [q, qd] itself.
 
-Action: float32 in [-1, 1], shape (n_A,): shares of the 100 % torques (``action="torque"``), or of accelerations (``action="acceleration"``),
+Action: float32 in [-1, 1], shape (n_A,): shares of the 100 % torques (`action="torque"`), or of accelerations (`action="acceleration"`),
 which the torque law (24) turns into torques in every control period: those that these torques give to a joint at the start, or that reach
-its 100 % velocity in 0.05 s, if they are smaller. It is held for ``dt`` (s).
+its 100 % velocity in 0.05 s, if they are smaller. It is held for `dt` (s).
 
-Reward per step: ``up (1 + near + slow) / 3 - 0.001 |action|^2`` with ``up``: the mean of (1 + cos e) / 2 over the unactuated joints, e (rad or m)
-their distance from the target; ``near``: exp(-|e_A|^2) of the other rows of the target (rad or m); ``slow``: exp(-|qd_U|^2 / 10)
+Reward per step: `up (1 + near + slow) / 3 - 0.001 |action|^2` with `up`: the mean of (1 + cos e) / 2 over the unactuated joints, e (rad or m)
+their distance from the target; `near`: exp(-|e_A|^2) of the other rows of the target (rad or m); `slow`: exp(-|qd_U|^2 / 10)
 (rad/s or m/s). 1 at rest in the target.
 
 Termination: a joint exceeds a 100 % limit of its position or velocity, or the drives fail; truncation after 10 s.
 
-Start: the actuated joints uniform in the ranges of the manoeuvre's grid, the unactuated ones at rest; ``options={"start": x}`` of ``reset``
+Start: the actuated joints uniform in the ranges of the manoeuvre's grid, the unactuated ones at rest; `options={"start": x}` of `reset`
 gives another state.
 """
 
@@ -40,7 +40,7 @@ SPEEDING_UP = 0.05
 
 
 def environment_id(system: str) -> str:
-    """The id of the environment of a shipped system: ``iiwa-pendulum`` gives ``upswing/IiwaPendulum-v0``."""
+    """The id of the environment of a shipped system: `iiwa-pendulum` gives `upswing/IiwaPendulum-v0`."""
     return "upswing/" + "".join(part.capitalize() for part in system.split("-")) + "-v0"
 
 

@@ -19,18 +19,18 @@ _NUMBERS = ("seq", "t_ns", "mode", "fault", "warnings", "flags", "plan_id", "t_p
 
 
 class Recording:
-    """Cycles of one run, from an MCAP file or from a :class:`Run`.
+    """Cycles of one run, from an MCAP file or from a `Run`.
 
-    All fields of the recording are attributes, one row per cycle: ``q``, ``qd`` (measured positions, estimated velocities; rad or m, and per
-    second), ``q_d``, ``qd_d`` (reference), ``u_d``, ``u`` (accelerations before and after the feedback), ``tau``, ``tau_measured`` (N m or N),
-    ``t_plan`` (s), ``t_ns``, ``mode`` (index in ``modes``), ``flags``, ...
+    All fields of the recording are attributes, one row per cycle: `q`, `qd` (measured positions, estimated velocities; rad or m, and per
+    second), `q_d`, `qd_d` (reference), `u_d`, `u` (accelerations before and after the feedback), `tau`, `tau_measured` (N m or N),
+    `t_plan` (s), `t_ns`, `mode` (index in `modes`), `flags`, ...
     """
 
     def __init__(self, fields: Mapping[str, Any]):
         self.fields: Dict[str, Any] = dict(fields)
         self.joints: List[str] = list(fields["joints"])
         self.actuated: List[str] = list(fields["actuated"])
-        #: Names of the modes; ``mode`` has their indices.
+        #: Names of the modes; `mode` has their indices.
         self.modes: List[str] = list(fields["modes"])
         #: Keys and values that identify the run.
         self.details: Dict[str, str] = dict(fields.get("details", {}))
@@ -39,7 +39,7 @@ class Recording:
 
     @classmethod
     def read(cls, path: Union[str, "os.PathLike[str]"], start: float = 0.0, end: Optional[float] = None) -> "Recording":
-        """Reads the cycles from ``start`` to ``end`` (s after the first cycle) of an MCAP file."""
+        """Reads the cycles from `start` to `end` (s after the first cycle) of an MCAP file."""
         return cls(read_recording(path, start, end))
 
     @classmethod
@@ -63,7 +63,7 @@ class Recording:
         return len(self.fields["seq"])
 
     def to_pandas(self, every: int = 1) -> "pandas.DataFrame":
-        """One row for each ``every``-th cycle, indexed by the time in s; values of joints in columns like ``q_joint_1``."""
+        """One row for each `every`-th cycle, indexed by the time in s; values of joints in columns like `q_joint_1`."""
         import pandas
 
         columns = {name: self.fields[name][::every] for name in _NUMBERS}
@@ -94,5 +94,5 @@ class Report:
 
 
 def report(source: Union[Run, str, "os.PathLike[str]"], start: float = 0.0, end: Optional[float] = None) -> Report:
-    """The page of a run or of an MCAP file, as ``upswing report`` writes it, from ``start`` to ``end`` (s, of a file)."""
+    """The page of a run or of an MCAP file, as `upswing report` writes it, from `start` to `end` (s, of a file)."""
     return Report(source._repr_html_page() if isinstance(source, Run) else report_html(source, start, end))

@@ -9,7 +9,7 @@ mod scores;
 
 pub use boards::{Benchmark, Category, Controller, Robustness, UPTIME, Uptime, Version, machine};
 pub use machine::{Condition, DT, Joints, Parameters, State};
-pub use pilot::{Pilot, Replanner};
+pub use pilot::Pilot;
 pub use scores::{Motion, Performance, csv};
 
 use upswing_config::{Config, Level, System};

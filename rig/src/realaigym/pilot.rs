@@ -1,17 +1,13 @@
-//! Controllers of the benchmark: measured states in, torques out, every [`DT`]. [`Pilot`] is the daemon with one plan; [`Replanner`] is its law with
-//! a new plan whenever it has lost its reference.
+//! The daemon as a controller of the benchmark: measured states in, torques out, every [`DT`].
 //!
-//! The daemon of the pilot keeps its own control period. In each step it runs ahead on the model from the measured state on, cycle by cycle, and reads the
+//! The daemon keeps its own control period. In each step it runs ahead on the model from the measured state on, cycle by cycle, and reads the
 //! angles of the model as those of its encoders; the mean of its torques is the torque of the step.
 
 use super::machine::{DT, Joints, State as MachineState};
-use std::f64::consts::{PI, TAU};
-use std::time::Instant;
 use upswing_config::Config;
 use upswing_ipc::{Clock, Measurement, Mode, PlanMessage};
 use upswing_model::{JointVector, State, Workspace, runge_kutta_step};
 use upswing_planner::replan::Planner;
-use upswing_trajectory::Plan;
 use upswingd::controller::Controller;
 use upswingd::plan::accept;
 use upswingd::step::{StepInput, StepRequest};
@@ -100,79 +96,5 @@ impl<'a> Pilot<'a> {
         let torque = output.command.torque(order.sizes()).map_or(0.0, |torque| torque[0]);
         self.tau[order.joint(0)] = torque;
         self.braked = output.command.brake != 0;
-    }
-}
-
-/// The control law of the daemon, (22) and (24), on measured states, with a new plan from where the machine is whenever it has lost its reference.
-///
-/// A plan begins [`Self::LEAD`] after the measurement it is made for, in the state that the machine falls to without torque until then.
-pub struct Replanner<'a> {
-    planner: &'a Planner,
-    work: Workspace,
-    /// The plan, and the steps since its begin; negative before.
-    plan: Option<(Plan, i64)>,
-    /// Longest time that a plan took, s.
-    pub slowest: f64,
-}
-
-impl<'a> Replanner<'a> {
-    /// Time for a plan, s.
-    pub const LEAD: f64 = 0.1;
-    /// Distance from the reference at which it is lost, rad; velocities count a fifth.
-    const LOST: f64 = 1.0;
-
-    /// Without a plan.
-    pub fn new(planner: &'a Planner) -> Self {
-        Self { planner, work: Workspace::default(), plan: None, slowest: 0.0 }
-    }
-
-    /// Takes the measured state and returns the commanded torques, N m.
-    pub fn step(&mut self, [q1, q2, v1, v2]: &MachineState) -> Joints {
-        let config = self.planner.config();
-        let order = config.model.order();
-        let sorted = |chain: [f64; 2]| JointVector::from_fn(order.sizes(), |c| chain[order.joint(c)]);
-        // The pose of the hanging machine is 0 after any number of turns.
-        let within = |q: f64| (q + PI).rem_euclid(TAU) - PI;
-        let mut x = State::new(&sorted([within(*q1), within(*q2)]), &sorted([*v1, *v2]));
-        if let Some((plan, steps)) = &mut self.plan {
-            *steps += 1;
-            if *steps < 0 {
-                return [0.0; 2];
-            }
-            let reference = plan.reference(*steps as f64 * DT);
-            for i in 0..order.sizes().joints() {
-                // The same turn as that of the reference.
-                x[i] = reference.x[i] + within(x[i] - reference.x[i]);
-            }
-            let away = x - reference.x;
-            let lost = away.q().amax().max(0.2 * away.qd().amax()) > Self::LOST;
-            if !lost {
-                let tau = config.model.torque(&x, &reference.input(&x), &mut self.work);
-                let mut torques = [0.0; 2];
-                torques[order.joint(0)] = tau[0];
-                return torques;
-            }
-        }
-        let start = self.fall(&x);
-        let begin = Instant::now();
-        let effort = config.planner.replan.iterations;
-        self.plan = self.planner.replan(&start, effort, None).ok().map(|replan| {
-            let steps = -(Self::LEAD / DT).round() as i64;
-            (replan.plan(config), steps)
-        });
-        self.slowest = self.slowest.max(begin.elapsed().as_secs_f64());
-        [0.0; 2]
-    }
-
-    /// The state to which the machine falls from `x` without torque during [`Self::LEAD`].
-    fn fall(&mut self, x: &State) -> State {
-        let model = &self.planner.config().model;
-        let none = JointVector::zeros(x.sizes());
-        let mut rate = |x: &State| {
-            let qdd = model.forward_dynamics(&x.q(), &x.qd(), &none, &mut self.work).ok_or(())?;
-            Ok::<_, ()>(State::new(&x.qd(), &qdd))
-        };
-        (0..(Self::LEAD / DT).round() as usize)
-            .fold(*x, |x, _| runge_kutta_step(&x, DT, &mut rate).unwrap_or(x))
     }
 }
