@@ -38,8 +38,8 @@ pub use grid::{GridAxis, GridSettings};
 pub use manoeuvre::{GivenError, GivenOutsideLimits, Manoeuvre, TargetRow, TargetValue};
 pub use new_system::{Changes, NewJoint, NewSystem};
 pub use planner::{
-    BalanceSettings, LqrRecursion, LqrSettings, OfflineSettings, PlannerSettings, QpBackend, ReplanSettings,
-    SUB_HORIZONS, TorqueForm,
+    BalanceSettings, ContinuousSettings, LqrRecursion, LqrSettings, OfflineSettings, PlannerSettings,
+    QpBackend, ReplanSettings, SUB_HORIZONS, TorqueForm,
 };
 pub use plant::{
     DriveSettings, EncoderSettings, FrictionSettings, IntegratorSettings, JointStopSettings, MAX_DELAY,
@@ -53,7 +53,7 @@ use file::TextFile;
 use overlay::{Defaults, Settings};
 use std::borrow::Cow;
 use std::path::Path;
-use upswing_model::{JointKind, Model, Posture, StartError, State, UnactuatedVector, Urdf};
+use upswing_model::{JointKind, Limits, Model, Posture, StartError, State, UnactuatedVector, Urdf};
 use upswing_trajectory::{LoopDelays, PlanCriteria};
 
 /// One complete, checked set of settings.
@@ -172,6 +172,18 @@ impl Config {
                 cycles: plans.delay,
             },
             amplification: plans.amplification,
+        }
+    }
+
+    /// The criteria for a plan that replaces a running one: those of [`Self::plan_criteria`], but with all of the rated velocities and torques.
+    /// A disturbed motion may be faster than the share that plans may use, and a plan has to begin in the state that there is.
+    pub fn replacement_criteria(&self) -> PlanCriteria {
+        let Limits { qd_max, tau_max, .. } = self.robot.limits;
+        let criteria = self.plan_criteria();
+        PlanCriteria {
+            limits: Limits { qd_max, tau_max, ..criteria.limits },
+            defect: self.daemon.plans.defect_of_one_qp,
+            ..criteria
         }
     }
 

@@ -16,6 +16,8 @@ pub struct PlannerSettings {
     pub offline: OfflineSettings,
     /// Replanning from a measured start.
     pub replan: ReplanSettings,
+    /// Continuous replanning while a plan is tracked.
+    pub continuous: ContinuousSettings,
     /// Weights of the trajectory controller.
     pub lqr: LqrSettings,
     /// Weights of the gain of the mode Balance.
@@ -123,6 +125,23 @@ pub enum QpBackend {
     Structured,
     /// Clarabel, a general sparse solver.
     Clarabel,
+}
+
+/// Settings of continuous replanning: the rest of a running plan is planned again and again from the newest state.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ContinuousSettings {
+    /// Whether studies replan while a plan is tracked.
+    pub enabled: bool,
+    /// Time from one replan to the next.
+    #[serde(rename = "period_ms", deserialize_with = "Whole::<1, 1000>::millis")]
+    pub period: Duration,
+    /// Time from the measured state to the activation of the plan that follows from it.
+    #[serde(rename = "lead_ms", deserialize_with = "Whole::<1, 1000>::millis")]
+    pub lead: Duration,
+    /// Shortest rest of a plan, from the activation to t_F, that is planned again, s.
+    #[serde(rename = "shortest_rest_s", deserialize_with = "MotionTime::read")]
+    pub shortest_rest: f64,
 }
 
 /// Settings of the LQR along a trajectory: its weights Q_c and R_c of (20), and its recursion (23).

@@ -17,7 +17,7 @@ use crate::law::{self, JointSpaceInertia, Torque};
 use crate::modes::{ActiveMode, LoadedPlan, Setpoint};
 use crate::observer::{Observation, Observer};
 use crate::standstill::Standstill;
-use crate::step::{CycleRecord, StepInput, StepOutput};
+use crate::step::{CycleRecord, DroppedPlan, MOST_RETIRED, StepInput, StepOutput};
 use crate::supervisor::ModeEvent;
 use crate::trip::{Trip, TripCause};
 use upswing_config::{Config, HoldGains, PlanWhileTracking};
@@ -76,11 +76,16 @@ pub struct Controller {
     /// Trip that led to the last Fault or Stop; kept until the next enable, start or reset.
     trip: Option<Trip>,
     shutting_down: bool,
+    /// By how much the estimated velocities lag, s: T_1 of the differential filter, 0 where its lag is compensated.
+    velocity_lag: f64,
     /// Largest number of cycles for which the torque may still approach that of the mode.
     blend_cycles: u64,
     loaded: Option<LoadedPlan>,
+    /// A plan that waits for the moment at which it replaces the running one.
+    replacement: Option<Box<Plan>>,
+    dropped: Option<DroppedPlan>,
     /// Plans that this step no longer needs, to be freed by the caller.
-    retired: [Option<Box<Plan>>; 2],
+    retired: [Option<Box<Plan>>; MOST_RETIRED],
 }
 
 impl Controller {
@@ -115,9 +120,12 @@ impl Controller {
             mode: ActiveMode::Idle,
             trip: None,
             shutting_down: false,
+            velocity_lag: config.plan_criteria().delays.velocity_filter.unwrap_or(0.0),
             blend_cycles: 0,
             loaded: None,
-            retired: [None, None],
+            replacement: None,
+            dropped: None,
+            retired: [const { None }; MOST_RETIRED],
         }
     }
 
@@ -178,6 +186,8 @@ impl Controller {
         }
         self.warn_of_plan_age();
         let answer = request.map(|request| self.obey(request));
+        self.dropped = None;
+        self.replace_plan();
 
         // Written in place: a setpoint is half a kilobyte.
         let mut setpoint = self.no_motion();
@@ -206,6 +216,7 @@ impl Controller {
                 telemetry: self.telemetry(&measurement, t_ns, is_new, &setpoint, &torque),
                 step: recorded,
                 trip: self.trip,
+                dropped: self.dropped,
                 unready: self.unready(),
                 overruns: 0,
             },

@@ -112,6 +112,11 @@ impl RunningPlan {
         now_ns.saturating_sub(self.start_ns) as f64 * 1e-9
     }
 
+    /// dx/dt of the plan at the time `now_ns`.
+    pub fn derivative(&self, now_ns: u64) -> State {
+        self.loaded.plan.spline().derivative(self.time(now_ns))
+    }
+
     /// Reference at the end x_N of the plan.
     pub fn end(&self) -> Reference<'_> {
         self.loaded.plan.end()

@@ -24,7 +24,8 @@ pub enum PlanRefusal {
     Criterion(#[from] UnmetCriterion),
 }
 
-/// Checks a plan: checksum, numbers of joints, id, fingerprint, and [`Config::plan_criteria`].
+/// Checks a plan: checksum, numbers of joints, id, fingerprint, and [`Config::plan_criteria`]; for a plan that replaces a running one
+/// [`Config::replacement_criteria`].
 ///
 /// # Errors
 /// The first check that failed, with its numbers.
@@ -34,6 +35,10 @@ pub fn accept(message: &PlanMessage, config: &Config) -> Result<Box<Plan>, PlanR
     if plan.fingerprint != expected {
         return Err(PlanRefusal::Fingerprint { expected, got: plan.fingerprint });
     }
-    config.plan_criteria().check(&config.model, &plan)?;
+    let criteria = match plan.replaces {
+        None => config.plan_criteria(),
+        Some(_) => config.replacement_criteria(),
+    };
+    criteria.check(&config.model, &plan)?;
     Ok(plan)
 }

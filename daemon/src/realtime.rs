@@ -4,7 +4,7 @@
 //! All data come and go through wait-free rings, whose other ends are in [`RealtimeLink`].
 
 use crate::controller::Controller;
-use crate::step::{CycleRecord, StepInput, StepRequest};
+use crate::step::{CycleRecord, MOST_RETIRED, StepInput, StepRequest};
 use crate::supervisor::RequestRefusal;
 use rtrb::{Consumer, Producer, RingBuffer};
 use std::sync::Arc;
@@ -21,8 +21,8 @@ use upswing_trajectory::Plan;
 const RECORDS: usize = 8192;
 /// Capacity of the ring of requests.
 const REQUESTS: usize = 64;
-/// Most replies to one request: an answer and two retired plans.
-const REPLIES_PER_REQUEST: usize = 3;
+/// Most replies to one request: an answer and the retired plans.
+const REPLIES_PER_REQUEST: usize = 1 + MOST_RETIRED;
 /// Capacity of the ring of readers, one for each plant that is found.
 const READERS: usize = 8;
 
@@ -98,7 +98,7 @@ pub struct RealtimeThread {
     /// Answer to the request of this cycle, with the number of the request.
     answer: Option<(u64, Result<(), RequestRefusal>)>,
     /// Plans that the controller no longer needs.
-    retired: [Option<Box<Plan>>; 2],
+    retired: [Option<Box<Plan>>; MOST_RETIRED],
 }
 
 impl RealtimeThread {
@@ -124,7 +124,7 @@ impl RealtimeThread {
             sizes: config.model.sizes(),
             restarted: false,
             answer: None,
-            retired: [None, None],
+            retired: [const { None }; MOST_RETIRED],
         };
         let link = RealtimeLink {
             requests: requests_in,

@@ -7,7 +7,7 @@ use crate::plan::{self, PlanRefusal};
 use crate::realtime::{NumberedRequest, RealtimeLink, RealtimeThread, Reply};
 use crate::recovery::{Recovery, RecoveryAction};
 use crate::sent_plans::SentPlans;
-use crate::step::{CycleRecord, StepRequest};
+use crate::step::{CycleRecord, DroppedPlan, StepRequest};
 use crate::supervisor::{RequestRefusal, is_braked};
 use std::fmt::Display;
 use std::sync::Arc;
@@ -15,7 +15,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
 use std::thread::{Builder, JoinHandle, sleep};
 use std::time::{Duration, Instant};
-use tracing::{info, warn};
+use tracing::{debug, info, warn};
 use upswing_config::{Config, RealtimeMode};
 use upswing_ipc::operator::{OperatorError, PublishedPlan, request_plan};
 use upswing_ipc::{
@@ -393,14 +393,18 @@ impl<'a> ServiceThread<'a> {
     }
 
     fn load(&mut self, message: &PlanMessage) {
-        let PlanHeader { id, t_f, .. } = message.header;
+        let PlanHeader { id, replaces, t_f, .. } = message.header;
         let accepted = self.at_normal_priority(|| plan::accept(message, self.config));
         let sent =
             accepted.map_err(ControlRequestError::from).and_then(|plan| self.send(StepRequest::Load(plan)));
         match sent {
             Ok(number) => {
-                info!("plan {id} loaded, t_F = {t_f:.3} s");
-                self.sent_plans.sent(number, id);
+                if replaces == 0 {
+                    info!("plan {id} loaded, t_F = {t_f:.3} s");
+                } else {
+                    debug!("plan {id} waits to replace plan {replaces}, t_F = {t_f:.3} s");
+                }
+                self.sent_plans.sent(number, id, replaces == 0);
                 self.last_refusal.clear();
             }
             Err(reason) => self.refuse_plan(id, &reason),
@@ -470,6 +474,9 @@ impl<'a> ServiceThread<'a> {
             }
         }
         while let Ok(record) = self.link.records.pop() {
+            if let Some(DroppedPlan { id, reason }) = record.dropped {
+                self.refuse_plan(id, &reason.text(&self.config.model));
+            }
             let action = self.recovery.note(&record, self.sent_plans.newest());
             let noted = self.log.note(record, self.dropped());
             self.warn_of_error(noted);

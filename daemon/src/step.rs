@@ -21,7 +21,7 @@ pub enum StepRequest {
     Reset,
     /// Bring the arm to rest, close the brakes, and refuse all later requests.
     Shutdown,
-    /// Keep this plan, which has passed the checks, for the next start.
+    /// Keep this plan, which has passed the checks, for the next start; one that replaces the running plan for its activation.
     Load(Box<Plan>),
 }
 
@@ -150,7 +150,20 @@ pub struct StepOutput {
     /// The answer to the request of this step, if there was one.
     pub answer: Option<Result<(), RequestRefusal>>,
     /// Plans that the controller no longer needs, to be freed outside of the real-time thread.
-    pub retired: [Option<Box<Plan>>; 2],
+    pub retired: [Option<Box<Plan>>; MOST_RETIRED],
+}
+
+/// Most plans that the controller can need no longer after one step: one that waited and for which a newer one has come, the one that
+/// this newer one replaces, and the newer one itself if the mode ends.
+pub const MOST_RETIRED: usize = 3;
+
+/// A plan that was to replace the running one and was dropped at its activation.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DroppedPlan {
+    /// Id of the plan.
+    pub id: u64,
+    /// Reason.
+    pub reason: RequestRefusal,
 }
 
 /// Published and recorded values of one cycle.
@@ -162,6 +175,8 @@ pub struct CycleRecord {
     pub step: RecordedStep,
     /// Trip that led to the last Fault or Stop; kept until the next enable, start or reset.
     pub trip: Option<Trip>,
+    /// The plan that was dropped at its activation in this step; the running plan goes on.
+    pub dropped: Option<DroppedPlan>,
     /// Reason for which an enable would be refused; `None` if it would not be, or outside Idle.
     pub unready: Option<RequestRefusal>,
     /// Number of overruns since the start of the daemon; the controller, which reads no clock, returns 0.

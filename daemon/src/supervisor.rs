@@ -149,6 +149,18 @@ pub enum RequestRefusal {
         /// Id of the running plan.
         running: u64,
     },
+    /// The plan that was to be replaced is not the running one.
+    NotRunning {
+        /// Id of the plan that was to be replaced.
+        replaced: u64,
+        /// Id of the running plan, 0: none.
+        running: u64,
+    },
+    /// The plan came after the moment at which it was to replace the running one.
+    AfterActivation {
+        /// Time since that moment, s.
+        late: f64,
+    },
     /// The process shuts down.
     ShuttingDown,
 }
@@ -194,6 +206,16 @@ impl RequestRefusal {
             ),
             Self::Tracking { running } => format!(
                 "plan {running} is being tracked, and plans.while_tracking is \"refuse\": send it again afterwards"
+            ),
+            Self::NotRunning { replaced, running: 0 } => {
+                format!("it replaces plan {replaced:016x}, but no plan is being tracked")
+            }
+            Self::NotRunning { replaced, running } => {
+                format!("it replaces plan {replaced:016x}, but plan {running:016x} is being tracked")
+            }
+            Self::AfterActivation { late } => format!(
+                "it came {:.1} ms after the moment at which it was to replace the running plan",
+                1e3 * late
             ),
             Self::ShuttingDown => "the daemon is shutting down; next: start it again".to_owned(),
         }

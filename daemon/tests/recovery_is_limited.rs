@@ -36,6 +36,7 @@ fn record(mode: Mode, t_ns: u64, speed: f64, cause: Option<TripCause>) -> CycleR
     CycleRecord {
         telemetry,
         step: RecordedStep::default(),
+        dropped: None,
         trip: cause.map(Trip::plain),
         unready: None,
         overruns: 0,

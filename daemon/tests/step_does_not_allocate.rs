@@ -3,8 +3,9 @@
 mod common;
 
 use allocation_counter::measure;
-use common::{Arm, at_rest, config, rest_plan, upright_pose};
+use common::{Arm, PERIOD_NS, at_rest, config, rest_plan, upright_pose};
 use upswing_ipc::Mode;
+use upswing_trajectory::Plan;
 use upswingd::controller::Controller;
 use upswingd::step::{StepInput, StepRequest};
 
@@ -15,6 +16,14 @@ fn in_any_mode() {
     let mut arm = Arm::new(&config, x);
     let mut controller = Controller::new(&config);
     let mut plans = [rest_plan(&config, &x, 0.01), rest_plan(&config, &x, 0.01)].into_iter();
+    // While the second one is tracked, a third one replaces it.
+    let replacement = Plan {
+        id: 9,
+        activation_ns: Some(140 * PERIOD_NS),
+        replaces: Some(7),
+        ..*rest_plan(&config, &x, 0.01)
+    };
+    let mut replacement = Some(Box::new(replacement));
     let mut garbage = Vec::with_capacity(4);
     let mut seen = Vec::with_capacity(8);
     for k in 0..4000_u64 {
@@ -24,6 +33,7 @@ fn in_any_mode() {
             2 => Some(StepRequest::Enable),
             100 | 101 => plans.next().map(StepRequest::Load),
             102 => Some(StepRequest::Start(7)),
+            120 => replacement.take().map(StepRequest::Load),
             400 => Some(StepRequest::Stop),
             _ => None,
         };
@@ -42,7 +52,8 @@ fn in_any_mode() {
     }
     let expected = [Mode::Idle, Mode::Hold, Mode::Track, Mode::Balance, Mode::Stop, Mode::Fault];
     assert_eq!(seen, expected);
-    assert_eq!(garbage.len(), 1, "the plan that another one replaced");
+    let ids: Vec<_> = garbage.iter().map(|plan| plan.id).collect();
+    assert_eq!(ids, [7, 7, 9], "the plans that another one replaced, and that one after its end");
     let heap = measure(|| drop(garbage));
     assert!(heap.count_current < 0, "the counter counts");
 }

@@ -186,21 +186,23 @@ class TelemetryBatch(Structure):
 
 
 class PlanHeader(Structure):
-    SIZE = 64
+    SIZE = 72
     OFFSETS = {
         "id": 0,
         "fingerprint": 8,
         "activation_ns": 16,
-        "t_f": 24,
-        "joints": 32,
-        "actuated": 40,
-        "intervals": 48,
-        "checksum": 56,
+        "replaces": 24,
+        "t_f": 32,
+        "joints": 40,
+        "actuated": 48,
+        "intervals": 56,
+        "checksum": 64,
     }
     _fields_ = [
         ("id", c_uint64),
         ("fingerprint", c_uint64),
         ("activation_ns", c_uint64),
+        ("replaces", c_uint64),
         ("t_f", c_double),
         ("joints", c_uint64),
         ("actuated", c_uint64),
@@ -210,7 +212,7 @@ class PlanHeader(Structure):
 
     @staticmethod
     def type_name():
-        return "upswing.Plan.v3"
+        return "upswing.Plan.v4"
 
 
 class ControlRequest(Structure):

@@ -23,6 +23,7 @@ fn plan_of(sizes: Sizes, intervals: usize) -> Plan {
         id: 5,
         fingerprint: 6,
         activation_ns: Some(7),
+        replaces: Some(5),
         trajectory: Trajectory { t_f: 2.0, x, u },
         f,
         gains: Gains::from_slab(sizes, intervals, gains).unwrap(),

@@ -3,6 +3,10 @@
 use std::convert::Infallible;
 use upswing_config::HoldGains;
 use upswing_model::{ActuatedVector, Model, State, Workspace, runge_kutta_step};
+use upswing_trajectory::{LoopDelays, Plan};
+
+/// Largest step of a prediction, s.
+const STEP: f64 = 1e-3;
 
 /// Predicts the state `seconds` after `x` (rad, rad/s) while the daemon holds the arm at `q_hold` (rad) and the pendulum
 /// swings freely; classical Runge-Kutta method with steps of at most a millisecond.
@@ -17,8 +21,6 @@ pub fn held(
     seconds: f64,
     work: &mut Workspace,
 ) -> State {
-    /// Largest step, s.
-    const STEP: f64 = 1e-3;
     let mut f = |x: &State| {
         let (q, qd) = (x.q_a(), x.qd_a());
         let u = ActuatedVector::from_fn(x.sizes(), |i| {
@@ -31,6 +33,42 @@ pub fn held(
     let mut x = *x;
     for _ in 0..steps as usize {
         let Ok(next) = runge_kutta_step(&x, h, &mut f);
+        x = next;
+    }
+    x
+}
+
+/// Predicts the state `seconds` after the daemon measured `x` (rad, rad/s) at the time `t` (s) of `plan`, which it tracks.
+///
+/// The measured velocities lag by the time constant T_1 of the differential filter, and so do those that the feedback sees: the model
+/// includes the filter. At the begin, the velocities are the measured ones and what the plan has gained within T_1.
+pub fn tracked(
+    model: &Model,
+    delays: &LoopDelays,
+    plan: &Plan,
+    t: f64,
+    measured: &State,
+    seconds: f64,
+    work: &mut Workspace,
+) -> State {
+    let steps = (seconds / STEP).ceil().max(1.0);
+    let h = seconds / steps;
+    let (mut x, mut seen) = (*measured, *measured);
+    let forgotten = delays.velocity_filter.map(|t_1| {
+        let gained = plan.spline().derivative(t).qd() * t_1;
+        x.qd_mut().iter_mut().zip(gained.iter()).for_each(|(v, gained)| *v += gained);
+        -libm::expm1(-h / t_1)
+    });
+    for i in 0..steps as usize {
+        let u = plan.reference(t + (i as f64 + 0.5) * h).input(&seen);
+        let Ok(next) = runge_kutta_step(&x, h, |x| Ok::<_, Infallible>(model.f(x, &u, work)));
+        seen = match forgotten {
+            None => next,
+            Some(share) => {
+                let v = seen.qd() + ((x.qd() + next.qd()) * 0.5 - seen.qd()) * share;
+                State::new(&next.q(), &v)
+            }
+        };
         x = next;
     }
     x

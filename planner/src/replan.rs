@@ -644,7 +644,11 @@ impl Planner {
 }
 
 /// The solution of `solver` in the linearisation `iteration`, or the reason of its failure.
-fn solution_of(solver: &QpSolver, status: QpStatus, iteration: usize) -> Result<QpSolution, PlanningFailure> {
+pub(crate) fn solution_of(
+    solver: &QpSolver,
+    status: QpStatus,
+    iteration: usize,
+) -> Result<QpSolution, PlanningFailure> {
     match status {
         QpStatus::Solved => Ok(solver.solution().clone()),
         QpStatus::Infeasible(conflict) => Err(PlanningFailure::Infeasible { iteration, conflict }),

@@ -348,7 +348,7 @@ impl ClosedLoop {
         let start = self.start.clone();
         let result = match controller {
             None => cancellable(py, |stop| {
-                let options = RunOptions { plan, controller: None, interrupted: Some(stop) };
+                let options = RunOptions { plan, interrupted: Some(stop), ..RunOptions::default() };
                 planner.with_solver(|solver| {
                     let planner = &planner.planner;
                     swing_up(planner, solver, config, start, seconds, disturbances, options, &mut records)
@@ -363,7 +363,7 @@ impl ClosedLoop {
                         text
                     })
                 };
-                let options = RunOptions { plan, controller: Some(Box::new(torque)), interrupted: None };
+                let options = RunOptions { plan, controller: Some(Box::new(torque)), ..RunOptions::default() };
                 let result = planner.with_solver(|solver| {
                     let planner = &planner.planner;
                     swing_up(planner, solver, config, start, seconds, disturbances, options, &mut records)

@@ -74,8 +74,11 @@ pub fn plan(plan: &PlanMessage) -> Result<Vec<u8>, DamagedPlan> {
         return Err(DamagedPlan::Length { expected, got });
     }
     let mut cdr = Cdr::new();
-    let PlanHeader { id, fingerprint, activation_ns, t_f, joints, actuated, intervals, checksum } = *header;
-    for word in [id, fingerprint, activation_ns, t_f.to_bits(), joints, actuated, intervals, checksum] {
+    let PlanHeader { id, fingerprint, activation_ns, replaces, t_f, joints, actuated, intervals, checksum } =
+        *header;
+    for word in
+        [id, fingerprint, activation_ns, replaces, t_f.to_bits(), joints, actuated, intervals, checksum]
+    {
         cdr.u64(word);
     }
     let mut rest = &plan.values[..];
@@ -94,6 +97,7 @@ pub fn read_plan(message: &[u8]) -> Option<PlanMessage> {
         id: cdr.u64()?,
         fingerprint: cdr.u64()?,
         activation_ns: cdr.u64()?,
+        replaces: cdr.u64()?,
         t_f: cdr.f64()?,
         joints: cdr.u64()?,
         actuated: cdr.u64()?,

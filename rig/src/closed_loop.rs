@@ -1,10 +1,13 @@
 //! Controller and simulated plant in one process, stepped alternately cycle by cycle, without shared memory.
 
 use crate::course::{self, Course, first_manoeuvre};
+use serde::{Deserialize, Serialize};
+use std::time::Duration;
 use upswing_config::{Config, Push};
 use upswing_ipc::{ManoeuvreRequest, Mode, PlanMessage, PlannerResponse, PlannerStatus, Telemetry};
 use upswing_model::{ActuatedVector, JointVector};
 use upswing_ocp::qp::QpSolver;
+use upswing_planner::continuous::{ContinuousReplanning, TrackedMotion};
 use upswing_planner::replan::{Effort, NoPlan, Planner};
 use upswing_planner::service::describe;
 use upswing_plant::{Plant, SetEventError, StateError};
@@ -128,6 +131,89 @@ pub struct RunOptions<'a> {
     pub controller: Option<Box<OtherController<'a>>>,
     /// Asked once in a thousand cycles whether to end the run.
     pub interrupted: Option<&'a dyn Fn() -> bool>,
+    /// Is set to what continuous replanning did in the run.
+    pub replans: Option<&'a mut ReplanCounts>,
+}
+
+/// Numbers of the steps of continuous replanning in a run.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ReplanCounts {
+    /// Plans that replaced the running one.
+    pub active: u64,
+    /// Steps without a plan.
+    pub failed: u64,
+    /// Plans that the daemon refused, or dropped at their activation.
+    pub dropped: u64,
+}
+
+impl std::ops::AddAssign for ReplanCounts {
+    fn add_assign(&mut self, other: Self) {
+        self.active += other.active;
+        self.failed += other.failed;
+        self.dropped += other.dropped;
+    }
+}
+
+/// Continuous replanning in lockstep: a plan follows from the record of a cycle, and the controller gets it at its activation, however long the
+/// computation took.
+struct LockstepReplanning<'a> {
+    replanning: ContinuousReplanning<'a>,
+    config: &'a Config,
+    running: Plan,
+    /// The plan on its way to the controller.
+    waiting: Option<Plan>,
+    /// Earliest time of the next step, ns on the plant's clock.
+    next_ns: u64,
+    counts: ReplanCounts,
+}
+
+impl LockstepReplanning<'_> {
+    /// The request that brings the waiting plan to the controller, if the cycle at `t_ns` is the one of its activation or a later one.
+    fn request(&mut self, t_ns: u64) -> Option<StepRequest> {
+        let activation_ns = self.waiting.as_ref()?.activation_ns?;
+        if activation_ns > t_ns {
+            return None;
+        }
+        let message = PlanMessage::new(self.waiting.as_ref()?, self.config.model.order());
+        match accept(&message, self.config) {
+            Ok(plan) => Some(StepRequest::Load(plan)),
+            Err(_) => {
+                self.waiting = None;
+                self.counts.dropped += 1;
+                None
+            }
+        }
+    }
+
+    /// Notes whether the waiting plan is running after a cycle in which the controller got it (`sent`), and plans the rest of the motion again if it is
+    /// time.
+    fn observe(&mut self, record: &Telemetry, sent: bool) {
+        if sent && let Some(plan) = self.waiting.take() {
+            if plan.id == record.plan_id {
+                self.running = plan;
+                self.counts.active += 1;
+            } else {
+                self.counts.dropped += 1;
+            }
+        }
+        if self.waiting.is_some()
+            || record.mode() != Ok(Mode::Track)
+            || record.plan_id != self.running.id
+            || record.t_ns < self.next_ns
+        {
+            return;
+        }
+        let Ok(vectors) = record.vectors(self.config.model.order()) else { return };
+        let settings = &self.config.planner.continuous;
+        let period = self.config.daemon.cycle.period;
+        let cycles = |time: Duration| period.nanos_of(period.nearest_cycles(time.as_secs_f64()).max(1));
+        let motion = TrackedMotion { plan: &self.running, t: record.t_plan, x: vectors.x, t_ns: record.t_ns };
+        self.next_ns = record.t_ns + cycles(settings.period);
+        match self.replanning.step(&motion, cycles(settings.lead)) {
+            Ok(plan) => self.waiting = plan,
+            Err(_) => self.counts.failed += 1,
+        }
+    }
 }
 
 /// Controller and plant in lockstep: one control step per plant step, as on the clock `lockstep`.
@@ -181,6 +267,10 @@ struct SwingUpRun<'a, D> {
     options: RunOptions<'a>,
     /// Cycles that the controller misses after the start of the plan.
     missed: Vec<MissedCycles>,
+    /// Duration t_F of the plan that was started, s.
+    first_t_f: f64,
+    /// From the start of the plan on, if the settings of the planner ask for it.
+    replanning: Option<LockstepReplanning<'a>>,
     records: &'a mut Vec<Telemetry>,
     /// Largest true speed of each joint in Track and Balance so far, rad/s.
     fastest: JointVector,
@@ -193,6 +283,13 @@ impl<D> SwingUpRun<'_, D> {
             return Err(Aborted::Interrupted);
         }
         let before = self.system.controller.mode();
+        let t_ns = self.records.last().map_or(0, |last| last.t_ns) + self.config.daemon.cycle.period.nanos();
+        let replacement = match (&request, &mut self.replanning) {
+            (None, Some(replanning)) => replanning.request(t_ns),
+            _ => None,
+        };
+        let replaces = replacement.is_some();
+        let request = request.or(replacement);
         let (name, mut request) = request.map(|request| (request.name(), request)).unzip();
         let (config, other) = (self.config, &mut self.options.controller);
         let mut failed = None;
@@ -214,7 +311,10 @@ impl<D> SwingUpRun<'_, D> {
             self.fastest = self.fastest.sup(&self.system.plant.velocity().abs());
         }
         let model = &self.config.model;
-        if let (Some(request), Some(Err(refusal))) = (name, output.answer) {
+        if let Some(replanning) = &mut self.replanning {
+            replanning.observe(&record, replaces);
+        }
+        if let (Some(request), Some(Err(refusal)), false) = (name, output.answer, replaces) {
             return Err(Aborted::Refused { request, refusal: refusal.text(model) });
         }
         match output.record.trip {
@@ -251,7 +351,18 @@ impl<D> SwingUpRun<'_, D> {
                 passed += 1;
             }
         }
-        self.cycles(count - passed)
+        self.cycles(count - passed)?;
+        // A motion that was planned again may end later.
+        let late = if self.replanning.is_some() { self.late_cycles() } else { 0 };
+        self.cycles(late)
+    }
+
+    /// Number of cycles by which the motion ended later than its first plan.
+    fn late_cycles(&self) -> u64 {
+        let tracked = || self.records.iter().filter(|record| record.mode() == Ok(Mode::Track));
+        let (Some(first), Some(last)) = (tracked().next(), tracked().next_back()) else { return 0 };
+        let took = (last.t_ns - first.t_ns) as f64 * 1e-9;
+        self.config.daemon.cycle.period.cycles_in(took - self.first_t_f)
     }
 }
 
@@ -335,9 +446,23 @@ impl<D: FnOnce(f64) -> Disturbances> Course for SwingUpRun<'_, D> {
                 (replan.plan(self.config), response)
             }
         };
+        let replanning = self.planner.config().planner.continuous.enabled.then(|| {
+            let replanning = ContinuousReplanning::new(self.planner, number, manoeuvre.given(), &plan);
+            replanning.map(|replanning| LockstepReplanning {
+                replanning,
+                config: self.config,
+                running: plan.clone(),
+                waiting: None,
+                next_ns: 0,
+                counts: ReplanCounts::default(),
+            })
+        });
         let plan = accept(&PlanMessage::new(&plan, self.config.model.order()), self.config)?;
+        self.first_t_f = plan.trajectory.t_f;
         let id = plan.id;
         self.cycle(Some(StepRequest::Load(plan)))?;
+        // The target that a plan was made for is one.
+        self.replanning = replanning.and_then(Result::ok);
         self.cycle(Some(StepRequest::Start(id)))?;
         if let Some(disturbances) = self.disturbances.take() {
             let Disturbances { pushes, missed } = disturbances(response.t_f);
@@ -380,10 +505,16 @@ pub fn swing_up(
         disturbances: Some(disturbances),
         options,
         missed: Vec::new(),
+        first_t_f: 0.0,
+        replanning: None,
         records,
         fastest: JointVector::zeros(config.model.sizes()),
     };
     let period = config.daemon.cycle.period.seconds();
-    let response = course::execute_from_idle(&mut run, &first_manoeuvre(config), period, seconds)?;
+    let executed = course::execute_from_idle(&mut run, &first_manoeuvre(config), period, seconds);
+    if let (Some(counts), Some(replanning)) = (run.options.replans.take(), &run.replanning) {
+        *counts = replanning.counts;
+    }
+    let response = executed?;
     Ok(SwingUpEvaluation::new(config, &response, run.records, 0, seconds, Some(&run.fastest)))
 }

@@ -12,7 +12,7 @@ pub mod variation;
 pub use runs::{RunsError, StudyIdentity, StudyRuns};
 pub use statistics::{Spread, wilson};
 
-use crate::closed_loop::{Aborted, Disturbances, RunOptions, swing_up};
+use crate::closed_loop::{Aborted, Disturbances, ReplanCounts, RunOptions, swing_up};
 use rand_pcg::Pcg64;
 use rand_pcg::rand_core::{Rng, SeedableRng};
 use rayon::prelude::*;
@@ -192,11 +192,13 @@ struct Scratch {
     solver: QpSolver,
     /// Every control cycle of the last swing-up.
     records: Vec<Telemetry>,
+    /// What continuous replanning did in the last swing-up.
+    replans: ReplanCounts,
 }
 
 impl Scratch {
     fn new(planner: &Planner) -> Self {
-        Self { solver: planner.solver(), records: Vec::new() }
+        Self { solver: planner.solver(), records: Vec::new(), replans: ReplanCounts::default() }
     }
 
     /// Swings up from start number `index`, with the pendulum in the rest position of this plant, and balances for `seconds` (s).
@@ -216,7 +218,9 @@ impl Scratch {
         plant.plant.start.pendulum = PendulumStart::Rest;
         plant.plant.encoder.seed = plant.plant.encoder.seed.wrapping_add(index);
         let plant = Plant::new(&plant)?;
-        let (solver, records) = (&mut self.solver, &mut self.records);
+        self.replans = ReplanCounts::default();
+        let options = RunOptions { replans: Some(&mut self.replans), ..options };
+        let Self { solver, records, .. } = self;
         swing_up(planner, solver, controller, plant, seconds, disturbances, options, records)
     }
 }

@@ -35,6 +35,8 @@ pub struct Plan {
     /// Moment of t = 0, for which x_0 was predicted, ns on the daemon's clock. `None`: the plan begins whenever it is
     /// started, because the robot stays at x_0.
     pub activation_ns: Option<u64>,
+    /// Id of the running plan that this plan replaces at its activation. `None`: the plan is started by a request.
+    pub replaces: Option<u64>,
     /// t_F, x_k and u_k.
     pub trajectory: Trajectory,
     /// f_k = f(x_k, u_k), time derivative of the state at the knots.
@@ -55,6 +57,7 @@ impl Plan {
             id: hash.digest().max(1),
             fingerprint: model.fingerprint(),
             activation_ns: None,
+            replaces: None,
             f: trajectory.f(model),
             trajectory,
             gains,

@@ -144,6 +144,13 @@ impl Spline<'_> {
         })
     }
 
+    /// dx/dt of x(t) (12): f_k linear between the knots.
+    #[inline]
+    pub fn derivative(&self, t: f64) -> State {
+        let (k, dt) = self.locate(t);
+        self.f[k] + (self.f[k + 1] - self.f[k]) * (dt / self.h())
+    }
+
     /// u(t) (12).
     #[inline]
     pub fn input(&self, t: f64) -> ActuatedVector {

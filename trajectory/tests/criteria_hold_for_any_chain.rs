@@ -64,6 +64,7 @@ fn at_rest(model: &Model, theta: f64, n: usize, gain: &[f64; 4]) -> Plan {
         id: 1,
         fingerprint: model.fingerprint(),
         activation_ns: None,
+        replaces: None,
         f: trajectory.f(model),
         trajectory,
         gains: Gains::from_slab(sizes, n, gain.repeat(n + 2)).expect("one gain more than knots"),

@@ -33,6 +33,7 @@ fn plan(sizes: Sizes, n: usize) -> Plan {
         f: (0..=n).map(|k| f0 + c * time(k)).collect(),
         gains,
         activation_ns: None,
+        replaces: None,
     }
 }
 

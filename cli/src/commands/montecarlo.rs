@@ -170,13 +170,10 @@ fn draw_run(
 }
 
 impl SamplingArgs {
-    /// Creates the planner with the database of the options, and with `iterations` linearisations instead of the number in the
-    /// settings if given. Setting `stop` ends the build of a database.
-    fn planner(&self, iterations: Option<u32>, stop: &AtomicBool) -> Result<Planner, Failure> {
+    /// Creates the planner with the database of the options. `change` may change the settings; setting `stop` ends the build of a database.
+    fn planner(&self, change: impl FnOnce(&mut Config), stop: &AtomicBool) -> Result<Planner, Failure> {
         let mut config = self.common.process.load()?;
-        if let Some(iterations) = iterations {
-            config.planner.replan.iterations = iterations as usize;
-        }
+        change(&mut config);
         let stored = |path: &Path| DatabaseFile::open(path).map_err(Failure::bad_input);
         match (&self.database, self.grid) {
             (Some(path), _) => Planner::with_database(config, 0, stored(path)?),

@@ -3,7 +3,7 @@
 use super::Controller;
 use crate::arm::ArmReference;
 use crate::modes::{ActiveMode, LoadedPlan, RunningPlan};
-use crate::step::StepRequest;
+use crate::step::{DroppedPlan, StepRequest};
 use crate::supervisor::{ModeEvent, RequestRefusal, transition};
 use crate::trip::{Trip, TripCause};
 use upswing_config::PlanWhileTracking;
@@ -53,8 +53,11 @@ impl Controller {
         Ok(())
     }
 
-    /// Loads a plan for the next start, in place of an earlier one.
+    /// Loads a plan for the next start, in place of an earlier one; one that replaces the running plan waits for its activation.
     fn load(&mut self, plan: Box<Plan>) -> Result<(), RequestRefusal> {
+        if let Some(replaced) = plan.replaces {
+            return self.await_activation(plan, replaced);
+        }
         if matches!(self.mode, ActiveMode::Track(_)) && self.while_tracking == PlanWhileTracking::Refuse {
             self.retire(plan);
             return Err(RequestRefusal::Tracking { running: self.mode.plan_id() });
@@ -63,6 +66,68 @@ impl Controller {
             self.retire(replaced.plan);
         }
         Ok(())
+    }
+
+    /// Keeps a plan that replaces the running one, of the id `replaced`, for its activation, in place of an earlier one.
+    fn await_activation(&mut self, plan: Box<Plan>, replaced: u64) -> Result<(), RequestRefusal> {
+        let running = if matches!(self.mode, ActiveMode::Track(_)) { self.mode.plan_id() } else { 0 };
+        let activation_ns = plan.activation_ns.unwrap_or(0);
+        let refusal = if running != replaced {
+            RequestRefusal::NotRunning { replaced, running }
+        } else if activation_ns < self.now_ns {
+            RequestRefusal::AfterActivation { late: (self.now_ns - activation_ns) as f64 * 1e-9 }
+        } else {
+            if let Some(before) = self.replacement.replace(plan) {
+                self.retire(before);
+            }
+            return Ok(());
+        };
+        self.retire(plan);
+        Err(refusal)
+    }
+
+    /// Track, in the first cycle at or after the activation of a plan that waits: it replaces the running plan, whose torques blend into its
+    /// own, if the measured state is close to its own. Otherwise it is dropped and the running plan goes on.
+    pub(super) fn replace_plan(&mut self) {
+        let ActiveMode::Track(running) = &self.mode else {
+            if let Some(plan) = self.replacement.take() {
+                self.retire(plan);
+            }
+            return;
+        };
+        let due = |plan: &mut Box<Plan>| plan.activation_ns.is_some_and(|ns| ns <= self.now_ns);
+        let Some(plan) = self.replacement.take_if(due) else { return };
+        let start_ns = plan.activation_ns.unwrap_or(self.now_ns);
+        if let Err(reason) = self.check_replacement(&plan, running, start_ns) {
+            self.dropped = Some(DroppedPlan { id: plan.id, reason });
+            return self.retire(plan);
+        }
+        let posture = self.model.posture_with(&plan.end().x.q(), &mut self.work, &mut self.derivatives);
+        let loaded = LoadedPlan { plan, since_ns: self.now_ns };
+        let next = ActiveMode::Track(RunningPlan::new(loaded, start_ns, posture));
+        if let ActiveMode::Track(replaced) = std::mem::replace(&mut self.mode, next) {
+            self.retire(replaced.loaded.plan);
+        }
+        self.blend_cycles = self.checks.torque_steps();
+    }
+
+    /// Checks that a plan with t = 0 at the time `start_ns` may replace the `running` plan now.
+    fn check_replacement(
+        &self,
+        plan: &Plan,
+        running: &RunningPlan,
+        start_ns: u64,
+    ) -> Result<(), RequestRefusal> {
+        let (replaced, running_id) = (plan.replaces.unwrap_or(0), running.loaded.plan.id);
+        if replaced != running_id {
+            return Err(RequestRefusal::NotRunning { replaced, running: running_id });
+        }
+        // The estimated velocities lag behind those of the plan by what the motion gains within the lag.
+        let t_plan = (self.now_ns - start_ns) as f64 * 1e-9;
+        let mut expected = plan.reference(t_plan).x;
+        let gained = running.derivative(self.now_ns).qd() * self.velocity_lag;
+        expected.qd_mut().iter_mut().zip(gained.iter()).for_each(|(v, gained)| *v -= gained);
+        self.checks.start(&self.observer.x, &expected, t_plan)
     }
 
     /// Starts the loaded plan if it has this id; a plan that cannot be started stays loaded.
@@ -142,14 +207,14 @@ impl Controller {
     }
 
     /// Changes the mode to `next`, the mode of the table of modes for `event`. A running plan becomes the loaded plan again, unless a
-    /// newer one is loaded.
+    /// newer one is loaded or it has replaced another one: such a plan begins in the middle of a motion.
     pub(super) fn enter(&mut self, event: ModeEvent, next: ActiveMode) {
         // Not in release builds, whose real-time path cannot panic; the tests of the table watch the modes from outside.
         debug_assert_eq!(transition(self.mode(), event), Ok(next.mode()));
         let is_start = matches!(next, ActiveMode::Track(_));
         match std::mem::replace(&mut self.mode, next) {
             ActiveMode::Track(plan) | ActiveMode::Balance(plan) => {
-                if is_start || self.loaded.is_some() {
+                if is_start || self.loaded.is_some() || plan.loaded.plan.replaces.is_some() {
                     self.retire(plan.loaded.plan);
                 } else {
                     self.loaded = Some(plan.loaded);
@@ -166,9 +231,8 @@ impl Controller {
 
     /// Returns a plan to the caller, to be freed.
     fn retire(&mut self, plan: Box<Plan>) {
-        // A request retires at most one plan, and so does the end of a mode. If there were a third, leaking it would be better than
-        // freeing it here.
-        let slot = usize::from(self.retired[0].is_some());
+        // If there were more than MOST_RETIRED, leaking one would be better than freeing it here.
+        let slot = self.retired.iter().position(Option::is_none).unwrap_or(0);
         std::mem::forget(self.retired[slot].replace(plan));
     }
 }

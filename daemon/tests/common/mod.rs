@@ -145,6 +145,7 @@ pub fn resting(config: &Config, x: &State, t_f: f64) -> Plan {
         id: 7,
         fingerprint: config.model.fingerprint(),
         activation_ns: None,
+        replaces: None,
         trajectory: Trajectory { t_f, ..still(intervals) },
         f: vec![config.model.f(x, &none, &mut work); intervals + 1],
         gains,
@@ -177,6 +178,7 @@ pub fn swing(config: &Config, q: &JointVector) -> (Box<Plan>, Box<Plan>) {
         trajectory,
         gains,
         activation_ns: None,
+        replaces: None,
     };
     // Through the message and the checks, as in life.
     let [up, down] = [up, down].map(|plan| upswingd::plan::accept(&message(&plan), config).unwrap());

@@ -132,7 +132,10 @@ pub fn module() -> String {
         }
     );
     class!(out, TelemetryBatch { count, dropped, records });
-    class!(out, PlanHeader { id, fingerprint, activation_ns, t_f, joints, actuated, intervals, checksum });
+    class!(
+        out,
+        PlanHeader { id, fingerprint, activation_ns, replaces, t_f, joints, actuated, intervals, checksum }
+    );
     class!(out, ControlRequest { kind, plan_id });
     class!(
         out,

@@ -10,7 +10,7 @@ use xxhash_rust::xxh3::Xxh3;
 /// What comes before the numbers of a [`PlanMessage`].
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
-#[type_name("upswing.Plan.v3")]
+#[type_name("upswing.Plan.v4")]
 pub struct PlanHeader {
     /// Identity of the plan, unique per planner, above 0.
     pub id: u64,
@@ -19,6 +19,8 @@ pub struct PlanHeader {
     /// Moment of t = 0, for which x_0 was predicted: ns on the daemon's clock, as `t_ns` of its telemetry. 0: the plan
     /// begins whenever it is started, because the robot stays at x_0.
     pub activation_ns: u64,
+    /// Id of the running plan that this plan replaces at `activation_ns`; 0: the plan is started by a request.
+    pub replaces: u64,
     /// t_F, duration, s, above 0.
     pub t_f: f64,
     /// n, number of joints.
@@ -34,7 +36,7 @@ pub struct PlanHeader {
 /// Number of words of a header.
 const HEADER: usize = size_of::<PlanHeader>() / WORD;
 
-const _: () = assert!(size_of::<PlanHeader>() == WORD * 8);
+const _: () = assert!(size_of::<PlanHeader>() == WORD * 9);
 // The checksum covers all that lies before it, so it must be last.
 const _: () = assert!(std::mem::offset_of!(PlanHeader, checksum) == size_of::<PlanHeader>() - WORD);
 
@@ -107,6 +109,7 @@ impl PlanMessage {
             id: plan.id,
             fingerprint: plan.fingerprint,
             activation_ns: plan.activation_ns.unwrap_or(0),
+            replaces: plan.replaces.unwrap_or(0),
             t_f: plan.trajectory.t_f,
             joints,
             actuated,
@@ -146,6 +149,7 @@ impl PlanMessage {
             id: header.id,
             fingerprint: header.fingerprint,
             activation_ns: Some(header.activation_ns).filter(|ns| *ns != 0),
+            replaces: Some(header.replaces).filter(|id| *id != 0),
             trajectory: Trajectory {
                 t_f: header.t_f,
                 x: states(order, x),

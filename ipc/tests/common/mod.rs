@@ -114,6 +114,7 @@ pub fn plan(id: u64) -> PlanMessage {
         id,
         fingerprint: 0x0123_4567_89ab_cdef,
         activation_ns: 0,
+        replaces: 0,
         t_f: number(1),
         joints: SIZES.0.joints() as u64,
         actuated: SIZES.0.actuated() as u64,

@@ -3,7 +3,7 @@
 use super::condition::PlantCondition;
 use super::contender::Contender;
 use super::{ENDED_BADLY, NoStart, Scratch, Spread, Study, StudyError, shown_pose};
-use crate::closed_loop::{Aborted, Disturbances, RunOptions};
+use crate::closed_loop::{Aborted, Disturbances, ReplanCounts, RunOptions};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -24,6 +24,8 @@ pub struct RunResult {
     pub failure: Option<String>,
     /// Details of the failure, one per criterion that was not met.
     pub reasons: Vec<String>,
+    /// What continuous replanning did.
+    pub replans: ReplanCounts,
 }
 
 /// Figures of one swing-up, a part of [`SwingUpEvaluation`].
@@ -49,6 +51,8 @@ pub struct ConditionResult {
     pub succeeded: usize,
     /// Number of failures of each kind.
     pub failures: BTreeMap<String, usize>,
+    /// What continuous replanning did in all runs.
+    pub replans: ReplanCounts,
     /// Spread of each figure of the motion.
     #[serde(flatten)]
     pub motion: MotionFigures<Option<Spread>>,
@@ -108,6 +112,10 @@ impl ConditionStudy<'_> {
                     n
                 },
             ),
+            replans: results.iter().fold(ReplanCounts::default(), |mut sum, (s, _)| {
+                sum += s.replans;
+                sum
+            }),
             succeeded: results.iter().filter(|(s, _)| s.failure.is_none()).count(),
             motion: MotionFigures::statistic(|figure| Spread::of(completed().map(figure))),
             times: RunTimes {
@@ -147,6 +155,7 @@ impl ConditionStudy<'_> {
             end,
             failure,
             reasons,
+            replans: scratch.replans,
         };
         Ok((result, time))
     }

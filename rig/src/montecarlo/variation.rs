@@ -33,6 +33,9 @@ pub enum Variation {
     Friction,
     /// Horizontal push on the tip of the rod in Balance, in a direction drawn for each start, N s
     Push,
+    /// Horizontal push on the tip of the rod at a moment of the swing-up, from a tenth to nine tenths of the plan, in a direction; both drawn for
+    /// each start, N s
+    PushSwingUp,
     /// Cycles missed in a row, at a moment of the swing-up drawn for each start
     MissedSwingUp,
     /// Cycles missed in a row in Balance
@@ -98,6 +101,7 @@ impl Variation {
             Self::VelocityFilter => "time constant of the filter (ms)",
             Self::Friction => "friction left to the arm (%)",
             Self::Push => "push in Balance (N s)",
+            Self::PushSwingUp => "push in the swing-up (N s)",
             Self::MissedSwingUp => "cycles missed in the swing-up",
             Self::MissedBalance => "cycles missed in Balance",
             Self::Jitter => "frequency of recorded misses (factor)",
@@ -114,7 +118,7 @@ impl Variation {
             Self::TorqueDelay => &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0],
             Self::VelocityFilter => &[2.0, 5.0, 8.0, 12.0, 15.0, 18.0, 20.0],
             Self::Friction => &[0.0, 20.0, 40.0, 60.0, 80.0, 100.0],
-            Self::Push => &[0.0, 0.02, 0.04, 0.06, 0.08, 0.1],
+            Self::Push | Self::PushSwingUp => &[0.0, 0.02, 0.04, 0.06, 0.08, 0.1],
             Self::MissedSwingUp | Self::MissedBalance => &[0.0, 5.0, 10.0, 15.0, 20.0, 21.0, 25.0],
             Self::Jitter => &[0.0, 1.0, 10.0, 100.0, 1000.0],
         }
@@ -131,7 +135,7 @@ impl Variation {
             Self::TorqueDelay => (0.0, f64::from(MAX_DELAY), true),
             Self::VelocityFilter => (0.2, 1000.0, false),
             Self::Friction => (0.0, 100.0, false),
-            Self::Push => (0.0, 100.0, false),
+            Self::Push | Self::PushSwingUp => (0.0, 100.0, false),
             Self::MissedSwingUp | Self::MissedBalance => (0.0, 8000.0, true),
             Self::Jitter => (0.0, 1e6, false),
         };
@@ -164,7 +168,7 @@ impl Variation {
             Self::TorqueDelay => plant.drive.command_delay = value as u32,
             Self::VelocityFilter => config.daemon.cycle.velocity_filter = 1e-3 * value,
             Self::Friction => plant.friction.compensation = 1.0 - 0.01 * value,
-            Self::Push | Self::MissedSwingUp | Self::MissedBalance | Self::Jitter => {}
+            Self::Push | Self::PushSwingUp | Self::MissedSwingUp | Self::MissedBalance | Self::Jitter => {}
         }
     }
 
@@ -184,10 +188,11 @@ impl Variation {
         let stretch = |from: f64| vec![MissedCycles { from: cycle(from), cycles: value as u64 }];
         let mut disturbances = Disturbances::default();
         match self {
-            Self::Push => {
+            Self::Push | Self::PushSwingUp => {
                 let (sin, cos) = libm::sincos(std::f64::consts::TAU * share());
+                let from = if self == Self::Push { t_f + BEFORE } else { t_f * (0.1 + 0.8 * share()) };
                 disturbances.pushes.push(Push {
-                    from: cycle(t_f + BEFORE),
+                    from: cycle(from),
                     cycles: cycle(PUSH).max(1),
                     impulse: [value * cos, value * sin, 0.0],
                 });

@@ -3,9 +3,11 @@
 use super::{SamplingArgs, draw_run, list_failures, study_failure, writable, write_spreads};
 use serde::Serialize;
 use std::path::PathBuf;
+use upswing_config::Config;
 use upswing_process::number::within;
 use upswing_process::output::{Destination, Overwrite};
 use upswing_process::{Failure, shutdown_flag};
+use upswing_rig::closed_loop::ReplanCounts;
 use upswing_rig::montecarlo::closed_loop::{ConditionResult, ConditionStudy};
 use upswing_rig::montecarlo::condition::PlantCondition;
 use upswing_rig::montecarlo::contender::{Contender, GivenPlans, GivenPlansError};
@@ -21,6 +23,9 @@ pub struct ClosedLoopArgs {
     /// plant, by name or as .toml files
     #[arg(long, value_name = "NAME|FILE,..", value_delimiter = ',', default_value = "nominal")]
     pub condition: Vec<String>,
+    /// Replan continuously while the plan is tracked, also where the settings of the planner do not say so
+    #[arg(long)]
+    pub continuous: bool,
     /// Duration of the balance, s (2 to 600); success is judged in the last second
     #[arg(long, value_name = "S", default_value_t = 4.0, value_parser = within(2.0, 600.0))]
     pub seconds: f64,
@@ -80,6 +85,13 @@ fn write_condition(f: &mut std::fmt::Formatter<'_>, c: &ConditionResult) -> std:
     ];
     write_spreads(f, &rows)?;
     write!(f, "  time {:.1} s", c.times.total)?;
+    let ReplanCounts { active, failed, dropped } = c.replans;
+    if active + failed + dropped > 0 {
+        write!(
+            f,
+            "\n  continuous replanning: {active} plans active, {failed} steps without a plan, {dropped} plans dropped"
+        )?;
+    }
     c.failures.iter().try_for_each(|(kind, n)| write!(f, "\n  {n} times: {kind}"))?;
     let failed = c.results.iter().filter(|s| s.failure.is_some());
     list_failures(f, failed.map(|s| (s.index, &s.start[..], s.reasons.join("; "))))
@@ -92,7 +104,8 @@ fn write_condition(f: &mut std::fmt::Formatter<'_>, c: &ConditionResult) -> std:
 pub fn run(args: &ClosedLoopArgs) -> Result<(), Failure> {
     let picture = writable("--picture", args.picture.as_ref(), args.overwrite)?;
     let stop = shutdown_flag()?;
-    let planner = args.sampling.planner(None, &stop)?;
+    let continuous = |config: &mut Config| config.planner.continuous.enabled |= args.continuous;
+    let planner = args.sampling.planner(continuous, &stop)?;
     let config = planner.config();
     let conditions: Vec<PlantCondition> =
         args.condition.iter().map(|name| PlantCondition::new(name, config)).collect::<Result<_, _>>()?;

@@ -2,6 +2,7 @@
 
 use super::{SamplingArgs, list_failures, study_failure, writable, write_spreads};
 use serde::Serialize;
+use upswing_config::Config;
 use upswing_process::number::whole;
 use upswing_process::output::{Destination, Overwrite};
 use upswing_process::{Failure, shutdown_flag};
@@ -79,7 +80,12 @@ impl std::fmt::Display for ReplanResult {
 pub fn run(args: &ReplanArgs) -> Result<(), Failure> {
     let svg = writable("--svg", args.svg.as_ref(), args.overwrite)?;
     let stop = shutdown_flag()?;
-    let planner = args.sampling.planner(args.iterations, &stop)?;
+    let iterations = |config: &mut Config| {
+        if let Some(iterations) = args.iterations {
+            config.planner.replan.iterations = iterations as usize;
+        }
+    };
+    let planner = args.sampling.planner(iterations, &stop)?;
     let starts = args.sampling.indices().len();
     let runs = args.sampling.runs("replan", &planner, &(), args.overwrite)?;
     let statistics = args

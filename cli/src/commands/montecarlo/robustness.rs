@@ -30,6 +30,9 @@ pub struct RobustnessArgs {
     /// Scenario of the plant, in addition: a name, or the path of a .toml file
     #[arg(long, value_name = "NAME|FILE")]
     pub scenario: Option<String>,
+    /// Replan continuously while the plan is tracked, also where the settings of the planner do not say so
+    #[arg(long)]
+    pub continuous: bool,
     /// Histogram of missed cycles for `--over jitter`: the output of `upswing soak --clock wall --json`
     #[arg(long, value_name = "FILE")]
     pub missed: Option<PathBuf>,
@@ -104,7 +107,8 @@ pub fn run(args: &RobustnessArgs) -> Result<(), Failure> {
     let svg = writable("--svg", args.svg.as_ref(), args.overwrite)?;
     let picture = writable("--picture", args.picture.as_ref(), args.overwrite)?;
     let stop = shutdown_flag()?;
-    let planner = args.sampling.planner(None, &stop)?;
+    let continuous = |config: &mut Config| config.planner.continuous.enabled |= args.continuous;
+    let planner = args.sampling.planner(continuous, &stop)?;
     let cases = cases(args, planner.config())?;
     let jobs = cases.len() * args.sampling.indices().len();
     let runs =
