@@ -1,7 +1,7 @@
 //! Continuous replanning: the rest of a running plan, planned again and again from the newest measured state (model predictive control with a
 //! shrinking horizon).
 //!
-//! A step predicts the state in which the system will be when the new plan takes over, and solves a QP (16) or two around the rest of the
+//! A step predicts the state in which the system will be when the new plan takes over, and solves a few QPs (16) around the rest of the
 //! running plan, with that state as x_0 and the same target. The gains are those of (23), as for any plan.
 
 use crate::offline::{lqr_recursion, lqr_weights, qp_weights, target};
@@ -25,8 +25,8 @@ const LINEARISATIONS: usize = 3;
 const DURATION_WEIGHT: f64 = 10.0;
 /// Share of the rated velocities and torques that a step may use where no motion keeps the limits of plans. The rest is for the feedback.
 const RATED_SHARE: f64 = 0.9;
-/// Shortest and longest duration of the rest, s. The shortest one only keeps the duration above 0.
-const DURATION: (f64, f64) = (0.05, 8.0);
+/// Shortest duration of the rest, s: it only keeps the duration above 0.
+const SHORTEST: f64 = 0.05;
 
 /// A motion that follows a plan, as measured.
 #[derive(Clone, Copy, Debug)]
@@ -104,7 +104,8 @@ impl<'a> ContinuousReplanning<'a> {
             &mut self.work,
         );
         let reference = rest(plan, t_0);
-        let mut problem = Problem { t_f: DURATION, ..self.planner.problem(self.target.clone(), &start) };
+        let mut problem = self.planner.problem(self.target.clone(), &start);
+        problem.t_f.0 = SHORTEST;
         let mut adapted = self.adapt(&problem, &reference, &criteria);
         if adapted.is_err() {
             let (limits, rated) = (&mut problem.limits, &config.robot.limits);
