@@ -89,7 +89,7 @@ fn without_a_step_in_torque() {
     let mut tracking = Tracking::new();
     let mut plan = tracking.replacement(0.04, 1);
     // Stiff enough for more torque than the limit of its rate allows in a cycle.
-    plan.gains.as_mut_slice().iter_mut().for_each(|k| *k *= 100.0);
+    plan.gains.as_mut_slice().iter_mut().for_each(|k| *k *= 20.0);
     let most = tracking.config.robot.limits.tau_max
         * (tracking.config.daemon.limits.torque_rate.warn * PERIOD_NS as f64 * 1e-9);
     let mut last = tracking.load(plan).command.tau;
