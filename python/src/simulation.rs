@@ -363,7 +363,8 @@ impl ClosedLoop {
                         text
                     })
                 };
-                let options = RunOptions { plan, controller: Some(Box::new(torque)), ..RunOptions::default() };
+                let options =
+                    RunOptions { plan, controller: Some(Box::new(torque)), ..RunOptions::default() };
                 let result = planner.with_solver(|solver| {
                     let planner = &planner.planner;
                     swing_up(planner, solver, config, start, seconds, disturbances, options, &mut records)
