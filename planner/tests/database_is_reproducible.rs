@@ -377,12 +377,13 @@ fn entries_that_feedback_does_not_hold_are_found() {
     let mut config = Config::load(&"cart-double".parse().expect("shipped")).expect("settings");
     // So few knots that the trapezoidal rule says little about the motion of the rods; limits between them are not the question here.
     config.planner.offline.intervals = 20;
-    config.planner.replan.knot_margin = 1e3;
+    config.planner.replan.knot_margin = 0.0;
     config.manoeuvres[0].grid.axes = vec![GridAxis { joint: 0, from: 0.0, to: 0.0, points: 1 }];
     let dir = tempfile::tempdir().expect("a folder");
     let path = dir.path().join("coarse.bin");
     build(&config, Shard::WHOLE, &path, &go(), |_| ()).expect("it builds");
     let database = stored(&read(&path).expect("it reads"));
+    config.planner.replan.knot_margin = 1e3;
     let found = verify(&config, 0, &database, || ()).expect("whole");
     let flaws: Vec<_> = found.iter().map(|d| d.flaw).collect();
     assert!(matches!(flaws[..], [RecordFlaw::EndError { .. }]), "{flaws:?}");
