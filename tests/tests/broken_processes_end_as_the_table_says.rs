@@ -109,6 +109,7 @@ fn act(system: &mut System, fault: &str) {
         ["restart", who] => system.restart(role(who)),
         ["kill", "planner", "while", "it", "plans"] => kill_planner_at_work(system),
         ["damage", "a", "plan", "in", "each", "field"] => damage_plans(system),
+        ["replace", "the", "plan", "late", "or", "wrongly"] => replace_wrongly(system),
         ["load", "the", "CPUs", "for", seconds, "s"] => {
             load_cpus(system, Duration::from_secs_f64(seconds.parse().expect("a number")));
         }
@@ -239,6 +240,40 @@ fn damage_plans(system: &mut System) {
             reason.contains(word).then_some(())
         });
         assert_eq!(system.status().plan_id, before, "{word}");
+    }
+    drop(publisher);
+    system.restart(Role::Planner);
+}
+
+/// In place of the planner, sends plans that would replace the running one but are late, name an old plan, or are damaged; the daemon names the
+/// reason.
+fn replace_wrongly(system: &mut System) {
+    const NOT_RUNNING: &str = "it replaces plan";
+    let before = system.status();
+    system.kill(Role::Planner);
+    let order = *system.config.model.order();
+    let publisher = system.session.node().plan_publisher(order.sizes(), GOOD.trajectory.intervals());
+    let publisher = publisher.expect("the planner's place");
+    let (running, due) = (Some(before.running_plan.max(1)), before.t_ns + 100_000_000);
+    let of_old = Plan { id: 2001, activation_ns: Some(due), replaces: Some(3), ..GOOD.clone() };
+    let late = Plan { id: 2002, activation_ns: Some(1), replaces: running, ..GOOD.clone() };
+    let mut damaged = Plan { id: 2003, activation_ns: Some(due), replaces: running, ..GOOD.clone() };
+    damaged.trajectory.x[50][3] = f64::NAN;
+    // Without a running plan, or after its end, none can be replaced.
+    let cases = [
+        (of_old, [NOT_RUNNING, NOT_RUNNING]),
+        (late, ["ms after the moment", NOT_RUNNING]),
+        (damaged, ["x at knot 50", "x at knot 50"]),
+    ];
+    for (plan, words) in cases {
+        publisher.publish(&PlanMessage::new(&plan, &order)).expect("published");
+        let refused = format!("refused plan {}", plan.id);
+        wait_for(words[0], || {
+            system.session.collect().expect("telemetry");
+            let reason = system.status().reason.to_string();
+            (reason.contains(&refused) && words.iter().any(|word| reason.contains(word))).then_some(())
+        });
+        assert_eq!(system.status().plan_id, before.plan_id, "{}", words[0]);
     }
     drop(publisher);
     system.restart(Role::Planner);
