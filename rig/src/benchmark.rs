@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
-use upswing_config::{Config, ConfigError};
+use upswing_config::{Config, ConfigError, read_file};
 use upswing_model::State;
 use upswing_planner::replan::Planner;
 use upswing_record::evaluation::MotionFigures;
@@ -122,8 +122,7 @@ impl Benchmark {
     /// # Errors
     /// [`BenchmarkError`] if it cannot be read, or is no benchmark.
     pub fn read(path: &Path) -> Result<Self, BenchmarkError> {
-        let text =
-            std::fs::read(path).map_err(|cause| BenchmarkError::Io { path: path.to_owned(), cause })?;
+        let text = read_file(path).map_err(|cause| BenchmarkError::Io { path: path.to_owned(), cause })?;
         serde_json::from_slice(&text).map_err(|cause| BenchmarkError::File { path: path.to_owned(), cause })
     }
 

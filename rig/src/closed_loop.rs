@@ -433,6 +433,8 @@ impl<D: FnOnce(f64) -> Disturbances> Course for SwingUpRun<'_, D> {
             request: "plan",
             refusal: format!("unknown manoeuvre `{name}`"),
         })?;
+        // A plan of others is followed as it is.
+        let ours = self.options.plan.is_none();
         let (plan, response) = match self.options.plan.take() {
             Some(plan) => {
                 let response = self.describe_given(&plan);
@@ -446,7 +448,7 @@ impl<D: FnOnce(f64) -> Disturbances> Course for SwingUpRun<'_, D> {
                 (replan.plan(self.config), response)
             }
         };
-        let replanning = self.planner.config().planner.continuous.enabled.then(|| {
+        let replanning = (ours && self.planner.config().planner.continuous.enabled).then(|| {
             let replanning = ContinuousReplanning::new(self.planner, number, manoeuvre.given(), &plan);
             replanning.map(|replanning| LockstepReplanning {
                 replanning,

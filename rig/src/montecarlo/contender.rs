@@ -3,7 +3,7 @@
 use crate::closed_loop::RunOptions;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
-use upswing_config::Config;
+use upswing_config::{Config, read_file};
 use upswing_model::{ActuatedVector, JointVector, State, Workspace};
 use upswing_ocp::lqr::synthesize;
 use upswing_planner::offline::{lqr_recursion, lqr_weights};
@@ -158,8 +158,7 @@ impl<'a> GivenPlans<'a> {
     /// # Errors
     /// [`GivenPlansError`] if the file cannot be read, or is not made of plans of this system.
     pub fn read(path: &Path, config: &'a Config) -> Result<Self, GivenPlansError> {
-        let bytes =
-            std::fs::read(path).map_err(|cause| GivenPlansError::Io { path: path.to_owned(), cause })?;
+        let bytes = read_file(path).map_err(|cause| GivenPlansError::Io { path: path.to_owned(), cause })?;
         let documents = serde_json::Deserializer::from_slice(&bytes).into_iter::<Option<PlanDocument>>();
         let trajectories = documents.enumerate().map(|(index, document)| {
             let path = || path.to_owned();

@@ -24,7 +24,7 @@ pub struct ClosedLoopArgs {
     #[arg(long, value_name = "NAME|FILE,..", value_delimiter = ',', default_value = "nominal")]
     pub condition: Vec<String>,
     /// Replan continuously while the plan is tracked, also where the settings of the planner do not say so
-    #[arg(long)]
+    #[arg(long, conflicts_with = "plans")]
     pub continuous: bool,
     /// Duration of the balance, s (2 to 600); success is judged in the last second
     #[arg(long, value_name = "S", default_value_t = 4.0, value_parser = within(2.0, 600.0))]
