@@ -131,5 +131,6 @@ fn one_in_balance() {
 
 #[test]
 fn one_in_stop() {
-    single(Mode::Stop, 0.3);
+    // Joint 7 is light and has the most friction for its torque; how far it slides depends on its speed in the plan.
+    single(Mode::Stop, 0.35);
 }
