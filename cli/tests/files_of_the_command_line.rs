@@ -28,6 +28,8 @@ const NEEDED: &[(&str, &str, &[&str])] = &[
     ("disturb fault", "kind", &["encoder-nan"]),
     ("disturb push", "impulse", &["--impulse", "1,0,0"]),
     ("config export", "dir", &["exported"]),
+    ("bench export", "file", &["benchmark.json"]),
+    ("bench score", "file", &[SOME_FILE]),
     ("system new", "dir", &["my-robot"]),
     ("system new", "urdf", &["--urdf", URDF]),
     ("record", "file", &["run.mcap"]),

@@ -4,7 +4,7 @@ use super::{CommonArgs, print_json, print_line, progress_bar, writable};
 use serde::Serialize;
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use upswing_config::{Config, System};
+use upswing_config::{Config, System, check_regular};
 use upswing_planner::replan::Planner;
 use upswing_process::number::{whole, within};
 use upswing_process::output::{Destination, Overwrite};
@@ -139,6 +139,9 @@ fn score(
     name: &str,
     threads: Option<usize>,
 ) -> Result<(), Failure> {
+    if let Some(plans) = plans {
+        check_regular(plans).map_err(|e| Failure::bad_input(format!("{}: {e}", plans.display())))?;
+    }
     let benchmark = Benchmark::read(path).map_err(failure)?;
     let system: System =
         benchmark.system.parse().map_err(|e| Failure::bad_input(format!("{}: {e}", path.display())))?;
